@@ -26,7 +26,7 @@ from service.client.display import display_elapsed, display_job
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
 from service.errors import InvalidRequest, NotStarted, RunFailed
-from service.formats import EXPORTS, DiagramFormat, ExportFormat
+from service.formats import EXPORTS, ExportFormat
 from worker.kernel_cache import CacheRefused, use_cache
 from worker.temporary import temporary_folder
 
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from service.jobs.manager import JobManager
     from service.jobs.model import JobRecord
     from service.jobs.prepare import PreparedJob
-    from service.render.answers import Line
     from service.settings import Settings
+    from service.views.view import Query
 
 #: Seconds between two looks at the job's progress.
 LOOK_SECONDS: Final = 0.05
@@ -121,21 +121,22 @@ def run_to_file(
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
     from service.client.output_file import complete_file
-    from service.render import answers, export
+    from service.render import export
     from service.results.provenance import attributes_of
-    from service.results.selection import Stored, Sweep, fixed_axes, resolve_direction
+    from service.results.selection import Stored
+    from service.views import diagram
+    from service.views.registry import admit, answer
+    from service.views.view import Query
 
-    where = _line(line or {})
+    query: Query = _query(diagram.DiagramQuery, {**(line or {}), "every": every})
     # Before computing for hours.
     if format in EXPORTS:
         export.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
     else:
-        fixed_axes(parsed, where.along, where.values)
-        resolve_direction(parsed, where.direction)
+        limits = _settings(partial_of(target))
+        query, _ = admit(diagram.VIEW, parsed, query, format, limits.max_points)
     with computed(parsed, partial_of(target), workers=workers, progress=progress) as (record, job):
-        sweep = Sweep(job.spec, job.store_url, complete=True, job=record.id, forms=job.forms)
-        other = Stored(job.spec, job.store_url, complete=True, job=record.id, forms=job.forms)
-        study = sweep if isinstance(parsed, SweepSpec) else other
+        study = Stored(job.spec, job.store_url, complete=True, job=record.id, forms=job.forms)
         limits = _settings(partial_of(target))
         with complete_file(target) as file:
             if format in EXPORTS:
@@ -144,17 +145,20 @@ def run_to_file(
                 with export.make(InThisProcess(), whole, limits.exports_path) as made:
                     file.writelines(export.pieces(made))
             else:
-                table = cast(DiagramFormat, format)
-                file.write(answers.diagram(sweep, where, table, limits.max_points, every).content)
+                file.write(answer("diagram", study, query.model_dump(), format)[0])
     shutil.rmtree(partial_of(target))
     return _status(record)
 
 
-def _line(options: Mapping[str, Any]) -> "Line":
-    from service.render.answers import Line
+def _query(model: "type[Query]", fields: Mapping[str, Any]) -> "Query":
+    """The query with these parameters. Raises InvalidRequest naming the first that is wrong."""
+    from pydantic import ValidationError
 
-    values = {axis: options.get(axis) for axis in ("gamma", "omega", "xi")}
-    return Line(options.get("along", "gamma"), values, options.get("direction"), options.get("min_flight"))
+    try:
+        return model(**fields)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise InvalidRequest.of(str(first["loc"][0]), first["msg"]) from None
 
 
 def partial_of(output: Path) -> Path:

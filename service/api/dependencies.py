@@ -18,7 +18,7 @@ from service.api.capacity import (
     ListenerLimit,
 )
 from service.api.monitoring import Metrics, Readiness
-from service.api.parameters import DiagramQuery, LineQuery
+from service.api.parameters import LineQuery
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
 from service.errors import InvalidRequest, UnknownJob, WrongMediaType
@@ -139,22 +139,6 @@ def attractors(service: Service, job: JobRecord) -> Stored[Any]:
     found = stored(service, job)
     if not isinstance(found.spec, BasinSpec | MultistabilitySpec):
         raise _other_study("basin or multistability", _kind(found))
-    return found
-
-
-def attractors_along(service: Service, job: JobRecord, query: DiagramQuery) -> Multistability | None:
-    """The attractors whose diagram a query asks for; None of other kinds of study.
-
-    Raises InvalidRequest for another axis than gamma, and for what only flights of a sweep can be asked for.
-    """
-    found = stored(service, job)
-    if not isinstance(found, Multistability):
-        return None
-    if query.along != "gamma":
-        raise InvalidRequest.of("along", "must be gamma, along which a job of multistability is followed")
-    for name in ("gamma", "direction", "min_flight", "every"):
-        if getattr(query, name) != DiagramQuery.model_fields[name].default:
-            raise InvalidRequest.of(name, "is not for a job of multistability, whose diagram has every cell")
     return found
 
 

@@ -9,7 +9,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from kernel.branches.curves import CURVES
 from service.errors import InvalidRequest
 from service.formats import (
-    DiagramFormat,
     ExportFormat,
     ExportLayout,
     MultistabilityFormat,
@@ -129,17 +128,6 @@ class LineQuery(Query):
     xi: Number | None = None
     direction: Direction = None
     min_flight: MinFlight = None
-
-
-class DiagramQuery(LineQuery):
-    """A line and the format of its diagram."""
-
-    format: DiagramFormat = "json"
-    every: Every = 1
-    caption: Annotated[
-        bool,
-        Field(description="of a picture: the line above it, with the fixed values and how it was computed"),
-    ] = True
 
 
 Omega = Annotated[Number, Field(gt=0, le=1e6)]

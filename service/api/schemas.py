@@ -496,7 +496,6 @@ _PARTS: Final = (
     "pin",
     "unpin",
     "events",
-    "diagram",
     "threshold",
     "modes",
     "orbits",

@@ -9,7 +9,6 @@ from service.cli.options import (
     format_option,
     job_argument,
     json_option,
-    line_options,
     min_flight_option,
     open_client,
     optional_job_argument,
@@ -34,29 +33,6 @@ if TYPE_CHECKING:
 
 _DIAGRAMS: Final = (*PICTURES, *TABLES)
 _MULTISTABILITY: Final[tuple[str, ...]] = get_args(MultistabilityFormat)
-
-
-@click.command()
-@job_argument
-@line_options
-@click.option("--no-caption", is_flag=True, help="Leave out the line above a picture.")
-@format_option(*_DIAGRAMS)
-@output_option
-@service_options
-def diagram(
-    job_id: str, output: str, format: str | None, no_caption: bool, url: str, token: str | None, **line: Any
-) -> None:
-    """Draw a job's bifurcation diagram along one axis.
-
-    The formats csv and json write its points instead. For example:
-
-      bounce diagram ID --along gamma --omega 0.5 --xi 0.26 -o fig.png
-    """
-    format = output_format(output, _DIAGRAMS, format)
-    with open_client(url, token) as client:
-        job = client.job(job_id)
-        write_file(output, job.picture(format=format, caption=not no_caption, **line))
-    warn_unless_done(job, "the diagram is incomplete")
 
 
 @click.command()
@@ -282,7 +258,7 @@ def _over_a_grid(found: "xarray.Dataset") -> str:
 
 _KINDS: Final = {"births": "birth", "deaths": "death", "changes of mode": "mode"}
 
-COMMANDS: Final = (diagram, threshold, modes, multistability, export, trajectory)
+COMMANDS: Final = (threshold, modes, multistability, export, trajectory)
 
 
 def warn_unless_done(job: "Job", consequence: str) -> None:

@@ -38,7 +38,7 @@ def command(name: str, formats: tuple[str, ...], rows: str | None) -> click.Comm
     method = getattr(ResultMethods, name)
     text = cleandoc(method.__doc__).partition("\nParameters\n")[0]
     options = [
-        _option(parameter, about.annotation)
+        _option(parameter, about.annotation, about.default)
         for parameter, about in signature(method).parameters.items()
         if parameter != "self"
     ]
@@ -53,13 +53,14 @@ def command(name: str, formats: tuple[str, ...], rows: str | None) -> click.Comm
     return click.command(name, help=text)(decorated)
 
 
-def _option(name: str, hint: Any) -> Any:
+def _option(name: str, hint: Any, default: object) -> Any:
     """The service checks bounds."""
     hint, help = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
     kinds = (hint,) if get_origin(hint) is Literal else (get_args(hint) or (hint,))
     option = f"--{name.replace('_', '-')}"
     if kinds[0] is bool:
-        return click.option(option, is_flag=True, help=help)
+        flag = f"{option}/--no-{name.replace('_', '-')}" if default is True else option
+        return click.option(flag, default=default, help=help)
     choice = click.Choice(get_args(kinds[0])) if get_origin(kinds[0]) is Literal else kinds[0]
     return click.option(option, type=choice, help=help)
 

@@ -83,7 +83,7 @@ class BounceAccessor:
         if "outcome" not in dataset:
             raise BounceError("plot: is of a diagram, a map of modes, thresholds, or a whole sweep")
         dims = set(dataset.outcome.dims)
-        if len(dims) == 1 and "flight_time" in dataset:
+        if len(dims - {"direction"}) == 1 and "flight_time" in dataset:
             plots.draw_diagram(ax, dataset)
             if branches is not None:
                 plots.draw_branches(ax, branches)

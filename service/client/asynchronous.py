@@ -59,7 +59,6 @@ class AsyncJob(JobStatus):
         self._update(job.view)
 
     diagram = _in_thread(Job.diagram)
-    picture = _in_thread(Job.picture)
     threshold = _in_thread(Job.threshold)
     orbits = _in_thread(Job.orbits)
     modes = _in_thread(Job.modes)

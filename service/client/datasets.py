@@ -162,38 +162,6 @@ _FLIGHTS: Final[Mapping[str, Attributes]] = {
 }
 
 
-def diagram_dataset(answer: Mapping[str, Any], job_id: str, name: str) -> xarray.Dataset:
-    """A diagram: dims (its axis, flight), NaN after the last flight of a cell.
-
-    The fixed parameters are scalar coordinates with their grid values.
-    """
-    with _reading("a diagram"):
-        along = str(answer["along"])
-        variables = {
-            field: ((along, "flight"), _padded(answer[field]), _attributes(field))
-            for field in ("flight_time", "takeoff_phase")
-        }
-        counts = {
-            field: _variable(field, along, answer[field])
-            for field in ("flights", "outcome", "bounces", "periods", "label", "computed")
-            if field in answer
-        }
-        if "lyapunov" in answer:
-            exponents = np.array([_with_nan(row) for row in answer["lyapunov"]])
-            counts["lyapunov"] = _variable("lyapunov", (along, "exponent"), exponents)
-        if "lyapunov_error" in answer:
-            errors = _with_nan(answer["lyapunov_error"])
-            counts["lyapunov_error"] = _variable("lyapunov_error", along, errors)
-        coordinates = {along: _variable(along, along, answer["values"])}
-        coordinates |= {field: _variable(field, None, value) for field, value in answer["fixed"].items()}
-        coordinates["direction"] = _direction(answer)
-        dataset = _dataset(
-            {**variables, **counts}, coordinates, answer, f"bifurcation diagram: {name}", job_id
-        )
-        dataset.attrs["min_flight"] = float(answer["min_flight"])
-        return dataset
-
-
 def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
     """Thresholds: dim omega, NaN unless the status is `found`."""
     with _reading("a list of thresholds"):

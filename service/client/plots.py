@@ -48,11 +48,13 @@ DIFFER: Final = "up and down differ"
 
 def draw_diagram(ax: "Axes", diagram: "xarray.Dataset") -> None:
     """The flights of every cell along the diagram's axis, as dots."""
-    along = str(diagram.flight_time.dims[0])
-    flights = diagram.flight_time.values
-    x = np.repeat(diagram[along].values, flights.shape[1])
-    direction = str(diagram.direction.item())
-    ax.plot(x, flights.ravel(), ".", markersize=1.5, color=COLOURS[direction], label=_way(direction))
+    *_, along = (str(dim) for dim in diagram.flight_time.dims if dim not in ("direction", "flight"))
+    for name in np.atleast_1d(diagram.direction.values):
+        line = diagram.sel(direction=name) if diagram.direction.ndim else diagram
+        flights = line.flight_time.transpose(along, "flight").values
+        x = np.repeat(line[along].values, flights.shape[1])
+        way = str(name)
+        ax.plot(x, flights.ravel(), ".", markersize=1.5, color=COLOURS[way], label=_way(way))
     ax.set_xlabel(AXES[along])
     ax.set_ylabel(FLIGHT)
     fixed = [f"{_symbol(axis)} = {diagram[axis].item():g}" for axis in AXES if axis != along]

@@ -1,6 +1,6 @@
 """A method for each result. Made by service.views.client_methods: do not edit."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 if TYPE_CHECKING:
     import xarray
@@ -8,10 +8,12 @@ if TYPE_CHECKING:
 #: The formats of each result.
 FORMATS = {
     "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
+    "diagram": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
 }
 #: The variable whose numbers are the rows of each result as a table.
 ROWS = {
     "basins": "attractor_fraction",
+    "diagram": "flight_time",
 }
 
 
@@ -69,3 +71,61 @@ class ResultMethods:
             Names what fits.
         """
         return self.result("basins", gamma=gamma, omega=omega, xi=xi)
+
+    def diagram(
+        self,
+        along: Annotated[Literal["gamma", "omega", "xi"], "axis of the diagram"] = "gamma",
+        gamma: float | None = None,
+        omega: float | None = None,
+        xi: float | None = None,
+        direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
+        min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
+        every: Annotated[int, "return every n-th value only"] = 1,
+        caption: Annotated[bool, "of a picture: how it was computed, above it"] = True,
+    ) -> "xarray.Dataset":
+        """The flights of the cells along an axis, NaN where there is none that counts.
+
+        A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
+        `min_flight` do not count, neither here nor for `outcome`, `bounces` and `periods`, unless all of a
+        cell are so short.
+
+        Parameters
+        ----------
+        along : Literal["gamma", "omega", "xi"]
+            axis of the diagram
+        gamma : float | None
+        omega : float | None
+        xi : float | None
+        direction : str | None
+            rest, up or down; default: all that the sweep has, a dimension if two
+        min_flight : float | None
+            rad; shorter flights do not count, unless all of a cell are; default: micro_flight
+        every : int
+            return every n-th value only
+        caption : bool
+            of a picture: how it was computed, above it
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `flight_time` (rad): flight time, last flights of the window in order
+            - `takeoff_phase` (rad): plate phase at take-off, modulo 2 pi
+            - `flights`: flights taken off and landed within the window
+            - `bounces`: mode: bounces in one cycle, 0 if none was found
+            - `periods`: mode: plate periods in one cycle, 0 if none was found
+            - `lyapunov`: Lyapunov exponents, the largest first
+            - `lyapunov_error`: standard error of the largest Lyapunov exponent
+            - `computed`: whether the cell was computed
+            - `outcome`: what became of the cell
+            - `label`: outcome, with aperiodic and unstable cells told apart by Lyapunov exponents
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, caption=caption)

@@ -12,7 +12,6 @@ from service.client.transport import Transport, json_object
 from service.formats import EXPORTS, ExportLayout, MultistabilityFormat, Predict
 
 if TYPE_CHECKING:
-    import httpx2
     import xarray
 
 
@@ -34,67 +33,6 @@ class Results(ResultMethods, JobStatus):
         """A result as the content of a file: png, svg, pdf, csv, nc, parquet or json. Raises as `result`."""
         plain = {key: str(x).lower() if isinstance(x, bool) else x for key, x in query.items()}
         return self._transport.get(self._path(name), {**plain, "format": format}).content
-
-    def diagram(
-        self,
-        along: str = "gamma",
-        *,
-        gamma: float | None = None,
-        omega: float | None = None,
-        xi: float | None = None,
-        direction: str | None = None,
-        min_flight: float | None = None,
-        every: int | None = None,
-    ) -> "xarray.Dataset":
-        """The bifurcation diagram along one axis; the other parameters take the nearest grid value.
-
-        `direction` is up or down for a sweep ramped both ways (default: up). Flights shorter than
-        `min_flight` (rad; default: the sweep's `micro_flight`) do not count and are left out, unless all of a
-        cell are so short. `every` takes every n-th cell.
-
-        Returns a Dataset with dims (`along`, flight): `flight_time` and `takeoff_phase` in rad, NaN where
-        there is no flight; and with dim `along`: `flights`, `outcome`, `bounces`, `periods`; of a sweep with
-        exponents `lyapunov` (`along`, exponent) and `label`, in which aperiodic cells are told apart. The
-        attribute `complete` is 0 while cells are missing. Of a job with the protocol multistability all
-        coexisting attractors along gamma, as `multistability` returns them. Raises BadRequest naming the
-        parameter, TooLarge naming the smallest `every` that fits.
-        """
-        from service.client.datasets import diagram_dataset, multistability_dataset
-
-        answer = json_object(
-            self._diagram(
-                along=along, gamma=gamma, omega=omega, xi=xi,
-                direction=direction, min_flight=min_flight, every=every,
-            )
-        )  # fmt: skip
-        if "attractors" in answer:
-            return multistability_dataset(answer, self.id)
-        return diagram_dataset(answer, self.id, self.name)
-
-    def picture(
-        self,
-        along: str = "gamma",
-        *,
-        format: str = "png",
-        gamma: float | None = None,
-        omega: float | None = None,
-        xi: float | None = None,
-        direction: str | None = None,
-        min_flight: float | None = None,
-        every: int | None = None,
-        caption: bool = True,
-    ) -> bytes:
-        """The diagram as the content of a file: `format` is png, svg, pdf, csv or json.
-
-        `caption=False` leaves out the line above a picture. Its metadata hold job, specification, versions.
-
-        A sweep ramped both ways shows both directions unless `direction` is given. Raises as `diagram`.
-        """
-        return self._diagram(
-            along=along, gamma=gamma, omega=omega, xi=xi,
-            direction=direction, min_flight=min_flight, every=every, format=format,
-            caption=None if caption else False,
-        ).content  # fmt: skip
 
     def threshold(
         self,
@@ -291,9 +229,6 @@ class Results(ResultMethods, JobStatus):
         from service.client.zarr_store import store_url
 
         return store_url(self._transport, self._path("zarr"), self.id)
-
-    def _diagram(self, **query: str | float | None) -> "httpx2.Response":
-        return self._transport.get(self._path("diagram"), query)
 
     def _path(self, *parts: str) -> str:
         return "/".join(("/v1/jobs", self.id, *parts))

@@ -9,17 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats import PICTURES, DiagramFormat, MultistabilityFormat
-from service.render import bifurcation, binary, text
+from service.formats import MultistabilityFormat
+from service.render import binary, text
 from service.render import multistability as multistability_pictures
-from service.results import diagram as diagrams
 from service.results import line as lines
 from service.results import mode_map
 from service.results import multistability as multistability_results
 from service.results import trajectory as trajectories
-from service.results.diagram import Diagram
 from service.results.multistability import Multistability
-from service.results.selection import Sweep, nearest_index
+from service.results.selection import Sweep
 from service.results.trajectory import TrajectorySpec
 
 
@@ -51,28 +49,6 @@ class View(NamedTuple):
     width: int
     height: int
     most: int  # flights sent as points
-
-
-def diagram(
-    sweep: Sweep, line: Line, format: DiagramFormat, max_points: int, every: int, caption: bool = True
-) -> Answer:
-    """The bifurcation diagram: JSON of one direction, a table or picture of all unless one is named."""
-    if format in PICTURES:
-        directions = diagrams.diagrams_to_draw(sweep, *line, every)
-    elif format == "csv":
-        directions = diagrams.diagrams(sweep, *line, max_points, every)
-    else:
-        directions = [diagrams.diagram(sweep, *line, max_points, every)]
-    content = _encode(directions, sweep, format, caption)
-    return Answer(content, all(diagram.complete for diagram in directions))
-
-
-def _encode(directions: list[Diagram], sweep: Sweep, format: DiagramFormat, caption: bool) -> bytes:
-    if format == "json":
-        return text.diagram_json(directions[0])
-    if format == "csv":
-        return text.diagrams_csv(directions)
-    return bifurcation.draw(directions, sweep.spec, format, sweep.origin, caption=caption)
 
 
 def modes(
@@ -162,13 +138,6 @@ def multistability(
     else:
         content = multistability_pictures.draw_line(shown, flights, format, job.origin)
     return Answer(content, plane.complete)
-
-
-def multistability_diagram(
-    job: Multistability, xi: float | None, omega: float | None, format: MultistabilityFormat
-) -> Answer:
-    """The line along gamma nearest to (omega, xi), None being the value of an axis that has only one."""
-    return multistability(job, xi, nearest_index(job.spec, "omega", omega).value, format)
 
 
 def warm() -> None:

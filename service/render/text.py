@@ -1,39 +1,16 @@
 """Diagrams, mode maps and trajectories as JSON, diagrams as CSV."""
 
-import csv
-import io
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain, islice
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
-import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from kernel.branches.events import Branch
-from kernel.labels import LABELS
 from kernel.numerics.elementary import TWO_PI
-from service.results.counting import LABEL
-from service.results.diagram import Diagram
 from service.results.mode_map import Plane
 from service.results.trajectory import Motion, cycle_energy
 from worker import schema
-from worker.spec import AXES
-
-#: Arrays of a diagram with a value per flight, and the counts per cell that a table repeats in each row.
-_PER_FLIGHT: Final = [array for array in schema.RECORD if array.extra_dims]
-_PER_CELL: Final = [array for array in schema.RECORD if not array.extra_dims and array.name != "flights"]
-
-#: The columns of a table, with units where there are any. One row is one flight. Where there are exponents,
-#: `lyapunov_1` and so on, `lyapunov_error` and the label follow.
-COLUMNS: Final = (
-    "direction",
-    *reversed(AXES),
-    "flight",
-    *(f"{array.name}_{array.attrs['units']}" for array in _PER_FLIGHT),
-    schema.OUTCOME.name,
-    *(array.name for array in _PER_CELL),
-)
 
 #: The array that tells which cells of an adaptive map were computed.
 COMPUTED: Final = schema.COMPUTED.name
@@ -48,21 +25,6 @@ ROWS: Final = 1024
 
 #: A document is put together once, from pieces: no copies of its lists are in memory beside it.
 _Pieces = Iterable[bytes]
-
-
-def diagram_json(diagram: Diagram) -> bytes:
-    """The diagram as a JSON document; the lists per flight hold the flights that `shown` tells."""
-    members: dict[str, _Pieces] = {
-        "along": [to_json(diagram.along)],
-        "fixed": [to_json(diagram.fixed)],
-        "direction": [to_json(diagram.direction)],
-        "values": _list(diagram.values),
-    }
-    per_flight = {array.name for array in _PER_FLIGHT}
-    for name, values in diagram.arrays.items():
-        members[name] = _lists(values, diagram.shown) if name in per_flight else _list(values)
-    members["min_flight"] = [to_json(diagram.min_flight)]
-    return _object(members, diagram.complete, diagram.every)
 
 
 def mode_map_json(plane: Plane, mask: bool) -> bytes:
@@ -126,20 +88,6 @@ def _cycle(cycle: Branch) -> dict[str, Any]:
     }
 
 
-def diagrams_csv(diagrams: Sequence[Diagram]) -> bytes:
-    """A table with a header and one row per flight; cells without flights have none."""
-    rows = chain([[*COLUMNS, *_exponent_columns(diagrams[0])]], *map(_rows, diagrams))
-    return b"".join(_lines(rows))
-
-
-def _lines(rows: Iterator[list[Any]]) -> Iterator[bytes]:
-    """The lines of a table, some at a time."""
-    while some := list(islice(rows, ROWS)):
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(some)
-        yield text.getvalue().encode()
-
-
 def _object(members: Mapping[str, _Pieces], complete: bool, every: int) -> bytes:
     """A JSON object; `every` is left out where it is 1."""
     last = {"complete": [to_json(complete)]} | ({"every": [to_json(every)]} if every > 1 else {})
@@ -158,17 +106,6 @@ def _list(array: NDArray[Any]) -> Iterator[bytes]:
     return _joined(b"[", b"]", parts)
 
 
-def _lists(values: NDArray[np.float64], shown: NDArray[np.bool_]) -> Iterator[bytes]:
-    """A list for every cell, of the values that are shown."""
-    step = max(1, NUMBERS // max(1, values.shape[1]))
-    blocks = (
-        zip(values[low : low + step], shown[low : low + step], strict=True)
-        for low in range(0, len(values), step)
-    )
-    parts = ([to_json([row[mask].tolist() for row, mask in rows])[1:-1]] for rows in blocks)
-    return _joined(b"[", b"]", parts)
-
-
 def _joined(before: bytes, after: bytes, parts: Iterable[_Pieces]) -> Iterator[bytes]:
     """The parts, separated by commas, between two brackets."""
     yield before
@@ -177,29 +114,3 @@ def _joined(before: bytes, after: bytes, parts: Iterable[_Pieces]) -> Iterator[b
             yield b","
         yield from part
     yield after
-
-
-def _exponent_columns(diagram: Diagram) -> list[str]:
-    if LABEL.name not in diagram.arrays:
-        return []
-    count = diagram.arrays[schema.LYAPUNOV.name].shape[1]
-    return [
-        *(f"{schema.LYAPUNOV.name}_{i + 1}" for i in range(count)),
-        schema.LYAPUNOV_ERROR.name,
-        LABEL.name,
-    ]
-
-
-def _rows(diagram: Diagram) -> Iterator[list[Any]]:
-    for cell, value in enumerate(diagram.values.tolist()):
-        position = {**diagram.fixed, diagram.along: value}
-        before = [diagram.direction, *(position[axis] for axis in reversed(AXES))]
-        after: list[Any] = [LABELS[int(diagram.outcome[cell])]]
-        after += [int(diagram.arrays[array.name][cell]) for array in _PER_CELL]
-        if LABEL.name in diagram.arrays:
-            after += diagram.arrays[schema.LYAPUNOV.name][cell].tolist()
-            after.append(float(diagram.arrays[schema.LYAPUNOV_ERROR.name][cell]))
-            after.append(LABELS[int(diagram.arrays[LABEL.name][cell])])
-        flights = [diagram.arrays[array.name][cell].tolist() for array in _PER_FLIGHT]
-        for flight in np.flatnonzero(diagram.shown[cell]).tolist():
-            yield [*before, flight, *(values[flight] for values in flights), *after]

@@ -14,7 +14,7 @@ from typing import Any, Final, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import KERNEL_VERSION
+from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import InvalidRequest, OutdatedJob, TooLarge
 from service.software import software
 from worker import schema, store
@@ -50,6 +50,10 @@ class Stored(Generic[_Spec_co]):
     job: str | None = None  # its id
     #: How its arrays are stored; None of another kernel version, whose store alone knows.
     forms: Mapping[str, store.ArrayForm] | None = None
+
+    def is_complete(self, outcome: NDArray[np.uint8]) -> bool:
+        """Whether all these cells are computed, and no damage is being repaired."""
+        return not self.repairing and bool(np.all(outcome != Outcome.MISSING))
 
     @property
     def attributes(self) -> dict[str, str]:
@@ -126,6 +130,11 @@ def resolve_direction(spec: SweepSpec, direction: str | None) -> str:
     return direction
 
 
+def directions_of(spec: SweepSpec, direction: str | None) -> tuple[str, ...]:
+    """`direction` alone, or all of the sweep if None. Raises InvalidRequest for one that the sweep lacks."""
+    return tuple(spec.directions) if direction is None else (resolve_direction(spec, direction),)
+
+
 def line_flights(spec: SweepSpec, along: str, every: int = 1) -> int:
     """The most flights of a line in one direction."""
     return -(-len(spec.axis_values(along)) // every) * spec.keep
@@ -154,7 +163,9 @@ def check_points(points: int, max_points: int, what: str, every: int | None) -> 
         )
 
 
-def read(sweep: Sweep, names: Sequence[str], direction: str, indices: Indices) -> dict[str, NDArray[Any]]:
+def read(
+    sweep: Stored[SweepSpec], names: Sequence[str], direction: str, indices: Indices
+) -> dict[str, NDArray[Any]]:
     """The named arrays in one direction at `indices`, whole along the axes not named there.
 
     Cells that are not computed yet hold fill values. Raises a `store.StoreError`.

@@ -72,8 +72,12 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
         "attractor": coordinate("attractor", np.arange(1, count + 1, dtype=np.int32)),
         "state": coordinate("state", np.array(STATE_FIELDS)),
     }
-    complete = bool(stored["outcome"] != Outcome.MISSING) and not study.repairing
-    attrs = {"plane": plane.plane, "height": plane.height, "model": spec.model.kind, "complete": complete}
+    attrs = {
+        "plane": plane.plane,
+        "height": plane.height,
+        "model": spec.model.kind,
+        "complete": study.is_complete(stored["outcome"]),
+    }
     return xarray.Dataset(found, coords, attrs)
 
 
@@ -100,7 +104,9 @@ def _labels(spec: BasinSpec, stored: Mapping[str, NDArray[Any]], count: int) -> 
 
 
 def estimate(spec: BasinSpec, query: BasinQuery) -> Estimate:
-    """The starts of one cell."""
+    """The starts of one cell. Raises InvalidRequest for a cell that the grid does not have."""
+    for axis in AXES:
+        nearest_index(spec, axis, getattr(query, axis))
     return Estimate({"row": spec.protocol.rows, "column": spec.protocol.columns})
 
 

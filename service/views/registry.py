@@ -9,10 +9,10 @@ from typing import Any, Final
 from service.errors import InvalidRequest, TooLarge
 from service.formats import PICTURES
 from service.results.selection import MAX_READ, Stored
-from service.views import basins, encode
+from service.views import basins, diagram, encode
 from service.views.view import Estimate, Query, View
 
-VIEWS: Final[dict[str, View]] = {view.name: view for view in (basins.VIEW,)}
+VIEWS: Final[dict[str, View]] = {view.name: view for view in (basins.VIEW, diagram.VIEW)}
 
 
 def admit(view: View, spec: Any, query: Query, format: str, max_points: int) -> tuple[Query, Estimate]:

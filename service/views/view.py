@@ -19,6 +19,16 @@ if TYPE_CHECKING:
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="return every n-th value only")]
 
+Direction = Annotated[
+    str | None, Field(description="rest, up or down; default: all that the sweep has, a dimension if two")
+]
+MinFlight = Annotated[
+    Number | None,
+    Field(
+        ge=0, description="rad; shorter flights do not count, unless all of a cell are; default: micro_flight"
+    ),
+]
+
 #: A function of `worker` and its arguments.
 Call = tuple[Any, ...]
 

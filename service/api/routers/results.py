@@ -16,7 +16,7 @@ from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import JobDep, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.errors import NotInStore, OutOfRange
-from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES
+from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
 from service.render import answers
 from service.render import export as export_files
@@ -24,9 +24,8 @@ from service.render import orbits as orbits_text
 from service.render.blocks import GROUP_BYTES
 from service.results import orbits, thresholds
 from service.results.mode_map import comparison_memory, plane_size
-from service.results.multistability import plane_memory
 from service.results.provenance import attributes_of
-from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
+from service.results.selection import BASE_MEMORY, MAX_READ
 from service.results.thresholds import Thresholds
 from worker.store import ROOT
 
@@ -43,55 +42,6 @@ _PER_CELL: Final = 64
 _CHUNK_COPIES: Final = 12
 #: Bytes of memory per Ω of the thresholds, with their numbers and statuses as text.
 _PER_OMEGA: Final = 1_000
-
-
-def _diagram_cost(service: ServiceDep, job: JobRecord, query: parameters.DiagramQuery) -> Cost:
-    attractors = dependencies.attractors_along(service, job, query)
-    if attractors is not None:
-        return Cost(plane_memory(attractors))
-    spec = dependencies.sweep(service, job).spec
-    flights = line_flights(spec, query.along, query.every)
-    if query.format != "json" and query.direction is None:
-        flights *= len(spec.directions)
-    if query.format in PICTURES:
-        return Cost(BASE_MEMORY + min(flights, MAX_READ) * _PER_FLIGHT[query.format])
-    memory = min(flights, service.settings.max_points) * _PER_FLIGHT[query.format]
-    return dependencies.cost_of_read(service, job, memory, query.along)
-
-
-@router.get(
-    "/diagram",
-    summary="Read a bifurcation diagram",
-    responses={**content(*TABLES, *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
-)
-@costly(_diagram_cost)
-def get_diagram(
-    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.DiagramQuery, Query()]
-) -> Response:
-    """The bifurcation diagram along one axis; `complete` tells whether all its cells are computed.
-
-    Flights up to `min_flight` (default: the sweep's `micro_flight`) do not count, neither in the lists nor
-    for `outcome`, `bounces` and `periods`, unless all of a cell are so short. A sweep with exponents has
-    `lyapunov` and `label` as well. Pictures show lines of any length, dense ones as density. JSON and CSV
-    are limited in flights: thin them with `every`, which the JSON repeats.
-
-    Of a job with the protocol `multistability` it shows all coexisting attractors along gamma, as
-    `/multistability` does with `omega`.
-    """
-    attractors = dependencies.attractors_along(service, job, query)
-    if attractors is not None:
-        place = (query.xi, query.omega, query.format)
-        answer = service.background.run(answers.multistability_diagram, attractors, *place)
-        return Response(
-            answer.content, media_type=MEDIA_TYPES[query.format], headers=_complete(answer.complete)
-        )
-    sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
-    line = dependencies.line(query)
-    answer = service.background.run(
-        answers.diagram, sweep, line, query.format, max_points, query.every, query.caption
-    )
-    headers = _complete(answer.complete)
-    return Response(answer.content, media_type=MEDIA_TYPES[query.format], headers=headers)
 
 
 def _threshold_cost(service: ServiceDep, job: JobRecord, query: parameters.JobThresholdQuery) -> Cost:
