@@ -78,13 +78,6 @@ def test_a_mode_map_tells_the_share_computed_and_with_mask_which_cells(
     assert "mask" not in read(client, f"{full}/modes?mask=true")
 
 
-def test_the_share_is_of_all_cells_also_where_the_map_is_thinned(client: TestClient, adaptive: str):
-    share = read(client, f"{adaptive}/modes")["computed"]
-    thinned = read(client, f"{adaptive}/modes?every=8&mask=true")
-    assert thinned["computed"] == share
-    assert np.all(thinned["mask"])  # the corners of the first blocks
-
-
 def test_a_mode_map_counts_no_flights_anew(client: TestClient, adaptive: str):
     answer = client.get(f"{adaptive}/modes?min_flight=0.3")
     assert answer.status_code == 422
@@ -139,12 +132,6 @@ def test_files_hold_which_cells_were_computed(client: TestClient, adaptive: str,
         assert stored.computed.attrs["flag_meanings"] == "taken_from_its_block computed"
     table = pq.read_table(tmp_path / "map.parquet")
     assert np.mean(table["computed"].to_numpy()) == pytest.approx(share)
-
-
-def test_the_page_gets_the_mask_with_the_map(client: TestClient, adaptive: str, full: str):
-    assert b'"computed":' in client.get(f"{adaptive}/plane").content.split(b"\n")[0]
-    assert b'"computed":' not in client.get(f"{full}/plane").content.split(b"\n")[0]
-    assert client.get(f"{adaptive}/line?along=gamma&omega=0.6").status_code == 200
 
 
 def test_a_window_is_an_adaptive_sweep_on_a_finer_grid(client: TestClient, full: str):
@@ -257,9 +244,3 @@ def test_progress_counts_the_cells_known_to_be_needed(tmp_path: Path):
         assert progress["cells_computed"] > sum(first)
         plain = get(client, finished(client, SPACE))["progress"]
         assert (plain["cells_computed"], plain["cells_needed"]) == (None, None)
-
-
-def test_an_estimate_does_not_take_its_speed_from_adaptive_maps(tmp_path: Path):
-    with computing(tmp_path) as client:
-        finished(client, MAP)
-        assert client.post("/v1/jobs?validate_only=true", json=SPACE).json()["basis"] == "table"

@@ -1,18 +1,13 @@
 """A sweep as a file, as a mode map, and as the store itself over HTTP: the same numbers everywhere."""
 
-import errno
 import io
 import json
-import shutil
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
 import xarray
 from fastapi.testclient import TestClient
@@ -23,21 +18,15 @@ from tables import for_each
 
 from kernel.labels import LABELS
 from kernel.params import KERNEL_VERSION, Outcome
-from service import formats
 from service.api import schemas
 from service.background import InThisProcess
-from service.errors import ExportFailed, NoSpace, TooLarge
-from service.jobs.model import JobState
-from service.render import export, netcdf, netcdf_writer
-from service.render import parquet as parquet_file
-from service.render.blocks import Block
-from service.results import provenance
+from service.errors import NoSpace
+from service.render import export
 from service.results.counting import MODE_ARRAYS
 from service.results.mode_map import modes
 from service.results.selection import Sweep
 from service.software import processor, software
 from worker import schema, store
-from worker.cost import estimate
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
@@ -158,25 +147,10 @@ def test_every_stored_variable_is_in_every_format(done: Done, tmp_path: Path):
     assert set(MODE_ARRAYS) < set(schemas.Modes.model_fields)
 
 
-def test_small_chunks_are_gathered_in_row_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Many chunks make few groups; a group ends with the batch that fills it."""
-    table = pa.schema([("number", pa.int64())])
-    batches = [pa.record_batch([np.arange(40)], schema=table) for _ in range(10)]
-    assert [len(group) for group in parquet_file._groups(batches)] == [10]
-    monkeypatch.setattr(parquet_file, "GROUP_ROWS", 100)
-    assert [len(group) for group in parquet_file._groups(batches)] == [3, 3, 3, 1]
-    monkeypatch.setattr(parquet_file, "GROUP_BYTES", 640)
-    assert [len(group) for group in parquet_file._groups(batches)] == [2] * 5
-
-
 def test_a_sweep_of_many_chunks_has_one_row_group(done: Done):
     assert get(done.client, done.here)["progress"]["chunks_total"] > 1
     content = done.client.get(f"{done.here}/export?format=parquet").content
     assert parquet.read_metadata(io.BytesIO(content)).num_row_groups == 1
-
-
-def test_every_format_has_a_media_type():
-    assert {*formats.TABLES, *formats.PICTURES, *formats.EXPORTS} == set(formats.MEDIA_TYPES)
 
 
 @pytest.mark.parametrize("format", ["nc", "parquet"])
@@ -189,12 +163,6 @@ def test_a_job_not_begun_exports_as_missing_cells(tmp_path: Path, format: str):
             table = parquet.read_table(io.BytesIO(answer.content)).to_pydict()
             assert set(table["outcome"]) == {"missing"}
             assert set(map(len, table["flight_time"])) == {0}
-
-
-def test_nothing_is_left_of_a_file_that_was_sent(done: Done, tmp_path: Path):
-    done.client.get(f"{done.here}/export?format=nc").raise_for_status()
-    (exports,) = Path(str(done.client.app.state.service.settings.data)).glob("exports")  # type: ignore[attr-defined]
-    assert list(exports.iterdir()) == []
 
 
 def test_what_a_killed_export_left_is_swept_at_the_start(tmp_path: Path):
@@ -210,26 +178,6 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
         answer = client.get(f"{here}/export?format=nc")
         assert answer.status_code == 413
         assert "the limit for one file is 1,000" in answer.json()["detail"]
-
-
-def test_a_file_may_have_as_many_bytes_as_the_limit():
-    spec = SweepSpec(**RAMP)
-    plan = make_plan(spec)
-    size = estimate(spec, len(plan)).bytes
-    export.check_size(Sweep(spec, ""), plan, size)
-    with pytest.raises(TooLarge, match=f"holds {size:,} bytes; the limit for one file is {size - 1:,}"):
-        export.check_size(Sweep(spec, ""), plan, size - 1)
-
-
-def test_a_block_is_written_if_it_fits_on_the_disk_beside_what_is_spared(monkeypatch: pytest.MonkeyPatch):
-    """Two arrays of 800 bytes."""
-    block = Block("up", {}, {"one": np.zeros(100), "two": np.zeros((10, 10))})
-    free = export.SPARE + 1600
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
-    assert list(export._while_there_is_room([block, block], Path())) == [block, block]
-    free -= 1
-    with pytest.raises(NoSpace, match="less than 16,777,216 bytes would stay free"):
-        list(export._while_there_is_room([block], Path()))
 
 
 @pytest.fixture
@@ -261,39 +209,6 @@ def test_only_a_full_disk_is_told_as_one(whole: export.Export, tmp_path: Path):
         export.write(whole, tmp_path / "folder")
 
 
-def test_why_a_file_of_netcdf_could_not_be_written():
-    """The process that writes it reports an error, or has died."""
-    netcdf._check(b"null", 0)
-    with pytest.raises(ExportFailed, match=r"the process that writes the file has died \(-11\)"):
-        netcdf._check(b"", -11)
-    with pytest.raises(OSError, match="No space left on device") as full:
-        netcdf._check(json.dumps({"errno": errno.ENOSPC, "text": "OSError: it is full"}).encode(), 0)
-    assert full.value.errno == errno.ENOSPC
-    with pytest.raises(ExportFailed, match=r"^RuntimeError: it is broken$"):
-        netcdf._check(json.dumps({"errno": None, "text": "RuntimeError: it is broken"}).encode(), 0)
-
-
-@pytest.mark.parametrize(
-    ("error", "number"),
-    [
-        (OSError(errno.ENOSPC, "No space left on device"), errno.ENOSPC),
-        (RuntimeError("Can't write data (file write failed: errno = 28, error message = ...)"), 28),
-        (OSError("Unable to create file (errno = 13)"), 13),
-        (ValueError("no such thing"), None),
-    ],
-)
-def test_the_number_of_an_error_may_be_in_its_text_alone(error: Exception, number: int | None):
-    assert netcdf_writer.number(error) == number
-
-
-def test_the_history_of_results_that_are_repaired_has_no_end(done: Done):
-    job = done.client.app.state.service.ledger.find(done.here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
-    whole = provenance._history(job).splitlines()
-    assert [line.split(" ")[1] for line in whole] == ["accepted", "computing", "done"]
-    assert provenance._history(replace(job, state=JobState.RUNNING)).splitlines() == whole[:2]
-    assert provenance._history(replace(job, finished=None)).splitlines() == whole[:2]
-
-
 def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
     with taken(done.client, "export"):
         answer = done.client.get(f"{done.here}/export?format=nc")
@@ -309,23 +224,6 @@ def test_an_export_needs_a_format_and_rows_that_it_has(done: Done, query: str):
 
 
 # Mode maps
-
-
-@pytest.mark.parametrize("direction", ["up", "down", None])
-def test_the_mode_map_is_the_stores_plane(done: Done, direction: str | None):
-    query = {"xi": 0.26, **({"direction": direction} if direction else {})}
-    mode_map = get(done.client, f"{done.here}/modes", **query)
-    stored = done.store.sel(xi=0.26, direction=direction or "up")
-    assert (mode_map["xi"], mode_map["direction"], mode_map["complete"]) == (0.26, direction or "up", True)
-    assert mode_map["omega"] == [0.5, 0.7]
-    for name in ("outcome", "bounces", "periods"):
-        assert mode_map[name] == stored[name].values.tolist()
-
-
-def test_a_mode_map_needs_a_xi_of_the_grid(done: Done):
-    assert "xi: is required" in done.client.get(f"{done.here}/modes").json()["detail"]
-    assert done.client.get(f"{done.here}/modes?xi=3").status_code == 422
-    assert done.client.get(f"{done.here}/modes?xi=0.26&direction=rest").status_code == 422
 
 
 def test_a_mode_map_of_a_hundred_thousand_cells_takes_little(tmp_path: Path):

@@ -18,7 +18,7 @@ from service.api.conditional import job_headers
 from service.api.routers import jobs
 from service.api.schemas import job_view
 from service.jobs.ledger import Ledger
-from service.jobs.model import Failure, JobRecord, JobState
+from service.jobs.model import JobRecord, JobState
 
 SPEC = json.dumps(sweep().as_submitted())
 
@@ -43,18 +43,6 @@ def test_the_time_left_is_that_at_the_moment_of_the_view():
     assert 30.0 <= now < 1e6
 
 
-def test_a_view_has_times_in_utc_and_core_seconds_in_thousandths():
-    view = job_view(record(core_seconds=1.23456), 110.0)
-    assert view.core_seconds == 1.235
-    shown = json.loads(view.model_dump_json())
-    assert (shown["created"], shown["started"]) == ("1970-01-01T00:01:30Z", "1970-01-01T00:01:35Z")
-    assert shown["finished"] is None
-    done = json.loads(job_view(record(state=JobState.DONE, finished=99.0)).model_dump_json())
-    assert done["finished"] == "1970-01-01T00:01:39Z"
-    repaired = job_view(record(finished=99.0))
-    assert (repaired.repairing, repaired.finished) == (True, None)
-
-
 def test_a_notice_of_the_service_stands_in_for_that_of_the_job():
     assert job_view(record(), notice="no workers yet").notice == "no workers yet"
     old = record(kernel_version="1")
@@ -69,12 +57,6 @@ def test_a_list_leaves_out_a_specification_that_is_too_long():
     assert job_view(record()).spec == json.loads(SPEC)
 
 
-def test_a_view_names_the_chunks_that_failed():
-    failure = Failure(3, "gamma 1 to 2", "ValueError: no", None, 2)
-    (shown,) = job_view(record(), failures=[failure]).failures
-    assert shown.model_dump() == failure._asdict()
-
-
 @for_each("change", [
     {"failures": 1}, {"notice": "no workers yet"}, {"job": record(chunks_done=5)},
     {"job": record(state=JobState.DONE)}, {"job": record(pinned=True)},
@@ -85,11 +67,6 @@ def test_the_tag_changes_with_what_is_shown(change: dict[str, Any]):
     assert before["Cache-Control"] == "no-cache"
     assert job_headers(record()) == before
     assert job_headers(**{"job": record(), **change})["ETag"] != before["ETag"]
-
-
-def test_the_tag_changes_with_the_text_of_the_notice():
-    told = [job_headers(record(), notice=notice)["ETag"] for notice in ("no workers yet", "no scheduler")]
-    assert told[0] != told[1]
 
 
 def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):
