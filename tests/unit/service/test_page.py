@@ -1,7 +1,6 @@
 """The page's files and the data of its views, which agree with the public API."""
 
 import graphlib
-import gzip
 import json
 import re
 from collections.abc import Iterator
@@ -20,8 +19,6 @@ from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.api.routers import page
 from service.figures.catalogue import FIGURES
-from service.render.binary import packed
-from worker.analysis.thresholds import Status
 from worker.spec import SweepSpec
 
 SCRIPTS = page.FILES / "js"
@@ -162,14 +159,6 @@ def test_the_scripts_know_the_kernel_s_labels():
     assert codes_of("LABEL") == further
 
 
-def test_the_page_explains_every_status_of_a_threshold():
-    text = (SCRIPTS / "views" / "thresholds.js").read_text()
-    listed = re.search(r"const REASONS = \{\n(.*?)\n\};", text, re.DOTALL)
-    assert listed
-    reasons = {name.strip('"') for name in re.findall(r'^  ("[^"]+"|\w+): ', listed[1], re.MULTILINE)}
-    assert reasons == {str(status) for status in Status} - {"found", "not ramped"}
-
-
 @pytest.mark.parametrize("min_flight", [None, 0.0, 3.0])
 def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: str, min_flight: float | None):
     query = {} if min_flight is None else {"min_flight": min_flight}
@@ -236,57 +225,6 @@ def test_density_counts_the_points(client: TestClient, line: str, log: bool):
     assert header["points"] == len(x)
 
 
-def test_the_density_of_a_whole_line_counts_every_flight(client: TestClient, line: str):
-    header, arrays = unpacked(client, f"{line}/line", omega=0.5, most=0, width=300, height=500)
-    assert arrays["density"].sum() == header["points"]
-
-
-def test_as_many_flights_as_are_allowed_are_sent_as_points(client: TestClient, line: str):
-    points = unpacked(client, f"{line}/line", omega=0.5)[0]["points"]
-    _, arrays = unpacked(client, f"{line}/line", omega=0.5, most=points)
-    assert len(arrays["flight_time"]) == points
-    _, arrays = unpacked(client, f"{line}/line", omega=0.5, most=points - 1)
-    assert "flight_time" not in arrays
-
-
-@for_each("length", range(9))
-def test_arrays_begin_at_multiples_of_eight_bytes(length: int):
-    arrays = {
-        "three": np.arange(3, dtype=np.uint8),
-        "two": np.arange(2.0),
-        "none": np.empty(0),
-        "table": np.arange(4, dtype=">f4").reshape(2, 2).T,
-    }
-    line, _, body = packed({"text": "x" * length}, arrays).partition(b"\n")
-    assert (len(line) + 1) % 8 == 0
-    assert len(line) - len(line.rstrip()) < 8
-    assert json.loads(line) == {
-        "text": "x" * length,
-        "arrays": {
-            "three": ["uint8", 0, 3],
-            "two": ["float64", 8, 2],
-            "none": ["float64", 24, 0],
-            "table": ["float32", 24, 4],
-        },
-    }
-    assert len(body) == 40
-    assert np.frombuffer(body, "<f8", 2, 8).tolist() == [0.0, 1.0]
-    assert np.frombuffer(body, "<f4", 4, 24).tolist() == [0.0, 2.0, 1.0, 3.0]
-
-
-def test_density_is_compressed_where_the_client_accepts_it(client: TestClient, line: str):
-    response = client.get(
-        f"{line}/line", params={"omega": 0.5, "most": 0}, headers={"Accept-Encoding": "gzip"}
-    )
-    plain = client.get(
-        f"{line}/line", params={"omega": 0.5, "most": 0}, headers={"Accept-Encoding": "identity"}
-    )
-    assert response.headers["content-encoding"] == "gzip"
-    assert "content-encoding" not in plain.headers
-    assert response.content == plain.content
-    assert len(gzip.compress(plain.content, 1)) < len(plain.content) / 5
-
-
 @pytest.mark.parametrize(("path", "encoding"), [("plane", "gzip"), ("line?omega=0.5", None)])
 def test_a_mode_map_is_compressed_and_points_are_not(
     client: TestClient, line: str, path: str, encoding: str | None
@@ -330,27 +268,6 @@ def test_a_plane_is_the_mode_map(client: TestClient, line: str):
         assert arrays[name].tolist() == np.concatenate(modes[name]).tolist()
 
 
-def test_the_mode_map_and_the_diagram_are_thinned_on_request(client: TestClient, line: str):
-    whole, part = (get(client, f"{line}/modes", xi=0.26, every=every) for every in (1, 50))
-    assert "every" not in whole
-    assert (part["every"], part["gamma"], part["omega"]) == (50, whole["gamma"][::50], [0.5])
-    assert part["bounces"] == [whole["bounces"][0][::50]]
-    thinned = get(client, f"{line}/diagram", omega=0.5, every=50)
-    assert (thinned["every"], thinned["values"]) == (50, whole["gamma"][::50])
-
-
-def test_a_window_of_a_plane_holds_the_cells_inside(client: TestClient, line: str):
-    _, whole = unpacked(client, f"{line}/plane")
-    _, part = unpacked(client, f"{line}/plane", left=2.0, right=3.51, bottom=0.55)
-    inside = (whole["gamma"] >= 2.0) & (whole["gamma"] <= 3.51)
-    assert part["gamma"].tolist() == whole["gamma"][inside].tolist()
-    assert part["omega"].tolist() == [0.6]
-    assert part["bounces"].tolist() == whole["bounces"].reshape(2, 101)[1, inside].tolist()
-    _, between = unpacked(client, f"{line}/plane", left=2.03, right=2.04, bottom=0.51, top=0.52)
-    assert (len(between["gamma"]), between["omega"].tolist()) == (1, [0.5])
-    assert between["gamma"][0] == pytest.approx(2.05)
-
-
 def test_a_plane_of_too_many_cells_is_thinned(tmp_path: Path):
     with computing(tmp_path, max_points=60) as client:
         job_url = finished(client, LINE)
@@ -360,16 +277,6 @@ def test_a_plane_of_too_many_cells_is_thinned(tmp_path: Path):
         assert arrays["omega"].tolist() == [0.5]
         header, arrays = unpacked(client, f"{job_url}/plane", left=1.0, right=2.0)
         assert (header["every_gamma"], arrays["outcome"].size) == (1, 42)
-
-
-def test_a_line_of_too_many_cells_is_thinned(client: TestClient, line: str, monkeypatch: pytest.MonkeyPatch):
-    whole, cells = unpacked(client, f"{line}/line", omega=0.5)
-    assert whole["every"] == 1
-    monkeypatch.setattr("service.results.line.MAX_READ", 40 * 16)
-    header, arrays = unpacked(client, f"{line}/line", omega=0.5)
-    assert header["every"] == 3
-    assert arrays["values"].tolist() == cells["values"][::3].tolist()
-    assert arrays["shown"].tolist() == cells["shown"][::3].tolist()
 
 
 # The trajectory of a cell

@@ -213,31 +213,6 @@ def drawn(name: str) -> list[str]:
         return read_back(figure)
 
 
-def test_an_attractor_without_flights_is_a_point_on_the_axis_at_each_of_its_cells():
-    figure = Figure()
-    multistability._draw_line(figure, line(), np.full((3, 3, 2), NAN))
-    (axes,) = figure.axes
-    points = sorted(tuple(point) for drawn in axes.lines for point in drawn.get_xydata())
-    assert points == [(1.1, 0.0), (1.2, 0.0), (1.2, 0.0), (1.4, 0.0), (1.4, 0.0), (1.4, 0.0)]
-
-
-def test_what_was_not_measured_is_not_drawn():
-    """No cost where all steps are refused, no error where it is infinite."""
-    rows = json.loads((GOLDEN / "tradeoff_rows.json").read_text())["rows"]
-    measured = [Measurement.model_validate(row) for row in rows if row["purpose"] == "adhesive"]
-    lacking = [
-        measured[-1].model_copy(update=dict(zip(("error", "cost"), numbers, strict=True)))
-        for numbers in ((None, None), (None, 3.0), (1e-3, None))
-    ]
-
-    def panel(rows: list[Measurement]) -> tuple[int, list[Any]]:
-        axes = Figure().subplots()
-        points = work_precision._panel(axes, "adhesive", rows)
-        return len(axes.lines), points
-
-    assert panel([*measured, *lacking]) == panel(measured)
-
-
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_picture_draws_what_it_did(name: str):
     assert difference(drawn(name), json.loads(DRAWN.read_text())["pictures"][name]) == ""

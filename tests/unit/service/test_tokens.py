@@ -90,31 +90,6 @@ def test_a_token_has_16_printable_characters_or_more():
 # The token that a service makes
 
 
-def test_a_file_that_cannot_be_completed_leaves_nothing(tmp_path: Path):
-    def fail(file: Path) -> None:
-        assert file.parent == tmp_path
-        raise KeyboardInterrupt
-
-    def lose(file: Path) -> None:
-        file.unlink()
-        raise KeyboardInterrupt
-
-    for before in (fail, lose):
-        with pytest.raises(KeyboardInterrupt):
-            tokens.write_private(tmp_path / "token.json", "text", before_replace=before)
-        assert list(tmp_path.iterdir()) == []
-
-
-def test_a_token_is_looked_for_in_the_folder_that_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path / "another"))
-    token = tokens.own_token(tmp_path, port=8000)
-    assert tokens.find_token(8000, tmp_path) == token
-    assert tokens.find_token(8000) is None
-    assert tokens.data_folder() == tmp_path / "another"
-    monkeypatch.setenv("BOUNCE_DATA", "")
-    assert tokens.data_folder() == Path("bounce-data")
-
-
 def test_a_made_token_is_kept_for_this_user_alone(tmp_path: Path):
     token = tokens.own_token(tmp_path, port=1)
     assert tokens.is_valid(token)
