@@ -69,11 +69,6 @@ def bearer(token: str) -> dict[str, str]:
 # Tokens
 
 
-def test_the_list_of_calls_is_complete():
-    assert len(CALLS) > 15
-    assert ("POST", "/v1/jobs/{job}/cancel") in CALLS
-
-
 @for_each(("method", "path"), CALLS)
 @for_each("given", ["", "wrong", TOKEN[:-1], TOKEN + "x", TOKEN.upper()])
 def test_every_endpoint_requires_the_token(guarded: TestClient, method: str, path: str, given: str):
@@ -158,16 +153,6 @@ def test_nothing_but_a_token_of_the_file_is_accepted(named: TestClient, sent: st
     assert submitted(named, sent, 0.3).status_code == 401
 
 
-def test_a_file_of_tokens_suffices_beyond_loopback(tmp_path: Path):
-    file = tmp_path / "tokens"
-    file.write_text(f"ana: {ANA}")
-    file.chmod(0o600)
-    settings = Settings(data=tmp_path / "data", token_file=file, host="0.0.0.0")
-    with TestClient(create_app(settings, Held()), base_url="http://localhost") as client:
-        assert client.get("/v1/jobs").status_code == 401
-        assert client.get("/v1/jobs", headers=bearer(ANA)).status_code == 200
-
-
 # Settings
 
 
@@ -180,11 +165,6 @@ def test_listening_beyond_loopback_requires_a_token(tmp_path: Path, host: str):
     assert f"to listen on {host}" in done.output
     assert "BOUNCE_TOKEN" in done.output
     assert list(tmp_path.iterdir()) == []
-
-
-@for_each("host", ["127.0.0.1", "::1", "localhost", "127.8.8.8", "LOCALHOST"])
-def test_loopback_requires_no_token(host: str):
-    assert Settings(host=host).token is None
 
 
 @pytest.mark.parametrize("token", ["short", "x" * 15, "sixteen characters with spaces", "s\u00e9cret-" * 5])
@@ -239,12 +219,6 @@ def test_the_operator_can_allow_hosts(guarded: TestClient, tmp_path: Path):
     assert "192.0.2.7" in Settings(host="192.0.2.7", token=TOKEN).hosts
 
 
-def test_the_operator_can_allow_every_host(tmp_path: Path):
-    app = create_app(Settings(data=tmp_path, allowed_hosts="*"), Held())
-    for host in ("bounce.example.org", "localhost"):
-        assert TestClient(app).get("/healthz", headers={"Host": host}).status_code == 200
-
-
 # Origin
 
 
@@ -266,16 +240,6 @@ def test_a_page_of_another_origin_changes_nothing(
     answer = local.request(way[0], job + way[1], headers=headers)
     assert answer.status_code == 403
     assert local.get(job).json()["state"] in ("queued", "running")
-
-
-@pytest.mark.parametrize("name", ["Origin", "Sec-Fetch-Site"])
-def test_of_several_headers_every_one_counts(local: TestClient, name: str):
-    own = {"Origin": "http://localhost:8000", "Sec-Fetch-Site": "same-origin"}[name]
-    foreign = {"Origin": "https://evil.example", "Sec-Fetch-Site": "cross-site"}[name]
-    for values in ((own, foreign), (foreign, own)):
-        headers = [(name, value) for value in values]
-        assert local.post("/v1/jobs", json=SWEEP, headers=headers).status_code == 403
-    assert local.post("/v1/jobs", json=SWEEP, headers=[(name, own), (name, own)]).is_success
 
 
 READS = [(method, path) for method, path in CALLS if method in ("GET", "HEAD")]

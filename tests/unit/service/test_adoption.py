@@ -196,20 +196,6 @@ def test_an_unknown_store_is_reported_and_left_alone(
     assert f"{lost}.zarr is unknown to the ledger and left alone" in caplog.text
 
 
-def test_a_store_that_is_being_removed_is_not_unknown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    [job_id] = compute(tmp_path, sweep())
-    settings = Settings(data=tmp_path)
-    with Ledger(settings.ledger_path) as ledger:
-        with ledger.writing() as writing:
-            job = writing.find(job_id)
-            assert job is not None
-            writing.delete(job, 1e12)
-        assert adoption.find_unknown(ledger, settings) == []
-        with ledger.writing() as writing:
-            assert writing.forget_deletions() == 1
-        assert adoption.find_unknown(ledger, settings) == [settings.store_of(job_id)]
-
-
 def test_a_sweep_whose_store_is_unknown_can_be_submitted(tmp_path: Path):
     [job_id] = compute(tmp_path, sweep())
     stored = files(tmp_path / "stores")

@@ -209,18 +209,6 @@ def test_deletions_of_a_backup_are_forgotten(folder: Path):
         assert Path(service.settings.store_of(job.id)).exists()
 
 
-def test_adopt_names_what_it_cannot_take_in(folder: Path):
-    data = str(folder / "data")
-    known = SPECS[0].job_id(KERNEL_VERSION)
-    answer = bounce("adopt", known, "--data", data)
-    assert answer.exit_code == 1
-    assert (answer.stdout, "the ledger knows this job" in answer.stderr) == ("", True)
-    assert bounce("adopt", "--data", data).exit_code == 2
-    assert bounce("adopt", known, "--all", "--data", data).exit_code == 2
-    assert bounce("adopt", "--all", "--data", str(folder / "nowhere")).exit_code == 2
-    assert bounce("adopt", "--all", "--data", data).output == ""  # there is nothing to adopt
-
-
 def test_the_doctor_names_what_needs_attention(folder: Path):
     data, url = folder / "data", f"http://127.0.0.1:{free_port()}"
     answer = bounce("doctor", "--data", str(data), "--url", url)

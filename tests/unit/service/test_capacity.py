@@ -102,17 +102,6 @@ async def test_an_answer_larger_than_the_memory_is_computed_alone():
 
 
 @in_loop
-async def test_who_has_waited_too_long_is_refused_and_leaves_nothing():
-    limits = capacity(slots=1, timeout=0.01)
-    lease = await limits.acquire("read", 1)
-    with pytest.raises(Busy, match="1 diagrams, maps and tables are computed at a time"):
-        await limits.acquire("read", 50)
-    lease.release()
-    assert limits.used == 0
-    (await limits.acquire("read", 100)).release()
-
-
-@in_loop
 async def test_so_many_may_wait_and_no_more():
     limits = capacity(slots=1, max_waiting=2, timeout=DEADLINE)
     lease = await limits.acquire("read", 1)
@@ -224,20 +213,6 @@ async def test_the_end_of_the_service_waits_for_no_thread_and_begins_nothing():
 
 
 @in_loop
-async def test_one_withdrawn_in_the_moment_of_its_turn_gives_it_back():
-    limits = capacity(slots=1)
-    lease = await limits.acquire("read", 10)
-    waiting = asyncio.ensure_future(limits.acquire("read", 10))
-    await asyncio.sleep(0)
-    lease.release()
-    waiting.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        (await waiting).release()
-    assert limits.used == 0
-    (await limits.acquire("read", 100)).release()
-
-
-@in_loop
 async def test_an_unread_answer_holds_its_bytes_and_no_thread():
     limits, read = capacity(slots=1, memory=10 * MB), asyncio.Event()
     pieces: list[int] = []
@@ -317,16 +292,6 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
 
 
 READS = ["diagram", "diagram?format=csv", "diagram?format=png", "line", "modes", "plane"]
-
-
-@pytest.mark.parametrize(
-    "path", [*READS, "threshold", "zarr/zarr.json", "export?format=nc", "trajectory?gamma=2"]
-)
-def test_a_costly_answer_gives_back_what_it_took(client: TestClient, path: str):
-    here = finished(client, FIGURE_2)
-    assert client.get(f"{here}/{path}").status_code == 200
-    capacity = client.app.state.service.capacity  # type: ignore[attr-defined]
-    wait_for(lambda: capacity.used == 0)
 
 
 FLIGHTS, RAMPED, HYSTERESIS = 111 * 64, 11 * 8, comparison_memory(SweepSpec.parse(RAMP))

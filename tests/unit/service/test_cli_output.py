@@ -1,8 +1,6 @@
 """What the commands print and write: tables, CSV and JSON of results that are made up here."""
 
-import csv
 import json
-from io import StringIO
 from typing import Any, cast
 
 import numpy as np
@@ -267,25 +265,6 @@ def branches() -> xarray.Dataset:
         },
         {"word": ("branch", ["s", "ss"]), "omega": 0.6},
     )  # fmt: skip
-
-
-def test_every_point_of_a_branch_is_a_row(tmp_path: Any):
-    orbits._write(branches(), "branch", "csv", str(tmp_path / "a.csv"))
-    rows = list(csv.reader(StringIO((tmp_path / "a.csv").read_text())))
-    assert rows == [
-        ["branch", "word", "gamma", "flight_time_1", "flight_time_2", "multiplier_re", "multiplier_im"],
-        ["0", "s", "1.0", "4.0", "5.0", "0.5", "0.25"],
-        ["0", "s", "1.5", "4.5", "5.5", "-1.0", "0.0"],
-        ["1", "ss", "2.0", "6.0", "nan", "0.0", "2.0"],
-    ]
-
-
-def test_a_dataset_as_plain_values_has_null_and_two_parts_of_complex_numbers():
-    plain = orbits.plain(branches())
-    assert json.loads(json.dumps(plain, allow_nan=False)) == plain
-    assert plain["gamma"] == [[1.0, 1.5], [2.0, None]]
-    assert plain["multiplier"] == [[[0.5, 0.25], [-1.0, 0.0]], [[0.0, 2.0], [None, 0.0]]]
-    assert (plain["omega"], plain["event_periods"]) == (0.6, [1, 10])
 
 
 # Cost and accuracy

@@ -25,7 +25,6 @@ from service.client import (
     JobCancelled,
     JobFailed,
     NotFound,
-    StoreUnreachable,
     WaitTimeout,
 )
 from service.settings import Settings
@@ -150,15 +149,6 @@ def test_an_unknown_id_is_not_found(client: Client, id: str):
     assert caught.value.status == 404
 
 
-def test_a_long_specification_left_out_of_a_list_is_fetched(tmp_path: Path):
-    values = np.linspace(0.5, 1.2, 2000).tolist()
-    with serving(tmp_path, Held()) as client:
-        client.submit(sweep(gamma=values))
-        (listed,) = client.jobs()
-        assert listed.view["spec"] is None
-        assert listed.spec["gamma"] == values
-
-
 def test_waiting_follows_a_job_to_its_end(tmp_path: Path):
     held = Held()
     with serving(tmp_path, held) as client:
@@ -186,21 +176,6 @@ def test_a_wait_ends_at_its_timeout_and_the_job_continues(tmp_path: Path):
         assert not job.finished
         with pytest.raises(WaitTimeout):
             job.wait(progress=False, timeout=0)
-
-
-def few(client: Client, n: int = 3) -> list[Job]:
-    """Small sweeps, submitted."""
-    return [client.submit(SPEC | {"gamma": [1.2, 1.3 + 0.01 * i]}) for i in range(n)]
-
-
-def test_jobs_are_returned_as_they_end(client: Client):
-    jobs = few(client)
-    assert {job.id for job in client.as_completed(jobs, timeout=DEADLINE)} == {job.id for job in jobs}
-    assert all(job.state == "done" for job in jobs)
-    seen: list[tuple[int, int]] = []
-    assert client.wait_all(iter(jobs), progress=lambda done, total: seen.append((done, total))) == jobs
-    assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
-    assert client.wait_all([], progress=False) == []
 
 
 def test_specifications_are_mapped_to_jobs_few_at_once(client: Client):
@@ -323,14 +298,6 @@ def test_the_store_opens_lazily(job: Job):
     assert not store.flight_time.variable._in_memory
     line = store.isel(direction=0, xi=0, omega=0)
     np.testing.assert_array_equal(line.flight_time.load(), job.diagram(omega=0.5).flight_time)
-
-
-def test_a_store_that_is_not_there_yet_is_unreachable(tmp_path: Path):
-    with serving(tmp_path, Held(), active_jobs=1) as client:
-        client.submit(sweep("never ends"))
-        waiting = client.submit(sweep("waits for it", omega=0.6))
-        with pytest.raises(StoreUnreachable, match="has not started"):
-            waiting.open()
 
 
 # How things look, and what is exported

@@ -10,7 +10,6 @@ import pytest
 from extras import SYSTEM
 
 from service.client.display import (
-    computed_note,
     display_job,
     job_html,
     summary,
@@ -35,16 +34,6 @@ class Terminal(io.StringIO):
 
 
 # Notes
-
-
-def test_an_adaptive_map_tells_how_many_cells_are_computed():
-    progress = {"cells_computed": 12, "cells_needed": 1234}
-    assert computed_note(status(progress=progress)) == ", 12 of at least 1,234 computed"
-    assert computed_note(status("done", progress=progress)) == ", 12 computed"
-    assert computed_note(status()) == ""
-    assert summary(status("done", 1000, 100.0, name="map", progress=progress)) == (
-        "01234567 map: done, 100% (1,000 of 1,000 cells, 12 computed)"
-    )
 
 
 def test_html_has_a_row_for_what_there_is_to_say():

@@ -95,23 +95,6 @@ def test_a_file_tells_what_computed_it_alike_in_every_format(done: Done, tmp_pat
     assert ended == f"{job['finished'][:19]}Z done"
 
 
-def test_a_row_for_every_flight_that_is_kept(done: Done):
-    cells, flights = (
-        parquet.read_table(
-            io.BytesIO(done.client.get(f"{done.here}/export?format=parquet&layout={layout}").content)
-        ).to_pylist()
-        for layout in ("cells", "flights")
-    )
-    lists = ("flight_time", "takeoff_phase", "end_state")
-    assert flights == [
-        {name: value for name, value in cell.items() if name not in lists}
-        | {"flight": number, "flight_time": time, "takeoff_phase": phase}
-        for cell in cells
-        for number, (time, phase) in enumerate(zip(cell["flight_time"], cell["takeoff_phase"], strict=True))
-    ]
-    assert len(flights) > len(cells)
-
-
 def test_parquet_holds_a_row_for_every_cell(done: Done):
     answer = done.client.get(f"{done.here}/export?format=parquet")
     table = parquet.read_table(io.BytesIO(answer.content))
@@ -145,12 +128,6 @@ def test_every_stored_variable_is_in_every_format(done: Done, tmp_path: Path):
     columns = {column.removesuffix("_rad") for column in header.split(",")}
     assert columns == (stored - {"flights"}) | axes | {"flight"}  # a row is a flight: nothing to count
     assert set(MODE_ARRAYS) < set(schemas.Modes.model_fields)
-
-
-def test_a_sweep_of_many_chunks_has_one_row_group(done: Done):
-    assert get(done.client, done.here)["progress"]["chunks_total"] > 1
-    content = done.client.get(f"{done.here}/export?format=parquet").content
-    assert parquet.read_metadata(io.BytesIO(content)).num_row_groups == 1
 
 
 @pytest.mark.parametrize("format", ["nc", "parquet"])
@@ -276,11 +253,6 @@ def test_a_link_in_a_store_is_not_followed(tmp_path: Path):
             part.with_name("aside").rename(part)
 
 
-@pytest.mark.parametrize("method", ["PUT", "POST", "DELETE", "PATCH"])
-def test_the_store_is_read_only(done: Done, method: str):
-    assert done.client.request(method, f"{done.here}/zarr/zarr.json").status_code == 405
-
-
 ATTRACTORS: dict[str, dict[str, Any]] = {
     "basin": {"protocol": {"kind": "basin", "rows": 8, "columns": 6}, "gamma": [0.6, 1.27], "exponents": 1},
     "multistability": {"protocol": {"kind": "multistability"}, "gamma": [3.4, 3.6]},
@@ -321,16 +293,6 @@ def test_parquet_holds_a_row_for_every_attractor(attractors: Done):
             np.testing.assert_array_equal(row["lyapunov"], cell.lyapunov.values)
 
 
-def test_parquet_holds_a_row_for_every_flight_of_an_attractor(attractors: Done):
-    content = attractors.client.get(f"{attractors.here}/export?format=parquet&layout=flights").content
-    rows = parquet.read_table(io.BytesIO(content)).to_pylist()
-    times = attractors.store.flight_time
-    assert len(rows) == int(np.isfinite(times).sum())
-    for row in rows:
-        place = {axis: row[axis] for axis in ("gamma", "omega", "xi", "id")}
-        assert row["flight_time"] == times.sel(place).values[row["flight"]]
-
-
 def test_an_answer_of_attractors_says_whether_it_is_complete(attractors: Done, tmp_path: Path):
     spec = get(attractors.client, attractors.here)["spec"]
     path = {"basin": "basins?gamma=0.6", "multistability": "multistability"}[spec["protocol"]["kind"]]
@@ -340,14 +302,3 @@ def test_an_answer_of_attractors_says_whether_it_is_complete(attractors: Done, t
         here = client.post("/v1/jobs", json=spec).headers["Location"]
         answer = client.get(f"{here}/{path}")
         assert (answer.status_code, answer.headers["Bounce-Complete"]) == (200, "false")
-
-
-@pytest.mark.parametrize("format", ["nc", "parquet"])
-def test_basins_not_begun_export_no_attractor(tmp_path: Path, format: str):
-    spec = ATTRACTORS["basin"] | {"omega": 0.5, "xi": 0.26}
-    with service(tmp_path, Held(capacity=0)) as client:
-        here = client.post("/v1/jobs", json=spec).headers["Location"]
-        answer = client.get(f"{here}/export?format={format}")
-        assert answer.headers["Bounce-Complete"] == "false"
-        if format == "parquet":
-            assert parquet.read_table(io.BytesIO(answer.content)).num_rows == 0

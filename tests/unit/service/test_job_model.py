@@ -94,16 +94,6 @@ def test_an_adaptive_map_needs_at_least_the_first_rounds_of_the_chunks_to_come(f
     assert (progress.cells_computed, progress.cells_needed) == (40, needed)
 
 
-def test_a_job_of_another_kernel_says_so_and_what_replaces_it():
-    assert record().notice is None
-    assert not record().outdated
-    old = record(kernel_version="0")
-    assert old.outdated
-    told = f"computed by kernel version 0; this release computes version {KERNEL_VERSION}"
-    assert old.notice == told
-    assert record(kernel_version="0", replaced_by="b" * 32).notice == f"{told}, as job {'b' * 32}"
-
-
 @for_each(
     "change",
     [

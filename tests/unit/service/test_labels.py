@@ -81,12 +81,6 @@ def test_files_have_labels(client: TestClient, job: str, tmp_path: Path):
     assert [len(row["lyapunov"]) for row in cells] == [2] * 4
 
 
-def test_a_sweep_without_exponents_has_no_labels(client: TestClient):
-    here = finished(client, SWEEP | {"exponents": 0})
-    assert not {"label", "lyapunov"} & set(get(client, f"{here}/diagram", omega=1.0))
-    assert "label" not in get(client, f"{here}/modes")
-
-
 #: Slow settling next to the resonance, and a window too short for it.
 SHORT: Final[dict[str, Any]] = {
     "gamma": {"start": 0.6, "stop": 1.5, "num": 46},

@@ -1,12 +1,10 @@
 """The ledger keeps whole transactions only, survives kills, and serves one process at a time."""
 
-import os
 import sqlite3
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, nullcontext
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +13,10 @@ from ledgers import accept, current, new_job, reports
 
 from kernel.params import KERNEL_VERSION
 from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
-from service.jobs.ledger import RESERVE, Ledger
+from service.jobs.ledger import Ledger
 from service.jobs.ledger_files import OpenFiles, as_found, copies_of, lock_of, shm_of, wal_of
 from service.jobs.model import Failure, JobRecord, JobState
-from service.jobs.transactions import VERIFIED_PAGE, DeletionStep
+from service.jobs.transactions import VERIFIED_PAGE
 from worker.tasks import ChunkReport
 
 
@@ -44,14 +42,6 @@ def mark_and_interrupt(ledger: Ledger, job: JobRecord) -> None:
     with ledger.writing() as writing:
         writing.mark_done(job, reports(0))
         raise KeyboardInterrupt
-
-
-def test_a_job_comes_back_as_it_was_accepted(ledger: Ledger):
-    job = accept(ledger)
-    assert (job.id, job.name, job.spec) == ("a" * 32, "a name", '{"gamma": 1.0}')
-    assert job.chunk_shape == (1, 2, 3)
-    assert (job.state, job.created, job.started, job.finished) == (JobState.QUEUED, 100.0, None, None)
-    assert (job.chunks_done, job.chunks_total, job.cells_done, job.cells_total) == (0, 4, 0, 40)
 
 
 def test_cells_that_settle_are_counted_and_uncounted(ledger: Ledger):
@@ -103,13 +93,6 @@ def test_chunks_are_marked_once(ledger: Ledger):
     assert current(ledger).chunks_done == 3
     assert current(ledger).cells_done == 30
     assert ledger.done_mask(job).tolist() == [True, False, True, True]
-
-
-def test_jobs_do_not_share_chunks(ledger: Ledger):
-    one, two = accept(ledger, "a" * 32), accept(ledger, "b" * 32)
-    with ledger.writing() as writing:
-        writing.mark_done(one, reports(0, 1))
-    assert not ledger.done_mask(two).any()
 
 
 def test_a_transaction_is_all_or_nothing(ledger: Ledger):
@@ -204,22 +187,6 @@ def test_a_hundred_thousand_chunks_are_lean(ledger: Ledger, tmp_path: Path):
 # What is read and counted
 
 
-def test_only_chunks_that_were_timed_tell_the_pace(ledger: Ledger):
-    one, two, untimed = (accept(ledger, letter * 32) for letter in "abc")
-    with ledger.writing() as writing:
-        writing._sql.execute("UPDATE jobs SET kernel_version = ?", [KERNEL_VERSION])
-        writing.mark_done(one, [*reports(0), replace(reports(1)[0], seconds=0.0)])
-        writing.mark_done(two, reports(0, 1))
-        writing.mark_done(untimed, [replace(reports(1)[0], seconds=0.0)])
-        paces = writing.paces(20, 14)
-        assert [(pace.job.id[0], pace.seconds, pace.cells) for pace in paces] == [
-            ("b", 1.0, 20),
-            ("a", 0.5, 10),
-        ]
-        assert [pace.job.id[0] for pace in writing.paces(2, 14)] == ["b"]  # of the last two
-        assert writing.paces(20, 13) == []
-
-
 def test_verified_chunks_are_remembered_by_the_page_until_one_is_unmarked(ledger: Ledger):
     job = accept(ledger, chunks=2 * VERIFIED_PAGE)
     verified = np.arange(VERIFIED_PAGE) % 3 == 0
@@ -290,21 +257,6 @@ def test_chunks_of_deleted_jobs_are_found_and_forgotten_a_few_at_a_time(ledger: 
     assert ledger.done_mask(kept).all()
 
 
-def test_deletions_are_forgotten_from_a_step_on(ledger: Ledger):
-    jobs = [accept(ledger, letter * 32) for letter in "abc"]
-    with ledger.writing() as writing:
-        for job, created in zip(jobs, (2.0, 1.0, 3.0), strict=True):
-            writing.delete(job, created)
-        assert [deletion.seq for deletion in writing.deletions()] == [2, 1, 3]
-        writing.advance_deletion(writing.deletions()[0], DeletionStep.COMPLETE)
-        writing.advance_deletion(writing.deletions()[0], DeletionStep.FREED)
-        assert [deletion.seq for deletion in writing.deletions()] == [1, 3]
-        assert writing.forget_deletions(DeletionStep.COMPLETE) == 1
-        assert [deletion.seq for deletion in writing.deletions()] == [1, 3]
-        assert writing.forget_deletions() == 2
-        assert writing.deletions() == []
-
-
 def test_keys_are_remembered_until_they_are_forgotten(ledger: Ledger):
     job = accept(ledger)
     with ledger.writing() as writing:
@@ -318,27 +270,6 @@ def test_keys_are_remembered_until_they_are_forgotten(ledger: Ledger):
 
 
 # Space and files
-
-
-def test_a_change_from_outside_stays_one_whatever_gives_or_takes_pages(ledger: Ledger):
-    os.utime(ledger.path, (1e9, 1e9))
-    ledger.keep_reserve()
-    with pytest.raises(LedgerUnavailable, match="another program has changed it"):
-        ledger.shrink(1)
-    with pytest.raises(LedgerUnavailable, match="another program has changed it"):
-        ledger.check()
-
-
-def use_up(ledger: Ledger, content: int) -> None:
-    with ledger.writing() as writing:
-        writing._sql.execute("CREATE TABLE used AS SELECT zeroblob(?) AS content", [content])
-
-
-def test_a_reserve_that_has_no_space_keeps_nobody_from_writing(ledger: Ledger):
-    use_up(ledger, RESERVE)
-    ledger._writer.execute(f"PRAGMA max_page_count = {ledger._number('PRAGMA page_count')}")
-    ledger.keep_reserve()
-    assert accept(ledger).state is JobState.QUEUED
 
 
 def test_a_ledger_that_can_be_written_has_no_fault(ledger: Ledger):

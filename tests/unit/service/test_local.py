@@ -18,7 +18,6 @@ from service.client import Client
 from service.client.errors import InvalidSpecification
 from service.client.models import JobStatus
 from service.errors import DataFolderBusy, InvalidRequest
-from service.jobs.stores.adoption import open_ledger
 from worker import tasks
 from worker.executors.inline import Inline
 from worker.spec import SweepSpec
@@ -33,14 +32,6 @@ SPEC = {
     "settle": 30,
     "observe": 20,
     "keep": 4,
-}
-#: Cells of which a chunk takes tenths of a second, and the whole some seconds.
-LONG = SPEC | {
-    "gamma": {"start": 1.0, "stop": 4.0, "num": 40},
-    "omega": {"start": 0.5, "stop": 0.6, "num": 10},
-    "model": {"kind": "soft", "penetration": 1e-3, "restitution": 0.01},
-    "settle": 4000,
-    "settle_early": False,
 }
 ORBITS = {
     "omega": {"start": 0.4, "stop": 1.2, "num": 12},
@@ -127,12 +118,6 @@ def test_a_sweep_is_written_as_a_file(tmp_path: Path, format: str):
             assert b"<svg" in content
 
 
-def test_the_folder_of_a_run_is_closed_to_others_from_the_beginning(tmp_path: Path, caplog):
-    with local.computed(SPEC | {"gamma": 2.0}, tmp_path / "a.partial", progress=False):
-        assert (tmp_path / "a.partial").stat().st_mode & 0o7777 == 0o700
-    assert "was open to other users" not in caplog.text
-
-
 # Errors
 
 
@@ -198,19 +183,6 @@ def test_of_studies_that_are_no_sweeps_the_files_are_checked_before_computing(tm
 
 
 # Cancelled
-
-
-def test_a_run_whose_progress_cannot_be_shown_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(local, "CANCEL_SECONDS", 60.0)
-
-    def broken(job: JobStatus) -> None:
-        raise BrokenPipeError
-
-    with pytest.raises(BrokenPipeError):
-        local.run(LONG, tmp_path / "long.zarr", workers=1, progress=broken)
-    with open_ledger(local._settings(tmp_path / "long.zarr.partial")) as ledger, ledger.reading() as reading:
-        (job,) = reading.newest(None, 2)
-    assert job.state == "cancelled"
 
 
 def test_two_processes_do_not_compute_the_same_store(tmp_path: Path):

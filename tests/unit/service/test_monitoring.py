@@ -11,14 +11,8 @@ from paths import ROOT
 from prometheus_client.parser import text_string_to_metric_families
 from scripted import Held, Scripted, wait_for
 from served import RAMP, finished, get, service
-from starlette.applications import Starlette
-from starlette.requests import Request
-from starlette.responses import Response
-from starlette.routing import Route
 from tables import for_each
 
-from service.api.middleware.access_log import AccessLog
-from service.api.monitoring import Metrics
 from worker.executors.base import ClusterState
 
 DASHBOARD: dict[str, Any] = json.loads((ROOT / "docs" / "grafana.json").read_text())
@@ -127,15 +121,3 @@ def test_every_metric_of_the_service_is_on_the_dashboard(measured: dict[str, Any
     }
     missing = {name for name in families if not any(known.startswith(name) for known in shown)}
     assert missing == set()
-
-
-@pytest.mark.parametrize(("status", "level"), [(200, "DEBUG"), (399, "DEBUG"), (400, "INFO"), (503, "INFO")])
-def test_polls_are_logged_if_they_fail(caplog: pytest.LogCaptureFixture, status: int, level: str):
-    async def answer(request: Request) -> Response:
-        return Response(status_code=status)
-
-    caplog.set_level("DEBUG", logger="service.requests")
-    app = Starlette(routes=[Route("/readyz", answer)])
-    with TestClient(AccessLog(app, Metrics())) as client:
-        client.get("/readyz")
-    assert [(record.message, record.levelname) for record in caplog.records] == [("request", level)]

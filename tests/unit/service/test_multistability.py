@@ -82,20 +82,6 @@ def test_what_is_refused(service: TestClient, client: Client, job: Job):
         assert rule in answer.json()["detail"]
 
 
-def test_the_motion_on_an_attractor(service: TestClient, job: Job):
-    cell = get(service, f"/v1/jobs/{job.id}/diagram", omega=0.5)["cells"][0][2]
-    for number, place in enumerate(cell, 1):
-        query = {"gamma": 3.6, "omega": 0.5, "periods": 16, "attractor": number}
-        motion = get(service, f"/v1/jobs/{job.id}/trajectory", **query)
-        flights = [time for time in motion["flights"]["flight_time"] if time > 0.05]
-        assert max(flights) == pytest.approx(place["longest_flight"], abs=1e-6)
-    for attractor, rule in ((3, "attractor: must be from 1 to 2"), (0, "attractor")):
-        query = {"gamma": 3.6, "omega": 0.5, "attractor": attractor}
-        answer = service.get(f"/v1/jobs/{job.id}/trajectory", params=query)
-        assert answer.status_code == 422
-        assert rule in answer.text
-
-
 # From a store that was written by hand
 
 REST, CHAOS = (Outcome.AT_REST, 0, 0), (Outcome.APERIODIC, 0, 0)
@@ -182,13 +168,6 @@ def test_attractors_of_neighbouring_lines_are_one_if_they_are_near(
 ):
     found = ids([[[Known(mode, 3.0)]], [[Known(other, longest)]]], tmp_path)
     assert found == [[[1]], [[1 if same else 2]]]
-
-
-def test_of_several_near_attractors_the_nearest_are_one(tmp_path: Path):
-    lines: Lines = [[[Known(ONE, 3.0), Known(ONE, 3.6)]], [[Known(ONE, 3.5), Known(ONE, 4.4)]]]
-    assert ids(lines, tmp_path / "two lines") == [[[2, 1]], [[1, 3]]]
-    lines = [[[Known(ONE, 3.0), Known(ONE, 3.6)]], [[Known(ONE, 3.5)]], [[Known(ONE, 3.1)]]]
-    assert ids(lines, tmp_path / "three lines") == [[[2, 1]], [[1]], [[1]]]
 
 
 def test_cells_count_for_the_nearest_attractor_alone(tmp_path: Path):

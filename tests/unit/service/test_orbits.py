@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from scripted import Held, wait_for
 from served import computing, get
 from served import service as begun
-from tables import for_each
 
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
@@ -100,24 +99,6 @@ def test_branches_are_those_of_the_kernel(service: TestClient):
     assert set(folds[0]) == set(schemas.EventView.model_fields)
 
 
-@for_each(
-    ("query", "rule"),
-    [
-        ({"modes": "2-2"}, "of one bounce, as 1-1 and 1-2"),
-        ({"modes": "1"}, "must be like 1-2 (bounces-periods), not text"),
-        ({"modes": "1-99"}, "at most 12 periods, not 99"),
-        ({"modes": "1-1,1-1"}, "must not name a mode twice"),
-        ({"modes": "1-1,1-2,1-3,1-4,1-5,1-6,1-7"}, "must be 1 to 6 modes, not 7"),
-        ({"points": 5}, "points: should be greater than or equal to 10"),
-        ({"omega": 0}, "omega: should be greater than 0"),
-        ({"omega": 1, "xi": 0}, "xi: must be > 0 at omega = 1"),
-        ({"colour": "green"}, "colour: unknown parameter"),
-    ],
-)
-def test_bad_queries_name_field_and_rule(service: TestClient, query: dict[str, Any], rule: str):
-    assert rule in refused(service, "/v1/orbits", 422, **SPRING | query)
-
-
 def test_long_branches_are_refused_before_they_are_computed(service: TestClient):
     assert "the limit is 2,000" in refused(service, "/v1/orbits", 422, omega=0.01, xi=0.05)
     query = {"xi": 0.05, "omega_start": 0.01, "omega_stop": 0.5, "modes": "1-1"}
@@ -166,20 +147,6 @@ def test_curves_over_omega_have_their_codimension_2_points(service: TestClient, 
     for row, curve in zip(dataset.omega.values, known.curves, strict=True):
         assert row[: len(curve.omega)].tolist() == curve.omega.tolist()
         assert np.isnan(row[len(curve.omega) :]).all()
-
-
-def test_a_plane_of_curves_is_one_range_and_one_value(service: TestClient):
-    rule = "give xi, omega_start and omega_stop, or omega, xi_start and xi_stop"
-    assert rule in refused(service, "/v1/curves", 422)
-    assert rule in refused(service, "/v1/curves", 422, xi=0.05, omega=0.5)
-    assert f"xi: {rule}" in refused(service, "/v1/curves", 422, xi=0.05, omega_start=0.5)
-    assert f"omega: {rule}" in refused(service, "/v1/curves", 422, omega=0.5)
-    backwards = {"xi": 0.05, "omega_start": 0.6, "omega_stop": 0.5}
-    for stop in (0.5, 0.6):
-        backwards["omega_stop"] = stop
-        assert "omega_stop: must be above omega_start" in refused(service, "/v1/curves", 422, **backwards)
-    query = {"omega": 0.6, "xi_start": 0.05, "xi_stop": 0.06, "kinds": "bend"}
-    assert "not 'bend'" in refused(service, "/v1/curves", 422, **query)
 
 
 # Words continued from the cells of a sweep

@@ -15,11 +15,8 @@ from scripted import Held
 from served import computing, finished, get, service
 from tables import for_each
 
-from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.api.routers import page
-from service.figures.catalogue import FIGURES
-from worker.spec import SweepSpec
 
 SCRIPTS = page.FILES / "js"
 
@@ -154,11 +151,6 @@ def test_the_scripts_know_the_kernel_s_outcome_codes():
     }
 
 
-def test_the_scripts_know_the_kernel_s_labels():
-    further = {label: code for code, label in enumerate(LABELS) if code not in set(Outcome)}
-    assert codes_of("LABEL") == further
-
-
 @pytest.mark.parametrize("min_flight", [None, 0.0, 3.0])
 def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: str, min_flight: float | None):
     query = {} if min_flight is None else {"min_flight": min_flight}
@@ -174,14 +166,6 @@ def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: s
         assert diagram[name] == modes[name][0] == plane[name][: len(diagram[name])].tolist()
     stored = get(client, f"{line}/diagram", omega=0.5)
     assert (diagram["bounces"] != stored["bounces"]) == (min_flight == 3.0)
-
-
-def test_the_presets_are_the_sweeps_of_the_command_line_figures(client: TestClient):
-    figures = get(client, "/v1/figures")
-    assert [figure["number"] for figure in figures] == [2, 3, 4, 5, 6, 7, 8, 9]
-    for figure in figures:
-        specs = [SweepSpec.parse(sweep) for sweep in figure["sweeps"]]
-        assert specs == [SweepSpec.parse(dict(sweep)) for sweep in FIGURES[figure["number"]].sweeps]
 
 
 def test_files_outside_the_folder_are_not_served(client: TestClient):
@@ -206,23 +190,6 @@ def test_points_are_the_flights_of_the_diagram(client: TestClient, line: str):
     np.testing.assert_allclose(arrays["flight_time"], flights, rtol=1e-6)
     assert header["points"] == len(flights)
     assert header["highest"] == pytest.approx(flights.max(), rel=1e-6)
-
-
-@pytest.mark.parametrize("log", [False, True])
-def test_density_counts_the_points(client: TestClient, line: str, log: bool):
-    window = {"left": 1.5, "right": 4.0, "bottom": 2.0, "top": 12.0, "width": 50, "height": 40, "log": log}
-    _, points = unpacked(client, f"{line}/line", omega=0.5)
-    header, arrays = unpacked(client, f"{line}/line", omega=0.5, most=100, **window)
-    assert "flight_time" not in arrays
-    x = np.repeat(points["values"], points["shown"])
-    warp = np.log if log else np.asarray
-    edges = np.linspace(warp(1.5), warp(4.0), 51), np.linspace(2.0, 12.0, 41)
-    expected, *_ = np.histogram2d(warp(x), points["flight_time"].astype(float), edges)
-    counts = arrays["density"].reshape(40, 50).astype(int)
-    # Values on the border between two columns may be counted in either.
-    assert abs(counts.sum() - expected.sum()) <= 0.02 * expected.sum()
-    np.testing.assert_allclose(counts.sum(axis=1), expected.sum(axis=0), atol=2)
-    assert header["points"] == len(x)
 
 
 @pytest.mark.parametrize(("path", "encoding"), [("plane", "gzip"), ("line?omega=0.5", None)])

@@ -94,14 +94,6 @@ def preparer(tmp_path: Path) -> JobPreparer:
     return JobPreparer(Settings(data=tmp_path))
 
 
-def test_it_is_the_same_value_until_the_job_changes(preparer: JobPreparer):
-    job = record(small())
-    prepared = preparer.prepare(job)
-    assert preparer.prepare(replace(job, state=JobState.DONE, chunks_done=3)) is prepared
-    assert preparer.prepare(replace(job, seq=2)) is not prepared  # deleted and accepted again
-    assert preparer.prepare(replace(job, chunk_shape=(1, 1, 1))).plan.chunk_shape == (1, 1, 1)
-
-
 def test_a_chosen_model_takes_the_place_of_auto_in_what_is_computed(preparer: JobPreparer):
     spec = small(model={"kind": "auto", "restitution": 0.0})
     before = preparer.prepare(record(spec))

@@ -1,7 +1,6 @@
 """From the store to arrays: the right cells, no other chunks, and errors that name the parameter."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,10 @@ from tables import for_each
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
-from service.errors import InvalidRequest, OutdatedJob, TooLarge
-from service.render import answers
-from service.results import density, mode_map, selection, thresholds
+from service.errors import InvalidRequest, TooLarge
 from service.results import diagram as diagrams
 from service.results import line as lines
+from service.results import mode_map, selection, thresholds
 from service.results.counting import MODE_ARRAYS
 from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis, compare
 from service.results.selection import Sweep
@@ -96,12 +94,6 @@ def test_a_line_is_the_stores_own(sweep: Sweep, along: str, values: dict[str, fl
 def test_fixed_values_snap_to_the_grid(sweep: Sweep):
     assert diagram(sweep, omega=0.59, xi=0.1).fixed == {"omega": 0.5, "xi": 0.05}
     assert diagram(sweep, omega=0.61, xi=0.2).fixed == {"omega": 0.7, "xi": 0.26}
-
-
-def test_a_value_off_the_end_by_rounding_is_on_the_grid(sweep: Sweep):
-    ends = math.nextafter(0.5, 0), math.nextafter(0.26, 1)
-    assert diagram(sweep, omega=ends[0], xi=ends[1]).fixed == {"omega": 0.5, "xi": 0.26}
-    assert diagram(sweep, "omega", gamma=0.1 + 0.4, xi=0.05).fixed["gamma"] == 0.5
 
 
 @pytest.mark.parametrize(
@@ -244,18 +236,6 @@ def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path,
         assert len([name for name in reads if name != "zarr.json"]) == chunks  # outcomes, not there yet
 
 
-def test_results_under_repair_are_not_complete(sweep: Sweep):
-    damaged = replace(sweep, repairing=True)
-    line = diagram(damaged, omega=0.7, xi=0.26)
-    assert (line.missing, line.complete) == (0, False)
-    assert not mode_map.modes(damaged, 0.05, None, 1000).complete
-    assert not mode_map.modes_between(damaged, 0.05, None, (1.0, 2.0), (None, None), 1000).complete
-    assert mode_map.modes(sweep, 0.05, None, 1000).complete
-    whole = answers.Line("gamma", {"omega": 0.7, "xi": 0.26}, None, None)
-    view = answers.View(None, None, 0.0, None, log=False, width=4, height=4, most=1000)
-    assert [answers.packed_line(one, whole, view).complete for one in (sweep, damaged)] == [True, False]
-
-
 # A line for the page
 
 TWO_FLIGHTS = lines.FlightLine(
@@ -275,16 +255,6 @@ TWO_FLIGHTS = lines.FlightLine(
 def test_an_empty_window_is_refused(edges: Any, log: bool, rule: str):
     with pytest.raises(InvalidRequest, match=rule):
         lines.window_of(TWO_FLIGHTS, *edges, log=log)
-
-
-def test_a_line_for_the_page_however_long(sweep: Sweep, monkeypatch: pytest.MonkeyPatch):
-    point = {"omega": 0.7, "xi": 0.26}
-    assert lines.read_line(sweep, "gamma", point, None, None).every == 1
-    for most, every in ((79, 2), (8, 10), (7, 10)):
-        monkeypatch.setattr(lines, "MAX_READ", most)
-        line = lines.read_line(sweep, "gamma", point, None, None)
-        assert line.every == every
-        assert line.cells["values"].tolist() == sweep.spec.axis_values("gamma")[::every].tolist()
 
 
 # Planes and thresholds
@@ -309,14 +279,6 @@ def test_a_window_of_a_plane_has_the_cells_inside(
     assert window.omega.tolist() == [0.7, 1.0]
     assert window.arrays["outcome"].shape == (2, len(inside))
     assert window.every == 1
-
-
-def test_a_window_of_a_plane_is_thinned_to_what_fits(sweep: Sweep):
-    window = mode_map.modes_between(sweep, 0.05, None, (1.0, 5.0), (None, None), 10)
-    assert (window.every, window.omega.tolist()) == (2, [0.5, 1.0])
-    assert window.gamma.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
-    whole = mode_map.modes(sweep, 0.05, None, 1000)
-    np.testing.assert_array_equal(window.arrays["bounces"], whole.arrays["bounces"][::2, 1::2])
 
 
 def noted(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[int]:
@@ -395,15 +357,6 @@ def test_thresholds_are_found_in_planes_of_any_size(tmp_path: Path, monkeypatch:
         thresholds.on_grid(fine, None, 2)
 
 
-def test_thresholds_of_another_kernel_version_are_not_refined(tmp_path: Path):
-    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
-    coarse = thresholds.on_grid(fine, None, 1000)
-    earlier: Any = replace(fine, kernel_version="1")
-    nobody: Any = None  # asked before anything else is
-    with pytest.raises(OutdatedJob, match="the sweep was computed by kernel version 1; this release"):
-        thresholds.refined(nobody, nobody, earlier, coarse, 1e-3)
-
-
 def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
     both = spec(
         omega=[0.5, 0.7, 1.0], xi=0.05, protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}
@@ -426,20 +379,6 @@ def test_a_ramp_along_another_axis_has_no_threshold_in_gamma(tmp_path: Path):
     along = spec(protocol={"kind": "ramp", "axis": "omega", "direction": "up"})
     with pytest.raises(InvalidRequest, match=r"protocol\.axis: is omega"):
         thresholds.on_grid(Sweep(along, str(tmp_path)), 0.05, 1000)
-
-
-@pytest.mark.parametrize("log", [False, True])
-def test_every_flight_is_counted_in_the_bin_of_its_cell(log, monkeypatch):
-    monkeypatch.setattr(density, "BLOCK", 2)
-    values, shown = np.array([0.0, 1.0, 2.2, 4.0, 5.0]), np.array([1, 1, 2, 1, 1])
-    flights = np.array([1.0, 0.5, 3.0, 6.5, 8.0, 1.0])
-    counts = density.density(values, shown, flights, density.Window(1.0, 4.0, 0.0, 8.0), 2, 4, log)
-    column = int(log)  # of the cell at 2.2: the middle is at 2.5, on a logarithmic axis at 2
-    expected = np.zeros((4, 2), int)
-    expected[0, 0] = 1
-    expected[[1, 3], column] = 1
-    expected[3, 1] += 1
-    assert counts.tolist() == expected.tolist()
 
 
 #: Around the fold of Omega = 0.6 and, at larger Gamma, the flights that leap on the way up.

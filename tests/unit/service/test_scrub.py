@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,16 +92,6 @@ def test_damage_is_found_wherever_it_is_and_the_rest_is_read_once(
         assert not any(files[chunk].exists() for chunk in (short, gone, changed))
 
 
-@pytest.mark.parametrize(("state", "left"), [(JobState.DONE, False), (JobState.RUNNING, True)])
-def test_what_killed_writers_left_is_removed(tmp_path: Path, done: JobRecord, state: JobState, *, left: bool):
-    """An unfinished job is swept as it starts."""
-    file = tmp_path / "stores" / f"{done.id}.zarr" / ".partial" / "0123456789abcdef.partial"
-    file.write_bytes(b"half")
-    with scrubbing(tmp_path) as scrubs:
-        scrubs.scrubber._verify(replace(done, state=state, chunks_done=0))
-    assert file.exists() == left
-
-
 def test_each_page_of_a_job_is_verified(tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch):
     """Pages of eight chunks, of which the job has one; what one start has verified the next does not read."""
     for module in (scrub, transactions):
@@ -121,13 +110,6 @@ def test_each_page_of_a_job_is_verified(tmp_path: Path, done: JobRecord, monkeyp
             writing.mark_done(job, [])
     with scrubbing(tmp_path) as scrubs:
         assert scrubs.run().verified_chunks == 7
-
-
-def test_what_was_verified_not_long_ago_counts_as_verified(tmp_path: Path, done: JobRecord):
-    for chunks in (8, 0):
-        with scrubbing(tmp_path) as scrubs:
-            assert scrubs.run().verified_chunks == chunks
-            assert scrubs.scrubber.is_verified(done.id)
 
 
 def test_unfinished_jobs_come_first_and_then_the_last_accepted(

@@ -165,17 +165,6 @@ def _line_of(spec: BasinSpec, state: np.ndarray) -> Line:
     return run.line
 
 
-def test_a_start_in_contact_is_that_of_the_plane(client: TestClient):
-    start = {"kind": "contact", "elongation": -2.0, "velocity": 1.0}
-    path = trajectory(client, gamma=1.0, model={"kind": "rigid"}, settle=0, start=start)
-    assert path["phase"][0] == 0.0
-    assert not path["in_flight"][0]
-    static = trajectory(client, gamma=1.0, model={"kind": "rigid"}, settle=0)
-    length = (np.array(path["z1"]) - path["z2"])[0] - path["rest_length"]
-    weight = (np.array(static["z1"]) - static["z2"])[0] - static["rest_length"]
-    assert length - weight == pytest.approx(-2.0, abs=1e-9)
-
-
 @for_each("settle", [60, 3, 1])
 @for_each("model", MODELS)
 def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any], settle: int):
@@ -207,14 +196,6 @@ def test_the_motion_obeys_newton(model: Model):
     assert np.count_nonzero(quiet) > 4000
     np.testing.assert_allclose(z2_2[quiet], (spring - 1 / 2.3 + force)[quiet], atol=0.05)
     np.testing.assert_allclose(q_2[quiet], (-2 * spring - force)[quiet], atol=0.05)
-
-
-def test_from_rest_it_begins_on_the_plate(client: TestClient):
-    path = trajectory(client, settle=0, gamma=0.5, model={"kind": "rigid"})
-    assert path["z2"] == pytest.approx(path["plate"])
-    assert path["z1"][0] == pytest.approx(1 + 10 - 0.25 / 0.5)
-    assert path["force"][0] == pytest.approx(2 / 0.5 - 1)
-    assert path["flights"] == {"takeoff": [], "takeoff_phase": [], "flight_time": []}
 
 
 UNDAMPED: dict[str, Any] = {"kind": "soft", "restitution": 1, "penetration": 1e-8}

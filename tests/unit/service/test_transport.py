@@ -10,16 +10,13 @@ import socket
 import threading
 import time
 import traceback
-from base64 import b64encode
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import httpx2
 import pytest
 from answering import ID, LOST, Answer, scripted, view
 from scripted import DEADLINE, wait_for
@@ -31,8 +28,6 @@ from service.client import (
     Busy,
     Client,
     Conflict,
-    InvalidSpecification,
-    Job,
     NotComputedYet,
     NotFound,
     Refused,
@@ -43,7 +38,6 @@ from service.client import (
     Unanswered,
     Unauthorized,
     UnexpectedAnswer,
-    WaitTimeout,
 )
 
 
@@ -58,14 +52,6 @@ def unused_address() -> Iterator[str]:
 # Connecting
 
 
-def test_an_unreachable_service_is_reported_with_what_to_do(unused_address: str):
-    with Client(unused_address) as client, pytest.raises(ServiceUnreachable, match="bounce serve") as caught:
-        client.job(ID)
-    assert unused_address in str(caught.value)
-    assert "refused" in str(caught.value)  # the reason, as the system tells it
-    assert caught.value.url == unused_address
-
-
 @for_each("url", ["", "localhost:8000", "ftp://localhost", "http://", "http://[::1", "/v1"])
 def test_an_invalid_address_is_refused(url: str):
     with pytest.raises(ServiceUnreachable):
@@ -76,11 +62,6 @@ def test_a_lost_connection_is_retried():
     with scripted(LOST, LOST, Answer(body=view())) as (server, client):
         assert client.job(ID).state == "running"
         assert [path for _, path, _ in server.requests] == [f"/v1/jobs/{ID}"] * 3
-
-
-def test_retries_end():
-    with scripted(LOST, LOST, LOST) as (_, client), pytest.raises(ServiceUnreachable):
-        client.job(ID)
 
 
 def test_submitting_may_be_repeated_since_the_same_sweep_is_the_same_job():
@@ -94,13 +75,6 @@ def test_what_is_done_to_a_job_may_be_repeated(call: str):
     with scripted(Answer(body=view()), LOST, Answer(202, view())) as (server, client):
         getattr(client.job(ID), call)()
         assert [method for method, _, _ in server.requests] == ["GET", "POST", "POST"]
-
-
-@pytest.mark.parametrize("call", ["estimate", "trajectory"])
-def test_what_changes_nothing_may_be_repeated(call: str):
-    with scripted(LOST, Answer(body={})) as (server, client), pytest.raises(UnexpectedAnswer):
-        getattr(client, call)({"xi": 1})
-    assert [method for method, _, _ in server.requests] == ["POST", "POST"]
 
 
 def test_a_deletion_is_not_repeated():
@@ -166,17 +140,6 @@ def test_the_token_of_ones_own_service_is_sent_to_it_alone(
         assert client.page == f"{client.url}/#token=given%2Ftoken"
 
 
-def test_a_client_closes_its_own_connections_alone():
-    with httpx2.Client() as shared:
-        with Client("http://127.0.0.1:1", http=shared) as client:
-            pass
-        assert client._transport._http is shared
-        assert not shared.is_closed
-    with Client("http://127.0.0.1:1") as client:
-        assert not client._transport._http.is_closed
-    assert client._transport._http.is_closed
-
-
 def test_a_pickled_job_has_connections_of_its_own():
     with scripted(Answer(body=view()), Answer(body=view("done", 10))) as (server, client):
         with Client(client.url, "s3cret") as known:
@@ -206,14 +169,6 @@ def test_what_a_header_cannot_carry_is_refused_and_not_repeated(word: str):
     assert word not in str(caught.value)
     with Client("http://127.0.0.1:1") as client, pytest.raises(BounceError, match="an idempotency key must"):
         client.submit({"gamma": 1.5, "omega": 0.5, "xi": 0.26}, key=word)
-
-
-def test_a_password_in_an_address_is_sent():
-    with scripted(Answer(body=view())) as (server, client):
-        with Client(client.url.replace("//", "//me:s3cr%40t@")) as known:
-            known.job(ID)
-            assert known.url == client.url
-        assert server.requests[0][2]["Authorization"] == "Basic " + b64encode(b"me:s3cr@t").decode()
 
 
 # Answers
@@ -249,25 +204,6 @@ def test_every_status_has_its_error(status: int, kind: type[Refused]):
     assert caught.value.problem.title == "No"
     assert caught.value.fields == (("xi", "is odd"),)
     assert str(caught.value) == "because\n  xi: is odd"
-
-
-@pytest.mark.parametrize("status", [400, 413, 422])
-def test_only_a_submission_has_an_invalid_specification(status: int):
-    with scripted(Answer(status, {}), Answer(status, {}), Answer(status, {})) as (_, client):
-        for call, invalid in ((client.submit, True), (client.estimate, True), (client.trajectory, False)):
-            with pytest.raises(Refused) as caught:
-                call({})
-            assert isinstance(caught.value, InvalidSpecification) is (invalid and status != 413)
-
-
-@for_each(
-    ("given", "seconds"),
-    [("0", 0.0), ("2.5", 2.5), ("-1", None), ("inf", None), ("nan", None), ("Wed, 21 Oct 2026", None)],
-)
-def test_retry_after_is_seconds_or_nothing(given: str, seconds: float | None):
-    with scripted(Answer(503, {}, Retry_After=given)) as (_, client), pytest.raises(Busy) as caught:
-        client.job(ID)
-    assert caught.value.retry_after == seconds
 
 
 @pytest.mark.parametrize("asked", ["1e8", "1e300", "0", None])
@@ -345,14 +281,6 @@ NESTED = b'{"id": ' + b"[" * 200_000 + b"]" * 200_000 + b"}"
 )
 def test_another_program_at_the_address_is_recognised(answer: Answer):
     with scripted(answer) as (_, client), pytest.raises(UnexpectedAnswer):
-        client.job(ID)
-
-
-def test_a_proxys_own_error_page_is_no_problem_document():
-    with (
-        scripted(Answer(502, b"<html>Bad Gateway</html>")) as (_, client),
-        pytest.raises(ServiceError, match="502"),
-    ):
         client.job(ID)
 
 
@@ -488,38 +416,6 @@ def test_a_job_that_is_followed_keeps_the_specification_that_changes_leave_out()
             ("done", {"xi": 2.0}),
         ]
         assert len(server.requests) == 2
-
-
-@pytest.mark.parametrize("several", [False, True])
-def test_a_wait_ends_at_its_timeout(monkeypatch: pytest.MonkeyPatch, several: bool):
-    from service.client import job as module
-
-    now = [0.0]
-    clock = SimpleNamespace(monotonic=lambda: now[0], sleep=lambda seconds: now.append(now.pop() + seconds))
-    monkeypatch.setattr(module, "time", clock)
-    with scripted(Answer(body=view())) as (_, client):
-        job = Job.from_view(client._transport, view())
-        wait: Callable[..., object] = partial(client.wait_all, [job]) if several else job.wait
-        with pytest.raises(WaitTimeout, match=r"is running at 0% after 0\.01 s") as caught:
-            wait(timeout=0.01, progress=False)
-        assert caught.value.job is job
-        assert now == [0.01]
-
-
-def test_specifications_are_mapped_one_at_a_time():
-    taken: list[int] = []
-
-    def specs() -> Iterator[dict[str, int]]:
-        for n in range(3):
-            taken.append(n)
-            yield {"xi": n}
-
-    with scripted(*[Answer(200, view("done"))] * 6) as (_, client):
-        jobs = client.map(specs(), at_once=1)
-        counts = [len(taken) for _ in jobs]
-        assert counts == [1, 2, 3]
-        taken.clear()
-        assert [len(taken) for _ in client.map(specs(), at_once=2)] == [2, 3, 3]
 
 
 # Showing progress
