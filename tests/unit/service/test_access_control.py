@@ -174,25 +174,6 @@ def test_a_weak_token_is_refused(token: str):
     assert token not in str(refused.value)
 
 
-@for_each(
-    ("given", "rule"),
-    [
-        ({"stores": "ftp://elsewhere/x"}, "only folders and s3://"),
-        ({"stores": "s3:///x"}, "s3://BUCKET/PREFIX"),
-        ({"scheduler_ca": "ca.pem"}, "needs scheduler_ca, scheduler_cert and scheduler_key"),
-        ({"port": 70000}, "port"),
-        ({"max_body_bytes": 0}, "max_body_bytes"),
-        ({"shutdown_seconds": float("inf")}, "shutdown_seconds"),
-        ({"heartbeat_seconds": 1e18}, "heartbeat_seconds"),
-        ({"max_queue": 10**27}, "max_queue"),
-        ({"log_level": "loud"}, "log_level"),
-    ],
-)
-def test_an_invalid_setting_is_named(given: dict[str, Any], rule: str):
-    with pytest.raises(NotStarted, match=rule):
-        embedded.settings(**given)
-
-
 # Host
 
 

@@ -11,8 +11,8 @@ import xarray
 from kernel.branches.events import Branch
 from kernel.branches.starts import cycles_at
 from kernel.params import Cell, Outcome
-from service.figures import ball, branches, hysteresis, thresholds
-from service.figures.caption import Claim, Verdict
+from service.figures import ball, branches
+from service.figures.caption import Verdict
 
 AGREES, CONTRADICTS = Verdict.AGREES, Verdict.CONTRADICTS
 
@@ -24,10 +24,6 @@ def diagram(values: Sequence[float], axis: str = "gamma", **cells: Any) -> xarra
         for name, each in cells.items()
     }
     return xarray.Dataset(variables, {axis: np.array(values, float)})
-
-
-def verdicts(claims: Sequence[Claim]) -> list[Verdict]:
-    return [claim.verdict for claim in claims]
 
 
 # A rigid spring and a ball
@@ -58,26 +54,6 @@ def test_cycles_are_compared_cell_by_cell_where_both_are_periodic():
 
 
 # Thresholds
-
-
-def onsets(*excess: float) -> xarray.Dataset:
-    """Thresholds so far above Eq. 25, as a share."""
-    omega = np.arange(1.0, 1.0 + len(excess))
-    analytic = np.full(len(excess), 0.5)
-    up = analytic * (1.0 + np.array(excess))
-    return xarray.Dataset({"up": ("omega", up), "analytic": ("omega", analytic)}, {"omega": omega})
-
-
-@pytest.mark.parametrize(
-    ("worst", "within_2", "within_3"),
-    [(0.015, AGREES, AGREES), (-0.025, CONTRADICTS, AGREES), (0.5, CONTRADICTS, CONTRADICTS)],
-)
-def test_onsets_lie_on_eq_25_or_not(worst: float, within_2: Verdict, within_3: Verdict):
-    found = onsets(0.0, worst, np.nan, 0.01)
-    dampings, *_ = thresholds._dampings_caption({0.05: onsets(0.0), 0.2: found}).claims
-    at_sections, *_ = thresholds._sections_caption(found).claims
-    assert verdicts([dampings, at_sections, hysteresis._on_eq_25(found)]) == [within_2, within_2, within_3]
-    assert f"at most {abs(100 * worst):.1f} % apart" in dampings.text
 
 
 def loop(omega: Sequence[float], down: Sequence[float], up: float = 1.0) -> xarray.Dataset:

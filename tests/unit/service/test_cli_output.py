@@ -13,7 +13,6 @@ from service.cli.output import (
     job_report,
     modes_csv,
     threshold_table,
-    threshold_view,
     trajectory_csv,
     trajectory_json,
 )
@@ -122,20 +121,6 @@ def test_thresholds_stand_in_columns_with_what_explains_them_below():
     found = thresholds(complete=0)
     last = threshold_table(found, found, SWEEP).splitlines()[-1]
     assert last == "the job is not done: thresholds may be missing"
-
-
-def test_thresholds_as_json_have_null_for_what_is_not_known():
-    view = threshold_view(thresholds(tolerance=1e-3))
-    assert json.loads(json.dumps(view, allow_nan=False)) == {
-        "xi": 0.26, "omega": [0.5, 0.7], "analytic": [0.6123456789, None], "up": [0.75, None],
-        "down": [None, 0.5123456789012], "predicted_jump": [None, 0.9],
-        "predicted_down": [0.7123456789, None],
-        "up_status": ["found", "missing"], "down_status": ["not ramped", "found"],
-        "cause": ["fold (1,1)", "unresolved by the closed form"], "difference": ["", "another cycle"],
-        "prediction": "rigid", "tolerance": 1e-3, "complete": True,
-    }  # fmt: skip
-    assert threshold_view(thresholds(complete=0))["tolerance"] is None
-    assert threshold_view(thresholds(complete=0))["complete"] is False
 
 
 # Cells and samples

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
-from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
+from scripted import TWO_LINES, Held, Scripted, sweep, wait_for
 from tables import for_each
 
 from kernel.params import Outcome
@@ -22,7 +22,6 @@ from service.client import (
     Client,
     InvalidSpecification,
     Job,
-    JobCancelled,
     JobFailed,
     NotFound,
     WaitTimeout,
@@ -214,22 +213,6 @@ def test_a_failed_job_says_why(tmp_path: Path):
         with pytest.raises(JobFailed, match="the roof fell in") as caught:
             client.submit(sweep()).wait(progress=False)
         assert "the roof fell in" in caught.value.job.error
-
-
-def test_a_cancelled_job_can_be_resumed(tmp_path: Path):
-    held = Held()
-    with serving(tmp_path, held) as client:
-        job = client.submit(sweep())
-        wait_for(held.held)
-        assert job.cancel() is job
-        job.cancel()
-        wait_for(held.told_to_stop)
-        with pytest.raises(JobCancelled, match="submit the same sweep"):
-            job.wait(progress=lambda job: held.let_go_all(), timeout=DEADLINE)
-        with pytest.raises(JobCancelled):
-            job.wait(progress=False)
-        assert client.submit(sweep()).id == job.id
-        assert job.refresh().state in ("queued", "running")
 
 
 # Results

@@ -16,7 +16,6 @@ from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobState
 from service.jobs.stores import deletion
-from service.jobs.transactions import DeletionStep
 from service.settings import Settings
 from worker import store
 from worker.executors.inline import Inline
@@ -151,26 +150,6 @@ def test_a_store_made_after_its_deletion_stays(done: Path, inline: Inline):
         assert [Path(url).name for url in service.manager.unknown_stores] == [f"{JOB}.zarr"]
         assert service.manager._deleter.kept == [service.settings.store_of(JOB)]
     assert names(done) == [f"{JOB}.zarr"]
-
-
-def test_a_deletion_is_repeated_only_if_it_is_recorded(done: Path):
-    with Ledger(done / "ledger.sqlite") as ledger:
-        job = ledger.find(JOB)
-        assert job is not None
-        with ledger.writing() as writing:
-            assert not writing.repeat_deletion(job, 5.0)
-            writing.delete(job, 1.0)
-            [first] = writing.deletions()
-            assert (first.seq, first.created, first.step) == (job.seq, 1.0, DeletionStep.RECORDED)
-            assert writing.is_occupied(JOB)
-            writing.advance_deletion(first, DeletionStep.FREED)
-            assert not writing.is_occupied(JOB)
-            writing.advance_deletion(first, DeletionStep.COMPLETE)
-            assert writing.deletions() == []
-            assert writing.repeat_deletion(job, 5.0)
-            writing.advance_deletion(first, DeletionStep.COMPLETE)  # too late
-            [again] = writing.deletions()
-            assert (again.created, again.step) == (5.0, DeletionStep.RECORDED)
 
 
 def test_a_running_job_is_not_touched_by_the_deletion_of_its_predecessor(

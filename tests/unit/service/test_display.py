@@ -12,7 +12,6 @@ from extras import SYSTEM
 from service.client.display import (
     display_job,
     job_html,
-    summary,
 )
 from service.client.models import JobStatus
 
@@ -54,22 +53,6 @@ def test_html_has_a_row_for_what_there_is_to_say():
 
 
 # A job's progress
-
-
-def test_a_job_is_shown_as_asked_for(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
-    out = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", out)
-    seen: list[JobStatus] = []
-    job = status()
-    with display_job(seen.append) as show:
-        show(job)
-    with display_job(False) as show:
-        show(job)
-    assert (seen, out.getvalue()) == ([job], "")
-    with display_job(True) as show:
-        show(job)
-    assert out.getvalue() == f"{summary(job)}\n"
 
 
 def test_a_terminal_has_a_bar_with_what_is_known(monkeypatch: pytest.MonkeyPatch):

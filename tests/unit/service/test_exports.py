@@ -2,7 +2,6 @@
 
 import io
 import json
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import xarray
 from fastapi.testclient import TestClient
 from pyarrow import parquet
 from scripted import Held
-from served import RAMP, computing, finished, get, occupied, service, taken
+from served import RAMP, computing, finished, get, service, taken
 from tables import for_each
 
 from kernel.labels import LABELS
@@ -23,12 +22,10 @@ from service.background import InThisProcess
 from service.errors import NoSpace
 from service.render import export
 from service.results.counting import MODE_ARRAYS
-from service.results.mode_map import modes
 from service.results.selection import Sweep
 from service.software import processor, software
-from worker import schema, store
+from worker import schema
 from worker.plan import make_plan
-from worker.schema import layout
 from worker.spec import SweepSpec
 
 
@@ -201,36 +198,6 @@ def test_an_export_needs_a_format_and_rows_that_it_has(done: Done, query: str):
 
 
 # Mode maps
-
-
-def test_a_mode_map_of_a_hundred_thousand_cells_takes_little(tmp_path: Path):
-    with occupied(tmp_path) as client:
-        spec = SweepSpec(
-            gamma={"start": 1, "stop": 5, "num": 400},
-            omega={"start": 0.3, "stop": 1, "num": 250},
-            xi=0.1,
-            keep=1,
-        )
-        here = client.post("/v1/jobs", json=spec.as_submitted()).headers["Location"]
-        url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
-        plan = make_plan(spec, chunk_shape=client.app.state.service.ledger.find(here[9:]).chunk_shape)  # type: ignore[attr-defined]
-        store.create(url, layout(spec, plan.chunk_shape))
-        for chunk in plan:
-            record = {
-                array.name: np.ones((*chunk.shape, *(1 for _ in array.extra_dims)), array.dtype)
-                for array in schema.arrays(spec)
-            }
-            store.write_chunk(url, chunk, record)
-        began = time.process_time()
-        mode_map = get(client, f"{here}/modes")
-        took = time.process_time() - began
-        assert (len(mode_map["outcome"]), len(mode_map["outcome"][0]), mode_map["complete"]) == (
-            250,
-            400,
-            True,
-        )
-        assert took < 2.0
-        assert modes(Sweep(spec, url), None, None, 10**6).complete
 
 
 # The store over HTTP

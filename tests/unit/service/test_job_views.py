@@ -4,7 +4,6 @@ import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,9 +14,7 @@ from tables import for_each
 
 from kernel.params import KERNEL_VERSION
 from service.api.conditional import job_headers
-from service.api.routers import jobs
 from service.api.schemas import job_view
-from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState
 
 SPEC = json.dumps(sweep().as_submitted())
@@ -87,27 +84,3 @@ def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     with service(tmp_path_factory.mktemp("data"), Held()) as client:
         yield client
-
-
-def retry_after(client: TestClient, job: JobRecord) -> str | None:
-    """What the service says at second 110 of a job that is in the ledger like this."""
-    ledger: Ledger = client.app.state.service.ledger  # type: ignore[attr-defined]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ledger, "find", lambda job_id: job)
-        patch.setattr(jobs, "time", SimpleNamespace(time=lambda: 110.0))
-        return client.get(f"/v1/jobs/{job.id}").headers.get("Retry-After")
-
-
-@for_each(
-    ("seconds_left", "expected"), [(100.0, "5"), (30.0, "1"), (19.0, None), (1000.0, "10"), (1e6, "10")]
-)
-def test_a_job_is_polled_less_often_the_longer_it_takes(
-    client: TestClient, seconds_left: float, expected: str | None
-):
-    running = 200 / 600 * seconds_left  # 200 cells were computed in this time, 600 are left
-    assert retry_after(client, record(run_started=110.0 - running - 1e-6)) == expected
-
-
-def test_a_job_without_a_rate_or_at_its_end_has_no_time_to_wait(client: TestClient):
-    assert retry_after(client, record(state=JobState.QUEUED, run_started=None)) is None
-    assert retry_after(client, record(state=JobState.DONE, run_started=1.0, finished=2.0)) is None

@@ -13,8 +13,8 @@ from pyarrow import parquet
 from served import computing, finished, get
 
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC
-from service.cli.output import job_report, modes_csv
-from service.client.datasets import diagram_dataset, modes_dataset
+from service.cli.output import job_report
+from service.client.datasets import diagram_dataset
 from service.client.display import settling_note
 from service.client.models import JobStatus
 
@@ -53,14 +53,6 @@ def test_a_diagram_tells_quasi_periodic_from_chaotic_cells(client: TestClient, j
     assert dataset.lyapunov.dims == ("gamma", "exponent")
     assert 0.0 < dataset.lyapunov_error.values[3] < 0.1
     assert dataset.label.attrs["flag_meanings"].split() == list(LABELS)
-
-
-def test_a_mode_map_and_its_table_have_labels(client: TestClient, job: str):
-    answer = get(client, f"{job}/modes")
-    assert [LABELS[code] for code in answer["label"][1]] == EXPECTED
-    table = list(csv.DictReader(io.StringIO(modes_csv(modes_dataset(answer, "0" * 32)).decode())))
-    assert [row["label"] for row in table if row["omega"] == "1.0"] == EXPECTED
-    assert {row["outcome"] for row in table if row["label"] in EXPECTED[2:]} == {"aperiodic"}
 
 
 def test_files_have_labels(client: TestClient, job: str, tmp_path: Path):

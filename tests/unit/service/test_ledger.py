@@ -2,7 +2,6 @@
 
 import sqlite3
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import closing, nullcontext
 from pathlib import Path
@@ -17,7 +16,6 @@ from service.jobs.ledger import Ledger
 from service.jobs.ledger_files import OpenFiles, as_found, copies_of, lock_of, shm_of, wal_of
 from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.transactions import VERIFIED_PAGE
-from worker.tasks import ChunkReport
 
 
 @pytest.fixture
@@ -42,21 +40,6 @@ def mark_and_interrupt(ledger: Ledger, job: JobRecord) -> None:
     with ledger.writing() as writing:
         writing.mark_done(job, reports(0))
         raise KeyboardInterrupt
-
-
-def test_cells_that_settle_are_counted_and_uncounted(ledger: Ledger):
-    job = run(ledger, accept(ledger))
-    settling = [
-        ChunkReport(0, 10, 0.5, 0.4, "00", (0, 7, 0, 0, 0, 0, 3)),
-        ChunkReport(1, 10, 0.5, 0.4, "01", (0, 8, 0, 0, 0, 0, 2)),
-    ]
-    with ledger.writing() as writing:
-        writing.mark_done(job, [*settling, *reports(2)])
-        writing.mark_done(job, settling)  # again, as after a lost connection
-    assert current(ledger).cells_settling == current(ledger).progress(210.0).cells_settling == 5
-    with ledger.writing() as writing:
-        assert writing.unmark(current(ledger), [0, 2, 3]) == [0, 2]
-    assert (current(ledger).cells_settling, current(ledger).cells_done) == (2, 10)
 
 
 def test_the_same_job_is_not_accepted_twice(ledger: Ledger):
@@ -171,17 +154,6 @@ def test_what_is_no_ledger_is_left_alone(tmp_path: Path):
         with pytest.raises(LedgerUnusable, match=r"ledger\.sqlite cannot be used: file is not a database"):
             Ledger(path)
     assert path.read_bytes().startswith(b"not a database")
-
-
-def test_a_hundred_thousand_chunks_are_lean(ledger: Ledger, tmp_path: Path):
-    job = accept(ledger, chunks=100_000)
-    began = time.process_time()
-    for first in range(0, 100_000, 1000):
-        with ledger.writing() as writing:
-            writing.mark_done(job, reports(*range(first, first + 1000)))
-    assert ledger.done_mask(job).all()
-    assert time.process_time() - began < 10
-    assert (tmp_path / "ledger.sqlite").stat().st_size < 100_000 * 100
 
 
 # What is read and counted

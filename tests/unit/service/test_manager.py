@@ -24,7 +24,7 @@ from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, KeyReused, QueueFull
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import UNFINISHED, JobRecord, JobState
+from service.jobs.model import JobRecord, JobState
 from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState
@@ -112,16 +112,6 @@ def test_a_small_job_passes_a_huge_one(tmp_path: Path):
         wait_for(lambda: held.held("small") == 4)
         wait_for(small_is_done)
         assert service.job(huge).chunks_done <= 1  # its first has no more before it than the small one's
-
-
-def test_only_so_many_jobs_are_active(tmp_path: Path):
-    held = Held()
-    with running(tmp_path, held, active_jobs=1) as service:
-        first, second = service.submit(sweep("1")), service.submit(sweep("2", omega=0.6))
-        wait_for(held.held)
-        assert service.job(second).state is JobState.QUEUED
-        held.let_go_until(lambda: service.job(first).state is JobState.DONE)
-        service.until(second, JobState.RUNNING)
 
 
 def of_cells(cells: int, omega: float = 0.5) -> SweepSpec:
@@ -393,21 +383,6 @@ def test_a_store_that_cannot_be_made_fails_its_job_alone(tmp_path: Path, inline:
         service.until(service.submit(spec), JobState.DONE)
 
 
-def test_jobs_begun_by_another_kernel_are_replaced_though_the_queue_is_full(tmp_path: Path):
-    with running(tmp_path, Held(capacity=0), max_queue=2) as service:
-        begun = [service.submit(sweep(omega=omega)) for omega in (0.5, 0.6)]
-        with service.ledger.writing() as ledger:
-            ledger._sql.execute("UPDATE jobs SET kernel_version = '0', id = 'before-' || seq")
-    with running(tmp_path, Held(capacity=0), max_queue=2) as service:
-        for job in begun:
-            old = service.ledger.find(f"before-{job.seq}")
-            assert old is not None
-            assert (old.state, old.replaced_by) == (JobState.FAILED, job.id)
-            assert old.error is not None
-            assert old.error.startswith("kernel version 0 began it")
-            assert service.job(job).state in UNFINISHED
-
-
 def test_a_job_whose_run_breaks_is_made_anew_and_fails_the_third_time(
     tmp_path: Path, inline: Inline, monkeypatch: pytest.MonkeyPatch
 ):
@@ -567,18 +542,3 @@ def test_a_token_has_its_part_of_the_queue(tmp_path: Path):
         submit("dan")
         with pytest.raises(QueueFull):
             service.manager.resume(first.id, "ann")
-
-
-def test_a_job_keeps_its_chunks_though_it_would_be_cut_otherwise_today(tmp_path: Path):
-    with unstarted(tmp_path) as service:
-        spec = sweep()
-        job, outdated = service.submit(spec), service.submit(sweep(omega=0.6))
-        with service.ledger.writing() as ledger:
-            ledger._sql.execute("UPDATE jobs SET chunk_shape = '[1, 1, 60]', chunks_total = 1")
-            ledger._sql.execute(
-                "UPDATE jobs SET kernel_version = '0', spec = ?, id = ?, state = 'failed' WHERE seq = ?",
-                [job.spec, spec.job_id("0"), outdated.seq],
-            )
-        for again in (service.manager.submit(spec), service.manager.resume(spec.job_id("0"))):
-            assert (again.accepted, again.job.id, again.job.chunk_shape) == (False, job.id, (1, 1, 60))
-            assert len(service.manager.preparer.prepare(again.job).plan) == 1

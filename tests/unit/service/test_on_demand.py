@@ -106,19 +106,6 @@ def test_only_the_results_requested_last_are_kept(monkeypatch: pytest.MonkeyPatc
     assert len(pool.futures) == 8
 
 
-def test_a_result_that_is_being_computed_is_kept(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(on_demand, "MAX_RESULTS", 1)
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01)
-    for key in ("slow", "fast"):
-        with pytest.raises(Pending):
-            cache.get(key, submit)
-    for future in pool.futures:
-        future.set_result(None)
-    assert cache.get("slow", submit) == [None, None]
-    assert len(pool.futures) == 4
-
-
 def test_without_workers_nothing_is_computed():
     def refused(_: Any) -> list[Future[Any]]:
         raise ClusterLost("gone")

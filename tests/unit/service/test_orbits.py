@@ -1,6 +1,5 @@
 """Closed-form answers over HTTP and in the client, against the kernel's functions and known numbers."""
 
-import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +22,6 @@ from service.cli.output import threshold_table
 from service.client import Client
 from service.client.plots import draw_thresholds
 from service.results import orbits, thresholds
-from worker.spec import SweepSpec
 
 FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
@@ -59,24 +57,6 @@ def test_the_thresholds_of_a_spring(service: TestClient):
     assert balance["plate_contact"] + balance["plate_impact"] == pytest.approx(
         balance["dashpot"] + balance["impact"], abs=1e-9
     )
-
-
-def test_thresholds_that_there_are_not_are_null(service: TestClient):
-    plain = get(service, "/v1/threshold", omega=0.5, xi=0.26)
-    assert (plain["down"], plain["cause"]) == (plain["threshold"], "Eq. 25")
-    assert plain["lifetime"] is None
-    assert plain["energy"] is None
-    torus = get(service, "/v1/threshold", omega=0.46, xi=0.05)
-    assert (torus["down"], torus["cause"]) == (None, "unresolved")
-    assert "torus" in torus["reason"]
-    never = get(service, "/v1/threshold", omega=math.sqrt(2), xi=0)
-    assert never["threshold"] is None or never["threshold"] > 1e6
-    resonance = get(service, "/v1/threshold", omega=1, xi=0)
-    assert (resonance["threshold"], resonance["down"]) == (0.0, None)
-    assert "omega = 1" in resonance["reason"]
-    slow = get(service, "/v1/threshold", omega=0.001, xi=0.05)
-    assert slow["cause"] == "unresolved"
-    assert "points" in slow["reason"]
 
 
 def test_branches_are_those_of_the_kernel(service: TestClient):
@@ -304,31 +284,6 @@ def test_closed_forms_that_take_long_are_left_to_workers(tmp_path: Path, monkeyp
         rule = refused(held, f"{large}/threshold", 422, predict="all")
         assert "the limit for one answer is 200: enough for" in rule
         assert time.process_time() - began < 2.0  # none of the springs was computed here: 150 s
-
-
-def explained(down: float, predicted: float, cause: str, tolerance: float | None = None) -> str:
-    """What is said of a threshold on the way down that is not the predicted one, at omega 0.6, xi 0.05."""
-    none = np.array([np.nan])
-    found = thresholds.Thresholds(
-        xi=0.05, omega=np.array([0.6]), analytic=none, up=none, down=np.array([down]),
-        up_status=["not ramped"], down_status=["found"], predicted_jump=none, predicted_down=none,
-        cause=[""], difference=[""], prediction="", complete=True, tolerance=tolerance,
-    )  # fmt: skip
-    known = orbits.thresholds(0.6, 0.05)._replace(down=predicted, cause=cause)
-    return thresholds._compared(SweepSpec.parse(RAMP), found, [known], words=False).difference[0]
-
-
-def test_a_difference_from_the_prediction_is_explained():
-    """The grid goes from 0.5 in steps of 0.004."""
-    fold = orbits.thresholds(0.6, 0.05)
-    assert explained(fold.down + 0.001, fold.down, fold.cause) == ""
-    ghost = explained(fold.down - 1e-5, fold.down, fold.cause)
-    assert ghost.startswith("bouncing lives about 1,1")
-    assert "1e-05 below the fold, longer than the window of 80" in ghost
-    early = explained(0.62, fold.down, fold.cause)
-    assert "the ramp lost the cycle 0.0668 above the fold: its steps of 0.004 excite the spring" in early
-    other = explained(fold.down - 0.03, fold.down, fold.cause)
-    assert other == "another cycle than those of one bounce lives 0.03 below the prediction"
 
 
 # The study

@@ -281,17 +281,3 @@ def test_the_trajectory_of_a_cell_not_computed_yet_is_refused(tmp_path: Path):
         header, arrays = unpacked(client, f"{job_url}/line")
         assert header["missing"] == len(arrays["values"]) == 81
         assert len(arrays["flight_time"]) == 0
-
-
-def test_the_trajectory_of_an_unresolved_cell_of_a_ramp_is_refused(client: TestClient):
-    """Its stored state is where the computation stopped. An undamped contact and spring ring for ever."""
-    ramp = RAMP | {
-        "gamma": [1.5, 1.6], "omega": 0.8, "xi": 0, "settle": 0, "observe": 2,
-        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "up"},
-        "model": {"kind": "soft", "restitution": 1, "penetration": 1e-8},
-    }  # fmt: skip
-    job_url = finished(client, ramp)
-    assert get(client, f"{job_url}/diagram", along="gamma")["outcome"][0] == Outcome.UNRESOLVED
-    response = client.get(f"{job_url}/trajectory", params={"gamma": 1.5})
-    assert response.status_code == 422
-    assert "unresolved before the first sample" in response.json()["detail"]

@@ -86,25 +86,6 @@ def test_a_line_leads_to_a_label_that_is_far_from_its_point():
         assert not point_labels._crosses(np.array([144.0, 108.0]), middle(box), marker)
 
 
-def test_a_text_and_a_legend_that_are_there_are_not_covered():
-    axes = empty()
-    there = axes.text(105.0, 80.0, "a text", va="center")
-    axes.plot([0, 1], [0, 1], label="line")
-    legend = axes.legend(loc="center left", bbox_to_anchor=(70 / 288, 50 / 216), borderaxespad=0.0)
-    (box,) = labelled(axes, (100.0, 80.0, "twelve"))
-    covered = legend.get_window_extent(FigureCanvasAgg(axes.figure).get_renderer()).get_points() / PIXEL  # type: ignore[arg-type]
-    for other in (box_of(there), Bbox(covered)):
-        assert not box.overlaps(other)
-
-
-def test_a_label_rather_goes_where_no_line_is():
-    axes = empty()
-    axes.plot([100.0, 200.0], [80.0, 80.0])  # to the right
-    (box,) = labelled(axes, (100.0, 80.0, "twelve"))
-    assert box.y0 > 80.0 or box.y1 < 80.0 or box.x1 < 100.0
-    assert beside(box, (100.0, 80.0)) == pytest.approx(ROUNDS[0], abs=0.01)
-
-
 @pytest.mark.parametrize(("x", "y"), [(2.0, 80.0), (286.0, 80.0), (100.0, 2.0), (100.0, 214.0)])
 def test_a_label_stays_in_its_panel(x: float, y: float):
     (box,) = labelled(empty(), (x, y, "twelve"))

@@ -281,59 +281,7 @@ def test_a_window_of_a_plane_has_the_cells_inside(
     assert window.every == 1
 
 
-def noted(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[int]:
-    """The rows of omega that a module reads at a time, from now on."""
-    rows: list[int] = []
-
-    def reading(*arguments: Any) -> mode_map.Plane:
-        part = plane(*arguments)
-        rows.append(len(part.omega))
-        return part
-
-    plane = mode_map.plane
-    monkeypatch.setattr(module, "plane", reading)
-    return rows
-
-
 ADAPTIVE: dict[str, Any] = {"refine": {"by": "mode", "coarsest": 4}, "xi": 0.05}
-
-
-def test_the_computed_share_of_an_adaptive_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Of 3 by 10 cells two are not done yet, and seven of the others are computed."""
-    adaptive = spec(**ADAPTIVE)
-    outcomes, computed = np.full(adaptive.shape, Outcome.PERIODIC), np.zeros(adaptive.shape)
-    outcomes[0, 0, 2, 8:] = Outcome.MISSING
-    computed[0, 0, 0, :4] = computed[0, 0, 1, 5] = computed[0, 0, 2, :2] = 1
-    made = handmade(tmp_path, outcomes, adaptive, computed=computed)
-    read = noted(monkeypatch, mode_map)
-    for most, rows in ((1000, [3]), (20, [2, 1]), (1, [1, 1, 1])):
-        monkeypatch.setattr(mode_map, "MAX_READ", most)
-        read.clear()
-        assert mode_map.modes(made, None, None, 1000, 2).computed == pytest.approx(7 / 28)
-        assert read[1:] == rows  # after the modes
-    queued = Sweep(adaptive, str(tmp_path / "nothing.zarr"))
-    assert mode_map.modes(queued, None, None, 1000).computed == 0.0
-
-
-def test_a_threshold_of_an_adaptive_map_says_whether_its_two_cells_were_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """All bounce from the fifth cell; computed are both beside it, all but the lower, all but the upper."""
-    adaptive = spec(**ADAPTIVE)
-    outcomes, computed = np.full(adaptive.shape, Outcome.AT_REST), np.zeros(adaptive.shape)
-    outcomes[..., 4:] = Outcome.PERIODIC
-    computed[0, 0, 0, 3:5] = 1
-    computed[0, 0, 1], computed[0, 0, 1, 3] = 1, 0
-    computed[0, 0, 2], computed[0, 0, 2, 4] = 1, 0
-    made = handmade(tmp_path, outcomes, adaptive, computed=computed)
-    read = noted(monkeypatch, thresholds)
-    for most, rows in ((1000, [3]), (20, [2, 1]), (1, [1, 1, 1])):
-        monkeypatch.setattr(thresholds, "MAX_READ", most)
-        read.clear()
-        found = thresholds.on_grid(made, None, 1000)
-        assert read == rows
-        assert found.up.tolist() == [2.5] * 3
-        assert found.up_computed == [True, False, False]
 
 
 def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):

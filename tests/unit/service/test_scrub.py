@@ -112,38 +112,6 @@ def test_each_page_of_a_job_is_verified(tmp_path: Path, done: JobRecord, monkeyp
         assert scrubs.run().verified_chunks == 7
 
 
-def test_unfinished_jobs_come_first_and_then_the_last_accepted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(scrub, "JOBS_PER_PAGE", 2)
-    order: list[str] = []
-    with scrubbing(tmp_path) as scrubs:
-        with scrubs.ledger.writing() as writing:
-            for letter in "abcde":
-                writing.insert(NewJob(letter * 32, "", "{}", "1", (1,), 1, 1), 1.0)
-            for letter in "acde":
-                writing.run(writing.find(letter * 32), 2.0)
-            for letter, state in (("a", JobState.DONE), ("c", JobState.FAILED), ("e", JobState.DONE)):
-                writing.finish(writing.find(letter * 32), state, 3.0)
-
-        def noted(job: JobRecord) -> None:
-            order.append(job.id[0])
-            scrubs.scrubber._verified.add(job.id)
-
-        monkeypatch.setattr(scrubs.scrubber, "_scrub", noted)
-        assert not scrubs.scrubber.is_verified("f" * 32)
-        scrubs.run()
-        assert order == ["d", "b", "e", "c", "a"]
-        assert scrubs.scrubber.is_verified("a" * 32)
-        scrubs.scrubber._verified.clear()
-        assert not scrubs.scrubber.is_verified("e" * 32)
-        with scrubs.ledger.writing() as writing:
-            writing.insert(NewJob("f" * 32, "", "{}", "1", (1,), 1, 1), 1.0)
-        assert scrubs.scrubber.is_verified("f" * 32)  # accepted since: nothing of it can be damaged
-        assert not scrubs.scrubber.is_verified("0" * 32)
-        assert [job.id[0] for job in scrubs.scrubber._all()] == ["e", "d", "c", "b", "a"]
-
-
 def test_a_scrub_that_fails_starts_again(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     (tmp_path / "stores").write_text("no folder")
     with scrubbing(tmp_path, heartbeat_seconds=0.01) as scrubs:

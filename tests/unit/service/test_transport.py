@@ -115,31 +115,6 @@ def test_a_proxy_is_used_for_other_machines(monkeypatch: pytest.MonkeyPatch, hos
         assert [path for _, path, _ in server.requests] == [f"http://{host}:8000/v1/jobs/{ID}"]
 
 
-@pytest.mark.parametrize(
-    ("url", "finds"),
-    [
-        ("http://127.0.0.1:8000", True),
-        ("http://localhost:8000/", True),
-        ("http://[::1]:8000", True),
-        ("http://127.0.0.1", False),
-        ("http://192.0.2.1:8000", False),
-        ("http://service.invalid:8000", False),
-        ("http://me:secret@127.0.0.1:8000", False),
-    ],
-)
-def test_the_token_of_ones_own_service_is_sent_to_it_alone(
-    monkeypatch: pytest.MonkeyPatch, url: str, finds: bool
-):
-    from service.client import transport as module
-
-    monkeypatch.setattr(module, "find_token", lambda port: f"own-token-of-{port}")
-    for token in (None, "", "auto"):
-        with Client(url, token) as client:
-            assert client.page.endswith("/#token=own-token-of-8000" if finds else "/")
-    with Client(url, "given/token") as client:
-        assert client.page == f"{client.url}/#token=given%2Ftoken"
-
-
 def test_a_pickled_job_has_connections_of_its_own():
     with scripted(Answer(body=view()), Answer(body=view("done", 10))) as (server, client):
         with Client(client.url, "s3cret") as known:
