@@ -1,6 +1,5 @@
 """`dataset.bounce`: flights as a table, and plots of results that are Datasets already."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -40,18 +39,6 @@ def test_a_row_per_flight(sweep: xarray.Dataset):
     assert set(table.outcome) <= {"periodic", "aperiodic", "settling"}
 
 
-def test_a_line_has_the_same_rows(sweep: xarray.Dataset):
-    line = sweep.sel(omega=0.6, direction="down").squeeze("xi")
-    table = sweep.bounce.to_dataframe()
-    of_line = table[(table.omega == 0.6) & (table.direction == "down")].reset_index(drop=True)
-    np.testing.assert_array_equal(line.bounce.to_dataframe().flight_time, of_line.flight_time)
-
-
-def test_only_what_has_flights_is_a_table(sweep: xarray.Dataset):
-    with pytest.raises(BounceError, match="to_dataframe"):
-        sweep.drop_vars("flight_time").bounce.to_dataframe()
-
-
 def test_a_line_of_a_sweep_is_a_diagram(sweep: xarray.Dataset):
     ax = sweep.bounce.plot(omega=0.61, direction="down", ax=Figure().subplots())
     drawn = ax.lines[0].get_xydata()
@@ -66,22 +53,6 @@ def test_a_plane_of_a_sweep_is_a_map(sweep: xarray.Dataset):
     assert mesh.get_array().shape == (2, 9)
 
 
-def test_axes_of_the_caller_or_of_a_new_figure(sweep: xarray.Dataset, monkeypatch: pytest.MonkeyPatch):
-    given = Figure().subplots()
-    assert sweep.bounce.plot(direction="up", ax=given) is given
-    monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)
-    made = sweep.bounce.plot(direction="up")
-    assert made is not given
-    assert len(made.collections) == 1
-
-
-def test_a_map_lies_the_same_way_however_it_is_stored(sweep: xarray.Dataset):
-    part = sweep.sel(direction="up").squeeze("xi").transpose("gamma", "omega", ...)
-    ax = part.bounce.plot(ax=Figure().subplots())
-    (mesh,) = ax.collections
-    assert mesh.get_array().shape == (2, 9)
-
-
 def test_branches_are_drawn_over_a_line_if_they_are_given(sweep: xarray.Dataset):
     grid = ("branch", "point")
     values = {"gamma": [[0.6, 1.0]], "flight_time": [[1.0, 2.0]], "stable": [[1, 1]], "admissible": [[0, 0]]}
@@ -89,15 +60,6 @@ def test_branches_are_drawn_over_a_line_if_they_are_given(sweep: xarray.Dataset)
     line = sweep.sel(omega=0.6, direction="down").squeeze("xi")
     assert len(line.bounce.plot(ax=Figure().subplots()).lines) == 1
     assert len(line.bounce.plot(ax=Figure().subplots(), branches=branches).lines) == 4
-
-
-def test_thresholds_are_drawn_as_thresholds():
-    names = ("analytic", "predicted_down", "up", "down")
-    values = {name: ("omega", np.array([0.5, 0.6])) for name in names}
-    thresholds = xarray.Dataset(values, {"omega": [0.5, 0.6], "xi": 0.05})
-    given = Figure().subplots()
-    assert thresholds.bounce.plot(ax=given) is given
-    assert len(given.lines) == len(names)
 
 
 @for_each(

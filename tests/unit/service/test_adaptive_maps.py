@@ -14,10 +14,6 @@ from scripted import Held, wait_for
 from served import computing, finished, get, service
 from tables import for_each
 
-from worker.plan import make_plan
-from worker.refinement import Refinement
-from worker.spec import SweepSpec
-
 SPACE: dict[str, Any] = {
     "name": "thresholds and modes",
     "gamma": {"start": 0.4, "stop": 2.4, "num": 49},
@@ -78,33 +74,11 @@ def test_a_mode_map_tells_the_share_computed_and_with_mask_which_cells(
     assert "mask" not in read(client, f"{full}/modes?mask=true")
 
 
-def test_the_share_is_of_all_cells_also_where_the_map_is_thinned(client: TestClient, adaptive: str):
-    share = read(client, f"{adaptive}/modes")["computed"]
-    thinned = read(client, f"{adaptive}/modes?every=8&mask=true")
-    assert thinned["computed"] == share
-    assert np.all(thinned["mask"])  # the corners of the first blocks
-
-
 def test_a_mode_map_counts_no_flights_anew(client: TestClient, adaptive: str):
     answer = client.get(f"{adaptive}/modes?min_flight=0.3")
     assert answer.status_code == 422
     assert "min_flight" in answer.text
     assert client.get(f"{adaptive}/modes?min_flight=0.05").status_code == 200
-
-
-def test_a_diagram_tells_which_cells_have_flights(client: TestClient, full: str, adaptive: str):
-    whole, part = (read(client, f"{job}/diagram?along=gamma&omega=0.6") for job in (full, adaptive))
-    assert "computed" not in whole
-    assert 0 < sum(part["computed"]) < len(part["computed"])
-    for i, computed in enumerate(part["computed"]):
-        if computed:
-            assert part["flight_time"][i] == whole["flight_time"][i]
-            assert part["bounces"][i] == whole["bounces"][i]
-        else:
-            assert part["flight_time"][i] == []
-    assert part["complete"]
-    for picture in ("png", "csv"):
-        assert client.get(f"{adaptive}/diagram?along=gamma&omega=0.6&format={picture}").status_code == 200
 
 
 def test_thresholds_tell_where_they_lie_between_computed_cells(client: TestClient, full: str, adaptive: str):
@@ -139,12 +113,6 @@ def test_files_hold_which_cells_were_computed(client: TestClient, adaptive: str,
         assert stored.computed.attrs["flag_meanings"] == "taken_from_its_block computed"
     table = pq.read_table(tmp_path / "map.parquet")
     assert np.mean(table["computed"].to_numpy()) == pytest.approx(share)
-
-
-def test_the_page_gets_the_mask_with_the_map(client: TestClient, adaptive: str, full: str):
-    assert b'"computed":' in client.get(f"{adaptive}/plane").content.split(b"\n")[0]
-    assert b'"computed":' not in client.get(f"{full}/plane").content.split(b"\n")[0]
-    assert client.get(f"{adaptive}/line?along=gamma&omega=0.6").status_code == 200
 
 
 def test_a_window_is_an_adaptive_sweep_on_a_finer_grid(client: TestClient, full: str):
@@ -236,30 +204,3 @@ def test_a_map_that_was_cancelled_and_resumed_has_the_bytes_of_one_that_was_not(
         for url in stores
     )
     assert whole == resumed
-
-
-def test_progress_counts_the_cells_known_to_be_needed(tmp_path: Path):
-    tiles = MAP | {name: {"start": 0.4, "stop": 2.4, "num": 300} for name in ("gamma", "omega")}
-    spec = SweepSpec.parse(tiles)
-    plan = make_plan(spec)
-    assert spec.refine is not None
-    first = [Refinement((chunk.shape[1], chunk.shape[2]), spec.refine).cells.size for chunk in plan]
-    held = Held()
-    with service(tmp_path / "held", held) as client:
-        here = client.post("/v1/jobs", json=tiles).headers["Location"]
-        progress = get(client, here)["progress"]
-        assert (progress["cells_computed"], progress["cells_needed"]) == (0, sum(first))
-    with computing(tmp_path / "done") as client:
-        here = finished(client, tiles)
-        progress = get(client, here)["progress"]
-        share = get(client, f"{here}/modes")["computed"]
-        assert progress["cells_computed"] == progress["cells_needed"] == round(share * 300 * 300)
-        assert progress["cells_computed"] > sum(first)
-        plain = get(client, finished(client, SPACE))["progress"]
-        assert (plain["cells_computed"], plain["cells_needed"]) == (None, None)
-
-
-def test_an_estimate_does_not_take_its_speed_from_adaptive_maps(tmp_path: Path):
-    with computing(tmp_path) as client:
-        finished(client, MAP)
-        assert client.post("/v1/jobs?validate_only=true", json=SPACE).json()["basis"] == "table"

@@ -64,9 +64,3 @@ def test_another_content_does_not_count(tmp_path: Path, content: str):
         record(URL)
         (tmp_path / "service.json").write_text(content, encoding="utf-8")
         assert address.find(tmp_path) is None
-
-
-def test_a_folder_that_cannot_be_written_is_no_error(tmp_path: Path):
-    with address.recorder(tmp_path / "missing") as record:
-        record(URL)
-    assert address.find(tmp_path / "missing") is None

@@ -7,13 +7,12 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 import pytest
 import zarr
 from running import Running, running
-from scripted import Held, Scripted, small, sweep, wait_for
+from scripted import Held, Scripted, small, sweep
 
-from kernel.params import KERNEL_VERSION, Outcome
+from kernel.params import Outcome
 from service.errors import NotAdoptable
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState
@@ -104,19 +103,6 @@ def test_only_whole_chunks_are_adopted_and_resuming_computes_the_others(tmp_path
     assert files(url) == stored
 
 
-def test_a_chunk_without_outcomes_is_not_whole(tmp_path: Path):
-    """As a ramp has it that was interrupted: the store is there, chunks are not."""
-    held = Held(capacity=1)
-    with running(tmp_path, held) as service:
-        job = service.submit(sweep())
-        wait_for(held.held)
-        held.let_go()
-        wait_for(lambda: service.job(job).chunks_done == 1)
-    forget(tmp_path)
-    adopted = adopt(tmp_path, job.id)
-    assert (adopted.state, adopted.chunks_done) == (JobState.FAILED, 1)
-
-
 @pytest.mark.parametrize("outcome", [Outcome.MISSING, 99])
 def test_a_chunk_with_a_cell_of_no_outcome_is_not_whole(tmp_path: Path, outcome: int):
     [job_id] = compute(tmp_path, sweep())
@@ -125,14 +111,6 @@ def test_a_chunk_with_a_cell_of_no_outcome_is_not_whole(tmp_path: Path, outcome:
     forget(tmp_path)
     job = adopt(tmp_path, job_id)
     assert (job.state, job.chunks_done) == (JobState.FAILED, job.chunks_total - 1)
-
-
-def test_adopted_chunks_say_nothing_of_the_speed(tmp_path: Path):
-    [job_id] = compute(tmp_path, sweep())
-    forget(tmp_path)
-    adopt(tmp_path, job_id)
-    with Ledger(tmp_path / "ledger.sqlite") as ledger, ledger.reading() as reading:
-        assert reading.paces(20, 20_000) == []
 
 
 @pytest.mark.parametrize(
@@ -218,38 +196,12 @@ def test_an_unknown_store_is_reported_and_left_alone(
     assert f"{lost}.zarr is unknown to the ledger and left alone" in caplog.text
 
 
-def test_a_store_that_is_being_removed_is_not_unknown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    [job_id] = compute(tmp_path, sweep())
-    settings = Settings(data=tmp_path)
-    with Ledger(settings.ledger_path) as ledger:
-        with ledger.writing() as writing:
-            job = writing.find(job_id)
-            assert job is not None
-            writing.delete(job, 1e12)
-        assert adoption.find_unknown(ledger, settings) == []
-        with ledger.writing() as writing:
-            assert writing.forget_deletions() == 1
-        assert adoption.find_unknown(ledger, settings) == [settings.store_of(job_id)]
-
-
 def test_a_sweep_whose_store_is_unknown_can_be_submitted(tmp_path: Path):
     [job_id] = compute(tmp_path, sweep())
     stored = files(tmp_path / "stores")
     forget(tmp_path)
     assert compute(tmp_path, sweep()) == [job_id]
     assert files(tmp_path / "stores") == stored
-
-
-def test_outcomes_are_counted_as_the_task_counts_them(tmp_path: Path):
-    [job_id] = compute(tmp_path, sweep())
-    forget(tmp_path)
-    job = adopt(tmp_path, job_id)
-    with running(tmp_path, Held(capacity=0)) as service:
-        outcomes = service.outcomes(job)
-    with closing(sqlite3.connect(tmp_path / "ledger.sqlite")) as ledger:
-        counted = [json.loads(row[0]) for row in ledger.execute("SELECT outcomes FROM chunks")]
-    assert np.sum(counted, axis=0).tolist() == np.bincount(outcomes.ravel(), minlength=len(Outcome)).tolist()
-    assert job.kernel_version == KERNEL_VERSION
 
 
 @pytest.mark.parametrize(
@@ -260,8 +212,3 @@ def test_whether_there_are_stores_beside_a_ledger(tmp_path: Path, name: str | No
     if name is not None:
         (tmp_path / "stores" / name).mkdir(parents=True)
     assert adoption.has_stores(Settings(data=tmp_path)) is there
-
-
-def test_stores_that_cannot_be_listed_are_taken_to_be_there(tmp_path: Path):
-    (tmp_path / "stores").write_text("no folder")
-    assert adoption.has_stores(Settings(data=tmp_path))

@@ -4,9 +4,7 @@ import csv
 import io
 import json
 import re
-import time
 from collections.abc import Iterator
-from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -14,10 +12,9 @@ import pytest
 from fastapi.testclient import TestClient
 from paths import GOLDEN
 from scripted import Held, sweep, wait_for
-from served import FIGURE_2, computing, finished, get, occupied, service
+from served import FIGURE_2, computing, finished, get, service
 
 from service.errors import DataFolderBusy
-from worker.spec import SweepSpec
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -65,13 +62,6 @@ def test_a_submission_is_accepted_and_returns_the_jobs_location(tmp_path: Path):
         assert view["spec"]["gamma"] == {"start": 0.5, "stop": 6.0, "num": 111, "spacing": "linear"}
 
 
-def test_the_view_of_a_finished_job(client: TestClient, figure_2: str):
-    view = get(client, figure_2)
-    assert (view["state"], view["progress"]["percent"]) == ("done", 100.0)
-    assert view["created"] <= view["started"] <= view["finished"]
-    assert view["created"].endswith("Z")
-
-
 def test_the_same_sweep_however_it_is_written_is_the_same_job(client: TestClient, figure_2: str):
     same = {**FIGURE_2, "name": "", "omega": [0.5], "settle": 200.0, "protocol": {"kind": "rest"}}
     answer = client.post("/v1/jobs", json=same)
@@ -85,54 +75,6 @@ def test_an_unchanged_job_answers_304(client: TestClient, figure_2: str):
         answer = client.get(figure_2, headers={"If-None-Match": candidates})
         assert (answer.status_code, answer.content, answer.headers["ETag"]) == (304, b"", tag)
     assert client.get(figure_2, headers={"If-None-Match": '"other"'}).status_code == 200
-
-
-def test_progress_changes_the_tag(tmp_path: Path):
-    held = Held()
-    with service(tmp_path, held) as client:
-        here = client.post("/v1/jobs", json=sweep().as_submitted()).headers["Location"]
-        wait_for(lambda: held.held() == 4)
-        before = client.get(here).headers["ETag"]
-        held.let_go()
-        wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] == 1)
-        answer = client.get(here, headers={"If-None-Match": before})
-        assert answer.status_code == 200
-        assert answer.json()["progress"]["eta_seconds"] > 0
-
-
-def test_a_long_job_sends_retry_after(tmp_path: Path):
-    held = Held()
-    with service(tmp_path, held) as client:
-        long = sweep(gamma={"start": 0.5, "stop": 1.2, "num": 100_000}, omega=[*range(1, 31)]).as_submitted()
-        here = client.post("/v1/jobs", json=long).headers["Location"]
-        wait_for(lambda: held.held() == 4)
-        time.sleep(0.3)
-        held.let_go()
-        wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] == 1)
-        assert 1 <= int(client.get(here).headers["Retry-After"]) <= 10
-
-
-def test_jobs_are_listed_newest_first(tmp_path: Path):
-    with occupied(tmp_path) as client:
-        for omega in (0.5, 0.6):
-            client.post("/v1/jobs", json={**FIGURE_2, "omega": omega})
-        everything = get(client, "/v1/jobs")
-        assert [job["spec"]["omega"] for job in everything["jobs"]] == [0.6, 0.5, 0.123]
-        assert everything["total"] == 3
-        two = get(client, "/v1/jobs", limit=2)
-        assert ([job["spec"]["omega"] for job in two["jobs"]], two["total"]) == ([0.6, 0.5], 3)
-        assert get(client, "/v1/jobs", state="done") == {"jobs": [], "total": 0, "next": None}
-        client.post(f"/v1/jobs/{everything['jobs'][0]['id']}/cancel")
-        assert get(client, "/v1/jobs", state="cancelled")["total"] == 1
-
-
-def test_a_long_specification_is_left_out_of_lists(tmp_path: Path):
-    with service(tmp_path, Held()) as client:
-        here = client.post(
-            "/v1/jobs", json={**FIGURE_2, "gamma": [1 + i / 3e4 for i in range(2000)]}
-        ).headers["Location"]
-        assert get(client, "/v1/jobs")["jobs"][0]["spec"] is None
-        assert len(get(client, here)["spec"]["gamma"]) == 2000
 
 
 def test_cancel_and_resume(tmp_path: Path):
@@ -149,21 +91,6 @@ def test_cancel_and_resume(tmp_path: Path):
         held.let_go_until(lambda: client.get(here).json()["state"] == "done")
         refused = client.post(f"{here}/cancel")
         assert (refused.status_code, refused.json()["status"]) == (409, 409)
-
-
-def test_a_failed_job_gives_the_reason(tmp_path: Path):
-    (tmp_path / "stores").write_text("in the way of the stores")
-    with service(tmp_path, Held()) as client:
-        here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
-        wait_for(lambda: client.get(here).json()["state"] == "failed")
-        assert "cannot start" in client.get(here).json()["error"]
-
-
-def test_jobs_continue_after_a_restart(tmp_path: Path):
-    with service(tmp_path, Held()) as client:
-        here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
-    with computing(tmp_path) as client:
-        wait_for(lambda: client.get(here).json()["state"] == "done")
 
 
 def test_two_services_cannot_use_one_data_folder(tmp_path: Path):
@@ -266,22 +193,6 @@ def test_formats_of_a_diagram(client: TestClient, figure_2: str, format: str, me
 # Thresholds
 
 
-def test_thresholds_of_a_sweep(client: TestClient):
-    spec = {
-        "gamma": {"start": 0.1, "stop": 1.0, "num": 19},
-        "omega": [0.6, 0.8],
-        "xi": [0.05, 0.26],
-        "model": {"kind": "rigid"},
-        "settle": 40,
-        "observe": 20,
-    }
-    answer = get(client, f"{finished(client, spec)}/threshold", xi=0.04999999999)
-    assert (answer["xi"], answer["omega"], answer["complete"]) == (0.05, [0.6, 0.8], True)
-    for analytic, up in zip(answer["analytic"], answer["up"], strict=True):
-        assert analytic <= up <= analytic + 0.05 + 1e-9
-    assert answer["down"] == [None, None]
-
-
 def test_eq_25(client: TestClient):
     assert get(client, "/v1/threshold", omega=1, xi=0.05)["threshold"] == pytest.approx(0.2 / 1.04**0.5)
     assert get(client, "/v1/threshold", omega=1, xi=0)["threshold"] == 0.0
@@ -328,78 +239,3 @@ def test_the_page_of_endpoints_loads_nothing_from_other_hosts(client: TestClient
     assert "style-src 'self'" in answer.headers["Content-Security-Policy"]
     for text in ("POST /v1/jobs", "Fields of SweepSpec", "micro_flight", '"omega": [', "Fields of Ramp"):
         assert text in answer.text
-
-
-class Page(HTMLParser):
-    """The tables of a page by label, as rows of texts, and the links of the page with their targets."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tables: dict[str, list[list[str]]] = {}
-        self.links, self.targets, self.in_cell = list[str](), list[str](), False
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        given = {name: value or "" for name, value in attributes}
-        if given.get("role") == "region":
-            self.rows = self.tables[given["aria-label"]] = list[list[str]]()
-        elif tag == "tr":
-            self.rows.append([])
-        elif tag in ("th", "td"):
-            self.rows[-1].append("")
-            self.in_cell = True
-        self.links += [given["href"]] if tag == "a" else []
-        self.targets += [f"#{given['id']}"] if "id" in given else []
-
-    def handle_endtag(self, tag: str) -> None:
-        self.in_cell = self.in_cell and tag not in ("th", "td")
-
-    def handle_data(self, data: str) -> None:
-        if self.in_cell:
-            self.rows[-1][-1] += data
-
-
-def test_the_page_tells_every_parameter_and_field(client: TestClient):
-    page = Page(client.get("/docs").text)
-    paths = get(client, "/openapi.json")["paths"]
-    calls = [f"{method.upper()} {path}" for path, methods in paths.items() for method in methods]
-    assert [label for label in page.tables if not label.startswith("Fields of ")] == calls
-    assert {link for link in page.links if link.startswith("#")} <= set(page.targets)
-    assert len(set(page.targets)) == len(page.targets)
-    jobs, states = dict(page.tables["GET /v1/jobs"]), "queued | running | done | failed | cancelled"
-    assert (jobs["state"], jobs["pinned"]) == (states, "boolean")
-    assert jobs["order"] == "newest | oldest | finished | name | largest; default newest"
-    assert (jobs["limit"], jobs["status"]) == ("integer; default 100", "200, 422")
-    assert jobs["created_before"] == "string; as created_from; not included"
-    assert dict(page.tables["GET /v1/jobs/{job_id}/diagram"])["along"] == "gamma | omega | xi; default gamma"
-    studies = "SweepSpec or OrbitsSpec or BasinSpec or MultistabilitySpec"
-    assert dict(page.tables["POST /v1/jobs"])["body"] == f"application/json: {studies}"
-    assert dict(page.tables["POST /v1/jobs/{job_id}/refine"])["body"] == "application/json: Window"
-    assert "body" not in dict(page.tables["POST /v1/jobs/{job_id}/cancel"])
-    (*titles,), *fields = page.tables["Fields of SweepSpec"]
-    assert titles == ["field", "value", "default"]
-    sweep = {name: (value, default) for name, value, default in fields}
-    assert sweep["gamma"] == ("number or list of number or Range", "required")
-    assert sweep["protocol"] == ("Rest or Ramp", '{"kind": "rest"}')
-    assert sweep["keep"] == ("integer at least 1, at most 10000", "64")
-    assert sweep["settle_until"] == ("integer at least 1, at most 1e+07 or null", "null")
-    assert sweep["settle_early"] == ("boolean", "true")
-    tables = [label for label in page.tables if label.startswith("Fields of ")]
-    assert tables[:4] == [f"Fields of {name}" for name in ("SweepSpec", "Range", "Rest", "Ramp")]
-    assert tables[-1] == "Fields of OnCycle"  # of a ramp
-    assert page.tables["Fields of Ramp"][2:4] == [
-        ["axis", '"gamma" or "omega" or "xi"', "required"],
-        ["direction", '"up" or "down" or "both"', "required"],
-    ]  # fmt: skip
-    assert page.tables["Fields of Rest"][1] == ["kind", '"rest"', '"rest"']
-    assert page.tables["Fields of Ball"][2][1] == "number at least 0, below 1 or null"
-    assert '"name": "two frequencies",\n "gamma": {' in client.get("/docs").text
-
-
-def test_the_page_explains_in_whole_sentences(client: TestClient):
-    text = client.get("/docs").text
-    assert '<h3 id="Range">Range</h3><p>`num` values from `start` to `stop`, both included, at ' in text
-    assert 'href="#post-v1-jobs-job-id-refine">POST /v1/jobs/{job_id}/refine</a>' in text
-    about = text.partition('<h2 id="specification">')[2].partition("</p>")[0]
-    assert about.partition("<p>")[2].startswith(SweepSpec.__doc__.partition("\n")[0])  # type: ignore[union-attr]
-    assert 'Submit it with <a href="#post-v1-jobs">POST /v1/jobs</a>' in about

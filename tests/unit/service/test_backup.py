@@ -5,7 +5,6 @@ import shutil
 import sqlite3
 from contextlib import closing, suppress
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner, Result
@@ -13,7 +12,6 @@ from running import running
 from scripted import Held, Scripted, free_port, sweep, wait_for
 
 from kernel.params import KERNEL_VERSION
-from service.cli import doctor
 from service.cli.main import main
 from service.errors import DataFolderBusy, LedgerUnusable
 from service.jobs import backup
@@ -103,13 +101,6 @@ def test_what_contradicts_itself_is_neither_backed_up_nor_restored(folder: Path)
     assert sorted(path.name for path in folder.iterdir()) == ["backup.sqlite", "copy.sqlite", "data"]
 
 
-def test_a_backup_takes_the_place_of_one_that_was_interrupted(folder: Path):
-    partial = folder / "later.sqlite.partial"
-    partial.write_bytes(b"half of a backup" * 999)
-    assert backup.backup(folder / "data" / "ledger.sqlite", folder / "later.sqlite").jobs == 3
-    assert not partial.exists()
-
-
 def test_copies_are_on_the_disk_and_leave_no_file_open(folder: Path, monkeypatch: pytest.MonkeyPatch):
     ledger, file = folder / "data" / "ledger.sqlite", folder / "later.sqlite"
     synced: list[str] = []
@@ -171,35 +162,11 @@ def test_a_log_that_is_not_of_the_backup_is_set_aside(folder: Path):
     assert len(ids(ledger)) == 1
 
 
-def test_a_log_that_has_lost_its_ledger_is_removed(folder: Path):
-    ledger = folder / "data" / "ledger.sqlite"
-    ledger.unlink()
-    wal_of(ledger).write_bytes(b"of the ledger before")
-    assert backup.restore(ledger, folder / "backup.sqlite").replaced is None
-    assert not wal_of(ledger).exists()
-    assert len(ids(ledger)) == 1
-
-
 def test_a_ledger_is_restored_to_a_new_folder(folder: Path):
     ledger = folder / "another" / "machine" / "ledger.sqlite"
     restored = backup.restore(ledger, folder / "backup.sqlite")
     assert (restored.contents.jobs, restored.replaced) == (1, None)
     assert list(ledger.parent.glob("*.sqlite*")) == [ledger]
-
-
-def test_a_backup_that_cannot_be_changed_is_not_restored(folder: Path):
-    """Its deletions must be forgotten."""
-    data, file = folder / "data", folder / "backup.sqlite"
-    with closing(sqlite3.connect(file, isolation_level=None)) as connection:
-        connection.execute("INSERT INTO deletions VALUES ('a', 9, 1.0, 0)")
-        connection.execute(
-            "CREATE TRIGGER kept BEFORE DELETE ON deletions BEGIN SELECT RAISE(ABORT, 'no'); END"
-        )
-    before = sorted(path.name for path in data.iterdir())
-    with pytest.raises(LedgerUnusable, match=r"backup\.sqlite cannot be restored: no"):
-        backup.restore(data / "ledger.sqlite", file)
-    assert sorted(path.name for path in data.iterdir()) == before
-    assert len(ids(data / "ledger.sqlite")) == 3
 
 
 def test_nothing_is_restored_under_a_running_service(folder: Path):
@@ -240,36 +207,6 @@ def test_deletions_of_a_backup_are_forgotten(folder: Path):
         service.manager._scrubber._thread.join()
         assert [Path(url).stem for url in service.manager.unknown_stores] == [job.id]
         assert Path(service.settings.store_of(job.id)).exists()
-
-
-def test_known_are_the_jobs_of_a_ledger_and_the_deleted_ones(folder: Path):
-    path = folder / "data" / "ledger.sqlite"
-    known = ids(path)
-    with Ledger(path) as ledger, ledger.writing() as writing:
-        deleted = writing.newest(None, 1)[0]
-        writing.delete(deleted, 1e12)
-    assert backup.known_ids(path) == known
-
-
-def test_adopt_names_what_it_cannot_take_in(folder: Path):
-    data = str(folder / "data")
-    known = SPECS[0].job_id(KERNEL_VERSION)
-    answer = bounce("adopt", known, "--data", data)
-    assert answer.exit_code == 1
-    assert (answer.stdout, "the ledger knows this job" in answer.stderr) == ("", True)
-    assert bounce("adopt", "--data", data).exit_code == 2
-    assert bounce("adopt", known, "--all", "--data", data).exit_code == 2
-    assert bounce("adopt", "--all", "--data", str(folder / "nowhere")).exit_code == 2
-    assert bounce("adopt", "--all", "--data", data).output == ""  # there is nothing to adopt
-
-
-def test_stores_are_adopted_where_the_ledger_is_lost(folder: Path):
-    known = ids(folder / "data" / "ledger.sqlite")
-    for file in (folder / "data").glob("ledger*"):
-        file.unlink()
-    answer = bounce("adopt", "--all", "--data", str(folder / "data"))
-    assert answer.exit_code == 0, answer.output
-    assert ids(folder / "data" / "ledger.sqlite") == known
 
 
 def test_the_doctor_names_what_needs_attention(folder: Path):
@@ -319,29 +256,3 @@ def test_adopt_makes_no_ledger_where_there_is_nothing_to_adopt(tmp_path: Path):
     assert result.exit_code == 2
     assert "neither a ledger nor stores" in " ".join(result.output.split())
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_doctor_names_what_deletions_have_left(folder: Path):
-    data = folder / "data"
-    known, unknown = SPECS[0].job_id(KERNEL_VERSION), "e" * 32
-    for job_id in (known, unknown):
-        (data / "stores" / f"{job_id}.zarr.deleted-1").mkdir()
-    answer = bounce("doctor", "--data", str(data), "--url", f"http://127.0.0.1:{free_port()}")
-    assert answer.exit_code == 1
-    assert f"!!  stores            {unknown}.zarr.deleted-1 is left of a deletion" in answer.output
-    assert answer.output.count("!!") == 1
-
-
-@pytest.mark.parametrize("bytes_free", [0, 1])
-@pytest.mark.parametrize("network", [None, "nfs4"])
-def test_the_doctor_names_a_disk_that_is_full_or_of_another_machine(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bytes_free: int, network: str | None
-):
-    free = SimpleNamespace(free=doctor.FREE_BYTES - 1 + bytes_free)
-    monkeypatch.setattr(doctor, "shutil", SimpleNamespace(disk_usage=lambda path: free))
-    monkeypatch.setattr(doctor, "network_file_system", lambda path: network)
-    answer = bounce("doctor", "--data", str(tmp_path), "--url", f"http://127.0.0.1:{free_port()}")
-    assert ("!!  disk              " + f"{tmp_path}: 1.1 GB free" in answer.output) == (not bytes_free)
-    assert ("is on a network file system (nfs4)" in answer.output) == (network is not None)
-    assert answer.output.count("!!") == 2 * (not bytes_free) + (network is not None)
-    assert answer.exit_code == (not bytes_free or network is not None)

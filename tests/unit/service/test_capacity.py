@@ -5,10 +5,8 @@ import contextlib
 import functools
 import socket
 import threading
-from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
+from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
@@ -20,22 +18,17 @@ from fastapi import Request, Response
 from fastapi.routing import APIRoute
 from fastapi.testclient import TestClient
 from scripted import DEADLINE, Held, wait_for
-from served import FIGURE_2, RAMP, computing, finished, listening, service, taken
+from served import FIGURE_2, RAMP, computing, finished, listening, taken
 from starlette.types import Message
 
 from service.api import routers
 from service.api.app import create_app
-from service.api.capacity import CLIENT_GONE, MUCH, PIECE, Capacity, Lease, ListenerLimit, costly
+from service.api.capacity import CLIENT_GONE, PIECE, Capacity, Lease, ListenerLimit, costly
 from service.api.routers import views
 from service.errors import Busy, TooManyListeners
-from service.jobs.on_demand import Pending
-from service.render import answers
-from service.render.blocks import GROUP_BYTES
 from service.results.mode_map import comparison_memory
-from service.results.selection import BASE_MEMORY, MAX_READ
 from service.server.web_server import limited
 from service.settings import Settings
-from worker.orbits import MAX_GRID
 from worker.spec import SweepSpec
 
 MB = 2**20
@@ -110,17 +103,6 @@ async def test_an_answer_larger_than_the_memory_is_computed_alone():
 
 
 @in_loop
-async def test_who_has_waited_too_long_is_refused_and_leaves_nothing():
-    limits = capacity(slots=1, timeout=0.01)
-    lease = await limits.acquire("read", 1)
-    with pytest.raises(Busy, match="1 diagrams, maps and tables are computed at a time"):
-        await limits.acquire("read", 50)
-    lease.release()
-    assert limits.used == 0
-    (await limits.acquire("read", 100)).release()
-
-
-@in_loop
 async def test_so_many_may_wait_and_no_more():
     limits = capacity(slots=1, max_waiting=2, timeout=DEADLINE)
     lease = await limits.acquire("read", 1)
@@ -164,31 +146,6 @@ def test_those_behind_one_who_waits_no_longer_get_their_turn(why: str):
         assert limits.used == 70
 
     run()
-
-
-@in_loop
-async def test_memory_is_returned_to_the_system_once_much_of_it_is_free(monkeypatch: pytest.MonkeyPatch):
-    returned = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    monkeypatch.setattr("service.api.capacity.return_memory", lambda: loop.call_soon_threadsafe(returned.set))
-    limits = capacity(memory=10 * MUCH)
-
-    async def nothing_is_returned() -> bool:
-        for _ in range(3):
-            await loop.run_in_executor(None, lambda: None)
-        return not returned.is_set()
-
-    for memory, expected in (((MUCH,), False), ((MUCH - 1, 2), True), ((1,), False), ((MUCH + 1,), True)):
-        leases = [await limits.acquire("read", each) for each in memory]
-        while len(leases) > 1:
-            leases.pop().release()
-        assert await nothing_is_returned()  # one is still there
-        leases.pop().release()
-        if expected:
-            await returned.wait()
-            returned.clear()
-        else:
-            assert await nothing_is_returned()
 
 
 async def gone() -> Message:
@@ -254,20 +211,6 @@ async def test_the_end_of_the_service_waits_for_no_thread_and_begins_nothing():
         timer.cancel()
         go.set()
     assert not began.acquire(blocking=False)
-
-
-@in_loop
-async def test_one_withdrawn_in_the_moment_of_its_turn_gives_it_back():
-    limits = capacity(slots=1)
-    lease = await limits.acquire("read", 10)
-    waiting = asyncio.ensure_future(limits.acquire("read", 10))
-    await asyncio.sleep(0)
-    lease.release()
-    waiting.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        (await waiting).release()
-    assert limits.used == 0
-    (await limits.acquire("read", 100)).release()
 
 
 @in_loop
@@ -353,109 +296,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
 READS = ["diagram", "diagram?format=csv", "diagram?format=png", "line", "modes", "plane"]
 
 
-@pytest.mark.parametrize(
-    "path", [*READS, "threshold", "zarr/zarr.json", "export?format=nc", "trajectory?gamma=2"]
-)
-def test_a_costly_answer_gives_back_what_it_took(client: TestClient, path: str):
-    here = finished(client, FIGURE_2)
-    assert client.get(f"{here}/{path}").status_code == 200
-    capacity = client.app.state.service.capacity  # type: ignore[attr-defined]
-    wait_for(lambda: capacity.used == 0)
-
-
-#: Studies that are queued, and what an answer of each may take beside BASE_MEMORY: per flight, cell, start or
-#: value of omega, times how many the answer may have.
-STUDIES: dict[str, dict[str, Any]] = {
-    "sweep": FIGURE_2 | {"omega": [0.5, 0.6]},
-    "ramp": RAMP,
-    "basins": FIGURE_2 | {"protocol": {"kind": "basin", "rows": 30, "columns": 20}, "gamma": 3.6},
-}
 FLIGHTS, RAMPED, HYSTERESIS = 111 * 64, 11 * 8, comparison_memory(SweepSpec.parse(RAMP))
-TAKES: list[tuple[str, str, int]] = [
-    ("sweep", "diagram?omega=0.5", FLIGHTS * 100),
-    ("sweep", "diagram?omega=0.5&every=10", 12 * 64 * 100),
-    ("sweep", "diagram?omega=0.5&format=csv", FLIGHTS * 300),
-    ("sweep", "diagram?omega=0.5&format=png", FLIGHTS * 80),
-    ("ramp", "diagram?omega=0.5&xi=0.05", RAMPED * 100),
-    ("ramp", "diagram?omega=0.5&xi=0.05&format=csv", 2 * RAMPED * 300),
-    ("ramp", "diagram?omega=0.5&xi=0.05&format=csv&direction=up", RAMPED * 300),
-    ("ramp", "threshold?xi=0.05", MAX_READ + 2 * 1_000),
-    ("sweep", "line?omega=0.5&width=50&height=40", FLIGHTS * 24 + 50 * 40 * 16),
-    ("ramp", "modes?xi=0.05", 22 * 64),
-    ("ramp", "modes?xi=0.05&min_flight=5", 22 * 64 + 2 * RAMPED * 100),
-    ("ramp", "modes?xi=0.05&hysteresis=true", 22 * 64 + HYSTERESIS),
-    ("ramp", "plane?xi=0.05", 22 * 32),
-    ("ramp", "plane?xi=0.05&min_flight=5", 22 * 32 + 2 * RAMPED * 24),
-    ("ramp", "plane?xi=0.05&hysteresis=true", 22 * 32 + HYSTERESIS),
-    ("basins", "basins", 30 * 20 * 100),
-]
-
-
-@pytest.mark.usefixtures("nothing_is_small")
-def test_an_answer_counts_as_what_it_may_take(tmp_path: Path):
-    """From the start of its computation, which is left out here."""
-    with service(tmp_path, Held(capacity=0)) as client:
-        parts = client.app.state.service  # type: ignore[attr-defined]
-        used: list[int] = []
-
-        def run(*_: object) -> Any:
-            used.append(parts.capacity.used)
-            raise Busy("enough")
-
-        parts.background.run = run
-        jobs = {
-            name: client.post("/v1/jobs", json=spec).headers["Location"] for name, spec in STUDIES.items()
-        }
-        for study, path, _ in TAKES:
-            assert client.get(f"{jobs[study]}/{path}").status_code == 429, path
-        names = [f"{study}/{path}" for study, path, _ in TAKES]
-        taken = [each - BASE_MEMORY for each in used]
-        assert dict(zip(names, taken, strict=True)) == dict(
-            zip(names, [each for *_, each in TAKES], strict=True)
-        )
-
-        def of_a_spring(query: str) -> int:
-            assert client.get(f"/v1/orbits?omega=0.6&xi=0.05&{query}").status_code == 429
-            return used.pop() - BASE_MEMORY
-
-        assert of_a_spring("modes=1-1") == 4_000 * MAX_GRID
-        assert of_a_spring("modes=1-1,1-2,1-3") == 3 * 4_000 * MAX_GRID
-
-
-@pytest.mark.usefixtures("nothing_is_small")
-def test_numbers_count_up_to_their_limit_and_pictures_whole(tmp_path: Path):
-    """A picture shows a line of any length."""
-    with service(tmp_path, Held(capacity=0), max_points=1_000) as client:
-        parts = client.app.state.service  # type: ignore[attr-defined]
-        used: list[int] = []
-
-        def run(*_: object) -> Any:
-            used.append(parts.capacity.used - BASE_MEMORY)
-            raise Busy("enough")
-
-        parts.background.run = run
-        here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
-        for format in ("json", "csv", "png"):
-            assert client.get(f"{here}/diagram?format={format}").status_code == 429
-        assert used == [1_000 * 100, 1_000 * 300, FLIGHTS * 80]
-
-
-def test_an_export_counts_as_several_of_its_chunks(tmp_path: Path):
-    with service(tmp_path, Held(capacity=0)) as client:
-        parts = client.app.state.service  # type: ignore[attr-defined]
-        used: list[int] = []
-
-        def make(*_: object) -> Any:
-            used.append(parts.capacity.used - BASE_MEMORY)
-            raise Busy("enough")
-
-        here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
-        chunk = parts.manager.preparer.prepare(parts.ledger.find(here.rpartition("/")[2])).layout.chunk_bytes
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("service.render.export.make", make)
-            for format in ("nc", "parquet"):
-                assert client.get(f"{here}/export?format={format}").status_code == 429
-        assert used == [12 * chunk, 12 * chunk + GROUP_BYTES]
 
 
 @pytest.mark.usefixtures("nothing_is_small")
@@ -488,80 +329,6 @@ def test_small_reads_are_answered_while_every_costly_place_is_taken(client: Test
         ]
         assert client.get(f"{here}/diagram?format=png").status_code == 429
     wait_for(lambda: client.app.state.service.small_reads.used == 0)  # type: ignore[attr-defined]
-
-
-def test_costly_requests_leave_the_other_threads_alone(tmp_path: Path):
-    """Of many at once a few run, the rest waits without a thread, and polls are answered meanwhile."""
-    running, go = threading.Semaphore(0), threading.Event()
-
-    def hold(*_: object, **__: object) -> Any:
-        running.release()
-        go.wait(DEADLINE)
-        raise Busy("enough")
-
-    with service(tmp_path, Held(), max_trajectories=2) as client, pytest.MonkeyPatch.context() as patch:
-        patch.setattr("service.results.trajectory.compute", hold)
-        cell = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
-        ask = [
-            threading.Thread(target=client.post, args=["/v1/trajectories"], kwargs={"json": cell})
-            for _ in range(60)
-        ]
-        for thread in ask:
-            thread.start()
-        try:
-            assert all(running.acquire(timeout=DEADLINE) for _ in range(2))
-            assert client.get("/v1/jobs").status_code == 200
-            assert client.get("/metrics").status_code == 200
-            assert not running.acquire(blocking=False)
-        finally:
-            go.set()
-            for thread in ask:
-                thread.join()
-
-
-def test_with_the_service_end_its_threads_and_what_was_asked_of_workers(tmp_path: Path):
-    def costly() -> set[threading.Thread]:
-        return {thread for thread in threading.enumerate() if thread.name.startswith("costly-")}
-
-    before, asked = costly(), Future[Any]()
-    with computing(tmp_path) as client:
-        assert client.get(f"{finished(client, FIGURE_2)}/diagram").status_code == 200
-        threads = costly() - before
-        on_demand = client.app.state.service.on_demand  # type: ignore[attr-defined]
-        with pytest.raises(Pending):
-            on_demand.get("never computed", lambda _: [asked])
-    assert threads
-    wait_for(lambda: not threads & costly())
-    assert asked.cancelled()
-
-
-@pytest.mark.usefixtures("nothing_is_small")
-def test_a_burst_of_costly_requests_stays_within_its_limits(tmp_path: Path):
-    """`benchmarks/burst.py` measures a larger one, with its times."""
-    most, threads = 0, threading.Semaphore(2)
-    with computing(tmp_path, turn_seconds=0.5, max_reads=2, answer_memory=3 * BASE_MEMORY) as client:
-        here = finished(client, FIGURE_2)
-        capacity = client.app.state.service.capacity  # type: ignore[attr-defined]
-        with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(24) as pool:
-            patch.setattr(answers, "diagram", partial(_counted, answers.diagram, threads))
-            paths = [f"{here}/diagram?format={format}" for format in ("png", "json", "csv")] * 16
-            sent = [pool.submit(client.get, path) for path in paths]
-            while not all(answer.done() for answer in sent):
-                most = max(most, capacity.used)
-                assert client.get(here).status_code == 200
-        statuses = Counter(answer.result().status_code for answer in sent)
-        assert set(statuses) <= {200, 429}
-        assert statuses[200] >= 2
-        assert 0 < most <= 3 * BASE_MEMORY
-        wait_for(lambda: capacity.used == 0)
-
-
-def _counted(compute: Callable[..., Any], threads: threading.Semaphore, *arguments: Any) -> Any:
-    assert threads.acquire(blocking=False), "more threads compute than allowed"
-    try:
-        return compute(*arguments)
-    finally:
-        threads.release()
 
 
 def test_nothing_is_computed_for_clients_that_left_before_their_turn(tmp_path: Path):

@@ -1,30 +1,21 @@
 """What the commands print and write: tables, CSV and JSON of results that are made up here."""
 
-import csv
 import json
-from io import StringIO
 from typing import Any, cast
 
 import numpy as np
 import pytest
 import xarray
-from tables import for_each
 
 from service.cli import orbits, results
 from service.cli.output import (
-    as_json,
     estimate_line,
     job_report,
-    job_table,
-    jobs_live,
     modes_csv,
-    modes_json,
     threshold_table,
-    threshold_view,
     trajectory_csv,
     trajectory_json,
 )
-from service.cli.tradeoff import report, table_lines
 from service.client import Job
 from service.client.models import Estimate
 
@@ -58,33 +49,6 @@ def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
         "owner     ana",
         "created   2026-01-01T00:00:00Z",
     ]
-
-
-def test_json_is_indented_and_shows_every_letter():
-    assert as_json({"name": "ω"}) == '{\n  "name": "ω"\n}'
-
-
-def test_a_table_of_jobs_has_one_line_for_each():
-    heading, first, second = job_table([job(), job(state="queued", percent=0.0, name="")]).splitlines()
-    assert heading.split() == ["ID", "STATE", "DONE", "CELLS", "NAME"]
-    assert first == "0123456789abcdef0123456789abcdef  running     50%         24,000  ω sweep"
-    assert second == "0123456789abcdef0123456789abcdef  queued       0%         24,000"
-
-
-def test_jobs_that_are_watched_show_the_time_that_is_left():
-    from rich.console import Console
-
-    console = Console(width=120, file=StringIO(), record=True)
-    console.print(jobs_live([job()]))
-    heading, line = console.export_text().splitlines()
-    assert heading.split() == ["ID", "STATE", "DONE", "CELLS", "LEFT", "NAME"]
-    assert heading.startswith("ID")  # as wide as what is in it: a terminal may be narrow
-    bar = "━" * 12
-    assert line.split() == ["01234567", "running", bar, "50%", "24,000", "2", "min", "5", "s", "ω", "sweep"]
-    for title, text in (("DONE", "50%"), ("CELLS", "24,000")):  # numbers end below the end of their title
-        assert heading.index(title) + len(title) == line.index(text) + len(text)
-    for title, text in (("ID", "01234567"), ("STATE", "running"), ("LEFT", "2 min"), ("NAME", "ω sweep")):
-        assert heading.index(title) == line.index(text)
 
 
 @pytest.mark.parametrize(
@@ -159,33 +123,6 @@ def test_thresholds_stand_in_columns_with_what_explains_them_below():
     assert last == "the job is not done: thresholds may be missing"
 
 
-@for_each(
-    ("tolerance", "number"),
-    [(0.5, "0.512346"), (1e-4, "0.512346"), (1e-5, "0.5123457"), (3e-8, "0.5123456789"),
-     (1e-12, "0.512345678901")],
-)  # fmt: skip
-def test_refined_thresholds_have_the_digits_of_their_tolerance(tolerance: float, number: str):
-    found = thresholds(tolerance=tolerance)
-    heading, titles, _, line, *_ = threshold_table(found, found, SWEEP).splitlines()
-    assert heading == f"xi = 0.26, to {tolerance:g} in gamma"
-    assert line.split()[3] == number
-    assert len(titles) == len(line) == 5 * (len(number) - 2 + 6)
-
-
-def test_thresholds_as_json_have_null_for_what_is_not_known():
-    view = threshold_view(thresholds(tolerance=1e-3))
-    assert json.loads(json.dumps(view, allow_nan=False)) == {
-        "xi": 0.26, "omega": [0.5, 0.7], "analytic": [0.6123456789, None], "up": [0.75, None],
-        "down": [None, 0.5123456789012], "predicted_jump": [None, 0.9],
-        "predicted_down": [0.7123456789, None],
-        "up_status": ["found", "missing"], "down_status": ["not ramped", "found"],
-        "cause": ["fold (1,1)", "unresolved by the closed form"], "difference": ["", "another cycle"],
-        "prediction": "rigid", "tolerance": 1e-3, "complete": True,
-    }  # fmt: skip
-    assert threshold_view(thresholds(complete=0))["tolerance"] is None
-    assert threshold_view(thresholds(complete=0))["complete"] is False
-
-
 # Cells and samples
 
 
@@ -210,14 +147,6 @@ def test_a_mode_map_is_a_row_for_each_cell():
         b"omega,gamma,outcome,bounces,periods,hysteresis\n"
         b"0.5,1.0,periodic,2,4,none\n0.5,1.5,at_rest,0,0,flights\n"
     )
-
-
-def test_a_mode_map_as_json_has_the_axes_and_a_plane_for_each_variable():
-    assert json.loads(modes_json(mode_map(hysteresis=[[0, 2]]))) == {
-        "xi": 0.26, "direction": "up", "omega": [0.5], "gamma": [1.0, 1.5], "outcome": [[1, 3]],
-        "bounces": [[2, 0]], "periods": [[4, 0]], "hysteresis": [[0, 2]], "min_flight": 0.05,
-        "complete": False,
-    }  # fmt: skip
 
 
 def test_a_motion_is_a_row_for_each_sample():
@@ -303,77 +232,4 @@ def branches() -> xarray.Dataset:
     )  # fmt: skip
 
 
-def test_every_point_of_a_branch_is_a_row(tmp_path: Any):
-    orbits._write(branches(), "branch", "csv", str(tmp_path / "a.csv"))
-    rows = list(csv.reader(StringIO((tmp_path / "a.csv").read_text())))
-    assert rows == [
-        ["branch", "word", "gamma", "flight_time_1", "flight_time_2", "multiplier_re", "multiplier_im"],
-        ["0", "s", "1.0", "4.0", "5.0", "0.5", "0.25"],
-        ["0", "s", "1.5", "4.5", "5.5", "-1.0", "0.0"],
-        ["1", "ss", "2.0", "6.0", "nan", "0.0", "2.0"],
-    ]
-
-
-def test_events_are_printed_in_columns(capsys: pytest.CaptureFixture[str]):
-    orbits._write(branches(), "branch", None, None)
-    assert capsys.readouterr().out.splitlines() == [
-        "EVENT           MODE    GAMMA          OMEGA         XI            FLIGHT TIME    ADMISSIBLE",
-        "fold            (1,1)   0.5532445929   0.6000000000  0.0500000000  4.5000000000   yes",
-        "neimark-sacker  (2,10)  12.0000000000  0.6000000000  0.0500000000  10.2500000000  no",
-    ]
-
-
-def test_a_dataset_as_plain_values_has_null_and_two_parts_of_complex_numbers():
-    plain = orbits.plain(branches())
-    assert json.loads(json.dumps(plain, allow_nan=False)) == plain
-    assert plain["gamma"] == [[1.0, 1.5], [2.0, None]]
-    assert plain["multiplier"] == [[[0.5, 0.25], [-1.0, 0.0]], [[0.0, 2.0], [None, 0.0]]]
-    assert (plain["omega"], plain["event_periods"]) == (0.6, [1, 10])
-
-
 # Cost and accuracy
-
-
-def measurement(**changes: Any) -> dict[str, Any]:
-    return {
-        "purpose": "adhesive", "model": "soft", "penetration": 0.001, "adhesive": True,
-        "steps_per_contact": None, "scheme": None, "locked_only": False, "cost": 2.3288, "cost_most": 4.3395,
-        "error": 0.0, "error_95": 0.0, "agree": 1.0, **changes,
-    }  # fmt: skip
-
-
-def test_the_table_of_models_has_a_part_for_each_reference():
-    rows = [
-        measurement(),
-        measurement(model="stepped", steps_per_contact=20, scheme="verlet", error=4.07e-4, error_95=0.0142,
-                    agree=0.914, cost=131.003, cost_most=131.9),
-        measurement(model="soft", adhesive=False, purpose="nonadhesive", error=1.0, error_95=0.5),
-        measurement(model="rigid", purpose="nonadhesive", penetration=None, adhesive=None, cost=None,
-                    cost_most=None, error=None, error_95=None),
-        measurement(model="ball", purpose="nonadhesive", penetration=None, locked_only=True, error=0.0),
-        measurement(model="ball", purpose="nonadhesive", penetration=None, error=0.0),
-    ]  # fmt: skip
-    references = {"adhesive": "exact soft contact", "nonadhesive": "hard plate"}
-    heading = " " * 36 + "        µs    max µs     error       95%      mode"
-    expected = [
-        "Errors relative to the exact soft contact", heading,
-        "                     soft, d = 0.001      2.33      4.34     exact     exact      100%",
-        "        stepped 20 verlet, d = 0.001       131       132   4.1e-04   1.4e-02       91%",
-        "",
-        "Errors relative to the hard plate", heading,
-        "        soft, d = 0.001, nonadhesive      2.33      4.34   1.0e+00   5.0e-01      100%",
-        "                               rigid   refused   refused         -         -      100%",
-        "     ball, e = f(xi), locked dashpot      2.33      4.34   0.0e+00   0.0e+00      100%",
-        "                     ball, e = f(xi)      2.33      4.34   0.0e+00   0.0e+00      100%",
-        "",
-    ]  # fmt: skip
-    lines = table_lines(rows, references)
-    assert lines == expected
-    text = report({
-        "rows": rows, "references": references, "cells": 80, "periods": 300, "micro_flight": 0.05,
-        "advice": "Take rigid.",
-    }).splitlines()  # fmt: skip
-    assert text[: len(lines)] == lines
-    assert text[-2:] == ["", "Take rigid."]
-    assert "share of all 80 cells" in text[-3]
-    assert "300 periods from rest, flights over 0.05 rad" in text[-3]

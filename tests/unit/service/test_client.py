@@ -1,7 +1,6 @@
 """The client against the real application, in this process."""
 
 import json
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,25 +10,20 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
-from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
+from scripted import TWO_LINES, Held, Scripted, sweep, wait_for
 from tables import for_each
 
 from kernel.params import Outcome
-from kernel.threshold import threshold
 from service import client as package
 from service.api.app import create_app
 from service.client import (
     BadRequest,
     BounceError,
     Client,
-    Conflict,
     InvalidSpecification,
     Job,
-    JobCancelled,
     JobFailed,
     NotFound,
-    StoreUnreachable,
-    TooLarge,
     WaitTimeout,
 )
 from service.settings import Settings
@@ -144,18 +138,7 @@ def test_an_unreadable_file_is_named(
     assert name in str(caught.value)
 
 
-def test_too_many_cells_are_refused(tmp_path: Path):
-    with serving(tmp_path, Held(), max_cells=50) as client, pytest.raises(TooLarge, match="50"):
-        client.submit(SPEC)
-
-
 # Jobs
-
-
-def test_a_job_is_found_again(client: Client, job: Job):
-    same = client.job(job.id)
-    assert same.view == job.view
-    assert same.refresh() is same
 
 
 @for_each("id", ["0" * 32, "", "..", "../healthz", "x" * 32, "A" * 32, "\ud800", "a" * 33])
@@ -163,25 +146,6 @@ def test_an_unknown_id_is_not_found(client: Client, id: str):
     with pytest.raises(NotFound, match="no job has the id") as caught:
         client.job(id)
     assert caught.value.status == 404
-
-
-def test_jobs_are_listed_newest_first(tmp_path: Path):
-    with serving(tmp_path, Held()) as client:
-        assert list(client.jobs()) == []
-        first, second = client.submit(sweep("first")), client.submit(sweep("second", settle=1999))
-        assert [job.id for job in client.jobs()] == [second.id, first.id]
-        assert [job.state for job in client.jobs("done")] == []
-        with pytest.raises(BadRequest, match="state"):
-            list(client.jobs("asleep"))
-
-
-def test_a_long_specification_left_out_of_a_list_is_fetched(tmp_path: Path):
-    values = np.linspace(0.5, 1.2, 2000).tolist()
-    with serving(tmp_path, Held()) as client:
-        client.submit(sweep(gamma=values))
-        (listed,) = client.jobs()
-        assert listed.view["spec"] is None
-        assert listed.spec["gamma"] == values
 
 
 def test_waiting_follows_a_job_to_its_end(tmp_path: Path):
@@ -211,36 +175,6 @@ def test_a_wait_ends_at_its_timeout_and_the_job_continues(tmp_path: Path):
         assert not job.finished
         with pytest.raises(WaitTimeout):
             job.wait(progress=False, timeout=0)
-
-
-def few(client: Client, n: int = 3) -> list[Job]:
-    """Small sweeps, submitted."""
-    return [client.submit(SPEC | {"gamma": [1.2, 1.3 + 0.01 * i]}) for i in range(n)]
-
-
-def test_jobs_are_returned_as_they_end(client: Client):
-    jobs = few(client)
-    assert {job.id for job in client.as_completed(jobs, timeout=DEADLINE)} == {job.id for job in jobs}
-    assert all(job.state == "done" for job in jobs)
-    seen: list[tuple[int, int]] = []
-    assert client.wait_all(iter(jobs), progress=lambda done, total: seen.append((done, total))) == jobs
-    assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
-    assert client.wait_all([], progress=False) == []
-
-
-def test_waiting_for_all_names_the_job_that_is_not_done(tmp_path: Path):
-    held = Held()
-    with serving(tmp_path, held) as client:
-        jobs = few(client, 2)
-        with pytest.raises(WaitTimeout, match="the job continues"):
-            client.wait_all(jobs, timeout=0.2, progress=False)
-        wait_for(held.held)
-        jobs[1].cancel()
-        held.let_go_all()
-        with pytest.raises(JobCancelled) as caught:
-            client.wait_all(jobs, timeout=DEADLINE, progress=False)
-        assert caught.value.job is jobs[1]
-        assert jobs[0].refresh().state == "done"
 
 
 def test_specifications_are_mapped_to_jobs_few_at_once(client: Client):
@@ -281,27 +215,6 @@ def test_a_failed_job_says_why(tmp_path: Path):
         assert "the roof fell in" in caught.value.job.error
 
 
-def test_a_cancelled_job_can_be_resumed(tmp_path: Path):
-    held = Held()
-    with serving(tmp_path, held) as client:
-        job = client.submit(sweep())
-        wait_for(held.held)
-        assert job.cancel() is job
-        job.cancel()
-        wait_for(held.told_to_stop)
-        with pytest.raises(JobCancelled, match="submit the same sweep"):
-            job.wait(progress=lambda job: held.let_go_all(), timeout=DEADLINE)
-        with pytest.raises(JobCancelled):
-            job.wait(progress=False)
-        assert client.submit(sweep()).id == job.id
-        assert job.refresh().state in ("queued", "running")
-
-
-def test_a_job_that_is_done_cannot_be_cancelled(job: Job):
-    with pytest.raises(Conflict, match="done"):
-        job.cancel()
-
-
 # Results
 
 
@@ -322,16 +235,6 @@ def test_a_diagram_is_a_dataset(job: Job):
     assert cell.flight_time.values == pytest.approx(4.855013427295, abs=1e-6)
 
 
-def test_a_diagram_has_nan_where_there_is_no_flight(job: Job):
-    diagram = job.diagram(omega=0.5)
-    resting = diagram.outcome == Outcome.AT_REST
-    assert resting.any()
-    assert diagram.flight_time.where(resting, drop=True).isnull().all()
-    counted = np.minimum(diagram.flights, 8)
-    assert (diagram.flight_time.notnull().sum("flight") == counted).all()
-    assert (diagram.takeoff_phase.notnull() == diagram.flight_time.notnull()).all()
-
-
 def test_every_variable_has_attributes_and_can_be_stored(job: Job, tmp_path: Path):
     for dataset in (job.diagram(omega=0.5), job.threshold()):
         assert dataset.attrs["Conventions"].startswith("CF-")
@@ -341,26 +244,6 @@ def test_every_variable_has_attributes_and_can_be_stored(job: Job, tmp_path: Pat
         dataset.to_zarr(tmp_path / f"{len(dataset)}.zarr", zarr_format=2, consolidated=True)
     (flags,) = {len(text.split()) for text in (job.diagram(omega=0.5).outcome.flag_meanings,)}
     assert flags == len(job.diagram(omega=0.5).outcome.flag_values) == len(Outcome)
-
-
-def test_a_diagram_goes_along_any_axis(job: Job):
-    diagram = job.diagram("omega", gamma=1.5)
-    assert dict(diagram.sizes)["omega"] == 2
-    assert float(diagram.gamma) == 1.5
-
-
-def test_cells_can_be_left_out(job: Job):
-    whole, thinned = job.diagram(omega=0.5), job.diagram(omega=0.5, every=3)
-    np.testing.assert_array_equal(thinned.gamma, whole.gamma[::3])
-    np.testing.assert_array_equal(thinned.outcome, whole.outcome[::3])
-
-
-def test_short_flights_can_be_left_out(job: Job):
-    diagram = job.diagram(omega=0.5, min_flight=6.0)
-    shortest = diagram.flight_time.min("flight")
-    long = diagram.flight_time.max("flight") > 6.0
-    assert long.any()
-    assert float(shortest.where(long).min()) > 6.0
 
 
 @for_each(
@@ -391,41 +274,6 @@ def test_pictures_are_the_bytes_of_files(job: Job):
         job.picture(omega=0.5, format="bmp")
 
 
-def test_results_come_before_the_job_is_done(tmp_path: Path):
-    with serving(tmp_path, Held()) as client:
-        diagram = client.submit(sweep()).diagram()
-        assert diagram.attrs["complete"] == 0
-        assert (diagram.outcome == Outcome.MISSING).all()
-        assert (diagram.sizes["gamma"], diagram.sizes["flight"]) == (60, 0)
-
-
-def test_thresholds_come_per_omega(job: Job):
-    dataset = job.threshold(xi=0.26)
-    assert dataset.omega.values.tolist() == [0.5, 0.7]
-    assert dataset.analytic.values == pytest.approx(threshold(dataset.omega.values, 0.26))
-    assert dataset.up.values - dataset.analytic.values == pytest.approx([0.05, 0.05], abs=0.051)
-    assert dataset.down.isnull().all()  # the sweep never goes down
-
-
-def test_a_ramp_both_ways_has_a_diagram_per_direction(client: Client):
-    protocol = {"kind": "ramp", "axis": "gamma", "direction": "both"}
-    gamma = {"start": 0.4, "stop": 1.2, "num": 41}
-    ramp = {"gamma": gamma, "omega": 0.6, "xi": 0.05, "protocol": protocol, "model": {"kind": "rigid"}}
-    job = client.submit(ramp | {"settle": 60, "observe": 20, "keep": 4}).wait(progress=False)
-    up, down = (job.diagram(direction=direction) for direction in ("up", "down"))
-    assert [str(diagram.direction.values) for diagram in (up, down)] == ["up", "down"]
-    assert int((down.flights > 0).sum()) > int((up.flights > 0).sum())
-    loop = job.threshold()
-    assert float(loop.down[0]) < float(loop.analytic[0]) < float(loop.up[0])
-
-
-def test_eq_25_is_available(client: Client):
-    assert float(client.threshold(0.5, 0.26).threshold) == pytest.approx(float(threshold(0.5, 0.26)))
-    assert float(client.threshold(math.sqrt(2), 1e-9).threshold) > 1e6
-    with pytest.raises(BadRequest, match="omega"):
-        client.threshold(-1.0, 0.26)
-
-
 def test_the_store_opens_lazily(job: Job):
     store = job.open()
     assert isinstance(store, xarray.Dataset)
@@ -435,23 +283,7 @@ def test_the_store_opens_lazily(job: Job):
     np.testing.assert_array_equal(line.flight_time.load(), job.diagram(omega=0.5).flight_time)
 
 
-def test_a_store_that_is_not_there_yet_is_unreachable(tmp_path: Path):
-    with serving(tmp_path, Held(), active_jobs=1) as client:
-        client.submit(sweep("never ends"))
-        waiting = client.submit(sweep("waits for it", omega=0.6))
-        with pytest.raises(StoreUnreachable, match="has not started"):
-            waiting.open()
-
-
 # How things look, and what is exported
-
-
-def test_the_representations_of_a_job_in_a_shell_and_in_a_notebook(job: Job):
-    assert repr(job) == f"<Job {job.id[:8]} coarse <figure 2>: done, 100% (92 of 92 cells)>"
-    html = job._repr_html_()
-    assert "coarse &lt;figure 2&gt;" in html
-    assert "<figure" not in html
-    assert job.id in html
 
 
 def test_every_error_is_exported_and_descends_from_one():

@@ -13,11 +13,9 @@ from running import running
 from scripted import DEADLINE, Held, Scripted, sweep, wait_for
 
 from kernel.params import KERNEL_VERSION
-from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobState
 from service.jobs.stores import deletion
-from service.jobs.transactions import DeletionStep
 from service.settings import Settings
 from worker import store
 from worker.executors.inline import Inline
@@ -73,18 +71,6 @@ def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Hanging
         one.go_on.set()
 
 
-def test_nothing_is_left_of_a_deleted_job(done: Path, inline: Inline):
-    with running(done, inline) as service:
-        service.manager.delete(JOB)
-        wait_for(lambda: service.pending_deletions() == 0)
-    assert names(done) == []
-
-
-def test_a_deletion_does_not_keep_the_process_from_ending(done: Path, inline: Inline):
-    with running(done, inline):
-        assert [thread.daemon for thread in threading.enumerate() if thread.name == "deleter"] == [True]
-
-
 @pytest.mark.parametrize("name", ["set_cancelled", "rename_for_deletion", "remove"])
 def test_a_store_that_hangs_holds_nobody_up(
     done: Path, inline: Inline, hanging: Callable[[str], Hanging], name: str
@@ -118,20 +104,6 @@ def test_a_job_waits_while_its_address_has_results_of_a_deleted_one(
         assert service.job(again).state is JobState.QUEUED
         hang.go_on.set()
         service.until(again, JobState.RUNNING)
-
-
-def test_a_mark_that_cannot_be_written_is_a_warning(
-    done: Path, inline: Inline, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-):
-    def full(url: str) -> None:
-        raise OSError(28, os.strerror(28))
-
-    monkeypatch.setattr(store, "set_cancelled", full)
-    with running(done, inline) as service:
-        service.manager.delete(JOB)
-        wait_for(lambda: service.pending_deletions() == 0)
-    assert names(done) == []
-    assert "cannot be set: [Errno 28]" in caplog.text
 
 
 def test_what_cannot_be_removed_is_tried_again(done: Path, inline: Inline, monkeypatch: pytest.MonkeyPatch):
@@ -180,41 +152,6 @@ def test_a_store_made_after_its_deletion_stays(done: Path, inline: Inline):
     assert names(done) == [f"{JOB}.zarr"]
 
 
-def test_a_store_as_old_as_its_deletion_goes_and_a_later_one_stays(done: Path):
-    created = store.created_at(str(done / "stores" / f"{JOB}.zarr"))
-    assert created is not None
-    with Ledger(done / "ledger.sqlite") as ledger:
-        job = ledger.find(JOB)
-        assert job is not None
-        deleter = deletion.Deleter(ledger, Settings(data=done), lambda: None)
-        for earlier, left in ((0.1, [f"{JOB}.zarr"]), (0.0, [])):
-            with ledger.writing() as writing:
-                writing.delete(job, created - earlier)
-                deleter._inherited = set(writing.deletions())
-            assert deleter._carry_out_all()  # there is nothing to try again
-            assert names(done) == left
-
-
-def test_a_deletion_is_repeated_only_if_it_is_recorded(done: Path):
-    with Ledger(done / "ledger.sqlite") as ledger:
-        job = ledger.find(JOB)
-        assert job is not None
-        with ledger.writing() as writing:
-            assert not writing.repeat_deletion(job, 5.0)
-            writing.delete(job, 1.0)
-            [first] = writing.deletions()
-            assert (first.seq, first.created, first.step) == (job.seq, 1.0, DeletionStep.RECORDED)
-            assert writing.is_occupied(JOB)
-            writing.advance_deletion(first, DeletionStep.FREED)
-            assert not writing.is_occupied(JOB)
-            writing.advance_deletion(first, DeletionStep.COMPLETE)
-            assert writing.deletions() == []
-            assert writing.repeat_deletion(job, 5.0)
-            writing.advance_deletion(first, DeletionStep.COMPLETE)  # too late
-            [again] = writing.deletions()
-            assert (again.created, again.step) == (5.0, DeletionStep.RECORDED)
-
-
 def test_a_running_job_is_not_touched_by_the_deletion_of_its_predecessor(
     done: Path, hanging: Callable[[str], Hanging]
 ):
@@ -247,60 +184,6 @@ def test_metadata_repaired_while_the_job_is_deleted_does_not_stay(
         assert names(done) == []
 
 
-def test_it_tells_when_a_deleted_address_is_free(done: Path):
-    """A study submitted again waits for that."""
-    record_deletion(done, age=0.0)
-    freed = threading.Event()
-    with Ledger(done / "ledger.sqlite") as ledger:
-        deleter = deletion.Deleter(ledger, Settings(data=done), freed.set)
-        deleter.start()
-        assert freed.wait(DEADLINE)
-        assert not deleter._recorded.is_set()  # it waits for the next deletion
-        deleter.stop(DEADLINE)
-        assert not deleter._thread.is_alive()
-    assert names(done) == []
-
-
-def test_a_complete_deletion_is_remembered_until_the_next_start(done: Path):
-    with Ledger(done / "ledger.sqlite") as ledger:
-        with ledger.writing() as writing:
-            job = writing.newest(None, 1)[0]
-            writing.delete(job, 1.0)
-            writing.advance_deletion(writing.deletions()[0], DeletionStep.COMPLETE)
-            assert writing.repeat_deletion(job, 1.0)
-            writing.advance_deletion(writing.deletions()[0], DeletionStep.COMPLETE)
-        deleter = deletion.Deleter(ledger, Settings(data=done), lambda: None)
-        deleter.start()
-        deleter.stop(DEADLINE)
-        with ledger.writing() as writing:
-            assert not writing.repeat_deletion(job, 2.0)
-
-
-def test_a_deletion_that_fails_is_tried_again_less_and_less_often(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    pauses: list[float | None] = []
-    with Ledger(tmp_path / "ledger.sqlite") as ledger:
-        deleter = deletion.Deleter(ledger, Settings(data=tmp_path), lambda: None)
-        complete = iter([True, *[False] * 8, True])
-
-        class Noting(threading.Event):
-            def wait(self, timeout: float | None = None) -> bool:
-                pauses.append(timeout)
-                return True
-
-        def carry_out_all() -> bool:
-            if (one := next(complete, None)) is None:
-                deleter._stopping.set()
-            return bool(one)
-
-        monkeypatch.setattr(deleter, "_recorded", Noting())
-        monkeypatch.setattr(deleter, "_carry_out_all", carry_out_all)
-        deleter._work()
-    assert pauses[:10] == [None, None, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]
-    assert pauses[10] is None
-
-
 def test_all_chunks_of_deleted_jobs_are_forgotten_and_their_pages_given_back(
     done: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -326,46 +209,3 @@ def test_all_chunks_of_deleted_jobs_are_forgotten_and_their_pages_given_back(
         with ledger.reading() as reading:
             assert reading._sql.execute("SELECT count(*) FROM chunks").fetchone()[0] == 0
         assert not ledger.shrink(1)
-
-
-def test_only_a_job_that_was_deleted_is_removed_again(done: Path):
-    with Ledger(done / "ledger.sqlite") as ledger:
-        job = ledger.find(JOB)
-        assert job is not None
-        deleter = deletion.Deleter(ledger, Settings(data=done), lambda: None)
-        deleter.repeat(job)
-        assert not deleter._recorded.is_set()
-        with ledger.writing() as writing:
-            writing.delete(job, 1.0)
-            writing.advance_deletion(writing.deletions()[0], DeletionStep.COMPLETE)
-        deleter.repeat(job)
-        assert deleter._recorded.is_set()
-        with ledger.reading() as reading:
-            [again] = reading.deletions()
-        assert time.time() - DEADLINE < again.created <= time.time()
-
-
-def test_a_deletion_that_the_ledger_refuses_waits(
-    done: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-):
-    record_deletion(done, age=0.0)
-    with Ledger(done / "ledger.sqlite") as ledger:
-        deleter = deletion.Deleter(ledger, Settings(data=done), lambda: None)
-        with monkeypatch.context() as patched:
-            patched.setattr(ledger, "check", refused)
-            assert not deleter._carry_out_all()
-        assert "cannot be removed now, it is tried again" in caplog.text
-        assert names(done) == [f"{JOB}.zarr"]
-        deleter._stopping.set()
-        assert not deleter._carry_out_all()  # the next start removes it
-        assert names(done) == [f"{JOB}.zarr"]
-        deleter._stopping.clear()
-        assert deleter._carry_out_all()
-        assert names(done) == []
-        deleter._stopping.set()
-        assert deleter._carry_out_all()  # nothing is left
-    assert not deleter._carry_out_all()  # the ledger is closed, and there may be more
-
-
-def refused() -> None:
-    raise LedgerUnavailable("another program has changed it")

@@ -128,23 +128,6 @@ def test_the_interrupted_job_ends_and_another_computes_all_of_it(folder: Path):
     assert stored_checksums(folder, "interrupted") == recorded_checksums(folder, "interrupted")
 
 
-def test_the_next_start_changes_nothing_more(folder: Path):
-    views = []
-    for _ in range(2):
-        with service(folder, Held(capacity=0)) as client:
-            views.append([get(client, "/v1/jobs")["total"], get(client, INTERRUPTED)])
-    assert views[0] == views[1]
-    assert views[0][0] == 3
-
-
-def test_a_cancel_requested_before_is_carried_out(folder: Path):
-    change_ledger(folder, "UPDATE jobs SET cancel_requested = 1 WHERE state = 'running'")
-    with service(folder, Held()) as client:
-        job = get(client, INTERRUPTED)
-        assert (job["state"], job["replaced_by"]) == ("cancelled", None)
-        assert get(client, "/v1/jobs")["total"] == 2
-
-
 def test_a_job_whose_specification_is_refused_today_keeps_no_service_from_starting(folder: Path):
     change_ledger(folder, "UPDATE jobs SET spec = json_set(spec, '$.colour', 'red') WHERE state = 'running'")
     with service(folder, Held()) as client:
@@ -176,18 +159,6 @@ def test_resuming_answers_with_the_job_that_starts_it_anew(folder: Path):
         assert client.post(f"{INTERRUPTED}/resume").status_code == 202
 
 
-def test_resuming_what_this_release_refuses_names_the_field(folder: Path):
-    change_ledger(
-        folder,
-        "UPDATE jobs SET state = 'cancelled', spec = json_set(spec, '$.colour', 'red')"
-        " WHERE state = 'running'",
-    )
-    with service(folder, Held()) as client:
-        answer = client.post(f"{INTERRUPTED}/resume")
-        assert answer.status_code == 422
-        assert answer.json()["errors"][0]["field"] == "colour"
-
-
 def test_results_are_read_though_their_specification_is_refused_today(folder: Path, tmp_path: Path):
     """Kernel version 1 had no upper bound of `settle_tolerance`."""
     change_ledger(folder, "UPDATE jobs SET spec = json_set(spec, '$.settle_tolerance', 1e-3)")
@@ -210,18 +181,6 @@ def test_a_done_job_is_not_resumed_and_its_sweep_submitted_again_is_another_job(
         assert answer.json()["id"] != IDS["done"]
         old = get(client, DONE)
         assert (old["state"], old["replaced_by"]) == ("done", answer.json()["id"])
-
-
-def test_a_key_used_for_a_job_of_another_kernel_version_is_free(folder: Path):
-    with service(folder, Held()):
-        pass  # brings the ledger to this version
-    change_ledger(folder, "INSERT INTO keys VALUES ('k', 'the body of then', 1, 4e9)")
-    with service(folder, Held(capacity=0)) as client:
-        spec = get(client, DONE)["spec"]
-        statuses = [
-            client.post("/v1/jobs", json=spec, headers={"Idempotency-Key": "k"}).status_code for _ in range(2)
-        ]
-    assert statuses == [202, 200]
 
 
 def test_no_number_of_this_kernel_is_added_to_an_earlier_job(folder: Path):
@@ -247,13 +206,6 @@ def test_exports_say_which_kernel_computed_them(folder: Path, tmp_path: Path):
     for attributes in (netcdf, {name.decode(): text.decode() for name, text in metadata.items()}):
         assert attributes["kernel_version"] == "1"
         assert attributes["comment"].startswith("computed by kernel version 1; the release that wrote")
-
-
-def test_estimates_take_no_speed_from_another_kernel(folder: Path):
-    with service(folder, Held()) as client:
-        with client.app.state.service.ledger.reading() as ledger:  # type: ignore[attr-defined]
-            assert ledger.paces(10, 10_000) == []
-        assert get(client, DONE)["progress"]["chunks_done"] == 1
 
 
 # Damage

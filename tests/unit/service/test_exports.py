@@ -1,45 +1,31 @@
 """A sweep as a file, as a mode map, and as the store itself over HTTP: the same numbers everywhere."""
 
-import errno
 import io
 import json
-import shutil
-import time
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
 import xarray
 from fastapi.testclient import TestClient
 from pyarrow import parquet
 from scripted import Held
-from served import RAMP, computing, finished, get, occupied, service, taken
+from served import RAMP, computing, finished, get, service, taken
 from tables import for_each
 
 from kernel.labels import LABELS
 from kernel.params import KERNEL_VERSION, Outcome
-from service import formats
 from service.api import schemas
 from service.background import InThisProcess
-from service.errors import ExportFailed, NoSpace, TooLarge
-from service.jobs.model import JobState
-from service.render import export, netcdf, netcdf_writer
-from service.render import parquet as parquet_file
-from service.render.blocks import Block
-from service.results import provenance
+from service.errors import NoSpace
+from service.render import export
 from service.results.counting import MODE_ARRAYS
-from service.results.mode_map import modes
 from service.results.selection import Sweep
 from service.software import processor, software
-from worker import schema, store
-from worker.cost import estimate
+from worker import schema
 from worker.plan import make_plan
-from worker.schema import layout
 from worker.spec import SweepSpec
 
 
@@ -106,23 +92,6 @@ def test_a_file_tells_what_computed_it_alike_in_every_format(done: Done, tmp_pat
     assert ended == f"{job['finished'][:19]}Z done"
 
 
-def test_a_row_for_every_flight_that_is_kept(done: Done):
-    cells, flights = (
-        parquet.read_table(
-            io.BytesIO(done.client.get(f"{done.here}/export?format=parquet&layout={layout}").content)
-        ).to_pylist()
-        for layout in ("cells", "flights")
-    )
-    lists = ("flight_time", "takeoff_phase", "end_state")
-    assert flights == [
-        {name: value for name, value in cell.items() if name not in lists}
-        | {"flight": number, "flight_time": time, "takeoff_phase": phase}
-        for cell in cells
-        for number, (time, phase) in enumerate(zip(cell["flight_time"], cell["takeoff_phase"], strict=True))
-    ]
-    assert len(flights) > len(cells)
-
-
 def test_parquet_holds_a_row_for_every_cell(done: Done):
     answer = done.client.get(f"{done.here}/export?format=parquet")
     table = parquet.read_table(io.BytesIO(answer.content))
@@ -158,27 +127,6 @@ def test_every_stored_variable_is_in_every_format(done: Done, tmp_path: Path):
     assert set(MODE_ARRAYS) < set(schemas.Modes.model_fields)
 
 
-def test_small_chunks_are_gathered_in_row_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Many chunks make few groups; a group ends with the batch that fills it."""
-    table = pa.schema([("number", pa.int64())])
-    batches = [pa.record_batch([np.arange(40)], schema=table) for _ in range(10)]
-    assert [len(group) for group in parquet_file._groups(batches)] == [10]
-    monkeypatch.setattr(parquet_file, "GROUP_ROWS", 100)
-    assert [len(group) for group in parquet_file._groups(batches)] == [3, 3, 3, 1]
-    monkeypatch.setattr(parquet_file, "GROUP_BYTES", 640)
-    assert [len(group) for group in parquet_file._groups(batches)] == [2] * 5
-
-
-def test_a_sweep_of_many_chunks_has_one_row_group(done: Done):
-    assert get(done.client, done.here)["progress"]["chunks_total"] > 1
-    content = done.client.get(f"{done.here}/export?format=parquet").content
-    assert parquet.read_metadata(io.BytesIO(content)).num_row_groups == 1
-
-
-def test_every_format_has_a_media_type():
-    assert {*formats.TABLES, *formats.PICTURES, *formats.EXPORTS} == set(formats.MEDIA_TYPES)
-
-
 @pytest.mark.parametrize("format", ["nc", "parquet"])
 def test_a_job_not_begun_exports_as_missing_cells(tmp_path: Path, format: str):
     with service(tmp_path, Held(capacity=0)) as client:
@@ -189,12 +137,6 @@ def test_a_job_not_begun_exports_as_missing_cells(tmp_path: Path, format: str):
             table = parquet.read_table(io.BytesIO(answer.content)).to_pydict()
             assert set(table["outcome"]) == {"missing"}
             assert set(map(len, table["flight_time"])) == {0}
-
-
-def test_nothing_is_left_of_a_file_that_was_sent(done: Done, tmp_path: Path):
-    done.client.get(f"{done.here}/export?format=nc").raise_for_status()
-    (exports,) = Path(str(done.client.app.state.service.settings.data)).glob("exports")  # type: ignore[attr-defined]
-    assert list(exports.iterdir()) == []
 
 
 def test_what_a_killed_export_left_is_swept_at_the_start(tmp_path: Path):
@@ -210,26 +152,6 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
         answer = client.get(f"{here}/export?format=nc")
         assert answer.status_code == 413
         assert "the limit for one file is 1,000" in answer.json()["detail"]
-
-
-def test_a_file_may_have_as_many_bytes_as_the_limit():
-    spec = SweepSpec(**RAMP)
-    plan = make_plan(spec)
-    size = estimate(spec, len(plan)).bytes
-    export.check_size(Sweep(spec, ""), plan, size)
-    with pytest.raises(TooLarge, match=f"holds {size:,} bytes; the limit for one file is {size - 1:,}"):
-        export.check_size(Sweep(spec, ""), plan, size - 1)
-
-
-def test_a_block_is_written_if_it_fits_on_the_disk_beside_what_is_spared(monkeypatch: pytest.MonkeyPatch):
-    """Two arrays of 800 bytes."""
-    block = Block("up", {}, {"one": np.zeros(100), "two": np.zeros((10, 10))})
-    free = export.SPARE + 1600
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
-    assert list(export._while_there_is_room([block, block], Path())) == [block, block]
-    free -= 1
-    with pytest.raises(NoSpace, match="less than 16,777,216 bytes would stay free"):
-        list(export._while_there_is_room([block], Path()))
 
 
 @pytest.fixture
@@ -261,39 +183,6 @@ def test_only_a_full_disk_is_told_as_one(whole: export.Export, tmp_path: Path):
         export.write(whole, tmp_path / "folder")
 
 
-def test_why_a_file_of_netcdf_could_not_be_written():
-    """The process that writes it reports an error, or has died."""
-    netcdf._check(b"null", 0)
-    with pytest.raises(ExportFailed, match=r"the process that writes the file has died \(-11\)"):
-        netcdf._check(b"", -11)
-    with pytest.raises(OSError, match="No space left on device") as full:
-        netcdf._check(json.dumps({"errno": errno.ENOSPC, "text": "OSError: it is full"}).encode(), 0)
-    assert full.value.errno == errno.ENOSPC
-    with pytest.raises(ExportFailed, match=r"^RuntimeError: it is broken$"):
-        netcdf._check(json.dumps({"errno": None, "text": "RuntimeError: it is broken"}).encode(), 0)
-
-
-@pytest.mark.parametrize(
-    ("error", "number"),
-    [
-        (OSError(errno.ENOSPC, "No space left on device"), errno.ENOSPC),
-        (RuntimeError("Can't write data (file write failed: errno = 28, error message = ...)"), 28),
-        (OSError("Unable to create file (errno = 13)"), 13),
-        (ValueError("no such thing"), None),
-    ],
-)
-def test_the_number_of_an_error_may_be_in_its_text_alone(error: Exception, number: int | None):
-    assert netcdf_writer.number(error) == number
-
-
-def test_the_history_of_results_that_are_repaired_has_no_end(done: Done):
-    job = done.client.app.state.service.ledger.find(done.here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
-    whole = provenance._history(job).splitlines()
-    assert [line.split(" ")[1] for line in whole] == ["accepted", "computing", "done"]
-    assert provenance._history(replace(job, state=JobState.RUNNING)).splitlines() == whole[:2]
-    assert provenance._history(replace(job, finished=None)).splitlines() == whole[:2]
-
-
 def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
     with taken(done.client, "export"):
         answer = done.client.get(f"{done.here}/export?format=nc")
@@ -309,53 +198,6 @@ def test_an_export_needs_a_format_and_rows_that_it_has(done: Done, query: str):
 
 
 # Mode maps
-
-
-@pytest.mark.parametrize("direction", ["up", "down", None])
-def test_the_mode_map_is_the_stores_plane(done: Done, direction: str | None):
-    query = {"xi": 0.26, **({"direction": direction} if direction else {})}
-    mode_map = get(done.client, f"{done.here}/modes", **query)
-    stored = done.store.sel(xi=0.26, direction=direction or "up")
-    assert (mode_map["xi"], mode_map["direction"], mode_map["complete"]) == (0.26, direction or "up", True)
-    assert mode_map["omega"] == [0.5, 0.7]
-    for name in ("outcome", "bounces", "periods"):
-        assert mode_map[name] == stored[name].values.tolist()
-
-
-def test_a_mode_map_needs_a_xi_of_the_grid(done: Done):
-    assert "xi: is required" in done.client.get(f"{done.here}/modes").json()["detail"]
-    assert done.client.get(f"{done.here}/modes?xi=3").status_code == 422
-    assert done.client.get(f"{done.here}/modes?xi=0.26&direction=rest").status_code == 422
-
-
-def test_a_mode_map_of_a_hundred_thousand_cells_takes_little(tmp_path: Path):
-    with occupied(tmp_path) as client:
-        spec = SweepSpec(
-            gamma={"start": 1, "stop": 5, "num": 400},
-            omega={"start": 0.3, "stop": 1, "num": 250},
-            xi=0.1,
-            keep=1,
-        )
-        here = client.post("/v1/jobs", json=spec.as_submitted()).headers["Location"]
-        url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
-        plan = make_plan(spec, chunk_shape=client.app.state.service.ledger.find(here[9:]).chunk_shape)  # type: ignore[attr-defined]
-        store.create(url, layout(spec, plan.chunk_shape))
-        for chunk in plan:
-            record = {
-                array.name: np.ones((*chunk.shape, *(1 for _ in array.extra_dims)), array.dtype)
-                for array in schema.arrays(spec)
-            }
-            store.write_chunk(url, chunk, record)
-        began = time.process_time()
-        mode_map = get(client, f"{here}/modes")
-        took = time.process_time() - began
-        assert (len(mode_map["outcome"]), len(mode_map["outcome"][0]), mode_map["complete"]) == (
-            250,
-            400,
-            True,
-        )
-        assert took < 2.0
-        assert modes(Sweep(spec, url), None, None, 10**6).complete
 
 
 # The store over HTTP
@@ -376,11 +218,6 @@ def test_a_link_in_a_store_is_not_followed(tmp_path: Path):
             assert (answer.status_code, b"secret" in answer.content) == (404, False)
             part.unlink()
             part.with_name("aside").rename(part)
-
-
-@pytest.mark.parametrize("method", ["PUT", "POST", "DELETE", "PATCH"])
-def test_the_store_is_read_only(done: Done, method: str):
-    assert done.client.request(method, f"{done.here}/zarr/zarr.json").status_code == 405
 
 
 ATTRACTORS: dict[str, dict[str, Any]] = {
@@ -423,16 +260,6 @@ def test_parquet_holds_a_row_for_every_attractor(attractors: Done):
             np.testing.assert_array_equal(row["lyapunov"], cell.lyapunov.values)
 
 
-def test_parquet_holds_a_row_for_every_flight_of_an_attractor(attractors: Done):
-    content = attractors.client.get(f"{attractors.here}/export?format=parquet&layout=flights").content
-    rows = parquet.read_table(io.BytesIO(content)).to_pylist()
-    times = attractors.store.flight_time
-    assert len(rows) == int(np.isfinite(times).sum())
-    for row in rows:
-        place = {axis: row[axis] for axis in ("gamma", "omega", "xi", "id")}
-        assert row["flight_time"] == times.sel(place).values[row["flight"]]
-
-
 def test_an_answer_of_attractors_says_whether_it_is_complete(attractors: Done, tmp_path: Path):
     spec = get(attractors.client, attractors.here)["spec"]
     path = {"basin": "basins?gamma=0.6", "multistability": "multistability"}[spec["protocol"]["kind"]]
@@ -442,14 +269,3 @@ def test_an_answer_of_attractors_says_whether_it_is_complete(attractors: Done, t
         here = client.post("/v1/jobs", json=spec).headers["Location"]
         answer = client.get(f"{here}/{path}")
         assert (answer.status_code, answer.headers["Bounce-Complete"]) == (200, "false")
-
-
-@pytest.mark.parametrize("format", ["nc", "parquet"])
-def test_basins_not_begun_export_no_attractor(tmp_path: Path, format: str):
-    spec = ATTRACTORS["basin"] | {"omega": 0.5, "xi": 0.26}
-    with service(tmp_path, Held(capacity=0)) as client:
-        here = client.post("/v1/jobs", json=spec).headers["Location"]
-        answer = client.get(f"{here}/export?format={format}")
-        assert answer.headers["Bounce-Complete"] == "false"
-        if format == "parquet":
-            assert parquet.read_table(io.BytesIO(answer.content)).num_rows == 0

@@ -8,9 +8,6 @@ from tables import for_each
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition
 from service.jobs.model import (
-    LEGAL,
-    RESUMABLE,
-    UNFINISHED,
     Failure,
     JobRecord,
     JobState,
@@ -44,11 +41,6 @@ def test_transitions_are_these_and_no_others(old: JobState, new: JobState):
             check_transition(old, new)
 
 
-def test_every_state_has_its_transitions_and_is_unfinished_resumable_or_done():
-    assert set(LEGAL) == set(JobState)
-    assert set(UNFINISHED) | set(RESUMABLE) | {JobState.DONE} == set(JobState)
-
-
 def test_percent_is_100_only_when_all_is_done():
     assert Progress(0, 9, 0, 1_000_000).percent == 0
     assert Progress(8, 9, 999_999, 1_000_000).percent == 99.9
@@ -60,11 +52,6 @@ def test_eta_uses_the_rate_of_this_run_alone():
     # 900 of 1000 cells were done before; this run did 20 in 4 s, 80 are left
     progress = Progress(0, 0, 920, 1000, run_seconds=4.0, run_cells=20)
     assert progress.eta_seconds == pytest.approx(16.0)
-
-
-def test_a_rate_may_be_of_one_cell_or_of_less_than_a_second():
-    assert Progress(0, 9, 1, 10, run_seconds=3.0, run_cells=1).eta_seconds == pytest.approx(27.0)
-    assert Progress(0, 9, 4, 10, run_seconds=0.5, run_cells=4).eta_seconds == pytest.approx(0.75)
 
 
 def test_eta_is_unknown_without_a_rate():
@@ -101,36 +88,10 @@ def record(**changes: Any) -> JobRecord:
     return JobRecord(**fields | changes)
 
 
-def test_the_progress_of_a_running_job_counts_from_its_last_start():
-    progress = record().progress(104.0)
-    assert progress == Progress(3, 10, 300, 1000, run_seconds=4.0, run_cells=100, cells_settling=7)
-    assert progress.eta_seconds == pytest.approx(28.0)
-
-
-@pytest.mark.parametrize("state", [state for state in JobState if state is not JobState.RUNNING])
-def test_a_job_that_does_not_run_has_no_rate(state: JobState):
-    assert record(state=state).progress(104.0) == Progress(3, 10, 300, 1000, cells_settling=7)
-
-
 @pytest.mark.parametrize(("first_cells", "needed"), [(100, 40 + 70), (99, 40 + 70), (91, 40 + 64)])
 def test_an_adaptive_map_needs_at_least_the_first_rounds_of_the_chunks_to_come(first_cells: int, needed: int):
     progress = record(first_cells=first_cells).progress(104.0)
     assert (progress.cells_computed, progress.cells_needed) == (40, needed)
-
-
-def test_an_adaptive_map_of_one_chunk_needs_all_of_its_first_round():
-    progress = record(first_cells=100, chunks_total=1, chunks_done=0, cells_computed=0).progress(104.0)
-    assert (progress.cells_computed, progress.cells_needed) == (0, 100)
-
-
-def test_a_job_of_another_kernel_says_so_and_what_replaces_it():
-    assert record().notice is None
-    assert not record().outdated
-    old = record(kernel_version="0")
-    assert old.outdated
-    told = f"computed by kernel version 0; this release computes version {KERNEL_VERSION}"
-    assert old.notice == told
-    assert record(kernel_version="0", replaced_by="b" * 32).notice == f"{told}, as job {'b' * 32}"
 
 
 @for_each(

@@ -1,19 +1,12 @@
 """Endpoints of jobs: idempotency keys, estimates, lists, links, ETags, resume, delete, events, metrics."""
 
-import asyncio
 import json
-import time
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from scripted import DEADLINE, Held, sweep, wait_for
+from scripted import Held, sweep, wait_for
 from served import FIGURE_2, computing, finished, get, occupied, service
-
-from service.api import progress_stream
-from service.jobs.ledger import Ledger
-from service.jobs.model import NewJob
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
 
@@ -33,16 +26,6 @@ def test_a_request_repeated_under_its_key_changes_nothing(tmp_path: Path):
         assert again.json()["id"] == first.json()["id"]
 
 
-def test_a_cancelled_job_resumes_under_a_new_key_only(tmp_path: Path):
-    with occupied(tmp_path) as client:
-        here = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"}).headers["Location"]
-        client.post(f"{here}/cancel")
-        client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
-        assert get(client, here)["state"] == "cancelled"
-        assert client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "l"}).status_code == 202
-        assert get(client, here)["state"] == "queued"
-
-
 def test_a_key_for_another_body_is_refused(tmp_path: Path):
     with service(tmp_path, Held()) as client:
         client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
@@ -50,24 +33,6 @@ def test_a_key_for_another_body_is_refused(tmp_path: Path):
         assert answer.status_code == 409
         assert "another specification" in answer.json()["detail"]
         assert get(client, "/v1/jobs")["total"] == 1
-
-
-def test_a_key_expires(tmp_path: Path):
-    with service(tmp_path, Held(), key_seconds=0.05) as client:
-        client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
-        time.sleep(0.1)
-        answer = client.post("/v1/jobs", json={**SWEEP, "xi": 0.3}, headers={"Idempotency-Key": "k"})
-        assert answer.status_code == 202
-
-
-def test_keys_survive_a_restart(tmp_path: Path):
-    for status in (202, 200):
-        with service(tmp_path, Held(capacity=0)) as client:
-            answer = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
-            assert answer.status_code == status
-    with service(tmp_path, Held(capacity=0)) as client:
-        other = client.post("/v1/jobs", json={**SWEEP, "xi": 0.3}, headers={"Idempotency-Key": "k"})
-        assert other.status_code == 409
 
 
 def test_a_key_must_be_ascii_without_spaces(tmp_path: Path):
@@ -92,13 +57,6 @@ def test_validate_only_accepts_nothing_and_estimates_the_cost(tmp_path: Path):
         assert cost["chunks"] >= 1
         assert cost["core_seconds"] > 0
         assert get(client, "/v1/jobs")["total"] == 0
-
-
-def test_validate_only_still_refuses(tmp_path: Path):
-    with service(tmp_path, Held(), max_cells=100) as client:
-        assert client.post("/v1/jobs?validate_only=true", json=FIGURE_2).status_code == 413
-        wrong = client.post("/v1/jobs?validate_only=true", json={**SWEEP, "omega": -1})
-        assert wrong.status_code == 422
 
 
 def test_the_estimate_uses_the_measured_speed_of_earlier_jobs(tmp_path: Path):
@@ -136,15 +94,6 @@ def test_pages_have_no_gaps_and_no_repeats(tmp_path: Path):
             page = get(client, "/v1/jobs", limit=3, cursor=page["next"])
             found += [job["id"] for job in page["jobs"]]
         assert found == ids[::-1]
-
-
-def test_the_last_page_has_no_next_even_if_it_is_full(tmp_path: Path):
-    with occupied(tmp_path) as client:
-        for xi in (0.1, 0.2):
-            client.post("/v1/jobs", json={**SWEEP, "xi": xi})
-        assert get(client, "/v1/jobs", limit=3)["next"] is None
-        assert get(client, "/v1/jobs", limit=1, state="queued")["next"] is not None
-        assert get(client, "/v1/jobs", limit=1, state="done")["next"] is None
 
 
 # Links
@@ -196,21 +145,6 @@ def test_results_of_a_done_job_answer_304(tmp_path: Path):
             assert client.get(f"{here}/{part}").headers["ETag"] != tag, part
 
 
-def test_incomplete_results_and_errors_have_no_tag(tmp_path: Path):
-    with service(tmp_path, held := Held()) as client:
-        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
-        wait_for(lambda: held.held() > 0)
-        incomplete = client.get(f"{here}/diagram")
-        assert (incomplete.status_code, "ETag" in incomplete.headers) == (200, False)
-    with computing(tmp_path) as client:
-        finished(client, SWEEP)
-        tag = client.get(f"{here}/diagram").headers["ETag"]
-        wrong = client.get(f"{here}/diagram?omega=77", headers={"If-None-Match": '"other", *'})
-        assert (wrong.status_code, "ETag" in wrong.headers) == (422, False)
-        assert client.get(f"{here}/zarr/nothing", headers={"If-None-Match": "*"}).status_code == 404
-        assert client.get(f"{here}/diagram", headers={"If-None-Match": tag}).status_code == 304
-
-
 # Resume, delete
 
 
@@ -257,28 +191,6 @@ def test_a_finished_job_sends_one_event(tmp_path: Path):
         assert answer.headers["Content-Type"].startswith("text/event-stream")
         ((name, view),) = events(answer.text)
         assert (name, view["state"], view["spec"]) == ("end", "done", None)
-
-
-def test_a_listener_asks_again_after_a_while(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """However long nothing changes: the ledger is for others, too."""
-    monkeypatch.setattr(progress_stream, "POLL_SECONDS", DEADLINE)
-    asked: list[str] = []
-
-    async def listen(changes: AsyncIterator[Any]) -> None:
-        job, compiling = await anext(changes)
-        assert (job.state, compiling) == ("queued", None)
-        waiting = asyncio.ensure_future(anext(changes))
-        for _ in range(20):
-            await asyncio.to_thread(lambda: None)
-        assert asked == ["a" * 32]
-        waiting.cancel()
-
-    with Ledger(tmp_path / "ledger.sqlite") as ledger:
-        with ledger.writing() as writing:
-            writing.insert(NewJob("a" * 32, "", "{}", "3", (1, 1, 1), 1, 1), 1.0)
-        find = ledger.find
-        monkeypatch.setattr(ledger, "find", lambda job_id: asked.append(job_id) or find(job_id))
-        asyncio.run(listen(progress_stream.ProgressStream(ledger, lambda job: None).changes("a" * 32)))
 
 
 # Metrics

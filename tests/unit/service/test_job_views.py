@@ -4,7 +4,6 @@ import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,10 +14,8 @@ from tables import for_each
 
 from kernel.params import KERNEL_VERSION
 from service.api.conditional import job_headers
-from service.api.routers import jobs
 from service.api.schemas import job_view
-from service.jobs.ledger import Ledger
-from service.jobs.model import Failure, JobRecord, JobState
+from service.jobs.model import JobRecord, JobState
 
 SPEC = json.dumps(sweep().as_submitted())
 
@@ -43,18 +40,6 @@ def test_the_time_left_is_that_at_the_moment_of_the_view():
     assert 30.0 <= now < 1e6
 
 
-def test_a_view_has_times_in_utc_and_core_seconds_in_thousandths():
-    view = job_view(record(core_seconds=1.23456), 110.0)
-    assert view.core_seconds == 1.235
-    shown = json.loads(view.model_dump_json())
-    assert (shown["created"], shown["started"]) == ("1970-01-01T00:01:30Z", "1970-01-01T00:01:35Z")
-    assert shown["finished"] is None
-    done = json.loads(job_view(record(state=JobState.DONE, finished=99.0)).model_dump_json())
-    assert done["finished"] == "1970-01-01T00:01:39Z"
-    repaired = job_view(record(finished=99.0))
-    assert (repaired.repairing, repaired.finished) == (True, None)
-
-
 def test_a_notice_of_the_service_stands_in_for_that_of_the_job():
     assert job_view(record(), notice="no workers yet").notice == "no workers yet"
     old = record(kernel_version="1")
@@ -69,12 +54,6 @@ def test_a_list_leaves_out_a_specification_that_is_too_long():
     assert job_view(record()).spec == json.loads(SPEC)
 
 
-def test_a_view_names_the_chunks_that_failed():
-    failure = Failure(3, "gamma 1 to 2", "ValueError: no", None, 2)
-    (shown,) = job_view(record(), failures=[failure]).failures
-    assert shown.model_dump() == failure._asdict()
-
-
 @for_each("change", [
     {"failures": 1}, {"notice": "no workers yet"}, {"job": record(chunks_done=5)},
     {"job": record(state=JobState.DONE)}, {"job": record(pinned=True)},
@@ -85,11 +64,6 @@ def test_the_tag_changes_with_what_is_shown(change: dict[str, Any]):
     assert before["Cache-Control"] == "no-cache"
     assert job_headers(record()) == before
     assert job_headers(**{"job": record(), **change})["ETag"] != before["ETag"]
-
-
-def test_the_tag_changes_with_the_text_of_the_notice():
-    told = [job_headers(record(), notice=notice)["ETag"] for notice in ("no workers yet", "no scheduler")]
-    assert told[0] != told[1]
 
 
 def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):
@@ -110,27 +84,3 @@ def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     with service(tmp_path_factory.mktemp("data"), Held()) as client:
         yield client
-
-
-def retry_after(client: TestClient, job: JobRecord) -> str | None:
-    """What the service says at second 110 of a job that is in the ledger like this."""
-    ledger: Ledger = client.app.state.service.ledger  # type: ignore[attr-defined]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ledger, "find", lambda job_id: job)
-        patch.setattr(jobs, "time", SimpleNamespace(time=lambda: 110.0))
-        return client.get(f"/v1/jobs/{job.id}").headers.get("Retry-After")
-
-
-@for_each(
-    ("seconds_left", "expected"), [(100.0, "5"), (30.0, "1"), (19.0, None), (1000.0, "10"), (1e6, "10")]
-)
-def test_a_job_is_polled_less_often_the_longer_it_takes(
-    client: TestClient, seconds_left: float, expected: str | None
-):
-    running = 200 / 600 * seconds_left  # 200 cells were computed in this time, 600 are left
-    assert retry_after(client, record(run_started=110.0 - running - 1e-6)) == expected
-
-
-def test_a_job_without_a_rate_or_at_its_end_has_no_time_to_wait(client: TestClient):
-    assert retry_after(client, record(state=JobState.QUEUED, run_started=None)) is None
-    assert retry_after(client, record(state=JobState.DONE, run_started=1.0, finished=2.0)) is None

@@ -13,8 +13,8 @@ from pyarrow import parquet
 from served import computing, finished, get
 
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC
-from service.cli.output import job_report, modes_csv
-from service.client.datasets import diagram_dataset, modes_dataset
+from service.cli.output import job_report
+from service.client.datasets import diagram_dataset
 from service.client.display import settling_note
 from service.client.models import JobStatus
 
@@ -55,14 +55,6 @@ def test_a_diagram_tells_quasi_periodic_from_chaotic_cells(client: TestClient, j
     assert dataset.label.attrs["flag_meanings"].split() == list(LABELS)
 
 
-def test_a_mode_map_and_its_table_have_labels(client: TestClient, job: str):
-    answer = get(client, f"{job}/modes")
-    assert [LABELS[code] for code in answer["label"][1]] == EXPECTED
-    table = list(csv.DictReader(io.StringIO(modes_csv(modes_dataset(answer, "0" * 32)).decode())))
-    assert [row["label"] for row in table if row["omega"] == "1.0"] == EXPECTED
-    assert {row["outcome"] for row in table if row["label"] in EXPECTED[2:]} == {"aperiodic"}
-
-
 def test_files_have_labels(client: TestClient, job: str, tmp_path: Path):
     header, *rows = csv.reader(
         io.StringIO(client.get(f"{job}/diagram", params={"omega": 1.0, "format": "csv"}).text)
@@ -79,12 +71,6 @@ def test_files_have_labels(client: TestClient, job: str, tmp_path: Path):
     cells = [row for row in table if row["omega"] == 1.0]
     assert [row["label"] for row in cells] == EXPECTED
     assert [len(row["lyapunov"]) for row in cells] == [2] * 4
-
-
-def test_a_sweep_without_exponents_has_no_labels(client: TestClient):
-    here = finished(client, SWEEP | {"exponents": 0})
-    assert not {"label", "lyapunov"} & set(get(client, f"{here}/diagram", omega=1.0))
-    assert "label" not in get(client, f"{here}/modes")
 
 
 #: Slow settling next to the resonance, and a window too short for it.
@@ -112,11 +98,3 @@ def test_a_job_says_how_many_cells_were_settling(client: TestClient):
     )
     assert settling_note(job) == note
     assert note in job_report(job)  # type: ignore[arg-type]
-
-
-def test_cells_given_more_time_settle(client: TestClient):
-    short, patient = (
-        get(client, finished(client, sweep))["progress"]["cells_settling"]
-        for sweep in (SHORT, SHORT | {"settle_until": 20_000})
-    )
-    assert patient < 0.2 * short

@@ -1,12 +1,9 @@
 """The ledger keeps whole transactions only, survives kills, and serves one process at a time."""
 
-import os
 import sqlite3
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import closing, nullcontext
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +12,10 @@ from ledgers import accept, current, new_job, reports
 
 from kernel.params import KERNEL_VERSION
 from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
-from service.jobs import ledger as ledgers
-from service.jobs.ledger import RESERVE, Ledger
-from service.jobs.ledger_files import OpenFiles, as_found, aside, copies_of, lock_of, shm_of, size_of, wal_of
-from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState
-from service.jobs.tables import VERSION
-from service.jobs.transactions import VERIFIED_PAGE, DeletionStep, StoredChunk
-from worker.tasks import ChunkReport
+from service.jobs.ledger import Ledger
+from service.jobs.ledger_files import OpenFiles, as_found, copies_of, lock_of, shm_of, wal_of
+from service.jobs.model import Failure, JobRecord, JobState
+from service.jobs.transactions import VERIFIED_PAGE
 
 
 @pytest.fixture
@@ -48,47 +42,10 @@ def mark_and_interrupt(ledger: Ledger, job: JobRecord) -> None:
         raise KeyboardInterrupt
 
 
-def test_a_job_comes_back_as_it_was_accepted(ledger: Ledger):
-    job = accept(ledger)
-    assert (job.id, job.name, job.spec) == ("a" * 32, "a name", '{"gamma": 1.0}')
-    assert job.chunk_shape == (1, 2, 3)
-    assert (job.state, job.created, job.started, job.finished) == (JobState.QUEUED, 100.0, None, None)
-    assert (job.chunks_done, job.chunks_total, job.cells_done, job.cells_total) == (0, 4, 0, 40)
-
-
-def test_cells_that_settle_are_counted_and_uncounted(ledger: Ledger):
-    job = run(ledger, accept(ledger))
-    settling = [
-        ChunkReport(0, 10, 0.5, 0.4, "00", (0, 7, 0, 0, 0, 0, 3)),
-        ChunkReport(1, 10, 0.5, 0.4, "01", (0, 8, 0, 0, 0, 0, 2)),
-    ]
-    with ledger.writing() as writing:
-        writing.mark_done(job, [*settling, *reports(2)])
-        writing.mark_done(job, settling)  # again, as after a lost connection
-    assert current(ledger).cells_settling == current(ledger).progress(210.0).cells_settling == 5
-    with ledger.writing() as writing:
-        assert writing.unmark(current(ledger), [0, 2, 3]) == [0, 2]
-    assert (current(ledger).cells_settling, current(ledger).cells_done) == (2, 10)
-
-
-def test_an_unknown_job_is_none(ledger: Ledger):
-    assert ledger.find("b" * 32) is None
-    assert ledger.find("' OR 1=1 --") is None
-
-
 def test_the_same_job_is_not_accepted_twice(ledger: Ledger):
     accept(ledger)
     with pytest.raises(sqlite3.IntegrityError):
         accept(ledger)
-
-
-def test_a_job_runs_and_ends(ledger: Ledger):
-    job = run(ledger, accept(ledger))
-    assert (job.state, job.started, job.run_started) == (JobState.RUNNING, 200.0, 200.0)
-    with ledger.writing() as writing:
-        writing.finish(job, JobState.FAILED, 300.0, "because")
-    job = current(ledger)
-    assert (job.state, job.finished, job.error) == (JobState.FAILED, 300.0, "because")
 
 
 def test_a_resumed_job_keeps_its_chunks_and_loses_its_error(ledger: Ledger):
@@ -111,16 +68,6 @@ def test_an_illegal_step_changes_nothing(ledger: Ledger):
     assert current(ledger) == job
 
 
-def test_a_failed_job_is_not_started_unless_it_is_resumed(ledger: Ledger):
-    job = run(ledger, accept(ledger))
-    with ledger.writing() as writing:
-        writing.finish(job, JobState.FAILED, 300.0)
-    failed = current(ledger)
-    with pytest.raises(IllegalTransition):
-        run(ledger, failed)
-    assert current(ledger) == failed
-
-
 def test_chunks_are_marked_once(ledger: Ledger):
     job = run(ledger, accept(ledger))
     for chunks in (reports(0, 2), reports(2, 3)):
@@ -129,41 +76,6 @@ def test_chunks_are_marked_once(ledger: Ledger):
     assert current(ledger).chunks_done == 3
     assert current(ledger).cells_done == 30
     assert ledger.done_mask(job).tolist() == [True, False, True, True]
-
-
-def test_jobs_do_not_share_chunks(ledger: Ledger):
-    one, two = accept(ledger, "a" * 32), accept(ledger, "b" * 32)
-    with ledger.writing() as writing:
-        writing.mark_done(one, reports(0, 1))
-    assert not ledger.done_mask(two).any()
-
-
-def test_newest_first_and_counted(ledger: Ledger):
-    for letter in "abc":
-        accept(ledger, letter * 32)
-    run(ledger, current(ledger, "b" * 32))
-    with ledger.reading() as reading:
-        assert [job.id[0] for job in reading.newest(None, 10)] == ["c", "b", "a"]
-        assert [job.id[0] for job in reading.newest(None, 2)] == ["c", "b"]
-        assert [job.id[0] for job in reading.newest(JobState.QUEUED, 10)] == ["c", "a"]
-        assert reading.count(UNFINISHED) == 3
-        assert reading.count([JobState.DONE]) == 0
-
-
-def test_unfinished_are_the_running_ones_and_then_the_queue(ledger: Ledger):
-    for letter in "abcd":
-        accept(ledger, letter * 32)
-    run(ledger, current(ledger, "c" * 32))
-    with ledger.writing() as writing:
-        writing.finish(current(ledger, "a" * 32), JobState.CANCELLED, 1.0)
-        writing.set_cancel_requested(current(ledger, "c" * 32), True)
-    with ledger.reading() as reading:
-        assert [(job.id[0], job.cancel_requested) for job in reading.unfinished(9)] == [
-            ("c", True),
-            ("b", False),
-            ("d", False),
-        ]
-        assert len(reading.unfinished(2)) == 2
 
 
 def test_a_transaction_is_all_or_nothing(ledger: Ledger):
@@ -200,17 +112,6 @@ def test_threads_do_not_lose_each_others_marks(ledger: Ledger):
     assert ledger.done_mask(job).all()
 
 
-def test_it_survives_closing(tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    path = tmp_path / "folder" / "ledger.sqlite"
-    with Ledger(path) as ledger:
-        accept(ledger)
-    with Ledger(path) as ledger:
-        assert current(ledger).name == "a name"
-    assert "no copy of" not in caplog.text  # there was no log to apply
-    with closing(sqlite3.connect(path)) as reader:
-        assert reader.execute("PRAGMA user_version").fetchone() == (VERSION,)
-
-
 def test_one_service_at_a_time(tmp_path: Path):
     path = tmp_path / "ledger.sqlite"
     with Ledger(path), pytest.raises(DataFolderBusy, match="another service uses the data folder"):
@@ -236,30 +137,6 @@ def test_a_closed_ledger_is_not_opened_again(tmp_path: Path):
         assert current(again).name == "a name"
 
 
-def test_the_file_gets_smaller_when_jobs_are_deleted(tmp_path: Path):
-    path = tmp_path / "ledger.sqlite"
-    with Ledger(path) as ledger, closing(sqlite3.connect(path)) as reader:
-        assert reader.execute("PRAGMA auto_vacuum").fetchone() == (2,)  # incremental
-        accept(ledger)
-
-
-def test_what_others_write_into_the_same_file_is_told_from_another_file(tmp_path: Path):
-    path = tmp_path / "ledger.sqlite"
-    lock_of(path).touch()
-    path.write_bytes(b"as it was opened")
-    files = OpenFiles(path)
-    assert not files.changed_from_outside()
-    path.write_bytes(b"longer than it was opened")
-    assert files.changed_from_outside()
-    assert files.replaced() is None
-    files.note_written()
-    assert not files.changed_from_outside()
-    (tmp_path / "other").write_bytes(b"another file")
-    (tmp_path / "other").replace(path)
-    assert not files.changed_from_outside()
-    assert files.replaced() is not None
-
-
 def test_a_newer_ledger_is_left_alone(tmp_path: Path):
     path = tmp_path / "ledger.sqlite"
     newer = sqlite3.connect(path)
@@ -279,88 +156,7 @@ def test_what_is_no_ledger_is_left_alone(tmp_path: Path):
     assert path.read_bytes().startswith(b"not a database")
 
 
-def test_a_hundred_thousand_chunks_are_lean(ledger: Ledger, tmp_path: Path):
-    job = accept(ledger, chunks=100_000)
-    began = time.process_time()
-    for first in range(0, 100_000, 1000):
-        with ledger.writing() as writing:
-            writing.mark_done(job, reports(*range(first, first + 1000)))
-    assert ledger.done_mask(job).all()
-    assert time.process_time() - began < 10
-    assert (tmp_path / "ledger.sqlite").stat().st_size < 100_000 * 100
-
-
 # What is read and counted
-
-
-def test_of_an_owners_jobs_only_these_are_counted(ledger: Ledger):
-    with ledger.writing() as writing:
-        for letter, owner in (("a", "ann"), ("b", "ann"), ("c", None), ("d", "dan")):
-            writing.insert(replace(new_job(letter * 32), owner=owner), now=1.0)
-        writing.finish(writing.find("b" * 32), JobState.CANCELLED, 2.0)
-        assert writing.count(UNFINISHED) == 3
-        assert writing.count(UNFINISHED, "ann") == 1
-        assert writing.count([JobState.CANCELLED, JobState.QUEUED], "ann") == 2
-        assert writing.count(UNFINISHED, "nobody") == 0
-
-
-def test_totals_are_of_all_jobs_and_numbers_are_never_used_twice(ledger: Ledger):
-    with ledger.reading() as reading:
-        assert (reading.newest_seq(), reading.totals()) == (0, (0, 0))
-    one, two = accept(ledger, "a" * 32), accept(ledger, "b" * 32)
-    with ledger.writing() as writing:
-        writing.mark_done(one, reports(0, 1))
-        writing.mark_done(two, reports(3))
-        assert writing.totals() == (3, 30)
-        writing.delete(two, 5.0)
-        assert writing.newest_seq() == two.seq == 2
-
-
-def test_done_chunks_are_read_in_pages(ledger: Ledger, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(ledgers, "PAGE", 2)
-    job = accept(ledger, chunks=7)
-    with ledger.writing() as writing:
-        writing.mark_done(job, reports(0, 2, 3, 6))
-        assert sorted(writing.done_chunks(job, 2, 6)) == [2, 3]
-    assert ledger.done_mask(job).tolist() == [True, False, True, True, False, False, True]
-
-
-@pytest.mark.parametrize("checksum", ["00ff", "0Ff0"])
-def test_checksums_and_sizes_are_read_as_they_were_reported(ledger: Ledger, checksum: str):
-    job = accept(ledger)
-    with ledger.writing() as writing:
-        writing.mark_done(job, [replace(reports(2)[0], checksum=checksum, bytes=5), *reports(0)])
-        assert writing.stored_chunks(job, 0, 4) == [
-            StoredChunk(0, f"{0:064x}", None),
-            StoredChunk(2, checksum.lower(), 5),
-        ]
-        assert writing.stored_chunks(job, 1, 2) == []
-
-
-def test_chunks_of_an_adaptive_map_that_were_computed_are_counted_and_uncounted(ledger: Ledger):
-    job = accept(ledger)
-    with ledger.writing() as writing:
-        writing.mark_done(job, [replace(each, computed=3 + each.index) for each in reports(0, 1, 2)])
-        writing.mark_done(job, reports(3))
-        assert writing.find(job.id).cells_computed == 12
-        assert writing.unmark(writing.find(job.id), [1, 3]) == [1, 3]
-        assert writing.find(job.id).cells_computed == 8
-
-
-def test_only_chunks_that_were_timed_tell_the_pace(ledger: Ledger):
-    one, two, untimed = (accept(ledger, letter * 32) for letter in "abc")
-    with ledger.writing() as writing:
-        writing._sql.execute("UPDATE jobs SET kernel_version = ?", [KERNEL_VERSION])
-        writing.mark_done(one, [*reports(0), replace(reports(1)[0], seconds=0.0)])
-        writing.mark_done(two, reports(0, 1))
-        writing.mark_done(untimed, [replace(reports(1)[0], seconds=0.0)])
-        paces = writing.paces(20, 14)
-        assert [(pace.job.id[0], pace.seconds, pace.cells) for pace in paces] == [
-            ("b", 1.0, 20),
-            ("a", 0.5, 10),
-        ]
-        assert [pace.job.id[0] for pace in writing.paces(2, 14)] == ["b"]  # of the last two
-        assert writing.paces(20, 13) == []
 
 
 def test_verified_chunks_are_remembered_by_the_page_until_one_is_unmarked(ledger: Ledger):
@@ -389,16 +185,6 @@ def done_job(ledger: Ledger, chunks: int = 4) -> JobRecord:
     return current(ledger)
 
 
-def test_a_job_that_was_done_runs_again_when_a_chunk_is_unmarked(ledger: Ledger):
-    job = done_job(ledger)
-    with ledger.writing() as writing:
-        assert writing.unmark(job, [9]) == []
-        assert writing.find(job.id).state is JobState.DONE
-        assert writing.unmark(job, [1]) == [1]
-    assert current(ledger).state is JobState.RUNNING
-    assert current(ledger).repairing
-
-
 def test_damaged_chunks_of_an_outdated_job_are_given_up_with_the_reason(ledger: Ledger):
     job = done_job(ledger)
     lost = [Failure(chunk, f"chunk {chunk}", "damaged", None, 0) for chunk in (1, 9)]
@@ -409,18 +195,6 @@ def test_damaged_chunks_of_an_outdated_job_are_given_up_with_the_reason(ledger: 
         assert writing.failures(job) == lost[:1]
     assert (current(ledger).state, current(ledger).error) == (JobState.FAILED, "chunk 1: damaged")
     assert current(ledger).chunks_done == 3
-
-
-def test_a_resumed_job_has_another_owner_and_no_failures(ledger: Ledger):
-    job = run(ledger, accept(ledger))
-    with ledger.writing() as writing:
-        writing.set_cancel_requested(job, True)
-        writing.note_failures(job, [Failure(1, "chunk 1", "no", None, 3)])
-        writing.finish(job, JobState.FAILED, 300.0, "because")
-        assert not writing.find(job.id).cancel_requested
-        writing.queue(writing.find(job.id), "ann")
-        assert writing.failures(job) == []
-    assert (current(ledger).owner, current(ledger).cancel_requested) == ("ann", False)
 
 
 @pytest.mark.parametrize(("chunks", "state"), [((0, 1, 2, 3), JobState.DONE), ((0, 3), JobState.FAILED)])
@@ -455,21 +229,6 @@ def test_chunks_of_deleted_jobs_are_found_and_forgotten_a_few_at_a_time(ledger: 
     assert ledger.done_mask(kept).all()
 
 
-def test_deletions_are_forgotten_from_a_step_on(ledger: Ledger):
-    jobs = [accept(ledger, letter * 32) for letter in "abc"]
-    with ledger.writing() as writing:
-        for job, created in zip(jobs, (2.0, 1.0, 3.0), strict=True):
-            writing.delete(job, created)
-        assert [deletion.seq for deletion in writing.deletions()] == [2, 1, 3]
-        writing.advance_deletion(writing.deletions()[0], DeletionStep.COMPLETE)
-        writing.advance_deletion(writing.deletions()[0], DeletionStep.FREED)
-        assert [deletion.seq for deletion in writing.deletions()] == [1, 3]
-        assert writing.forget_deletions(DeletionStep.COMPLETE) == 1
-        assert [deletion.seq for deletion in writing.deletions()] == [1, 3]
-        assert writing.forget_deletions() == 2
-        assert writing.deletions() == []
-
-
 def test_keys_are_remembered_until_they_are_forgotten(ledger: Ledger):
     job = accept(ledger)
     with ledger.writing() as writing:
@@ -483,65 +242,6 @@ def test_keys_are_remembered_until_they_are_forgotten(ledger: Ledger):
 
 
 # Space and files
-
-
-def test_the_folder_of_a_ledger_is_made_and_those_above_it(tmp_path: Path):
-    with Ledger(tmp_path / "new" / "data" / "ledger.sqlite") as ledger, ledger.reading() as reading:
-        assert reading.newest(None, 1) == []
-
-
-def test_free_pages_are_given_back_but_for_the_reserve(ledger: Ledger, tmp_path: Path):
-    def free() -> int:
-        return ledger._number("PRAGMA freelist_count")
-
-    assert not ledger.shrink(10)  # there is nothing but the reserve
-    with ledger.writing() as writing:
-        writing._sql.execute("CREATE TABLE used AS SELECT zeroblob(?) AS content", [8 * RESERVE])
-    with ledger.writing() as writing:
-        writing._sql.execute("DROP TABLE used")
-    reserve, before = 2 * RESERVE // ledger._number("PRAGMA page_size"), free()
-    assert before > reserve + 20
-    ledger._writer.execute("PRAGMA wal_autocheckpoint = 1")  # each change goes to the main file at once
-    assert ledger.shrink(10)
-    assert free() == before - 10
-    assert ledger.shrink(before - 11 - reserve)
-    assert free() == reserve + 1
-    assert not ledger.shrink(1)
-    assert free() == reserve
-    assert not ledger.shrink(10)
-    assert free() == reserve
-    ledger.check()  # the file got smaller by the service's own doing
-
-
-def test_a_change_from_outside_stays_one_whatever_gives_or_takes_pages(ledger: Ledger):
-    os.utime(ledger.path, (1e9, 1e9))
-    ledger.keep_reserve()
-    with pytest.raises(LedgerUnavailable, match="another program has changed it"):
-        ledger.shrink(1)
-    with pytest.raises(LedgerUnavailable, match="another program has changed it"):
-        ledger.check()
-
-
-def use_up(ledger: Ledger, content: int) -> None:
-    with ledger.writing() as writing:
-        writing._sql.execute("CREATE TABLE used AS SELECT zeroblob(?) AS content", [content])
-
-
-def test_where_no_space_is_left_the_log_goes_to_the_main_file(ledger: Ledger):
-    """From then on the log is written from its beginning again."""
-    job = accept(ledger)
-    assert job.id.encode() not in ledger.path.read_bytes()
-    ledger._writer.execute(f"PRAGMA max_page_count = {ledger._number('PRAGMA page_count')}")
-    with pytest.raises(LedgerUnavailable, match="full"):
-        use_up(ledger, 8 * RESERVE)
-    assert job.id.encode() in ledger.path.read_bytes()
-
-
-def test_a_reserve_that_has_no_space_keeps_nobody_from_writing(ledger: Ledger):
-    use_up(ledger, RESERVE)
-    ledger._writer.execute(f"PRAGMA max_page_count = {ledger._number('PRAGMA page_count')}")
-    ledger.keep_reserve()
-    assert accept(ledger).state is JobState.QUEUED
 
 
 def test_a_ledger_that_can_be_written_has_no_fault(ledger: Ledger):
@@ -563,41 +263,6 @@ def test_a_ledger_that_can_be_written_has_no_fault(ledger: Ledger):
     assert ledger.fault() is None
 
 
-def test_a_writer_that_takes_too_long_is_told(ledger: Ledger, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(ledgers, "BUSY_SECONDS", 0.01)
-    with ledger.writing(), pytest.raises(LedgerUnavailable, match="other transactions take too long"):
-        ledger.check()
-    ledger.check()
-
-
-def test_copies_beside_a_ledger_have_names_of_their_own_and_come_in_the_order_of_their_times(tmp_path: Path):
-    path = tmp_path / "ledger.sqlite"
-    copies = []
-    for age, why in ((1, "replaced"), (2, "rescued"), (3, "as-found"), (0, "replaced"), (4, "foreign")):
-        copies.append(aside(path, why))
-        assert not copies[-1].exists()
-        copies[-1].touch()
-        os.utime(copies[-1], (1e9 - age, 1e9 - age))
-    assert len(set(copies)) == 5
-    assert all(copy.name.startswith("ledger-") and copy.suffix == ".sqlite" for copy in copies)
-    assert copies_of(path) == [copies[i] for i in (2, 1, 0, 3)]
-    assert size_of(path) == 0
-
-
-def test_names_of_copies_are_numbered_where_the_time_is_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(time, "strftime", lambda _: "now")
-    names = []
-    for _ in range(3):
-        copy = aside(tmp_path / "ledger.sqlite", "rescued")
-        copy.touch()
-        names.append(copy.name)
-    assert names == [
-        "ledger-rescued-now.sqlite", "ledger-rescued-now-2.sqlite", "ledger-rescued-now-3.sqlite"
-    ]  # fmt: skip
-
-
 def test_a_ledger_is_rescued_once_and_only_where_its_folder_and_lock_are(tmp_path: Path):
     path = tmp_path / "ledger.sqlite"
     for file in (path, lock_of(path), wal_of(path), shm_of(path)):
@@ -613,21 +278,6 @@ def test_a_ledger_is_rescued_once_and_only_where_its_folder_and_lock_are(tmp_pat
     assert rescue is not None
     assert rescue.name.startswith("ledger-rescued-")
     assert files.rescue_path() is None
-
-
-def test_a_foreign_log_is_set_aside_and_the_ledgers_own_stays(tmp_path: Path):
-    path = tmp_path / "ledger.sqlite"
-    for file in (path, lock_of(path), wal_of(path), shm_of(path)):
-        file.write_bytes(b"open")
-    files = OpenFiles(path)
-    (tmp_path / "other").write_bytes(b"foreign")
-    (tmp_path / "other").replace(wal_of(path))
-    assert files.lost_wal()
-    files.set_logs_aside()
-    assert not wal_of(path).exists()
-    assert shm_of(path).read_bytes() == b"open"
-    [foreign] = tmp_path.glob("*-foreign-*")
-    assert foreign.read_bytes() == b"foreign"
 
 
 def open_nothing(path: Path, error: BaseException | None) -> None:
@@ -651,49 +301,3 @@ def test_a_ledger_with_a_log_is_kept_as_it_was_found_only_if_it_is_unusable(
     assert [copy.read_bytes() for copy in copies] == [b"ledger.sqlite"] * kept
     assert [wal_of(copy).read_bytes() for copy in copies] == [b"ledger.sqlite-wal"] * kept
     assert len(list(tmp_path.iterdir())) == 2 + 2 * kept
-
-
-@pytest.mark.parametrize("log", [None, b""])
-def test_a_ledger_without_a_log_is_not_copied(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, log: bytes | None
-):
-    path = tmp_path / "ledger.sqlite"
-    path.write_bytes(b"the ledger")
-    if log is not None:
-        wal_of(path).write_bytes(log)
-    with pytest.raises(LedgerUnusable, match=r"^it is damaged$"):
-        open_nothing(path, LedgerUnusable("it is damaged"))
-    assert copies_of(path) == []
-    assert caplog.messages == []
-
-
-def test_a_ledger_that_cannot_be_copied_is_opened_and_leaves_half_a_copy_nowhere(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-):
-    path = tmp_path / "ledger.sqlite"
-    path.write_bytes(b"the ledger")
-    wal_of(path).mkdir()
-    (wal_of(path) / "file").touch()
-    open_nothing(path, None)
-    assert "is made before its log is applied" in caplog.text
-    assert sorted(tmp_path.iterdir()) == [path, wal_of(path)]
-    with pytest.raises(LedgerUnusable, match=r"^it is damaged$"):
-        open_nothing(path, LedgerUnusable("it is damaged"))
-
-
-def test_the_check_of_a_large_ledger_ends_when_its_time_is_over(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-):
-    path = tmp_path / "ledger.sqlite"
-    with Ledger(path):
-        pass
-    with closing(sqlite3.connect(path)) as connection:
-        connection.execute("CREATE TABLE much (name TEXT UNIQUE)")
-        connection.executemany("INSERT INTO much VALUES (?)", ((str(i),) for i in range(50_000)))
-        connection.commit()
-        ledgers.check(connection, path, seconds=60.0)
-        assert caplog.messages == []
-        ledgers.check(connection, path, seconds=-1.0)
-        assert caplog.messages == [f"{path} is large: its check ended after -1 s"]
-        # The limit is the check's alone.
-        assert connection.execute("SELECT count(*) FROM much WHERE name LIKE '%9'").fetchone() == (5000,)

@@ -297,17 +297,6 @@ def test_a_page_that_is_damaged_while_the_service_runs_is_told(data: Path, inlin
         refused(client, "ledger.sqlite is damaged")
 
 
-def test_damage_is_told_before_any_request_meets_it(data: Path):
-    with Ledger(data / "ledger.sqlite") as ledger:
-        assert ledger.fault() is None
-        ledger._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-        for page in range(1, (data / "ledger.sqlite").stat().st_size // PAGE):
-            overwrite_page(data / "ledger.sqlite", page)
-        ledger._files.note_written()  # a disk does not change the time of the last write
-        ledger._reader.execute("PRAGMA shrink_memory")
-        assert "ledger.sqlite is damaged" in str(ledger.fault())
-
-
 def test_a_lost_log_is_noticed_and_nothing_of_it_is_lost(data: Path, inline: Inline):
     """The log of another ledger lies in its place."""
 
@@ -345,21 +334,6 @@ def test_a_lock_of_another_program_is_told_and_nothing_is_lost(data: Path):
             other.execute("ROLLBACK")
         wait_for(lambda: client.get("/readyz").status_code == 200)
         held.let_go_until(lambda: get(client, here)["state"] == "done")
-
-
-def test_chunks_that_come_back_while_the_folder_is_away_are_not_lost(tmp_path: Path):
-    held, data = Held(), tmp_path / "data"
-    with running(data, held) as service:
-        job = service.submit(sweep())
-        wait_for(lambda: held.held() == 4)
-        data.rename(tmp_path / "elsewhere")
-        with pytest.raises(LedgerUnavailable, match="the data folder data is gone"):
-            service.submit(sweep(omega=0.6))
-        data.symlink_to(tmp_path / "elsewhere")  # workers find the stores
-        data.unlink()
-        (tmp_path / "elsewhere").rename(data)
-        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
-        assert service.outcomes(job).all()
 
 
 def test_what_the_service_writes_in_the_moment_its_folder_is_moved_away_is_its_own(tmp_path: Path):
@@ -400,23 +374,6 @@ def test_the_reserve_is_inside_the_ledgers_own_files(tmp_path: Path):
 
 
 # File systems
-
-
-def test_the_type_of_a_file_system_is_that_of_the_innermost_mount(tmp_path: Path):
-    mounts = tmp_path / "mountinfo"
-    mounts.write_text(
-        "22 1 8:1 / / rw shared:1 - ext4 /dev/root rw\n"
-        "23 22 0:50 / /srv/shared\\040data rw - nfs4 host:/export rw\n"
-        "24 23 0:51 / /srv/shared\\040data/local rw - btrfs /dev/sdb rw\n"
-    )
-    for folder, kind, network in (
-        ("/srv/other", "ext4", None),
-        ("/srv/shared data/bounce", "nfs4", "nfs4"),
-        ("/srv/shared data/local/bounce", "btrfs", None),
-    ):
-        assert ledger_files.file_system(Path(folder), mounts) == kind
-        assert ledger_files.network_file_system(Path(folder), mounts) == network
-    assert ledger_files.file_system(tmp_path, tmp_path / "missing") is None
 
 
 def test_a_ledger_on_a_network_file_system_is_warned_about(

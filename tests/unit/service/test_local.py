@@ -1,11 +1,7 @@
 """`service.local`: studies computed without a service."""
 
 import json
-import os
-import threading
-import time
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -21,11 +17,8 @@ from service import local
 from service.client import Client
 from service.client.errors import InvalidSpecification
 from service.client.models import JobStatus
-from service.errors import DataFolderBusy, InvalidRequest, RunFailed
-from service.jobs.model import JobState
-from service.jobs.stores.adoption import open_ledger
+from service.errors import DataFolderBusy, InvalidRequest
 from worker import tasks
-from worker.executors import inline
 from worker.executors.inline import Inline
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
@@ -39,14 +32,6 @@ SPEC = {
     "settle": 30,
     "observe": 20,
     "keep": 4,
-}
-#: Cells of which a chunk takes tenths of a second, and the whole some seconds.
-LONG = SPEC | {
-    "gamma": {"start": 1.0, "stop": 4.0, "num": 40},
-    "omega": {"start": 0.5, "stop": 0.6, "num": 10},
-    "model": {"kind": "soft", "penetration": 1e-3, "restitution": 0.01},
-    "settle": 4000,
-    "settle_early": False,
 }
 ORBITS = {
     "omega": {"start": 0.4, "stop": 1.2, "num": 12},
@@ -97,27 +82,11 @@ def test_a_complete_store_is_returned_and_not_computed_again(tmp_path: Path):
     assert again.attrs["job"] == SweepSpec.parse(SPEC).job_id(KERNEL_VERSION)
 
 
-def test_a_run_is_looked_at_a_few_times_a_second(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(local, "LOOK_SECONDS", 0.02)
-    looks: list[float] = []
-    local.run(LONG | {"omega": 0.6}, progress=lambda _: looks.append(time.monotonic()))
-    assert len(looks) > 2
-    assert min(np.diff(looks)) >= 0.02
-
-
 def test_progress_is_reported_to_a_function():
     seen: list[tuple[str, float]] = []
     local.run(SPEC, progress=lambda job: seen.append((job.state, job.progress.percent)))
     assert seen[-1] == ("done", 100.0)
     assert [percent for _, percent in seen] == sorted(percent for _, percent in seen)
-
-
-def test_grids_of_orbits_run_too_with_the_same_bytes_whatever_the_number_of_threads(tmp_path: Path):
-    orbits = local.run(ORBITS, tmp_path / "one.zarr", workers=1, progress=False)
-    assert orbits.sizes["omega"] == 12
-    assert np.isfinite(orbits.gamma).any()
-    local.run(ORBITS, tmp_path / "three.zarr", workers=3, progress=False)
-    assert files(tmp_path / "one.zarr") == files(tmp_path / "three.zarr")
 
 
 @pytest.mark.parametrize("format", ["nc", "parquet", "csv", "json", "png", "svg"])
@@ -149,47 +118,6 @@ def test_a_sweep_is_written_as_a_file(tmp_path: Path, format: str):
             assert b"<svg" in content
 
 
-@pytest.mark.parametrize(
-    ("line", "field"), [({"along": "gamma"}, "omega"), ({"omega": 0.6, "direction": "up"}, "direction")]
-)
-def test_a_line_that_the_sweep_does_not_have_is_told_and_nothing_is_written(
-    tmp_path: Path, line: dict[str, Any], field: str
-):
-    with pytest.raises(InvalidRequest, match=field):
-        local.run_to_file(SPEC, tmp_path / "a.png", "png", line, progress=False)
-    assert not list(tmp_path.iterdir())  # and nothing was computed
-
-
-def test_threads_are_as_many_as_are_asked_for_or_cores(monkeypatch: pytest.MonkeyPatch):
-    begun: list[int] = []
-
-    class Counted(Inline):
-        def __init__(self, workers: int) -> None:
-            begun.append(workers)
-            super().__init__(workers)
-
-    monkeypatch.setattr(inline, "Inline", Counted)
-    monkeypatch.setattr(local, "cores", lambda: 3)
-    for workers in (2, None):
-        local.run(SPEC | {"gamma": 2.0}, workers=workers, progress=False)
-    assert begun == [2, 3]
-
-
-def test_cores_are_those_that_the_process_may_use_where_the_system_tells(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 2, 5} if process == 0 else {0})
-    assert local.cores() == 3
-    monkeypatch.delattr(os, "sched_getaffinity")
-    for told, cores in ((4, 4), (None, 1)):
-        monkeypatch.setattr(os, "cpu_count", lambda told=told: told)
-        assert local.cores() == cores
-
-
-def test_the_folder_of_a_run_is_closed_to_others_from_the_beginning(tmp_path: Path, caplog):
-    with local.computed(SPEC | {"gamma": 2.0}, tmp_path / "a.partial", progress=False):
-        assert (tmp_path / "a.partial").stat().st_mode & 0o7777 == 0o700
-    assert "was open to other users" not in caplog.text
-
-
 # Errors
 
 
@@ -204,36 +132,6 @@ def test_an_error_of_the_compiler_ends_a_run_before_anything_is_computed(
         local.run(SPEC, tmp_path / "a.zarr", progress=False)
     assert not list(tmp_path.glob("*.partial/stores/*.zarr"))
     assert not (tmp_path / "a.zarr").exists()
-
-
-@pytest.mark.parametrize("progress", [True, False])
-def test_it_is_told_what_is_compiled_where_progress_is(monkeypatch: pytest.MonkeyPatch, progress: bool):
-    """If it takes long, which the thread that tells it waits for."""
-    compiled: list[tuple[str, bool]] = []
-
-    def compile_for(spec: SweepSpec) -> None:
-        telling = any(thread.name == "elapsed" for thread in threading.enumerate())
-        compiled.append((spec.model.kind, telling))
-
-    monkeypatch.setattr(tasks, "compile_for", compile_for)
-    for kind in ("rigid", "auto"):  # of which the contact is not known yet
-        local._compile(SweepSpec.parse(SPEC | {"model": {"kind": kind}}), progress)
-    assert compiled == [("rigid", progress)]
-
-
-def test_a_run_that_does_not_end_well_says_why(tmp_path: Path):
-    with local.computed(SPEC | {"gamma": 2.0}, tmp_path / "a.partial", progress=False) as (done, _):
-        pass
-    assert local._wait(lambda _: done, done.id, progress=False) is done
-    for state, error, reason in (
-        (JobState.FAILED, "the roof fell in", "the roof fell in"),
-        (JobState.CANCELLED, None, "the study was cancelled"),
-    ):
-        ended = replace(done, state=state, error=error)
-        with pytest.raises(RunFailed, match=f"^{reason}$"):
-            local._wait(lambda _, ended=ended: ended, done.id, progress=False)
-    with pytest.raises(RunFailed, match="the folder of the run was changed"):
-        local._wait(lambda _: None, done.id, progress=False)
 
 
 def test_a_broken_specification_names_field_and_rule_and_leaves_nothing(tmp_path: Path):
@@ -272,11 +170,6 @@ def test_what_is_there_is_not_replaced(tmp_path: Path):
         local.run(SPEC | {"settle": 31}, tmp_path / "b.zarr", progress=False)
 
 
-def test_a_missing_folder_is_named(tmp_path: Path):
-    with pytest.raises(FileNotFoundError, match="no such folder"):
-        local.run(SPEC, tmp_path / "nowhere" / "a.zarr", progress=False)
-
-
 def test_of_studies_that_are_no_sweeps_the_files_are_checked_before_computing(tmp_path: Path):
     with pytest.raises(InvalidRequest, match="multiplier of this study is complex"):
         local.run_to_file(ORBITS, tmp_path / "a.nc", "nc", progress=False)
@@ -290,19 +183,6 @@ def test_of_studies_that_are_no_sweeps_the_files_are_checked_before_computing(tm
 
 
 # Cancelled
-
-
-def test_a_run_whose_progress_cannot_be_shown_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(local, "CANCEL_SECONDS", 60.0)
-
-    def broken(job: JobStatus) -> None:
-        raise BrokenPipeError
-
-    with pytest.raises(BrokenPipeError):
-        local.run(LONG, tmp_path / "long.zarr", workers=1, progress=broken)
-    with open_ledger(local._settings(tmp_path / "long.zarr.partial")) as ledger, ledger.reading() as reading:
-        (job,) = reading.newest(None, 2)
-    assert job.state == "cancelled"
 
 
 def test_two_processes_do_not_compute_the_same_store(tmp_path: Path):

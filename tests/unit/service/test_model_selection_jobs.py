@@ -92,13 +92,6 @@ def test_its_numbers_are_those_of_the_model_chosen(done):
     assert rigid["choice"] is None
 
 
-def test_its_diagram_names_the_chosen_model(done):
-    client, job, _ = done
-    picture = client.get(f"/v1/jobs/{job['id']}/diagram", params={"format": "svg"})
-    assert picture.status_code == 200
-    assert b"rigid contact" in picture.content
-
-
 def test_a_choice_whose_worker_or_cluster_is_lost_is_made_again(tmp_path: Path):
     errors = (
         WorkerDied("out of memory"),
@@ -134,18 +127,6 @@ def test_a_choice_is_remembered_through_a_restart_before_the_first_chunk(tmp_pat
         job = ended(client)
     assert executor.calls == 0
     assert (job["state"], job["choice"]) == ("done", chosen)
-
-
-def test_a_service_that_stops_while_choosing_chooses_again(tmp_path: Path):
-    class Unreachable(Unlucky):
-        def call(self, *_: Any) -> Any:
-            raise ClusterLost("nobody is there")
-
-    with closing(Unreachable()) as executor, service(tmp_path, executor) as client:
-        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
-    with closing(Unlucky()) as executor, service(tmp_path, executor) as client:
-        wait_for(lambda: client.get(here).json()["state"] == "done")
-    assert executor.calls == 1
 
 
 def test_the_plan_is_that_of_the_model_chosen(tmp_path: Path):

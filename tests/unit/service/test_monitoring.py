@@ -3,7 +3,6 @@
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,15 +11,8 @@ from paths import ROOT
 from prometheus_client.parser import text_string_to_metric_families
 from scripted import Held, Scripted, wait_for
 from served import RAMP, finished, get, service
-from starlette.applications import Starlette
-from starlette.requests import Request
-from starlette.responses import Response
-from starlette.routing import Route
 from tables import for_each
 
-from service.api.middleware import access_log
-from service.api.middleware.access_log import AccessLog
-from service.api.monitoring import Metrics
 from worker.executors.base import ClusterState
 
 DASHBOARD: dict[str, Any] = json.loads((ROOT / "docs" / "grafana.json").read_text())
@@ -69,13 +61,6 @@ def test_chunks_are_counted_by_what_became_of_them(measured: dict[str, Any]):
     assert measured["bounce_chunks_damaged_total"] == [({}, 0.0)]
 
 
-def test_workers_and_what_is_left_are_told(measured: dict[str, Any]):
-    assert {labels["state"] for labels, _ in measured["bounce_workers"]} >= {"computing", "refused"}
-    assert measured["bounce_core_seconds_remaining"][0][1] >= 0.0
-    [(build, _)] = measured["bounce_build_info"]
-    assert set(build) == {"version", "kernel_version"}
-
-
 def test_jobs_chunks_and_cells_are_counted(measured: dict[str, Any]):
     jobs = {labels["state"]: value for labels, value in measured["bounce_jobs"]}
     assert jobs == {"queued": 0.0, "running": 0.0, "done": 1.0, "failed": 0.0, "cancelled": 0.0}
@@ -100,11 +85,6 @@ def test_workers_are_counted_by_what_becomes_of_them(tmp_path: Path):
         assert counted == {"computing": 3.0, "refused": 1.0, "planned": 5.0}
         cluster.planned = None
         assert len(samples(client)["bounce_workers"]) == 2
-
-
-def test_a_service_without_workers_is_not_ready(tmp_path: Path):
-    with service(tmp_path, Held(capacity=0)) as client:
-        assert samples(client)["bounce_ready"] == [({}, 0.0)]
 
 
 def test_a_method_that_callers_make_up_is_no_label_of_its_own(tmp_path: Path):
@@ -134,14 +114,6 @@ def test_the_dashboard_asks_for_what_there_is(expression: str, measured: dict[st
             assert {label.strip() for label in group.split(",")} <= labels
 
 
-def test_what_the_dashboard_selects_by_state_exists(measured: dict[str, Any]):
-    for name in ("bounce_jobs", "bounce_workers"):
-        known = {labels["state"] for labels, _ in measured[name]}
-        for expression in expressions():
-            for states in re.findall(name + r"\{[^}]*state=~?\"([^\"]*)\"", expression):
-                assert set(states.split("|")) <= known
-
-
 def test_every_metric_of_the_service_is_on_the_dashboard(measured: dict[str, Any]):
     shown = {name for expression in expressions() for name, _ in _SELECTOR.findall(expression)}
     families = {
@@ -149,43 +121,3 @@ def test_every_metric_of_the_service_is_on_the_dashboard(measured: dict[str, Any
     }
     missing = {name for name in families if not any(known.startswith(name) for known in shown)}
     assert missing == set()
-
-
-def test_the_dashboard_can_be_imported():
-    identifiers = [panel["id"] for panel in DASHBOARD["panels"]]
-    assert len(set(identifiers)) == len(identifiers)
-    places = {(panel["gridPos"]["x"], panel["gridPos"]["y"]) for panel in DASHBOARD["panels"]}
-    assert len(places) == len(identifiers)
-    assert {panel["type"] for panel in DASHBOARD["panels"]} <= {"timeseries", "stat"}
-    assert all(panel["title"] and panel["description"] for panel in DASHBOARD["panels"])
-    assert str(Path("docs/grafana.json").name) in (ROOT / "docs" / "deployment.md").read_text()
-
-
-def test_a_request_is_logged_with_its_milliseconds(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-):
-    async def answer(request: Request) -> Response:
-        return Response()
-
-    caplog.set_level("INFO", logger="service.requests")
-    metrics = Metrics()
-    app = Starlette(routes=[Route("/v1/jobs/{job_id}", answer, methods=["X" * 99])])
-    with TestClient(AccessLog(app, metrics)) as client:
-        monkeypatch.setattr(access_log, "time", SimpleNamespace(perf_counter=iter((7.0, 7.03125)).__next__))
-        client.request("X" * 99, "/v1/jobs/" + "a" * 99)
-    [record] = caplog.records
-    fields = record.__dict__["fields"]
-    assert (fields["ms"], fields["method"], fields["job"]) == (31.2, "X" * 16, "a" * 64)
-    assert b'_seconds_sum{route="/v1/jobs/{job_id}"} 0.03125' in metrics.text()
-
-
-@pytest.mark.parametrize(("status", "level"), [(200, "DEBUG"), (399, "DEBUG"), (400, "INFO"), (503, "INFO")])
-def test_polls_are_logged_if_they_fail(caplog: pytest.LogCaptureFixture, status: int, level: str):
-    async def answer(request: Request) -> Response:
-        return Response(status_code=status)
-
-    caplog.set_level("DEBUG", logger="service.requests")
-    app = Starlette(routes=[Route("/readyz", answer)])
-    with TestClient(AccessLog(app, Metrics())) as client:
-        client.get("/readyz")
-    assert [(record.message, record.levelname) for record in caplog.records] == [("request", level)]

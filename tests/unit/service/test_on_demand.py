@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from scripted import DEADLINE, wait_for
+from scripted import wait_for
 
 from service.errors import Busy, NotComputed
 from service.jobs import on_demand
@@ -106,63 +106,12 @@ def test_only_the_results_requested_last_are_kept(monkeypatch: pytest.MonkeyPatc
     assert len(pool.futures) == 8
 
 
-def test_a_result_requested_again_is_kept_before_those_that_were_not(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(on_demand, "MAX_RESULTS", 2)
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01)
-
-    def compute(key: str) -> None:
-        with pytest.raises(Pending):
-            cache.get(key, submit)
-        for future in pool.futures[-2:]:
-            future.set_result(key)
-
-    compute("one")
-    compute("two")
-    assert cache.get("one", submit) == ["one", "one"]
-    compute("three")
-    assert cache.get("one", submit) == ["one", "one"]
-    assert len(pool.futures) == 6
-    compute("two")  # it was let go
-    assert len(pool.futures) == 8
-
-
-def test_a_result_that_is_being_computed_is_kept(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(on_demand, "MAX_RESULTS", 1)
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01)
-    for key in ("slow", "fast"):
-        with pytest.raises(Pending):
-            cache.get(key, submit)
-    for future in pool.futures:
-        future.set_result(None)
-    assert cache.get("slow", submit) == [None, None]
-    assert len(pool.futures) == 4
-
-
 def test_without_workers_nothing_is_computed():
     def refused(_: Any) -> list[Future[Any]]:
         raise ClusterLost("gone")
 
     with pytest.raises(NotComputed, match=r"^no worker can compute it now \(gone\): repeat the request$"):
         OnDemandCache(Pool()).get("key", refused)
-
-
-def test_an_executor_that_raises_something_unforeseen_tells_who_asked_and_takes_the_next():
-    class Refusing(Pool):
-        refusals = 1
-
-        def call(self, *work: Any) -> "Future[Any]":
-            if self.refusals:
-                self.refusals -= 1
-                raise KeyError("a field of its own")
-            return super().call(*work)
-
-    cache = OnDemandCache(Refusing(), timeout=0.01)
-    with pytest.raises(KeyError, match="a field of its own"):
-        cache.get("key", lambda workers: [workers.call(print)])
-    with pytest.raises(Pending):
-        cache.get("key", submit)
 
 
 def test_closing_cancels_what_is_being_computed():
@@ -172,32 +121,6 @@ def test_closing_cancels_what_is_being_computed():
         cache.get("key", submit)
     cache.close()
     assert all(future.cancelled() for future in pool.futures)
-
-
-def test_what_is_cancelled_while_it_waits_is_not_begun(monkeypatch: pytest.MonkeyPatch):
-    for name, value in {"LOOK_SECONDS": 0.01, "SHARE": 0.0, "CREDIT_SECONDS": 0.0}.items():
-        monkeypatch.setattr(on_demand, name, value)
-    pool, jobs = Pool(), [True]
-    cache = OnDemandCache(pool, timeout=0.01, jobs_compute=lambda: jobs[0])
-    with pytest.raises(Pending):
-        cache.get("cancelled", submit)
-    cache.close()
-    jobs[0] = False
-    with pytest.raises(Pending):
-        cache.get("key", submit)
-    assert len(pool.futures) == 2
-
-
-def test_what_waits_for_its_share_does_not_keep_the_process_from_ending(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(on_demand, "CREDIT_SECONDS", 0.0)
-    monkeypatch.setattr(on_demand, "LOOK_SECONDS", DEADLINE)
-    cache = OnDemandCache(Pool(), timeout=0.01, jobs_compute=lambda: True)
-    with pytest.raises(Pending):
-        cache.get("key", submit)
-    later = cache._workers._later
-    assert later is not None
-    assert later.daemon
-    later.cancel()
 
 
 @pytest.mark.parametrize(("workers", "share"), [(0, 1), (1, 1), (2, 1), (5, 2), (8, 4)])
@@ -256,24 +179,3 @@ def test_a_part_that_fails_leaves_its_turn_to_the_next():
     pool.futures[0].set_exception(ValueError())
     pool.futures[1].cancel()
     assert len(pool.futures) == 6
-
-
-def test_a_cluster_lost_before_its_turn_fails_the_part():
-    class Lost(Pool):
-        def call(self, *_: Any) -> Future[Any]:
-            if self.futures:
-                raise ClusterLost("gone")
-            return super().call()
-
-        def workers(self) -> int:
-            return 1
-
-    pool = Lost()
-    cache = OnDemandCache(pool, timeout=0.01)
-    with pytest.raises(Pending):
-        cache.get("key", submit)
-    pool.futures[0].set_result(0)
-    with pytest.raises(NotComputed, match="gone"):
-        cache.get("key", submit)
-    with pytest.raises(NotComputed, match=r"^no worker can compute it now \(gone\)"):
-        cache.get("other", submit)

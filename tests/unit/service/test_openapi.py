@@ -68,39 +68,6 @@ def test_the_fields_of_a_sweep_have_meanings_and_defaults(document: dict[str, An
     assert schema["properties"]["observe"]["minimum"] == 1
 
 
-def test_a_default_that_is_an_object_is_told_in_the_description(document: dict[str, Any]):
-    fields = document["components"]["schemas"]["SweepSpec"]["properties"]
-    assert fields["protocol"]["x-default"] == {"kind": "rest"}
-    assert fields["protocol"]["description"].endswith(' Default: {"kind": "rest"}.')
-    assert fields["model"]["x-default"]["rest_length"] is None
-    told = json.loads(fields["model"]["description"].partition(" Default: ")[2].removesuffix("."))
-    assert told == {
-        name: value for name, value in fields["model"]["x-default"].items() if name != "rest_length"
-    }
-    assert not [field for field in fields.values() if "x-default" in field and "default" in field]
-    assert fields["settle"]["default"] == 200
-    assert "x-default" not in fields["settle"]
-
-
-def test_answers_have_their_formats_and_bodies_their_models(document: dict[str, Any]):
-    diagram = document["paths"]["/v1/jobs/{job_id}/diagram"]["get"]["responses"]["200"]["content"]
-    assert {"application/json", "text/csv", "image/png", "image/svg+xml", "application/pdf"} <= {
-        name.partition(";")[0] for name in diagram
-    }
-    events = document["paths"]["/v1/jobs/{job_id}/events"]["get"]["responses"]["200"]["content"]
-    assert events["text/event-stream"]["schema"] == {"description": "server-sent events"}
-    for path, names in {
-        "/v1/jobs": ["SweepSpec", "OrbitsSpec", "BasinSpec", "MultistabilitySpec"],
-        "/v1/jobs/{job_id}/refine": ["Window"],
-    }.items():
-        body = document["paths"][path]["post"]["requestBody"]
-        assert body["required"] is True
-        schema = body["content"]["application/json"]["schema"]
-        references = [each["$ref"] for each in schema.get("oneOf", [schema])]
-        assert references == [f"#/components/schemas/{name}" for name in names]
-    assert not {"HTTPValidationError", "ValidationError"} & set(document["components"]["schemas"])
-
-
 @for_each("name", EXAMPLES)
 def test_examples_are_accepted(document: dict[str, Any], name: str):
     (example,) = document["components"]["schemas"][name]["examples"]

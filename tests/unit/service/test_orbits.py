@@ -1,7 +1,5 @@
 """Closed-form answers over HTTP and in the client, against the kernel's functions and known numbers."""
 
-import itertools
-import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,18 +13,15 @@ from matplotlib.figure import Figure
 from scripted import Held, wait_for
 from served import computing, get
 from served import service as begun
-from tables import for_each
 
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
-from kernel.branches.events import Kind, branch_and_events
+from kernel.branches.events import branch_and_events
 from service.api import schemas
 from service.cli.output import threshold_table
-from service.client import BadRequest, Client
+from service.client import Client
 from service.client.plots import draw_thresholds
 from service.results import orbits, thresholds
-from worker.analysis.prediction import prediction_seconds
-from worker.spec import SweepSpec
 
 FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
@@ -64,24 +59,6 @@ def test_the_thresholds_of_a_spring(service: TestClient):
     )
 
 
-def test_thresholds_that_there_are_not_are_null(service: TestClient):
-    plain = get(service, "/v1/threshold", omega=0.5, xi=0.26)
-    assert (plain["down"], plain["cause"]) == (plain["threshold"], "Eq. 25")
-    assert plain["lifetime"] is None
-    assert plain["energy"] is None
-    torus = get(service, "/v1/threshold", omega=0.46, xi=0.05)
-    assert (torus["down"], torus["cause"]) == (None, "unresolved")
-    assert "torus" in torus["reason"]
-    never = get(service, "/v1/threshold", omega=math.sqrt(2), xi=0)
-    assert never["threshold"] is None or never["threshold"] > 1e6
-    resonance = get(service, "/v1/threshold", omega=1, xi=0)
-    assert (resonance["threshold"], resonance["down"]) == (0.0, None)
-    assert "omega = 1" in resonance["reason"]
-    slow = get(service, "/v1/threshold", omega=0.001, xi=0.05)
-    assert slow["cause"] == "unresolved"
-    assert "points" in slow["reason"]
-
-
 def test_branches_are_those_of_the_kernel(service: TestClient):
     answer = get(service, "/v1/orbits", **SPRING, modes="1-1,1-2", gamma_max=1e6, energy="true")
     assert set(answer) == set(schemas.OrbitsView.model_fields)
@@ -100,42 +77,6 @@ def test_branches_are_those_of_the_kernel(service: TestClient):
     folds = [event for event in answer["events"] if event["kind"] == "fold" and event["periods"] == 1]
     assert min(event["gamma"] for event in folds) == pytest.approx(FOLD_060, abs=1e-9)
     assert set(folds[0]) == set(schemas.EventView.model_fields)
-
-
-def test_a_branch_that_leaves_gamma_max_is_several_pieces(service: TestClient):
-    whole = get(service, "/v1/orbits", **SPRING, modes="1-1", gamma_max=1e6)["branches"][0]
-    cut = get(service, "/v1/orbits", **SPRING, modes="1-1", gamma_max=0.9)
-    pieces = cut["branches"]
-    assert len(pieces) > 1
-    inside = [t for t, gamma in zip(whole["flight_time"], whole["gamma"], strict=True) if gamma <= 0.9]
-    assert [t for piece in pieces for t in piece["flight_time"]] == inside
-    for before, after in itertools.pairwise(pieces):
-        between = [
-            gamma
-            for t, gamma in zip(whole["flight_time"], whole["gamma"], strict=True)
-            if before["flight_time"][-1] < t < after["flight_time"][0]
-        ]
-        assert between
-        assert min(between) > 0.9
-    assert all(event["gamma"] <= 0.9 for event in cut["events"])
-
-
-@for_each(
-    ("query", "rule"),
-    [
-        ({"modes": "2-2"}, "of one bounce, as 1-1 and 1-2"),
-        ({"modes": "1"}, "must be like 1-2 (bounces-periods), not text"),
-        ({"modes": "1-99"}, "at most 12 periods, not 99"),
-        ({"modes": "1-1,1-1"}, "must not name a mode twice"),
-        ({"modes": "1-1,1-2,1-3,1-4,1-5,1-6,1-7"}, "must be 1 to 6 modes, not 7"),
-        ({"points": 5}, "points: should be greater than or equal to 10"),
-        ({"omega": 0}, "omega: should be greater than 0"),
-        ({"omega": 1, "xi": 0}, "xi: must be > 0 at omega = 1"),
-        ({"colour": "green"}, "colour: unknown parameter"),
-    ],
-)
-def test_bad_queries_name_field_and_rule(service: TestClient, query: dict[str, Any], rule: str):
-    assert rule in refused(service, "/v1/orbits", 422, **SPRING | query)
 
 
 def test_long_branches_are_refused_before_they_are_computed(service: TestClient):
@@ -158,18 +99,6 @@ def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.Mon
     query = {"xi": 0.051, "omega_start": 0.6, "omega_stop": 0.68, "modes": "1-1", "kinds": "fold"}
     wait_for(lambda: service.get("/v1/curves", params=query).status_code != 202)
     assert "omega_stop: the curves up to 0.68 have more" in refused(service, "/v1/curves", 422, **query)
-
-
-def test_curves_end_where_a_search_has_no_next_step():
-    """Newton's method for a point of codimension 2 may meet a singular matrix."""
-    assert len(curves(Parameter.XI, 0.05, 0.0, 1e6, 1, (Kind.FOLD,), lines=2).curves) > 0
-
-
-def test_orbits_are_kept(service: TestClient):
-    orbits.orbits.cache_clear()
-    first = service.get("/v1/orbits", params=SPRING).content
-    assert service.get("/v1/orbits", params=SPRING | {"energy": "true"}).content != first
-    assert orbits.orbits.cache_info().misses == 1
 
 
 def _curves(service: TestClient, **query: Any) -> Any:
@@ -198,58 +127,6 @@ def test_curves_over_omega_have_their_codimension_2_points(service: TestClient, 
     for row, curve in zip(dataset.omega.values, known.curves, strict=True):
         assert row[: len(curve.omega)].tolist() == curve.omega.tolist()
         assert np.isnan(row[len(curve.omega) :]).all()
-
-
-def test_a_plane_of_curves_is_one_range_and_one_value(service: TestClient):
-    rule = "give xi, omega_start and omega_stop, or omega, xi_start and xi_stop"
-    assert rule in refused(service, "/v1/curves", 422)
-    assert rule in refused(service, "/v1/curves", 422, xi=0.05, omega=0.5)
-    assert f"xi: {rule}" in refused(service, "/v1/curves", 422, xi=0.05, omega_start=0.5)
-    assert f"omega: {rule}" in refused(service, "/v1/curves", 422, omega=0.5)
-    backwards = {"xi": 0.05, "omega_start": 0.6, "omega_stop": 0.5}
-    for stop in (0.5, 0.6):
-        backwards["omega_stop"] = stop
-        assert "omega_stop: must be above omega_start" in refused(service, "/v1/curves", 422, **backwards)
-    query = {"omega": 0.6, "xi_start": 0.05, "xi_stop": 0.06, "kinds": "bend"}
-    assert "not 'bend'" in refused(service, "/v1/curves", 422, **query)
-
-
-def test_a_range_and_a_value_suffice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    served.impatient(monkeypatch)
-    with served.service(tmp_path, Held()) as client:  # whose workers never answer
-        for query in ("xi=0.05&omega_start=0.6&omega_stop=0.61", "omega=0.6&xi_start=0.05&xi_stop=0.06"):
-            answer = client.get(f"/v1/curves?{query}")
-            assert (answer.status_code, answer.json()["state"]) == (202, "running")
-
-
-def test_the_client_has_labelled_datasets(client: Client):
-    thresholds = client.threshold(0.6, 0.05, delta=1e-5)
-    assert float(thresholds.down) == pytest.approx(FOLD_060, abs=1e-9)
-    assert str(thresholds.cause.values) == "fold (1,1)"
-    assert float(thresholds.lifetime) == pytest.approx(1102, abs=1)
-    assert float(client.threshold(math.sqrt(2), 1e-9).threshold) > 1e6
-
-    found = client.orbits(0.6, 0.05, energy=True)
-    assert found.gamma.dims == ("branch", "point")
-    assert set(found.periods.values.tolist()) == {1, 2}
-    end = found.points.values[0]
-    assert np.isfinite(found.gamma[0, :end]).all()
-    assert np.isnan(found.gamma[0, end:]).all()
-    inside = np.abs(found.multiplier.values) < 1
-    shown = np.isfinite(found.gamma.values)
-    assert (found.stable.values[shown] == inside[shown]).all()
-    assert (found.admissible.values[~shown] == 255).all()
-    balance = found.plate_contact + found.plate_impact - found.dashpot - found.impact
-    admissible = (found.admissible == 0).values
-    assert np.nanmax(np.abs(balance.values[admissible])) < 1e-9
-    fold = found.event_gamma[(found.event_kind == "fold") & (found.event_periods == 1)]
-    assert float(fold.min()) == pytest.approx(FOLD_060, abs=1e-9)
-    for name, variable in found.variables.items():
-        assert "long_name" in variable.attrs, name
-    with pytest.raises(BadRequest, match="one bounce"):
-        client.orbits(0.6, 0.05, "2-2")
-    with pytest.raises(BadRequest, match="give xi, omega_start"):
-        client.curves(omega=0.5, xi=0.05)
 
 
 # Words continued from the cells of a sweep
@@ -296,14 +173,6 @@ def test_cells_without_words_are_told(client: Client):
     assert found.sizes["branch"] == 0
     assert found.skipped_gamma.values.tolist() == [2.3]
     assert "do not show two rounds" in str(found.skipped_reason.values[0])
-
-
-def test_a_job_not_begun_has_no_cells_to_continue(tmp_path: Path):
-    with begun(tmp_path, Held(capacity=0)) as service:
-        here = service.post("/v1/jobs", json=FIGURE_2).headers["Location"]
-        answer = get(service, f"{here}/orbits")
-    assert (answer["branches"], answer["events"], answer["skipped"]) == ([], [], [])
-    assert not answer["complete"]
 
 
 def test_the_orbits_of_a_job_name_the_grid(service: TestClient, client: Client):
@@ -415,91 +284,6 @@ def test_closed_forms_that_take_long_are_left_to_workers(tmp_path: Path, monkeyp
         rule = refused(held, f"{large}/threshold", 422, predict="all")
         assert "the limit for one answer is 200: enough for" in rule
         assert time.process_time() - began < 2.0  # none of the springs was computed here: 150 s
-
-
-def explained(down: float, predicted: float, cause: str, tolerance: float | None = None) -> str:
-    """What is said of a threshold on the way down that is not the predicted one, at omega 0.6, xi 0.05."""
-    none = np.array([np.nan])
-    found = thresholds.Thresholds(
-        xi=0.05, omega=np.array([0.6]), analytic=none, up=none, down=np.array([down]),
-        up_status=["not ramped"], down_status=["found"], predicted_jump=none, predicted_down=none,
-        cause=[""], difference=[""], prediction="", complete=True, tolerance=tolerance,
-    )  # fmt: skip
-    known = orbits.thresholds(0.6, 0.05)._replace(down=predicted, cause=cause)
-    return thresholds._compared(SweepSpec.parse(RAMP), found, [known], words=False).difference[0]
-
-
-def test_a_difference_from_the_prediction_is_explained():
-    """The grid goes from 0.5 in steps of 0.004."""
-    fold = orbits.thresholds(0.6, 0.05)
-    assert explained(fold.down + 0.001, fold.down, fold.cause) == ""
-    ghost = explained(fold.down - 1e-5, fold.down, fold.cause)
-    assert ghost.startswith("bouncing lives about 1,1")
-    assert "1e-05 below the fold, longer than the window of 80" in ghost
-    early = explained(0.62, fold.down, fold.cause)
-    assert "the ramp lost the cycle 0.0668 above the fold: its steps of 0.004 excite the spring" in early
-    other = explained(fold.down - 0.03, fold.down, fold.cause)
-    assert other == "another cycle than those of one bounce lives 0.03 below the prediction"
-
-
-def test_a_threshold_within_a_step_above_the_prediction_agrees_with_it():
-    for tolerance, step in ((None, 0.004), (1e-4, 1e-4)):
-        assert explained(0.62, 0.62, "Eq. 25", tolerance) == ""
-        assert explained(0.62, 0.62 - step, "Eq. 25", tolerance) == ""
-        assert explained(0.62 - 1e-10, 0.62, "Eq. 25", tolerance) == ""
-        late = explained(0.62, 0.62 - 1.01 * step, "Eq. 25", tolerance)
-        assert late.startswith(f"the sweep stops bouncing {1.01 * step:.3g} above Eq. 25")
-    assert explained(0.5, 0.5, "Eq. 25") == ""  # the first value of the grid has no step below it
-    assert "above Eq. 25" in explained(0.5, 0.499, "Eq. 25")
-    for missing in ((np.nan, 0.5), (0.5, np.nan)):
-        assert explained(*missing, "unresolved") == ""
-
-
-def test_as_many_springs_are_predicted_at_once_as_may_be(
-    service: TestClient, client: Client, monkeypatch: pytest.MonkeyPatch
-):
-    job = client.submit(RAMP | {"gamma": [0.5, 0.6]}).wait(progress=False)
-    monkeypatch.setattr(thresholds, "MAX_PREDICTED", 2)
-    predicted = job.threshold()
-    assert np.isfinite(predicted.predicted_down.values).all()
-    monkeypatch.setattr(thresholds, "MAX_PREDICTED", 1)
-    assert set(job.threshold().cause.values.tolist()) == {
-        "not predicted: ask for all above 1 values of omega"
-    }
-    alone = sum(prediction_seconds(omega, 0.05) for omega in predicted.omega.values.tolist())
-    for name, seconds, call in (
-        ("some", alone, 9.0), ("all", alone, 9.0), ("all", alone, 1e-9),
-        ("words", alone + 2 * thresholds.WORDS_SECONDS, 1e-9),
-    ):  # fmt: skip
-        monkeypatch.setattr(thresholds, "MAX_PREDICTED", 2)
-        monkeypatch.setattr(thresholds, "CALL_SECONDS", call)  # all in one call, or each in its own
-        monkeypatch.setattr(thresholds, "AT_ONCE_SECONDS", 0.0)
-        monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", seconds)
-        every = job.threshold(predict=name, progress=False)  # type: ignore[arg-type]
-        assert every.cause.values.tolist() == predicted.cause.values.tolist()
-        np.testing.assert_array_equal(every.predicted_down, predicted.predicted_down)
-    monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", 0.99 * alone)
-    with pytest.raises(BadRequest, match=r"predict: 2 values of omega take .*: enough for 1 values"):
-        job.threshold(predict="all", progress=False)
-    left_out = job.threshold()  # what the grid says is read nevertheless
-    assert all("enough for 1 values" in str(cause) for cause in left_out.cause.values)
-    np.testing.assert_array_equal(left_out.down, predicted.down)
-
-
-def test_another_contact_is_told_from_the_one_predicted(client: Client):
-    job = client.submit(RAMP | {"model": {"kind": "soft"}, "omega": 0.9, "gamma": [0.5, 0.6]})
-    assert "not the contact of the sweep, which is soft" in job.wait(progress=False).threshold().prediction
-
-
-def test_the_motion_of_a_cycle_has_its_energy(client: Client):
-    cell = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "settle": 300}
-    motion = client.trajectory(cell)
-    # BRANCHES: Γ = 1.5 of Fig. 2
-    for name, value in {"plate_contact": 5.360202674, "plate_impact": 2.322874748, "dashpot": 4.026176359,
-                        "impact": 3.656901063}.items():  # fmt: skip
-        assert float(motion[name]) == pytest.approx(value, abs=1e-8)
-    assert "plate_contact" not in client.trajectory(cell | {"gamma": 2.3})  # (2,2)
-    assert "plate_contact" not in client.trajectory(cell | {"model": {"kind": "soft"}})
 
 
 # The study

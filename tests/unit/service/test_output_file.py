@@ -98,8 +98,3 @@ def test_standard_output_is_never_replaced(capfd: pytest.CaptureFixture[str]):
     write_file("/dev/stdout", b"table")
     assert Path("/dev/stdout").is_symlink()
     assert capfd.readouterr().out == "table"
-
-
-def test_a_folder_that_is_missing_is_named(tmp_path: Path):
-    with pytest.raises(FileNotFoundError, match="nowhere"), complete_file(tmp_path / "nowhere" / "out.nc"):
-        pass

@@ -1,7 +1,6 @@
 """The page's files and the data of its views, which agree with the public API."""
 
 import graphlib
-import gzip
 import json
 import re
 from collections.abc import Iterator
@@ -16,13 +15,8 @@ from scripted import Held
 from served import computing, finished, get, service
 from tables import for_each
 
-from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.api.routers import page
-from service.figures.catalogue import FIGURES
-from service.render.binary import packed
-from worker.analysis.thresholds import Status
-from worker.spec import SweepSpec
 
 SCRIPTS = page.FILES / "js"
 
@@ -157,19 +151,6 @@ def test_the_scripts_know_the_kernel_s_outcome_codes():
     }
 
 
-def test_the_scripts_know_the_kernel_s_labels():
-    further = {label: code for code, label in enumerate(LABELS) if code not in set(Outcome)}
-    assert codes_of("LABEL") == further
-
-
-def test_the_page_explains_every_status_of_a_threshold():
-    text = (SCRIPTS / "views" / "thresholds.js").read_text()
-    listed = re.search(r"const REASONS = \{\n(.*?)\n\};", text, re.DOTALL)
-    assert listed
-    reasons = {name.strip('"') for name in re.findall(r'^  ("[^"]+"|\w+): ', listed[1], re.MULTILINE)}
-    assert reasons == {str(status) for status in Status} - {"found", "not ramped"}
-
-
 @pytest.mark.parametrize("min_flight", [None, 0.0, 3.0])
 def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: str, min_flight: float | None):
     query = {} if min_flight is None else {"min_flight": min_flight}
@@ -185,14 +166,6 @@ def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: s
         assert diagram[name] == modes[name][0] == plane[name][: len(diagram[name])].tolist()
     stored = get(client, f"{line}/diagram", omega=0.5)
     assert (diagram["bounces"] != stored["bounces"]) == (min_flight == 3.0)
-
-
-def test_the_presets_are_the_sweeps_of_the_command_line_figures(client: TestClient):
-    figures = get(client, "/v1/figures")
-    assert [figure["number"] for figure in figures] == [2, 3, 4, 5, 6, 7, 8, 9]
-    for figure in figures:
-        specs = [SweepSpec.parse(sweep) for sweep in figure["sweeps"]]
-        assert specs == [SweepSpec.parse(dict(sweep)) for sweep in FIGURES[figure["number"]].sweeps]
 
 
 def test_files_outside_the_folder_are_not_served(client: TestClient):
@@ -217,74 +190,6 @@ def test_points_are_the_flights_of_the_diagram(client: TestClient, line: str):
     np.testing.assert_allclose(arrays["flight_time"], flights, rtol=1e-6)
     assert header["points"] == len(flights)
     assert header["highest"] == pytest.approx(flights.max(), rel=1e-6)
-
-
-@pytest.mark.parametrize("log", [False, True])
-def test_density_counts_the_points(client: TestClient, line: str, log: bool):
-    window = {"left": 1.5, "right": 4.0, "bottom": 2.0, "top": 12.0, "width": 50, "height": 40, "log": log}
-    _, points = unpacked(client, f"{line}/line", omega=0.5)
-    header, arrays = unpacked(client, f"{line}/line", omega=0.5, most=100, **window)
-    assert "flight_time" not in arrays
-    x = np.repeat(points["values"], points["shown"])
-    warp = np.log if log else np.asarray
-    edges = np.linspace(warp(1.5), warp(4.0), 51), np.linspace(2.0, 12.0, 41)
-    expected, *_ = np.histogram2d(warp(x), points["flight_time"].astype(float), edges)
-    counts = arrays["density"].reshape(40, 50).astype(int)
-    # Values on the border between two columns may be counted in either.
-    assert abs(counts.sum() - expected.sum()) <= 0.02 * expected.sum()
-    np.testing.assert_allclose(counts.sum(axis=1), expected.sum(axis=0), atol=2)
-    assert header["points"] == len(x)
-
-
-def test_the_density_of_a_whole_line_counts_every_flight(client: TestClient, line: str):
-    header, arrays = unpacked(client, f"{line}/line", omega=0.5, most=0, width=300, height=500)
-    assert arrays["density"].sum() == header["points"]
-
-
-def test_as_many_flights_as_are_allowed_are_sent_as_points(client: TestClient, line: str):
-    points = unpacked(client, f"{line}/line", omega=0.5)[0]["points"]
-    _, arrays = unpacked(client, f"{line}/line", omega=0.5, most=points)
-    assert len(arrays["flight_time"]) == points
-    _, arrays = unpacked(client, f"{line}/line", omega=0.5, most=points - 1)
-    assert "flight_time" not in arrays
-
-
-@for_each("length", range(9))
-def test_arrays_begin_at_multiples_of_eight_bytes(length: int):
-    arrays = {
-        "three": np.arange(3, dtype=np.uint8),
-        "two": np.arange(2.0),
-        "none": np.empty(0),
-        "table": np.arange(4, dtype=">f4").reshape(2, 2).T,
-    }
-    line, _, body = packed({"text": "x" * length}, arrays).partition(b"\n")
-    assert (len(line) + 1) % 8 == 0
-    assert len(line) - len(line.rstrip()) < 8
-    assert json.loads(line) == {
-        "text": "x" * length,
-        "arrays": {
-            "three": ["uint8", 0, 3],
-            "two": ["float64", 8, 2],
-            "none": ["float64", 24, 0],
-            "table": ["float32", 24, 4],
-        },
-    }
-    assert len(body) == 40
-    assert np.frombuffer(body, "<f8", 2, 8).tolist() == [0.0, 1.0]
-    assert np.frombuffer(body, "<f4", 4, 24).tolist() == [0.0, 2.0, 1.0, 3.0]
-
-
-def test_density_is_compressed_where_the_client_accepts_it(client: TestClient, line: str):
-    response = client.get(
-        f"{line}/line", params={"omega": 0.5, "most": 0}, headers={"Accept-Encoding": "gzip"}
-    )
-    plain = client.get(
-        f"{line}/line", params={"omega": 0.5, "most": 0}, headers={"Accept-Encoding": "identity"}
-    )
-    assert response.headers["content-encoding"] == "gzip"
-    assert "content-encoding" not in plain.headers
-    assert response.content == plain.content
-    assert len(gzip.compress(plain.content, 1)) < len(plain.content) / 5
 
 
 @pytest.mark.parametrize(("path", "encoding"), [("plane", "gzip"), ("line?omega=0.5", None)])
@@ -330,27 +235,6 @@ def test_a_plane_is_the_mode_map(client: TestClient, line: str):
         assert arrays[name].tolist() == np.concatenate(modes[name]).tolist()
 
 
-def test_the_mode_map_and_the_diagram_are_thinned_on_request(client: TestClient, line: str):
-    whole, part = (get(client, f"{line}/modes", xi=0.26, every=every) for every in (1, 50))
-    assert "every" not in whole
-    assert (part["every"], part["gamma"], part["omega"]) == (50, whole["gamma"][::50], [0.5])
-    assert part["bounces"] == [whole["bounces"][0][::50]]
-    thinned = get(client, f"{line}/diagram", omega=0.5, every=50)
-    assert (thinned["every"], thinned["values"]) == (50, whole["gamma"][::50])
-
-
-def test_a_window_of_a_plane_holds_the_cells_inside(client: TestClient, line: str):
-    _, whole = unpacked(client, f"{line}/plane")
-    _, part = unpacked(client, f"{line}/plane", left=2.0, right=3.51, bottom=0.55)
-    inside = (whole["gamma"] >= 2.0) & (whole["gamma"] <= 3.51)
-    assert part["gamma"].tolist() == whole["gamma"][inside].tolist()
-    assert part["omega"].tolist() == [0.6]
-    assert part["bounces"].tolist() == whole["bounces"].reshape(2, 101)[1, inside].tolist()
-    _, between = unpacked(client, f"{line}/plane", left=2.03, right=2.04, bottom=0.51, top=0.52)
-    assert (len(between["gamma"]), between["omega"].tolist()) == (1, [0.5])
-    assert between["gamma"][0] == pytest.approx(2.05)
-
-
 def test_a_plane_of_too_many_cells_is_thinned(tmp_path: Path):
     with computing(tmp_path, max_points=60) as client:
         job_url = finished(client, LINE)
@@ -360,16 +244,6 @@ def test_a_plane_of_too_many_cells_is_thinned(tmp_path: Path):
         assert arrays["omega"].tolist() == [0.5]
         header, arrays = unpacked(client, f"{job_url}/plane", left=1.0, right=2.0)
         assert (header["every_gamma"], arrays["outcome"].size) == (1, 42)
-
-
-def test_a_line_of_too_many_cells_is_thinned(client: TestClient, line: str, monkeypatch: pytest.MonkeyPatch):
-    whole, cells = unpacked(client, f"{line}/line", omega=0.5)
-    assert whole["every"] == 1
-    monkeypatch.setattr("service.results.line.MAX_READ", 40 * 16)
-    header, arrays = unpacked(client, f"{line}/line", omega=0.5)
-    assert header["every"] == 3
-    assert arrays["values"].tolist() == cells["values"][::3].tolist()
-    assert arrays["shown"].tolist() == cells["shown"][::3].tolist()
 
 
 # The trajectory of a cell
@@ -407,17 +281,3 @@ def test_the_trajectory_of_a_cell_not_computed_yet_is_refused(tmp_path: Path):
         header, arrays = unpacked(client, f"{job_url}/line")
         assert header["missing"] == len(arrays["values"]) == 81
         assert len(arrays["flight_time"]) == 0
-
-
-def test_the_trajectory_of_an_unresolved_cell_of_a_ramp_is_refused(client: TestClient):
-    """Its stored state is where the computation stopped. An undamped contact and spring ring for ever."""
-    ramp = RAMP | {
-        "gamma": [1.5, 1.6], "omega": 0.8, "xi": 0, "settle": 0, "observe": 2,
-        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "up"},
-        "model": {"kind": "soft", "restitution": 1, "penetration": 1e-8},
-    }  # fmt: skip
-    job_url = finished(client, ramp)
-    assert get(client, f"{job_url}/diagram", along="gamma")["outcome"][0] == Outcome.UNRESOLVED
-    response = client.get(f"{job_url}/trajectory", params={"gamma": 1.5})
-    assert response.status_code == 422
-    assert "unresolved before the first sample" in response.json()["detail"]

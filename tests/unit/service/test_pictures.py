@@ -21,6 +21,7 @@ if __name__ == "__main__":
 
 from artists import difference, read_back
 from paths import GOLDEN, ROOT
+from service.results.diagram import Diagram
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
@@ -28,7 +29,6 @@ from service.client import plots
 from service.render import bifurcation, multistability, work_precision
 from service.render.style import DPI
 from service.results.counting import LABEL
-from service.results.diagram import Diagram
 from service.results.multistability import Attractor, Place, Plane
 from worker.analysis.work_precision import Measurement
 from worker.basins.spec import MultistabilitySpec
@@ -182,31 +182,6 @@ def drawn(name: str) -> list[str]:
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
         draw(figure)
         return read_back(figure)
-
-
-def test_an_attractor_without_flights_is_a_point_on_the_axis_at_each_of_its_cells():
-    figure = Figure()
-    multistability._draw_line(figure, line(), np.full((3, 3, 2), NAN))
-    (axes,) = figure.axes
-    points = sorted(tuple(point) for drawn in axes.lines for point in drawn.get_xydata())
-    assert points == [(1.1, 0.0), (1.2, 0.0), (1.2, 0.0), (1.4, 0.0), (1.4, 0.0), (1.4, 0.0)]
-
-
-def test_what_was_not_measured_is_not_drawn():
-    """No cost where all steps are refused, no error where it is infinite."""
-    rows = json.loads((GOLDEN / "tradeoff_rows.json").read_text())["rows"]
-    measured = [Measurement.model_validate(row) for row in rows if row["purpose"] == "adhesive"]
-    lacking = [
-        measured[-1].model_copy(update=dict(zip(("error", "cost"), numbers, strict=True)))
-        for numbers in ((None, None), (None, 3.0), (1e-3, None))
-    ]
-
-    def panel(rows: list[Measurement]) -> tuple[int, list[Any]]:
-        axes = Figure().subplots()
-        points = work_precision._panel(axes, "adhesive", rows)
-        return len(axes.lines), points
-
-    assert panel([*measured, *lacking]) == panel(measured)
 
 
 @pytest.mark.parametrize("name", PICTURES)

@@ -1,8 +1,6 @@
 """A job's results as plots: what the artists hold is what the datasets hold."""
 
-import sys
 from collections.abc import Iterator
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,6 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from served import computing
 
-from kernel.labels import LABELS
 from service.client import BounceError, Client, Job
 from service.client.plots import (
     AXES,
@@ -25,10 +22,7 @@ from service.client.plots import (
     OTHERS,
     PERIODS,
     RED,
-    draw_branches,
-    draw_diagram,
     draw_modes,
-    draw_thresholds,
 )
 
 RAMP: dict[str, Any] = {
@@ -122,84 +116,6 @@ def drawn(modes: xarray.Dataset) -> tuple[Axes, list[str], list[str]]:
     assert legend is not None
     colours = mesh.cmap(mesh.norm(np.asarray(mesh.get_array()).ravel()))
     return ax, [to_hex(colour) for colour in colours], [text.get_text() for text in legend.get_texts()]
-
-
-def test_a_map_tells_periods_and_labels_apart():
-    periodic, others = LABELS.index("periodic"), [name for name in OTHERS if name in LABELS]
-    label = [*[periodic] * 6, *(LABELS.index(name) for name in others)]
-    periods = [1, 2, 3, 4, 5, 9, *[0] * len(others)]
-    outcome = [periodic] * len(label)
-    ax, colours, legend = drawn(cells(label=label, outcome=outcome, periods=periods))
-    assert colours == [*PERIODS, PERIODS[-1], *(OTHERS[name] for name in others)]
-    assert legend[:5] == ["cycle of 1", "cycle of 2", "cycle of 3", "cycle of 4", "longer cycle"]
-    assert legend[5:] == [name.replace("_", " ") for name in others]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == (AXES["gamma"], AXES["omega"])
-    assert ax.get_title() == r"$\xi$ = 0.05, periods of the plate in a cycle"
-    legend_box = ax.get_legend().get_bbox_to_anchor().transformed(ax.transAxes.inverted())
-    assert (legend_box.x0, legend_box.y0) == pytest.approx((1.01, 1.0))
-    # Without labels, by the outcome.
-    _, colours, legend = drawn(cells(outcome=outcome, periods=periods))
-    assert colours[6:] == [PERIODS[0]] * len(others)
-
-
-@pytest.mark.parametrize(("hysteresis", "hatched"), [((0, 0), False), ((0, 1), True), ((2, 0), True)])
-def test_cells_of_any_difference_are_hatched(hysteresis: tuple[int, int], hatched: bool):
-    ax, _, legend = drawn(cells(outcome=[1, 1], periods=[1, 1], hysteresis=hysteresis))
-    assert len(ax.collections) == (2 if hatched else 1)
-    assert (DIFFER in legend) is hatched
-    if hatched:
-        masked = np.ma.getmaskarray(ax.collections[1].get_array()).ravel().tolist()
-        assert masked == [value == 0 for value in hysteresis]
-
-
-def test_thresholds_are_named_and_those_there_are_not_are_left_out(ax: Axes):
-    nothing = np.array([np.nan, np.nan])
-    values = {"analytic": [0.5, 0.6], "predicted_down": [0.4, 0.5], "up": [0.5, np.nan], "down": nothing}
-    draw_thresholds(
-        ax, xarray.Dataset({n: ("omega", v) for n, v in values.items()}, {"omega": [0.5, 0.6], "xi": 0.05})
-    )
-    names = ["Eq. 25", "closed form, down", "computed, up"]
-    assert [str(line.get_label()) for line in ax.lines] == names
-    legend = ax.get_legend()
-    assert legend is not None
-    assert [text.get_text() for text in legend.get_texts()] == names
-    labels = (ax.get_xlabel(), ax.get_ylabel(), ax.get_title())
-    assert labels == (AXES["omega"], r"threshold $\Gamma$", r"$\xi$ = 0.05")
-
-
-def test_cycles_are_drawn_by_what_they_are(ax: Axes):
-    grid, gamma = ("branch", "point"), [1.0, 2.0, 3.0, 4.0]
-    values = {"gamma": gamma, "flight_time": gamma, "stable": [1, 0, 1, 0], "admissible": [0, 0, 1, 4]}
-    draw_branches(ax, xarray.Dataset({name: (grid, np.array([each])) for name, each in values.items()}))
-    shown = {
-        line.get_linestyle(): [x for x in np.asarray(line.get_xdata()).tolist() if np.isfinite(x)]
-        for line in ax.lines
-    }
-    assert shown == {"-": [1.0], "--": [2.0], ":": [3.0, 4.0]}
-
-
-@pytest.mark.parametrize(("direction", "label"), [("rest", "from rest"), ("up", "ramp up")])
-def test_a_diagram_names_what_is_fixed_and_the_way(ax: Axes, direction: str, label: str):
-    times = np.array([[5.0, np.nan], [4.0, 6.0]])
-    fixed = {"omega": 0.5, "xi": 0.05, "direction": direction}
-    diagram = xarray.Dataset({"flight_time": (("gamma", "flight"), times)}, {"gamma": [1.0, 2.0], **fixed})
-    draw_diagram(ax, diagram)
-    (dots,) = ax.lines
-    np.testing.assert_array_equal(dots.get_xydata(), [[1, 5], [1, np.nan], [2, 4], [2, 6]])
-    assert dots.get_label() == label
-    labels = (ax.get_xlabel(), ax.get_ylabel(), ax.get_title())
-    assert labels == (AXES["gamma"], FLIGHT, r"$\Omega$ = 0.5, $\xi$ = 0.05")
-
-
-def test_axes_are_those_of_the_caller_of_pyplot_or_new(job: Job, ax: Axes, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)
-    made = job.plot("threshold")
-    assert made.figure is not ax.figure
-    pyplot = ModuleType("matplotlib.pyplot")
-    pyplot.gca = lambda: ax  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", pyplot)
-    assert job.plot("threshold") is ax
-    assert len(ax.lines) == len(made.lines) > 0
 
 
 def test_what_is_drawn_by_default(job: Job, client: Client):

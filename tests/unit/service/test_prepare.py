@@ -23,7 +23,6 @@ from worker.analysis.model_selection import ModelChoice
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
-from worker.studies import study_of
 
 
 @pytest.fixture
@@ -65,16 +64,6 @@ def test_from_submission_to_export_a_job_is_parsed_once_and_planned_once(tmp_pat
         assert calls == {"parsed": 1, "planned": 1}
 
 
-def test_an_estimate_parses_the_request_alone(tmp_path: Path, calls: Counter[str]):
-    """Its speed comes from jobs that the service has prepared already."""
-    with computing(tmp_path) as client:
-        finished(client, small().as_submitted())
-        calls.clear()
-        answer = client.post("/v1/jobs", json=small(xi=0.1).as_submitted(), params={"validate_only": "true"})
-        assert answer.status_code == 200
-        assert calls == {"parsed": 1, "planned": 1}
-
-
 def test_a_service_that_starts_again_prepares_a_job_once(tmp_path: Path, calls: Counter[str]):
     with service(tmp_path, Held()) as client:
         here = client.post("/v1/jobs", json=sweep().as_submitted()).headers["Location"]
@@ -105,30 +94,6 @@ def preparer(tmp_path: Path) -> JobPreparer:
     return JobPreparer(Settings(data=tmp_path))
 
 
-def test_a_prepared_job_is_what_the_record_says(preparer: JobPreparer, tmp_path: Path):
-    spec = small()
-    prepared = preparer.prepare(record(spec))
-    assert prepared.job_id == spec.job_id(KERNEL_VERSION)
-    assert prepared.submitted == prepared.spec == spec
-    assert prepared.plan == make_plan(spec)
-    assert prepared.store_url == str(tmp_path / "stores" / f"{prepared.job_id}.zarr")
-    assert prepared.attributes == {}
-
-
-def test_a_chunk_is_described_by_its_number_and_cells(preparer: JobPreparer):
-    prepared = preparer.prepare(replace(record(small(omega=0.5)), chunk_shape=(2, 1, 1)))
-    described = prepared.describe(prepared.plan[3])
-    assert described == "chunk 3 (rest, gamma 2, omega 0.5, xi 0.05 to 0.26)"
-
-
-def test_it_is_the_same_value_until_the_job_changes(preparer: JobPreparer):
-    job = record(small())
-    prepared = preparer.prepare(job)
-    assert preparer.prepare(replace(job, state=JobState.DONE, chunks_done=3)) is prepared
-    assert preparer.prepare(replace(job, seq=2)) is not prepared  # deleted and accepted again
-    assert preparer.prepare(replace(job, chunk_shape=(1, 1, 1))).plan.chunk_shape == (1, 1, 1)
-
-
 def test_a_chosen_model_takes_the_place_of_auto_in_what_is_computed(preparer: JobPreparer):
     spec = small(model={"kind": "auto", "restitution": 0.0})
     before = preparer.prepare(record(spec))
@@ -137,15 +102,6 @@ def test_a_chosen_model_takes_the_place_of_auto_in_what_is_computed(preparer: Jo
     assert before.spec.model.kind == before.submitted.model.kind == after.submitted.model.kind == "auto"
     assert after.spec.model.kind == "rigid"
     assert after.attributes == {"model": "rigid", "choice": choice.reproducible()}
-
-
-def test_what_a_submission_has_made_is_kept(preparer: JobPreparer, calls: Counter[str]):
-    spec = small()
-    plan, job = make_plan(spec), record(spec)
-    preparer.seed(job, spec, plan)
-    assert preparer.prepare(job).submitted is spec
-    assert preparer.prepare(job).plan is plan
-    assert not calls
 
 
 def test_many_at_once_get_one_value(preparer: JobPreparer, calls: Counter[str]):
@@ -180,29 +136,6 @@ def test_only_the_jobs_used_last_are_kept(
     assert calls["parsed"] == 5
 
 
-def test_one_job_is_kept_however_long_its_specification_is(
-    preparer: JobPreparer, calls: Counter[str], monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(prepare, "MAX_SPEC_CHARS", 1)
-    one, two = record(small()), record(small(), seq=2)
-    for job, parsed in ((one, 1), (one, 1), (two, 2), (one, 3)):
-        preparer.prepare(job)
-        assert calls["parsed"] == parsed
-
-
-@pytest.mark.parametrize("settle_until", [None, 640])
-def test_a_cell_takes_its_part_of_the_time_or_as_long_as_it_may(
-    preparer: JobPreparer, settle_until: int | None
-):
-    spec = small(settle_until=settle_until)
-    prepared, cost = preparer.prepare(record(spec)), study_of(spec).estimate(spec, make_plan(spec))
-    longest = cost.core_seconds if settle_until is None else cost.longest_core_seconds
-    assert longest is not None
-    assert (longest > cost.core_seconds) == (settle_until is not None)
-    assert prepared.cell_seconds == pytest.approx(cost.core_seconds / 60)
-    assert prepared.longest_cell_seconds == pytest.approx(longest / 60)
-
-
 def test_of_an_outdated_job_fields_are_read_that_are_refused_today(preparer: JobPreparer):
     bounded = {"name": "x" * 201, "settle_tolerance": 1e3}
     job = replace(record(small()), spec=json.dumps(small().as_submitted() | bounded))
@@ -210,8 +143,3 @@ def test_of_an_outdated_job_fields_are_read_that_are_refused_today(preparer: Job
         preparer.prepare(job)
     submitted = preparer.prepare(replace(job, kernel_version="0")).submitted
     assert {name: getattr(submitted, name) for name in bounded} == bounded
-
-
-def test_a_specification_of_an_older_version_raises(preparer: JobPreparer):
-    with pytest.raises(SpecError):
-        preparer.prepare(replace(record(small()), spec='{"gamma": 1.0}'))

@@ -1,7 +1,6 @@
 """From the store to arrays: the right cells, no other chunks, and errors that name the parameter."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +11,14 @@ from tables import for_each
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
-from service.errors import InvalidRequest, OutdatedJob, TooLarge
-from service.render import answers
-from service.results import density, hysteresis, mode_map, selection, thresholds
+from service.errors import InvalidRequest, TooLarge
 from service.results import diagram as diagrams
 from service.results import line as lines
+from service.results import mode_map, selection, thresholds
 from service.results.counting import MODE_ARRAYS
 from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis, compare
 from service.results.selection import Sweep
 from worker import schema, store
-from worker.cost import cell_seconds
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
@@ -99,21 +96,6 @@ def test_fixed_values_snap_to_the_grid(sweep: Sweep):
     assert diagram(sweep, omega=0.61, xi=0.2).fixed == {"omega": 0.7, "xi": 0.26}
 
 
-def test_a_value_off_the_end_by_rounding_is_on_the_grid(sweep: Sweep):
-    ends = math.nextafter(0.5, 0), math.nextafter(0.26, 1)
-    assert diagram(sweep, omega=ends[0], xi=ends[1]).fixed == {"omega": 0.5, "xi": 0.26}
-    assert diagram(sweep, "omega", gamma=0.1 + 0.4, xi=0.05).fixed["gamma"] == 0.5
-
-
-def test_the_rounding_forgiven_is_relative_to_the_larger_end():
-    wide = spec(gamma=[1.0, 2000.0], xi=0.0)
-    assert selection.nearest_index(wide, "gamma", 2000.0 + 1e-6).index == 1
-    assert selection.nearest_index(wide, "gamma", 1.0 - 1e-6).index == 0
-    with pytest.raises(InvalidRequest, match="gamma: must be within"):
-        selection.nearest_index(wide, "gamma", 2000.0 + 3e-6)
-    assert selection.nearest_index(wide, "xi", 0.0).value == 0.0  # nothing to round
-
-
 @pytest.mark.parametrize(
     ("values", "field", "rule"),
     [
@@ -135,11 +117,6 @@ def test_the_only_value_of_an_axis_may_be_left_out(tmp_path: Path):
     assert diagram(sweep).fixed == {"omega": 0.5, "xi": 0.26}
     with pytest.raises(InvalidRequest, match=r"xi: must be within .*, which is at 0\.26 alone, not 0\.3"):
         diagram(sweep, xi=0.3)
-
-
-def test_a_line_of_one_cell(tmp_path: Path):
-    line = diagram(computed(tmp_path, spec(gamma=1.5, omega=0.5, xi=0.26)))
-    assert (line.values.tolist(), line.flight_time.shape) == ([1.5], (1, 8))
 
 
 def test_directions(tmp_path: Path, sweep: Sweep):
@@ -165,14 +142,6 @@ def test_shown_are_the_recorded_flights_that_count(sweep: Sweep):
         longer = times[:n] > 3.0
         assert shown[:n].tolist() == (longer if longer.any() else np.ones(n, np.bool_)).tolist()
     assert 0 < line.shown.sum() < kept.sum()
-
-
-def test_half_a_sweep_is_incomplete(tmp_path: Path):
-    half = computed(tmp_path, spec(omega=0.5, xi=0.26), chunks=1)
-    line = diagram(half)
-    assert (line.complete, line.missing) == (False, 5)
-    assert not line.shown[5:].any()
-    assert line.arrays["flights"][5:].tolist() == [0] * 5
 
 
 def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
@@ -250,38 +219,6 @@ def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
         np.testing.assert_array_equal(thinned_map.arrays[name], whole_map.arrays[name][::every, ::every])
 
 
-def test_thinned_reads_skip_chunks_without_a_cell_of_them(sweep: Sweep, reads: list[str]):
-    diagrams.diagram(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0, 1000, 10)
-    assert "flight_time/c.0.1.0.0.0" in reads
-    assert "flight_time/c.0.1.0.1.0" not in reads
-
-
-def test_a_picture_of_a_line_however_long(sweep: Sweep, monkeypatch: pytest.MonkeyPatch):
-    """What can be read for it, every n-th cell."""
-    monkeypatch.setattr(diagrams, "MAX_READ", 40)
-    (line,) = diagrams.diagrams_to_draw(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
-    assert (line.every, len(line.values)) == (2, 5)
-    monkeypatch.setattr(diagrams, "MAX_READ", 8)
-    (line,) = diagrams.diagrams_to_draw(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
-    assert len(line.values) == 1
-
-
-def test_a_picture_of_both_directions_has_half_as_many_cells_of_each(
-    both_ways: Sweep, monkeypatch: pytest.MonkeyPatch
-):
-    """Fifteen cells of six flights in each direction."""
-    for most, every in ((180, 1), (179, 2), (96, 2), (95, 3)):
-        monkeypatch.setattr(diagrams, "MAX_READ", most)
-        lines_ = diagrams.diagrams_to_draw(both_ways, "gamma", {"omega": 0.6}, None, None)
-        assert [(line.direction, line.every) for line in lines_] == [("up", every), ("down", every)]
-    (line,) = diagrams.diagrams_to_draw(both_ways, "gamma", {"omega": 0.6}, "down", None, 5)
-    assert (line.direction, line.every) == ("down", 5)
-
-
-def test_the_flights_of_a_line_are_those_of_every_nth_cell():
-    assert [selection.line_flights(spec(), "gamma", every) for every in (1, 3, 10, 11)] == [80, 32, 8, 8]
-
-
 def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path, reads: list[str]):
     """However large the store: a line touches as many files as the plan has chunks along its axis."""
     large = spec(
@@ -299,46 +236,12 @@ def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path,
         assert len([name for name in reads if name != "zarr.json"]) == chunks  # outcomes, not there yet
 
 
-def test_results_under_repair_are_not_complete(sweep: Sweep):
-    damaged = replace(sweep, repairing=True)
-    line = diagram(damaged, omega=0.7, xi=0.26)
-    assert (line.missing, line.complete) == (0, False)
-    assert not mode_map.modes(damaged, 0.05, None, 1000).complete
-    assert not mode_map.modes_between(damaged, 0.05, None, (1.0, 2.0), (None, None), 1000).complete
-    assert mode_map.modes(sweep, 0.05, None, 1000).complete
-    whole = answers.Line("gamma", {"omega": 0.7, "xi": 0.26}, None, None)
-    view = answers.View(None, None, 0.0, None, log=False, width=4, height=4, most=1000)
-    assert [answers.packed_line(one, whole, view).complete for one in (sweep, damaged)] == [True, False]
-
-
-def test_a_picture_tells_what_it_was_made_from():
-    made = Sweep(spec(name="Γ and Ω"), "", job=32 * "a")
-    assert set(made.origin) == {"job", "kernel_version", "release", "spec"}
-    assert '"name": "Γ and Ω"' in made.origin["spec"]
-    assert set(Sweep(spec(), "").attributes) == {"kernel_version", "release"}
-    assert "computed by kernel version 1;" in replace(made, kernel_version="1").attributes["comment"]
-
-
 # A line for the page
 
 TWO_FLIGHTS = lines.FlightLine(
     fixed={}, direction="rest", cells={"values": np.array([0.5, 1.0, 2.0]), "outcome": np.array([3, 0, 1])},
     flights=np.array([3.0, 7.0], np.float32), every=1, min_flight=0.0,
 )  # fmt: skip
-
-
-@for_each(
-    ("edges", "log", "window"),
-    [
-        ((None, None, 1.0, None), False, (0.5, 2.0, 1.0, 7.0)),
-        ((0.7, 1.5, 0.5, 4.0), True, (0.7, 1.5, 0.5, 4.0)),
-        ((None, None, 8.0, None), True, (0.5, 2.0, 8.0, 8.0)),  # above every flight
-        ((1.0, 1.0, 2.0, 2.0), False, (1.0, 1.0, 2.0, 2.0)),
-        ((0.0, 1.0, 0.0, None), False, (0.0, 1.0, 0.0, 7.0)),
-    ],
-)
-def test_a_window_has_the_ends_of_the_line_where_no_edge_is_given(edges: Any, log: bool, window: Any):
-    assert lines.window_of(TWO_FLIGHTS, *edges, log=log) == window
 
 
 @pytest.mark.parametrize(
@@ -352,31 +255,6 @@ def test_a_window_has_the_ends_of_the_line_where_no_edge_is_given(edges: Any, lo
 def test_an_empty_window_is_refused(edges: Any, log: bool, rule: str):
     with pytest.raises(InvalidRequest, match=rule):
         lines.window_of(TWO_FLIGHTS, *edges, log=log)
-
-
-def test_a_line_tells_its_longest_flight_and_the_missing_cells():
-    assert (TWO_FLIGHTS.longest, TWO_FLIGHTS.missing) == (7.0, 1)
-    assert replace(TWO_FLIGHTS, flights=np.empty(0, np.float32)).longest == 0.0
-
-
-def test_counts_beyond_a_byte_are_sent_as_its_largest():
-    crowded = replace(
-        TWO_FLIGHTS,
-        cells={"values": np.array([1.0, 2.0]), "shown": np.array([255, 256])},
-        flights=np.full(511, 3.0, np.float32),
-    )
-    window = lines.window_of(crowded, None, None, 0.0, 4.0, log=False)
-    assert lines.counts(crowded, window, 2, 2, log=False).tolist() == [[0, 0], [255, 255]]
-
-
-def test_a_line_for_the_page_however_long(sweep: Sweep, monkeypatch: pytest.MonkeyPatch):
-    point = {"omega": 0.7, "xi": 0.26}
-    assert lines.read_line(sweep, "gamma", point, None, None).every == 1
-    for most, every in ((79, 2), (8, 10), (7, 10)):
-        monkeypatch.setattr(lines, "MAX_READ", most)
-        line = lines.read_line(sweep, "gamma", point, None, None)
-        assert line.every == every
-        assert line.cells["values"].tolist() == sweep.spec.axis_values("gamma")[::every].tolist()
 
 
 # Planes and thresholds
@@ -403,101 +281,7 @@ def test_a_window_of_a_plane_has_the_cells_inside(
     assert window.every == 1
 
 
-def test_a_window_of_a_plane_is_thinned_to_what_fits(sweep: Sweep):
-    window = mode_map.modes_between(sweep, 0.05, None, (1.0, 5.0), (None, None), 10)
-    assert (window.every, window.omega.tolist()) == (2, [0.5, 1.0])
-    assert window.gamma.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
-    whole = mode_map.modes(sweep, 0.05, None, 1000)
-    np.testing.assert_array_equal(window.arrays["bounces"], whole.arrays["bounces"][::2, 1::2])
-
-
-def test_modes_of_other_flights_are_those_of_as_many_cells_as_can_be_read(
-    sweep: Sweep, monkeypatch: pytest.MonkeyPatch
-):
-    """Eight flights of each of 3 by 10 cells."""
-    monkeypatch.setattr(mode_map, "MAX_READ", 80)
-    assert mode_map.modes(sweep, 0.05, None, 30).every == 1
-    assert mode_map.modes(sweep, 0.05, None, 1000, 2, min_flight=1.0).arrays["outcome"].shape == (2, 5)
-    with pytest.raises(TooLarge, match=r"the limit is 10: every=2 fits"):
-        mode_map.modes(sweep, 0.05, None, 1000, min_flight=1.0)
-    assert mode_map.modes_between(sweep, 0.05, None, (None, None), (None, None), 1000, 1.0).every == 2
-    assert mode_map.plane_size(sweep.spec, None, 1000) == (30, 0)
-    assert mode_map.plane_size(sweep.spec, None, 20) == (20, 0)
-    assert mode_map.plane_size(sweep.spec, None, 1000, 3) == (4, 0)
-    assert mode_map.plane_size(sweep.spec, 1.0, 1000) == (10, 80)
-    assert mode_map.plane_size(sweep.spec, 1.0, 4) == (4, 32)
-    monkeypatch.setattr(mode_map, "MAX_READ", 7)
-    assert mode_map.plane_size(sweep.spec, 1.0, 1000) == (1, 8)
-
-
-def test_the_memory_of_a_comparison_is_that_of_the_rows_read_at_once(monkeypatch: pytest.MonkeyPatch):
-    """3 by 15 cells, two directions, six flights: 540 in all, 180 in a row."""
-    spec = SweepSpec(**BOTH_WAYS)
-    for compared, flights in ((1000, 540), (400, 400), (100, 180)):
-        monkeypatch.setattr(mode_map, "_COMPARED", compared)
-        assert mode_map.comparison_memory(spec) == flights * 48
-
-
-def noted(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[int]:
-    """The rows of omega that a module reads at a time, from now on."""
-    rows: list[int] = []
-
-    def reading(*arguments: Any) -> mode_map.Plane:
-        part = plane(*arguments)
-        rows.append(len(part.omega))
-        return part
-
-    plane = mode_map.plane
-    monkeypatch.setattr(module, "plane", reading)
-    return rows
-
-
 ADAPTIVE: dict[str, Any] = {"refine": {"by": "mode", "coarsest": 4}, "xi": 0.05}
-
-
-def test_the_computed_share_of_an_adaptive_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Of 3 by 10 cells two are not done yet, and seven of the others are computed."""
-    adaptive = spec(**ADAPTIVE)
-    outcomes, computed = np.full(adaptive.shape, Outcome.PERIODIC), np.zeros(adaptive.shape)
-    outcomes[0, 0, 2, 8:] = Outcome.MISSING
-    computed[0, 0, 0, :4] = computed[0, 0, 1, 5] = computed[0, 0, 2, :2] = 1
-    made = handmade(tmp_path, outcomes, adaptive, computed=computed)
-    read = noted(monkeypatch, mode_map)
-    for most, rows in ((1000, [3]), (20, [2, 1]), (1, [1, 1, 1])):
-        monkeypatch.setattr(mode_map, "MAX_READ", most)
-        read.clear()
-        assert mode_map.modes(made, None, None, 1000, 2).computed == pytest.approx(7 / 28)
-        assert read[1:] == rows  # after the modes
-    queued = Sweep(adaptive, str(tmp_path / "nothing.zarr"))
-    assert mode_map.modes(queued, None, None, 1000).computed == 0.0
-
-
-def test_a_threshold_of_an_adaptive_map_says_whether_its_two_cells_were_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """All bounce from the fifth cell; computed are both beside it, all but the lower, all but the upper."""
-    adaptive = spec(**ADAPTIVE)
-    outcomes, computed = np.full(adaptive.shape, Outcome.AT_REST), np.zeros(adaptive.shape)
-    outcomes[..., 4:] = Outcome.PERIODIC
-    computed[0, 0, 0, 3:5] = 1
-    computed[0, 0, 1], computed[0, 0, 1, 3] = 1, 0
-    computed[0, 0, 2], computed[0, 0, 2, 4] = 1, 0
-    made = handmade(tmp_path, outcomes, adaptive, computed=computed)
-    read = noted(monkeypatch, thresholds)
-    for most, rows in ((1000, [3]), (20, [2, 1]), (1, [1, 1, 1])):
-        monkeypatch.setattr(thresholds, "MAX_READ", most)
-        read.clear()
-        found = thresholds.on_grid(made, None, 1000)
-        assert read == rows
-        assert found.up.tolist() == [2.5] * 3
-        assert found.up_computed == [True, False, False]
-
-
-def test_a_plane_is_the_stores_own(sweep: Sweep):
-    plane = mode_map.plane(sweep, 0.2, "rest", ("bounces", "periods"))
-    assert (plane.xi, plane.omega.tolist(), len(plane.gamma)) == (0.26, [0.5, 0.7, 1.0], 10)
-    for name, array in store.read_slice(sweep.url, ("bounces", "periods"), direction=0, xi=1).items():
-        np.testing.assert_array_equal(plane.arrays[name], array)
 
 
 def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):
@@ -521,28 +305,6 @@ def test_thresholds_are_found_in_planes_of_any_size(tmp_path: Path, monkeypatch:
         thresholds.on_grid(fine, None, 2)
 
 
-def test_thresholds_of_another_kernel_version_are_not_refined(tmp_path: Path):
-    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
-    coarse = thresholds.on_grid(fine, None, 1000)
-    earlier: Any = replace(fine, kernel_version="1")
-    nobody: Any = None  # asked before anything else is
-    with pytest.raises(OutdatedJob, match="the sweep was computed by kernel version 1; this release"):
-        thresholds.refined(nobody, nobody, earlier, coarse, 1e-3)
-
-
-def test_as_many_thresholds_are_refined_as_may_be(monkeypatch: pytest.MonkeyPatch):
-    """In each direction of the sweep."""
-    for direction, ways in (("up", 1), ("both", 2)):
-        ramp = Sweep(spec(protocol={"kind": "ramp", "axis": "gamma", "direction": direction}), "")
-        seconds = thresholds.TYPICAL_CELLS * cell_seconds(ramp.spec, alone=True) * ways
-        monkeypatch.setattr(thresholds, "MAX_SECONDS", 4.5 * seconds)
-        thresholds._check_cost(ramp, 4)
-        with pytest.raises(InvalidRequest) as error:
-            thresholds._check_cost(ramp, 5)
-        assert f"refining 5 values of omega takes about {5 * seconds:.3g} core-seconds" in str(error.value)
-        assert str(error.value).endswith("enough for 4 values")
-
-
 def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
     both = spec(
         omega=[0.5, 0.7, 1.0], xi=0.05, protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}
@@ -561,40 +323,10 @@ def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
     assert result.complete
 
 
-def test_thresholds_of_a_ramp_down_alone(tmp_path: Path):
-    down = spec(omega=0.5, xi=0.05, protocol={"kind": "ramp", "axis": "gamma", "direction": "down"})
-    outcomes = np.full(down.shape, Outcome.AT_REST)
-    outcomes[..., 6:] = Outcome.PERIODIC
-    outcomes[..., 9] = Outcome.MISSING
-    result = thresholds.on_grid(handmade(tmp_path, outcomes, down), None, 1000)
-    assert (result.down.tolist(), result.complete) == ([down.axis_values("gamma")[6]], False)
-    assert np.isnan(result.up).all()
-
-
 def test_a_ramp_along_another_axis_has_no_threshold_in_gamma(tmp_path: Path):
     along = spec(protocol={"kind": "ramp", "axis": "omega", "direction": "up"})
     with pytest.raises(InvalidRequest, match=r"protocol\.axis: is omega"):
         thresholds.on_grid(Sweep(along, str(tmp_path)), 0.05, 1000)
-
-
-def test_the_ends_of_a_window_belong_to_its_first_and_last_bin():
-    values = np.array([0.9, 1.0, 1.2, 1.25, 1.9, 2.0, 2.1])
-    assert density.bins(values, 1.0, 2.0, 4).tolist() == [-1, 0, 0, 1, 3, 3, -1]
-    assert density.bins(values, 1.2, 1.2, 4).tolist() == [-1, -1, 0, -1, -1, -1, -1]
-
-
-@pytest.mark.parametrize("log", [False, True])
-def test_every_flight_is_counted_in_the_bin_of_its_cell(log, monkeypatch):
-    monkeypatch.setattr(density, "BLOCK", 2)
-    values, shown = np.array([0.0, 1.0, 2.2, 4.0, 5.0]), np.array([1, 1, 2, 1, 1])
-    flights = np.array([1.0, 0.5, 3.0, 6.5, 8.0, 1.0])
-    counts = density.density(values, shown, flights, density.Window(1.0, 4.0, 0.0, 8.0), 2, 4, log)
-    column = int(log)  # of the cell at 2.2: the middle is at 2.5, on a logarithmic axis at 2
-    expected = np.zeros((4, 2), int)
-    expected[0, 0] = 1
-    expected[[1, 3], column] = 1
-    expected[3, 1] += 1
-    assert counts.tolist() == expected.tolist()
 
 
 #: Around the fold of Omega = 0.6 and, at larger Gamma, the flights that leap on the way up.
@@ -642,17 +374,6 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Swee
     assert window.arrays["hysteresis"].tolist() == expected[1:][:, columns].tolist()
 
 
-@pytest.mark.parametrize(
-    ("count", "last"),
-    [(1, [4.0]), (2, [2.0, 4.0]), (3, [2.0, 3.0, 4.0]), (4, [2.0, 3.0, 4.0, math.nan])],
-)
-def test_the_flights_compared_are_the_last_that_count(count: int, last: list[float]):
-    """Sorted; not the short one, nor the one beyond the last."""
-    times = np.array([[3.0, 2.0, 0.01, 4.0, math.nan]])
-    found = hysteresis._last(times, np.array([4], np.int32), count, 0.05)
-    np.testing.assert_array_equal(found, [last])
-
-
 def test_cycles_of_one_mode_are_other_cycles_if_a_flight_differs(both_ways: Sweep):
     """By more than OTHER_FLIGHTS, among those of the cycle; the last cell has none."""
     times = np.tile([3.0, 2.0], (5, 1))
@@ -670,29 +391,6 @@ def test_cycles_of_one_mode_are_other_cycles_if_a_flight_differs(both_ways: Swee
     shorter = unknown | {"bounces": np.array([1, 1, 1, 1, 0], np.int32)}
     assert compare(both_ways.spec, up, shorter, None).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
     assert compare(both_ways.spec, shorter, up, None).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
-
-
-@pytest.mark.parametrize(("compared", "rows"), [(1, [1, 1, 1]), (2 * 6 * 15 * 2, [2, 1])])
-def test_rows_are_compared_in_parts(
-    compared: int, rows: list[int], both_ways: Sweep, monkeypatch: pytest.MonkeyPatch
-):
-    """As many as belong to `_COMPARED` flights of both directions, at least one."""
-    whole = mode_map.modes(both_ways, None, "up", 1000, hysteresis=True).arrays["hysteresis"]
-    thinned = mode_map.modes(both_ways, None, "up", 1000, 2, hysteresis=True).arrays["hysteresis"]
-    seen: list[int] = []
-
-    def noting(spec: SweepSpec, up: Any, *others: Any) -> Any:
-        seen.append(len(up["outcome"]))
-        return compare(spec, up, *others)
-
-    monkeypatch.setattr(mode_map, "_COMPARED", compared)
-    monkeypatch.setattr(mode_map, "compare", noting)
-    parts = mode_map.modes(both_ways, None, "up", 1000, hysteresis=True).arrays["hysteresis"]
-    assert whole.any()
-    assert np.array_equal(parts, whole)
-    assert seen == rows
-    some = mode_map.modes(both_ways, None, "up", 1000, 2, hysteresis=True).arrays["hysteresis"]
-    assert np.array_equal(some, thinned)
 
 
 def test_cells_of_one_direction_alone_have_no_hysteresis(tmp_path: Path):

@@ -29,83 +29,6 @@ def drain(queue: ReadyQueue) -> list[int]:
     return order
 
 
-def test_independent_chunks_come_in_their_order():
-    assert drain(ready_queue([NONE] * 5)) == [0, 1, 2, 3, 4]
-
-
-def test_a_chunk_waits_for_the_one_before_it():
-    chain = ready_queue([NONE, 0, 1])
-    assert chain.pop() == 0
-    assert not chain.ready
-    chain.complete([0])
-    assert chain.pop() == 1
-
-
-def test_chains_move_on_together():
-    assert drain(ready_queue([NONE, NONE, 0, 1, 2, 3])) == [0, 1, 2, 3, 4, 5]
-
-
-def test_a_done_chunk_is_not_popped_and_makes_its_successor_ready():
-    assert drain(ready_queue([NONE, 0, 1, NONE], done=(0, 3))) == [1, 2]
-
-
-def test_a_requeued_chunk_is_popped_again():
-    two = ready_queue([NONE, NONE])
-    two.requeue(two.pop())
-    assert [two.pop(), two.pop()] == [1, 0]
-    assert not two.ready
-    assert not two.finished
-
-
-def test_successors_of_an_invalidated_chunk_wait_for_it_again():
-    chain = ready_queue([NONE, 0, 1, NONE], done=(0, 3))
-    chain.invalidate([0, 3])
-    assert sorted(drain(chain)) == [0, 1, 2, 3]
-    assert chain.finished
-
-
-def test_a_popped_chunk_is_not_popped_twice_when_its_predecessor_is_invalidated():
-    chain = ready_queue([NONE, 0, 1], done=(0,))
-    assert chain.pop() == 1
-    chain.invalidate([0])
-    assert chain.pop() == 0
-    chain.complete([0])
-    assert not chain.ready
-    chain.complete([1])
-    assert drain(chain) == [2]
-
-
-def test_a_requeued_chunk_waits_for_an_invalidated_predecessor():
-    chain = ready_queue([NONE, 0], done=(0,))
-    assert chain.pop() == 1
-    chain.invalidate([0])
-    chain.requeue(1)
-    assert drain(chain) == [0, 1]
-
-
-def test_it_is_finished_when_all_are_done():
-    assert ready_queue([NONE, 0], done=(0, 1)).finished
-    assert not ready_queue([NONE, 0], done=(0, 1)).ready
-
-
-def test_popping_from_an_empty_queue_is_an_error():
-    with pytest.raises(IndexError):
-        ready_queue([NONE], done=(0,)).pop()
-
-
-@given(st.data())
-def test_every_chunk_comes_once_and_after_its_predecessor(data: st.DataObject):
-    size = data.draw(st.integers(1, 30))
-    after = [data.draw(st.integers(NONE, index - 1)) for index in range(size)]
-    done = data.draw(st.sets(st.integers(0, size - 1)))
-    order = drain(ready_queue(after, tuple(done)))
-    assert sorted(order) == [index for index in range(size) if index not in done]
-    place = {index: position for position, index in enumerate(order)}
-    assert all(
-        after[index] in done or after[index] == NONE or place[after[index]] < place[index] for index in order
-    )
-
-
 @pytest.mark.parametrize("protocol", [
     {"kind": "rest"},
     {"kind": "ramp", "axis": "gamma", "direction": "up"},
@@ -188,13 +111,6 @@ def test_a_chunk_that_paused_comes_before_all_others():
     assert drain(queue) == [0, 2, 1]
 
 
-def test_a_paused_chunk_waits_for_an_invalidated_predecessor():
-    chain = ready_queue([NONE, 0, NONE], done=(0,))
-    chain.requeue(chain.pop(), first=True)
-    chain.invalidate([0])
-    assert sorted(drain(chain)) == [0, 1, 2]
-
-
 # Rotation
 
 
@@ -262,36 +178,3 @@ def test_turns_take_their_share_of_the_time_and_no_more():
             rotation.earn(0.3)
             outside += 0.3
     assert taken / (taken + outside) == pytest.approx(ROTATION_SHARE, rel=0.02)
-
-
-def test_a_turn_is_due_when_its_time_is_earned():
-    rotation = rotation_of("ab")
-    assert len(rotation) == 2
-    assert rotation.is_due(0.0)
-    assert not rotation.is_due(0.1)
-    rotation.earn(0.3)  # of which turns get a third
-    assert rotation.is_due(0.099)
-    assert not rotation.is_due(0.101)
-    rotation.begin_turn("a", 0.05)
-    assert rotation.is_due(0.049)
-    assert not rotation.is_due(0.051)
-    rotation.end_turn(0.05, 0.01)
-    assert rotation.is_due(0.089)
-    assert not rotation.is_due(0.091)
-
-
-def test_a_long_chunk_costs_a_slice():
-    rotation = rotation_of("a")
-    rotation.earn(1e6)
-    rotation.begin_turn("a", 50.0)
-    rotation.end_turn(50.0, 0.25)
-    assert rotation.is_due(0.75)
-    assert not rotation.is_due(0.76)
-
-
-def test_turns_that_could_not_be_taken_are_not_made_up_for():
-    rotation = rotation_of("a")
-    rotation.earn(1e6)
-    assert rotation.is_due(50.0)  # which is a slice
-    rotation.begin_turn("a", 50.0)
-    assert not rotation.is_due(0.1)

@@ -2,7 +2,6 @@
 
 import json
 from concurrent.futures import Future
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from service.jobs.prepare import JobPreparer
 from service.jobs.retry import Action, History, RetryPolicy
 from service.jobs.run import JobRun
 from service.settings import Settings
-from worker.executors.errors import WorkerDied
 from worker.plan import make_plan
 from worker.tasks import ChunkReport
 
@@ -56,14 +54,6 @@ def fail(run: JobRun, chunk: int, action: Action, error: Exception) -> None:
     run.apply(chunk, action, error)
 
 
-def test_it_knows_how_much_is_in_flight(run: JobRun):
-    first, second = submit(run), submit(run)
-    assert run.seconds_in_flight == pytest.approx(10 * run.prepared.cell_seconds)
-    finish(run, first)
-    finish(run, second)
-    assert run.seconds_in_flight == 0.0
-
-
 def test_it_ends_when_every_chunk_is_done_and_saved(run: JobRun):
     while run.may_submit:
         assert run.final_state is None
@@ -81,25 +71,6 @@ def test_nothing_is_submitted_while_something_is_unsaved(run: JobRun):
     assert run.may_submit
 
 
-def test_it_knows_how_much_is_left(run: JobRun):
-    chunk = run.prepared.core_seconds / 12
-    assert run.chunk_seconds == pytest.approx(chunk)
-    assert run.remaining_seconds == pytest.approx(12 * chunk)
-    finish(run, submit(run))
-    assert run.remaining_seconds == pytest.approx(11 * chunk)
-    assert run.longest_seconds(run.prepared.plan[0]) == pytest.approx(5 * run.prepared.longest_cell_seconds)
-
-
-def test_it_knows_how_many_chunks_could_be_computed_at_once(run: JobRun):
-    """The first halves of six lines; the others follow them."""
-    assert run.at_once == 6
-    finish(run, submit(run))
-    submit(run)
-    assert run.at_once == 6
-    run.stopping = True
-    assert run.at_once == 1
-
-
 def test_a_chunk_begins_once_unless_it_has_a_checkpoint(run: JobRun):
     paused = JobRun(run.job, run.prepared, np.zeros(12, np.bool_), POLICY, paused=[0])
     assert [paused.begins(chunk) for chunk in (0, 1)] == [False, True]
@@ -109,56 +80,6 @@ def test_a_chunk_begins_once_unless_it_has_a_checkpoint(run: JobRun):
     assert not run.begins(chunk)
     finish(run, submit(run))
     assert run.begins(chunk)  # once stored it has no checkpoint
-
-
-def test_a_chunk_in_flight_is_a_turn_until_it_comes_back(run: JobRun):
-    chunk = submit(run)
-    run.turns.add(chunk)
-    run.remove_in_flight(chunk)
-    assert run.turns == set()
-
-
-def test_a_job_of_which_nothing_is_in_memory_is_idle(run: JobRun):
-    assert run.is_idle
-    chunk = submit(run)
-    assert not run.is_idle
-    run.remove_in_flight(chunk)
-    assert run.is_idle
-    run.stopping = True
-    assert not run.is_idle
-    run.stopping = False
-    run.unsaved_damage.add(0)
-    assert not run.is_idle
-    run.mark_saved()
-    assert run.is_idle
-
-
-@pytest.mark.parametrize("action", [Action.RETRY, Action.COLLATERAL, Action.GIVE_UP])
-def test_a_job_with_tries_losses_or_failures_is_not_idle(run: JobRun, action: Action):
-    fail(run, submit(run), action, ValueError("no"))
-    run.mark_saved()
-    assert not run.is_idle
-
-
-def test_a_job_begins_as_its_record_says_and_without_a_flag(run: JobRun):
-    assert not run.stopping
-    assert not run.flagged
-    cancelled = replace(run.job, cancel_requested=True)
-    assert JobRun(cancelled, run.prepared, np.zeros(12, np.bool_), POLICY).stopping
-
-
-@pytest.mark.parametrize(
-    ("action", "refused", "following"),
-    [(Action.CONTINUE, False, 0), (Action.RETRY, True, 0), (Action.RETRY, False, 1)],
-)
-def test_a_paused_and_a_refused_chunk_come_before_the_others(
-    run: JobRun, action: Action, refused: bool, following: int
-):
-    chunk = submit(run)
-    run.refused = refused
-    fail(run, chunk, action, ValueError("no"))
-    assert run.may_submit is not refused
-    assert run.pop().index == following
 
 
 def test_tries_and_losses_are_counted_per_chunk(run: JobRun):
@@ -198,18 +119,6 @@ def test_a_fatal_error_stops_the_job_at_once(run: JobRun):
     assert run.final_state is JobState.FAILED
 
 
-def test_a_workers_death_has_no_traceback_and_other_errors_their_end_and_notes(run: JobRun):
-    fail(run, submit(run), Action.GIVE_UP, WorkerDied("out of memory"))
-    error = ValueError("x" * 20_000)
-    error.add_note("in the cells gamma 1 to 2")
-    fail(run, submit(run), Action.GIVE_UP, error)
-    died, raised = run.unsaved_failures
-    assert (died.error, died.traceback) == ("out of memory", None)
-    assert raised.error.endswith("xxx (in the cells gamma 1 to 2)")
-    assert raised.traceback is not None
-    assert len(raised.traceback) == 8_000
-
-
 def test_a_damaged_predecessor_is_unmarked_and_computed_before_its_successor(run: JobRun):
     for _ in range(6):
         finish(run, submit(run))
@@ -236,13 +145,3 @@ def test_a_job_that_is_cancelled_ends_when_nothing_is_in_flight(run: JobRun):
     assert run.final_state is None
     fail(run, chunk, Action.REQUEUE, ValueError("cancelled"))
     assert run.final_state is JobState.CANCELLED
-
-
-def test_only_a_damaged_predecessor_is_unmarked(run: JobRun):
-    for _ in range(6):
-        finish(run, submit(run))
-    fail(run, submit(run), Action.RETRY, ValueError("no"))
-    first = submit_again(run, 7)
-    run.remove_in_flight(first)
-    run.apply(0, Action.REQUEUE, ValueError("no"), recompute_predecessor=True)  # it has no predecessor
-    assert run.unsaved_damage == set()

@@ -1,10 +1,8 @@
 """The scrub: what is verified again and when, in which order, and how much of the processor it takes."""
 
 import os
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +13,15 @@ from scripted import DEADLINE, sweep, wait_for
 from service.errors import LedgerUnavailable
 from service.jobs import transactions
 from service.jobs.ledger import Ledger
-from service.jobs.model import UNFINISHED, JobRecord, JobState, NewJob
+from service.jobs.model import JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer
 from service.jobs.stores import scrub
 from service.jobs.stores.repair import Repair, Repairer
-from service.jobs.stores.scrub import PAUSES, Scrubber, _Stopping
+from service.jobs.stores.scrub import Scrubber
 from service.settings import Settings
-from worker import store
 from worker.executors.inline import Inline
 from worker.tasks import ChunkReport
 
-DAY = 86_400.0
 #: In eight chunks.
 SPEC = sweep(gamma={"start": 0.5, "stop": 1.2, "num": 24})
 
@@ -96,16 +92,6 @@ def test_damage_is_found_wherever_it_is_and_the_rest_is_read_once(
         assert not any(files[chunk].exists() for chunk in (short, gone, changed))
 
 
-@pytest.mark.parametrize(("state", "left"), [(JobState.DONE, False), (JobState.RUNNING, True)])
-def test_what_killed_writers_left_is_removed(tmp_path: Path, done: JobRecord, state: JobState, *, left: bool):
-    """An unfinished job is swept as it starts."""
-    file = tmp_path / "stores" / f"{done.id}.zarr" / ".partial" / "0123456789abcdef.partial"
-    file.write_bytes(b"half")
-    with scrubbing(tmp_path) as scrubs:
-        scrubs.scrubber._verify(replace(done, state=state, chunks_done=0))
-    assert file.exists() == left
-
-
 def test_each_page_of_a_job_is_verified(tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch):
     """Pages of eight chunks, of which the job has one; what one start has verified the next does not read."""
     for module in (scrub, transactions):
@@ -126,138 +112,6 @@ def test_each_page_of_a_job_is_verified(tmp_path: Path, done: JobRecord, monkeyp
         assert scrubs.run().verified_chunks == 7
 
 
-def test_between_reads_it_pauses(tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(scrub, "COMPARED_AT_ONCE", 3)
-    monkeypatch.setattr(scrub, "READ_AT_ONCE", 2)
-    events: list[str] = []
-    real = store.find_corrupt
-
-    def noted(*given: Any) -> Any:
-        events.append("read")
-        return real(*given)
-
-    monkeypatch.setattr(store, "find_corrupt", noted)
-    with scrubbing(tmp_path) as scrubs:
-        monkeypatch.setattr(scrubs.scrubber, "_pause", lambda: events.append("pause"))
-        assert scrubs.run().verified_chunks == 8
-        assert scrubs.scrubber._clock is time.monotonic  # reading from a disk takes time from others
-    assert events.count("read") == 3 + 4
-    reads = [i for i, event in enumerate(events) if event == "read"]
-    assert [events[i - 1] for i in reads] == ["pause"] * len(reads)
-
-
-def test_what_was_verified_not_long_ago_counts_as_verified(tmp_path: Path, done: JobRecord):
-    for chunks in (8, 0):
-        with scrubbing(tmp_path) as scrubs:
-            assert scrubs.run().verified_chunks == chunks
-            assert scrubs.scrubber.is_verified(done.id)
-
-
-def test_a_job_is_due_unless_it_was_verified_not_long_ago(tmp_path: Path, done: JobRecord):
-    now = time.time()
-    with scrubbing(tmp_path, verify_days=2.0) as scrubs:
-        with scrubs.ledger.writing() as writing:
-            writing.finish_verification(done, 5.0)
-
-        def is_due(
-            verified: float | None, finished: float | None = 1.0, state: JobState = done.state
-        ) -> bool:
-            return scrubs.scrubber._is_due(replace(done, verified=verified, finished=finished, state=state))
-
-        assert is_due(None)
-        assert all(is_due(now, state=state) for state in UNFINISHED)
-        assert is_due(now - 100.0, finished=now - 50.0)
-        assert not is_due(now - 100.0, finished=now - 100.0)
-        assert not is_due(now - 1.9 * DAY)
-        assert not is_due(now - 1.9 * DAY, finished=None)
-        job = scrubs.ledger.find(done.id)
-        assert job is not None
-        assert job.verified == 5.0
-        assert is_due(now - 2.0 * DAY - 0.1)  # then all of it is
-        job = scrubs.ledger.find(done.id)
-        assert job is not None
-        assert job.verified is None
-
-
-@pytest.mark.parametrize("computing", [True, False])
-def test_beside_jobs_it_pauses_for_longer_than_it_works(tmp_path: Path, computing: bool):
-    now, pauses = [10.0], list[float]()
-
-    class Waited:
-        stops = False
-
-        def wait(self, seconds: float) -> bool:
-            pauses.append(seconds)
-            now[0] += seconds
-            return self.stops
-
-    with scrubbing(tmp_path, computing) as scrubs:
-        scrubber, waited = scrubs.scrubber, Waited()
-        scrubber._clock, scrubber._stop = lambda: now[0], waited  # type: ignore[assignment]
-        scrubber._resumed = 10.0
-        for worked in (2.0, 0.5):
-            now[0] += worked
-            scrubber._pause()
-        assert pauses == ([2.0 * PAUSES, 0.5 * PAUSES] if computing else [0.0, 0.0])[: len(pauses)]
-        waited.stops = True
-        with pytest.raises(_Stopping):
-            scrubber._pause()
-
-
-def test_unfinished_jobs_come_first_and_then_the_last_accepted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(scrub, "JOBS_PER_PAGE", 2)
-    order: list[str] = []
-    with scrubbing(tmp_path) as scrubs:
-        with scrubs.ledger.writing() as writing:
-            for letter in "abcde":
-                writing.insert(NewJob(letter * 32, "", "{}", "1", (1,), 1, 1), 1.0)
-            for letter in "acde":
-                writing.run(writing.find(letter * 32), 2.0)
-            for letter, state in (("a", JobState.DONE), ("c", JobState.FAILED), ("e", JobState.DONE)):
-                writing.finish(writing.find(letter * 32), state, 3.0)
-
-        def noted(job: JobRecord) -> None:
-            order.append(job.id[0])
-            scrubs.scrubber._verified.add(job.id)
-
-        monkeypatch.setattr(scrubs.scrubber, "_scrub", noted)
-        assert not scrubs.scrubber.is_verified("f" * 32)
-        scrubs.run()
-        assert order == ["d", "b", "e", "c", "a"]
-        assert scrubs.scrubber.is_verified("a" * 32)
-        scrubs.scrubber._verified.clear()
-        assert not scrubs.scrubber.is_verified("e" * 32)
-        with scrubs.ledger.writing() as writing:
-            writing.insert(NewJob("f" * 32, "", "{}", "1", (1,), 1, 1), 1.0)
-        assert scrubs.scrubber.is_verified("f" * 32)  # accepted since: nothing of it can be damaged
-        assert not scrubs.scrubber.is_verified("0" * 32)
-        assert [job.id[0] for job in scrubs.scrubber._all()] == ["e", "d", "c", "b", "a"]
-
-
-@pytest.mark.parametrize("fate", ["verified", "done", "deleted"])
-def test_an_unfinished_job_is_passed_over_if_it_is_not_one_to_verify_when_its_turn_comes(
-    tmp_path: Path, fate: str
-):
-    with scrubbing(tmp_path) as scrubs:
-        with scrubs.ledger.writing() as writing:
-            for letter in "ab":
-                writing.insert(NewJob(letter * 32, "", "{}", "1", (1,), 1, 1), 1.0)
-                writing.run(writing.find(letter * 32), 2.0)
-            scrubs.scrubber._newest = writing.newest_seq()
-        jobs = scrubs.scrubber._unfinished()
-        assert next(jobs).id == "a" * 32
-        with scrubs.ledger.writing() as writing:
-            if fate == "verified":
-                scrubs.scrubber._verified.add("b" * 32)
-            elif fate == "done":
-                writing.finish(writing.find("b" * 32), JobState.DONE, 3.0)
-            else:
-                writing.delete(writing.find("b" * 32), 3.0)
-        assert list(jobs) == []
-
-
 def test_a_scrub_that_fails_starts_again(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     (tmp_path / "stores").write_text("no folder")
     with scrubbing(tmp_path, heartbeat_seconds=0.01) as scrubs:
@@ -270,45 +124,7 @@ def test_a_scrub_that_fails_starts_again(tmp_path: Path, caplog: pytest.LogCaptu
         assert [Path(url).stem for url in scrubs.scrubber.unknown_stores] == ["a" * 32]
 
 
-def test_a_scrub_that_waits_ends_with_the_service(tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    (tmp_path / "stores").write_text("no folder")
-    with scrubbing(tmp_path, heartbeat_seconds=60.0) as scrubs:
-        scrubs.scrubber.start()
-        wait_for(lambda: "scrub failed; starting again" in caplog.text)
-        scrubs.scrubber.stop(DEADLINE)
-        assert not scrubs.scrubber._thread.is_alive()
-    assert caplog.text.count("scrub failed") == 1
-
-
-def test_of_many_unknown_stores_some_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-):
-    monkeypatch.setattr(scrub, "MAX_NAMED", 1)
-    for number in range(3):
-        (tmp_path / "stores" / f"{number:032x}.zarr").mkdir(parents=True)
-    with scrubbing(tmp_path) as scrubs:
-        assert len(scrubs.run().unknown_stores) == 3
-    assert caplog.text.count("is unknown to the ledger and left alone") == 1
-    assert "2 more stores are unknown" in caplog.text
-
-
 # Repair
-
-
-def test_a_report_describes_three_damaged_chunks_and_counts_the_others(tmp_path: Path, done: JobRecord):
-    with scrubbing(tmp_path) as scrubs:
-        three, four = (
-            scrubs.repairer.report(done.id, [(0, 0, 0, chunk) for chunk in chunks])
-            for chunks in (range(3), range(3, 7))
-        )
-        assert scrubs.invalidated == list(range(7))
-        for repair, last, end in ((three, 2, ")"), (four, 5, ") and 1 more")):
-            assert repair.detail.startswith("stored results are damaged and computed again: chunk ")
-            assert repair.detail.count("chunk ") == 3
-            assert f"; chunk {last} (" in repair.detail
-            assert repair.detail.endswith(end)
-            assert not repair.lasting
-        assert scrubs.repairer.report("0" * 32, [(0, 0, 0, 0)]) == Repair("the job was deleted")
 
 
 def test_damaged_chunks_of_an_outdated_job_are_given_up_and_its_metadata_stay(

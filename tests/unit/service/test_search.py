@@ -1,8 +1,5 @@
 """Jobs found in the ledger and over HTTP: every condition, every order, page by page."""
 
-import base64
-import json
-import math
 from collections.abc import Iterator
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -15,7 +12,6 @@ from scripted import Held, sweep
 from served import service
 from tables import for_each
 
-from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState, NewJob
 from service.jobs.search import InvalidCursor, JobOrder, JobSearch
@@ -131,42 +127,6 @@ def test_a_cursor_of_another_list_is_refused(order: JobOrder, cursor: str):
         JobSearch(order=order).read_cursor(cursor)
 
 
-@pytest.mark.parametrize("order", [JobOrder.NEWEST, JobOrder.OLDEST])
-def test_a_cursor_of_accepted_jobs_is_a_number_within_those_of_the_ledger(order: JobOrder):
-    largest = 10**18 - 1
-    assert JobSearch(order=order).read_cursor(str(largest)) == (largest, largest)
-    with pytest.raises(InvalidCursor):
-        JobSearch(order=order).read_cursor(str(largest + 1))
-
-
-LARGEST = 1 << 62
-
-#: For each kind of order: places that a cursor stands for, and contents of none.
-PLACES: dict[str, tuple[list[Any], list[Any]]] = {
-    "number": (
-        [(0, 1), (0.5, 1), (LARGEST, LARGEST), (-LARGEST, -LARGEST)],
-        [(LARGEST + 1, 1), (-LARGEST - 1, 1), (math.inf, 1), (math.nan, 1), (None, 1), ("name", 1), ([], 1)],
-    ),
-    "name": ([("", 1), ("Ω", LARGEST)], [(1, 1), (None, 1), (["name"], 1)]),
-}
-
-
-@pytest.mark.parametrize("order", [JobOrder.NAME, JobOrder.LARGEST, JobOrder.FINISHED])
-def test_a_cursor_of_another_order_stands_for_a_value_and_a_number(order: JobOrder):
-    search = JobSearch(order=order)
-    places, others = PLACES["name" if order is JobOrder.NAME else "number"]
-    value = places[0][0]
-
-    def cursor(*contents: Any) -> str:
-        return base64.urlsafe_b64encode(json.dumps(contents).encode()).decode().rstrip("=")
-
-    for place in places:
-        assert search.read_cursor(cursor(order, *place)) == place
-    for other in (*others, *((value, seq) for seq in (LARGEST + 1, -LARGEST - 1, 1.0, True, None, "1"))):
-        with pytest.raises(InvalidCursor):
-            search.read_cursor(cursor(order, *other))
-
-
 def _report(index: int, seconds: float) -> ChunkReport:
     return ChunkReport(index, 1, seconds, seconds, "00", (0, 1, 0, 0, 0, 0, 0))
 
@@ -236,10 +196,3 @@ def test_wrong_searches_say_what_is_wrong(tmp_path: Path):
             answer = client.get("/v1/jobs", params=query)
             assert answer.status_code == 422, case
             assert rule in answer.json()["detail"], case
-
-
-def test_the_service_names_its_software(tmp_path: Path):
-    with service(tmp_path, Held()) as client:
-        software = client.get("/v1/software").json()
-    assert software["kernel_version"] == KERNEL_VERSION
-    assert {"numpy", "numba", "zarr"} <= set(software["libraries"])

@@ -34,19 +34,6 @@ def test_a_setting_that_cannot_be_used_is_refused(given: dict[str, Any], rule: s
         Settings(**given)
 
 
-@for_each("given", [
-    {"host": "LocalHost"},
-    {"host": "::1"},
-    {"scheduler": "tcp://127.0.0.1:1"},
-    {"scheduler_file": Path("scheduler.json")},
-    {"cluster": "module:make"},
-    {name: Path("file.pem") for name in ("scheduler_ca", "scheduler_cert", "scheduler_key")},
-])  # fmt: skip
-def test_a_setting_that_can_be_used_is_taken(given: dict[str, Any]):
-    settings = Settings(**given)
-    assert {name: getattr(settings, name) for name in given} == given
-
-
 @pytest.mark.parametrize(
     ("stores", "url", "folders"),
     [
@@ -73,15 +60,6 @@ def test_the_addresses_of_stores_do_not_depend_on_the_current_folder(
     assert settings.exports_path == tmp_path / "data" / "exports"
 
 
-def test_every_address_of_the_machine_is_no_name_that_callers_may_use():
-    token = "a-token-of-the-service"
-    assert Settings(host="0.0.0.0", token=token).hosts == Settings(host="::", token=token).hosts
-    assert Settings(host="0.0.0.0", token=token).hosts == {"localhost", "127.0.0.1", "::1"}
-    assert Settings(host="Lab.Example", token=token, allowed_hosts="b.org").hosts == {
-        *("localhost", "127.0.0.1", "::1"), "lab.example", "b.org"
-    }  # fmt: skip
-
-
 def test_a_token_that_is_still_to_be_made_lets_nobody_in():
     assert Settings(token="auto").makes_token
     with pytest.raises(NotStarted, match="auto is not replaced"):
@@ -89,11 +67,6 @@ def test_a_token_that_is_still_to_be_made_lets_nobody_in():
     assert not Settings(token="a-token-of-the-service").makes_token
     assert Settings(token="a-token-of-the-service").access_tokens() == {"a-token-of-the-service": None}
     assert Settings(token="").access_tokens() == {}
-
-
-def test_host_names_come_as_a_text_from_the_environment(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("BOUNCE_ALLOWED_HOSTS", "One.example, two.example,")
-    assert Settings().allowed_hosts == {"one.example", "two.example"}
 
 
 @pytest.mark.parametrize("given", [{"token": "s3cret"}, {"host": "0.0.0.0", "token": ["s3cret"]}])

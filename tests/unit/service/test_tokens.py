@@ -71,48 +71,7 @@ def test_a_file_that_is_open_to_others_is_refused(tmp_path: Path, mode: int):
     assert Settings(token_file=file, private=False).access_tokens() == {ANA: "ana"}
 
 
-def test_a_missing_file_is_named_before_the_service_starts(tmp_path: Path):
-    done = CliRunner().invoke(
-        main,
-        ["serve", "--port", "0", "--data", str(tmp_path / "data"), "--token-file", str(tmp_path / "none")],
-    )
-    assert done.exit_code == 1
-    assert f"token_file: {tmp_path / 'none'}: No such file" in done.output
-
-
-def test_a_token_has_16_printable_characters_or_more():
-    assert tokens.is_valid("x" * 16)
-    assert not tokens.is_valid("x" * 15)
-    for character in (" ", "\t", "\x7f", "é"):
-        assert not tokens.is_valid("x" * 16 + character)
-
-
 # The token that a service makes
-
-
-def test_a_file_that_cannot_be_completed_leaves_nothing(tmp_path: Path):
-    def fail(file: Path) -> None:
-        assert file.parent == tmp_path
-        raise KeyboardInterrupt
-
-    def lose(file: Path) -> None:
-        file.unlink()
-        raise KeyboardInterrupt
-
-    for before in (fail, lose):
-        with pytest.raises(KeyboardInterrupt):
-            tokens.write_private(tmp_path / "token.json", "text", before_replace=before)
-        assert list(tmp_path.iterdir()) == []
-
-
-def test_a_token_is_looked_for_in_the_folder_that_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path / "another"))
-    token = tokens.own_token(tmp_path, port=8000)
-    assert tokens.find_token(8000, tmp_path) == token
-    assert tokens.find_token(8000) is None
-    assert tokens.data_folder() == tmp_path / "another"
-    monkeypatch.setenv("BOUNCE_DATA", "")
-    assert tokens.data_folder() == Path("bounce-data")
 
 
 def test_a_made_token_is_kept_for_this_user_alone(tmp_path: Path):
@@ -176,14 +135,6 @@ def test_a_file_that_others_may_have_made_does_not_count(
     if planted != "folder":
         assert tokens.own_token(tmp_path, port=1) != token
         assert tokens.find_token(1) is not None
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
-def test_a_file_of_another_user_does_not_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
-    tokens.own_token(tmp_path, port=1)
-    os.chown(tmp_path / tokens.FILE_NAME, 65534, 65534)
-    assert tokens.find_token(1) is None
 
 
 def test_the_pages_address_has_the_token_in_its_fragment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

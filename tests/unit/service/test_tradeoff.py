@@ -8,18 +8,12 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from fastapi.testclient import TestClient
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.text import Annotation, Text
-from matplotlib.transforms import Bbox
 from paths import GOLDEN
 from served import impatient
 
 from service.api.app import create_app
 from service.cli.main import main
 from service.cli.tradeoff import table_lines
-from service.render.style import DPI
-from service.render.work_precision import SIZE, compose, draw
 from service.results.work_precision import REFERENCES, advice
 from service.settings import Settings
 from worker.analysis import work_precision
@@ -61,34 +55,6 @@ def test_the_table_and_the_advice(measured: list[Measurement]):
     assert "nan" not in text
 
 
-def test_the_picture(measured: list[Measurement]):
-    picture = draw(measured, "png")
-    assert picture.startswith(b"\x89PNG")
-    assert draw(measured, "png") == picture
-
-
-def test_no_label_of_the_picture_covers_another_or_a_marker():
-    golden = json.loads((GOLDEN / "tradeoff_rows.json").read_text())
-    rows = [Measurement.model_validate(row) for row in golden["rows"]]
-    figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
-    compose(figure, rows)
-    renderer = FigureCanvasAgg(figure).get_renderer()
-    written = 0
-    for axes in figure.axes:
-        labels = [text.get_window_extent(renderer) for text in axes.texts if isinstance(text, Annotation)]
-        boxes = [Text.get_window_extent(text, renderer) for text in axes.texts]
-        points = [line.get_xydata()[0] for line in axes.lines if line.get_marker() != "None"]
-        markers = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in axes.transData.transform(points)]
-        legend = axes.get_legend()
-        others = [*markers, *([legend.get_window_extent(renderer)] if legend else [])]
-        written += len(labels)
-        for i, box in enumerate(boxes):
-            assert not any(box.overlaps(other) for other in (*boxes[:i], *others))
-    labelled = sum(row.error != 0.0 and (row.scheme or row.model) in ("verlet", "euler", "ball")
-                   for row in rows if row.error is not None and row.cost is not None)  # fmt: skip
-    assert written == labelled + 4 + 2  # the ends of two lines of depths, and two references
-
-
 # Through the service
 
 
@@ -96,15 +62,6 @@ def test_a_picture_of_another_kind_is_refused_before_anything_is_measured():
     done = CliRunner().invoke(main, ["tradeoff", "-o", "tradeoff.gif"])
     assert done.exit_code == 2
     assert "does not end in .png, .svg" in done.stderr
-
-
-def test_another_format_is_refused(tmp_path: Path):
-    executor = Inline()
-    with TestClient(create_app(Settings(data=tmp_path), executor), base_url="http://localhost") as client:
-        refused = client.get("/v1/tradeoff", params={"format": "bmp"})
-    executor.close()
-    assert refused.status_code == 422
-    assert refused.json()["errors"][0]["field"] == "format"
 
 
 # While the workers measure

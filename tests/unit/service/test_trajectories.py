@@ -14,7 +14,7 @@ from served import service, taken
 from tables import for_each
 
 from kernel.branches.starts import cycles_at
-from kernel.params import Cell, KernelInputError, Line
+from kernel.params import Cell, Line
 from kernel.trajectory import Trajectory
 from service.api import schemas
 from service.errors import TooLarge
@@ -165,17 +165,6 @@ def _line_of(spec: BasinSpec, state: np.ndarray) -> Line:
     return run.line
 
 
-def test_a_start_in_contact_is_that_of_the_plane(client: TestClient):
-    start = {"kind": "contact", "elongation": -2.0, "velocity": 1.0}
-    path = trajectory(client, gamma=1.0, model={"kind": "rigid"}, settle=0, start=start)
-    assert path["phase"][0] == 0.0
-    assert not path["in_flight"][0]
-    static = trajectory(client, gamma=1.0, model={"kind": "rigid"}, settle=0)
-    length = (np.array(path["z1"]) - path["z2"])[0] - path["rest_length"]
-    weight = (np.array(static["z1"]) - static["z2"])[0] - static["rest_length"]
-    assert length - weight == pytest.approx(-2.0, abs=1e-9)
-
-
 @for_each("settle", [60, 3, 1])
 @for_each("model", MODELS)
 def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any], settle: int):
@@ -207,31 +196,6 @@ def test_the_motion_obeys_newton(model: Model):
     assert np.count_nonzero(quiet) > 4000
     np.testing.assert_allclose(z2_2[quiet], (spring - 1 / 2.3 + force)[quiet], atol=0.05)
     np.testing.assert_allclose(q_2[quiet], (-2 * spring - force)[quiet], atol=0.05)
-
-
-def test_more_samples_show_the_same_motion():
-    few, many = (sampled(Model.SOFT, 0.01, periods=2, samples=n) for n in (20, 100))
-    for name in ("gap", "elongation", "force"):
-        np.testing.assert_allclose(getattr(few, name), getattr(many, name)[::5], atol=1e-9)
-
-
-@pytest.mark.parametrize("state", [[7.0, 1.0, 0.1, 0.0, -0.3, 0.0], [0.0, 1.0, np.nan, 0.0, -0.3, 0.0]])
-def test_a_state_beyond_the_first_period_is_refused(state: list[float]):
-    with pytest.raises(KernelInputError, match="state: must be finite, with a phase in"):
-        sample(Cell(2.3, 0.5, 0.26), {}, np.array(state), model=Model.RIGID, periods=1, samples=10)
-
-
-def test_from_rest_it_begins_on_the_plate(client: TestClient):
-    path = trajectory(client, settle=0, gamma=0.5, model={"kind": "rigid"})
-    assert path["z2"] == pytest.approx(path["plate"])
-    assert path["z1"][0] == pytest.approx(1 + 10 - 0.25 / 0.5)
-    assert path["force"][0] == pytest.approx(2 / 0.5 - 1)
-    assert path["flights"] == {"takeoff": [], "takeoff_phase": [], "flight_time": []}
-
-
-def test_a_rest_length_is_drawn_as_given(client: TestClient):
-    path = trajectory(client, model={"kind": "soft", "rest_length": 80.0})
-    assert path["rest_length"] == pytest.approx(80.0 * 0.5**2 / 2.3)
 
 
 UNDAMPED: dict[str, Any] = {"kind": "soft", "restitution": 1, "penetration": 1e-8}
@@ -274,14 +238,6 @@ def test_bad_trajectory(client: TestClient, case: str):
     assert message in answer.json()["detail"]
 
 
-@pytest.mark.parametrize(("periods", "most"), [(1, 19_999), (2, 9_999), (10_000, 1)])
-def test_the_samples_of_an_answer_are_counted_with_the_one_at_the_end(periods: int, most: int):
-    cell = CELL | {"periods": periods, "settle": 0, "model": {"kind": "rigid"}}
-    check_cost(TrajectorySpec(**cell | {"samples": most}), 1e6)
-    with pytest.raises(TooLarge, match=rf"the limit is 20,000, {most:,} per period"):
-        check_cost(TrajectorySpec(**cell | {"samples": most + 1}), 1e6)
-
-
 def test_a_refusal_names_the_periods_that_fit():
     """The settled and the sampled ones together."""
     with pytest.raises(TooLarge, match=r"the limit for one answer is 0\.01 s") as error:
@@ -319,26 +275,8 @@ def test_only_a_settled_cycle_of_one_bounce_without_restitution_has_its_energy(c
         assert trajectory(client, **rigid | changes)["energy"] is None
 
 
-def test_the_kernel_names_what_it_cannot_sample():
-    with pytest.raises(KernelInputError, match="gamma"):
-        sample(Cell(float("nan"), 1, 1), {}, None, model=Model.RIGID, periods=1, samples=1)
-    with pytest.raises(KernelInputError, match="restitution"):
-        sample(Cell(1, 1, 1), {"restitution": 2.0}, None, model=Model.RIGID, periods=1, samples=1)
-
-
 def test_more_trajectories_at_a_time_than_allowed_are_told_to_wait(tmp_path: Path):
     with service(tmp_path, Held(), max_trajectories=1, turn_seconds=0.01) as client:
         with taken(client, "trajectory"):
             answer = client.post("/v1/trajectories", json=CELL)
         assert answer.status_code == 429
-
-
-def test_a_ball_keeps_its_rhythm_over_hundreds_of_periods():
-    ones = np.ones(1)
-    line = run_line(
-        1.5 * ones, ones, ones, model=Model.BALL, restitution=0.0 * ones, penetration=1e-3 * ones,
-        adhesive=True, carry=False, settle=0, observe=300, keep=400,
-    )  # fmt: skip
-    path = sample(Cell(1.5, 1, 1), {}, None, model=Model.BALL, periods=300, samples=2)
-    assert path.complete
-    np.testing.assert_allclose(path.flight_time, line.flight_time[0, : line.flights[0]], atol=1e-9)

@@ -7,23 +7,16 @@ import json
 import os
 import pickle
 import socket
-import sys
 import threading
 import time
 import traceback
-from base64 import b64encode
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime
-from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from urllib.parse import parse_qsl
 
-import httpx2
 import pytest
 from answering import ID, LOST, Answer, scripted, view
 from scripted import DEADLINE, wait_for
@@ -35,13 +28,8 @@ from service.client import (
     Busy,
     Client,
     Conflict,
-    FieldProblem,
-    InvalidSpecification,
-    Job,
-    JobFailed,
     NotComputedYet,
     NotFound,
-    Problem,
     Refused,
     ServiceError,
     ServiceUnreachable,
@@ -50,9 +38,7 @@ from service.client import (
     Unanswered,
     Unauthorized,
     UnexpectedAnswer,
-    WaitTimeout,
 )
-from service.client.display import display_parts
 
 
 @pytest.fixture
@@ -64,14 +50,6 @@ def unused_address() -> Iterator[str]:
 
 
 # Connecting
-
-
-def test_an_unreachable_service_is_reported_with_what_to_do(unused_address: str):
-    with Client(unused_address) as client, pytest.raises(ServiceUnreachable, match="bounce serve") as caught:
-        client.job(ID)
-    assert unused_address in str(caught.value)
-    assert "refused" in str(caught.value)  # the reason, as the system tells it
-    assert caught.value.url == unused_address
 
 
 @for_each("url", ["", "localhost:8000", "ftp://localhost", "http://", "http://[::1", "/v1"])
@@ -86,11 +64,6 @@ def test_a_lost_connection_is_retried():
         assert [path for _, path, _ in server.requests] == [f"/v1/jobs/{ID}"] * 3
 
 
-def test_retries_end():
-    with scripted(LOST, LOST, LOST) as (_, client), pytest.raises(ServiceUnreachable):
-        client.job(ID)
-
-
 def test_submitting_may_be_repeated_since_the_same_sweep_is_the_same_job():
     with scripted(LOST, Answer(202, view("queued"))) as (server, client):
         assert client.submit({"xi": 1}).id == ID
@@ -102,23 +75,6 @@ def test_what_is_done_to_a_job_may_be_repeated(call: str):
     with scripted(Answer(body=view()), LOST, Answer(202, view())) as (server, client):
         getattr(client.job(ID), call)()
         assert [method for method, _, _ in server.requests] == ["GET", "POST", "POST"]
-
-
-@pytest.mark.parametrize("call", ["estimate", "trajectory"])
-def test_what_changes_nothing_may_be_repeated(call: str):
-    with scripted(LOST, Answer(body={})) as (server, client), pytest.raises(UnexpectedAnswer):
-        getattr(client, call)({"xi": 1})
-    assert [method for method, _, _ in server.requests] == ["POST", "POST"]
-
-
-def test_a_repeated_request_waits_before_each_attempt(monkeypatch: pytest.MonkeyPatch):
-    from service.client import transport as module
-
-    pauses: list[float] = []
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append))
-    with scripted(LOST, LOST, Answer(body=view())) as (_, client):
-        client.job(ID)
-    assert tuple(pauses) == module.RETRY_DELAYS
 
 
 def test_a_deletion_is_not_repeated():
@@ -159,42 +115,6 @@ def test_a_proxy_is_used_for_other_machines(monkeypatch: pytest.MonkeyPatch, hos
         assert [path for _, path, _ in server.requests] == [f"http://{host}:8000/v1/jobs/{ID}"]
 
 
-@pytest.mark.parametrize(
-    ("url", "finds"),
-    [
-        ("http://127.0.0.1:8000", True),
-        ("http://localhost:8000/", True),
-        ("http://[::1]:8000", True),
-        ("http://127.0.0.1", False),
-        ("http://192.0.2.1:8000", False),
-        ("http://service.invalid:8000", False),
-        ("http://me:secret@127.0.0.1:8000", False),
-    ],
-)
-def test_the_token_of_ones_own_service_is_sent_to_it_alone(
-    monkeypatch: pytest.MonkeyPatch, url: str, finds: bool
-):
-    from service.client import transport as module
-
-    monkeypatch.setattr(module, "find_token", lambda port: f"own-token-of-{port}")
-    for token in (None, "", "auto"):
-        with Client(url, token) as client:
-            assert client.page.endswith("/#token=own-token-of-8000" if finds else "/")
-    with Client(url, "given/token") as client:
-        assert client.page == f"{client.url}/#token=given%2Ftoken"
-
-
-def test_a_client_closes_its_own_connections_alone():
-    with httpx2.Client() as shared:
-        with Client("http://127.0.0.1:1", http=shared) as client:
-            pass
-        assert client._transport._http is shared
-        assert not shared.is_closed
-    with Client("http://127.0.0.1:1") as client:
-        assert not client._transport._http.is_closed
-    assert client._transport._http.is_closed
-
-
 def test_a_pickled_job_has_connections_of_its_own():
     with scripted(Answer(body=view()), Answer(body=view("done", 10))) as (server, client):
         with Client(client.url, "s3cret") as known:
@@ -224,37 +144,6 @@ def test_what_a_header_cannot_carry_is_refused_and_not_repeated(word: str):
     assert word not in str(caught.value)
     with Client("http://127.0.0.1:1") as client, pytest.raises(BounceError, match="an idempotency key must"):
         client.submit({"gamma": 1.5, "omega": 0.5, "xi": 0.26}, key=word)
-
-
-@pytest.mark.parametrize(
-    "url", ["http://me:s3cr@t@127.0.0.1:1", "ftp://me:s3cr@t@host", "http://me:s3cr@t@h:x"]
-)
-def test_a_password_in_an_address_appears_nowhere(url: str):
-    with pytest.raises(ServiceUnreachable) as refused:
-        Client(url).threshold(omega=0.5, xi=0.26)
-    assert "s3cr" not in str(refused.value) + refused.value.url
-    with Client("http://me:s3cr@t@127.0.0.1:1") as client:
-        assert "s3cr" not in repr(client) + client.url
-
-
-def test_only_what_stands_before_the_host_is_a_password():
-    for path in ("/a@b", "//a@b"):
-        with Client(f"http://me:s3cr@t@127.0.0.1:1{path}") as client:
-            assert client.url == f"http://127.0.0.1:1{path}"
-
-
-def test_a_password_in_an_address_is_sent():
-    with scripted(Answer(body=view())) as (server, client):
-        with Client(client.url.replace("//", "//me:s3cr%40t@")) as known:
-            known.job(ID)
-            assert known.url == client.url
-        assert server.requests[0][2]["Authorization"] == "Basic " + b64encode(b"me:s3cr@t").decode()
-
-
-def test_an_empty_token_is_none():
-    with scripted(Answer(body=view())) as (server, client), Client(client.url, token="") as unknown:
-        unknown.job(ID)
-        assert "Authorization" not in server.requests[0][2]
 
 
 # Answers
@@ -290,57 +179,6 @@ def test_every_status_has_its_error(status: int, kind: type[Refused]):
     assert caught.value.problem.title == "No"
     assert caught.value.fields == (("xi", "is odd"),)
     assert str(caught.value) == "because\n  xi: is odd"
-
-
-@pytest.mark.parametrize(
-    ("document", "expected"),
-    [
-        ({}, Problem(400, "Bad Request")),
-        (
-            {"title": "No", "detail": "because", "type": "/problems/no", "instance": "/v1/jobs/1"},
-            Problem(400, "No", "because", "/problems/no", "/v1/jobs/1"),
-        ),
-    ],
-)
-def test_a_problem_document_is_read_member_by_member(document: dict[str, str], expected: Problem):
-    with scripted(Answer(400, document)) as (_, client), pytest.raises(BadRequest) as caught:
-        client.job(ID)
-    assert caught.value.problem == expected
-    assert str(caught.value) == (expected.detail or expected.title)
-
-
-def test_a_rule_that_the_detail_tells_is_not_told_twice():
-    fields = (FieldProblem("xi", "is odd"), FieldProblem("omega", "is even"))
-    assert str(Problem(400, "No", "xi: is odd", fields=fields)) == "xi: is odd\n  omega: is even"
-
-
-@pytest.mark.parametrize("status", [400, 413, 422])
-def test_only_a_submission_has_an_invalid_specification(status: int):
-    with scripted(Answer(status, {}), Answer(status, {}), Answer(status, {})) as (_, client):
-        for call, invalid in ((client.submit, True), (client.estimate, True), (client.trajectory, False)):
-            with pytest.raises(Refused) as caught:
-                call({})
-            assert isinstance(caught.value, InvalidSpecification) is (invalid and status != 413)
-
-
-@for_each(
-    ("given", "seconds"),
-    [("0", 0.0), ("2.5", 2.5), ("-1", None), ("inf", None), ("nan", None), ("Wed, 21 Oct 2026", None)],
-)
-def test_retry_after_is_seconds_or_nothing(given: str, seconds: float | None):
-    with scripted(Answer(503, {}, Retry_After=given)) as (_, client), pytest.raises(Busy) as caught:
-        client.job(ID)
-    assert caught.value.retry_after == seconds
-
-
-def test_a_download_that_is_refused_says_why(tmp_path: Path):
-    script = (Answer(body=view()), Answer(404, {"detail": "not here"}), LOST)
-    with scripted(*script) as (_, client):
-        job = client.job(ID)
-        for error, text in ((NotFound, "not here"), (ServiceUnreachable, client.url)):
-            with pytest.raises(error, match=text):
-                job.export(tmp_path / "sweep.nc")
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("asked", ["1e8", "1e300", "0", None])
@@ -386,15 +224,6 @@ def test_an_error_of_the_connection_is_one_sentence(unused_address: str):
         client.job(ID)
 
 
-def test_busy_carries_retry_after():
-    with (
-        scripted(Answer(429, {"detail": "full"}, Retry_After="7")) as (_, client),
-        pytest.raises(Busy) as caught,
-    ):
-        client.submit({})
-    assert caught.value.retry_after == 7.0
-
-
 def test_an_answer_that_inflates_to_much_more_is_not_read_to_its_end():
     """300 MB of zeros in 300 kB, as an answer and as a refusal; and an event without an end."""
     packed = gzip.compress(bytes(300_000_000), 9)
@@ -430,14 +259,6 @@ def test_another_program_at_the_address_is_recognised(answer: Answer):
         client.job(ID)
 
 
-def test_a_proxys_own_error_page_is_no_problem_document():
-    with (
-        scripted(Answer(502, b"<html>Bad Gateway</html>")) as (_, client),
-        pytest.raises(ServiceError, match="502"),
-    ):
-        client.job(ID)
-
-
 def test_malformed_problem_documents_are_read_as_far_as_possible():
     for errors in ("none", [1, "two", {"field": 3}], {"field": "xi"}):
         answer = Answer(422, {"detail": ["a", "list"], "errors": errors})
@@ -459,20 +280,6 @@ def test_a_wait_polls_at_the_interval_of_the_service():
         first, second, third = server.when
     assert second - first >= 0.3
     assert third - second >= 0.5
-
-
-def test_without_retry_after_a_wait_polls_less_and_less_often(monkeypatch: pytest.MonkeyPatch):
-    from service.client import job as module
-
-    pauses: list[float] = []
-    clock = SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append)
-    monkeypatch.setattr(module, "time", clock)
-    running = [Answer(200, view("running")) for _ in range(39)]
-    with scripted(Answer(202, view("queued")), *running, Answer(200, view("done", 10))) as (_, client):
-        client.submit({}).wait(progress=False)
-    assert (pauses[0], pauses[-1]) == (0.05, 2.0)
-    assert pauses == sorted(pauses)
-    assert all(later <= 1.2 * earlier for earlier, later in pairwise(pauses))  # an end is soon seen
 
 
 def test_an_unchanged_job_is_requested_by_its_etag():
@@ -518,24 +325,6 @@ def computing(done: int) -> Answer:
     )
 
 
-def test_an_answer_of_the_workers_is_polled_until_it_is_computed(monkeypatch: pytest.MonkeyPatch):
-    from service.client import transport as module
-
-    reported: list[tuple[int, int]] = []
-    script = (
-        computing(0),
-        Answer(429, {"detail": "full"}, Retry_After="0.1"),
-        Answer(202, {"progress": {"parts_done": 3, "parts_total": 4}}),
-        Answer(body={"rows": []}),
-    )
-    with scripted(*script) as (_, client):
-        pauses: list[float] = []
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append))
-        assert client.tradeoff(progress=lambda *parts: reported.append(parts)) == {"rows": []}
-        assert reported == [(0, 4), (3, 4)]
-        assert pauses == [0.2, 0.1, 1.0]  # where the service names no time, a second
-
-
 def test_a_timeout_of_the_workers_answer_reports_their_progress():
     with (
         scripted(computing(1)) as (_, client),
@@ -549,26 +338,6 @@ def test_a_timeout_of_the_workers_answer_reports_their_progress():
         client.tradeoff(progress=False)
     with scripted(Answer(429, {"detail": "full"})) as (_, client), pytest.raises(Busy):
         client.tradeoff(timeout=-1.0, progress=False)
-
-
-def test_a_plot_reports_no_progress(capsys: pytest.CaptureFixture[str]):
-    spec = {"gamma": 1.0, "omega": 0.5, "xi": 0.26}
-    with scripted(computing(1)) as (_, client):
-        job = Job.from_view(client._transport, view("done") | {"spec": spec})
-        with pytest.raises(NotComputedYet):
-            job.plot("threshold", timeout=-1.0)
-    assert capsys.readouterr().err == ""
-
-
-def test_progress_of_the_workers_answer_is_written_in_lines(capsys: pytest.CaptureFixture[str]):
-    show = display_parts(True)
-    for done in range(24):
-        show(done, 23)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "computed 0 of 23 parts"
-    assert len(lines) == 8
-    display_parts(False)(1, 2)
-    assert capsys.readouterr().err == ""
 
 
 def test_a_list_goes_on_to_its_last_page():
@@ -589,48 +358,6 @@ def asked(call: Callable[[Client], Any]) -> str:
     return path
 
 
-def of_job(method: str, *given: Any, **options: Any) -> str:
-    path = asked(lambda client: getattr(Job.from_view(client._transport, view()), method)(*given, **options))
-    return path.removeprefix(f"/v1/jobs/{ID}/")
-
-
-def test_a_switch_is_sent_if_it_is_on():
-    assert of_job("modes") == "modes"
-    assert of_job("modes", mask=True) == "modes?mask=true"
-    assert of_job("modes", hysteresis=True) == "modes?hysteresis=true"
-    quiet = {"progress": False}
-    assert of_job("orbits", **quiet) == "orbits"
-    assert of_job("orbits", energy=True, **quiet) == "orbits?energy=true"
-    assert of_job("picture") == "diagram?along=gamma&format=png"
-    assert of_job("picture", caption=False) == "diagram?along=gamma&format=png&caption=false"
-    spring = "/v1/orbits?omega=0.6&xi=0.05&modes=1-1%2C1-2"
-    assert asked(lambda client: client.orbits(0.6, 0.05)) == spring
-    assert asked(lambda client: client.orbits(0.6, 0.05, energy=True)) == f"{spring}&energy=true"
-
-
-def test_a_range_and_a_value_are_sent_as_such():
-    for axis, other in (("omega", "xi"), ("xi", "omega")):
-        ranges: dict[str, Any] = {axis: (0.25, 0.5), other: 1.0}
-        path = asked(lambda client, ranges=ranges: client.curves(**ranges, progress=False))
-        query = dict(parse_qsl(path.partition("?")[2]))
-        assert query == {"modes": "1-1,1-2", f"{axis}_start": "0.25", f"{axis}_stop": "0.5", other: "1.0"}
-
-
-def test_times_of_a_list_are_sent_as_they_are_written():
-    when = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
-    path = asked(lambda client: list(client.jobs(created_from=when, created_before="2026-02")))
-    query = dict(parse_qsl(path.partition("?")[2]))
-    assert query["created_from"] == "2026-01-02T03:04:00+00:00"
-    assert query["created_before"] == "2026-02"
-
-
-def test_an_export_names_its_layout_unless_it_is_the_usual_one(tmp_path: Path):
-    assert of_job("export", tmp_path / "a.nc") == "export?format=nc"
-    assert (
-        of_job("export", tmp_path / "a.parquet", layout="flights") == "export?format=parquet&layout=flights"
-    )
-
-
 def test_a_submission_is_json_with_its_key():
     with scripted(Answer(202, view()), Answer(202, view())) as (server, client):
         client.submit({"xi": 1}, key="once")
@@ -642,40 +369,6 @@ def test_a_submission_is_json_with_its_key():
 
 
 # Jobs
-
-
-def test_a_status_is_what_the_service_says_of_a_job():
-    told = {
-        "name": "mine", "error": "broke", "repairing": True, "pinned": True, "core_seconds": 1.5,
-        "notice": "of old", "replaced_by": "1" * 32, "owner": "me", "links": {"self": "/v1/jobs/1"},
-    }  # fmt: skip
-    nothing = {
-        "name": "", "error": None, "repairing": False, "pinned": False, "core_seconds": 0.0, "notice": None,
-        "replaced_by": None, "owner": None, "links": {},
-    }  # fmt: skip
-    with Client("http://127.0.0.1:9") as client:
-        plain = {name: value for name, value in view().items() if name not in told}
-        for description, expected in ((view() | told, told), (plain, nothing)):
-            job = Job.from_view(client._transport, description)
-            assert {name: getattr(job, name) for name in expected} == expected
-
-
-def test_what_is_done_to_a_job_is_what_the_service_says():
-    calls = ("cancel", "pin", "unpin", "resume")
-    script = [Answer(body=view() | {"pinned": call == "pin"}, Retry_After="0.5") for call in calls]
-    with scripted(*script) as (server, client):
-        job = Job.from_view(client._transport, view("done"))
-        for call in calls:
-            assert getattr(job, call)() is job
-            assert (job.state, job.pinned, job.pause(9.0)) == ("running", call == "pin", 0.5)
-        assert [path.rpartition("/")[2] for _, path, _ in server.requests] == list(calls)
-
-
-def test_a_refined_job_is_another_one():
-    other = view() | {"id": "f" * 32}
-    with scripted(Answer(202, other)) as (_, client):
-        job = Job.from_view(client._transport, view("done"))
-        assert (job.refine().id, job.id) == ("f" * 32, ID)
 
 
 @pytest.mark.parametrize("several", [False, True])
@@ -700,89 +393,6 @@ def test_a_job_that_is_followed_keeps_the_specification_that_changes_leave_out()
         assert len(server.requests) == 2
 
 
-def test_a_job_that_is_done_is_not_replaced():
-    with scripted(Answer(body=view("done", 10) | {"replaced_by": "f" * 32})) as (_, client):
-        assert client.job(ID).wait(progress=False).id == ID
-
-
-def test_as_completed_asks_each_job_less_and_less_often(monkeypatch: pytest.MonkeyPatch):
-    """Many jobs share the rate of requests that one of them would have."""
-    from service.client import job as module
-
-    now, pauses = [0.0], []
-
-    def sleep(seconds: float) -> None:
-        pauses.append(round(seconds, 9))
-        now[0] += seconds
-
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=sleep))
-    script = [Answer(200, view("running")) for _ in range(40)]
-    with scripted(*script, Answer(200, view("done", 10))) as (_, client):
-        (job,) = client.as_completed([Job.from_view(client._transport, view())])
-    assert job.state == "done"
-    assert (pauses[0], pauses[1], pauses[-1]) == (0.0, module.FIRST_DELAY, module.MAX_DELAY)
-    assert pauses == sorted(pauses)
-    assert all(later <= 1.2 * earlier for earlier, later in pairwise(pauses[1:]))  # an end is soon seen
-    pauses.clear()
-    with scripted(*script[:10], *[Answer(200, view("done", 10))] * 10) as (_, client):
-        jobs = [Job.from_view(client._transport, view()) for _ in range(10)]
-        assert len(list(client.as_completed(jobs))) == 10
-    # Ten jobs, the first of which is asked again after the time of nine others.
-    assert pauses[10] == pytest.approx(9 * module.REQUEST_DELAY)
-
-
-@pytest.mark.parametrize("several", [False, True])
-def test_a_wait_ends_at_its_timeout(monkeypatch: pytest.MonkeyPatch, several: bool):
-    from service.client import job as module
-
-    now = [0.0]
-    clock = SimpleNamespace(monotonic=lambda: now[0], sleep=lambda seconds: now.append(now.pop() + seconds))
-    monkeypatch.setattr(module, "time", clock)
-    with scripted(Answer(body=view())) as (_, client):
-        job = Job.from_view(client._transport, view())
-        wait: Callable[..., object] = partial(client.wait_all, [job]) if several else job.wait
-        with pytest.raises(WaitTimeout, match=r"is running at 0% after 0\.01 s") as caught:
-            wait(timeout=0.01, progress=False)
-        assert caught.value.job is job
-        assert now == [0.01]
-
-
-def test_ended_jobs_are_returned_however_they_ended():
-    with Client("http://127.0.0.1:9") as client:
-        jobs = [Job.from_view(client._transport, view(state)) for state in ("failed", "done", "cancelled")]
-        assert list(client.as_completed(jobs)) == jobs
-        assert list(client.as_completed([])) == []
-        seen: list[tuple[int, int]] = []
-        with pytest.raises(JobFailed):
-            client.wait_all(jobs, progress=lambda *count: seen.append(count))
-        assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
-
-
-def test_specifications_are_mapped_one_at_a_time():
-    taken: list[int] = []
-
-    def specs() -> Iterator[dict[str, int]]:
-        for n in range(3):
-            taken.append(n)
-            yield {"xi": n}
-
-    with scripted(*[Answer(200, view("done"))] * 6) as (_, client):
-        jobs = client.map(specs(), at_once=1)
-        counts = [len(taken) for _ in jobs]
-        assert counts == [1, 2, 3]
-        taken.clear()
-        assert [len(taken) for _ in client.map(specs(), at_once=2)] == [2, 3, 3]
-
-
-def test_some_of_the_ids_that_begin_alike_are_named():
-
-    ids = [f"aaaa{n}" + "0" * 27 for n in range(7)]
-    with scripted(Answer(body={"jobs": [view() | {"id": id} for id in ids]})) as (_, client):
-        with pytest.raises(NotFound) as caught:
-            client.job("aaaa")
-        assert str(caught.value).endswith(f"7 jobs have ids that begin with aaaa, as {', '.join(ids[:5])}")
-
-
 # Showing progress
 
 
@@ -797,57 +407,6 @@ def shown(*views: tuple[float, dict[str, Any]]) -> list[str]:
         for now[0], description in views:
             lines(Job.from_view(client._transport, description))
     return out.getvalue().splitlines()
-
-
-def test_plain_lines_are_few():
-    percents = [(0.01 * done, view("running", done) | {"name": "x"}) for done in range(11)]
-    assert len(shown(*percents)) == 11
-    slow = [(float(second), view("running", 0)) for second in range(100)]
-    assert len(shown(*slow)) == 1
-    creeping = view("running", 0)
-    creep = [
-        (float(second), creeping | {"progress": creeping["progress"] | {"percent": second / 100}})
-        for second in range(100)
-    ]
-    assert len(shown(*creep)) == 10
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-@pytest.mark.parametrize(
-    ("out", "text"),
-    [(io.StringIO(), "compiling\ntook 0 s\n"), (Terminal(), "\rcompiling (0 s)\n")],
-    ids=["no terminal", "terminal"],
-)
-def test_what_takes_long_tells_how_long(monkeypatch: pytest.MonkeyPatch, out: io.StringIO, text: str):
-    from service.client.display import display_elapsed
-
-    monkeypatch.setattr(sys, "stderr", out)
-    with display_elapsed("compiling"):
-        wait_for(lambda: "compiling" in out.getvalue())
-    assert out.getvalue() == text
-    with display_elapsed("compiling", after=60.0):
-        pass
-    assert out.getvalue() == text
-
-
-def test_a_plain_line_shows_percent_cells_and_time_left():
-    progress = {"cells_done": 1234, "cells_total": 5000, "percent": 24.68, "eta_seconds": 4000.0}
-    (line,) = shown((0.0, view() | {"name": "three", "progress": view()["progress"] | progress}))
-    assert line == "01234567 three: running, 24% (1,234 of 5,000 cells), 1 h 6 min left"
-
-
-@for_each(
-    ("seconds", "text"),
-    [(0.4, "0 s"), (59.6, "1 min 0 s"), (125, "2 min 5 s"), (3600, "1 h 0 min"), (4e6, "1,111 h 6 min")],
-)
-def test_durations_read_well(seconds: float, text: str):
-    from service.client.display import duration
-
-    assert duration(seconds) == text
 
 
 # Stores
