@@ -13,8 +13,6 @@ from worker.spec.errors import (
     SpecInvalid,
     SpecTooLarge,
     describe,
-    did_you_mean,
-    one_of,
 )
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
@@ -31,11 +29,8 @@ def problems(**fields: Any) -> list[Problem]:
     [
         (None, "null"),
         (False, "false"),
-        (2**128 - 1, str(2**128 - 1)),
         (2**128, "a whole number of about 39 digits"),
-        (-(2**200), "a whole number of about 61 digits"),
         (0.5, "0.5"),
-        ("x" * 38, f"text '{'x' * 38}'"),
         ("x" * 39, f"text '{'x' * 36}..."),
         ("ä\n", r"text '\xe4\n'"),
         ({}, "an object"),
@@ -45,21 +40,6 @@ def problems(**fields: Any) -> list[Problem]:
 )
 def test_a_value_is_described_shortly(value: object, described: str):
     assert describe(value) == described
-
-
-def test_names_are_listed_and_the_closest_is_proposed():
-    assert one_of(["a"]) == "'a'"
-    assert one_of(["a", "b"]) == "'a' or 'b'"
-    assert one_of(iter("abc")) == "'a', 'b' or 'c'"
-    names = ("gamma", "omega")
-    assert did_you_mean("GAMA", names) == "; did you mean 'gamma'?"
-    assert did_you_mean("xi", names) == ""
-    assert did_you_mean(None, names) == ""
-
-
-def test_the_second_choice_is_proposed_too():
-    [problem] = problems(gamma={"start": 1, "stop": 2, "num": 3, "spacing": "logg"})
-    assert problem.rule == "must be 'linear' or 'log', not text 'logg'; did you mean 'log'?"
 
 
 @pytest.mark.parametrize(
@@ -84,30 +64,3 @@ def test_errors_keep_their_problems():
         assert str(copy) == str(error) == "keep: must be less\nis wrong"
         assert error.args == (tuple(given),)
     assert str(BrokenRuleError("num", "must be less")) == "must be less"
-
-
-@for_each(
-    ("field", "value", "rule"),
-    [
-        ("keep", 0, "must be at least 1, not 0"),
-        ("keep", 10_001, "must be at most 10000, not 10001"),
-        ("name", "x" * 201, "must have at most 200 characters, not 201"),
-        ("parent", "G" * 32, "must match ^[0-9a-f]{32}$, not text 'GGGG"),
-        ("settle_early", 1, "must be true or false, not 1"),
-    ],
-)
-def test_a_bound_is_told_with_the_value(field: str, value: object, rule: str):
-    [problem] = problems(**{field: value})
-    assert problem.field == field
-    assert problem.rule.startswith(rule)
-
-
-@pytest.mark.parametrize(
-    ("model", "rule"),
-    [
-        ({"rest_length": 0}, "must be above 0, not 0"),
-        ({"kind": "ball", "restitution": 1}, "must be below 1, not 1"),
-    ],
-)
-def test_a_bound_that_is_excluded_is_told_as_such(model: dict[str, Any], rule: str):
-    assert [problem.rule for problem in problems(model=model)] == [rule]
