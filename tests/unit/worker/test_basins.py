@@ -17,8 +17,7 @@ from kernel.line import LineRun
 from kernel.models.rigid import plate
 from kernel.params import STATE_FIELDS, Line, Outcome
 from worker import store, studies, tasks
-from worker.basins import attractors, steps
-from worker.basins.attractors import Attractor, Found, Request, find, ks_distance
+from worker.basins.attractors import Attractor, Found, Request, find
 from worker.basins.schema import empty_record
 from worker.basins.spec import UNTIL, BasinSpec
 from worker.basins.starts import starts_of
@@ -35,8 +34,7 @@ from worker.basins.study import (
     run_chunk,
     start_seconds,
 )
-from worker.cost import cell_seconds, period_seconds
-from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS
+from worker.plan import TARGET_SECONDS
 from worker.spec import SpecError
 from worker.tasks import ChunkCancelled, ChunkPaused
 
@@ -179,30 +177,6 @@ def test_a_state_of_each_attractor_stays_on_it():
         assert attractor.state[0] == 0.0
 
 
-def test_distances_of_distributions():
-    x = np.linspace(0.0, 1.0, 100)
-    assert ks_distance(x, x) == 0.0
-    assert ks_distance(x, x + 2.0) == 1.0
-    assert ks_distance(x, np.linspace(0.0, 0.5, 50)) == pytest.approx(0.5, abs=0.02)
-    rows = np.stack([x[::10], x[::10] + 2.0])
-    distance = attractors._distance_of_rows(rows, np.zeros_like(rows), x, np.zeros(100))
-    assert distance[0] < 0.15
-    assert distance[1] == 1.0
-
-
-def test_two_interleaved_distributions_are_two_attractors_whatever_their_extremes():
-    """Samples of two distributions with the same extremes, in any order."""
-    generator = np.random.default_rng(5)
-
-    def sample(i: int) -> attractors._Sample:
-        x = generator.beta(0.5, 0.5, 800) if i % 2 else generator.beta(2.0, 2.0, 800)
-        x[:2] = 0.0, 1.0
-        return attractors._Sample(x, np.zeros(800), np.zeros(6), (0, 0))
-
-    samples = [sample(i) for i in range(12)]
-    assert attractors._linked(samples) == [[0, 2, 4, 6, 8, 10], [1, 3, 5, 7, 9, 11]]
-
-
 def test_entropies_of_known_maps():
     halves = np.ones((16, 16), np.uint8)
     halves[:, 8:] = 2
@@ -218,14 +192,6 @@ def test_entropies_of_known_maps():
     expected = -(share * math.log(share) + (1.0 - share) * math.log(1.0 - share))
     assert entropies(undecided) == pytest.approx((expected / 4.0, expected))
     assert entropies(np.zeros((8, 8), np.uint8)) == (0.0, 0.0)
-
-
-def test_one_start_of_a_box_counts():
-    lone = np.ones((8, 8), np.uint8)
-    lone[0, 0] = 2
-    expected = -(math.log(1 / 64) + 63 * math.log(63 / 64)) / 64
-    assert entropies(lone) == pytest.approx((expected, expected))
-    assert entropies(lone // 2) == (0.0, 0.0)  # the others undecided
 
 
 def test_rows_and_columns_beyond_whole_boxes_do_not_count():
@@ -293,12 +259,6 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
         assert data[name].values.tobytes() == content, name
 
 
-def test_cells_that_take_longer_than_a_chunk_have_one_each():
-    grid = {"gamma": [1.0, 2.0, 3.0], "omega": [0.5, 0.6], "xi": [0.1, 0.26]}
-    costly = basin(**grid, rows=512, columns=512, settle=3000)
-    assert make_plan(costly).chunk_shape == (1, 1, 1)
-
-
 def test_a_chunk_takes_about_a_second_of_rows_along_gamma():
     gamma, omega = (np.linspace(*ends, 60).tolist() for ends in ((1.0, 2.0), (0.4, 0.6)))
     small = basin(gamma=gamma, omega=omega, rows=4, columns=4, settle=60, observe=20, keep=1)
@@ -313,16 +273,6 @@ def test_a_chunk_takes_about_a_second_of_rows_along_gamma():
     row = math.ceil(60 / parts)
     assert make_plan(few).chunk_shape == (1, max(1, cells // row), row)
     assert make_plan(basin(gamma=gamma[:5], omega=omega[:2], rows=1, columns=1)).chunk_shape == (1, 2, 5)
-
-
-def test_a_chunk_holds_no_more_than_its_bytes():
-    large = basin(
-        gamma=np.linspace(1.0, 2.0, 60).tolist(), rows=1, columns=1, settle=0, observe=1, keep=10_000
-    )
-    plan = make_plan(large)
-    size = BASINS.estimate(large, plan).bytes / plan.cells
-    assert size > 32 * 2 * 8 * 10_000
-    assert plan.chunk_shape[2] == math.ceil(60 / math.ceil(60 / int(MAX_CHUNK_BYTES / size)))
 
 
 def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided():
@@ -359,20 +309,6 @@ def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided()
     assert int(record["outcome"][0, 0, 0]) == Outcome.UNRESOLVED
 
 
-def test_what_is_stored_is_described_for_either_plane():
-    for plane, row, column in (
-        ("drop", "height of the lower mass", "plate phase at which"),
-        ("contact", "elongation beyond the static one", "velocity of the elongation"),
-    ):
-        spec = basin(plane=plane, rows=2, columns=4)
-        layout = BASINS.variables(spec, (1, 1, 1))
-        assert layout.coordinates["row"].tolist() == spec.protocol.row_values.tolist()
-        assert layout.coordinates["column"].tolist() == spec.protocol.column_values.tolist()
-        assert layout.coordinates["id"].tolist() == list(range(1, MAX_ATTRACTORS + 1))
-        assert layout.coordinate_attrs["row"]["long_name"].startswith(row)
-        assert layout.coordinate_attrs["column"]["long_name"].startswith(column)
-
-
 def test_a_start_may_take_ten_windows_unless_it_is_told_how_long():
     spec = basin(settle=400, observe=50, exponents=2, keep=7, micro_flight=0.02)
     assert spec.until == UNTIL * 450 == 4500
@@ -381,29 +317,6 @@ def test_a_start_may_take_ten_windows_unless_it_is_told_how_long():
     assert told.until == 900
     assert not rules_of(told).extends
     assert not spec.sweep().settle_early
-
-
-def test_as_many_starts_as_a_cell_may_have():
-    assert basin(rows=512, columns=512).protocol.rows == 512
-    with pytest.raises(SpecError, match="must be at most 1 with"):
-        studies.parse(SPEC | {"protocol": {"kind": "multistability", "rows": 2, "columns": 1025}})
-
-
-def test_a_chunk_without_a_store_is_not_begun(tmp_path: Path):
-    spec = basin()
-    with pytest.raises(store.StoreMissing):
-        run_chunk(spec, BASINS.plan(spec)[0], str(tmp_path / "none.zarr"), 0.0)
-    assert not any(tmp_path.iterdir())
-
-
-def test_a_chunk_that_the_store_does_not_have_is_not_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    spec, url = basin(gamma=[1.1, 1.27]), str(tmp_path / "a.zarr")
-    store.create(url, BASINS.variables(spec, (1, 1, 1)))
-    monkeypatch.setattr(steps, "LineRun", None)
-    with pytest.raises(store.StoreConflict, match="spans gamma 0 to 2, but chunks here are 1 long"):
-        run_chunk(spec, BASINS.plan(spec, (1, 1, 2))[0], url)
 
 
 def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
@@ -449,11 +362,6 @@ def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
     assert rule in str(caught.value)
 
 
-def test_a_misspelt_field_of_the_protocol_is_named():
-    with pytest.raises(SpecError, match="protocol: 'hight' is not a field here; did you mean 'height'"):
-        studies.parse(SPEC | {"protocol": {"kind": "basin", "hight": 3}})
-
-
 def test_the_same_basin_is_the_same_job_whatever_its_name():
     spec = basin()
     assert studies.parse(spec.as_submitted()) == spec
@@ -471,39 +379,3 @@ def test_cost_grows_with_the_starts_and_with_settle_until():
     assert large.core_seconds == pytest.approx(4.0 * small.core_seconds)
     assert large.longest_core_seconds > 5.0 * large.core_seconds
     assert seconds(settle_until=100_000).longest_core_seconds > 10.0 * large.core_seconds
-
-
-def test_cost_is_that_of_every_start_without_exponents():
-    spec = basin(gamma=[1.1, 1.27, 3.6], rows=4, columns=5, exponents=2, settle=20, observe=10)
-    plain = spec.sweep().model_copy(update={"exponents": 0})
-    plan = BASINS.plan(spec, (1, 1, 2))
-    cost = BASINS.estimate(spec, plan)
-    assert (cost.cells, cost.chunks) == (3, 2)
-    assert cost.core_seconds == pytest.approx(60 * cell_seconds(plain))
-    assert cost.longest_core_seconds == pytest.approx(60 * period_seconds(plain) * spec.until)
-    record = empty_record(BASINS.plan(spec, (1, 1, 3))[0], _arrays(spec), _sizes(spec))
-    assert cost.bytes == sum(array.nbytes for array in record.values())
-
-
-@for_each(
-    ("flights", "near"),
-    [
-        ([1.0, 2.0], True),
-        ([2.01, 0.99], True),
-        ([2.01, np.nan], True),
-        ([2.1, 1.0], False),
-        ([0.51], True),
-        ([2.99], True),
-        ([0.49, 3.01], True),
-        ([0.47], False),
-        ([3.03], False),
-        ([np.nan], False),
-    ],
-)
-def test_flights_are_near_to_a_set_from_either_side(flights: list[float], near: bool):
-    found = attractors._near(np.array([flights]), np.array([0.5, 1.0, 2.0, 3.0]))
-    assert found.tolist() == [near]
-
-
-def test_a_flight_may_be_just_as_far_as_a_near_one():
-    assert attractors._near(np.array([[0.0]]), np.array([attractors.NEAR_CYCLE])).tolist() == [True]

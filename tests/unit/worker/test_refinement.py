@@ -13,7 +13,7 @@ from kernel.params import Outcome
 from worker import schema, store, tasks
 from worker.cost import check_size, computed_shares, estimate
 from worker.plan import MAX_TILE_BYTES, TILE_SIDE, make_plan, tile_shape
-from worker.refinement import NOTHING, Beyond, Refinement, _cuts, classes, first_round
+from worker.refinement import NOTHING, Beyond, Refinement, classes
 from worker.schema import MODE_ARRAYS, layout
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecInvalid, SpecTooLarge
@@ -164,13 +164,6 @@ def test_the_same_tile_is_always_refined_the_same_way(
     assert [rounds, hashlib.sha256(sources.tobytes()).hexdigest()[:16]] == expected
 
 
-def test_the_first_rounds_of_a_map_are_those_of_its_tiles():
-    plan = make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}), chunk_shape=TILE)
-    cells = [Refinement((chunk.shape[1], chunk.shape[2]), MODE).cells.size for chunk in plan]
-    assert len(plan) == 24
-    assert first_round(plan.grid, plan.chunk_shape, MODE) == sum(cells)
-
-
 def outcomes_refined(outcome: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Which cells of a tile without modes are computed, and every cell's outcome in the map."""
     tile, none = Refinement(outcome.shape, MODE), np.zeros_like(outcome)
@@ -209,14 +202,6 @@ def test_a_tongue_that_one_block_sees_is_followed_into_the_next_ones():
     assert computed[31:34, :40].any(axis=0).all()
 
 
-def test_a_margin_computes_more_and_misses_no_more(full):
-    kinds = full["bounces"] * 100 + full["periods"]
-    plain, sources = refined(kinds, MODE)
-    wide, wide_sources = refined(kinds, MODE.model_copy(update={"margin": True}))
-    assert wide.sum() > plain.sum()
-    assert np.sum(kinds.flat[wide_sources] != kinds) <= np.sum(kinds.flat[sources] != kinds)
-
-
 def wave() -> np.ndarray:
     """Kinds of 65 x 65 cells: two regions, their border a wave around column 33."""
     row, column = np.mgrid[:65, :65]
@@ -243,18 +228,6 @@ def test_a_margin_does_not_end_at_the_border_of_a_tile(tile: tuple[slice, slice]
     assert computed.flat[source].all()
 
 
-def test_a_change_just_beyond_the_border_widens_the_margin():
-    kinds = wave()
-    margin = Refine(by="mode", coarsest=16, margin=True)
-    tile = QUARTERS[0]
-    assert (kinds[tile] == 1).all()
-    computed, _ = refined(kinds, margin, tile)
-    alone, _ = refined(np.ascontiguousarray(kinds[tile]), margin)
-    assert computed[:, 25:].sum() > 2 * alone[:, 25:].sum()
-    plain, _ = refined(kinds, margin.model_copy(update={"margin": False}), tile)
-    assert plain.sum() == 9 + 4
-
-
 def test_without_a_margin_a_tile_depends_on_its_own_cells_alone():
     kinds = wave()
     for tile in QUARTERS:
@@ -262,12 +235,6 @@ def test_without_a_margin_a_tile_depends_on_its_own_cells_alone():
         alone, own = refined(np.ascontiguousarray(kinds[tile]), MODE)
         assert np.array_equal(computed, alone)
         assert np.array_equal(source, own)
-
-
-def test_surroundings_are_within_the_map_and_no_wider_than_a_block():
-    margin = Refine(by="mode", coarsest=8, margin=True)
-    assert Refinement((17, 17), margin, (0, 3, 8, 90)).surroundings == (0, 3, 8, 8)
-    assert Refinement((17, 17), MODE, (0, 3, 8, 90)).surroundings == (0, 0, 0, 0)
 
 
 @for_each("beyond", [(0, 0, 1, 2), (3, 8, 0, 5), (1, 1, 1, 1), (0, 7, 0, 0)])
@@ -282,38 +249,6 @@ def test_a_tile_with_any_surroundings_is_covered(shape, beyond):
     assert computed.shape == shape
     assert computed.flat[source].all()
     assert np.array_equal(source[computed], np.flatnonzero(computed))
-
-
-@pytest.mark.parametrize(
-    ("tile", "cells", "spans"),
-    [
-        ((0, 8), 9, [(0, 4), (4, 8)]),
-        ((3, 9), 12, [(0, 3), (3, 7), (7, 9), (9, 11)]),
-        ((1, 4), 6, [(0, 1), (1, 4), (4, 5)]),  # one cell before, one beyond
-        ((2, 2), 3, [(0, 2), (2, 2)]),  # a tile of one cell
-    ],
-)
-def test_spans_reach_from_the_first_cell_to_the_last(tile, cells, spans):
-    assert _cuts(*tile, cells, 4) == spans
-
-
-def test_blocks_of_the_tile_lie_in_it_whole_and_those_that_matter_have_a_cell_of_it():
-    margin = Refine(by="mode", coarsest=4, margin=True)
-    tile = Refinement((9, 9), margin, (8, 8, 8, 8))
-    rows, columns = (range(span.start, span.stop) for span in tile.inside)
-    edges = range(0, 17, 2)
-    blocks = np.array([(top, top + 2, left, left + 2) for top in edges for left in edges])
-    within = [
-        {top, bottom} <= set(rows) and {left, right} <= set(columns) for top, bottom, left, right in blocks
-    ]
-    touching = [
-        top <= rows[-1] and bottom >= rows[0] and left <= columns[-1] and right >= columns[0]
-        for top, bottom, left, right in blocks
-    ]
-    assert sum(within) == 16
-    assert sum(touching) == 36
-    assert tile._within(blocks).tolist() == within
-    assert tile._touching(blocks).tolist() == touching
 
 
 def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
@@ -395,14 +330,6 @@ def test_a_repaired_chunk_has_its_bytes_again(tmp_path):
     assert files(url) == before
 
 
-def test_a_map_with_exponents_has_those_of_computed_cells(tmp_path):
-    spec = adaptive().model_copy(update={"exponents": 1, "settle": 10, "observe": 10})
-    found = compute(spec, tmp_path / "a.zarr")
-    bouncing = (found["computed"] == 1) & (found["outcome"] != Outcome.AT_REST)
-    assert np.isfinite(found["lyapunov"][bouncing, 0]).any()
-    assert np.isnan(found["lyapunov"][found["computed"] == 0]).all()
-
-
 @for_each("coarsest", [2, 3, 16, 64, 128])
 def test_tiles_are_whole_blocks_and_bounded(coarsest):
     for keep in (1, 64, 1000, 10_000):
@@ -453,11 +380,6 @@ def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
     [problem] = caught.value.problems
     assert problem.field == field
     assert rule in problem.rule
-
-
-def test_a_ramp_is_not_refined():
-    with pytest.raises(SpecInvalid, match="rest"):
-        sweep(refine={"by": "mode"}, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
 
 
 def test_the_width_of_the_first_blocks_depends_on_what_is_told_apart():

@@ -16,14 +16,13 @@ import worker.analysis.thresholds
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from worker import store
-from worker.analysis.prediction import predict, predict_each, predict_from_cells
-from worker.analysis.thresholds import Refined, Status, _patient, refine
+from worker.analysis.prediction import predict, predict_each
+from worker.analysis.thresholds import Refined, Status, refine
 from worker.executors.errors import ClusterLost
 from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
-from worker.spec.sweep import MAX_PERIODS
 from worker.tasks import run_chunk
 
 TOLERANCE = 1e-4
@@ -140,15 +139,6 @@ def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path)
         assert (outcome[0] == 3, outcome[1] == 3) == (True, False)
 
 
-def test_a_refinement_ends_as_soon_as_it_holds_the_tolerance(tmp_path: Path):
-    """The threshold is 0.872; what brackets it here is exact in binary."""
-    spec, url = computed(tmp_path / "rest", gamma=[0.75, 1.0], omega=[0.5], xi=0.26)
-    assert thresholds(spec, url, 0.25).up == (1.0,)
-    assert thresholds(spec, url, 0.24).up == (0.875,)
-    spec, url = computed(tmp_path / "ramp", gamma=[0.5, 1.0], omega=[0.5], xi=0.26, protocol=ramp("up"))
-    assert thresholds(spec, url, 0.5).up == (1.0,)
-
-
 def test_a_bisection_ends_where_no_number_is_between(tmp_path: Path):
     spec, url = computed(tmp_path, gamma=[0.75, 1.0], omega=[0.5], xi=0.26)
     found = thresholds(spec, url, 0.0)
@@ -194,19 +184,6 @@ def test_a_refinement_that_reaches_its_limit_says_so(tmp_path: Path, monkeypatch
     assert found.up_status == (Status.NOT_REFINED,)
 
 
-def test_cells_of_a_refinement_may_settle_for_sixteen_windows():
-    def patient(**fields: Any) -> SweepSpec:
-        window = {"settle": 100, "observe": 20, "keep": 8, "exponents": 1, "model": {"kind": "rigid"}}
-        return _patient(SweepSpec(gamma=1.0, omega=0.5, xi=0.26, **window | fields))
-
-    usual = patient()
-    assert (usual.settle, usual.observe, usual.keep, usual.exponents) == (100, 20, 1, 0)
-    assert usual.settle_until == 16 * 120
-    assert patient(settle_until=500).settle_until == 16 * 120
-    assert patient(settle_until=5000).settle_until == 5000
-    assert patient(settle=MAX_PERIODS // 4).settle_until == MAX_PERIODS
-
-
 def test_what_has_no_closed_form_is_unresolved_and_says_why():
     resonant, slow = predict(1.0, 0.0), predict(0.001, 0.05)
     for found, omega, xi in ((resonant, 1.0, 0.0), (slow, 0.001, 0.05)):
@@ -221,24 +198,6 @@ def test_what_has_no_closed_form_is_unresolved_and_says_why():
     one, two = predict_each((0.6, 0.62), 0.05)
     assert (one.down, two.down) == (predict(0.6, 0.05).down, predict(0.62, 0.05).down)
     assert one.cause == "fold (1,1)"
-
-
-@pytest.mark.parametrize(("direction", "read"), [("up", 0), ("down", 0), ("both", 1)])
-def test_words_are_those_of_the_way_down_where_there_is_one(
-    monkeypatch: pytest.MonkeyPatch, direction: str, read: int
-):
-    asked = []
-
-    def lowest_words(_: Any, url: str, *where: Any) -> tuple[list[Any], float]:
-        asked.append((url, *where))
-        return [], np.inf
-
-    monkeypatch.setattr(worker.analysis.prediction, "lowest_words", lowest_words)
-    ramp = {"kind": "ramp", "axis": "gamma", "direction": direction}
-    spec = SweepSpec(gamma=[0.9, 1.1], omega=[0.46, 0.7], xi=[0.01, 0.05], protocol=ramp)
-    unresolved, resolved = predict_from_cells(spec, "a.zarr", 1, (0, 1), True)
-    assert asked == [("a.zarr", read, 1, 0, True)]
-    assert (unresolved.cause, resolved.cause) == ("unresolved", "fold (1,1)")
 
 
 # Through the service

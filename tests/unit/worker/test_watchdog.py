@@ -12,12 +12,10 @@ import pytest
 from distributed import Client, LocalCluster
 from scripted import DEADLINE, wait_for
 
-from worker import store, tasks, watchdog
-from worker.basins.spec import BasinSpec
+from worker import store, watchdog
 from worker.plan import make_plan
 from worker.schema import layout
-from worker.studies import STUDIES
-from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport, Terms
+from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport
 from worker.watchdog import TOPIC, Watchdog, run_watched
 
 LIMIT = 1000 << 20
@@ -206,11 +204,6 @@ def test_a_worker_says_what_it_begins_and_returns_the_report(watched: Watched, t
     assert timers == [(105.0, True), ("cancelled",)]  # five seconds more than the chunk has
 
 
-def test_the_last_resort_has_a_timer_that_fits(watched: Watched, timers: list[Any]):
-    watched(seconds=1e9)
-    assert timers[0] == (1e6, True)
-
-
 @pytest.mark.parametrize("stop", [ChunkCancelled("cancelled"), ChunkPaused("paused")])
 def test_that_a_chunk_stopped_is_returned(watched: Watched, stop: Exception):
     def stopping(*_: Any) -> None:
@@ -226,14 +219,6 @@ def test_other_errors_are_raised(watched: Watched, timers: list[Any]):
     with pytest.raises(ZeroDivisionError, match="the spring broke"):
         watched.running(failing)()
     assert timers[-1] == ("cancelled",)
-
-
-def test_a_chunk_is_computed_on_the_terms_that_are_given(watched: Watched):
-    assert watched.running(lambda *_: tasks.TERMS.get())(terms=Terms(7.0)) == Terms(7.0)
-
-
-def test_without_terms_a_chunk_is_computed_on_the_usual_ones(watched: Watched):
-    assert watched.running(lambda *_: tasks.TERMS.get())() == Terms()
 
 
 def test_a_process_that_is_ended_says_why_first(watched: Watched, monkeypatch: pytest.MonkeyPatch):
@@ -270,38 +255,3 @@ def test_a_job_cancelled_while_its_kernel_is_compiled_does_not_begin(
     assert isinstance(answer, ChunkCancelled)
     assert begun == []
     assert background == [True]  # the process may end before it is compiled
-
-
-def test_compiling_goes_on_while_the_store_is_out_of_reach(watched: Watched, monkeypatch: pytest.MonkeyPatch):
-    looks = threading.Semaphore(0)
-    monkeypatch.setattr(watchdog, "FLAG_SECONDS", 0.001)
-
-    def away(_: str) -> bool:
-        looks.release()
-        raise ConnectionError
-
-    with monkeypatch.context() as patched:
-        patched.setattr(store, "is_cancelled", away)
-        watched.compiling(lambda _: [looks.acquire(timeout=DEADLINE) for _ in range(3)])
-        assert watched.running(lambda *_: "computed")() == "computed"
-
-
-def test_what_cannot_be_compiled_is_said(watched: Watched):
-    def broken(_: Any) -> None:
-        raise ZeroDivisionError("no compiler")
-
-    with pytest.raises(ZeroDivisionError, match="no compiler"):
-        watched.compiling(broken)()
-
-
-def test_for_a_grid_of_starts_the_kernel_of_its_sweep_is_compiled(
-    client: Client, tmp_path: Path, timers: Any, monkeypatch: pytest.MonkeyPatch
-):
-    spec = BasinSpec(gamma=1.27, omega=0.5, xi=0.26, protocol={"kind": "basin", "rows": 4, "columns": 4})
-    study, compiled = STUDIES["basin"], []
-    monkeypatch.setattr(watchdog, "compile_for", compiled.append)
-    monkeypatch.setattr(watchdog, "run_task", lambda spec, chunk, url: (spec, chunk, url))
-    chunk, url = study.plan(spec)[0], str(tmp_path / "a.zarr")
-    answer = client.submit(run_watched, spec, chunk, url, 100.0, pure=False).result(DEADLINE)
-    assert answer == (spec, chunk, url)
-    assert compiled == [spec.sweep()]
