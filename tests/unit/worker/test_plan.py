@@ -78,13 +78,8 @@ def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
     assert all(chunk.after is None or chunk.after < chunk.index for chunk in chunks)
     assert sum(chunk.after is None for chunk in chunks) == plan.lines
     assert [plan.chunk(i) for i in range(len(plan))] == chunks == list(plan.chunks)
-
-
-@given(grids, shapes)
-def test_a_chunk_is_found_by_its_place(spec, shape):
-    plan = make_plan(spec, chunk_shape=shape)
     coords = layout(spec, plan.chunk_shape).coords
-    assert [plan.number(*coords(chunk.slices)) for chunk in plan] == list(range(len(plan)))
+    assert [plan.number(*coords(chunk.slices)) for chunk in chunks] == list(range(len(plan)))
 
 
 @given(grids, st.integers(1, 2000))
@@ -166,12 +161,8 @@ def test_chunks_of_a_large_job_cost_a_second_or_so():
     assert 0.5 * TARGET_SECONDS <= chunk.cells * cell_seconds(spec) <= TARGET_SECONDS * 1.001
 
 
-@pytest.mark.parametrize("settle", [100_000, 1_000_000])
-@pytest.mark.parametrize("kind", ["rigid", "soft"])
-def test_chunks_of_cells_side_by_side_fill_the_lanes(kind, settle):
-    spec = sweep(gamma=1_000, model={"kind": kind}, settle=settle)
-    assert make_plan(spec)[0].cells >= LANES
-    full = sweep(gamma=64 * LANES, model={"kind": kind}, settle=10**6)
+def test_chunks_of_cells_side_by_side_fill_the_lanes():
+    full = sweep(gamma=64 * LANES, settle=10**6)
     assert all(chunk.cells == LANES for chunk in make_plan(full))
 
 
@@ -202,8 +193,6 @@ def test_a_chunk_of_a_ramp_holds_whole_lines_where_they_fit():
         (200, 800, (1, 50, LANES)),
         (200, 320, (1, 17, LANES)),  # parts of lines, so that the lanes are full
         (20, 400, (1, 50, 7)),  # few lines: one vector at most, and no chunk much smaller than others
-        (20, 300, (1, 25, 7)),
-        (3, 1600, (1, 50, 3)),
         (1, 40, (1, 25, 1)),
     ],
 )
@@ -235,15 +224,8 @@ def test_a_chunk_costs_an_eighth_of_the_sweep_within_bounds(gamma):
     ("grid", "cells", "shape"),
     [
         ((1, 1, 101), 100, (1, 1, 51)),
-        ((1, 1, 101), 101, (1, 1, 101)),
-        ((1, 10, 10), 100, (1, 10, 10)),
         ((1, 10, 10), 99, (1, 5, 10)),  # what is left over goes to gamma
-        ((1, 10, 10), 30, (1, 5, 5)),
-        ((10, 10, 10), 1000, (10, 10, 10)),
         ((10, 10, 10), 124, (4, 5, 5)),
-        ((10, 10, 10), 150, (5, 5, 5)),
-        ((10, 10, 10), 1, (1, 1, 1)),
-        ((10, 3, 1), 7, (5, 1, 1)),
         ((2, 3, 1000), 100, (1, 1, 100)),
     ],
 )
@@ -259,12 +241,6 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
         assert (cells * schema.bytes_per_cell(spec) > MAX_CHUNK_BYTES) == (cells >= 600_000)
         shapes[cells] = make_plan(spec, chunk_cells=cells).chunk_shape
     assert shapes == {900_000: (1, 496, 1003), 400_000: (1, 502, 502), 200_000: (1, 335, 502), 9: (1, 3, 3)}
-    kept = sweep(omega=41, gamma=41, keep=10_000)
-    assert make_plan(kept, chunk_cells=21 * 21).chunk_shape == (1, 20, 20)
-    assert make_plan(kept, chunk_cells=11 * 11).chunk_shape == (1, 10, 10)
-    assert make_plan(kept, chunk_cells=41 * 41).chunk_shape == (1, 41, 41)
-    assert make_plan(sweep(omega=54, gamma=54, keep=10_000), chunk_cells=27 * 27).chunk_shape == (1, 24, 24)
-    assert make_plan(sweep(omega=6, gamma=100, keep=10_000), chunk_cells=300).chunk_shape == (1, 3, 100)
 
 
 @for_each(
@@ -273,15 +249,10 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
         (1, 2, 129),
         (1, 3, 127),
         (1, 16, 129),
-        (1, 128, 129),
         (200, 2, 79),  # of 3,214 bytes a cell, 80 by 80 cells fit
-        (200, 3, 79),
         (200, 16, 65),
-        (200, 64, 65),
         (200, 128, 80),
         (1000, 3, 34),
-        (1000, 7, 36),
-        (1000, 16, 33),
         (1000, 64, 36),
     ],
 )
@@ -315,13 +286,9 @@ def test_a_plan_is_a_sequence():
     assert plan[4:] == []
     assert (plan[1].cells, plan[1].shape) == (2, (1, 1, 2))
     assert make_plan(sweep(gamma=6), chunk_shape=(9, 9, 9)).chunk_shape == (1, 1, 6)
-
-
-@pytest.mark.parametrize("index", [6, -7])
-def test_no_chunk_outside_the_plan(index):
-    plan = make_plan(sweep(gamma=6), chunk_shape=(1, 1, 1))
-    with pytest.raises(IndexError):
-        plan[index]
+    for index in (4, -5):
+        with pytest.raises(IndexError):
+            plan[index]
 
 
 # What it will take
@@ -334,16 +301,19 @@ def test_estimate_counts_what_the_store_holds():
     assert found.chunks == len(make_plan(spec))
     # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
     assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 4 + 4 + 6 * 8 + 1)
-    assert found.core_seconds == pytest.approx(
-        found.cells
-        * (300 + FOLLOWED_SHARE * 200)
-        * CONTACT_MODELS["rigid"].ramp
-        * CONTACT_MODELS["rigid"].cost_us
-        * LANES
-        / 2
-        / 6
-        * 1e-6
-    )
+    assert found.core_seconds == pytest.approx(found.cells * cell_seconds(spec))
+    assert cost_of(sweep(100_000, 100_000, 100_000)).cells == 10**15  # takes neither time nor memory
+
+
+def test_what_is_harder_costs_more():
+    def cost(**more):
+        return cell_seconds(sweep(gamma=2, **more))
+
+    soft = {"kind": "soft"}
+    assert cost() < cost(settle_early=False) < cost(ramp=("gamma", "up")) < cost(exponents=1)
+    assert cost() < cost(model=soft) < cost(model=soft | {"penetration": 1e-6})
+    assert cost() < cost(settle_until=1_500) < longest_cell_seconds(sweep(settle_until=1_500))
+    assert cost(model={"kind": "auto"}) == cost(model=soft)  # at most the exact one
 
 
 def test_time_steps_are_counted():
@@ -364,11 +334,8 @@ def test_time_steps_are_counted():
     ("refine", "side", "shares"),
     [
         ({"by": "bouncing"}, 1025, (2 / 64**2 + 0.001, 2 / 64**2 + 0.03)),
-        ({"by": "bouncing"}, 2050, (2 / 64**2 + 0.0005, 2 / 64**2 + 0.015)),
-        ({"by": "bouncing", "coarsest": 8}, 1025, (2 / 8**2 + 0.001, 2 / 8**2 + 0.03)),
         ({"by": "bouncing", "margin": True}, 1025, (2 / 64**2 + 0.001, 2 * (2 / 64**2 + 0.03))),
         ({"by": "mode"}, 2050, (2 / 16**2 + 0.02 * 0.5**0.7, 2 / 16**2 + 0.30 * 0.5**0.7)),
-        ({"by": "mode"}, 3, (1.0, 1.0)),
     ],
 )
 def test_finer_maps_compute_a_smaller_share(refine, side, shares):
@@ -376,6 +343,21 @@ def test_finer_maps_compute_a_smaller_share(refine, side, shares):
     assert computed_shares(spec, spec.refine) == pytest.approx(shares)
     oblong = sweep(omega=4 * side, gamma=1 + side // 4, refine=refine)
     assert computed_shares(oblong, oblong.refine) == pytest.approx(shares, rel=5e-3)
+
+
+def test_too_much_is_refused_with_the_limit():
+    cost = cost_of(sweep(gamma=1000))
+    check_size(cost, max_cells=1000, max_bytes=1_037_000, max_core_seconds=cost.core_seconds)
+    for limit, rule in (
+        ({"max_cells": 999}, r"^asks for 1000 cells; at most 999 are allowed: take fewer values$"),
+        ({"max_bytes": 1_036_999}, r"^keep: asks for 1037000 bytes, 1037 per cell; at most 1036999 are"),
+        (
+            {"max_core_seconds": 0.99 * cost.core_seconds},
+            r"^asks for about \S+ core-seconds; at most \S+ are",
+        ),
+    ):
+        with pytest.raises(SpecTooLarge, match=rule):
+            check_size(cost, **limit)
 
 
 # Many chunks
