@@ -12,10 +12,8 @@ import pytest
 
 from kernel.models import rigid
 from kernel.numerics import compilation
-from kernel.numerics.compilation import Entry, compilations, set_cache
+from kernel.numerics.compilation import Entry, set_cache
 from kernel.numerics.jit import by_type, inlined, jit
-
-CALLS: list[str] = []
 
 
 @inlined
@@ -61,12 +59,6 @@ def test_inner_functions_are_not_compiled_on_their_own():
     assert library._finalized
 
 
-def test_an_entry_is_kept_before_and_after_optimisation(folder):
-    assert entry(quadrupled)(2.0) == 8.0
-    before, after = codes(folder)
-    assert after.startswith(f"{before}.")
-
-
 def test_an_entry_is_read_from_the_cache_by_the_next_process(folder, monkeypatch):
     entry(quadrupled)(2.0)
     monkeypatch.setattr(compilation._EntryCompiler, "compile_extra", None)  # would raise
@@ -90,35 +82,6 @@ def test_a_damaged_file_is_compiled_again(folder, damage):
         (folder / name).write_bytes(damage(content))
     assert entry(quadrupled)(2.5) == 10.0
     assert all((folder / name).stat().st_size > 500 for name in whole)
-
-
-def test_where_nothing_can_be_written_the_kernel_compiles_all_the_same(tmp_path):
-    kept = compilation._folder
-    set_cache(tmp_path / "removed")
-    try:
-        assert entry(quadrupled)(2.0) == 8.0
-    finally:
-        set_cache(kept)
-
-
-def test_what_is_compiled_is_told_meanwhile(folder, monkeypatch):
-    told = []
-    compile_extra = compilation._EntryCompiler.compile_extra
-
-    def observed(self: Any, function: Any) -> Any:
-        told.extend(each.kernel for each in compilations())
-        return compile_extra(self, function)
-
-    monkeypatch.setattr(compilation._EntryCompiler, "compile_extra", observed)
-    entry(quadrupled)(2.0)
-    assert told == ["quadrupled"]
-    assert compilations() == []
-
-
-def test_a_kernel_is_named_after_its_contact_model(folder):
-    plate = rigid.plate(restitution=np.zeros(1))
-    Entry(rigid._prepare.py_func, {"nogil": True, "error_model": "numpy"})(plate, 0, 1.0, 1.0, 0.1)
-    assert codes(folder)[0].startswith("prepare-of-rigid-")
 
 
 def test_threads_that_need_the_same_entry_compile_it_once(folder, monkeypatch):

@@ -197,20 +197,6 @@ def test_lines_have_starts_of_their_own():
         kernel.line.run_line(*down, start=starts[:3], **options | {"plate": RigidPlate(np.zeros(20))})
 
 
-def test_slow_springs_with_strong_dashpots_are_left_to_the_scalar_functions():
-    """Their elongation, of the order Omega^2/Gamma, would cancel against the gap."""
-    rng = np.random.default_rng(3)
-    n = 60
-    gamma, omega, xi = 10 ** rng.uniform(0.3, 2, n), 10 ** rng.uniform(1.6, 3, n), 10 ** rng.uniform(1, 3, n)
-    lanes = rigid(gamma, omega, xi, settle=0, observe=3)
-    alone = rigid(gamma, omega, xi, settle=0, observe=3, one_by_one=True)
-    first = slice(0, 2)  # later ones have grown apart
-    assert np.isfinite(alone.flight_time[:, first]).sum() > n
-    np.testing.assert_allclose(
-        lanes.flight_time[:, first], alone.flight_time[:, first], rtol=0, atol=1e-12, equal_nan=True
-    )
-
-
 # --- soft -----------------------------------------------------------------------------------
 
 #: Adhesive or not, e, d: underdamped and overdamped contacts, stiff and compliant.

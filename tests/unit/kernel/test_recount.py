@@ -63,13 +63,6 @@ def test_flights_count_that_are_longer_or_all_of_a_cell_without_any():
     ]
 
 
-def test_cells_without_flights_keep_their_outcome():
-    outcome = np.array([Outcome.MISSING, Outcome.AT_REST, Outcome.UNRESOLVED, Outcome.DIVERGED], np.uint8)
-    empty, none = np.full((4, 8), np.nan), np.zeros(4, np.int32)
-    found = recount(empty, empty, none, Modes(outcome, none, none), 0.05, 0.0)
-    assert found.outcome.tolist() == outcome.tolist()
-
-
 def test_cells_of_which_the_same_flights_count_keep_their_mode():
     """A cycle of four flights, of which only six are stored: too few to be found again."""
     times, phases = np.array([[1.0, 2.0, 3.0, 4.0, 1.0, 2.0]]), np.zeros((1, 6))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from kernel_runs import TWO_PI, Model, last_cycle, phases, recorded, run, run_setting
+from kernel_runs import TWO_PI, phases, recorded, run, run_setting
 from naive import Setting, trajectory
 from naive_exact import flight
 from tables import for_each
@@ -39,33 +39,6 @@ def test_every_flight_is_the_integrated_one(cell):
     assert times[kept] == pytest.approx([f.time for f in expected], abs=1e-9)
     phases = line.takeoff_phase[0, : len(times)][kept]
     assert phases == pytest.approx([f.takeoff % TWO_PI for f in expected], abs=1e-9)
-
-
-@pytest.mark.parametrize("restitution", [0.0, 0.4, 1.0])
-def test_a_cell_gives_the_same_bytes_in_any_company(restitution):
-    """A line from rest is worked on in lanes; neither order nor neighbours may show."""
-    rng = np.random.default_rng(0)
-    gamma, omega, xi = (10.0 ** rng.uniform(low, high, 40) for low, high in ((-0.5, 1), (-1, 1), (-2, 0.5)))
-    gamma[:3] = 2.0
-    window = {"restitution": restitution, "settle": 4, "observe": 6}
-    whole = run(gamma, omega, xi, **window)
-    for order in (
-        np.arange(40)[::-1],
-        rng.permutation(40),
-        *np.array_split(np.arange(40), 3),
-        *np.arange(40),
-    ):
-        part = run(gamma[order], omega[order], xi[order], **window)
-        for array, expected in zip(part, whole, strict=True):
-            assert array.tobytes() == expected[order].tobytes()
-
-
-def test_lanes_and_scalars_agree():
-    """Their last digits differ."""
-    for gamma, omega, xi in [(1.5, 0.5, 0.26), (2.3, 0.5, 0.26), (3.6, 0.5, 0.26), (2.0, 1.0, 0.05)]:
-        lanes, scalars = (run(gamma, omega, xi, settle=300, in_lanes=in_lanes) for in_lanes in (True, False))
-        assert (lanes.bounces, lanes.periods) == (scalars.bounces, scalars.periods)
-        assert last_cycle(lanes, 8) == pytest.approx(last_cycle(scalars, 8), abs=1e-10)
 
 
 def test_a_contact_of_no_length_between_two_flights():
@@ -105,15 +78,6 @@ def test_ascending_threshold(omega, xi):
     assert line.outcome[-1] != Outcome.AT_REST
 
 
-def test_the_driven_spring_grows_at_exact_resonance():
-    """Gamma_th is 0 there: q grows like phi/2 sin(phi) until n = 2/Gamma - phi/2 ... reaches zero."""
-    line = run(0.1, 1.0, 0.0, settle=0, observe=30, keep=4)
-    assert line.flights[0] > 0
-    beside = run(0.1, 1.0 + 1e-6, 0.0, settle=0, observe=6, keep=4)
-    exactly = run(0.1, 1.0, 0.0, settle=0, observe=6, keep=4)
-    assert exactly.end_state[0] == pytest.approx(beside.end_state[0], rel=1e-3, abs=1e-3)
-
-
 @for_each("omega", [0.03, 0.22389726922908548, 0.5, 1.0, 3.0])
 @for_each("xi", [0.0, 0.05, 1.0])
 def test_gamma_two_exactly(omega, xi):
@@ -123,12 +87,6 @@ def test_gamma_two_exactly(omega, xi):
     below, exactly, above = line.end_state
     assert exactly == pytest.approx(below, abs=1e-3)
     assert exactly == pytest.approx(above, abs=1e-3)
-
-
-def test_model_is_rigid_whatever_the_penetration():
-    one = run(1.5, 0.5, 0.26, penetration=1e-3)
-    other = run(1.5, 0.5, 0.26, Model.RIGID, penetration=1e-1, adhesive=False)
-    assert one.flight_time.tobytes() == other.flight_time.tobytes()
 
 
 def test_a_flight_at_resonance_has_the_springs_own_frequency():

@@ -18,8 +18,10 @@ from worker.cost import (
     Cost,
     cell_seconds,
     cells_at_once,
+    check_size,
     computed_shares,
     estimate,
+    longest_cell_seconds,
 )
 from worker.plan import (
     FEWEST_CHUNKS,
@@ -38,6 +40,7 @@ from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import (
     CONTACT_MODELS,
 )
+from worker.spec.errors import SpecTooLarge
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]
 

@@ -11,7 +11,7 @@ from paths import GOLDEN
 from tables import for_each
 
 from kernel.branches.admissibility import Reason
-from kernel.branches.closed_form import floquet, gamma_slope, multipliers, orbit
+from kernel.branches.closed_form import floquet, gamma_slope, orbit
 from kernel.branches.energy import energy
 from kernel.branches.events import Branch, branch, branch_and_events, flight_times
 from kernel.branches.spring import STEP, spring
@@ -185,15 +185,6 @@ def test_slopes_are_derivatives():
     complex_step = floquet(spring(0.62 + 1j * STEP, 0.05), 1, t + 0j)
     up, down = floquet(spring(0.62 + h, 0.05), 1, t), floquet(spring(0.62 - h, 0.05), 1, t)
     assert complex_step.trace.imag / STEP == pytest.approx((up.trace - down.trace) / (2.0 * h), rel=1e-7)
-
-
-def test_multipliers():
-    trace, det = np.array([0.5, -3.0, 3.0, 0.0, 0.0]), np.array([0.9, 1.0, 1e-14, 0.0, -0.25])
-    mu = multipliers(trace, det)
-    assert mu.sum(axis=1) == pytest.approx(trace)
-    assert mu.prod(axis=1) == pytest.approx(det, rel=1e-12, abs=1e-300)
-    assert np.all(np.abs(mu[:, 0]) >= np.abs(mu[:, 1]))
-    assert mu[0, 0].imag < 0.0 < mu[0, 1].imag
 
 
 @for_each(

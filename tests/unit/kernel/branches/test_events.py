@@ -104,15 +104,6 @@ def test_conditions_break_at_events_only(omega, xi, periods):
         assert ((time > low - width) & (time < high + width)).any(), (low, high)
 
 
-def test_a_graze_is_of_the_last_minimum_below_zero():
-    """The deepest minimum passes zero first, at a flight of 5.32336 rad; cycles end where another does."""
-    omega, xi, at = 0.25063082376238666, 0.06223447937261095, 5.325622320439313
-    _, events = branch_and_events(omega, xi, 1)
-    assert np.abs(of(events, Kind.GRAZE_FLIGHT)[1] - at).min() < 1e-9
-    sides = [dense_branches.held(omega, xi, 1, at + aside) for aside in (-1e-6, 1e-6)]
-    assert [bool(side.flight_held()[0]) for side in sides] == [False, True]
-
-
 def test_a_dip_before_a_soft_landing_is_found():
     """The gap passes zero some 0.03 rad before a landing at 1e-3 and rises again by 1e-6."""
     omega, xi, at = 1.3013539025728416, 0.08275128198175498, 7.995266176766961
@@ -134,22 +125,6 @@ def test_a_root_beside_a_pole_is_found():
         for aside in (-1e-6, 1e-6)
     ]
     assert sides[0] * sides[1] < 0.0
-
-
-@pytest.mark.parametrize(("omega", "xi", "periods"), [(0.5, 0.26, 2), (0.67, 0.05, 1), (1.26, 0.05, 2)])
-def test_admissibility_changes_only_at_events(omega, xi, periods):
-    line, events = branch_and_events(omega, xi, periods)
-    edges = (Kind.GRAZE_FLIGHT, Kind.GRAZE_CONTACT, Kind.IMMEDIATE_TAKEOFF)
-    at = np.sort(events.flight_time[np.isin(events.kind, edges)])
-    changes = np.flatnonzero((line.admissible[:-1] == 0) != (line.admissible[1:] == 0))
-    assert len(changes)
-    for i in changes:
-        low, high = line.flight_time[i], line.flight_time[i + 1]
-        inside = at[(at >= low) & (at <= high)]
-        assert len(inside)
-        # and they do change there
-        sides = branch(omega, xi, periods, np.array([inside[0] - 1e-7, inside[0] + 1e-7])).admissible == 0
-        assert sides[0] != sides[1]
 
 
 @pytest.fixture(scope="module")
