@@ -21,17 +21,7 @@ COUNT = 300
 PORTABLE = {"ceil", "copysign", "e", "fabs", "floor", "frexp", "inf", "isfinite", "isinf", "isnan", "ldexp"}
 PORTABLE |= {"nan", "pi", "sqrt"}
 #: numpy's functions that are not: its own, or the C library's.
-NOT_PORTABLE = {
-    "arccos",
-    "arccosh",
-    "arcsin",
-    "arcsinh",
-    "arctan",
-    "arctan2",
-    "arctanh",
-    "cos",
-    "cosh",
-}
+NOT_PORTABLE = {"arccos", "arccosh", "arcsin", "arcsinh", "arctan", "arctan2", "arctanh", "cos", "cosh"}
 NOT_PORTABLE |= {"exp", "exp2", "expm1", "float_power", "hypot", "log", "log10", "log1p", "log2", "logaddexp"}
 NOT_PORTABLE |= {"logspace", "geomspace", "power", "sin", "sinc", "sinh", "tan", "tanh", "unwrap", "angle"}
 

@@ -14,15 +14,7 @@ from naive_exact import Exact, exact, instants, lowest, response
 from tables import for_each
 
 from kernel.numerics import oscillator
-from kernel.numerics.first_root import (
-    HORIZON,
-    ROOT,
-    Terms,
-    first_root,
-    polish,
-    safe_step,
-    terms,
-)
+from kernel.numerics.first_root import HORIZON, ROOT, Terms, first_root, polish, safe_step, terms
 from kernel.numerics.jit import jit
 
 HORIZON_RAD = 4.0 * math.pi

@@ -41,11 +41,7 @@ def test_the_last_block_along_an_axis_may_be_shorter():
     plan = GridPlan((5, 3), (2, 9))
     assert plan.chunk_shape == (2, 3)
     assert plan.counts == (3, 1)
-    assert list(plan) == [
-        Block(0, ((0, 2), (0, 3))),
-        Block(1, ((2, 4), (0, 3))),
-        Block(2, ((4, 5), (0, 3))),
-    ]
+    assert list(plan) == [Block(0, ((0, 2), (0, 3))), Block(1, ((2, 4), (0, 3))), Block(2, ((4, 5), (0, 3)))]
     assert plan[2].after is None
 
 

@@ -13,13 +13,7 @@ from kernel_runs import Model, run
 from kernel.params import Line, Outcome, empty_line
 from kernel.threshold import threshold
 from worker.analysis.deviation import deviations, percentile
-from worker.analysis.model_selection import (
-    CELLS,
-    ModelChoice,
-    choose,
-    resolved,
-    sample,
-)
+from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
 from worker.spec import SweepSpec
 from worker.spec.contact_models import Ball, Rigid, Soft
 

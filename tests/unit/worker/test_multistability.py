@@ -13,10 +13,7 @@ import xarray
 from kernel.branches.events import Kind, fold_events
 from kernel.params import Outcome
 from worker import store, studies, tasks
-from worker.basins.multistability import (
-    MULTISTABILITY,
-    run_chunk,
-)
+from worker.basins.multistability import MULTISTABILITY, run_chunk
 from worker.basins.spec import MultistabilitySpec
 from worker.spec import SpecError
 from worker.tasks import ChunkCancelled, ChunkPaused

@@ -12,12 +12,7 @@ from tables import for_each
 from kernel.branches.events import Kind, branch_and_events
 from kernel.params import Outcome
 from worker import store, studies
-from worker.orbits import (
-    ORBITS,
-    OrbitsSpec,
-    _kept,
-    grid_points,
-)
+from worker.orbits import ORBITS, OrbitsSpec, _kept, grid_points
 from worker.spec import SpecError
 from worker.spec.protocols import KINDS
 from worker.tasks import ChunkCancelled

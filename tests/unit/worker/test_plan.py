@@ -37,9 +37,7 @@ from worker.plan import (
 )
 from worker.schema import layout
 from worker.spec import AXES, SweepSpec
-from worker.spec.contact_models import (
-    CONTACT_MODELS,
-)
+from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import SpecTooLarge
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]

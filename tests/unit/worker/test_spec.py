@@ -11,24 +11,11 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 from tables import for_each
 
-from kernel.step_limits import (
-    Scheme,
-    stable_steps_per_contact,
-    steps_per_period,
-)
+from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
 from worker.spec import SweepSpec
 from worker.spec.axes import MAX_AXIS_VALUES
-from worker.spec.contact_models import (
-    CONTACT_MODELS,
-    Stepped,
-    penetration_of,
-)
-from worker.spec.errors import (
-    SpecError,
-    SpecInvalid,
-    SpecTooLarge,
-    SpecUnreadable,
-)
+from worker.spec.contact_models import CONTACT_MODELS, Stepped, penetration_of
+from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable
 from worker.spec.specification import Label
 from worker.spec.time_steps import corners
 from worker.tasks import plate_of

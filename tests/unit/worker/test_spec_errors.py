@@ -7,13 +7,7 @@ import pytest
 from tables import for_each
 
 from worker.spec import SweepSpec
-from worker.spec.errors import (
-    BrokenRuleError,
-    Problem,
-    SpecInvalid,
-    SpecTooLarge,
-    describe,
-)
+from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, SpecTooLarge, describe
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 

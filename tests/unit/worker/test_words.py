@@ -10,15 +10,7 @@ import worker.analysis.words
 from kernel.branches.words import WordBranch
 from kernel.params import Outcome
 from worker import store
-from worker.analysis.words import (
-    Skipped,
-    _Cycle,
-    _cycles,
-    _lies_on,
-    _round,
-    _up_to_shorter,
-    continue_words,
-)
+from worker.analysis.words import Skipped, _Cycle, _cycles, _lies_on, _round, _up_to_shorter, continue_words
 from worker.plan import make_plan
 from worker.schema import COMPUTED, layout
 from worker.spec import SweepSpec
