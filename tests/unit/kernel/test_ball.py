@@ -238,14 +238,6 @@ def test_settling_skips_whole_cycles():
             np.testing.assert_allclose(getattr(short, name), getattr(long, name), atol=1e-12)
 
 
-def test_elastic_ball_ends_unresolved():
-    start = Start(np.array([3.0, 1.0, 0.0, 1e-7, 0.0, 0.0]), Cell(0.5, 1.0, 1.0))
-    line = run(0.5, 1.0, carry=True, settle=0, observe=1, start=start)
-    assert line.outcome[0] == Outcome.UNRESOLVED
-    for gamma in (0.5, 1.2, 5.0):
-        assert run(gamma, 1.0).outcome[0] != Outcome.MISSING
-
-
 # --- ramps and windows ----------------------------------------------------------------------
 
 

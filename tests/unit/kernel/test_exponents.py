@@ -199,14 +199,6 @@ def test_a_ball_that_bounces_once_a_period(gamma):
 # --- what has none --------------------------------------------------------------------------
 
 
-def test_a_cycle_that_takes_off_at_once_keeps_three_dimensions():
-    """An inelastic landing that does not stick removes one direction, one that sticks two."""
-    line = run([7.5, 1.5], [2.0, 0.5], [0.05, 0.26], restitution=0.0, exponents=3, settle=200, observe=100)
-    assert list(line.bounces) == [1, 1]
-    assert list(np.isinf(line.lyapunov[0])) == [False, False, False]
-    assert list(np.isinf(line.lyapunov[1])) == [False, False, True]
-
-
 @for_each(
     ("model", "restitution", "most"),
     [

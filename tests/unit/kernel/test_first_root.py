@@ -357,21 +357,6 @@ def test_a_motion_in_coordinates_is_the_same_motion(ratio, rate, x, v, tau):
         assert abs(after) <= 0.1 * now.size * (1.0 + 1e-12)
 
 
-@for_each("ratio", [1.01, 2.0, 1e2, 1e4, 1e6])
-def test_the_creep_of_an_overdamped_motion_keeps_its_digits(ratio):
-    """x'' of the slow exponential, 1/(2 ratio)**4 of what it would be a difference of."""
-    osc = oscillator.oscillator(ratio, 1.0)
-    with mp.workdps(80):
-        root = mp.sqrt(mpf(ratio) ** 2 - 1)
-        slow, fast = -(mpf(ratio) - root), -(mpf(ratio) + root)
-    a, b = oscillator.coordinates(osc, 0.0, -1.0)
-    for tau in 50.0 / ratio * np.array([1.0, 3.0, 6.0]):
-        with mp.workdps(80):
-            true = -(slow**2 * mp.exp(slow * tau) - fast**2 * mp.exp(fast * tau)) / (2 * root)
-        got = oscillator.all_derivatives(osc, *oscillator.advance(osc, a, b, float(tau))).x2
-        assert abs(got / true - 1) <= 3e-15 * (1.0 + tau * abs(slow))
-
-
 @given(ratio=st.one_of(st.sampled_from(RATIOS), powers(-3.0, 6.0)), rate=powers(-3.0, 3.0), x=signed(10.0),
        v=signed(10.0))  # fmt: skip
 @examples(200)

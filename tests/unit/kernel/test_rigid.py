@@ -9,7 +9,6 @@ from tables import for_each
 
 from kernel.numerics.first_root import ROOT
 from kernel.params import Outcome
-from kernel.threshold import threshold
 
 CELLS = [
     Setting(1.5, 0.5, 0.26),
@@ -66,16 +65,6 @@ def test_a_landing_gives_back_the_restitution(restitution):
     assert upper == pytest.approx(inelastic.after[1] + inelastic.after[3], abs=1e-14)
     impact = float(flight(s, 0.0, steps[0].before).state(steps[0].tau)[1])
     assert steps[0].after[1] == pytest.approx(-restitution * impact, rel=1e-13)
-
-
-@for_each(("omega", "xi"), [(0.3, 0.2), (0.5, 0.26), (1.0, 0.05), (1.2, 1.0), (3.0, 0.7), (20.0, 2.0)])
-def test_ascending_threshold(omega, xi):
-    """Raised slowly, the mass takes off at Eq. 25's Gamma and not before."""
-    steps = np.concatenate([np.linspace(0.5, 0.999, 40), 1.0 + np.array([-1e-6, -1e-8, 1e-8, 1e-6])])
-    settle = int(40 * max(1.0, omega / xi, xi * omega))
-    line = run(threshold(omega, xi) * steps, omega, xi, carry=True, settle=settle, observe=settle, keep=1)
-    assert list(line.outcome[:-2]) == [Outcome.AT_REST] * (len(steps) - 2)
-    assert line.outcome[-1] != Outcome.AT_REST
 
 
 @for_each("omega", [0.03, 0.22389726922908548, 0.5, 1.0, 3.0])

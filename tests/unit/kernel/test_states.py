@@ -52,14 +52,6 @@ def test_lanes_and_one_by_one_agree_and_so_does_every_division_of_the_starts():
     assert_same_bytes(lanes, Line(*(np.concatenate(pair) for pair in zip(*parts, strict=True))))
 
 
-def test_a_run_goes_on_from_the_end_of_another():
-    states = drops(4, 4)
-    first = dropped(states, settle=10, observe=10)
-    again = dropped(first.end_state, settle=380, observe=40)
-    whole = dropped(states, settle=400, observe=40)
-    np.testing.assert_allclose(again.flight_time[:, -5:], whole.flight_time[:, -5:], atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("states", "rule"),
     [

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from kernel_runs import Model, run_line
 
-from kernel import restitution, step_limits
+from kernel import restitution
 from kernel.models import time_stepping
 from kernel.numerics.elementary import TWO_PI
-from kernel.params import KernelInputError, Line, Outcome
-from kernel.step_limits import Scheme, largest_stable_step, stable_steps_per_contact, steps_per_period
+from kernel.params import Line, Outcome
+from kernel.step_limits import Scheme, largest_stable_step, stable_steps_per_contact
 
 SCHEMES = [s.name.lower() for s in Scheme]
 ORDER = {"verlet": 2.0, "euler": 1.0}
@@ -174,19 +174,3 @@ def test_fewest_stable_steps_are_the_fewest():
 
 
 # --- windows, ramps, refusals ---------------------------------------------------------------
-
-
-def test_too_many_steps_are_left_undone():
-    line = run(Model.STEPPED, 1.5, 0.5, 0.26, d=1e-9)
-    assert int(steps_per_period(0.3, 1e-9, 20)) > step_limits.MOST_STEPS_PER_PERIOD
-    assert line.outcome[0] == Outcome.UNRESOLVED
-
-
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [("scheme", "rk4"), ("steps_per_contact", 0), ("steps_per_contact", 2.5), ("steps_per_contact", True)],
-)
-def test_refuses_what_is_no_scheme_or_number_of_steps(argument: str, value: object):
-    with pytest.raises(KernelInputError) as refused:
-        run(Model.STEPPED, 1.5, 0.5, 0.26, **{argument: value})
-    assert refused.value.argument == argument

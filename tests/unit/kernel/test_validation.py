@@ -10,7 +10,6 @@ from kernel_runs import Model, run_line
 from tables import for_each
 
 from kernel import line
-from kernel.models.rigid import RigidPlate
 from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Outcome, Start
 
 ONE = np.ones(3)
@@ -85,14 +84,6 @@ def test_plates_of_an_unknown_type(bad):
     assert refused.value.argument == "plate"
 
 
-def test_a_plate_for_another_number_of_cells():
-    plate = RigidPlate(np.zeros(4))
-    with pytest.raises(
-        KernelInputError, match=r"^restitution: must have the shape of gamma, \(3,\), got \(4,\)$"
-    ):
-        line.run_line(1.5 * ONE, ONE, ONE, plate=plate, carry=False, settle=2, observe=3, keep=4)
-
-
 STATE = np.zeros(len(STATE_FIELDS))
 
 
@@ -111,15 +102,6 @@ def test_starts_that_cannot_be(start, why):
 
 
 # --- what is taken --------------------------------------------------------------------------
-
-
-def test_arguments_are_left_as_they_were():
-    gamma = np.linspace(1.2, 3.0, 3)
-    gamma.flags.writeable = False
-    state = call(carry=True).end_state[-1]
-    kept = state.copy()
-    call(gamma=gamma, carry=True, start=Start(state, Cell(1.5, 0.5, 0.26)))
-    assert state.tobytes() == kept.tobytes()
 
 
 @for_each("name", ["gamma", "omega", "xi", "penetration"])

@@ -14,7 +14,7 @@ from scipy.stats import ks_2samp
 
 from kernel.params import STATE_FIELDS, Line, Outcome, empty_line
 from worker.basins import attractors
-from worker.basins.attractors import Found, Request, Rules, counted, find, ks_distance
+from worker.basins.attractors import Found, Request, Rules, find, ks_distance
 
 WHICH, ELAPSED, START = (STATE_FIELDS.index(name) for name in ("gap", "gap_velocity", "elongation"))
 
@@ -108,19 +108,6 @@ def test_cycles_and_rest_are_followed_by_representatives_and_recorded():
     ]
 
 
-def test_settling_starts_go_on_their_periods_doubled_until_they_are_on_a_cycle():
-    slow = turning(400, always(Outcome.SETTLING, (1.1, 1.9)), cycle(1.0, 2.0))
-    found, asked = searched([0, 0], slow)
-    assert found.ids.tolist() == [1, 1]
-    assert asked == [
-        (2, 100, 20, 256, 0),
-        (2, 60, 60, 256, 0),  # to 240
-        (2, 120, 120, 256, 0),  # to 480, where the cycle shows
-        (2, 600, 120, 256, 0),  # the representatives to 1200
-        (1, 0, 20, 8, 0),
-    ]
-
-
 def test_what_settles_to_the_end_belongs_to_the_cycle_that_its_flights_are_near():
     slow, other = (always(Outcome.SETTLING, flights) for flights in ((1.01, 1.99), (3.0,)))
     found, asked = searched([0, 1, 2], cycle(1.0, 2.0), slow, other)
@@ -135,14 +122,6 @@ def test_what_settles_to_the_end_belongs_to_the_cycle_that_its_flights_are_near(
         (2, 120, 120, 256, 0),  # to 1200
         (1, 0, 20, 8, 0),
     ]
-
-
-@pytest.mark.parametrize(("until", "last"), [(980, [(2, 0, 20, 256, 0)]), (979, [])])
-def test_starts_go_on_while_there_is_a_whole_window_left(until: int, last: list[Asked]):
-    """And no longer, where none is known to end."""
-    found, asked = searched([0, 0], always(Outcome.SETTLING, (1.0,)), until=until, extends=True)
-    assert found.ids.tolist() == [0, 0]
-    assert asked == [(2, 100, 20, 256, 0), *((2, n, n, 256, 0) for n in (60, 120, 240)), *last]
 
 
 def test_a_group_whose_representatives_end_apart_goes_on_until_it_is_two():
@@ -177,11 +156,6 @@ def test_cycles_of_one_mode_are_one_if_their_flights_are(flights: tuple[float, .
     found, _ = searched([0, 1], cycle(1.0, 2.0), cycle(*flights))
     assert len(found.attractors) == count
     assert set(found.ids.tolist()) == set(range(1, count + 1))
-
-
-def test_cycles_with_the_same_sum_and_extremes_are_told_apart():
-    found, _ = searched([0, 1], cycle(1.0, 2.0, 4.0, 5.0), cycle(1.0, 2.0 + 7e-4, 4.0 - 7e-4, 5.0))
-    assert sorted(found.ids.tolist()) == [1, 2]
 
 
 @pytest.mark.parametrize("other", [cycle(1.0, 2.0, periods=2), cycle(1.0, 2.0, 2.0, 1.0), cycle(1.5, 1.5)])
@@ -250,19 +224,6 @@ def test_motion_that_ends_is_followed_and_has_a_lifetime():
     ]  # fmt: skip
 
 
-def test_motion_that_ends_is_followed_once_more_if_that_is_worth_it():
-    """To a thousandth of the starts: ln 750 times the lifetime of 840, 5561 plate periods."""
-    found, asked = searched([0, 1, 1, 1], LEAVING, CHAOS, extends=True)
-    assert found.ids.tolist() == [2, 1, 1, 1]
-    assert asked[10:] == [
-        (3, 5541, 20, 256, 0),
-        (3, 600, 600, 256, 0), (3, 4341, 20, 256, 0),  # to 2400
-        (3, 1200, 1200, 256, 0), (3, 1941, 20, 256, 0),  # to 4800
-        (3, 981, 980, 256, 0), (3, 20, 20, 256, 0),  # to 6761, the end
-        (3, 20, 2000, 2048, 0), (2, 0, 20, 8, 0),
-    ]  # fmt: skip
-
-
 def test_what_seems_to_settle_joins_the_distribution_that_it_has():
     slow, other = (always(Outcome.SETTLING, flights) for flights in (spread(1.0, 2.0), (9.0,) * 70))
     found, asked = searched([0, 1, 2], CHAOS, slow, other)
@@ -290,29 +251,7 @@ def test_aperiodic_runs_that_turn_out_to_repeat_are_a_cycle(starts: int):
     assert not len(attractor.phases)
 
 
-@pytest.mark.parametrize("outcome", [Outcome.DIVERGED, Outcome.UNRESOLVED])
-def test_aperiodic_starts_of_which_nothing_remains_are_undecided(outcome: Outcome):
-    found, _ = searched([0, 0], turning(2000, CHAOS, always(outcome, spread(1.0, 2.0))))
-    assert (found.ids.tolist(), found.attractors) == ([0, 0], ())
-
-
 # Parts
-
-
-def line_of(*rows: Sequence[float], bounces: int = 0, outcome: Outcome = Outcome.APERIODIC) -> Line:
-    """Runs with these flights, the take-off phases a tenth of them."""
-    line = empty_line(len(rows), max(map(len, rows)))
-    for i, row in enumerate(rows):
-        line.flight_time[i, : len(row)] = row
-        line.takeoff_phase[i, : len(row)] = np.array(row) / 10
-    line.outcome[:], line.bounces[:], line.periods[:] = outcome, bounces, bounces
-    return line
-
-
-def test_short_flights_count_only_where_there_are_no_others():
-    line = line_of([1.0, 0.05, 2.0, 0.04], [0.05, 0.01])
-    assert [flights.tolist() for flights in counted(line, 0, 0.05)] == [[1.0, 2.0], [0.1, 0.2]]
-    assert [flights.tolist() for flights in counted(line, 1, 0.05)] == [[0.05, 0.01], [0.005, 0.001]]
 
 
 def test_distances_are_those_of_kolmogorov_and_smirnov():

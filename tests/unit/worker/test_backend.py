@@ -36,12 +36,6 @@ def test_addresses_that_no_store_can_have_are_refused(url: str):
     assert backend.in_bucket(url) is False
 
 
-@pytest.mark.parametrize("key", ["a", "folder/b"])
-def test_a_key_is_read(url: str, key: str):
-    assert backend.read_key(url, key) == b"0123456789"
-    assert backend.read_parts(url, key, [(2, 3), (0, 1)]) == [b"234", b"0"]
-
-
 @pytest.mark.parametrize("key", ["c", "folder", "folder/c", "a/b", "none/c"])
 def test_where_nothing_is_nothing_is_read(url: str, key: str):
     assert backend.read_key(url, key) is None
@@ -90,35 +84,6 @@ def test_a_key_is_written_whole_or_not_at_all(url: str):
     assert below(url) == before
 
 
-def test_a_partial_file_gets_its_key(url: str):
-    backend.make_partial_folder(url)
-    backend.make_partial_folder(url)
-    umask = os.umask(0o022)
-    try:
-        partial = backend.write_partial(url, b"content")
-    finally:
-        os.umask(umask)
-    assert partial.parent == Path(url, ".partial")
-    assert partial.stat().st_mode & 0o777 == 0o644
-    assert partial.read_bytes() == b"content"
-    backend.place(url, partial, "a")
-    assert backend.read_key(url, "a") == b"content"
-    for key in ("x/y/z", "x/y/w"):
-        backend.place(url, backend.write_partial(url, b"deep"), key)
-        assert backend.read_key(url, key) == b"deep"
-    assert list(Path(url, ".partial").iterdir()) == []
-
-
-def test_sizes_are_those_of_files_directly_in_a_folder(url: str):
-    Path(url, "folder", "deeper").mkdir()
-    Path(url, "folder", "deeper", "c").write_bytes(b"01")
-    Path(url, "folder", "empty").touch()
-    Path(url, "folder", "link").symlink_to(Path(url, "a"))
-    Path(url, "folder", "nowhere").symlink_to(Path(url, "none"))
-    assert dict(backend.sizes_in(url, "folder")) == {"b": 10, "empty": 0}
-    assert dict(backend.sizes_in(url, "none")) == {}
-
-
 def test_places_are_made_and_told_from_those_that_cannot_be_written_to(url: str, tmp_path: Path):
     place = str(tmp_path / "deep" / "stores")
     assert backend.is_writable(place) is False
@@ -146,21 +111,6 @@ def test_a_marker_is_read_as_it_was_written(tmp_path: Path):
     assert store.read_marker(place) == "ours"
     (tmp_path / "stores" / store.MARKER).write_bytes(b"\xff")
     assert store.read_marker(place) == "\ufffd"
-
-
-def test_a_specification_is_kept_under_its_digest(url: str):
-    digest = store.write_spec(url, '{"name": "ä"}')
-    assert len(digest) == 64
-    file = Path(url, f".spec-{digest[:16]}")
-    os.utime(file, (1e9, 1e9))
-    assert store.write_spec(url, '{"name": "ä"}') == digest
-    assert file.stat().st_mtime == 1e9  # it stays
-    assert store.read_spec(url, digest) == '{"name": "ä"}'
-    assert store.read_spec(url, "0" * 64) is None
-    file.write_text("{}")
-    assert store.read_spec(url, digest) is None
-    assert store.write_spec(url, '{"name": "ä"}') == digest
-    assert store.read_spec(url, digest) == '{"name": "ä"}'
 
 
 def test_a_checkpoint_is_kept_until_it_is_removed(url: str):

@@ -29,12 +29,9 @@ from worker.basins.study import (
     _fill_in_numbers,
     _sizes,
     entropies,
-    make_plan,
     rules_of,
     run_chunk,
-    start_seconds,
 )
-from worker.plan import TARGET_SECONDS
 from worker.spec import SpecError
 from worker.tasks import ChunkCancelled, ChunkPaused
 
@@ -194,15 +191,6 @@ def test_entropies_of_known_maps():
     assert entropies(np.zeros((8, 8), np.uint8)) == (0.0, 0.0)
 
 
-def test_rows_and_columns_beyond_whole_boxes_do_not_count():
-    ids = np.ones((17, 23), np.uint8)
-    ids[16:], ids[:, 16:] = 2, 3
-    ids[0, :4] = 4
-    share = 4 / 64
-    expected = -(share * math.log(share) + (1.0 - share) * math.log(1.0 - share))
-    assert entropies(ids) == pytest.approx((expected / 4.0, expected))
-
-
 def test_planes_of_starts():
     drops = starts_of(basin(rows=2, columns=4), 1.27, 0.5, 0.26).reshape(2, 4, 6)
     assert drops[:, 0, 2].tolist() == [2.5, 7.5]
@@ -257,22 +245,6 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
     data = xarray.open_zarr(url, chunks=None).load()
     for name, content in whole.items():
         assert data[name].values.tobytes() == content, name
-
-
-def test_a_chunk_takes_about_a_second_of_rows_along_gamma():
-    gamma, omega = (np.linspace(*ends, 60).tolist() for ends in ((1.0, 2.0), (0.4, 0.6)))
-    small = basin(gamma=gamma, omega=omega, rows=4, columns=4, settle=60, observe=20, keep=1)
-    cells = TARGET_SECONDS / (16 * start_seconds(small))
-    one, rows, row = make_plan(small).chunk_shape
-    assert (one, row) == (1, 60)
-    assert 1 < rows == int(cells) // 60 < 60
-    few = basin(gamma=gamma, omega=omega, rows=32, columns=16)
-    cells = int(TARGET_SECONDS / (512 * start_seconds(few)))
-    assert 1 < cells < 30
-    parts = math.ceil(60 / cells)  # of a row, as equal as can be
-    row = math.ceil(60 / parts)
-    assert make_plan(few).chunk_shape == (1, max(1, cells // row), row)
-    assert make_plan(basin(gamma=gamma[:5], omega=omega[:2], rows=1, columns=1)).chunk_shape == (1, 2, 5)
 
 
 def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided():

@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from studies import BASINS, MULTISTABILITY
 
 from worker import store
 from worker.executors import sent_specs
 from worker.executors.bundles import Bundles, Call
 from worker.executors.sent_specs import Reference, SentSpecs
 from worker.spec import SweepSpec
-from worker.studies import parse, study_of
+from worker.studies import study_of
 
 
 def small_spec(**more: Any) -> SweepSpec:
@@ -102,12 +101,3 @@ def test_a_short_one_is_sent_whole_and_so_is_one_that_cannot_be_written(long_spe
     short = small_spec()
     assert SentSpecs().sent(short, stored(short, tmp_path)) is short
     assert SentSpecs().sent(long_spec, str(tmp_path / "nowhere.zarr")) is long_spec
-
-
-@pytest.mark.parametrize("data", [BASINS, MULTISTABILITY], ids=["basins", "multistability"])
-def test_every_study_is_the_same_after_it_was_sent(data: dict[str, Any], tmp_path: Path, monkeypatch: Any):
-    monkeypatch.setattr(sent_specs, "LONG_BYTES", 0)
-    spec = parse(data)
-    sent = SentSpecs().sent(spec, stored(spec, tmp_path))
-    assert isinstance(sent, Reference)
-    assert sent_specs._read(sent) == spec

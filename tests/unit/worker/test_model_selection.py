@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_runs import Model, run
 
-from kernel.params import Line, Outcome, empty_line
+from kernel.params import Line
 from kernel.threshold import threshold
-from worker.analysis.deviation import deviations, percentile
+from worker.analysis.deviation import deviations
 from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
 from worker.spec import SweepSpec
 from worker.spec.contact_models import Ball, Rigid, Soft
@@ -172,12 +172,6 @@ def test_cycles_are_compared_flight_by_flight_wherever_they_begin():
     assert 1e-4 < between(one, soft) < 5e-3
 
 
-def test_a_cycle_and_its_double_are_laid_side_by_side():
-    """docs/model.md, section 5: (1,1) at Gamma = 1.5 and (2,2) at 2.3."""
-    expected = max(4.855013427295 - 3.722384327764, 6.284615845152 - 4.855013427295)
-    assert between(cell(1.5), cell(2.3)) == pytest.approx(expected, abs=1e-9)
-
-
 def test_a_hop_that_only_one_model_has_counts_whole():
     hopping, plain = cell(1.5, Model.SOFT, restitution=0.1), cell(1.5)
     hops = np.sort(hopping.flight_time[0, : hopping.bounces[0]])
@@ -215,30 +209,3 @@ def test_cells_without_an_answer_are_not_compared_and_do_not_pass():
     bad = good._replace(outcome=np.array([4], dtype=np.uint8))
     assert math.isnan(between(bad, good))
     assert between(good, bad) == math.inf
-
-
-def written(
-    *flights: float, outcome: Outcome = Outcome.APERIODIC, bounces: int = 0, periods: int = 0
-) -> Line:
-    """One cell that shows these flights."""
-    line = empty_line(1, len(flights))
-    line.flight_time[0], line.flights[0], line.outcome[0] = flights, len(flights), outcome
-    line.bounces[0], line.periods[0] = bounces, periods
-    return line
-
-
-def test_distributions_differ_by_more_than_their_scatter():
-    """The quarters of 16 flights differ by 1 at most; of fewer flights no scatter is known."""
-    exact = written(*[1.0] * 12, *[2.0] * 4)
-    assert between(exact, written(4.0, 4.0)) == pytest.approx(3.0 - 2.25 * 1.0 / 2.0)
-    assert between(exact, written(1.5, 1.5)) == 0.0
-    assert between(written(*[1.0] * 12, *[2.0] * 3), written(4.0, 4.0)) == 3.0
-    assert between(exact, exact) == 0.0
-
-
-def test_a_percentile_is_one_of_the_values_and_finite():
-    values = np.array([8.0, 1.0, 4.0, 2.0])
-    assert [percentile(values, percent) for percent in (0.0, 50.0, 100.0)] == [1.0, 4.0, 8.0]
-    assert percentile(np.array([1.0, np.inf]), 0.0) == 1.0
-    assert percentile(np.array([1.0, np.inf]), 50.0) is None
-    assert percentile(np.empty(0), 50.0) is None

@@ -12,11 +12,11 @@ import xarray
 
 from kernel.branches.events import Kind, fold_events
 from kernel.params import Outcome
-from worker import store, studies, tasks
+from worker import store, tasks
 from worker.basins.multistability import MULTISTABILITY, run_chunk
 from worker.basins.spec import MultistabilitySpec
 from worker.spec import SpecError
-from worker.tasks import ChunkCancelled, ChunkPaused
+from worker.tasks import ChunkPaused
 
 GOLDEN = json.loads((paths.GOLDEN / "multistability.json").read_text())
 
@@ -163,16 +163,6 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
         assert data[name].values.tobytes() == content, name
 
 
-def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
-    spec, url = multistability(), str(tmp_path / "a.zarr")
-    plan = MULTISTABILITY.plan(spec)
-    store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
-    store.set_cancelled(url)
-    with pytest.raises(ChunkCancelled):
-        run_chunk(spec, plan[0], url)
-    assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
-
-
 @pytest.mark.parametrize(
     ("changes", "rule"),
     [
@@ -191,12 +181,6 @@ def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
 def test_lines_along_gamma_are_not_cut():
     with pytest.raises(ValueError, match="must span the 3 values of gamma, not 2"):
         MULTISTABILITY.plan(multistability(), (1, 1, 2))
-
-
-def test_the_specification_is_read_back_and_has_its_study():
-    spec = multistability(rows=3)
-    assert studies.parse(spec.as_submitted()) == spec
-    assert studies.study_of(spec) is MULTISTABILITY
 
 
 def test_cost_grows_with_the_drops_and_the_cells():

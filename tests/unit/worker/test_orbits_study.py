@@ -12,9 +12,8 @@ from tables import for_each
 from kernel.branches.events import Kind, branch_and_events
 from kernel.params import Outcome
 from worker import store, studies
-from worker.orbits import ORBITS, OrbitsSpec, _kept, grid_points
+from worker.orbits import ORBITS, OrbitsSpec, _kept
 from worker.spec import SpecError
-from worker.spec.protocols import KINDS
 from worker.tasks import ChunkCancelled
 
 SPEC: dict[str, Any] = {
@@ -137,20 +136,6 @@ def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
     with pytest.raises(SpecError) as caught:
         studies.parse(SPEC | changes)
     assert rule in str(caught.value)
-
-
-def test_the_least_omega_that_is_named_works():
-    with pytest.raises(SpecError) as caught:
-        OrbitsSpec.parse(SPEC | {"omega": 0.01})
-    least = float(str(caught.value).split("at least ")[1].split()[0])
-    spec = OrbitsSpec.parse(SPEC | {"omega": least})
-    assert grid_points(spec.axis_values("omega"), 2, 0)[0] <= 2000
-    with pytest.raises(SpecError, match=f"at least {least:g}"):
-        OrbitsSpec.parse(SPEC | {"omega": least - 0.001})
-
-
-def test_kinds_of_protocol_are_those_of_the_studies():
-    assert set(KINDS) == set(studies.STUDIES)
 
 
 def test_the_same_grid_is_the_same_job_whatever_its_name():

@@ -19,13 +19,11 @@ from worker.cost import (
     cell_seconds,
     cells_at_once,
     check_size,
-    computed_shares,
     estimate,
     longest_cell_seconds,
 )
 from worker.plan import (
     FEWEST_CHUNKS,
-    MANY_CHUNKS,
     MAX_CHUNK_BYTES,
     MAX_SHARD_BYTES,
     SMALLEST_SECONDS,
@@ -88,17 +86,6 @@ def test_chunks_hold_no_more_cells_than_asked_for(spec, cells):
     assert all(chunk.cells <= cells for chunk in make_plan(spec, chunk_cells=cells))
 
 
-@given(grids, shapes)
-def test_stored_chunks_are_whole_ones(spec, shape):
-    """A task owns exactly one cell of the store's regular grid of chunks."""
-    plan = make_plan(spec, chunk_shape=shape)
-    for chunk in plan:
-        for axis, size, n in zip(AXES, plan.chunk_shape, plan.grid, strict=True):
-            low, high = getattr(chunk, axis)
-            assert low % size == 0
-            assert high == min(low + size, n)
-
-
 @pytest.mark.parametrize("axis", AXES)
 @pytest.mark.parametrize("direction", ["up", "down", "both"])
 @given(shape=shapes)
@@ -129,14 +116,6 @@ def cells_along(spec: SweepSpec, chunk: Chunk, axis: str) -> list[tuple[str, int
     return [(direction, place) for place in (reversed(places) if direction == "down" else places)]
 
 
-@given(st.sampled_from(RAMPS), shapes)
-def test_a_ramp_chunk_and_its_predecessor_lie_on_the_same_lines(ramp, shape):
-    plan = make_plan(sweep(3, 4, 7, ramp), chunk_shape=shape)
-    for chunk in plan:
-        before = chunk if chunk.after is None else plan.chunk(chunk.after)
-        assert all(getattr(before, name) == getattr(chunk, name) for name in AXES if name != ramp[0])
-
-
 def test_a_ramp_chunk_follows_its_neighbour_and_down_follows_up():
     plan = make_plan(sweep(gamma=10, ramp=("gamma", "both")), chunk_shape=(1, 1, 4))
     assert [(c.direction, c.gamma, c.after) for c in plan] == [
@@ -150,16 +129,6 @@ def test_a_ramp_chunk_follows_its_neighbour_and_down_follows_up():
 
 
 # How large a chunk is
-
-
-def test_tiny_job_is_one_chunk():
-    assert len(make_plan(sweep(gamma=10))) == 1
-
-
-def test_chunks_of_a_large_job_cost_a_second_or_so():
-    spec = sweep(10, 100, 1000)
-    chunk = make_plan(spec)[0]
-    assert 0.5 * TARGET_SECONDS <= chunk.cells * cell_seconds(spec) <= TARGET_SECONDS * 1.001
 
 
 def test_chunks_of_cells_side_by_side_fill_the_lanes():
@@ -331,21 +300,6 @@ def test_time_steps_are_counted():
     )
 
 
-@for_each(
-    ("refine", "side", "shares"),
-    [
-        ({"by": "bouncing"}, 1025, (2 / 64**2 + 0.001, 2 / 64**2 + 0.03)),
-        ({"by": "bouncing", "margin": True}, 1025, (2 / 64**2 + 0.001, 2 * (2 / 64**2 + 0.03))),
-        ({"by": "mode"}, 2050, (2 / 16**2 + 0.02 * 0.5**0.7, 2 / 16**2 + 0.30 * 0.5**0.7)),
-    ],
-)
-def test_finer_maps_compute_a_smaller_share(refine, side, shares):
-    spec = sweep(omega=side, gamma=side, refine=refine)
-    assert computed_shares(spec, spec.refine) == pytest.approx(shares)
-    oblong = sweep(omega=4 * side, gamma=1 + side // 4, refine=refine)
-    assert computed_shares(oblong, oblong.refine) == pytest.approx(shares, rel=5e-3)
-
-
 def test_too_much_is_refused_with_the_limit():
     cost = cost_of(sweep(gamma=1000))
     check_size(cost, max_cells=1000, max_bytes=1_037_000, max_core_seconds=cost.core_seconds)
@@ -380,21 +334,6 @@ def test_a_billion_cells_are_less_than_a_hundred_thousand_files(kind: str):
     inner = math.prod(cut.inner_sizes.values()) * schema.bytes_per_cell(spec)
     assert inner <= schema.INNER_BYTES < cut.chunk_bytes <= MAX_SHARD_BYTES
     assert all(size % cut.inner_sizes[dim] == 0 for dim, size in cut.chunk_sizes.items())
-
-
-def test_chunks_of_a_large_job_are_longer_but_not_longer_than_asked_for():
-    def seconds(spec: SweepSpec, **options: float) -> float:
-        chunk = make_plan(spec, **options)[0]
-        return chunk.cells * cell_seconds(spec)
-
-    assert seconds(huge("soft", 10)) <= TARGET_SECONDS * 1.001
-    for xi in (200, 1000):
-        spec = huge("soft", xi)
-        shared = make_plan(spec).cells * cell_seconds(spec) / MANY_CHUNKS
-        assert shared > 2.0 * TARGET_SECONDS
-        assert seconds(spec) == pytest.approx(shared, rel=0.2)
-    assert 3.0 < seconds(huge("soft", 1000), longest=5.0) < 5.05
-    assert seconds(huge("soft", 1000), longest=TARGET_SECONDS) <= TARGET_SECONDS * 1.001
 
 
 def test_ordinary_jobs_have_no_shards():

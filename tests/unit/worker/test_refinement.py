@@ -12,7 +12,7 @@ from tables import for_each
 from kernel.params import Outcome
 from worker import schema, store, tasks
 from worker.cost import check_size, computed_shares, estimate
-from worker.plan import MAX_TILE_BYTES, TILE_SIDE, make_plan, tile_shape
+from worker.plan import make_plan
 from worker.refinement import NOTHING, Beyond, Refinement, classes
 from worker.schema import MODE_ARRAYS, layout
 from worker.spec import SweepSpec
@@ -86,14 +86,6 @@ def refined(
 
 
 MODE = Refine(by="mode", coarsest=8)
-
-
-def test_of_a_uniform_tile_corners_and_centres_are_computed():
-    computed, source = refined(np.ones((17, 17), int), MODE)
-    expected = np.zeros((17, 17), np.bool_)
-    expected[::8, ::8] = expected[4::8, 4::8] = True
-    assert np.array_equal(computed, expected)
-    assert computed.flat[source].all()
 
 
 def test_a_cell_takes_the_values_of_the_nearest_corner_or_centre_of_its_block():
@@ -228,29 +220,6 @@ def test_a_margin_does_not_end_at_the_border_of_a_tile(tile: tuple[slice, slice]
     assert computed.flat[source].all()
 
 
-def test_without_a_margin_a_tile_depends_on_its_own_cells_alone():
-    kinds = wave()
-    for tile in QUARTERS:
-        computed, source = refined(kinds, MODE, tile)
-        alone, own = refined(np.ascontiguousarray(kinds[tile]), MODE)
-        assert np.array_equal(computed, alone)
-        assert np.array_equal(source, own)
-
-
-@for_each("beyond", [(0, 0, 1, 2), (3, 8, 0, 5), (1, 1, 1, 1), (0, 7, 0, 0)])
-@for_each("shape", [(1, 1), (1, 9), (2, 5), (10, 17)])
-def test_a_tile_with_any_surroundings_is_covered(shape, beyond):
-    margin = Refine(by="mode", coarsest=4, margin=True)
-    rng = np.random.default_rng(3)
-    above, below, left, right = beyond
-    kinds = rng.integers(1, 3, (above + shape[0] + below, left + shape[1] + right))
-    tile = slice(above, above + shape[0]), slice(left, left + shape[1])
-    computed, source = refined(kinds, margin, tile)
-    assert computed.shape == shape
-    assert computed.flat[source].all()
-    assert np.array_equal(source[computed], np.flatnonzero(computed))
-
-
 def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
     outcome = np.array(
         [Outcome.AT_REST, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.APERIODIC]
@@ -330,31 +299,11 @@ def test_a_repaired_chunk_has_its_bytes_again(tmp_path):
     assert files(url) == before
 
 
-@for_each("coarsest", [2, 3, 16, 64, 128])
-def test_tiles_are_whole_blocks_and_bounded(coarsest):
-    for keep in (1, 64, 1000, 10_000):
-        spec = sweep(keep=keep, refine={"by": "mode", "coarsest": coarsest})
-        one, side, same = tile_shape(spec, coarsest)
-        assert (one, side) == (1, same)
-        assert 1 <= side <= TILE_SIDE + 1
-        assert side**2 * schema.bytes_per_cell(spec) <= MAX_TILE_BYTES
-        if keep <= 64:
-            assert (side - 1) % coarsest == 0
-
-
 def test_a_tile_has_one_xi():
     with pytest.raises(ValueError, match="one xi"):
         make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}), chunk_shape=(2, 17, 17))
     plan = make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}))
     assert {chunk.shape[0] for chunk in plan} == {1}
-
-
-def test_a_line_along_gamma_is_refined_too(tmp_path):
-    spec = sweep(omega=0.5, refine={"by": "bouncing", "coarsest": 16})
-    found = compute(spec, tmp_path / "line.zarr", None)
-    whole = compute(sweep(omega=0.5), tmp_path / "full.zarr", None)
-    assert np.array_equal(found["outcome"] == Outcome.AT_REST, whole["outcome"] == Outcome.AT_REST)
-    assert found["computed"].sum() < 20
 
 
 @for_each(

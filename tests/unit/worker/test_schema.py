@@ -1,13 +1,11 @@
 """Layouts of stores: shapes, shards, keys, and the texts for people and readers."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from scripted import small
 from tables import for_each
 
-from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
+from kernel.params import KERNEL_VERSION, STATE_FIELDS
 from worker import schema
 from worker.schema import Layout, layout
 from worker.spec import SweepSpec
@@ -103,30 +101,3 @@ def test_cells_are_described(place, text):
 )
 def test_which_files_a_store_has(key, known):
     assert layout(small(), (1, 1, 1)).has_key(key) == known
-
-
-def test_the_attributes_of_arrays_and_coordinates():
-    cut = layout(small(), (1, 1, 1))
-    found = {array.name: array for array in cut.arrays}
-    assert found["outcome"].attrs["flag_values"] == [int(outcome) for outcome in Outcome]
-    assert found["outcome"].fill == Outcome.MISSING
-    assert np.isnan(found["flight_time"].fill)
-    assert found["flights"].attrs["units"] == "1"
-    assert set(cut.coordinate_attrs) == {"direction", "xi", "omega", "gamma"}
-    assert cut.attributes["title"] == "bouncing spring"
-    assert cut.attributes["model"] == "rigid"
-    assert cut.attributes["spec"] == small().as_submitted()
-    assert cut.coordinates["gamma"].dtype == np.dtype("<f8")
-
-
-@pytest.mark.parametrize(
-    ("attrs", "flat"),
-    [
-        ({"a": "text", "b": 1, "c": 0.5}, {"a": "text", "b": 1, "c": 0.5}),
-        ({"spec": {"name": "ä"}, "chunk_shape": [1, 2]}, {"spec": '{"name": "ä"}', "chunk_shape": "[1, 2]"}),
-    ],
-)
-def test_attributes_with_parts_are_json(attrs: dict[str, Any], flat: dict[str, Any]):
-    assert schema.flat_attributes(attrs) == flat
-    assert schema.structured_attributes(flat) == attrs
-    assert schema.structured_attributes(attrs) == attrs  # as earlier releases wrote them

@@ -11,13 +11,11 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 from tables import for_each
 
-from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
 from worker.spec import SweepSpec
 from worker.spec.axes import MAX_AXIS_VALUES
-from worker.spec.contact_models import CONTACT_MODELS, Stepped, penetration_of
+from worker.spec.contact_models import CONTACT_MODELS, penetration_of
 from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable
 from worker.spec.specification import Label
-from worker.spec.time_steps import corners
 from worker.tasks import plate_of
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
@@ -219,30 +217,6 @@ def test_the_steps_a_refusal_suggests_are_the_fewest_that_work(e, d, omega, xi, 
     fewest = suggestion(first)
     assert f"must be at least {fewest}, not {fewest - 1}" in refusal(fewest - 1)
     assert "unstable" not in refusal(fewest)  # though it may take too many of them
-
-
-@settings(max_examples=20)
-@given(
-    depth=st.sampled_from([{"penetration": 1e-2}, {"rest_length": 30.0}, {"rest_length": 1.0}]),
-    adhesive=st.booleans(),
-    scheme=st.sampled_from(["verlet", "euler"]),
-)
-def test_no_cell_of_a_grid_needs_more_steps_than_its_corners(depth, adhesive, scheme):
-    gamma, omega, xi = (
-        np.geomspace(0.1, 10.0, 6),
-        np.geomspace(0.03, 10.0, 7),
-        np.array([0.0, 0.1, 1.0, 80.0]),
-    )
-    model = Stepped(kind="stepped", restitution=0.1, adhesive=adhesive, scheme=scheme, **depth)
-
-    def most(gamma, omega, xi):
-        d = penetration_of(model, gamma, omega)
-        how = {"adhesive": adhesive}
-        stable = stable_steps_per_contact(omega, xi, 0.1, d, scheme=Scheme[scheme.upper()], **how)
-        return stable.max(), steps_per_period(0.1, d, 20, **how).max()
-
-    everywhere = [axis.ravel() for axis in np.meshgrid(gamma, omega, xi)]
-    assert most(*corners(gamma, omega, xi)) == most(*everywhere)
 
 
 def test_errors_are_value_errors_with_fields_and_survive_pickling():

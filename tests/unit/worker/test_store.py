@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import count as count_from
@@ -129,12 +128,6 @@ def test_a_store_of_time_steps_states_their_limit(tmp_path, scheme):
     if fewest > 1:
         with pytest.raises(SpecError, match=f"must be at least {fewest}, not {fewest - 1}"):
             SweepSpec(**axes, model=model | {"steps_per_contact": fewest - 1})
-
-
-def test_attributes_of_the_creator_are_kept(tmp_path, spec, plan):
-    url = str(tmp_path / "other.zarr")
-    store.create(url, layout(spec, plan.chunk_shape), {"institution": "here"})
-    assert store.read_attrs(url)["institution"] == "here"
 
 
 def test_metadata_is_consolidated_and_the_same_every_time(tmp_path, url, spec, plan):
@@ -347,14 +340,6 @@ def test_damaged_bytes_are_never_read_as_data(url, spec, plan, damage):
             store.read_chunk(url, chunk, [name])
 
 
-def test_damaged_chunk_can_be_written_anew(url, spec, plan):
-    chunk = plan[2]
-    good = store.write_chunk(url, chunk, record_of(spec, chunk))
-    for path in stored_files(url, chunk):
-        cut(path, 9)
-    assert store.write_chunk(url, chunk, record_of(spec, chunk)) == good
-
-
 def test_no_store_is_said(tmp_path):
     nowhere = str(tmp_path / "nowhere.zarr")
     with pytest.raises(store.StoreMissing, match="no store here"):
@@ -425,13 +410,6 @@ def test_cancel_flag_is_no_part_of_the_store(url):
     store.clear_cancelled(url)
     store.clear_cancelled(url)
     assert not store.is_cancelled(url)
-
-
-def test_cancel_flag_before_there_is_a_store(tmp_path, spec, plan):
-    url = str(tmp_path / "stores" / "later.zarr")
-    store.set_cancelled(url)
-    store.create(url, layout(spec, plan.chunk_shape))
-    assert store.is_cancelled(url)
 
 
 # How chunks are stored
@@ -528,46 +506,6 @@ def test_a_store_is_on_the_disk_once_it_is_created(tmp_path, spec, plan, synced)
     assert made <= {str(url), str(tmp_path), *synced}
     assert {str(url), str(tmp_path)} <= set(synced)
     assert [path for path in synced if not path.startswith(str(tmp_path))] == []
-
-
-def test_no_file_stays_open(url, spec, plan):
-    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
-    stored.threads()  # its threads are there
-    before = len(list(Path("/proc/self/fd").iterdir()))
-    for _ in range(5):
-        store.write_chunk(url, plan[0], record_of(spec, plan[0]))
-        store.sync_folders(url, layout(spec, plan.chunk_shape))
-        stored.fsync_files(url, ["zarr.json"])
-    assert len(list(Path("/proc/self/fd").iterdir())) < before + 20
-
-
-def test_a_listing_ends_where_a_pause_raises(url, spec, plan):
-    def stop() -> None:
-        raise InterruptedError
-
-    with pytest.raises(InterruptedError):
-        store.stored_sizes(url, layout(spec, plan.chunk_shape), stop)
-
-
-def test_nothing_that_is_stored_waits_behind_what_is_verified(url, spec, plan, monkeypatch):
-    """The disk hangs for each of more chunks than are read at once."""
-    cut_as, stuck = layout(spec, plan.chunk_shape), [plan[number] for number in range(12)]
-    answers = threading.Event()
-    monkeypatch.setattr(stored, "read_key", lambda *_: answers.wait(30) and None)
-    verified: list[Chunk] = []
-    verifying = threading.Thread(
-        target=lambda: verified.extend(store.find_corrupt(url, cut_as, [(chunk, "") for chunk in stuck]))
-    )
-    verifying.start()
-    try:
-        with ThreadPoolExecutor() as writing:
-            written = writing.submit(store.write_chunk, url, plan[12], record_of(spec, plan[12]))
-            assert written.result(30).bytes > 0
-            assert verifying.is_alive()
-    finally:
-        answers.set()
-        verifying.join(30)
-    assert verified == stuck
 
 
 @pytest.fixture

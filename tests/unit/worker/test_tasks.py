@@ -127,20 +127,6 @@ def test_a_ramp_that_starts_on_the_cycle_ends_at_its_fold(tmp_path, small_spec):
         assert found["flight_time"][i, -1, 0] == pytest.approx(cycle, abs=1e-9)
 
 
-def test_down_after_up_goes_on_from_the_top(tmp_path, small_spec):
-    spec = small_spec(omega=0.6, xi=0.05, protocol=ramp("gamma", "both"))
-    plan, url = stored(tmp_path, spec, (1, 1, 4))
-    for chunk in plan:
-        run_chunk(spec, chunk, url)
-    found = store.read_slice(url, (*RECORD, "end_state"), xi=0, omega=0)
-    gamma = spec.axis_values("gamma")
-    there_and_back = np.concatenate([gamma, gamma[::-1]])
-    expected = naive_line(spec, there_and_back, np.full(20, 0.6), np.full(20, 0.05), carry=True)
-    for name, values in found.items():
-        walked = np.concatenate([values[0], values[1][::-1]])
-        assert np.array_equal(walked, getattr(expected, name), equal_nan=True), name
-
-
 def test_ramp_without_predecessor_is_refused_and_writes_nothing(tmp_path, small_spec):
     spec = small_spec(protocol=ramp("gamma", "up"))
     plan, url = stored(tmp_path, spec, (2, 3, 5))
@@ -179,17 +165,6 @@ def test_running_a_chunk_again_writes_the_same_bytes(tmp_path, small_spec):
     plan, url = stored(tmp_path, spec, (1, 3, 5))
     first = [run_chunk(spec, chunk, url).checksum for chunk in plan]
     assert [run_chunk(spec, chunk, url).checksum for chunk in reversed(plan)] == first[::-1]
-
-
-def test_many_lines_that_take_no_time(tmp_path, small_spec):
-    """Steps between two looks at the clock are doubled after each of them: they must not outgrow an int64."""
-    spec = small_spec(
-        gamma=[0.1, 0.2], omega={"start": 0.5, "stop": 0.9, "num": 100}, xi=0.05, settle=0, observe=1,
-        protocol={"kind": "ramp", "axis": "gamma", "direction": "up"}, model={"kind": "rigid"},
-    )  # fmt: skip
-    plan, url = stored(tmp_path, spec, (1, 100, 2))
-    report = run_chunk(spec, plan[0], url)
-    assert report.outcomes[Outcome.AT_REST] == 200
 
 
 def test_cancelled_chunk_writes_nothing(tmp_path, small_spec):
@@ -293,15 +268,6 @@ def test_a_checkpoint_that_is_not_what_was_written_begins_anew(tmp_path, small_s
     report, _ = run_slices(spec, plan[0], url)
     _, whole = stored(tmp_path / "whole", spec, plan.chunk_shape)
     assert report.checksum == run_chunk(spec, plan[0], whole).checksum
-
-
-def test_a_chunk_that_cannot_pause_goes_on(tmp_path, small_spec, monkeypatch):
-    spec = small_spec(protocol=ramp("gamma", "up"))
-    plan, url = stored(tmp_path, spec, (2, 3, 10))
-    Path(url, ".checkpoint-0").mkdir()  # so that no file can be written in its place
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 100)
-    report = run_chunk(spec, plan[0], url, slice_seconds=0.0)
-    assert sum(report.outcomes) == 60
 
 
 @pytest.mark.parametrize("kind", ["rigid", "soft"])

@@ -1,15 +1,10 @@
 """Thresholds finer than the grid: Eq. 25 upwards, docs/model.md, section 5, downwards."""
 
-import re
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
-from scripted import wait_for
-from served import computing, finished, get, service
 
 import worker.analysis.prediction
 import worker.analysis.thresholds
@@ -18,8 +13,6 @@ from kernel.threshold import threshold
 from worker import store
 from worker.analysis.prediction import predict, predict_each
 from worker.analysis.thresholds import Refined, Status, refine
-from worker.executors.errors import ClusterLost
-from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
@@ -139,17 +132,6 @@ def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path)
         assert (outcome[0] == 3, outcome[1] == 3) == (True, False)
 
 
-def test_a_bisection_ends_where_no_number_is_between(tmp_path: Path):
-    spec, url = computed(tmp_path, gamma=[0.75, 1.0], omega=[0.5], xi=0.26)
-    found = thresholds(spec, url, 0.0)
-    assert found.up_status == (Status.FOUND,)
-    beside = computed(
-        tmp_path / "beside", gamma=[np.nextafter(found.up[0], 0.0), found.up[0]], omega=0.5, xi=0.26
-    )
-    outcome = store.read_slice(beside[1], ("outcome",))["outcome"].ravel()
-    assert (outcome == Outcome.AT_REST).tolist() == [True, False]
-
-
 @pytest.mark.parametrize(
     ("gamma", "protocol", "up", "down"),
     [
@@ -198,68 +180,3 @@ def test_what_has_no_closed_form_is_unresolved_and_says_why():
     one, two = predict_each((0.6, 0.62), 0.05)
     assert (one.down, two.down) == (predict(0.6, 0.05).down, predict(0.62, 0.05).down)
     assert one.cause == "fold (1,1)"
-
-
-# Through the service
-
-SWEEP: dict[str, Any] = {
-    "gamma": {"start": 0.4, "stop": 1.2, "num": 81},
-    "omega": [0.6, 0.66],
-    "xi": [0.05, 0.2],
-    "protocol": ramp("both"),
-    "model": {"kind": "rigid"},
-    "settle": 100,
-    "observe": 20,
-    "keep": 4,
-}
-
-
-class Counting(Inline):
-    """Counts calls, and fails the first with `errors`."""
-
-    def __init__(self, *errors: Exception) -> None:
-        super().__init__()
-        self.errors, self.calls = list(errors), 0
-
-    def call(self, function: Any, *arguments: Any) -> Any:
-        self.calls += 1
-        if self.errors:
-            raise self.errors.pop(0)
-        return super().call(function, *arguments)
-
-
-def answered(client: TestClient, here: str, **query: float) -> dict[str, Any]:
-    """What is answered once the workers have computed it."""
-    wait_for(lambda: client.get(here, params=query).status_code == 200)
-    answer: dict[str, Any] = get(client, here, **query)
-    return answer
-
-
-def test_an_answer_is_remembered_and_one_that_was_lost_is_asked_for_again(tmp_path: Path):
-    with closing(Counting(ClusterLost("gone"))) as executor, service(tmp_path, executor) as client:
-        here = f"{finished(client, SWEEP)}/threshold"
-        fine = {"xi": 0.05, "tolerance": 1e-4}
-        refused = client.get(here, params=fine)
-        assert (refused.status_code, refused.headers["Retry-After"]) == (503, "2")
-        assert refused.json()["detail"] == "no worker can compute it now (gone): repeat the request"
-        one, two = answered(client, here, **fine), answered(client, here, **fine)
-        assert one == two
-        assert one["tolerance"] == 1e-4
-        assert executor.calls == 2
-        assert answered(client, here, **fine | {"xi": 0.2}) != one
-        assert executor.calls == 3
-
-
-def test_more_computing_than_one_answer_may_take_is_refused(tmp_path: Path):
-    spec = SWEEP | {"gamma": [0.4, 1.2], "omega": {"start": 0.5, "stop": 1.0, "num": 2000}, "xi": 0.05}
-    with computing(tmp_path) as client:
-        here = client.post("/v1/jobs", json=spec | {"settle": 2000}).headers["Location"]
-        wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] > 0)
-        refused = client.get(f"{here}/threshold", params={"tolerance": 1e-4})
-        client.post(f"{here}/cancel")
-    assert refused.status_code == 422
-    detail = refused.json()["detail"]
-    assert re.search(
-        r"refining 2,000 values of omega takes about \S+ core-seconds, the limit for one answer is 60", detail
-    )
-    assert re.search(r"enough for \d+ values$", detail)

@@ -94,26 +94,6 @@ def watching() -> bool:
     return any(thread.name == "watchdog" for thread in threading.enumerate())
 
 
-def test_it_looks_again_and_again_and_ends_with_its_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(watchdog, "CHECK_SECONDS", 0.001)
-    looks, whys, process = [0], [], Process(limit=LIMIT)
-    background: set[bool] = set()
-
-    def memory() -> int:
-        background.add(threading.current_thread().daemon)
-        looks[0] += 1
-        return LIMIT if looks[0] > 3 else 0
-
-    process.monitor.get_process_memory = memory
-    with Watchdog(process, str(tmp_path / "a.zarr"), 100.0, whys.append):
-        wait_for(lambda: looks[0] >= 3)
-        assert len(whys) <= looks[0] - 3
-        wait_for(lambda: bool(whys))
-    wait_for(lambda: not watching())
-    assert all("of memory" in why for why in whys)
-    assert background == {True}  # the process may end meanwhile
-
-
 def test_nothing_is_ended_whose_chunk_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(watchdog, "CHECK_SECONDS", 0.001)
     looking, done, whys, process = threading.Event(), threading.Event(), [], Process(limit=LIMIT)
@@ -210,15 +190,6 @@ def test_that_a_chunk_stopped_is_returned(watched: Watched, stop: Exception):
         raise stop
 
     assert type(watched.running(stopping)()) is type(stop)
-
-
-def test_other_errors_are_raised(watched: Watched, timers: list[Any]):
-    def failing(*_: Any) -> None:
-        raise ZeroDivisionError("the spring broke")
-
-    with pytest.raises(ZeroDivisionError, match="the spring broke"):
-        watched.running(failing)()
-    assert timers[-1] == ("cancelled",)
 
 
 def test_a_process_that_is_ended_says_why_first(watched: Watched, monkeypatch: pytest.MonkeyPatch):

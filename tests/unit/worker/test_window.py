@@ -43,12 +43,6 @@ def test_a_window_keeps_all_but_the_grid():
     assert other.model_dump() == {"by": "bouncing", "coarsest": 64, "margin": True}
 
 
-def test_without_ends_a_window_is_the_whole_map():
-    found = window()
-    assert found.gamma.model_dump() == {"start": 1.0, "stop": 3.0, "num": 801, "spacing": "linear"}
-    assert found.omega.model_dump() == {"start": 0.25, "stop": 1.0, "num": 129, "spacing": "linear"}
-
-
 @for_each(
     ("ends", "finer", "expected"),
     [

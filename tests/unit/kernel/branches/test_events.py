@@ -10,10 +10,8 @@ from hypothesis import given, strategies
 from kernel_runs import examples
 from paths import GOLDEN
 
-from kernel.branches.closed_form import floquet
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.events import Kind, branch, branch_and_events
-from kernel.branches.spring import spring
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 
@@ -176,14 +174,3 @@ def test_curves_of_grazes(parameter, fixed, low, high, periods):
             assert events.gamma[near] == pytest.approx(curve.gamma[i], rel=1e-8)
             seen += curve.kind in kinds[:2]
     assert seen >= 2
-
-
-def test_bogdanov_takens_and_fold_flip_points_of_other_planes():
-    """Over xi at Omega = 0.6: the cusp at which folds of (1,1) meet, and a fold-flip, by their conditions."""
-    found = curves(Parameter.XI, 0.6, 0.01, 0.3, 1, (Kind.FOLD, Kind.FLIP), lines=6)
-    assert set(found.points.kind) == {Kind.CUSP, Kind.FOLD_FLIP}
-    for kind, xi, t in zip(found.points.kind, found.points.xi, found.points.flight_time, strict=True):
-        f = floquet(spring(0.6, float(xi)), 1, np.array([float(t)]))
-        assert 1.0 - f.trace[0] + f.det[0] == pytest.approx(0.0, abs=1e-11)
-        other = f.det1 - f.trace1 if kind == Kind.CUSP else f.det + 1.0
-        assert other[0] == pytest.approx(0.0, abs=1e-11)

@@ -144,19 +144,6 @@ def test_a_search_finds_nothing_below_what_is_decided():
     assert [spring.found for spring in springs] == [None] * len(springs)
 
 
-def test_ghost_of_a_word():
-    """The one law, whatever the coordinate along the branch: (1,1) as the word "s"."""
-    closed = thresholds(0.6, 0.05).fold
-    beside = from_branch(0.6, 0.05, 1, closed.flight_time + 0.05)
-    end = descend(beside)
-    assert end.fold.name == closed.name == "fold (1,1)"
-    assert end.gamma == pytest.approx(closed.gamma, abs=1e-12)
-    assert end.fold.other_multiplier == pytest.approx(closed.other_multiplier, abs=1e-7)
-    assert lifetime(end.fold, 1e-6) == pytest.approx(lifetime(closed, 1e-6), rel=1e-4)
-    for ours, known in zip(end.fold.energy, closed.energy, strict=True):
-        assert ours == pytest.approx(known, abs=1e-7)
-
-
 def test_ghost():
     (cell,) = REFERENCE["ghost"]["cells"]
     fold = thresholds(cell["omega"], cell["xi"]).fold

@@ -11,7 +11,6 @@ from kernel.branches.closed_form import TWO_PI
 from kernel.branches.continuation import follow, start, turns
 from kernel.branches.events import EDGES, Kind, branch, branch_and_events
 from kernel.branches.words import (
-    Word,
     doubled,
     from_branch,
     from_flights,
@@ -151,13 +150,6 @@ def near_end(doubling):
     """A word on the (2,2) branch before its end."""
     line, _ = doubling
     return from_flights(0.5, 0.26, line.gamma[-8], line.takeoff_phase[-8], line.flight_time[-8], 2)
-
-
-@pytest.mark.parametrize("letters", ["", "sz", "sx"])
-def test_refuses_other_words(letters):
-    with pytest.raises(KernelInputError) as refusal:
-        follow(Word(0.5, 0.26, letters, 2, np.ones(8)))
-    assert refusal.value.argument == "word"
 
 
 @pytest.mark.parametrize(
