@@ -36,15 +36,13 @@ def percentiles(choice: ModelChoice) -> dict[str, float | None]:
 def test_a_stiff_contact_without_rebound_is_a_rigid_plate():
     choice = choose(sweep(1e-4, model=STIFF))
     assert choice.model == "rigid"
-    assert [row.model for row in choice.table] == ["ball", "rigid", "soft"]
-    assert all(row.cells == CELLS for row in choice.table)
+    assert [(row.model, row.cells) for row in choice.table] == [(m, CELLS) for m in ("ball", "rigid", "soft")]
     assert percentiles(choice)["rigid"] < 1e-5
     assert percentiles(choice)["ball"] > 1.0
     assert percentiles(choice)["soft"] == 0.0
     assert choice.reason.startswith(
         "rigid: the cheapest within 0.0001 rad of exact soft in 95% of the cells (48"
     )
-    assert all(0.0 < row.measured == round(row.measured, 3) for row in choice.table)
 
 
 def test_what_only_the_exact_contact_tells_takes_the_exact_contact():

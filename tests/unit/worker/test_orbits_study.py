@@ -124,12 +124,8 @@ def test_what_lies_at_gamma_max_is_stored(tmp_path: Path):
         ({"modes": []}, "modes: must be 1 to 6 modes, not 0"),
         ({"points": 5}, "points: must be at least 10, not 5"),
         ({"omega": 0.01}, "omega: must be at least"),
-        ({"xi": -0.1}, "xi: must be at least 0"),
-        ({"keep": 64}, "keep: is not a field here"),
         ({"gamma_max": 0}, "gamma_max: must be above 0"),
         ({"modes": ["1-13"]}, "modes[0]: must have at most 12 periods, not 13"),
-        ({"modes": ["one"]}, "modes[0]: must be like 1-2 (bounces-periods), not text 'one'"),
-        ({"modes": [f"1-{k}" for k in range(1, 8)], "omega": 1.0}, "modes: must be 1 to 6 modes, not 7"),
     ],
 )
 def test_broken_rules_are_named(changes: dict[str, Any], rule: str):

@@ -265,10 +265,9 @@ def test_values_of_other_cells_are_those_of_a_computed_cell_of_their_tile(tmp_pa
             assert {tuple(cell) for cell in cells[tile][~computed].tolist()} <= known
 
 
-@pytest.mark.parametrize("margin", [False, True])
-def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch, margin):
-    refine = {"by": "mode", "coarsest": 8, "margin": margin}
-    spec = sweep(refine=refine, settle_until=300)
+def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
+    refine, omega = {"by": "mode", "coarsest": 8, "margin": True}, {"start": 0.35, "stop": 0.7, "num": 20}
+    spec = sweep(refine=refine, omega=omega, settle_until=300)
     compute(spec, tmp_path / "whole.zarr")
     monkeypatch.setattr(tasks, "FIRST_STEPS", 16384)
     monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
@@ -311,16 +310,11 @@ def test_a_tile_has_one_xi():
     [
         ({}, "refine.by", "is required"),
         ({"by": "flights"}, "refine.by", "'mode' or 'bouncing'"),
-        ({"by": 3}, "refine.by", "'mode' or 'bouncing'"),
-        ({"by": "mode", "coarsest": 1}, "refine.coarsest", "at least 2"),
         ({"by": "mode", "coarsest": MAX_COARSEST + 1}, "refine.coarsest", f"at most {MAX_COARSEST}"),
         ({"by": "mode", "coarsest": 8.5}, "refine.coarsest", "8 or 9"),
-        ({"by": "mode", "coarsest": None}, "refine.coarsest", "whole number"),
         ({"by": "mode", "margin": 1}, "refine.margin", "true or false"),
         ({"by": "mode", "coarse": 8}, "refine.coarse", "did you mean 'coarsest'"),
         ("mode", "refine", "object"),
-        (True, "refine", "object"),
-        ([], "refine", "object"),
     ],
 )
 def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
@@ -329,6 +323,8 @@ def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
     [problem] = caught.value.problems
     assert problem.field == field
     assert rule in problem.rule
+    with pytest.raises(SpecInvalid, match="rest"):
+        sweep(refine={"by": "mode"}, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
 
 
 def test_the_width_of_the_first_blocks_depends_on_what_is_told_apart():
@@ -370,18 +366,10 @@ def test_the_estimate_is_a_range_and_limits_hold_its_upper_end():
     assert cost.cells == 10**8
     assert 10**5 < low < high < 10**7
     assert 0 < cost.least_core_seconds < cost.core_seconds
+    assert cost.core_seconds < cost.longest_core_seconds  # all computed cells may settle until the end
     check_size(cost)
     with pytest.raises(SpecTooLarge, match=f"{high} computed cells"):
         check_size(cost, max_cells=high - 1)
-    with pytest.raises(SpecTooLarge, match="bytes"):
-        check_size(cost, max_bytes=cost.bytes - 1)
-    longer = spec.model_copy(update={"settle_until": 10_000})
-    longest = estimate(longer, cost.chunks).longest_core_seconds
-    assert longest is not None
-    # settle + observe is 100 periods, settle_until a hundred times that, of the cells that are computed.
-    assert 10 * cost.core_seconds < longest < 1_000 * cost.core_seconds
-    coarse = sweep(refine={"by": "mode"})
-    assert computed_shares(coarse, coarse.refine)[1] == 1.0
 
 
 def test_the_measured_share_is_in_the_range_of_the_estimate(tmp_path):

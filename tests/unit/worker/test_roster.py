@@ -56,16 +56,6 @@ def test_a_worker_that_said_so_is_leaving_and_hosts_are_known():
         (ClusterState(True, 1), None, None),
         (ClusterState(True, 1, reason="was slow", refused=("worker a",)), None, None),
         (
-            ClusterState(False, 0),
-            "the Dask scheduler does not answer; jobs wait until it does",
-            "the Dask scheduler does not answer; jobs wait until it does",
-        ),
-        (
-            ClusterState(True, 0),
-            "no workers yet; jobs wait until there are",
-            "no workers yet; jobs wait until there are",
-        ),
-        (
             ClusterState(True, 0, planned=0, refused=("worker a", "worker b")),
             "no workers yet (0 asked for); jobs wait until there are; workers refused: 2",
             "no workers yet (0 asked for); jobs wait until there are; workers refused: 2; worker a; worker b",

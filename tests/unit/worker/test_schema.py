@@ -91,8 +91,6 @@ def test_cells_are_described(place, text):
     [
         ("zarr.json", True),
         ("outcome/zarr.json", True),
-        ("gamma/c/0", True),
-        ("direction_code/c/0", True),
         ("outcome/c.0.1.0.2", True),
         ("outcome/.zattrs", False),
         (".spec-0123456789abcdef", False),

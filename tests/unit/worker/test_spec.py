@@ -14,7 +14,7 @@ from tables import for_each
 from worker.spec import SweepSpec
 from worker.spec.axes import MAX_AXIS_VALUES
 from worker.spec.contact_models import CONTACT_MODELS, penetration_of
-from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable
+from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe
 from worker.spec.specification import Label
 from worker.tasks import plate_of
 
@@ -53,19 +53,15 @@ def message(**changes) -> str:
 #: One row for each kind of rule, with the line that a user reads.
 AXIS_RULES = [
     (True, f"gamma: must be {FORMS}, not true"),
-    (1j, f"gamma: must be {FORMS}, not a value of type complex"),
     (float("nan"), "gamma: must be finite, not nan"),
     (10**400, "gamma: must be finite, not a whole number of about 400 digits"),
     (0, "gamma: must be at least 1e-06, not 0.0"),
     (1e9, "gamma: must be at most 1e+06, not 1000000000.0"),
     ([], "gamma: must hold at least one number"),
     ([1.0, "a"], "gamma[1]: must be a number, not text 'a'"),
-    ([[1.0]], "gamma[0]: must be a number, not a list of 1"),
     ([1.0, 1.0], "gamma: must increase, but 1.0 at [0] is followed by 1.0; sort and drop repeats"),
     ([1.0] * (MAX_AXIS_VALUES + 1), "gamma: must hold at most 100000 numbers, not 100001"),
-    (np.ones((2, 2)), "gamma: must have one dimension, not 2"),
     ({"start": 1.0}, "gamma.stop: is required\ngamma.num: is required"),
-    (range_(stop=False), "gamma.stop: must be a number, not false"),
     (range_(num=2.5), "gamma.num: must be a whole number, not 2.5; 2 or 3 would do"),
     (range_(num=10**5000), "gamma.num: must be at most 100000, not a whole number of about 5000 digits"),
     (
@@ -98,7 +94,6 @@ RULES = [
     ({"xi": -0.1}, "xi: must be at least 0, not -0.1"),
     ({"xi": [0.0, 1e-40, 1.0]}, "xi: must be 0 or at least 1e-30, not 1e-40"),
     ({"gama": 1}, "gama: is not a field here; did you mean 'gamma'? the fields are name, gamma, omega, xi"),
-    ({"?": 1}, "'?': is not a field here; the fields are "),
     ({"\ud800": 1}, "field names must be printable text, not text '\\ud800'"),
     ({"name": 3}, "name: must be text, not 3"),
     ({"name": "x" * 201}, "name: must have at most 200 characters, not 201"),
@@ -108,13 +103,11 @@ RULES = [
     ({"protocol": {}}, "protocol.kind: is required: 'rest', 'ramp', 'orbits', 'basin' or 'multistability'"),
     ({"protocol": {"kind": "rest", "axis": "xi"}}, "protocol.axis: is not a field here; the fields are kind"),
     ({"protocol": {"kind": "ramp"}}, "protocol.axis: is required\nprotocol.direction: is required"),
-    ({"protocol": ramp(axis="g")}, "protocol.axis: must be 'gamma', 'omega' or 'xi', not text 'g'"),
     (
         {"protocol": ramp(), "omega": [0.5, 0.6]},
         "protocol.axis: must name an axis of at least 2 values, and gamma has 1; ramp along 'omega'",
     ),
     ({"model": {"kind": "rigid", "penetration": 1e-3}}, "model.penetration: is not a field here; the fields"),
-    ({"model": {"restitution": 1.5}}, "model.restitution: must be at most 1, not 1.5"),
     ({"model": {"adhesive": 1}}, "model.adhesive: must be true or false, not 1"),
     (
         {"model": {"adhesive": False, "restitution": 0}},
@@ -156,7 +149,6 @@ RULES = [
         {"settle_until": 399},
         "settle_until: must be at least settle + 2 * observe, or null: less has no effect; 400 or null works",
     ),
-    ({"settle_until": 10**8}, "settle_until: must be at most 1e+07, not 100000000"),
     (
         {"exponents": 4, "model": {"kind": "rigid"}},
         "exponents: must be at most 3 where model.kind is 'rigid' with restitution 0; 3 works",
@@ -165,11 +157,9 @@ RULES = [
         {"exponents": 3, "model": {"kind": "ball"}},
         "exponents: must be at most 2 where model.kind is 'ball'; ",
     ),
-    ({"exponents": 1, "model": {"kind": "stepped"}}, "exponents: must be 0 where model.kind is 'stepped'; "),
     ({"settle": 1.5}, "settle: must be a whole number, not 1.5; 1 or 2 would do"),
     ({"settle": True}, "settle: must be a whole number, not true"),
     ({"keep": 0}, "keep: must be at least 1, not 0"),
-    ({"micro_flight": None}, "micro_flight: must be a number, not null"),
 ]
 
 
@@ -227,6 +217,28 @@ def test_errors_are_value_errors_with_fields_and_survive_pickling():
     assert [problem.field for problem in copy.problems] == ["settle", "keep"]
     assert issubclass(SpecUnreadable, SpecError)
     assert issubclass(SpecTooLarge, SpecError)
+
+
+@for_each(
+    ("value", "described"),
+    [
+        (None, "null"),
+        (2**128, "a whole number of about 39 digits"),
+        ("x" * 39, f"text '{'x' * 36}..."),
+        ("ä\n", r"text '\xe4\n'"),
+        ({}, "an object"),
+        ((1, 2), "a list of 2"),
+        (type("T" * 30, (), {})(), f"a value of type {'T' * 21}..."),
+    ],
+)
+def test_a_value_is_described_shortly(value, described):
+    assert describe(value) == described
+
+
+def test_twenty_problems_are_listed_and_of_further_ones_their_number():
+    said = message(gamma=["x"] * 1000).splitlines()
+    assert [line.split(":")[0] for line in said[:-1]] == [f"gamma[{n}]" for n in range(20)]
+    assert said[-1] == "and 980 more problems"
 
 
 def test_a_specification_is_an_object_with_three_axes():

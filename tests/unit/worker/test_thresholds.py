@@ -45,7 +45,7 @@ def thresholds(spec: SweepSpec, url: str, tolerance: float) -> Refined:
     return refine(spec, url, 0, tuple(range(len(spec.axis_values("omega")))), tolerance)
 
 
-@pytest.mark.parametrize("xi", [0.01, 0.05, 0.2, 1.0])
+@pytest.mark.parametrize("xi", [0.01, 0.2])
 @pytest.mark.parametrize(
     "model", [{"kind": "rigid"}, {"kind": "soft", "restitution": 0.01}], ids=["rigid", "soft"]
 )
@@ -59,8 +59,8 @@ def test_the_ascending_threshold_is_eq_25(tmp_path: Path, xi: float, model: dict
     np.testing.assert_allclose(found, threshold(np.array(OMEGA), xi), rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("xi", [0.01, 0.2, 1.0])
-@pytest.mark.parametrize("omega", [1e-3, 1e-2, np.sqrt(2.0), 1e2, 1e3])
+@pytest.mark.parametrize("xi", [0.01, 1.0])
+@pytest.mark.parametrize("omega", [1e-3, np.sqrt(2.0), 1e3])
 def test_the_ascending_threshold_at_extreme_frequencies(tmp_path: Path, omega: float, xi: float):
     """Slow plates, fast ones, and the antiresonance, where Eq. 25 goes like 1/(sqrt(8) xi)."""
     gamma = {"start": 0.3, "stop": 80.0, "num": 60, "spacing": "log"}
@@ -85,13 +85,7 @@ def last_moving(spec: SweepSpec, url: str) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "model",
-    [
-        {"kind": "rigid"},
-        {"kind": "soft", "restitution": 0.0},
-        {"kind": "soft", "restitution": 0.01},
-        {"kind": "soft", "restitution": 0.1},
-        {"kind": "rigid", "restitution": 0.1},
-    ],
+    [{"kind": "rigid"}, {"kind": "soft", "restitution": 0.1}],
     ids=lambda model: f"{model['kind']} {model.get('restitution', 0)}",
 )
 def test_the_descending_threshold_is_that_of_the_model_page(tmp_path: Path, model: dict[str, Any]):
@@ -138,7 +132,6 @@ def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path)
         ([2.0, 3.0], ramp("both"), Status.BELOW, Status.BELOW),
         ([0.1, 0.2], ramp("both"), Status.ABOVE, Status.NEVER),
         ([2.0, 3.0], ramp("down"), Status.NOT_RAMPED, Status.BELOW),
-        ([0.1, 0.2], {"kind": "rest"}, Status.ABOVE, Status.NOT_RAMPED),
         ([2.0], {"kind": "rest"}, Status.BELOW, Status.NOT_RAMPED),
     ],
 )
@@ -175,8 +168,6 @@ def test_what_has_no_closed_form_is_unresolved_and_says_why():
         assert found.fold is None
     assert "omega: must be at least about 0.038" in slow.reason
     assert resonant.reason
-    # just above that limit, the points near both ends make it too many
-    assert "omega: 0.03855 takes branches of 2,00" in predict(0.03855, 0.0).reason
     one, two = predict_each((0.6, 0.62), 0.05)
     assert (one.down, two.down) == (predict(0.6, 0.05).down, predict(0.62, 0.05).down)
     assert one.cause == "fold (1,1)"
