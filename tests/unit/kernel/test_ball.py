@@ -7,14 +7,12 @@ import mpmath
 import numpy as np
 import pytest
 from kernel_runs import Model, run_line
-from scipy.optimize import brentq
 from tables import for_each
 
 from kernel import interface, restitution
 from kernel.cell import CACHE_SIZE
 from kernel.models import ball, chatter, free_fall
 from kernel.models.ball import BallPlate
-from kernel.numerics.first_root import ROOT
 from kernel.params import Cell, Line, Outcome, Start
 
 TWO_PI = 2.0 * math.pi
@@ -58,13 +56,6 @@ def locked(gamma: float, epsilon: float, n: int, off: float = 0.0) -> Start:
 # --- closed forms ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("gamma", "time"), [(1.5, 3.566217), (2.0, 4.658851), (3.0, 5.967608)])
-def test_flight_times_of_the_model_page(gamma: float, time: float):
-    line = run(gamma)
-    assert mode(line) == (1, 1)
-    assert flights(line) == pytest.approx(time, abs=5e-7)
-
-
 def test_flight_time_from_rest_obeys_its_formula():
     gammas = np.concatenate([1.0 + np.logspace(-12, -1, 12), np.linspace(1.2, 3.29, 20)])
     line = run(gammas)
@@ -78,13 +69,6 @@ def test_flight_time_from_rest_obeys_its_formula():
         assert math.sqrt((gamma - 1.0) * (gamma + 1.0)) == pytest.approx(expected, rel=1e-6)
         takeoff = line.takeoff_phase[i, 0]
         assert takeoff == pytest.approx(TWO_PI - math.acos(1.0 / gamma), abs=1e-7)
-
-
-@pytest.mark.parametrize("gamma", [1e-3, 0.5, 1.0])
-def test_stays_where_the_plate_never_falls_away(gamma: float):
-    line = run(gamma, 0.5)
-    assert line.outcome[0] == Outcome.AT_REST
-    assert line.end_state[0].tolist() == [0.0] * 6
 
 
 def test_sticking_ends_where_the_flight_fills_the_period():
@@ -146,47 +130,6 @@ def gap_after(gamma: float, phi: float, gap: float, gap1: float, tau):
     )
 
 
-def random_drops(count: int) -> list[tuple[float, float, float, float]]:
-    """(Gamma, phi, gap, gap'): flights from the plate and from above it, fast and slow, some grazing."""
-    random = np.random.default_rng(3)
-    gammas = np.exp(random.uniform(math.log(0.3), math.log(60.0), count))
-    speeds = np.exp(random.uniform(math.log(1e-3), math.log(10.0), count))
-    gaps = np.where(random.random(count) < 0.5, 0.0, np.exp(random.uniform(-7.0, 2.0, count)))
-    signs = np.where((gaps > 0.0) & (random.random(count) < 0.5), -1.0, 1.0)
-    return list(zip(gammas, random.uniform(0.0, TWO_PI, count), gaps, signs * speeds, strict=True))
-
-
-def test_no_landing_is_missed():
-    for gamma, phi, gap, gap1 in random_drops(600):
-        end = free_fall.landing(make_drop(gamma, phi, gap, gap1), 1e4, 10_000)
-        assert end.ending == ROOT
-        taus = np.linspace(0.0, end.tau, 20_001)[1:-1]
-        scale = 1.0 + gap + end.tau * (abs(gap1) + 1.0) + end.tau**2 / gamma
-        assert gap_after(gamma, phi, gap, gap1, taus).min() > -1e-14 * scale
-        assert abs(gap_after(gamma, phi, gap, gap1, end.tau)) < 1e-13 * scale
-        slope = gap1 + math.sin(phi + end.tau) - math.sin(phi) - end.tau / gamma
-        assert end.gap1 == pytest.approx(slope, abs=1e-12 * scale)
-        assert end.gap1 <= 1e-14 * scale
-
-
-def test_landings_take_few_evaluations():
-    for gamma, phi, gap, gap1 in random_drops(6000):
-        end = free_fall.landing(make_drop(gamma, phi, gap, gap1), 1e4, 10_000)
-        scale = 1.0 + gap + end.tau * (abs(gap1) + 1.0) + end.tau**2 / gamma
-        assert end.ending == ROOT
-        assert end.used < 30 + end.tau
-        assert abs(gap_after(gamma, phi, gap, gap1, end.tau)) < 1e-13 * scale
-
-
-@for_each("epsilon", [0.0, 0.15, 0.25, 0.5, 0.9, 0.99])
-def test_every_cell_is_resolved(epsilon: float):
-    gammas = np.concatenate([np.linspace(0.5, 8.0, 700), np.logspace(1, 2, 100)])
-    line = run(gammas, epsilon, settle=60, observe=40)
-    known = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST, Outcome.SETTLING)
-    assert np.isin(line.outcome, known).all()
-    assert ((line.outcome == Outcome.AT_REST) == (gammas <= 1.0))[gammas < 10.0].all()
-
-
 def test_grazes_are_distinguished_from_misses():
     """The plate comes up to just touch the ball, or just not, and lets it go on."""
     gamma, phi, gap1 = 4.0, 4.9, -0.5
@@ -214,6 +157,9 @@ def test_the_series_of_the_gap_is_complete(tau: float):
         assert value == pytest.approx(float(expected), rel=2e-15, abs=0.0)
 
 
+# --- chatter --------------------------------------------------------------------------------
+
+
 def test_small_hops_keep_their_digits():
     for hop in (1e-3, 1e-6, 1e-9, 1e-12):
         for phi in (1.6, 3.0, 4.6):
@@ -226,9 +172,6 @@ def test_small_hops_keep_their_digits():
             assert end.gap1 == pytest.approx(
                 -hop * (1.0 + press1 * time / (3.0 * press)), rel=4.0 * time**2 + 1e-14
             )
-
-
-# --- chatter --------------------------------------------------------------------------------
 
 
 def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> float:
@@ -250,27 +193,6 @@ def test_chatter_ends_when_its_hops_do(epsilon: float, phi: float):
     closed = chatter.chatter_time(hop, press, press1, epsilon)
     assert closed == pytest.approx(hops_one_by_one(gamma, phi, hop, epsilon), rel=chatter.STEADY**2)
     assert closed < 2e-3 * math.sqrt(press)
-
-
-def test_chatter_is_summed_only_on_a_plate_that_presses():
-    assert not chatter.chatter_completes(1e-9, -1.0, 0.0, 1.0, 0.5)
-    assert not chatter.chatter_completes(1e-9, 1e-9, -1.0, 1.0, 0.5)
-    assert not chatter.chatter_completes(1e-9, 1.0, 0.0, 1.0, 1.0)
-
-
-def test_flights_are_the_hops_one_by_one():
-    """A cell's record is what a search hop by hop gives; smaller hops than the cut-off are not in it."""
-    gamma, epsilon = 1.5, 0.5
-    line = run(gamma, epsilon, settle=50, observe=5)
-    phi, hop, expected = TWO_PI - math.acos(1.0 / gamma), 0.0, []
-    times = flights(line)
-    per_cycle = int(line.bounces[0])
-    for _ in range(per_cycle):
-        end = free_fall.landing(make_drop(gamma, phi, 0.0, hop), 1e4, 10_000)
-        expected.append(end.tau)
-        phi, hop = (phi + end.tau) % TWO_PI, -epsilon * end.gap1
-    assert np.sort(times[-per_cycle:]) == pytest.approx(np.sort(expected), abs=1e-12)
-    assert 2.0 * hop / (1.0 / gamma - math.cos(phi)) < 2e-3
 
 
 def test_cached_phases_fit_into_the_cache():
@@ -316,28 +238,7 @@ def test_settling_skips_whole_cycles():
             np.testing.assert_allclose(getattr(short, name), getattr(long, name), atol=1e-12)
 
 
-def test_elastic_ball_ends_unresolved():
-    start = Start(np.array([3.0, 1.0, 0.0, 1e-7, 0.0, 0.0]), Cell(0.5, 1.0, 1.0))
-    line = run(0.5, 1.0, carry=True, settle=0, observe=1, start=start)
-    assert line.outcome[0] == Outcome.UNRESOLVED
-    for gamma in (0.5, 1.2, 5.0):
-        assert run(gamma, 1.0).outcome[0] != Outcome.MISSING
-
-
 # --- ramps and windows ----------------------------------------------------------------------
-
-
-def test_ramp_does_not_depend_on_how_it_is_cut():
-    gammas = np.linspace(5.0, 0.8, 43)
-    for epsilon in (0.0, 0.4, 0.9):
-        whole = run(gammas, epsilon, carry=True, settle=7, observe=5)
-        start = None
-        for low in range(0, len(gammas), 10):
-            piece = slice(low, low + 10)
-            part = run(gammas[piece], epsilon, carry=True, settle=7, observe=5, start=start)
-            for name in Line._fields:
-                np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[piece])
-            start = Start(part.end_state[-1], Cell(gammas[piece][-1], 1.0, 1.0))
 
 
 def test_window_may_end_within_chatter():
@@ -357,19 +258,7 @@ def test_window_may_end_within_chatter():
     assert after.end_state[0].tolist() == [0.0] * 6
 
 
-def test_a_million_periods_keep_their_phase():
-    line = run(2.0, settle=1_000_000)
-    assert flights(line)[-1] == pytest.approx(flights(run(2.0))[-1], abs=1e-13)
-    assert line.takeoff_phase[0, 0] == pytest.approx(TWO_PI - math.acos(0.5), abs=1e-13)
-
-
 # --- the restitution of a rigid spring ------------------------------------------------------
-
-
-def test_restitution_of_a_rigid_spring():
-    assert restitution.restitution_of(0.5) == pytest.approx(0.1492, abs=5e-5)
-    assert restitution.restitution_of(10.0) == pytest.approx(0.0012, abs=5e-5)
-    assert restitution.restitution_of(0.0) == 0.5
 
 
 @pytest.mark.parametrize(("xi", "epsilon"), [(10.0, None), (0.5, None), (0.5, 0.15)])
@@ -408,15 +297,3 @@ def test_rigid_spring_flies_like_the_ball(xi: float, epsilon: float | None):
 
 
 # --- without compilation --------------------------------------------------------------------
-
-
-def test_first_flight_is_the_root_of_its_formula():
-    """What a cell works out once and for all, against a bracketing solver."""
-    for gamma in (1.001, 1.5, 2.5):
-        slope = math.sqrt(gamma**2 - 1.0)
-
-        def off(t: float, slope: float = slope) -> float:
-            return slope * (t - math.sin(t)) - (0.5 * t**2 - 1.0 + math.cos(t))
-
-        expected = brentq(off, 2.0 * slope, 4.5 * slope, xtol=1e-15)
-        assert flights(run(gamma))[-1] == pytest.approx(expected, rel=1e-9)

@@ -7,15 +7,11 @@ import threading
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from kernel.models import rigid
 from kernel.numerics import compilation
-from kernel.numerics.compilation import Entry, compilations, set_cache
-from kernel.numerics.jit import by_type, inlined, jit
-
-CALLS: list[str] = []
+from kernel.numerics.compilation import Entry, set_cache
+from kernel.numerics.jit import inlined, jit
 
 
 @inlined
@@ -26,14 +22,6 @@ def doubled(x: float) -> float:
 @jit
 def quadrupled(x: float) -> float:
     return doubled(doubled(x))
-
-
-@jit
-def summed(values: Any) -> float:
-    total = 0.0
-    for value in values:
-        total += quadrupled(value)
-    return total
 
 
 @pytest.fixture
@@ -52,19 +40,6 @@ def entry(function: Any) -> Entry:
 
 def codes(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir() if path.suffix != ".lock")
-
-
-def test_inner_functions_are_not_compiled_on_their_own():
-    assert summed(np.arange(4.0)) == 24.0
-    [library] = [result.library for result in summed.entry.overloads.values()]
-    assert all(result.library._finalized is False for result in quadrupled.overloads.values())
-    assert library._finalized
-
-
-def test_an_entry_is_kept_before_and_after_optimisation(folder):
-    assert entry(quadrupled)(2.0) == 8.0
-    before, after = codes(folder)
-    assert after.startswith(f"{before}.")
 
 
 def test_an_entry_is_read_from_the_cache_by_the_next_process(folder, monkeypatch):
@@ -92,35 +67,6 @@ def test_a_damaged_file_is_compiled_again(folder, damage):
     assert all((folder / name).stat().st_size > 500 for name in whole)
 
 
-def test_where_nothing_can_be_written_the_kernel_compiles_all_the_same(tmp_path):
-    kept = compilation._folder
-    set_cache(tmp_path / "removed")
-    try:
-        assert entry(quadrupled)(2.0) == 8.0
-    finally:
-        set_cache(kept)
-
-
-def test_what_is_compiled_is_told_meanwhile(folder, monkeypatch):
-    told = []
-    compile_extra = compilation._EntryCompiler.compile_extra
-
-    def observed(self: Any, function: Any) -> Any:
-        told.extend(each.kernel for each in compilations())
-        return compile_extra(self, function)
-
-    monkeypatch.setattr(compilation._EntryCompiler, "compile_extra", observed)
-    entry(quadrupled)(2.0)
-    assert told == ["quadrupled"]
-    assert compilations() == []
-
-
-def test_a_kernel_is_named_after_its_contact_model(folder):
-    plate = rigid.plate(restitution=np.zeros(1))
-    Entry(rigid._prepare.py_func, {"nogil": True, "error_model": "numpy"})(plate, 0, 1.0, 1.0, 0.1)
-    assert codes(folder)[0].startswith("prepare-of-rigid-")
-
-
 def test_threads_that_need_the_same_entry_compile_it_once(folder, monkeypatch):
     compiled, shared = [], entry(quadrupled)
     compile_extra = compilation._EntryCompiler.compile_extra
@@ -136,25 +82,3 @@ def test_threads_that_need_the_same_entry_compile_it_once(folder, monkeypatch):
     for thread in threads:
         thread.join()
     assert len(compiled) == 1
-
-
-def test_a_function_is_chosen_by_type_in_compiled_code_and_in_python():
-    class_of = rigid.RigidPlate
-
-    @by_type
-    def number(plate: Any) -> float:
-        """A number."""
-
-    @number.register(class_of)
-    @jit
-    def _number(plate: Any) -> float:
-        return 7.0
-
-    @jit
-    def asked(plate: Any) -> float:
-        return number(plate) + 1.0
-
-    plate = rigid.plate(restitution=np.zeros(1))
-    assert (number(plate), asked(plate)) == (7.0, 8.0)
-    with pytest.raises(TypeError, match="not implemented for float"):
-        number(1.0)

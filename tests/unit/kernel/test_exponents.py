@@ -145,12 +145,6 @@ def test_a_torus_is_told_from_chaos():
         assert np.all(line.lyapunov[: len(torus), 1] < 0.0)
 
 
-def test_the_exponent_of_a_torus_converges_faster_than_a_plain_mean_would():
-    """A plain mean over N periods is off by about 1/N: 3e-4 here."""
-    line = run(np.array([3.7, 3.8, 3.9, 4.0]), 1.0, 0.05, settle=2000, observe=3000, exponents=1)
-    assert np.all(np.abs(line.lyapunov[:, 0]) < 1e-6)
-
-
 # --- volumes --------------------------------------------------------------------------------
 
 
@@ -205,26 +199,6 @@ def test_a_ball_that_bounces_once_a_period(gamma):
 # --- what has none --------------------------------------------------------------------------
 
 
-def test_a_ball_that_rests_forgets_everything():
-    line = run(2.0, 1.0, 0.0, Model.BALL, restitution=0.0, settle=20, observe=20, exponents=2)
-    assert line.outcome[0] == Outcome.PERIODIC
-    assert np.all(line.lyapunov == -math.inf)
-
-
-def test_a_cycle_that_takes_off_at_once_keeps_three_dimensions():
-    """An inelastic landing that does not stick removes one direction, one that sticks two."""
-    line = run([7.5, 1.5], [2.0, 0.5], [0.05, 0.26], restitution=0.0, exponents=3, settle=200, observe=100)
-    assert list(line.bounces) == [1, 1]
-    assert list(np.isinf(line.lyapunov[0])) == [False, False, False]
-    assert list(np.isinf(line.lyapunov[1])) == [False, False, True]
-
-
-def test_failed_cells_have_none():
-    line = run(1.5, 0.8, 0.0, Model.SOFT, restitution=1.0, penetration=1e-8, settle=0, observe=3, exponents=4)
-    assert line.outcome[0] == Outcome.UNRESOLVED
-    assert np.all(np.isnan(line.lyapunov))
-
-
 @for_each(
     ("model", "restitution", "most"),
     [
@@ -255,15 +229,6 @@ def test_the_record_beside_them_is_the_same(model):
     line = run(gamma, 0.5, 0.26, model, exponents=2, **options)
     assert line.lyapunov.shape == (12, 2)
     assert_same_bytes(plain, line._replace(lyapunov=plain.lyapunov))
-
-
-def test_on_a_ramp_every_cell_begins_with_its_own_variations():
-    gamma = np.linspace(1.2, 5.0, 8)
-    line = run(gamma, 0.5, 0.26, carry=True, exponents=2)
-    for i in (3, 7):
-        start = Start(line.end_state[i - 1], Cell(float(gamma[i - 1]), 0.5, 0.26))
-        again = run(gamma[i : i + 1], 0.5, 0.26, carry=True, exponents=2, start=start)
-        assert np.array_equal(again.lyapunov[0], line.lyapunov[i])
 
 
 # --- labels ---------------------------------------------------------------------------------

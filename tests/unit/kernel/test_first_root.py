@@ -9,22 +9,12 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from kernel_runs import Step, examples, one_phase
 from mpmath import mp, mpf
-from naive import Setting, State
+from naive import Setting
 from naive_exact import Exact, exact, instants, lowest, response
 from tables import for_each
 
 from kernel.numerics import oscillator
-from kernel.numerics.first_root import (
-    BUDGET_EXHAUSTED,
-    HORIZON,
-    NON_FINITE,
-    ROOT,
-    Terms,
-    first_root,
-    polish,
-    safe_step,
-    terms,
-)
+from kernel.numerics.first_root import HORIZON, ROOT, Terms, first_root, polish, safe_step, terms
 from kernel.numerics.jit import jit
 
 HORIZON_RAD = 4.0 * math.pi
@@ -172,15 +162,6 @@ def test_a_flight_below_the_surface_ends_at_recontact(
     assert bearing.max(initial=-1.0) <= unsure
 
 
-@given(**CELLS, depth=powers(-6.0, -1.0), q=signed(1.0), q1=signed(2.0), horizon=powers(-12.0, 0.0))
-@examples(60)
-def test_a_flight_below_the_surface_ends_within_its_window(gamma, omega, xi, phi, depth, q, q1, horizon):
-    s = Setting(gamma, omega, xi, True, 0.1, 1e-3, False)
-    gap = -1e-3 * depth
-    step = one_phase(s, True, phi, (gap, -s.kappa * gap / s.beta, q, q1), horizon, BUDGET)
-    assert 0.0 <= step.tau <= horizon
-
-
 @pytest.mark.parametrize(
     ("gamma", "omega", "xi", "phi", "state", "tau"),
     [
@@ -260,21 +241,6 @@ def test_a_graze_of_the_plate(above):
             assert step.tau < float(dip) <= step.tau + 3.0 * math.sqrt(above)
 
 
-@for_each("omega", [1e-3, 0.5, 30.0])
-@for_each("speed", [1e-9, 1e-7, 1e-5, 1e-3])
-def test_a_hop_of_any_size_keeps_its_digits(speed, omega):
-    """It lasts about twice its speed over n, in a hundred-millionth of a turn."""
-    s = Setting(1.5, omega, 0.26, restitution=1.0)
-    force = 0.4
-    q = (1.0 / s.gamma - math.cos(0.3) - force) / s.w
-    state = (0.0, speed * omega, q, 0.0)
-    step = one_phase(s, True, 0.3, state, 1.0, 1000)
-    motion = exact(s, True, 0.3, state)
-    true = mp.findroot(lambda tau: motion.state(tau)[0], (mpf(step.tau), mpf(step.tau) * (1 + mpf("1e-6"))))
-    assert step.ending == ROOT
-    assert abs(step.tau / float(true) - 1.0) < 1e-11
-
-
 @given(f0=powers(-12.0, 1.0), f1=signed(10.0), f2=signed(10.0), f3=signed(10.0), f4=powers(-3.0, 6.0),
        guess=powers(-9.0, 2.0))  # fmt: skip
 @examples(300)
@@ -313,28 +279,6 @@ def test_a_flat_start_is_left(steepness):
 # --- the polisher ---------------------------------------------------------------------------
 
 
-class Rough(NamedTuple):
-    """1 - tau with an unstated error, and a bound that makes Householder's error estimate infinite."""
-
-    error: float
-
-
-@terms.register(Rough)
-@jit
-def _rough_terms(p: Rough, tau: float) -> Terms:
-    value = 1.0 - tau + p.error * math.sin(1e9 * tau)
-    return Terms(value, -1.0, 0.0, 0.0, 1e15, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 0.0)
-
-
-@for_each("error", [0.0, 1e-12, 1e-5, 1e-2])
-@for_each("guess", [0.0, 0.3, 1.0, 1.9999, 2.0])
-def test_polishing_ends_however_rough_the_function(error, guess):
-    tau, ending, used = polish(Rough(error), 0.0, 2.0, guess, 1000)
-    assert ending == ROOT
-    assert used <= 64  # a halving for each digit, at worst
-    assert tau == pytest.approx(1.0, abs=error + 1e-15)
-
-
 class Wave(NamedTuple):
     """sin(tau), whose slope vanishes on the way to its zero."""
 
@@ -353,11 +297,6 @@ def test_polishing_halves_where_a_step_leaves_the_bracket(guess):
     tau, ending, used = polish(Wave(1.0), 0.0, 4.71, guess, 100)
     assert (tau, ending) == (pytest.approx(math.pi, abs=1e-15), ROOT)
     assert used < 12
-
-
-def test_polishing_gives_up_where_its_budget_or_its_numbers_end():
-    assert polish(Rough(1e-5), 0.0, 2.0, 0.3, 3)[1:] == (BUDGET_EXHAUSTED, 3)
-    assert polish(Rough(math.nan), 0.0, 2.0, 0.3, 100)[1:] == (NON_FINITE, 1)
 
 
 # --- the oscillator -------------------------------------------------------------------------
@@ -384,19 +323,6 @@ def test_the_oscillator_at_every_damping(ratio, rate):
         )
         for mine, true, scale in zip(got, (cosine, sine, sine1), scales, strict=True):
             assert abs(mine - true) <= 2e-15 * turns * scale + 1e-125 * max(rate, 1.0 / rate)
-
-
-@given(ratio=st.one_of(st.sampled_from(RATIOS), powers(-3.0, 3.0)), rate=powers(-3.0, 3.0), x=signed(10.0),
-       v=signed(10.0), tau=powers(-6.0, 1.0))  # fmt: skip
-@examples(200)
-def test_bounds_on_an_oscillation_hold(ratio, rate, x, v, tau):
-    osc = oscillator.oscillator(ratio * rate, rate * rate)
-    later, speed = oscillator.motion(osc, x, v, tau)
-    assert abs(later) <= oscillator.envelope(osc, x, v) * (1.0 + 1e-12)
-    _, _, bound = oscillator.derivatives(osc, x, v)
-    second, third, _ = oscillator.derivatives(osc, later, speed)
-    fourth = -2.0 * osc.damping * third - osc.stiffness * second
-    assert abs(fourth) <= bound * (1.0 + 1e-9) + 1e-300
 
 
 @given(ratio=st.one_of(st.sampled_from(RATIOS), powers(-3.0, 6.0)), rate=powers(-3.0, 3.0), x=signed(10.0),
@@ -431,21 +357,6 @@ def test_a_motion_in_coordinates_is_the_same_motion(ratio, rate, x, v, tau):
         assert abs(after) <= 0.1 * now.size * (1.0 + 1e-12)
 
 
-@for_each("ratio", [1.01, 2.0, 1e2, 1e4, 1e6])
-def test_the_creep_of_an_overdamped_motion_keeps_its_digits(ratio):
-    """x'' of the slow exponential, 1/(2 ratio)**4 of what it would be a difference of."""
-    osc = oscillator.oscillator(ratio, 1.0)
-    with mp.workdps(80):
-        root = mp.sqrt(mpf(ratio) ** 2 - 1)
-        slow, fast = -(mpf(ratio) - root), -(mpf(ratio) + root)
-    a, b = oscillator.coordinates(osc, 0.0, -1.0)
-    for tau in 50.0 / ratio * np.array([1.0, 3.0, 6.0]):
-        with mp.workdps(80):
-            true = -(slow**2 * mp.exp(slow * tau) - fast**2 * mp.exp(fast * tau)) / (2 * root)
-        got = oscillator.all_derivatives(osc, *oscillator.advance(osc, a, b, float(tau))).x2
-        assert abs(got / true - 1) <= 3e-15 * (1.0 + tau * abs(slow))
-
-
 @given(ratio=st.one_of(st.sampled_from(RATIOS), powers(-3.0, 6.0)), rate=powers(-3.0, 3.0), x=signed(10.0),
        v=signed(10.0))  # fmt: skip
 @examples(200)
@@ -469,22 +380,3 @@ def test_the_first_falling_zero_is_one(ratio, rate, x, v):
         value, speed = values[-1]
         assert abs(value) <= 1e-13 * size + 1e-13 * zero * abs(speed)
         assert speed <= 1e-13 * size * osc.rate
-
-
-@given(ratio=st.sampled_from(RATIOS[:-1]), rate=powers(-3.0, 3.0), x=signed(10.0), v=signed(10.0),
-       part=st.floats(1e-9, 0.99))  # fmt: skip
-@examples(100)
-def test_a_short_displacement_keeps_its_digits(ratio, rate, x, v, part):
-    osc = oscillator.oscillator(ratio * rate, rate * rate)
-    tau = part * oscillator.SHORT / osc.rate
-    cosine, sine, _ = response(ratio * rate, rate * rate, tau)
-    true = float((cosine - 1) * mpf(x) + sine * mpf(v))
-    scale = abs(v) * tau + abs(x) * (rate * tau) ** 2
-    assert abs(oscillator.displacement(osc, x, v, tau) - true) <= 1e-14 * scale
-
-
-def test_state_is_a_tuple_of_floats():
-    """What the kernel hands back from Python is plain."""
-    step = one_phase(Setting(3.0, 1.0, 0.05), True, 0.0, (0.0, 0.1, 0.0, 0.0), 1.0, 100)
-    after: State = step.after
-    assert all(type(x) is float for x in after)

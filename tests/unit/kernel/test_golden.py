@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from kernel_runs import Model, last_cycle, recorded, run
+from kernel_runs import Model, last_cycle, run
 from paths import GOLDEN
 from tables import for_each
 
@@ -13,10 +13,6 @@ from kernel.params import Outcome
 
 def read(name: str):
     return json.loads((GOLDEN / name).read_text())
-
-
-def label(cell) -> str:
-    return f"{cell['gamma']:g}-{cell['omega']:g}-{cell['xi']:g}"
 
 
 FACTS = read("facts.json")
@@ -64,25 +60,3 @@ def test_descending_thresholds():
 def test_inelastic_ball(gamma, flight):
     line = run(gamma, 1.0, 1.0, Model.BALL, settle=300)
     assert last_cycle(line, 1) == pytest.approx([flight], abs=1e-6)
-
-
-EDGES = {"flight_is_2_pi_up_to": (1, 1), "two_two_up_to": (2, 2), "one_two_up_to": (1, 2)}
-
-
-@pytest.mark.parametrize("edge", EDGES)
-def test_edges_of_the_inelastic_balls_modes(edge):
-    """Followed upwards to a hundredth below, past one above; test_ball has them to 1e-6."""
-    last = FACTS["ball"][edge]
-    gamma = np.append(np.linspace(last - 0.2, last - 0.01, 40), last + 0.01)
-    line = run(gamma, 1.0, 1.0, Model.BALL, carry=True, settle=2000)
-    modes = list(zip(line.bounces, line.periods, strict=True))
-    assert modes[:-1] == [EDGES[edge]] * 40
-    assert modes[-1] != EDGES[edge]
-
-
-def test_the_inelastic_ball_sticks_no_more():
-    last = FACTS["ball"]["one_one_sticks_up_to"]
-    line = run([last - 1e-3, last + 1e-3], 1.0, 1.0, Model.BALL, settle=300)
-    below, above = (recorded(line, i)[-1] for i in (0, 1))
-    assert below < 2.0 * np.pi - 1e-6
-    assert above == pytest.approx(2.0 * np.pi, abs=1e-6)

@@ -8,11 +8,9 @@ import pytest
 from kernel_runs import Model, run_line
 from tables import for_each
 
-import kernel.line
 from kernel.models.lockstep import FEW
-from kernel.models.rigid import RigidPlate
 from kernel.numerics import elementary
-from kernel.params import LANES, Cell, KernelInputError, Line, Outcome, Start
+from kernel.params import LANES, Line, Outcome
 
 
 def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, lines=0, one_by_one=False) -> Line:
@@ -165,50 +163,6 @@ def test_short_ramps_agree_to_rounding(restitution):
     close &= np.isclose(lanes.end_state, alone.end_state, rtol=1e-8, atol=1e-8).all(axis=1)
     assert (~close).sum() <= 2  # where a landing grazes
     assert (lanes.flights == alone.flights).mean() > 0.99
-
-
-def test_lines_have_starts_of_their_own():
-    """As a line given a start alone; a line without one begins at rest."""
-    length, lines = 5, 4
-    cells = ramps(lines, length)
-    first = rigid(*cells, lines=lines, settle=5, observe=5)
-    ends = slice(length - 1, None, length)
-    starts = [
-        Start(state, Cell(*(float(axis[i]) for axis in cells)))
-        for i, state in zip(range(lines * length)[ends], first.end_state[ends], strict=True)
-    ]
-    starts[2] = None
-    down = [axis.reshape(lines, length)[:, ::-1].ravel() for axis in cells]
-    options = {
-        "plate": RigidPlate(np.zeros(length * lines)),
-        "carry": True,
-        "settle": 5,
-        "observe": 5,
-        "keep": 8,
-    }
-    together = kernel.line.run_line(*down, start=starts, **options)
-    options["plate"] = RigidPlate(np.zeros(length))
-    for i, start in enumerate(starts):
-        part = slice(i * length, (i + 1) * length)
-        alone = kernel.line.run_line(*(axis[part] for axis in down), start=start, **options)
-        for name, field in together._asdict().items():
-            assert field[part].tobytes() == getattr(alone, name).tobytes(), name
-    with pytest.raises(KernelInputError, match="one for each of several lines of equal length, got 3 for 20"):
-        kernel.line.run_line(*down, start=starts[:3], **options | {"plate": RigidPlate(np.zeros(20))})
-
-
-def test_slow_springs_with_strong_dashpots_are_left_to_the_scalar_functions():
-    """Their elongation, of the order Omega^2/Gamma, would cancel against the gap."""
-    rng = np.random.default_rng(3)
-    n = 60
-    gamma, omega, xi = 10 ** rng.uniform(0.3, 2, n), 10 ** rng.uniform(1.6, 3, n), 10 ** rng.uniform(1, 3, n)
-    lanes = rigid(gamma, omega, xi, settle=0, observe=3)
-    alone = rigid(gamma, omega, xi, settle=0, observe=3, one_by_one=True)
-    first = slice(0, 2)  # later ones have grown apart
-    assert np.isfinite(alone.flight_time[:, first]).sum() > n
-    np.testing.assert_allclose(
-        lanes.flight_time[:, first], alone.flight_time[:, first], rtol=0, atol=1e-12, equal_nan=True
-    )
 
 
 # --- soft -----------------------------------------------------------------------------------

@@ -10,9 +10,7 @@ from kernel_runs import TWO_PI, Model, examples, run
 from naive import cycle
 from tables import for_each
 
-from kernel.cell import KEPT_FLIGHTS, Window, allocate_flights, classify, start_run
 from kernel.modes import find_cycle
-from kernel.numerics.first_root import HORIZON
 from kernel.params import Outcome
 from kernel.threshold import threshold
 
@@ -42,11 +40,6 @@ def test_a_cycle_seen_three_times_is_found(flights, periods, times):
     assert find(*repeated(flights, waits, times)) == (len(flights), periods)
     flown, takeoffs = repeated(flights, waits, 3)
     assert find(flown[1:], takeoffs[1:]) == (0, 0)  # once less than three times
-
-
-def test_a_cycle_is_the_shortest():
-    flown, takeoffs = repeated([4.0, 4.0], [TWO_PI - 4.0] * 2, 6)
-    assert find(flown, takeoffs) == (1, 1)
 
 
 def test_alike_flights_that_drift_along_the_plate_are_no_cycle():
@@ -126,28 +119,6 @@ def test_hops_beyond_number_do_not_hide_a_mode(restitution, cell, mode, keep):
     assert line.flights[0] > 13_000
     assert line.outcome[0] == Outcome.PERIODIC
     assert (line.bounces[0], line.periods[0]) == mode
-
-
-@pytest.mark.parametrize(
-    ("periods", "number", "outcome"),
-    [(2, KEPT_FLIGHTS, Outcome.APERIODIC), (2, KEPT_FLIGHTS + 1, Outcome.UNRESOLVED),
-     (4, KEPT_FLIGHTS + 1, Outcome.APERIODIC), (2, 2 * KEPT_FLIGHTS, Outcome.UNRESOLVED)],
-)  # fmt: skip
-def test_too_few_flights_decide_nothing(periods, number, outcome):
-    """Irregular flights, KEPT_FLIGHTS of which take so many plate periods, to the end of a run."""
-    flights = allocate_flights(1, 1)
-    rng = np.random.default_rng(2)
-    times = rng.uniform(0.5, 1.0, number) * TWO_PI * periods / KEPT_FLIGHTS
-    takeoffs = TWO_PI * 100 - np.cumsum(times[::-1])[::-1]
-    for n in range(number):
-        period = int(takeoffs[n] // TWO_PI)
-        flights.time[n % flights.size] = times[n]
-        flights.phase[n % flights.size] = takeoffs[n] - TWO_PI * period
-        flights.period[n % flights.size] = period
-    window = Window(0, 100, 0.0, 0.0, 0, 0)
-    whole = start_run(np.zeros(6), window, False)
-    ended = whole._replace(in_flight=True, recorded=number, flew=True, ending=HORIZON)
-    assert classify(ended, flights, 0, window) == (outcome, 0, 0)
 
 
 def test_a_spent_budget_is_unresolved():

@@ -13,7 +13,7 @@ from kernel.models.ball import BallPlate
 from kernel.models.rigid import RigidPlate
 from kernel.models.soft import SoftPlate
 from kernel.models.stepped import SteppedPlate
-from kernel.params import Line, Outcome
+from kernel.params import Line
 
 #: At rest, periodic, settling and chaotic cells: more than there are lanes.
 GAMMA = np.concatenate([[0.4], np.linspace(1.05, 7.0, 17)])
@@ -81,13 +81,3 @@ def test_only_what_was_saved_of_the_same_line_is_restored():
     for wrong in ({}, other.save(), *damaged):
         with pytest.raises(ValueError, match="must be as saved by a run of the same line"):
             run.restore(wrong)
-
-
-def test_a_paused_line_has_the_cells_that_are_done():
-    """The one under way may have the record of its window, while it is followed beyond that."""
-    run = line_run("stepped", False, {})
-    assert not run.advance(2000)
-    done = int(run.save()["Walk.counts"][0])
-    assert 0 < done < len(GAMMA)
-    assert (run.line.outcome[:done] != Outcome.MISSING).all()
-    assert (run.line.outcome[done + 1 :] == Outcome.MISSING).all()

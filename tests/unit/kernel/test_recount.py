@@ -11,7 +11,7 @@ import pytest
 from kernel.line import run_line
 from kernel.models import rigid, soft
 from kernel.params import Line, Outcome
-from kernel.recount import Modes, counted, recount
+from kernel.recount import Modes, recount
 
 GAMMA = np.linspace(1.05, 6.0, 100)
 OMEGA, XI = np.full(100, 0.5), np.full(100, 0.26)
@@ -54,22 +54,6 @@ def test_the_modes_are_those_the_kernel_finds(plate: Any, before: float, shortes
     assert np.count_nonzero(found.bounces != stored.bounces) > 10  # the test is of something
 
 
-def test_flights_count_that_are_longer_or_all_of_a_cell_without_any():
-    times = np.array([[0.01, 3.0, 0.02], [0.01, 0.02, np.nan], [0.05, 0.06, np.nan]])
-    assert counted(times, np.array([9, 2, 2], np.int32), 0.05).tolist() == [
-        [False, True, False],
-        [True, True, False],
-        [False, True, False],
-    ]
-
-
-def test_cells_without_flights_keep_their_outcome():
-    outcome = np.array([Outcome.MISSING, Outcome.AT_REST, Outcome.UNRESOLVED, Outcome.DIVERGED], np.uint8)
-    empty, none = np.full((4, 8), np.nan), np.zeros(4, np.int32)
-    found = recount(empty, empty, none, Modes(outcome, none, none), 0.05, 0.0)
-    assert found.outcome.tolist() == outcome.tolist()
-
-
 def test_cells_of_which_the_same_flights_count_keep_their_mode():
     """A cycle of four flights, of which only six are stored: too few to be found again."""
     times, phases = np.array([[1.0, 2.0, 3.0, 4.0, 1.0, 2.0]]), np.zeros((1, 6))
@@ -78,14 +62,3 @@ def test_cells_of_which_the_same_flights_count_keep_their_mode():
     assert (found.outcome.tolist(), found.bounces.tolist(), found.periods.tolist()) == ([1], [4], [5])
     found = recount(times, phases, np.array([90], np.int32), stored, 0.05, 1.5)
     assert (found.outcome.tolist(), found.bounces.tolist()) == ([Outcome.APERIODIC], [0])
-
-
-def test_a_contact_longer_than_a_period_is_known_from_the_stored_mode():
-    """One flight of 3 rad every third period, and a hop of 0.1 rad one rad after it."""
-    times = np.tile([3.0, 0.1], 20)[None]
-    phases = np.tile([1.0, 5.0], 20)[None]
-    flights, stored = np.array([40], np.int32), Modes(
-        np.array([Outcome.PERIODIC], np.uint8), np.array([2], np.int32), np.array([3], np.int32)
-    )  # fmt: skip
-    found = recount(times, phases, flights, stored, 0.05, 1.0)
-    assert (found.bounces.tolist(), found.periods.tolist()) == ([1], [3])

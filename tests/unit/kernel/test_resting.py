@@ -68,19 +68,6 @@ def test_at_the_threshold_to_the_last_digit_there_is_an_answer(which, carry):
             assert line.outcome[0] not in (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED)
 
 
-@for_each(("omega", "xi"), RINGING)
-@for_each("which", KINDS)
-def test_a_cell_that_rests_costs_one_evaluation_however_long_its_window(which, omega, xi):
-    """Three plate periods or 300,000, from cell to cell of a ramp."""
-    for gamma, phi, state in arrivals(which, omega, xi):
-        if which == Model.SOFT and gamma < 0.05 * onset(which, omega, xi):
-            continue  # the first steps of such a ramp double the amplitude
-        for periods in (3, 300_000):
-            end = interface.contact(cell(which, gamma, omega, xi), phi, *state, TWO_PI * periods, 100_000)
-            assert (end.ending, end.used) == (HORIZON, 1)
-            assert end.tau == TWO_PI * periods
-
-
 @for_each(("omega", "xi"), CELLS)
 def test_where_the_closed_form_excludes_a_take_off_the_search_finds_none(omega, xi):
     for gamma, phi, (_, _, q, q1) in list(arrivals(Model.RIGID, omega, xi))[::6]:
@@ -98,18 +85,3 @@ def test_where_the_closed_form_excludes_a_take_off_the_search_finds_none(omega, 
         tau, ending, used = first_root(p, 0.0, 30.0 * TWO_PI, 1_000_000)
         assert (tau, ending) == (30.0 * TWO_PI, HORIZON)
         assert used > 30
-
-
-@for_each(("omega", "xi"), RINGING)
-@for_each("which", KINDS)
-def test_from_rest_too_a_cell_is_searched_only_while_its_first_shaking_lasts(which, omega, xi):
-    """From the start at phase zero: as many evaluations for 1,000 plate periods as for a million."""
-    for part in (0.3, 0.6, 0.9, 0.97):
-        s = cell(which, part * onset(which, omega, xi), omega, xi)
-        short, long = (
-            interface.contact(s, 0.0, *interface.rest(s), TWO_PI * periods, 10_000_000)
-            for periods in (1_000, 1_000_000)
-        )
-        if short.ending == HORIZON:  # the first shaking did not lift it
-            assert (long.ending, long.tau) == (HORIZON, 1_000_000 * TWO_PI)
-            assert long.used == short.used

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from kernel_runs import TWO_PI, Model, last_cycle, phases, recorded, run, run_setting
+from kernel_runs import TWO_PI, phases, recorded, run, run_setting
 from naive import Setting, trajectory
 from naive_exact import flight
 from tables import for_each
 
 from kernel.numerics.first_root import ROOT
 from kernel.params import Outcome
-from kernel.threshold import threshold
 
 CELLS = [
     Setting(1.5, 0.5, 0.26),
@@ -41,33 +40,6 @@ def test_every_flight_is_the_integrated_one(cell):
     assert phases == pytest.approx([f.takeoff % TWO_PI for f in expected], abs=1e-9)
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.4, 1.0])
-def test_a_cell_gives_the_same_bytes_in_any_company(restitution):
-    """A line from rest is worked on in lanes; neither order nor neighbours may show."""
-    rng = np.random.default_rng(0)
-    gamma, omega, xi = (10.0 ** rng.uniform(low, high, 40) for low, high in ((-0.5, 1), (-1, 1), (-2, 0.5)))
-    gamma[:3] = 2.0
-    window = {"restitution": restitution, "settle": 4, "observe": 6}
-    whole = run(gamma, omega, xi, **window)
-    for order in (
-        np.arange(40)[::-1],
-        rng.permutation(40),
-        *np.array_split(np.arange(40), 3),
-        *np.arange(40),
-    ):
-        part = run(gamma[order], omega[order], xi[order], **window)
-        for array, expected in zip(part, whole, strict=True):
-            assert array.tobytes() == expected[order].tobytes()
-
-
-def test_lanes_and_scalars_agree():
-    """Their last digits differ."""
-    for gamma, omega, xi in [(1.5, 0.5, 0.26), (2.3, 0.5, 0.26), (3.6, 0.5, 0.26), (2.0, 1.0, 0.05)]:
-        lanes, scalars = (run(gamma, omega, xi, settle=300, in_lanes=in_lanes) for in_lanes in (True, False))
-        assert (lanes.bounces, lanes.periods) == (scalars.bounces, scalars.periods)
-        assert last_cycle(lanes, 8) == pytest.approx(last_cycle(scalars, 8), abs=1e-10)
-
-
 def test_a_contact_of_no_length_between_two_flights():
     """The (2,1) mode at Omega = 0.67, xi = 0.05: where it lands nothing holds it."""
     line = run(2.4, 0.67, 0.05, settle=300, observe=40)
@@ -95,25 +67,6 @@ def test_a_landing_gives_back_the_restitution(restitution):
     assert steps[0].after[1] == pytest.approx(-restitution * impact, rel=1e-13)
 
 
-@for_each(("omega", "xi"), [(0.3, 0.2), (0.5, 0.26), (1.0, 0.05), (1.2, 1.0), (3.0, 0.7), (20.0, 2.0)])
-def test_ascending_threshold(omega, xi):
-    """Raised slowly, the mass takes off at Eq. 25's Gamma and not before."""
-    steps = np.concatenate([np.linspace(0.5, 0.999, 40), 1.0 + np.array([-1e-6, -1e-8, 1e-8, 1e-6])])
-    settle = int(40 * max(1.0, omega / xi, xi * omega))
-    line = run(threshold(omega, xi) * steps, omega, xi, carry=True, settle=settle, observe=settle, keep=1)
-    assert list(line.outcome[:-2]) == [Outcome.AT_REST] * (len(steps) - 2)
-    assert line.outcome[-1] != Outcome.AT_REST
-
-
-def test_the_driven_spring_grows_at_exact_resonance():
-    """Gamma_th is 0 there: q grows like phi/2 sin(phi) until n = 2/Gamma - phi/2 ... reaches zero."""
-    line = run(0.1, 1.0, 0.0, settle=0, observe=30, keep=4)
-    assert line.flights[0] > 0
-    beside = run(0.1, 1.0 + 1e-6, 0.0, settle=0, observe=6, keep=4)
-    exactly = run(0.1, 1.0, 0.0, settle=0, observe=6, keep=4)
-    assert exactly.end_state[0] == pytest.approx(beside.end_state[0], rel=1e-3, abs=1e-3)
-
-
 @for_each("omega", [0.03, 0.22389726922908548, 0.5, 1.0, 3.0])
 @for_each("xi", [0.0, 0.05, 1.0])
 def test_gamma_two_exactly(omega, xi):
@@ -123,12 +76,6 @@ def test_gamma_two_exactly(omega, xi):
     below, exactly, above = line.end_state
     assert exactly == pytest.approx(below, abs=1e-3)
     assert exactly == pytest.approx(above, abs=1e-3)
-
-
-def test_model_is_rigid_whatever_the_penetration():
-    one = run(1.5, 0.5, 0.26, penetration=1e-3)
-    other = run(1.5, 0.5, 0.26, Model.RIGID, penetration=1e-1, adhesive=False)
-    assert one.flight_time.tobytes() == other.flight_time.tobytes()
 
 
 def test_a_flight_at_resonance_has_the_springs_own_frequency():

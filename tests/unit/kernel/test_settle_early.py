@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from tables import for_each
 
-from kernel.line import LineRun, run_line
+from kernel.line import LineRun
 from kernel.models.ball import BallPlate
 from kernel.models.rigid import RigidPlate
 from kernel.models.soft import SoftPlate
 from kernel.models.stepped import SteppedPlate
 from kernel.params import KernelInputError, Line, Outcome
-from kernel.repetition import AGREE, LONGEST, TURNS, find_repetition, repeat_flights
+from kernel.repetition import LONGEST, TURNS, find_repetition, repeat_flights
 
 SIZE = 64
 
@@ -75,20 +75,6 @@ def test_a_cycle_is_found_once_it_was_followed_often_enough(flights: int, period
     assert ring.found() == (flights, periods)
 
 
-def test_longer_cycles_than_the_longest_are_not_looked_for():
-    ring = Ring(0, 2000)
-    ring.turns(LONGEST + 1, 9, 30)
-    assert ring.found() == (0, 0)
-
-
-def test_take_offs_on_either_side_of_phase_zero_are_neighbours():
-    ring = Ring()
-    for turn in range(8):
-        beside = 1e-13 * (-1) ** turn
-        ring.add(3.0, beside % (2 * math.pi), turn - (beside < 0))
-    assert ring.found() == (1, 1)
-
-
 @for_each(
     ("moved", "repeats"),
     [
@@ -107,19 +93,6 @@ def test_flights_that_still_drift_do_not_repeat(moved: Any, repeats: bool):
     ring = Ring()
     ring.turns(1, 1, 12, moved)
     assert (ring.found() != (0, 0)) == repeats or ring.found()[0] == 2
-
-
-def test_a_slow_flip_is_not_a_cycle_of_two():
-    ring = Ring()
-    ring.turns(1, 1, 12, lambda turn: 1e-8 * (-0.9999) ** turn)
-    assert ring.found() == (0, 0)
-
-
-def test_the_more_is_left_the_less_may_they_drift():
-    ring = Ring()
-    ring.turns(1, 1, 12, lambda turn: 1e-12 * turn)
-    assert ring.found(left=20) == (1, 1)
-    assert ring.found(left=int(2 * AGREE / 1e-12)) == (0, 0)
 
 
 @for_each("seed", range(60))
@@ -206,39 +179,7 @@ def test_it_takes_fewer_steps(plate: str):
     assert steps(early=True) * 3 < steps(early=False)
 
 
-def test_a_window_longer_than_the_ring_of_flights_is_full():
-    fields = {"carry": False, "settle": 10, "observe": 30_000, "keep": 20}
-    cells = (np.array([1.5]), np.array([0.5]), np.array([0.26]))
-    full, early = (
-        run_line(*cells, plate=RigidPlate(np.zeros(1)), settle_early=early, **fields)
-        for early in (False, True)
-    )
-    assert full.flights[0] == early.flights[0] > 20_000
-    np.testing.assert_allclose(early.flight_time, full.flight_time, atol=1e-9)
-
-
-def test_a_cell_does_not_depend_on_its_neighbours():
-    for plate in ("rigid", "soft, nonadhesive"):
-        whole = line_run(plate, True)
-        whole.advance()
-        for part in (slice(0, 3), slice(3, 20), slice(20, 40)):
-            plates = type(PLATES[plate])(
-                *(x[part] if isinstance(x, np.ndarray) else x for x in PLATES[plate])
-            )  # fmt: skip
-            line = run_line(
-                GAMMA[part], OMEGA[part], XI[part], plate=plates, carry=False, settle=150, observe=60,
-                keep=48, micro_flight=0.01, settle_early=True,
-            )  # fmt: skip
-            for name in Line._fields:
-                assert getattr(line, name).tobytes() == getattr(whole.line, name)[part].tobytes(), name
-
-
 @pytest.mark.parametrize("options", [{"carry": True}, {"exponents": 1}])
 def test_ramps_and_exponents_compute_every_cycle(options: dict[str, Any]):
     with pytest.raises(KernelInputError, match=r"settle_early.*every cycle of which is computed"):
         line_run("rigid", True, **options)
-
-
-def test_only_true_or_false():
-    with pytest.raises(KernelInputError, match="settle_early: must be true or false"):
-        line_run("rigid", 1e-10)  # type: ignore[arg-type]

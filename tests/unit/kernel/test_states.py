@@ -9,7 +9,6 @@ from kernel_runs import Model, assert_same_bytes, run
 from kernel.params import KernelInputError, Line, Outcome
 
 CELL = (1.27, 0.5, 0.26)  # two attractors of one bounce
-REST = np.array([0.0, 0.0, 0.0, 0.0, -(CELL[1] ** 2) / CELL[0], 0.0])
 
 
 def drops(rows: int, columns: int, height: float = 10.0) -> np.ndarray:
@@ -42,12 +41,6 @@ def test_the_state_of_rest_gives_the_record_from_rest(model: Model):
     np.testing.assert_allclose(given.flight_time, plain.flight_time, atol=1e-9)
 
 
-def test_a_state_at_rest_is_rest_to_the_last_bit():
-    assert_same_bytes(
-        dropped(np.tile(REST, (3, 1))), run(*(np.full(3, x) for x in CELL), settle=400, observe=40)
-    )
-
-
 def test_lanes_and_one_by_one_agree_and_so_does_every_division_of_the_starts():
     """With exponents cells are computed one by one; the height and the phase decide the attractor."""
     states = drops(6, 6)
@@ -57,14 +50,6 @@ def test_lanes_and_one_by_one_agree_and_so_does_every_division_of_the_starts():
     np.testing.assert_allclose(lanes.flight_time, single.flight_time, atol=1e-9)
     parts = [dropped(states[:7]), dropped(states[7:])]
     assert_same_bytes(lanes, Line(*(np.concatenate(pair) for pair in zip(*parts, strict=True))))
-
-
-def test_a_run_goes_on_from_the_end_of_another():
-    states = drops(4, 4)
-    first = dropped(states, settle=10, observe=10)
-    again = dropped(first.end_state, settle=380, observe=40)
-    whole = dropped(states, settle=400, observe=40)
-    np.testing.assert_allclose(again.flight_time[:, -5:], whole.flight_time[:, -5:], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -78,8 +63,3 @@ def test_a_run_goes_on_from_the_end_of_another():
 def test_wrong_states_are_refused(states: np.ndarray, rule: str):
     with pytest.raises(KernelInputError, match=rule):
         run(np.ones(3), 0.5, 0.26, states=states)
-
-
-def test_states_and_a_carried_state_exclude_each_other():
-    with pytest.raises(KernelInputError, match="give `start`"):
-        run(np.ones(3), 0.5, 0.26, states=np.zeros((3, 6)), carry=True)

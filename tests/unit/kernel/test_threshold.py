@@ -35,25 +35,9 @@ def test_eq_25_and_eq_24_are_the_onset(omega, xi):
 
 
 @for_each("xi", XI)
-def test_one_at_the_square_root_of_four_thirds_for_every_damping(xi):
-    assert threshold(math.sqrt(4.0 / 3.0), xi) == pytest.approx(1.0, abs=1e-12)
-
-
-@for_each("xi", XI)
 def test_closed_forms_at_resonance_and_at_the_square_root_of_two(xi):
     assert threshold(1.0, xi) == pytest.approx(4.0 * xi / math.sqrt(1.0 + 16.0 * xi**2), rel=1e-13)
     assert threshold(math.sqrt(2.0), xi) == pytest.approx(math.sqrt(1.0 + 1.0 / (8.0 * xi**2)), rel=1e-13)
-
-
-@for_each("xi", XI)
-def test_limits(xi):
-    assert threshold(1e-8, xi) == pytest.approx(1.0, abs=1e-9)
-    assert threshold(1e9, xi) == pytest.approx(2.0, abs=1e-9)
-
-
-def test_undamped():
-    assert threshold(1.0, 0.0) == 0.0
-    assert threshold(np.sqrt(2.0), 0.0) > 1e7  # infinite, but for the rounding of the root of two
 
 
 @for_each("xi", [0.0, 0.01, 0.05, 0.2, 0.3])
@@ -72,24 +56,9 @@ def test_extrema(xi):
         assert optimum.x == pytest.approx(maximum, abs=1e-5)
 
 
-def test_no_maximum_beyond_the_root_of_a_sixth():
-    omega = np.linspace(1.2, 300.0, 100_000)
-    assert np.all(np.diff(threshold(omega, 1.0 / math.sqrt(6.0) + 1e-3)) > 0.0)
-    assert np.any(np.diff(threshold(omega, 1.0 / math.sqrt(6.0) - 1e-2)) < 0.0)
-
-
 def test_facts():
     for which in ("least", "most"):
         omega, gamma = FACTS["extrema"][which]
         assert threshold(omega, FACTS["extrema"]["xi"]) == pytest.approx(gamma, abs=1e-5)
     for omega, gamma in FACTS["not_one_at_xi_one"]:
         assert threshold(omega, 1.0) == pytest.approx(gamma, abs=5e-4)
-
-
-def test_arrays_broadcast():
-    omega, xi = np.linspace(0.1, 3.0, 7), np.array([[0.01], [0.2]])
-    whole = threshold(omega, xi)
-    assert whole.shape == (2, 7)
-    assert whole.dtype == np.float64
-    assert whole[1, 3] == threshold(omega[3], 0.2)
-    assert np.all((takeoff_phase(omega, xi) >= 0.0) & (takeoff_phase(omega, xi) < 2.0 * np.pi))

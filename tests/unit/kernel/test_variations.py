@@ -181,12 +181,3 @@ def test_jacobians_through_events_are_those_of_the_motion(setting):
         if compared == EVENTS:
             break
     assert compared == EVENTS
-
-
-def test_the_settings_have_landings_that_stick_and_landings_that_take_off_at_once():
-    kinds = set()
-    for setting in list(SETTINGS.values())[:2]:
-        cell = cell_of(setting)
-        for here, span in spans(cell, EVENTS, skip=50):
-            kinds.add(tuple(moved(cell, here, span)[1]))
-    assert kinds == {(True, False), (False, True), (True, True)}

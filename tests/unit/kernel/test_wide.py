@@ -23,7 +23,6 @@ from kernel.models.ball import BallPlate
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Outcome
 from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
-from kernel.threshold import threshold
 
 ENDED = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST, Outcome.SETTLING)
 
@@ -191,30 +190,6 @@ def test_time_steps_are_those_of_their_twin(case):
 
 
 # --- lanes ----------------------------------------------------------------------------------
-
-
-@given(
-    gamma=powers(-3.0, 2.0), omega=powers(-2.0, 3.0),
-    xi=st.one_of(st.sampled_from([0.0, math.sqrt(0.5), 1.0]), powers(-3.0, 3.0)),
-    epsilon=st.one_of(st.just(0.0), st.floats(0.0, 0.9)),
-)  # fmt: skip
-@examples(300)
-def test_lanes_say_what_the_scalar_functions_say(gamma, omega, xi, epsilon):
-    """The first flights: what differs is rounding, or a graze, which differs by its square root.
-
-    Not at Gamma = 2, where rounding decides whether a spring at rest already flies, nor next to the
-    threshold, where it decides how long a flight is.
-    """
-    onset = float(threshold(omega, xi))
-    assume(abs(gamma - onset) > 1e-3 * onset)
-    lanes, alone = (
-        run(gamma, omega, xi, restitution=epsilon, settle=0, observe=2, keep=8192, in_lanes=in_lanes)
-        for in_lanes in (True, False)
-    )
-    long = [times[times > 1e-4][:4] for times in (recorded(lanes), recorded(alone))]
-    assert len(long[0]) == len(long[1])
-    np.testing.assert_allclose(long[0], long[1], rtol=1e-4, atol=1e-5)
-    assert (lanes.outcome[0] == Outcome.AT_REST) == (alone.outcome[0] == Outcome.AT_REST)
 
 
 # --- cost -----------------------------------------------------------------------------------

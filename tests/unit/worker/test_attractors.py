@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from scipy.stats import ks_2samp
-from tables import for_each
 
 from kernel.params import STATE_FIELDS, Line, Outcome, empty_line
 from worker.basins import attractors
-from worker.basins.attractors import Attractor, Found, Request, Rules, counted, find, ks_distance
+from worker.basins.attractors import Found, Request, Rules, find, ks_distance
 
 WHICH, ELAPSED, START = (STATE_FIELDS.index(name) for name in ("gap", "gap_velocity", "elongation"))
 
@@ -109,31 +108,6 @@ def test_cycles_and_rest_are_followed_by_representatives_and_recorded():
     ]
 
 
-def test_at_most_four_of_a_group_run_on():
-    found, asked = searched([0] * 9, REST)
-    assert found.ids.tolist() == [1] * 9
-    assert [request[0] for request in asked] == [9, 4, 1]
-
-
-def test_starts_are_run_in_blocks():
-    found, asked = searched([0] * (attractors.BLOCK + 2), REST)
-    assert asked[:2] == [(attractors.BLOCK, 100, 20, 256, 0), (2, 100, 20, 256, 0)]
-    assert (found.ids == 1).all()
-
-
-def test_settling_starts_go_on_their_periods_doubled_until_they_are_on_a_cycle():
-    slow = turning(400, always(Outcome.SETTLING, (1.1, 1.9)), cycle(1.0, 2.0))
-    found, asked = searched([0, 0], slow)
-    assert found.ids.tolist() == [1, 1]
-    assert asked == [
-        (2, 100, 20, 256, 0),
-        (2, 60, 60, 256, 0),  # to 240
-        (2, 120, 120, 256, 0),  # to 480, where the cycle shows
-        (2, 600, 120, 256, 0),  # the representatives to 1200
-        (1, 0, 20, 8, 0),
-    ]
-
-
 def test_what_settles_to_the_end_belongs_to_the_cycle_that_its_flights_are_near():
     slow, other = (always(Outcome.SETTLING, flights) for flights in ((1.01, 1.99), (3.0,)))
     found, asked = searched([0, 1, 2], cycle(1.0, 2.0), slow, other)
@@ -148,19 +122,6 @@ def test_what_settles_to_the_end_belongs_to_the_cycle_that_its_flights_are_near(
         (2, 120, 120, 256, 0),  # to 1200
         (1, 0, 20, 8, 0),
     ]
-
-
-def test_what_settles_may_be_near_a_cycle_of_one_flight_but_not_near_rest():
-    found, _ = searched([0, 1, 2], REST, cycle(1.0), always(Outcome.SETTLING, (1.01, 0.99)))
-    assert found.ids.tolist() == [2, 1, 1]
-
-
-@pytest.mark.parametrize(("until", "last"), [(980, [(2, 0, 20, 256, 0)]), (979, [])])
-def test_starts_go_on_while_there_is_a_whole_window_left(until: int, last: list[Asked]):
-    """And no longer, where none is known to end."""
-    found, asked = searched([0, 0], always(Outcome.SETTLING, (1.0,)), until=until, extends=True)
-    assert found.ids.tolist() == [0, 0]
-    assert asked == [(2, 100, 20, 256, 0), *((2, n, n, 256, 0) for n in (60, 120, 240)), *last]
 
 
 def test_a_group_whose_representatives_end_apart_goes_on_until_it_is_two():
@@ -197,16 +158,6 @@ def test_cycles_of_one_mode_are_one_if_their_flights_are(flights: tuple[float, .
     assert set(found.ids.tolist()) == set(range(1, count + 1))
 
 
-def test_cycles_whose_flights_differ_by_just_a_ten_thousandth_are_one():
-    found, _ = searched([0, 1], cycle(1e-4), cycle(2e-4), micro_flight=0.0)
-    assert found.ids.tolist() == [1, 1]
-
-
-def test_cycles_with_the_same_sum_and_extremes_are_told_apart():
-    found, _ = searched([0, 1], cycle(1.0, 2.0, 4.0, 5.0), cycle(1.0, 2.0 + 7e-4, 4.0 - 7e-4, 5.0))
-    assert sorted(found.ids.tolist()) == [1, 2]
-
-
 @pytest.mark.parametrize("other", [cycle(1.0, 2.0, periods=2), cycle(1.0, 2.0, 2.0, 1.0), cycle(1.5, 1.5)])
 def test_cycles_of_other_modes_or_flights_are_others(other: Motion):
     found, _ = searched([0, 1], cycle(1.0, 2.0), other)
@@ -235,12 +186,6 @@ def test_aperiodic_starts_do_not_go_on_where_none_leaves():
         (3, 20, 2000, 2048, 0),  # their distribution
         (1, 0, 20, 8, 0),
     ]
-
-
-def test_motion_that_settles_before_it_is_aperiodic_does_not_end():
-    found, _ = searched([0, 0], turning(400, always(Outcome.SETTLING, (1.5,)), CHAOS))
-    assert found.ids.tolist() == [1, 1]
-    assert np.isinf(found.attractors[0].lifetime)
 
 
 def test_two_distributions_are_two_attractors():
@@ -279,61 +224,11 @@ def test_motion_that_ends_is_followed_and_has_a_lifetime():
     ]  # fmt: skip
 
 
-def test_motion_that_ends_is_followed_once_more_if_that_is_worth_it():
-    """To a thousandth of the starts: ln 750 times the lifetime of 840, 5561 plate periods."""
-    found, asked = searched([0, 1, 1, 1], LEAVING, CHAOS, extends=True)
-    assert found.ids.tolist() == [2, 1, 1, 1]
-    assert asked[10:] == [
-        (3, 5541, 20, 256, 0),
-        (3, 600, 600, 256, 0), (3, 4341, 20, 256, 0),  # to 2400
-        (3, 1200, 1200, 256, 0), (3, 1941, 20, 256, 0),  # to 4800
-        (3, 981, 980, 256, 0), (3, 20, 20, 256, 0),  # to 6761, the end
-        (3, 20, 2000, 2048, 0), (2, 0, 20, 8, 0),
-    ]  # fmt: skip
-
-
-def test_motion_is_followed_beyond_the_end_only_after_the_last_window():
-    _, asked = searched([0, 0, 0, 1], turning(500, CHAOS, cycle(4.0)), CHAOS, until=980, extends=True)
-    assert (1, 0, 20, 256, 0) in asked  # to 980
-
-
-def test_motion_that_first_ends_after_the_end_has_the_lifetime_of_two_windows():
-    """Of three that are left at 1200, one is on a cycle 40 plate periods later."""
-    found, _ = searched([0, 1, 2, 2], LEAVING, turning(1210, CHAOS, cycle(5.0)), CHAOS)
-    assert found.ids.tolist() == [2, 1, 1, 1]
-    assert found.attractors[0].lifetime == pytest.approx(40 * 2.5)
-
-
-def test_motion_that_ends_is_worth_following_to_a_thousandth_of_all_starts():
-    def worth(starts: int, lifetime: float) -> int:
-        search = attractors._Search(np.zeros((2000, len(STATE_FIELDS))), RULES, lambda *_: {})
-        return search._worth(starts, 1.0 / lifetime)
-
-    assert worth(2000, 100.0) == 691  # ln 1000 lifetimes
-    assert worth(4, 100.0) == 70
-    assert worth(2, 100.0) == worth(1, 100.0) == 0
-    assert worth(2000, 700.0) == 0  # 4836 plate periods of all starts are more than 4 * 1200
-
-
-def test_motion_that_ends_is_left_where_following_it_costs_too_much():
-    """Of 8 starts 7 remain: 0.875 * ln 875 lifetimes of 1800 are more than 4 * 1200."""
-    found, asked = searched([0, *[1] * 7], LEAVING, CHAOS, extends=True)
-    assert found.attractors[0].lifetime == pytest.approx(240 * 7.5)
-    assert asked[10:] == [(7, 20, 20, 256, 0), (7, 20, 2000, 2048, 0), (2, 0, 20, 8, 0)]
-
-
 def test_what_seems_to_settle_joins_the_distribution_that_it_has():
     slow, other = (always(Outcome.SETTLING, flights) for flights in (spread(1.0, 2.0), (9.0,) * 70))
     found, asked = searched([0, 1, 2], CHAOS, slow, other)
     assert found.ids.tolist() == [1, 1, 0]
     assert asked[-2:] == [(2, 0, 20, 256, 0), (1, 0, 20, 8, 0)]
-
-
-def test_what_settles_near_a_cycle_is_not_looked_at_again_for_the_sake_of_aperiodic_starts():
-    slow = always(Outcome.SETTLING, (1.01, 1.99))
-    found, asked = searched([0, 1, 2], cycle(1.0, 2.0), slow, CHAOS)
-    assert found.ids.tolist() == [1, 1, 2]
-    assert (1, 0, 20, 256, 0) not in asked
 
 
 def test_a_cycle_of_many_flights_joins_the_distribution_that_it_has():
@@ -356,58 +251,7 @@ def test_aperiodic_runs_that_turn_out_to_repeat_are_a_cycle(starts: int):
     assert not len(attractor.phases)
 
 
-@pytest.mark.parametrize("outcome", [Outcome.DIVERGED, Outcome.UNRESOLVED])
-def test_aperiodic_starts_of_which_nothing_remains_are_undecided(outcome: Outcome):
-    found, _ = searched([0, 0], turning(2000, CHAOS, always(outcome, spread(1.0, 2.0))))
-    assert (found.ids.tolist(), found.attractors) == ([0, 0], ())
-
-
-@pytest.mark.parametrize(("flights", "ids"), [((1.5,), [0, 0]), ((1.5, 1.6), [1, 1])])
-def test_two_flights_are_a_distribution(flights: tuple[float, ...], ids: list[int]):
-    found, _ = searched([0, 0], turning(2000, CHAOS, always(Outcome.APERIODIC, flights)))
-    assert found.ids.tolist() == ids
-
-
 # Parts
-
-
-def line_of(*rows: Sequence[float], bounces: int = 0, outcome: Outcome = Outcome.APERIODIC) -> Line:
-    """Runs with these flights, the take-off phases a tenth of them."""
-    line = empty_line(len(rows), max(map(len, rows)))
-    for i, row in enumerate(rows):
-        line.flight_time[i, : len(row)] = row
-        line.takeoff_phase[i, : len(row)] = np.array(row) / 10
-    line.outcome[:], line.bounces[:], line.periods[:] = outcome, bounces, bounces
-    return line
-
-
-def test_short_flights_count_only_where_there_are_no_others():
-    line = line_of([1.0, 0.05, 2.0, 0.04], [0.05, 0.01])
-    assert [flights.tolist() for flights in counted(line, 0, 0.05)] == [[1.0, 2.0], [0.1, 0.2]]
-    assert [flights.tolist() for flights in counted(line, 1, 0.05)] == [[0.05, 0.01], [0.005, 0.001]]
-
-
-def test_of_a_run_on_a_cycle_the_sums_of_its_last_round_are_kept():
-    kept = attractors._reduced(line_of([9.0, 1.0, 0.01, 2.0], bounces=2, outcome=Outcome.PERIODIC), 0.05)
-    assert kept["cycle"].tolist() == [[3.0, 5.0, 1.0, 2.0]]
-    assert kept["time"].shape == kept["phase"].shape == (0, attractors.START_FLIGHTS)
-
-
-def test_of_a_run_without_a_cycle_the_last_flights_are_kept():
-    flights = (1.0 + np.arange(70) / 100).tolist()
-    kept = attractors._reduced(line_of(flights, [1.0, 2.0]), 0.05)
-    assert kept["cycle"].tolist() == [[0.0] * 4] * 2
-    np.testing.assert_array_equal(kept["time"][0], np.array(flights[-64:], np.float32))
-    np.testing.assert_array_equal(kept["time"][1, :3], [1.0, 2.0, np.nan])
-    np.testing.assert_array_equal(kept["phase"][1, :3], np.array([0.1, 0.2, np.nan], np.float32))
-    assert kept["time"].shape == kept["phase"].shape == (2, 64)
-
-
-def test_representatives_are_evenly_spaced():
-    which = np.arange(10, 20)
-    assert attractors._spread(which, 4).tolist() == [10, 13, 16, 19]
-    assert attractors._spread(which[:2], 4).tolist() == [10, 11]
-    assert attractors._spread(which, 1).tolist() == [10]
 
 
 def test_distances_are_those_of_kolmogorov_and_smirnov():
@@ -427,73 +271,3 @@ def test_distances_are_those_of_kolmogorov_and_smirnov():
         assert distance == pytest.approx(max(expected), abs=1e-12)
         if len(row):
             assert [ks_distance(a, b) for a, b in pairs] == pytest.approx(expected, abs=1e-12)
-
-
-@for_each(
-    ("flights", "distance"),
-    [
-        ((0.5, 9.0, 9.0, 9.0), 0.75),
-        ((1.5, 1.5, 1.5, 9.0), 0.5),
-        ((0.0, 0.0, 0.0, 1.5), 0.75),
-        ((9.0,), 1.0),
-        ((0.0,), 1.0),
-    ],
-)
-def test_distances_are_looked_for_on_both_sides(flights: tuple[float, ...], distance: float):
-    rows, pool = np.array([flights]), np.array([1.0, 1.25, 1.75, 2.0])
-    found = attractors._distance_of_rows(rows, np.zeros_like(rows), pool, np.zeros(4))
-    assert found.tolist() == [distance]
-
-
-def test_starts_on_cycles_are_grouped_by_flights_within_the_same_step():
-    """Chains of little steps are one group, which ends at a step of more than 1e-4, and its like in sums."""
-
-    def grouped(*cycles: tuple[float, ...]) -> list[list[int]]:
-        ends = attractors._Ends.empty(len(cycles))
-        ends.outcome[:] = Outcome.PERIODIC
-        for i, flights in enumerate(np.array(cycle) for cycle in cycles):
-            ends.bounces[i] = ends.periods[i] = len(flights)
-            ends.cycle[i] = flights.sum(), (flights * flights).sum(), flights.min(), flights.max()
-        return sorted(group.tolist() for group in attractors._alike(ends, np.arange(len(cycles))))
-
-    assert grouped((1.0,), (1.0 + 1.8e-4,), (1.0 + 0.9e-4,)) == [[0, 1, 2]]
-    assert grouped((1.0,), (1.0 + 1.2e-4,)) == [[0], [1]]
-    assert grouped((1e-4,), (2e-4,)) == [[0, 1]]
-    assert grouped((1.0, 2.0), (3.0,), (1.0, 2.0)) == [[0, 2], [1]]
-    sums = [(0.1, 0.2 + step, 0.4 - step, 0.5) for step in (0.0, 8e-4, 10e-4)]  # squares differ by 0.4 step
-    assert grouped(sums[0], sums[1]) == [[0, 1]]
-    assert grouped(sums[0], sums[2]) == [[0], [1]]
-
-
-def test_distributions_agree_within_what_two_halves_differ_by():
-    def features(x: np.ndarray) -> tuple[np.ndarray, ...]:
-        return x, np.zeros(len(x)), np.zeros(len(x))
-
-    x = np.arange(32.0)
-    shifted = {n: features(np.concatenate([x[n:], x[:n] + 100.0])) for n in (1, 2, 3)}
-    for n, noise, agree in [
-        (1, 0.0, True),
-        (2, 0.0, False),
-        (2, 0.05, True),
-        (3, 0.05, False),
-        (3, 0.0625, True),
-    ]:
-        assert attractors._agree(features(x), shifted[n], noise, 0.0) is agree
-        assert attractors._agree(features(x), shifted[n], 0.0, noise) is agree
-    assert not attractors._agree((x, x, x), (x, x, x + 100.0), 0.0, 0.0)
-
-
-def test_samples_are_linked_if_the_halves_of_one_differ_as_much():
-    def linked(*flights: list[float]) -> list[list[int]]:
-        samples = [attractors._Sample(np.array(x), np.zeros(12), np.zeros(6), (0, 0)) for x in flights]
-        return attractors._linked(samples)
-
-    alike, other = [1.0, 1.0, 1.0, 1.0, 2.0, 2.0] * 2, [1.0, 1.0, 1.0, 2.0, 2.0, 2.0] * 2
-    assert linked(alike, other) == [[0], [1]]
-    assert linked(sorted(alike), other) == [[0, 1]]
-
-
-def test_the_key_of_an_attractor_tells_mode_and_longest_flights():
-    flights = np.arange(20.0)
-    attractor = Attractor(1, 20, 7, flights, np.empty(0), np.zeros(6))
-    assert attractor.key == (1, 20, 7, *flights[::-1][:16])

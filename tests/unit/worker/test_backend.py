@@ -2,14 +2,13 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from tables import for_each
 
 from worker import store
-from worker.store import backend, checkpoints
+from worker.store import backend
 
 
 @pytest.fixture
@@ -25,9 +24,6 @@ def below(folder: str | Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in Path(folder).rglob("*")}
 
 
-# Addresses
-
-
 def test_addresses_that_no_store_can_have_are_refused(url: str):
     backend.check_address(url)
     backend.check_address("s3://bucket/prefix")
@@ -38,15 +34,6 @@ def test_addresses_that_no_store_can_have_are_refused(url: str):
             backend.check_address(wrong)
     assert backend.in_bucket("s3://bucket/prefix") is True
     assert backend.in_bucket(url) is False
-
-
-# Reading
-
-
-@pytest.mark.parametrize("key", ["a", "folder/b"])
-def test_a_key_is_read(url: str, key: str):
-    assert backend.read_key(url, key) == b"0123456789"
-    assert backend.read_parts(url, key, [(2, 3), (0, 1)]) == [b"234", b"0"]
 
 
 @pytest.mark.parametrize("key", ["c", "folder", "folder/c", "a/b", "none/c"])
@@ -86,9 +73,6 @@ def test_parts_count_from_either_end(url: str, span: tuple[int, int], part: byte
     assert backend.read_parts(url, "a", [span]) == [part]
 
 
-# Writing
-
-
 def test_a_key_is_written_whole_or_not_at_all(url: str):
     backend.put(url, "folder/b", b"new")
     backend.put(url, "c", b"")
@@ -98,49 +82,6 @@ def test_a_key_is_written_whole_or_not_at_all(url: str):
         with pytest.raises(error):
             backend.put(url, key, b"new")
     assert below(url) == before
-
-
-def test_a_partial_file_gets_its_key(url: str):
-    backend.make_partial_folder(url)
-    backend.make_partial_folder(url)
-    umask = os.umask(0o022)
-    try:
-        partial = backend.write_partial(url, b"content")
-    finally:
-        os.umask(umask)
-    assert partial.parent == Path(url, ".partial")
-    assert partial.stat().st_mode & 0o777 == 0o644
-    assert partial.read_bytes() == b"content"
-    backend.place(url, partial, "a")
-    assert backend.read_key(url, "a") == b"content"
-    for key in ("x/y/z", "x/y/w"):
-        backend.place(url, backend.write_partial(url, b"deep"), key)
-        assert backend.read_key(url, key) == b"deep"
-    assert list(Path(url, ".partial").iterdir()) == []
-
-
-def test_the_folder_of_partial_files_is_made_again_and_the_store_is_not(url: str, tmp_path: Path):
-    assert backend.write_partial(url, b"content").parent == Path(url, ".partial")
-    with pytest.raises(FileNotFoundError):
-        backend.write_partial(str(tmp_path / "removed"), b"content")
-    with pytest.raises(FileNotFoundError):
-        backend.place(str(tmp_path / "removed"), backend.write_partial(url, b"content"), "a/b")
-    assert not (tmp_path / "removed").exists()
-    backend.make_partial_folder(str(tmp_path / "new" / "store"))
-    assert below(tmp_path / "new") == {"store", "store/.partial"}
-
-
-def test_sizes_are_those_of_files_directly_in_a_folder(url: str):
-    Path(url, "folder", "deeper").mkdir()
-    Path(url, "folder", "deeper", "c").write_bytes(b"01")
-    Path(url, "folder", "empty").touch()
-    Path(url, "folder", "link").symlink_to(Path(url, "a"))
-    Path(url, "folder", "nowhere").symlink_to(Path(url, "none"))
-    assert dict(backend.sizes_in(url, "folder")) == {"b": 10, "empty": 0}
-    assert dict(backend.sizes_in(url, "none")) == {}
-
-
-# Folders
 
 
 def test_places_are_made_and_told_from_those_that_cannot_be_written_to(url: str, tmp_path: Path):
@@ -154,15 +95,6 @@ def test_places_are_made_and_told_from_those_that_cannot_be_written_to(url: str,
     assert backend.names_in(place) == backend.names_in(str(tmp_path / "none")) == []
 
 
-def test_keys_and_folders_are_removed(url: str, tmp_path: Path):
-    for _ in range(2):
-        backend.delete(url, "folder/b")
-        assert below(url) == {"a", "folder"}
-    for _ in range(2):
-        backend.remove(url)
-        assert below(tmp_path) == set()
-
-
 def test_a_folder_is_renamed_for_deletion_also_after_one_that_was_interrupted(url: str, tmp_path: Path):
     renamed = tmp_path / "deleted"
     (renamed / "earlier").mkdir(parents=True)
@@ -172,29 +104,6 @@ def test_a_folder_is_renamed_for_deletion_also_after_one_that_was_interrupted(ur
     assert (renamed / "a").exists()
 
 
-def test_the_time_of_creation_is_that_of_the_root(url: str, tmp_path: Path):
-    assert backend.created_at(url) is backend.created_at(str(tmp_path / "none")) is None
-    assert backend.created_at(str(tmp_path / "store" / "a")) is None
-    Path(url, "zarr.json").touch()
-    os.utime(Path(url, "zarr.json"), (1e9, 1.5e9))
-    assert backend.created_at(url) == 1.5e9
-
-
-def test_a_flag_is_set_and_cleared(tmp_path: Path):
-    flag = str(tmp_path / "deep" / "deeper" / "flag")
-    assert backend.has_flag(flag) is False
-    for _ in range(2):
-        backend.put_flag(flag)
-        assert backend.has_flag(flag) is True
-        assert Path(flag).read_bytes() == b""
-    for _ in range(2):
-        backend.clear_flag(flag)
-        assert backend.has_flag(flag) is False
-
-
-# Markers
-
-
 def test_a_marker_is_read_as_it_was_written(tmp_path: Path):
     place = str(tmp_path / "stores")
     assert store.read_marker(place) is None
@@ -202,27 +111,6 @@ def test_a_marker_is_read_as_it_was_written(tmp_path: Path):
     assert store.read_marker(place) == "ours"
     (tmp_path / "stores" / store.MARKER).write_bytes(b"\xff")
     assert store.read_marker(place) == "\ufffd"
-
-
-# Specifications
-
-
-def test_a_specification_is_kept_under_its_digest(url: str):
-    digest = store.write_spec(url, '{"name": "ä"}')
-    assert len(digest) == 64
-    file = Path(url, f".spec-{digest[:16]}")
-    os.utime(file, (1e9, 1e9))
-    assert store.write_spec(url, '{"name": "ä"}') == digest
-    assert file.stat().st_mtime == 1e9  # it stays
-    assert store.read_spec(url, digest) == '{"name": "ä"}'
-    assert store.read_spec(url, "0" * 64) is None
-    file.write_text("{}")
-    assert store.read_spec(url, digest) is None
-    assert store.write_spec(url, '{"name": "ä"}') == digest
-    assert store.read_spec(url, digest) == '{"name": "ä"}'
-
-
-# Checkpoints
 
 
 def test_a_checkpoint_is_kept_until_it_is_removed(url: str):
@@ -259,14 +147,4 @@ def test_a_checkpoint_that_was_changed_is_none(url: str, at: int):
 def test_a_checkpoint_of_objects_is_none(url: str):
     """Its arrays would be unpickled, and that can run any code."""
     store.write_checkpoint(url, 7, {"lines": np.array([{}], object)})
-    assert store.read_checkpoint(url, 7) is None
-
-
-@pytest.mark.parametrize("content", [b"no archive", b"PK\x03\x04"])
-def test_a_checkpoint_of_another_kind_is_none(url: str, monkeypatch: pytest.MonkeyPatch, content: bytes):
-    def save(file: Any, **_: Any) -> None:
-        file.write(content)
-
-    monkeypatch.setattr(checkpoints.np, "savez", save)
-    store.write_checkpoint(url, 7, {})
     assert store.read_checkpoint(url, 7) is None

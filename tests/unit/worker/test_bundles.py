@@ -1,22 +1,17 @@
 """Tasks submitted together, and specifications sent once."""
 
 import asyncio
-import math
-import pickle
 from pathlib import Path
 from typing import Any
 
 import pytest
-from studies import BASINS, MULTISTABILITY
 
 from worker import store
 from worker.executors import sent_specs
 from worker.executors.bundles import Bundles, Call
 from worker.executors.sent_specs import Reference, SentSpecs
-from worker.plan import make_plan
 from worker.spec import SweepSpec
-from worker.studies import parse, study_of
-from worker.tasks import TERMS, Terms, on_terms, run_chunk
+from worker.studies import study_of
 
 
 def small_spec(**more: Any) -> SweepSpec:
@@ -106,52 +101,3 @@ def test_a_short_one_is_sent_whole_and_so_is_one_that_cannot_be_written(long_spe
     short = small_spec()
     assert SentSpecs().sent(short, stored(short, tmp_path)) is short
     assert SentSpecs().sent(long_spec, str(tmp_path / "nowhere.zarr")) is long_spec
-
-
-def test_a_specification_that_is_just_not_long_is_sent_whole(
-    long_spec: SweepSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    url, size = stored(long_spec, tmp_path), len(pickle.dumps(long_spec))
-    monkeypatch.setattr(sent_specs, "LONG_BYTES", size)
-    assert SentSpecs().sent(long_spec, url) is long_spec
-    monkeypatch.setattr(sent_specs, "LONG_BYTES", size - 1)
-    assert isinstance(SentSpecs().sent(long_spec, url), Reference)
-
-
-def test_what_was_sent_is_remembered_of_so_many_jobs(
-    long_spec: SweepSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(sent_specs, "REMEMBERED", 2)
-    first, second, third = (stored(long_spec, tmp_path / name) for name in "abc")
-    specs = SentSpecs()
-    sent = {url: specs.sent(long_spec, url) for url in (first, second)}
-    assert all(specs.sent(long_spec, url) is sent[url] for url in (first, second))
-    specs.sent(long_spec, third)
-    assert specs.sent(long_spec, second) is sent[second]
-    again = specs.sent(long_spec, first)
-    assert again == sent[first]
-    assert again is not sent[first]
-
-
-@pytest.mark.parametrize("data", [BASINS, MULTISTABILITY], ids=["basins", "multistability"])
-def test_every_study_is_the_same_after_it_was_sent(data: dict[str, Any], tmp_path: Path, monkeypatch: Any):
-    monkeypatch.setattr(sent_specs, "LONG_BYTES", 0)
-    spec = parse(data)
-    sent = SentSpecs().sent(spec, stored(spec, tmp_path))
-    assert isinstance(sent, Reference)
-    assert sent_specs._read(sent) == spec
-
-
-# Terms
-
-
-def test_a_chunk_that_begins_looks_for_no_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    spec, looked = small_spec(), []
-    url, [chunk, *_] = stored(spec, tmp_path), make_plan(spec)
-    monkeypatch.setattr(store, "read_checkpoint", lambda *given: looked.append(given))
-    with on_terms(Terms(begins=True)):
-        run_chunk(spec, chunk, url)
-    assert not looked
-    assert TERMS.get() == Terms()
-    run_chunk(spec, chunk, url, math.inf)
-    assert len(looked) == 1

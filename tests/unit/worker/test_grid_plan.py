@@ -30,25 +30,6 @@ def test_blocks_partition_the_grid_in_order(plan: GridPlan):
     assert plan.lines == len(plan) == math.prod(plan.counts)
 
 
-@given(grids)
-def test_a_block_is_found_by_its_place(plan: GridPlan):
-    for block in plan:
-        place = [low // size for (low, _), size in zip(block.spans, plan.chunk_shape, strict=True)]
-        assert plan.number(*place) == block.index
-
-
-def test_the_last_block_along_an_axis_may_be_shorter():
-    plan = GridPlan((5, 3), (2, 9))
-    assert plan.chunk_shape == (2, 3)
-    assert plan.counts == (3, 1)
-    assert list(plan) == [
-        Block(0, ((0, 2), (0, 3))),
-        Block(1, ((2, 4), (0, 3))),
-        Block(2, ((4, 5), (0, 3))),
-    ]
-    assert plan[2].after is None
-
-
 def test_a_plan_is_a_sequence():
     plan = GridPlan((2, 3), (1, 2))
     assert plan[-1] == plan[3] == Block(3, ((1, 2), (2, 3)))

@@ -10,25 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_runs import Model, run
 
-from kernel.params import KERNEL_VERSION, Line, Outcome, empty_line
+from kernel.params import Line
 from kernel.threshold import threshold
-from worker.analysis.deviation import LONGEST_CYCLE, deviations, percentile
-from worker.analysis.model_selection import (
-    CELLS,
-    MAX_FLIGHTS,
-    MAX_OBSERVE,
-    MAX_SETTLE,
-    ModelChoice,
-    ModelComparison,
-    _is_within,
-    _shortened,
-    choose,
-    is_open,
-    resolved,
-    sample,
-)
+from worker.analysis.deviation import deviations
+from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
 from worker.spec import SweepSpec
-from worker.spec.contact_models import Auto, Ball, Rigid, Soft
+from worker.spec.contact_models import Ball, Rigid, Soft
 
 RANGE = {"start": 1.0, "stop": 6.0, "num": 101}
 STIFF = {"restitution": 0.0, "penetration": 1e-6}
@@ -49,15 +36,13 @@ def percentiles(choice: ModelChoice) -> dict[str, float | None]:
 def test_a_stiff_contact_without_rebound_is_a_rigid_plate():
     choice = choose(sweep(1e-4, model=STIFF))
     assert choice.model == "rigid"
-    assert [row.model for row in choice.table] == ["ball", "rigid", "soft"]
-    assert all(row.cells == CELLS for row in choice.table)
+    assert [(row.model, row.cells) for row in choice.table] == [(m, CELLS) for m in ("ball", "rigid", "soft")]
     assert percentiles(choice)["rigid"] < 1e-5
     assert percentiles(choice)["ball"] > 1.0
     assert percentiles(choice)["soft"] == 0.0
     assert choice.reason.startswith(
         "rigid: the cheapest within 0.0001 rad of exact soft in 95% of the cells (48"
     )
-    assert all(0.0 < row.measured == round(row.measured, 3) for row in choice.table)
 
 
 def test_what_only_the_exact_contact_tells_takes_the_exact_contact():
@@ -72,12 +57,6 @@ def test_where_everything_rests_a_ball_will_do():
     assert choice.model == "ball"
     assert [row.resting for row in choice.table] == [20] * 3
     assert "(20 cells, 20 of them at rest, in closed form; 95th" in choice.reason
-
-
-def test_the_median_of_three_cells_is_that_of_the_second():
-    ball = choose(sweep(1e-2, gamma=[1.2, 1.5, 2.3])).table[0]
-    assert ball.cells == 3
-    assert 0.0 < ball.median < ball.percentile_95
 
 
 def test_what_rests_is_counted_by_each_model():
@@ -115,47 +94,6 @@ def test_ramps_are_compared_along_their_own_lines():
     assert choice.table[0].cells == 2 * 2 * 12
 
 
-@pytest.mark.parametrize(("percent", "within"), [(0.0, True), (1e-2, True), (1.01e-2, False), (None, False)])
-def test_a_model_holds_a_tolerance_that_it_just_reaches(percent: float | None, within: bool):
-    row = ModelComparison(model="ball", cost=1.0, measured=None, median=0.0, percentile_95=percent, cells=48)
-    assert _is_within(Auto(kind="auto", tolerance=1e-2), row) is within
-
-
-def test_windows_of_the_comparison_are_those_of_the_sweep_up_to_a_limit():
-    rigid = Rigid(kind="rigid")
-    short = _shortened(sweep(settle=300, observe=100, keep=64, settle_until=5000), rigid, 0.0)
-    assert (short.model, short.settle, short.observe, short.keep) == (rigid, 300, 100, 800)
-    assert (short.settle_until, short.settle_tolerance) == (None, 0.0)
-    long = _shortened(sweep(settle=9000, observe=5000), rigid, 1e-6)
-    assert (long.settle, long.observe, long.keep) == (MAX_SETTLE, MAX_OBSERVE, MAX_FLIGHTS)
-    assert long.settle_tolerance == 1e-6
-    ignored = [
-        _shortened(sweep(tolerance, micro_flight=0.03), rigid, 0.0).micro_flight
-        for tolerance in (0.01, 0.05, 0.5)
-    ]
-    assert ignored == [0.03, 0.05, 0.1]
-
-
-def test_only_a_sweep_with_auto_is_open():
-    assert is_open(sweep())
-    assert not is_open(SweepSpec(gamma=2.0, omega=0.5, xi=0.26, model={"kind": "rigid"}))
-    assert not is_open("auto")
-
-
-def test_settling_cut_short_is_harmless():
-    slow = {
-        "gamma": [0.3, 0.5],
-        "omega": 1.0,
-        "xi": 0.01,
-        "settle": 800,
-        "observe": 20,
-        "settle_early": False,
-    }
-    early = choose(sweep(1e-6, **slow, settle_tolerance=1e-9, model={"restitution": 0.0}))
-    assert 0.0 < percentiles(early)["soft"] < 1e-7
-    assert early.model == "soft"
-
-
 def test_cells_that_still_settle_are_compared_by_their_flights():
     """Both models have them: they are neither left out nor taken for failures."""
     slow = {"gamma": [3.667, 3.7], "omega": 1.288, "xi": 0.352, "settle": 200, "observe": 100}
@@ -180,15 +118,6 @@ def test_a_sweep_computed_with_its_choice_keeps_its_contact():
         choice = ModelChoice(model=kind, reason="", tolerance=1e-2, table=())
         assert resolved(spec, choice).model == model
         assert resolved(spec, choice).settle == spec.settle
-
-
-def test_a_tolerance_is_part_of_what_is_asked():
-    assert sweep(1e-2).job_id(KERNEL_VERSION) != sweep(1e-3).job_id(KERNEL_VERSION)
-
-
-def test_nothing_to_choose_where_a_model_is_named():
-    with pytest.raises(TypeError, match="the sweep's model is rigid: there is nothing to choose"):
-        choose(SweepSpec(gamma=2.0, omega=0.5, xi=0.26, model={"kind": "rigid"}))
 
 
 # The sample
@@ -241,12 +170,6 @@ def test_cycles_are_compared_flight_by_flight_wherever_they_begin():
     assert 1e-4 < between(one, soft) < 5e-3
 
 
-def test_a_cycle_and_its_double_are_laid_side_by_side():
-    """docs/model.md, section 5: (1,1) at Gamma = 1.5 and (2,2) at 2.3."""
-    expected = max(4.855013427295 - 3.722384327764, 6.284615845152 - 4.855013427295)
-    assert between(cell(1.5), cell(2.3)) == pytest.approx(expected, abs=1e-9)
-
-
 def test_a_hop_that_only_one_model_has_counts_whole():
     hopping, plain = cell(1.5, Model.SOFT, restitution=0.1), cell(1.5)
     hops = np.sort(hopping.flight_time[0, : hopping.bounces[0]])
@@ -284,68 +207,3 @@ def test_cells_without_an_answer_are_not_compared_and_do_not_pass():
     bad = good._replace(outcome=np.array([4], dtype=np.uint8))
     assert math.isnan(between(bad, good))
     assert between(good, bad) == math.inf
-
-
-def test_aperiodic_cells_without_flights_that_count_are_apart_only_if_the_other_has_some():
-    chaotic = cell(5.0, settle=50, observe=50)
-    assert chaotic.outcome[0] == Outcome.APERIODIC
-    longest = float(np.nanmax(chaotic.flight_time))
-    silent = chaotic._replace(flights=np.zeros_like(chaotic.flights))
-    assert deviations(chaotic, chaotic, 2.0 * longest).tolist() == [0.0]
-    assert deviations(silent, silent, 0.0).tolist() == [0.0]
-    assert deviations(chaotic, silent, 0.0).tolist() == [math.inf]
-    assert deviations(silent, chaotic, 0.0).tolist() == [math.inf]
-
-
-def written(
-    *flights: float, outcome: Outcome = Outcome.APERIODIC, bounces: int = 0, periods: int = 0
-) -> Line:
-    """One cell that shows these flights."""
-    line = empty_line(1, len(flights))
-    line.flight_time[0], line.flights[0], line.outcome[0] = flights, len(flights), outcome
-    line.bounces[0], line.periods[0] = bounces, periods
-    return line
-
-
-def test_distributions_differ_by_more_than_their_scatter():
-    """The quarters of 16 flights differ by 1 at most; of fewer flights no scatter is known."""
-    exact = written(*[1.0] * 12, *[2.0] * 4)
-    assert between(exact, written(4.0, 4.0)) == pytest.approx(3.0 - 2.25 * 1.0 / 2.0)
-    assert between(exact, written(1.5, 1.5)) == 0.0
-    assert between(written(*[1.0] * 12, *[2.0] * 3), written(4.0, 4.0)) == 3.0
-    assert between(exact, exact) == 0.0
-
-
-def test_flights_beyond_those_kept_and_short_ones_are_not_compared():
-    cut = written(0.1, 3.0, 3.0)
-    cut.flights[0] = 9
-    assert between(cut, written(5.0), 0.1) == 2.0
-    assert between(cut, written(5.0), 0.09) > 4.0
-    none = written(0.1)
-    assert between(none, none, 0.1) == 0.0
-
-
-def test_of_a_cycle_of_one_period_the_last_round_is_compared():
-    exact, other = (
-        written(*[first] * 10, *[1.0] * 10, outcome=Outcome.PERIODIC, bounces=1, periods=1)
-        for first in (1.0, 3.0)
-    )
-    assert between(exact, other) == 0.0
-
-
-@pytest.mark.parametrize(("periods", "deviation"), [(LONGEST_CYCLE, 2.0), (LONGEST_CYCLE + 1, 0.0)])
-def test_the_longest_cycles_are_compared_by_their_distribution(periods: int, deviation: float):
-    """One flight of a hundred differs."""
-    exact, other = (
-        written(*[1.0] * 99, last, outcome=Outcome.PERIODIC, bounces=100, periods=periods)
-        for last in (1.0, 3.0)
-    )
-    assert between(exact, other) == deviation
-
-
-def test_a_percentile_is_one_of_the_values_and_finite():
-    values = np.array([8.0, 1.0, 4.0, 2.0])
-    assert [percentile(values, percent) for percent in (0.0, 50.0, 100.0)] == [1.0, 4.0, 8.0]
-    assert percentile(np.array([1.0, np.inf]), 0.0) == 1.0
-    assert percentile(np.array([1.0, np.inf]), 50.0) is None
-    assert percentile(np.empty(0), 50.0) is None

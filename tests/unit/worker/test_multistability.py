@@ -11,38 +11,12 @@ import pytest
 import xarray
 
 from kernel.branches.events import Kind, fold_events
-from kernel.cell import rescale
-from kernel.params import Outcome, empty_line
-from worker import store, studies, tasks
-from worker.basins import steps
-from worker.basins.attractors import CYCLE_FLIGHTS
-from worker.basins.multistability import (
-    _ARRAYS,
-    CYCLE,
-    MAX_ATTRACTORS,
-    MULTISTABILITY,
-    NOT_STARTED,
-    NOWHERE,
-    Reached,
-    _Cells,
-    _further,
-    _groups,
-    _order,
-    _reached,
-    _reduced,
-    _run_on,
-    cell_cost,
-    make_plan,
-    run_chunk,
-)
-from worker.basins.schema import empty_record, sizes_of_attractors
+from kernel.params import Outcome
+from worker import store, tasks
+from worker.basins.multistability import MULTISTABILITY, run_chunk
 from worker.basins.spec import MultistabilitySpec
-from worker.basins.starts import starts_of
-from worker.basins.steps import line_run
-from worker.cost import cell_seconds, period_seconds
-from worker.plan import TARGET_SECONDS
 from worker.spec import SpecError
-from worker.tasks import ChunkCancelled, ChunkPaused
+from worker.tasks import ChunkPaused
 
 GOLDEN = json.loads((paths.GOLDEN / "multistability.json").read_text())
 
@@ -123,20 +97,6 @@ def test_a_cycle_ends_within_one_step_of_its_fold(tmp_path: Path):
     assert int(below.attractor_outcome[int(cell.next_down[bounce]) - 1]) == Outcome.AT_REST
 
 
-def test_what_drops_reach_runs_on_and_is_stored_as_it_is_after_a_second_window(tmp_path: Path):
-    spec = multistability(gamma=[1.5], omega=0.5, rows=1, columns=1, height=3.0, settle=12, observe=8)
-    stored = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0, gamma=0, id=0)
-    cell = tuple(np.array([value]) for value in (1.5, 0.5, 0.26))
-    window = {"settle": spec.settle, "observe": spec.observe, "settle_until": spec.until}
-    states = starts_of(spec, 1.0, 1.0, 0.0)
-    for is_last in (False, True):
-        run = line_run(spec, cell, states, keep=CYCLE_FLIGHTS, **window)
-        assert run.advance()
-        [end] = _reached(_reduced(run.line, spec.micro_flight, spec.keep))
-        states = end.state[None]
-        assert (stored.attractor_state.values == end.state).all() == is_last
-
-
 def test_an_attractor_that_no_drop_reaches_is_found_by_following(tmp_path: Path):
     """One drop a cell reaches one attractor; the neighbours' attractors seed the others."""
     spec = multistability(gamma=[3.5, 3.6, 3.7, 3.8], omega=0.5, rows=1, columns=1, height=3.0)
@@ -147,22 +107,6 @@ def test_an_attractor_that_no_drop_reaches_is_found_by_following(tmp_path: Path)
     assert float(followed.fraction[1]) == 0.0
     modes = {(int(followed.bounces[k]), int(followed.periods[k])) for k in range(2)}
     assert modes == {(3, 4), (1, 2)}
-
-
-def test_what_no_drop_has_found_is_stored_as_it_is_after_a_second_window(tmp_path: Path):
-    spec = multistability(gamma=[3.5, 3.6], omega=0.5, rows=1, columns=1, height=9.0, settle=20, observe=40)
-    line = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0)
-    assert int(line.next_up[0, 0]) == 2
-    assert float(line.fraction[1, 1]) == 0.0  # no drop has found it
-    state = line.attractor_state.values[0, 0].copy()
-    rescale(state, 3.5, 1.0, 3.6, 1.0)
-    cell = tuple(np.array([value]) for value in (3.6, 0.5, 0.26))
-    window = {"settle": spec.settle, "observe": spec.observe, "settle_until": spec.until}
-    for is_last in (False, True):
-        run = line_run(spec, cell, state[None], keep=CYCLE_FLIGHTS, **window)
-        assert run.advance()
-        state = run.line.end_state[0].copy()
-        assert (line.attractor_state.values[1, 1] == state).all() == is_last
 
 
 @pytest.mark.parametrize(
@@ -219,33 +163,6 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
         assert data[name].values.tobytes() == content, name
 
 
-def test_a_chunk_without_a_store_is_not_begun(tmp_path: Path):
-    spec = multistability()
-    with pytest.raises(store.StoreMissing):
-        run_chunk(spec, MULTISTABILITY.plan(spec)[0], str(tmp_path / "none.zarr"), 0.0)
-    assert not any(tmp_path.iterdir())
-
-
-def test_a_chunk_that_the_store_does_not_have_is_not_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    spec, url = multistability(), str(tmp_path / "a.zarr")
-    store.create(url, MULTISTABILITY.variables(spec, (1, 1, 3)))
-    monkeypatch.setattr(steps, "LineRun", None)
-    with pytest.raises(store.StoreConflict, match="spans omega 0 to 2, but chunks here are 1 long"):
-        run_chunk(spec, MULTISTABILITY.plan(spec, (1, 2, 3))[0], url)
-
-
-def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
-    spec, url = multistability(), str(tmp_path / "a.zarr")
-    plan = MULTISTABILITY.plan(spec)
-    store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
-    store.set_cancelled(url)
-    with pytest.raises(ChunkCancelled):
-        run_chunk(spec, plan[0], url)
-    assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
-
-
 @pytest.mark.parametrize(
     ("changes", "rule"),
     [
@@ -266,12 +183,6 @@ def test_lines_along_gamma_are_not_cut():
         MULTISTABILITY.plan(multistability(), (1, 1, 2))
 
 
-def test_the_specification_is_read_back_and_has_its_study():
-    spec = multistability(rows=3)
-    assert studies.parse(spec.as_submitted()) == spec
-    assert studies.study_of(spec) is MULTISTABILITY
-
-
 def test_cost_grows_with_the_drops_and_the_cells():
     def seconds(**fields: Any) -> float:
         spec = multistability(**fields)
@@ -279,123 +190,3 @@ def test_cost_grows_with_the_drops_and_the_cells():
 
     assert seconds(rows=8) > 1.5 * seconds()
     assert seconds(omega=[0.5, 0.52, 0.54, 0.56]) == pytest.approx(2.0 * seconds())
-
-
-def test_cost_is_that_of_every_run():
-    """Half of the drops run on, a dozen attractors are followed; each run may last until settle_until."""
-    spec = multistability(rows=3, columns=5, settle_until=2000)
-    plan = MULTISTABILITY.plan(spec, (1, 1, 3))
-    cost = MULTISTABILITY.estimate(spec, plan)
-    runs = 1.5 * 15 + 12
-    assert cell_cost(spec) == pytest.approx(runs * cell_seconds(spec.sweep()))
-    assert (cost.cells, cost.chunks) == (6, 2)
-    assert cost.core_seconds == pytest.approx(6 * runs * cell_seconds(spec.sweep()))
-    assert cost.longest_core_seconds == pytest.approx(6 * runs * period_seconds(spec.sweep()) * 2000)
-    whole = MULTISTABILITY.estimate(spec, MULTISTABILITY.plan(spec, (1, 2, 3)))
-    assert whole.longest_core_seconds == cost.longest_core_seconds
-    sizes = sizes_of_attractors(spec, MAX_ATTRACTORS)
-    record = empty_record(MULTISTABILITY.plan(spec, (1, 2, 3))[0], _ARRAYS, sizes)
-    assert cost.bytes == sum(array.nbytes for array in record.values())
-
-
-def test_a_chunk_is_as_many_lines_as_take_a_second():
-    spec = multistability(
-        gamma=[3.4, 3.5], omega=np.linspace(0.4, 0.6, 300).tolist(), rows=1, columns=1, settle=900
-    )
-    lines = TARGET_SECONDS / (2 * cell_cost(spec))
-    assert 1 < lines < 300
-    assert make_plan(spec).chunk_shape == (1, int(lines), 2)
-    costly = multistability(xi=[0.1, 0.26], rows=32, columns=32, settle=3000)
-    assert make_plan(costly).chunk_shape == (1, 1, 3)
-    assert make_plan(multistability(rows=1, columns=1, settle=0, observe=1)).chunk_shape == (1, 2, 3)
-
-
-# Parts
-
-
-def reached(outcome: Outcome, *flights: float, bounces: int = 1, state: float = 0.0) -> Reached:
-    cycle = np.full(CYCLE, np.nan)
-    cycle[: len(flights)] = flights
-    longest = max(flights, default=0.0)
-    return Reached(outcome, bounces, bounces, cycle, longest, np.full(6, state), np.zeros(16), np.zeros(16))
-
-
-CYCLE_A, CYCLE_B = reached(Outcome.PERIODIC, 2.0, 1.0), reached(Outcome.PERIODIC, 3.0)
-CHAOS, REST = reached(Outcome.APERIODIC, bounces=0), reached(Outcome.AT_REST, bounces=0)
-SETTLING = reached(Outcome.SETTLING, bounces=0)
-
-
-def test_runs_end_on_one_attractor_if_modes_and_flights_are_the_same():
-    assert CYCLE_A.same(CYCLE_A)
-    assert CYCLE_A.same(reached(Outcome.PERIODIC, 2.0 + 0.9e-4, 1.0 - 0.9e-4))
-    assert not CYCLE_A.same(reached(Outcome.PERIODIC, 2.0, 1.0 - 1.1e-4))
-    assert not CYCLE_A.same(reached(Outcome.PERIODIC, 2.0, 1.0, bounces=2))
-    assert not CHAOS.same(REST)
-    decided = {outcome for outcome in Outcome if reached(outcome).decided}
-    assert decided == {Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST}
-
-
-def test_the_first_start_on_each_cycle_and_every_aperiodic_one_run_on():
-    ends = [CYCLE_A, REST, CHAOS, CYCLE_A, CYCLE_B, SETTLING, CHAOS, REST]
-    assert _groups(ends) == [[0, 3], [1, 7], [2, 6], [4]]
-    assert _further(ends) == [0, 2, 4, 6]
-    later = {0: CYCLE_B, 2: CYCLE_A, 4: SETTLING, 6: SETTLING}
-    _run_on(ends, later)
-    assert ends == [CYCLE_B, REST, CYCLE_A, CYCLE_B, CYCLE_B, SETTLING, SETTLING, REST]
-
-
-def test_attractors_of_as_many_drops_are_in_the_order_of_modes_and_longest_flights():
-    double = reached(Outcome.PERIODIC, 9.0, bounces=2)
-    assert sorted([REST, double, CYCLE_A, CHAOS, CYCLE_B], key=_order) == [
-        CYCLE_B,
-        CYCLE_A,
-        double,
-        CHAOS,
-        REST,
-    ]
-
-
-def test_of_a_run_its_cycle_and_its_last_flights_are_kept():
-    line = empty_line(3, 40)
-    line.flight_time[0], line.takeoff_phase[0] = np.arange(40) + 1.0, np.arange(40) + 100.0
-    line.flight_time[1, :3], line.takeoff_phase[1, :3] = [2.0, 5.0, 0.01], [1.0, 2.0, 3.0]
-    line.outcome[:] = Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST
-    line.bounces[:], line.periods[:] = [34, 7, 7], [3, 7, 7]
-    line.end_state[:] = np.arange(3)[:, None]
-    cycle, chaos, rest = _reached(_reduced(line, 0.05, 4))
-    assert (cycle.outcome, cycle.bounces, cycle.periods, cycle.longest_flight) == (1, 34, 3, 40.0)
-    assert cycle.cycle.tolist() == np.arange(40.0, 8.0, -1.0).tolist()  # the longest 32
-    assert (cycle.flight_time.tolist(), cycle.takeoff_phase.tolist()) == (
-        [37, 38, 39, 40],
-        [136, 137, 138, 139],
-    )
-    assert (chaos.bounces, chaos.periods, chaos.longest_flight) == (0, 0, 5.0)
-    np.testing.assert_array_equal(chaos.flight_time, [2.0, 5.0, np.nan, np.nan])
-    np.testing.assert_array_equal(chaos.takeoff_phase, [1.0, 2.0, np.nan, np.nan])
-    assert np.isnan([*chaos.cycle, *rest.cycle, *rest.flight_time]).all()
-    assert (rest.bounces, rest.periods, rest.longest_flight) == (0, 0, 0.0)
-    assert [end.state[0] for end in (cycle, chaos, rest)] == [0, 1, 2]
-
-
-def test_attractors_beyond_those_stored_are_counted_and_not_followed():
-    spec = multistability()
-    record = empty_record(make_plan(spec, (1, 2, 3))[0], _ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS))
-    record["cycle"] = np.full((1, 2, 3, MAX_ATTRACTORS, CYCLE), np.nan)
-    cells = _Cells(record)
-    found = [reached(Outcome.PERIODIC, 1.0 + i, state=i) for i in range(MAX_ATTRACTORS + 1)]
-    numbers = [cells.add(1, 2, end, 0.5) for end in found]
-    assert numbers == [*range(1, MAX_ATTRACTORS + 1), NOWHERE]
-    assert record["attractor_count"].ravel().tolist() == [0, 0, 0, 0, 0, MAX_ATTRACTORS + 1]
-    known = cells.known(1, 2)
-    assert len(known) == MAX_ATTRACTORS
-    assert all(
-        end.same(other) and end.state[0] == other.state[0] for end, other in zip(known, found, strict=False)
-    )
-    assert cells.known(0, 2) == []
-    assert record["fraction"][0, 1, 2].tolist() == [0.5] * MAX_ATTRACTORS
-    for name in ("next_up", "next_down"):
-        assert cells.waiting(name, 2) == [(1, k) for k in range(MAX_ATTRACTORS)]
-        assert cells.waiting(name, 1) == []
-        record[name][0, 1, 2, 0] = NOWHERE
-        assert cells.waiting(name, 2) == [(1, k) for k in range(1, MAX_ATTRACTORS)]
-        assert (record[name][0, 1, 2, 1:] == NOT_STARTED).all()

@@ -1,7 +1,6 @@
 """The study `orbits`: its specification, its chunks, and what they store, against the kernel's branches."""
 
 import itertools
-import math
 from pathlib import Path
 from typing import Any
 
@@ -10,26 +9,11 @@ import pytest
 import xarray
 from tables import for_each
 
-import worker.orbits
-from kernel.branches.events import POINTS, Kind, branch_and_events, flight_times
+from kernel.branches.events import Kind, branch_and_events
 from kernel.params import Outcome
 from worker import store, studies
-from worker.orbits import (
-    MAX_MODES,
-    MAX_PERIODS,
-    ORBITS,
-    SECONDS,
-    OrbitsSpec,
-    _kept,
-    bytes_per_cell,
-    estimate_seconds,
-    grid_points,
-    make_plan,
-    read_mode,
-)
-from worker.plan import TARGET_SECONDS
+from worker.orbits import ORBITS, OrbitsSpec, _kept
 from worker.spec import SpecError
-from worker.spec.protocols import KINDS
 from worker.tasks import ChunkCancelled
 
 SPEC: dict[str, Any] = {
@@ -111,19 +95,6 @@ def test_chunks_do_not_change_what_is_stored(stored: xarray.Dataset, tmp_path: P
             assert again[name].values.tobytes() == stored[name].values.tobytes(), name
 
 
-@pytest.mark.parametrize(("grid", "shape"), [((3, 7), (2, 3)), ((1, 1), (1, 1)), ((4, 5), (4, 5))])
-def test_a_plan_covers_every_cell_once(grid: tuple[int, int], shape: tuple[int, int]):
-    spec = OrbitsSpec.parse(SPEC | {"xi": list(range(1, grid[0] + 1)), "omega": list(range(1, grid[1] + 1))})
-    plan = ORBITS.plan(spec, shape)
-    cells = np.zeros(grid, int)
-    for i, chunk in enumerate(plan):
-        cells[chunk.slices] += 1
-        assert chunk.index == i
-        assert plan.number(*(span[0] // size for span, size in zip(chunk.spans, shape, strict=True))) == i
-    assert (cells == 1).all()
-    assert plan.cells == cells.size
-
-
 def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
     spec, url = OrbitsSpec.parse(SPEC), str(tmp_path / "a.zarr")
     plan = ORBITS.plan(spec)
@@ -132,15 +103,6 @@ def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
     with pytest.raises(ChunkCancelled):
         ORBITS.task(spec, plan[0], url)
     assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
-
-
-def test_a_chunk_that_cannot_be_stored_is_not_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    computing: list[Any] = []
-    monkeypatch.setattr(worker.orbits, "branch_and_events", lambda *given: computing.append(given))
-    spec = OrbitsSpec.parse(SPEC)
-    with pytest.raises(store.StoreMissing):
-        ORBITS.task(spec, ORBITS.plan(spec)[0], str(tmp_path / "a.zarr"))
-    assert computing == []
 
 
 def test_what_lies_at_gamma_max_is_stored(tmp_path: Path):
@@ -162,79 +124,14 @@ def test_what_lies_at_gamma_max_is_stored(tmp_path: Path):
         ({"modes": []}, "modes: must be 1 to 6 modes, not 0"),
         ({"points": 5}, "points: must be at least 10, not 5"),
         ({"omega": 0.01}, "omega: must be at least"),
-        ({"xi": -0.1}, "xi: must be at least 0"),
-        ({"keep": 64}, "keep: is not a field here"),
         ({"gamma_max": 0}, "gamma_max: must be above 0"),
         ({"modes": ["1-13"]}, "modes[0]: must have at most 12 periods, not 13"),
-        ({"modes": ["one"]}, "modes[0]: must be like 1-2 (bounces-periods), not text 'one'"),
-        ({"modes": [f"1-{k}" for k in range(1, 8)], "omega": 1.0}, "modes: must be 1 to 6 modes, not 7"),
     ],
 )
 def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
     with pytest.raises(SpecError) as caught:
         studies.parse(SPEC | changes)
     assert rule in str(caught.value)
-
-
-def test_the_least_omega_that_is_named_works():
-    with pytest.raises(SpecError) as caught:
-        OrbitsSpec.parse(SPEC | {"omega": 0.01})
-    least = float(str(caught.value).split("at least ")[1].split()[0])
-    spec = OrbitsSpec.parse(SPEC | {"omega": least})
-    assert grid_points(spec.axis_values("omega"), 2, 0)[0] <= 2000
-    with pytest.raises(SpecError, match=f"at least {least:g}"):
-        OrbitsSpec.parse(SPEC | {"omega": least - 0.001})
-
-
-def test_as_many_modes_and_periods_as_there_may_be():
-    names = [*(f"1-{k}" for k in range(1, MAX_MODES)), f"1-{MAX_PERIODS}"]
-    spec = OrbitsSpec.parse(SPEC | {"modes": names, "omega": 1.0})
-    assert [str(mode) for mode in spec.cycles] == list(spec.modes) == names
-    assert read_mode("1-12") == (1, 12)
-
-
-@pytest.mark.parametrize("periods", [1, 2])
-def test_flight_times_are_about_as_many_as_a_branch_takes(periods: int):
-    omega = np.array([0.1, 0.3])
-    taken = [len(flight_times(value, 0.0, periods)) for value in omega]
-    assert grid_points(omega, periods, POINTS) == pytest.approx(taken, rel=0.02)
-    assert grid_points(np.array([5.0]), periods, POINTS) == POINTS
-
-
-def test_cost_is_that_of_every_branch(stored: xarray.Dataset):
-    spec = OrbitsSpec.parse(SPEC | {"omega": [0.1, 0.3, 0.5]})
-    squares = sum((grid_points(np.array([0.1, 0.3, 0.5]), k, POINTS) ** 2).sum() for k in (1, 2))
-    assert estimate_seconds(spec) == pytest.approx(SECONDS * 2 * squares)
-    cost = ORBITS.estimate(spec, ORBITS.plan(spec, (1, 1)))
-    assert (cost.cells, cost.chunks, cost.core_seconds) == (6, 6, estimate_seconds(spec))
-    assert bytes_per_cell(OrbitsSpec.parse(SPEC)) == sum(x.nbytes for x in stored.data_vars.values()) / 6
-
-
-def test_a_chunk_takes_about_a_second_of_rows_along_omega():
-    def axis(start: float, stop: float, num: int) -> dict[str, float]:
-        return {"start": start, "stop": stop, "num": num}
-
-    costly = OrbitsSpec.parse(SPEC | {"omega": axis(0.08, 0.1, 50), "xi": axis(0.0, 1.0, 40)})
-    cells = int(TARGET_SECONDS / (estimate_seconds(costly) / 2000))
-    assert 1 < cells < 50
-    row = math.ceil(50 / math.ceil(50 / cells))  # as equal parts as can be
-    assert make_plan(costly).chunk_shape == (max(1, cells // row), row)
-    few = OrbitsSpec.parse(SPEC | {"omega": axis(1.0, 2.0, 5), "xi": axis(0.1, 1.0, 13)})
-    assert make_plan(few).chunk_shape == (1, 5)  # at least about 8 chunks: of 9 cells, whole rows
-    more = OrbitsSpec.parse(SPEC | {"omega": axis(1.0, 2.0, 5), "xi": axis(0.1, 1.0, 16)})
-    assert make_plan(more).chunk_shape == (2, 5)
-    long = [f"1-{k}" for k in range(13 - MAX_MODES, 13)]
-    with pytest.raises(SpecError) as caught:
-        OrbitsSpec.parse(SPEC | {"modes": long, "omega": 0.01})
-    least = float(str(caught.value).split("at least ")[1].split()[0])
-    with pytest.raises(SpecError, match=f"at least {least:g} for 1-12"):
-        OrbitsSpec.parse(SPEC | {"modes": long, "omega": round(least - 0.001, 3)})
-    longest = OrbitsSpec.parse(SPEC | {"modes": long, "omega": [least, 2 * least]})
-    assert make_plan(longest).chunk_shape == (1, 1)
-
-
-def test_kinds_of_protocol_are_those_of_the_studies():
-    assert set(KINDS) == set(studies.STUDIES)
 
 
 def test_the_same_grid_is_the_same_job_whatever_its_name():
@@ -259,16 +156,3 @@ def test_thinning_keeps_gaps_and_ends(points: int):
     assert inside[rows].all()
     assert kept[gaps[0] - 1] < 12
     assert kept[gaps[0] + 1] > 16
-
-
-def test_what_is_kept_of_a_branch_with_two_parts():
-    inside = np.array([False, True, True, True, False, True, False])
-    assert _kept(inside, 10).tolist() == [1, 2, 3, -1, 5]
-    assert _kept(inside, 5).tolist() == [1, 2, 3, -1, 5]
-    assert _kept(inside, 4).tolist() == [1, 2, -1, 5]
-    assert _kept(np.ones(9, bool), 5).tolist() == [0, 2, 4, 6, 8]
-    assert _kept(np.zeros(9, bool), 5).tolist() == []
-    # Of five parts of four rows each, those left out are spread over what is between the ends.
-    parts = np.array(([True] * 4 + [False]) * 5)
-    assert _kept(parts, 10).tolist() == [0, -1, 5, -1, 10, 13, -1, 18, -1, 23]
-    assert _kept(parts, 14).tolist() == [0, 2, -1, 5, 7, -1, 11, 12, -1, 16, 18, -1, 21, 23]

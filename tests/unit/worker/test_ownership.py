@@ -115,7 +115,3 @@ def test_a_folder_that_others_could_replace_is_refused(folder: Path):
     check_unshared(folder / "nothing")
     folder.parent.chmod(0o1777)
     check_unshared(folder)
-
-
-def test_a_file_can_be_checked(folder: Path):
-    check_unshared(folder / "inner" / "file")

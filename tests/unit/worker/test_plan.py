@@ -12,28 +12,18 @@ from tables import for_each
 import kernel.line  # noqa: F401 - registers the models' lanes
 from kernel.interface import advance_lanes
 from kernel.params import LANES
-from kernel.step_limits import steps_per_period
 from worker import schema
 from worker.cost import (
     FOLLOWED_SHARE,
-    REFINED_SECONDS,
-    SETTLING_SHARE,
-    STILL_SETTLING_SHARE,
-    TILE_SECONDS,
-    WITH_EXPONENTS,
     Cost,
     cell_seconds,
     cells_at_once,
     check_size,
-    computed_shares,
     estimate,
-    lines_of,
     longest_cell_seconds,
-    period_seconds,
 )
 from worker.plan import (
     FEWEST_CHUNKS,
-    MANY_CHUNKS,
     MAX_CHUNK_BYTES,
     MAX_SHARD_BYTES,
     SMALLEST_SECONDS,
@@ -45,14 +35,7 @@ from worker.plan import (
 )
 from worker.schema import layout
 from worker.spec import AXES, SweepSpec
-from worker.spec.contact_models import (
-    CONTACT_MODELS,
-    RIGID_ALONE_US,
-    RIGID_ELASTIC_ALONE_US,
-    RIGID_ELASTIC_US,
-    SOFT_ALONE_US,
-    SOFT_DECADE_US,
-)
+from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import SpecTooLarge
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]
@@ -94,29 +77,13 @@ def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
     assert all(chunk.after is None or chunk.after < chunk.index for chunk in chunks)
     assert sum(chunk.after is None for chunk in chunks) == plan.lines
     assert [plan.chunk(i) for i in range(len(plan))] == chunks == list(plan.chunks)
-
-
-@given(grids, shapes)
-def test_a_chunk_is_found_by_its_place(spec, shape):
-    plan = make_plan(spec, chunk_shape=shape)
     coords = layout(spec, plan.chunk_shape).coords
-    assert [plan.number(*coords(chunk.slices)) for chunk in plan] == list(range(len(plan)))
+    assert [plan.number(*coords(chunk.slices)) for chunk in chunks] == list(range(len(plan)))
 
 
 @given(grids, st.integers(1, 2000))
 def test_chunks_hold_no_more_cells_than_asked_for(spec, cells):
     assert all(chunk.cells <= cells for chunk in make_plan(spec, chunk_cells=cells))
-
-
-@given(grids, shapes)
-def test_stored_chunks_are_whole_ones(spec, shape):
-    """A task owns exactly one cell of the store's regular grid of chunks."""
-    plan = make_plan(spec, chunk_shape=shape)
-    for chunk in plan:
-        for axis, size, n in zip(AXES, plan.chunk_shape, plan.grid, strict=True):
-            low, high = getattr(chunk, axis)
-            assert low % size == 0
-            assert high == min(low + size, n)
 
 
 @pytest.mark.parametrize("axis", AXES)
@@ -149,14 +116,6 @@ def cells_along(spec: SweepSpec, chunk: Chunk, axis: str) -> list[tuple[str, int
     return [(direction, place) for place in (reversed(places) if direction == "down" else places)]
 
 
-@given(st.sampled_from(RAMPS), shapes)
-def test_a_ramp_chunk_and_its_predecessor_lie_on_the_same_lines(ramp, shape):
-    plan = make_plan(sweep(3, 4, 7, ramp), chunk_shape=shape)
-    for chunk in plan:
-        before = chunk if chunk.after is None else plan.chunk(chunk.after)
-        assert all(getattr(before, name) == getattr(chunk, name) for name in AXES if name != ramp[0])
-
-
 def test_a_ramp_chunk_follows_its_neighbour_and_down_follows_up():
     plan = make_plan(sweep(gamma=10, ramp=("gamma", "both")), chunk_shape=(1, 1, 4))
     assert [(c.direction, c.gamma, c.after) for c in plan] == [
@@ -169,51 +128,11 @@ def test_a_ramp_chunk_follows_its_neighbour_and_down_follows_up():
     ]
 
 
-def test_down_alone_starts_at_the_top():
-    plan = make_plan(sweep(gamma=10, ramp=("gamma", "down")), chunk_shape=(1, 1, 4))
-    assert (plan[0].gamma, plan[0].after) == ((8, 10), None)
-
-
-def test_chunks_from_rest_wait_for_nobody():
-    plan = make_plan(sweep(2, 3, 10), chunk_shape=(1, 1, 4))
-    assert plan.lines == len(plan) == 18
-    assert all(chunk.after is None for chunk in plan)
-
-
-def test_lines_of_a_ramp_are_independent():
-    plan = make_plan(sweep(omega=40, gamma=100, ramp=("gamma", "up")), chunk_shape=(1, 1, 50))
-    assert plan.lines == 40
-    assert [chunk.after for chunk in plan[:40]] == [None] * 40
-
-
 # How large a chunk is
 
 
-def test_small_job_is_cut_so_that_it_shows_progress_and_uses_both_workers():
-    assert len(make_plan(sweep(gamma=3000))) == FEWEST_CHUNKS
-
-
-def test_tiny_job_is_one_chunk():
-    assert len(make_plan(sweep(gamma=10))) == 1
-
-
-def test_chunks_of_a_large_job_cost_a_second_or_so():
-    spec = sweep(10, 100, 1000)
-    chunk = make_plan(spec)[0]
-    assert 0.5 * TARGET_SECONDS <= chunk.cells * cell_seconds(spec) <= TARGET_SECONDS * 1.001
-
-
-def test_dear_cells_make_small_chunks():
-    spec = sweep(gamma=100, model={"kind": "stepped"}, settle=100_000)
-    assert make_plan(spec)[0].cells == 1
-
-
-@pytest.mark.parametrize("settle", [100_000, 1_000_000])
-@pytest.mark.parametrize("kind", ["rigid", "soft"])
-def test_chunks_of_cells_side_by_side_fill_the_lanes(kind, settle):
-    spec = sweep(gamma=1_000, model={"kind": kind}, settle=settle)
-    assert make_plan(spec)[0].cells >= LANES
-    full = sweep(gamma=64 * LANES, model={"kind": kind}, settle=10**6)
+def test_chunks_of_cells_side_by_side_fill_the_lanes():
+    full = sweep(gamma=64 * LANES, settle=10**6)
     assert all(chunk.cells == LANES for chunk in make_plan(full))
 
 
@@ -244,8 +163,6 @@ def test_a_chunk_of_a_ramp_holds_whole_lines_where_they_fit():
         (200, 800, (1, 50, LANES)),
         (200, 320, (1, 17, LANES)),  # parts of lines, so that the lanes are full
         (20, 400, (1, 50, 7)),  # few lines: one vector at most, and no chunk much smaller than others
-        (20, 300, (1, 25, 7)),
-        (3, 1600, (1, 50, 3)),
         (1, 40, (1, 25, 1)),
     ],
 )
@@ -266,11 +183,6 @@ def test_a_line_from_rest_touches_few_chunks_whichever_axis_it_goes_along(spec, 
     assert max(plan.counts) <= fewest
 
 
-def test_the_chunks_of_an_atlas():
-    """A line along any axis of the million cells touches at most five chunks."""
-    assert make_plan(sweep(10, 100, 1000)).counts == (5, 5, 3)
-
-
 @pytest.mark.parametrize("gamma", [300, 1000, 3000, 100_000])
 def test_a_chunk_costs_an_eighth_of_the_sweep_within_bounds(gamma):
     spec = sweep(gamma=gamma)
@@ -282,26 +194,13 @@ def test_a_chunk_costs_an_eighth_of_the_sweep_within_bounds(gamma):
     ("grid", "cells", "shape"),
     [
         ((1, 1, 101), 100, (1, 1, 51)),
-        ((1, 1, 101), 101, (1, 1, 101)),
-        ((1, 10, 10), 100, (1, 10, 10)),
         ((1, 10, 10), 99, (1, 5, 10)),  # what is left over goes to gamma
-        ((1, 10, 10), 30, (1, 5, 5)),
-        ((10, 10, 10), 1000, (10, 10, 10)),
         ((10, 10, 10), 124, (4, 5, 5)),
-        ((10, 10, 10), 150, (5, 5, 5)),
-        ((10, 10, 10), 1, (1, 1, 1)),
-        ((10, 3, 1), 7, (5, 1, 1)),
         ((2, 3, 1000), 100, (1, 1, 100)),
     ],
 )
 def test_blocks_from_rest_are_balanced(grid, cells, shape):
     assert make_plan(sweep(*grid), chunk_cells=cells).chunk_shape == shape
-
-
-@pytest.mark.parametrize(("lines", "at_once"), [(4 * LANES - 1, LANES // 2), (4 * LANES, LANES)])
-def test_lanes_are_filled_from_so_many_lines_on(lines, at_once):
-    spec = sweep(omega=50, gamma=lines, ramp=("omega", "both"))
-    assert make_plan(spec, chunk_cells=75 * at_once).chunk_shape[2] == at_once
 
 
 def test_a_chunk_that_is_long_in_bytes_can_be_halved():
@@ -312,12 +211,6 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
         assert (cells * schema.bytes_per_cell(spec) > MAX_CHUNK_BYTES) == (cells >= 600_000)
         shapes[cells] = make_plan(spec, chunk_cells=cells).chunk_shape
     assert shapes == {900_000: (1, 496, 1003), 400_000: (1, 502, 502), 200_000: (1, 335, 502), 9: (1, 3, 3)}
-    kept = sweep(omega=41, gamma=41, keep=10_000)
-    assert make_plan(kept, chunk_cells=21 * 21).chunk_shape == (1, 20, 20)
-    assert make_plan(kept, chunk_cells=11 * 11).chunk_shape == (1, 10, 10)
-    assert make_plan(kept, chunk_cells=41 * 41).chunk_shape == (1, 41, 41)
-    assert make_plan(sweep(omega=54, gamma=54, keep=10_000), chunk_cells=27 * 27).chunk_shape == (1, 24, 24)
-    assert make_plan(sweep(omega=6, gamma=100, keep=10_000), chunk_cells=300).chunk_shape == (1, 3, 100)
 
 
 @for_each(
@@ -326,15 +219,10 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
         (1, 2, 129),
         (1, 3, 127),
         (1, 16, 129),
-        (1, 128, 129),
         (200, 2, 79),  # of 3,214 bytes a cell, 80 by 80 cells fit
-        (200, 3, 79),
         (200, 16, 65),
-        (200, 64, 65),
         (200, 128, 80),
         (1000, 3, 34),
-        (1000, 7, 36),
-        (1000, 16, 33),
         (1000, 64, 36),
     ],
 )
@@ -342,14 +230,6 @@ def test_the_tiles_of_an_adaptive_map(keep, coarsest, side):
     """What is computed of a map depends on them: a map in other tiles is another one."""
     spec = sweep(xi=2, omega=300, gamma=300, keep=keep, refine={"by": "mode", "coarsest": coarsest})
     assert tile_shape(spec, coarsest) == make_plan(spec).chunk_shape == (1, side, side)
-
-
-def test_a_chunk_of_a_ramp_may_be_one_cell():
-    assert make_plan(sweep(omega=9, gamma=9, ramp=("gamma", "up")), chunk_cells=1).chunk_shape == (1, 1, 1)
-
-
-def test_parts_are_as_equal_as_can_be():
-    assert make_plan(sweep(gamma=101), chunk_cells=100).chunk_shape == (1, 1, 51)
 
 
 def test_million_chunks_are_planned_without_being_made():
@@ -376,13 +256,9 @@ def test_a_plan_is_a_sequence():
     assert plan[4:] == []
     assert (plan[1].cells, plan[1].shape) == (2, (1, 1, 2))
     assert make_plan(sweep(gamma=6), chunk_shape=(9, 9, 9)).chunk_shape == (1, 1, 6)
-
-
-@pytest.mark.parametrize("index", [6, -7])
-def test_no_chunk_outside_the_plan(index):
-    plan = make_plan(sweep(gamma=6), chunk_shape=(1, 1, 1))
-    with pytest.raises(IndexError):
-        plan[index]
+    for index in (4, -5):
+        with pytest.raises(IndexError):
+            plan[index]
 
 
 # What it will take
@@ -395,129 +271,19 @@ def test_estimate_counts_what_the_store_holds():
     assert found.chunks == len(make_plan(spec))
     # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
     assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 4 + 4 + 6 * 8 + 1)
-    assert found.core_seconds == pytest.approx(
-        found.cells
-        * (300 + FOLLOWED_SHARE * 200)
-        * CONTACT_MODELS["rigid"].ramp
-        * CONTACT_MODELS["rigid"].cost_us
-        * LANES
-        / 2
-        / 6
-        * 1e-6
-    )
+    assert found.core_seconds == pytest.approx(found.cells * cell_seconds(spec))
+    assert cost_of(sweep(100_000, 100_000, 100_000)).cells == 10**15  # takes neither time nor memory
 
 
-def test_cells_side_by_side_are_cheaper_than_those_one_after_the_other():
-    periods = 300 + FOLLOWED_SHARE * 200
-    rigid = sweep(settle_early=False)
-    assert cell_seconds(rigid) == pytest.approx(periods * CONTACT_MODELS["rigid"].cost_us * 1e-6)
-    elastic = sweep(model={"kind": "rigid", "restitution": 0.5}, settle_early=False)
-    assert cell_seconds(elastic) == pytest.approx(periods * RIGID_ELASTIC_US * 1e-6)
-    soft = sweep(model={"kind": "soft"}, settle_early=False)
-    assert cell_seconds(soft) == pytest.approx(periods * CONTACT_MODELS["soft"].cost_us * 1e-6)
-    assert cell_seconds(soft, alone=True) == pytest.approx(periods * SOFT_ALONE_US * 1e-6)
+def test_what_is_harder_costs_more():
+    def cost(**more):
+        return cell_seconds(sweep(gamma=2, **more))
 
-
-@for_each("kind", ["soft", "rigid", "ball", "stepped", "auto"])
-def test_cycles_that_are_repeated_cost_less_and_cells_of_a_ramp_more(kind):
-    model, row = {"kind": kind}, CONTACT_MODELS[kind]
-    computed = cell_seconds(sweep(model=model, settle_early=False))
-    assert cell_seconds(sweep(model=model)) == pytest.approx(row.early * computed)
-    ramps = sweep(omega=LANES, gamma=2, model=model, ramp=("gamma", "up"))
-    assert cell_seconds(ramps) == pytest.approx(row.ramp * computed)
-
-
-def test_stiffer_contacts_cost_more():
-    def cost(**contact):
-        return cell_seconds(sweep(model={"kind": "soft"} | contact)) / cell_seconds(
-            sweep(model={"kind": "soft"})
-        )
-
-    assert cost(penetration=1e-6) == pytest.approx(
-        1.0 + 3.0 * SOFT_DECADE_US / CONTACT_MODELS["soft"].cost_us
-    )
-    assert cost(penetration=1e-2) == 1.0
-    assert cost(penetration=1e-6, adhesive=False) == cost(penetration=1e-6)
-
-
-def test_cells_that_go_on_are_estimated_by_their_share_and_at_most_all():
-    """From 300 periods to 600, 1,200 and 1,500: the last does not double. Each window is followed for 200."""
-    spec, without = (sweep(gamma=1000, settle_until=until, settle_early=False) for until in (1_500, None))
-    extra = SETTLING_SHARE * (500 + STILL_SETTLING_SHARE * (800 + STILL_SETTLING_SHARE * 500))
-    period = period_seconds(spec)
-    assert cell_seconds(without) == pytest.approx(period * (300 + FOLLOWED_SHARE * 200))
-    assert cell_seconds(spec) == pytest.approx(cell_seconds(without) + period * extra)
-    assert longest_cell_seconds(spec) == pytest.approx(period * (1_500 + 4 * 200))
-    assert cost_of(spec).longest_core_seconds == pytest.approx(1000 * longest_cell_seconds(spec))
-    assert cost_of(without).longest_core_seconds is None
-    assert longest_cell_seconds(without) == pytest.approx(period * 500)
-    shortest = sweep(gamma=1000, settle_until=400)  # a window more
-    assert longest_cell_seconds(shortest) == pytest.approx(period * (400 + 2 * 200))
-
-
-def test_a_short_window_is_followed_for_twice_its_length():
-    spec = sweep(settle=100, observe=20)
-    assert longest_cell_seconds(spec) == pytest.approx(period_seconds(spec) * (120 + 40))
-
-
-def test_cells_alone_in_their_lanes_cost_more_and_others_do_not():
-    periods = 300 + FOLLOWED_SHARE * 200
-    alone = cell_seconds(sweep(settle_early=False), alone=True)
-    assert alone == pytest.approx(periods * RIGID_ALONE_US * 1e-6)
-    for one_by_one in (
-        sweep(gamma=2, ramp=("gamma", "up")),
-        sweep(model={"kind": "stepped"}),
-        sweep(exponents=1),
-    ):
-        assert cell_seconds(one_by_one, alone=True) == cell_seconds(one_by_one)
-
-
-@for_each(
-    ("restitution", "lines", "us"),
-    [
-        (0.0, 1, RIGID_ALONE_US),
-        (0.0, 2, CONTACT_MODELS["rigid"].cost_us * LANES / 4),  # half of the lanes cost the same with two
-        (0.5, 1, RIGID_ELASTIC_ALONE_US),
-        (0.5, 2, RIGID_ELASTIC_ALONE_US),  # as two in lanes would cost more
-        (0.5, 8, RIGID_ELASTIC_US),
-        (0.5, 4, RIGID_ELASTIC_US * 2),
-    ],
-)
-def test_a_few_lines_of_a_ramp_cost_as_half_of_the_lanes(restitution, lines, us):
-    model = {"kind": "rigid", "restitution": restitution}
-    spec = sweep(gamma=2, omega=lines, model=model, ramp=("gamma", "up"))
-    ramp = CONTACT_MODELS["rigid"].ramp if lines > 1 else 1.0
-    assert cells_at_once(spec) == lines
-    assert period_seconds(spec) == pytest.approx(us * ramp * 1e-6)
-
-
-def test_a_ramp_has_as_many_lines_as_cells_beside_its_axis():
-    spec = sweep(xi=2, omega=3, gamma=5, ramp=("omega", "both"))
-    assert lines_of(spec) == cells_at_once(spec) == 10
-    assert cells_at_once(sweep(omega=100, gamma=5, ramp=("gamma", "up"))) == LANES
-    assert cells_at_once(sweep()) == LANES
-    assert cells_at_once(sweep(exponents=1)) == cells_at_once(sweep(model={"kind": "ball"})) == 1
-
-
-def test_the_depth_at_both_ends_of_a_sweep_decides_its_cost():
-    """With a rest length L the depth is 1e-4 * L * omega**2 / gamma; the middle by decades counts."""
-    ends = {"gamma": [1.0, 2.0, 10.0], "omega": [0.5, 0.6, 1.0]}
-    model = {"kind": "soft", "rest_length": 1e-3}
-    depths = np.array([1e-7 * 0.5**2, 1e-8])
-    decades = np.mean(np.log10(1e-3 / depths))
-    spec = SweepSpec(xi=0.1, model=model, **ends)
-    expected = CONTACT_MODELS["soft"].cost_us + SOFT_DECADE_US * decades
-    assert period_seconds(spec) == pytest.approx(expected * 1e-6)
-    model = {"kind": "stepped", "rest_length": 30.0, "steps_per_contact": 30, "restitution": 0.2}
-    steps = steps_per_period(0.2, np.array([3e-3 * 0.5**2, 3e-4]), 30)
-    assert steps[0] != steps[1]
-    expected = CONTACT_MODELS["stepped"].cost_us * np.sqrt(float(steps[0]) * float(steps[1]))
-    assert period_seconds(SweepSpec(xi=0.1, model=model, **ends)) == pytest.approx(expected * 1e-6)
-
-
-def test_cells_with_exponents_are_computed_one_by_one():
-    with_them, without = (sweep(gamma=2, ramp=("gamma", "up"), exponents=n) for n in (1, 0))
-    assert cell_seconds(with_them) == pytest.approx(WITH_EXPONENTS * cell_seconds(without))
+    soft = {"kind": "soft"}
+    assert cost() < cost(settle_early=False) < cost(ramp=("gamma", "up")) < cost(exponents=1)
+    assert cost() < cost(model=soft) < cost(model=soft | {"penetration": 1e-6})
+    assert cost() < cost(settle_until=1_500) < longest_cell_seconds(sweep(settle_until=1_500))
+    assert cost(model={"kind": "auto"}) == cost(model=soft)  # at most the exact one
 
 
 def test_time_steps_are_counted():
@@ -534,82 +300,19 @@ def test_time_steps_are_counted():
     )
 
 
-def test_a_model_to_be_chosen_costs_at_most_the_exact_one():
-    auto, exact = (cost_of(sweep(gamma=100, model={"kind": kind})) for kind in ("auto", "soft"))
-    assert auto == exact
-
-
-def test_estimate_of_an_absurd_sweep_takes_neither_time_nor_memory():
-    assert cost_of(sweep(100_000, 100_000, 100_000)).cells == 10**15
-
-
-def test_too_many_cells_are_refused_with_the_limit():
-    with pytest.raises(
-        SpecTooLarge, match=r"^asks for 1000 cells; at most 999 are allowed: take fewer values$"
-    ):
-        check_size(cost_of(sweep(gamma=1000)), max_cells=999)
-    check_size(cost_of(sweep(gamma=1000)), max_cells=1000)
-
-
-def test_too_many_bytes_are_refused_with_the_limit():
-    spec = sweep(gamma=1000, keep=64)
-    with pytest.raises(
-        SpecTooLarge, match=r"^keep: asks for 1037000 bytes, 1037 per cell; at most 1036999 are"
-    ):
-        check_size(cost_of(spec), max_bytes=1_036_999)
-    check_size(cost_of(spec), max_bytes=1_037_000)
-
-
-def test_too_many_core_seconds_are_refused_with_the_limit():
+def test_too_much_is_refused_with_the_limit():
     cost = cost_of(sweep(gamma=1000))
-    check_size(cost, max_core_seconds=cost.core_seconds)
-    with pytest.raises(SpecTooLarge, match=r"^asks for about \S+ core-seconds; at most \S+ are allowed"):
-        check_size(cost, max_core_seconds=cost.core_seconds * (1 - 1e-9))
-
-
-def test_of_an_adaptive_map_the_computed_cells_are_counted():
-    spec = sweep(omega=1025, gamma=1025, refine={"by": "mode"}, settle_until=1000)
-    plan = make_plan(spec)
-    found = estimate(spec, len(plan))
-    low, high = found.computed_cells
-    full = sweep(omega=1025, gamma=1025, settle_until=1000)
-    corners = 2.0 / 16**2 * 1025**2
-    assert (found.cells, found.chunks) == (1025**2, len(plan))
-    assert (low, high) == (math.ceil(corners + 0.02 * 1025**2), math.ceil(corners + 0.30 * 1025**2))
-    # The others hold outcome, bounces, periods, flights and whether they were computed.
-    assert found.bytes == high * (schema.bytes_per_cell(full) + 1) + (1025**2 - high) * (4 + 4 + 4 + 1 + 1)
-    assert found.least_core_seconds == pytest.approx(low * cell_seconds(full))
-    assert found.core_seconds == pytest.approx(
-        REFINED_SECONDS * high * cell_seconds(full) + TILE_SECONDS * len(plan)
-    )
-    assert found.longest_core_seconds == pytest.approx(high * longest_cell_seconds(full))
-    assert estimate(full, 1).computed_cells is None
-    with pytest.raises(SpecTooLarge, match=f"^asks for {high} computed cells; at most {high - 1} are"):
-        check_size(found, max_cells=high - 1)
-    check_size(found, max_cells=high)
-
-
-@for_each(
-    ("refine", "side", "shares"),
-    [
-        ({"by": "bouncing"}, 1025, (2 / 64**2 + 0.001, 2 / 64**2 + 0.03)),
-        ({"by": "bouncing"}, 2050, (2 / 64**2 + 0.0005, 2 / 64**2 + 0.015)),
-        ({"by": "bouncing", "coarsest": 8}, 1025, (2 / 8**2 + 0.001, 2 / 8**2 + 0.03)),
-        ({"by": "bouncing", "margin": True}, 1025, (2 / 64**2 + 0.001, 2 * (2 / 64**2 + 0.03))),
-        ({"by": "mode"}, 2050, (2 / 16**2 + 0.02 * 0.5**0.7, 2 / 16**2 + 0.30 * 0.5**0.7)),
-        ({"by": "mode"}, 3, (1.0, 1.0)),
-    ],
-)
-def test_finer_maps_compute_a_smaller_share(refine, side, shares):
-    spec = sweep(omega=side, gamma=side, refine=refine)
-    assert computed_shares(spec, spec.refine) == pytest.approx(shares)
-    oblong = sweep(omega=4 * side, gamma=1 + side // 4, refine=refine)
-    assert computed_shares(oblong, oblong.refine) == pytest.approx(shares, rel=5e-3)
-
-
-def test_absurd_sweep_is_refused_by_default():
-    with pytest.raises(SpecTooLarge):
-        check_size(cost_of(sweep(100_000, 100_000, 100_000)))
+    check_size(cost, max_cells=1000, max_bytes=1_037_000, max_core_seconds=cost.core_seconds)
+    for limit, rule in (
+        ({"max_cells": 999}, r"^asks for 1000 cells; at most 999 are allowed: take fewer values$"),
+        ({"max_bytes": 1_036_999}, r"^keep: asks for 1037000 bytes, 1037 per cell; at most 1036999 are"),
+        (
+            {"max_core_seconds": 0.99 * cost.core_seconds},
+            r"^asks for about \S+ core-seconds; at most \S+ are",
+        ),
+    ):
+        with pytest.raises(SpecTooLarge, match=rule):
+            check_size(cost, **limit)
 
 
 # Many chunks
@@ -631,21 +334,6 @@ def test_a_billion_cells_are_less_than_a_hundred_thousand_files(kind: str):
     inner = math.prod(cut.inner_sizes.values()) * schema.bytes_per_cell(spec)
     assert inner <= schema.INNER_BYTES < cut.chunk_bytes <= MAX_SHARD_BYTES
     assert all(size % cut.inner_sizes[dim] == 0 for dim, size in cut.chunk_sizes.items())
-
-
-def test_chunks_of_a_large_job_are_longer_but_not_longer_than_asked_for():
-    def seconds(spec: SweepSpec, **options: float) -> float:
-        chunk = make_plan(spec, **options)[0]
-        return chunk.cells * cell_seconds(spec)
-
-    assert seconds(huge("soft", 10)) <= TARGET_SECONDS * 1.001
-    for xi in (200, 1000):
-        spec = huge("soft", xi)
-        shared = make_plan(spec).cells * cell_seconds(spec) / MANY_CHUNKS
-        assert shared > 2.0 * TARGET_SECONDS
-        assert seconds(spec) == pytest.approx(shared, rel=0.2)
-    assert 3.0 < seconds(huge("soft", 1000), longest=5.0) < 5.05
-    assert seconds(huge("soft", 1000), longest=TARGET_SECONDS) <= TARGET_SECONDS * 1.001
 
 
 def test_ordinary_jobs_have_no_shards():

@@ -8,7 +8,6 @@ import pytest
 from distributed import Status
 from tables import for_each
 
-from worker.executors import roster as rosters
 from worker.executors.base import ClusterState
 from worker.executors.demand import HANDLER, Demand
 from worker.executors.roster import Roster
@@ -51,34 +50,11 @@ def test_a_worker_that_said_so_is_leaving_and_hosts_are_known():
     assert roster.refused == ()
 
 
-def test_only_the_last_workers_are_remembered(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(rosters, "_REMEMBERED", 2)
-    roster = Roster()
-    for worker in "abac":
-        roster.note(event(worker, leaving=True))
-    assert [roster.is_leaving(worker) for worker in "abc"] == [True, False, True]
-
-
 @for_each(
     ("state", "fault", "explanation"),
     [
         (ClusterState(True, 1), None, None),
         (ClusterState(True, 1, reason="was slow", refused=("worker a",)), None, None),
-        (
-            ClusterState(False, 0),
-            "the Dask scheduler does not answer; jobs wait until it does",
-            "the Dask scheduler does not answer; jobs wait until it does",
-        ),
-        (
-            ClusterState(False, 3, reason="at tcp://a"),
-            "the Dask scheduler does not answer; jobs wait until it does",
-            "the Dask scheduler does not answer; jobs wait until it does; at tcp://a",
-        ),
-        (
-            ClusterState(True, 0),
-            "no workers yet; jobs wait until there are",
-            "no workers yet; jobs wait until there are",
-        ),
         (
             ClusterState(True, 0, planned=0, refused=("worker a", "worker b")),
             "no workers yet (0 asked for); jobs wait until there are; workers refused: 2",

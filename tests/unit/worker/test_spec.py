@@ -11,43 +11,15 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 from tables import for_each
 
-from kernel.params import Cell
-from kernel.step_limits import (
-    Scheme,
-    largest_stable_step,
-    stable_steps_per_contact,
-    steps_per_period,
-)
-from worker.spec import SweepSpec, parsing
+from worker.spec import SweepSpec
 from worker.spec.axes import MAX_AXIS_VALUES
-from worker.spec.contact_models import (
-    CONTACT_MODELS,
-    Auto,
-    Ball,
-    Rigid,
-    Soft,
-    Stepped,
-    penetration_of,
-)
-from worker.spec.errors import (
-    BrokenRuleError,
-    SpecError,
-    SpecInvalid,
-    SpecTooLarge,
-    SpecUnreadable,
-    describe,
-)
+from worker.spec.contact_models import CONTACT_MODELS, penetration_of
+from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe
 from worker.spec.specification import Label
-from worker.spec.sweep import no_cycle
-from worker.spec.time_steps import MOST_STEPS_PER_CELL, check_steps, corners, stated
 from worker.tasks import plate_of
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
-AXES_ONLY = (
-    "the fields are name, gamma, omega, xi, protocol, model, settle, observe, keep, "
-    "micro_flight, settle_tolerance, settle_until, settle_early, exponents, refine, parent"
-)
 
 
 def sweep(**changes) -> SweepSpec:
@@ -78,51 +50,27 @@ def message(**changes) -> str:
     return str(caught.value)
 
 
+#: One row for each kind of rule, with the line that a user reads.
 AXIS_RULES = [
     (True, f"gamma: must be {FORMS}, not true"),
-    ("2", f"gamma: must be {FORMS}, not text '2'"),
-    (None, f"gamma: must be {FORMS}, not null"),
-    (1j, f"gamma: must be {FORMS}, not a value of type complex"),
     (float("nan"), "gamma: must be finite, not nan"),
-    (float("inf"), "gamma: must be finite, not inf"),
     (10**400, "gamma: must be finite, not a whole number of about 400 digits"),
     (0, "gamma: must be at least 1e-06, not 0.0"),
-    (-1.0, "gamma: must be at least 1e-06, not -1.0"),
-    (5e-324, "gamma: must be at least 1e-06, not 5e-324"),
     (1e9, "gamma: must be at most 1e+06, not 1000000000.0"),
     ([], "gamma: must hold at least one number"),
-    ([1.0, True], "gamma[1]: must be a number, not true"),
     ([1.0, "a"], "gamma[1]: must be a number, not text 'a'"),
-    ([1.0, None], "gamma[1]: must be a number, not null"),
-    ([1.0, float("nan")], "gamma[1]: must be finite, not nan"),
-    ([[1.0]], "gamma[0]: must be a number, not a list of 1"),
-    ([2.0, 1.0], "gamma: must increase, but 2.0 at [0] is followed by 1.0; sort and drop repeats"),
     ([1.0, 1.0], "gamma: must increase, but 1.0 at [0] is followed by 1.0; sort and drop repeats"),
-    ([0.0, 1.0], "gamma: must be at least 1e-06, not 0.0"),
-    ([1.0, 1e7], "gamma: must be at most 1e+06, not 10000000.0"),
     ([1.0] * (MAX_AXIS_VALUES + 1), "gamma: must hold at most 100000 numbers, not 100001"),
-    (np.ones((2, 2)), "gamma: must have one dimension, not 2"),
     ({"start": 1.0}, "gamma.stop: is required\ngamma.num: is required"),
-    (range_(start="1"), "gamma.start: must be a number, not text '1'"),
-    (range_(stop=False), "gamma.stop: must be a number, not false"),
-    (range_(stop=float("inf")), "gamma.stop: must be finite, not inf"),
     (range_(num=2.5), "gamma.num: must be a whole number, not 2.5; 2 or 3 would do"),
-    (range_(num=True), "gamma.num: must be a whole number, not true"),
-    (range_(num="3"), "gamma.num: must be a whole number, not text '3'"),
-    (range_(num=0), "gamma.num: must be at least 1, not 0"),
-    (range_(num=10**9), "gamma.num: must be at most 100000, not 1000000000"),
-    (range_(num=1e300), "gamma.num: must be at most 100000, not a whole number of about 300 digits"),
     (range_(num=10**5000), "gamma.num: must be at most 100000, not a whole number of about 5000 digits"),
     (
         range_(start=2.0, stop=1.0),
         "gamma.start: must not be above stop: axes increase; swap the two "
         "(protocol.direction turns a ramp round)",
     ),
-    (range_(start=1.0, stop=1.0), "gamma.num: must be 1 where start equals stop"),
     (range_(start=1.0, stop=1.0, num=2), "gamma.num: must be 1 where start equals stop"),
     (range_(num=1), "gamma.num: must be at least 2 to reach from start to stop"),
-    (range_(start=0.0), "gamma.start: must be at least 1e-06, not 0.0"),
-    (range_(stop=1e7), "gamma.stop: must be at most 1e+06, not 10000000.0"),
     (
         range_(stop=1.0 + 1e-15, num=100),
         "gamma.num: must be small enough for distinct values: 1.0 and 1.000000000000001 are too close",
@@ -141,16 +89,11 @@ AXIS_RULES = [
     ),
 ]
 
-DEPTH = "plate amplitudes deep, allowed are 1e-12 to 1"
-
+#: The same for the other fields: what the line begins with.
 RULES = [
-    ({"omega": 0}, "omega: must be at least 1e-06, not 0.0"),
     ({"xi": -0.1}, "xi: must be at least 0, not -0.1"),
     ({"xi": [0.0, 1e-40, 1.0]}, "xi: must be 0 or at least 1e-30, not 1e-40"),
-    ({"xi": 1e7}, "xi: must be at most 1e+06, not 10000000.0"),
-    ({"xi": range_(start=-1.0)}, "xi.start: must be at least 0, not -1.0"),
-    ({"gama": 1}, f"gama: is not a field here; did you mean 'gamma'? {AXES_ONLY}"),
-    ({"?": 1}, f"'?': is not a field here; {AXES_ONLY}"),
+    ({"gama": 1}, "gama: is not a field here; did you mean 'gamma'? the fields are name, gamma, omega, xi"),
     ({"\ud800": 1}, "field names must be printable text, not text '\\ud800'"),
     ({"name": 3}, "name: must be text, not 3"),
     ({"name": "x" * 201}, "name: must have at most 200 characters, not 201"),
@@ -158,83 +101,33 @@ RULES = [
     ({"name": "\ud800"}, "name: must be text that UTF-8 can write, without lone surrogates"),
     ({"protocol": "rest"}, 'protocol: must be an object such as {"kind": "rest"}, not text \'rest\''),
     ({"protocol": {}}, "protocol.kind: is required: 'rest', 'ramp', 'orbits', 'basin' or 'multistability'"),
-    (
-        {"protocol": {"kind": "rump"}},
-        "protocol.kind: must be 'rest', 'ramp', 'orbits', 'basin' or 'multistability', not text 'rump'",
-    ),
     ({"protocol": {"kind": "rest", "axis": "xi"}}, "protocol.axis: is not a field here; the fields are kind"),
     ({"protocol": {"kind": "ramp"}}, "protocol.axis: is required\nprotocol.direction: is required"),
-    ({"protocol": ramp(axis="g")}, "protocol.axis: must be 'gamma', 'omega' or 'xi', not text 'g'"),
-    (
-        {"protocol": ramp(direction="sideways"), "gamma": [1.0, 2.0]},
-        "protocol.direction: must be 'up', 'down' or 'both', not text 'sideways'",
-    ),
-    (
-        {"protocol": ramp()},
-        "protocol.axis: must name an axis of at least 2 values, and gamma has 1; give gamma a range",
-    ),
     (
         {"protocol": ramp(), "omega": [0.5, 0.6]},
         "protocol.axis: must name an axis of at least 2 values, and gamma has 1; ramp along 'omega'",
     ),
-    ({"model": "soft"}, 'model: must be an object such as {"kind": "soft"}, not text \'soft\''),
-    (
-        {"model": {"kind": "rigid", "penetration": 1e-3}},
-        "model.penetration: is not a field here; the fields are kind, restitution",
-    ),
-    ({"model": {"restitution": 1.5}}, "model.restitution: must be at most 1, not 1.5"),
-    ({"model": {"restitution": -0.5}}, "model.restitution: must be at least 0, not -0.5"),
-    ({"model": {"kind": "rigid", "restitution": 2}}, "model.restitution: must be at most 1, not 2"),
-    ({"model": {"restitution": None}}, "model.restitution: must be a number, not null"),
-    ({"model": {"penetration": 0}}, "model.penetration: must be at least 1e-12, not 0"),
-    ({"model": {"penetration": 2.0}}, "model.penetration: must be at most 1, not 2.0"),
-    ({"model": {"penetration": "1"}}, "model.penetration: must be a number, not text '1'"),
+    ({"model": {"kind": "rigid", "penetration": 1e-3}}, "model.penetration: is not a field here; the fields"),
     ({"model": {"adhesive": 1}}, "model.adhesive: must be true or false, not 1"),
     (
         {"model": {"adhesive": False, "restitution": 0}},
-        "model.restitution: must be at least 1e-06 where adhesive is false, not 0.0: "
-        "without pull, less needs damping without bound",
+        "model.restitution: must be at least 1e-06 where adhesive is false, not 0.0: ",
     ),
     (
         {"model": {"penetration": 1e-3, "rest_length": 1.0}},
-        "model.rest_length: must be absent or null where penetration is given: "
-        "each alone sets the contact's depth",
+        "model.rest_length: must be absent or null where penetration is given: ",
     ),
-    ({"model": {"rest_length": 0}}, "model.rest_length: must be above 0, not 0"),
     (
         {"model": {"rest_length": 1e9}},
-        f"model.rest_length: gives contacts 1.25e+04 to 1.25e+04 {DEPTH}; 8e-08 to 8e+04 works",
+        "model.rest_length: gives contacts 1.25e+04 to 1.25e+04 plate amplitudes deep, "
+        "allowed are 1e-12 to 1; 8e-08 to 8e+04 works",
     ),
-    (
-        {"model": {"rest_length": 1.0}, "gamma": [1e-6, 1e6], "omega": [1e-3, 1e3]},
-        f"model.rest_length: gives contacts 1e-16 to 1e+08 {DEPTH}; narrow gamma or omega",
-    ),
-    (
-        {"model": {"kind": "stepped", "restitution": 0}},
-        "model.restitution: must be at least 1e-06 for 'stepped', not 0.0: at 0 a contact has no end, "
-        "so no step is a part of it; 'soft' and 'rigid' allow 0",
-    ),
-    (
-        {"model": {"kind": "stepped", "restitution": 0.5, "scheme": "rk4"}},
-        "model.scheme: must be 'verlet' or 'euler', not text 'rk4'",
-    ),
-    (
-        {"model": {"kind": "stepped", "steps_per_contact": 2.5}},
-        "model.steps_per_contact: must be a whole number, not 2.5; 2 or 3 would do",
-    ),
-    (
-        {"model": {"kind": "stepped", "steps_per_contact": 0}},
-        "model.steps_per_contact: must be at least 1, not 0",
-    ),
+    ({"model": {"kind": "stepped", "restitution": 0}}, "model.restitution: must be at least 1e-06 for "),
+    ({"model": {"kind": "stepped", "scheme": "rk4"}}, "model.scheme: must be 'verlet' or 'euler', not text "),
     (
         {"model": {"kind": "stepped", "penetration": 1e-8}},
         "model.penetration: asks for 2.25e+09 steps in a plate period, at most 1e+07 are allowed; "
         "2.4e-06 would do",
-    ),
-    (
-        {"model": {"kind": "stepped", "penetration": 1e-4, "steps_per_contact": 5000}},
-        "model.steps_per_contact: asks for 5.64e+07 steps in a plate period, at most 1e+07 are allowed; "
-        "887 would do",
     ),
     (
         {"model": {"kind": "stepped", "penetration": 1e-4}, "settle": 100_000},
@@ -250,76 +143,24 @@ RULES = [
         "model.steps_per_contact: must be at least 12, not 2: longer steps are unstable with 'euler' at "
         "gamma 2, omega 0.1, xi 70",
     ),
-    (
-        {"model": {"kind": "auto", "tolerance": 0}},
-        "model.tolerance: must be at least 1e-09, not 0.0: the exact solution's own rounding is of that "
-        "size; ask for 'soft' where nothing else will do",
-    ),
-    ({"model": {"kind": "auto", "tolerance": "1"}}, "model.tolerance: must be a number, not text '1'"),
-    (
-        {"model": {"kind": "auto", "steps_per_contact": 20}},
-        "model.steps_per_contact: is not a field here; "
-        "the fields are kind, restitution, penetration, rest_length, adhesive, tolerance",
-    ),
-    ({"settle_tolerance": -1e-6}, "settle_tolerance: must be at least 0, not -1e-06"),
+    ({"model": {"kind": "auto", "tolerance": 0}}, "model.tolerance: must be at least 1e-09, not 0.0: "),
     ({"settle_tolerance": 1e-7}, "settle_tolerance: must be at most 1e-09, not 1e-07"),
     (
         {"settle_until": 399},
         "settle_until: must be at least settle + 2 * observe, or null: less has no effect; 400 or null works",
     ),
     (
-        {"settle_until": 10**7 - 1, "settle": 9_999_800},
-        "settle_until: must be at least settle + 2 * observe, or null: less has no effect; "
-        "10000000 or null works",
-    ),
-    (
-        {"settle_until": 10**7, "settle": 9_999_900},
-        "settle_until: must be at least settle + 2 * observe, or null: less has no effect; null works",
-    ),
-    ({"settle_until": 0}, "settle_until: must be at least 1, not 0"),
-    ({"settle_until": 10**8}, "settle_until: must be at most 1e+07, not 100000000"),
-    ({"settle_until": 1000.5}, "settle_until: must be a whole number, not 1000.5; 1000 or 1001 would do"),
-    ({"exponents": 5}, "exponents: must be at most 4, not 5"),
-    ({"exponents": -1}, "exponents: must be at least 0, not -1"),
-    (
         {"exponents": 4, "model": {"kind": "rigid"}},
         "exponents: must be at most 3 where model.kind is 'rigid' with restitution 0; 3 works",
     ),
     (
         {"exponents": 3, "model": {"kind": "ball"}},
-        "exponents: must be at most 2 where model.kind is 'ball'; 2 works",
+        "exponents: must be at most 2 where model.kind is 'ball'; ",
     ),
-    (
-        {"exponents": 1, "model": {"kind": "stepped"}},
-        "exponents: must be 0 where model.kind is 'stepped'; 'soft', 'rigid' or 'ball' has exponents",
-    ),
-    (
-        {"exponents": 1, "model": {"kind": "auto"}},
-        "exponents: must be 0 where model.kind is 'auto'; 'soft', 'rigid' or 'ball' has exponents",
-    ),
-    ({"settle_tolerance": float("nan")}, "settle_tolerance: must be finite, not nan"),
-    ({"settle": -1}, "settle: must be at least 0, not -1"),
     ({"settle": 1.5}, "settle: must be a whole number, not 1.5; 1 or 2 would do"),
     ({"settle": True}, "settle: must be a whole number, not true"),
-    ({"settle": "3"}, "settle: must be a whole number, not text '3'"),
-    ({"settle": float("nan")}, "settle: must be a whole number, not nan"),
-    ({"settle": 10**8}, "settle: must be at most 1e+07, not 100000000"),
-    ({"observe": 0}, "observe: must be at least 1, not 0"),
-    ({"observe": 10**8}, "observe: must be at most 1e+07, not 100000000"),
     ({"keep": 0}, "keep: must be at least 1, not 0"),
-    ({"keep": 10**6}, "keep: must be at most 10000, not 1000000"),
-    ({"micro_flight": -1}, "micro_flight: must be at least 0, not -1"),
-    ({"micro_flight": float("inf")}, "micro_flight: must be finite, not inf"),
-    ({"micro_flight": None}, "micro_flight: must be a number, not null"),
 ]
-
-
-@pytest.mark.parametrize(("restitution", "most"), [(0.0, 3), (0.01, 4), (0.3, 4), (1.0, 4)])
-def test_a_spring_that_rebounds_has_one_exponent_more(restitution, most):
-    model = {"kind": "rigid", "restitution": restitution}
-    assert SweepSpec(gamma=2, omega=1, xi=0.5, model=model, exponents=most).exponents == most
-    if most < 4:
-        assert "must be at most 3" in message(exponents=4, model=model)
 
 
 @for_each(("gamma", "expected"), AXIS_RULES)
@@ -327,17 +168,9 @@ def test_axis_rule_says(gamma, expected):
     assert message(gamma=gamma) == expected
 
 
-@for_each(
-    ("changes", "expected"), RULES
-)  # fmt: skip
+@for_each(("changes", "expected"), RULES)
 def test_rule_says(changes, expected):
-    assert message(**changes) == expected
-
-
-@pytest.mark.parametrize("field", ["gamma", "omega", "xi"])
-def test_axes_are_required(field):
-    with pytest.raises(SpecInvalid, match=f"^{field}: is required$"):
-        SweepSpec(**{name: value for name, value in POINT.items() if name != field})
+    assert message(**changes).startswith(expected)
 
 
 def test_unknown_model_names_the_ones_there_are():
@@ -376,87 +209,6 @@ def test_the_steps_a_refusal_suggests_are_the_fewest_that_work(e, d, omega, xi, 
     assert "unstable" not in refusal(fewest)  # though it may take too many of them
 
 
-@settings(max_examples=20)
-@given(
-    depth=st.sampled_from([{"penetration": 1e-2}, {"rest_length": 30.0}, {"rest_length": 1.0}]),
-    adhesive=st.booleans(),
-    scheme=st.sampled_from(["verlet", "euler"]),
-)
-def test_no_cell_of_a_grid_needs_more_steps_than_its_corners(depth, adhesive, scheme):
-    gamma, omega, xi = (
-        np.geomspace(0.1, 10.0, 6),
-        np.geomspace(0.03, 10.0, 7),
-        np.array([0.0, 0.1, 1.0, 80.0]),
-    )
-    model = Stepped(kind="stepped", restitution=0.1, adhesive=adhesive, scheme=scheme, **depth)
-
-    def most(gamma, omega, xi):
-        d = penetration_of(model, gamma, omega)
-        how = {"adhesive": adhesive}
-        stable = stable_steps_per_contact(omega, xi, 0.1, d, scheme=Scheme[scheme.upper()], **how)
-        return stable.max(), steps_per_period(0.1, d, 20, **how).max()
-
-    everywhere = [axis.ravel() for axis in np.meshgrid(gamma, omega, xi)]
-    assert most(*corners(gamma, omega, xi)) == most(*everywhere)
-
-
-def test_a_cell_may_take_as_many_steps_as_are_allowed():
-    model, cells = Stepped(penetration=0.5), corners(*np.array([[1.0], [1.0], [0.1]]))
-    [steps] = steps_per_period(model.restitution, np.array([0.5]), 20)
-    most = MOST_STEPS_PER_CELL // int(steps)
-    assert most * steps <= MOST_STEPS_PER_CELL < (most + 10**6) * steps
-    check_steps(model, cells, most)
-    with pytest.raises(BrokenRuleError, match=f" over {most + 10**6} periods; 19 would do$"):
-        check_steps(model, cells, most + 10**6)
-
-
-def test_the_limits_of_time_steps_are_those_of_the_worst_cell():
-    model = Stepped(penetration=0.05, steps_per_contact=200)
-    axes = np.array([[1.0, 2.0], [0.1, 3.0], [0.1, 20.0]])
-    cells = corners(*axes)
-    assert {tuple(cell) for cell in zip(*cells, strict=True)} == {
-        (gamma, omega, xi) for gamma in axes[0] for omega in axes[1] for xi in axes[2]
-    }
-    found = stated(model, cells)
-    [steps] = set(steps_per_period(model.restitution, np.full(8, 0.05), 200).tolist())
-    assert found["longest_step"] == pytest.approx(2.0 * np.pi / steps)
-    limits = largest_stable_step(cells.omega, cells.xi, model.restitution, 0.05)
-    assert found["stable_below"] == limits.min() < limits.max()
-    fewest = stable_steps_per_contact(cells.omega, cells.xi, model.restitution, 0.05)
-    assert found["fewest_stable_steps_per_contact"] == fewest.max() > fewest.min()
-
-
-def test_auto_is_measured_from_the_contact_it_names():
-    given = {"restitution": 0.2, "penetration": None, "rest_length": 40.0, "adhesive": False}
-    assert Auto(kind="auto", tolerance=0.1, **given).exact == Soft(**given)
-
-
-def test_every_broken_field_is_named_at_once():
-    assert message(settle=-1, keep=0, gamma="x").count("\n") == 2
-
-
-def test_a_thousand_problems_are_told_shortly():
-    said = message(gamma=["x"] * 1000)
-    assert said.count("\n") == 20
-    assert said.endswith("and 980 more problems")
-
-
-def test_long_values_are_echoed_shortly():
-    assert len(message(settle="x" * 10**6)) < 100
-    assert describe(object()) == "a value of type object"
-
-
-@for_each("data", [None, [1], "text", 3, True])
-def test_specification_must_be_an_object(data):
-    with pytest.raises(SpecInvalid, match=r"^a specification must be an object, not "):
-        SweepSpec.parse(data)
-
-
-def test_field_names_must_be_text():
-    with pytest.raises(SpecInvalid, match=r"^field names must be printable text, not 3$"):
-        SweepSpec.parse(POINT | {3: 1})
-
-
 def test_errors_are_value_errors_with_fields_and_survive_pickling():
     with pytest.raises(ValueError, match="settle") as caught:
         sweep(settle=-1, keep=0)
@@ -465,6 +217,36 @@ def test_errors_are_value_errors_with_fields_and_survive_pickling():
     assert [problem.field for problem in copy.problems] == ["settle", "keep"]
     assert issubclass(SpecUnreadable, SpecError)
     assert issubclass(SpecTooLarge, SpecError)
+
+
+@for_each(
+    ("value", "described"),
+    [
+        (None, "null"),
+        (2**128, "a whole number of about 39 digits"),
+        ("x" * 39, f"text '{'x' * 36}..."),
+        ("ä\n", r"text '\xe4\n'"),
+        ({}, "an object"),
+        ((1, 2), "a list of 2"),
+        (type("T" * 30, (), {})(), f"a value of type {'T' * 21}..."),
+    ],
+)
+def test_a_value_is_described_shortly(value, described):
+    assert describe(value) == described
+
+
+def test_twenty_problems_are_listed_and_of_further_ones_their_number():
+    said = message(gamma=["x"] * 1000).splitlines()
+    assert [line.split(":")[0] for line in said[:-1]] == [f"gamma[{n}]" for n in range(20)]
+    assert said[-1] == "and 980 more problems"
+
+
+def test_a_specification_is_an_object_with_three_axes():
+    for data in (None, [1], "text"):
+        with pytest.raises(SpecInvalid, match=r"^a specification must be an object, not "):
+            SweepSpec.parse(data)
+    with pytest.raises(SpecInvalid, match=r"^gamma: is required\nomega: is required\nxi: is required$"):
+        SweepSpec.parse({})
 
 
 def test_is_frozen():
@@ -476,40 +258,16 @@ def test_is_frozen():
 
 
 def test_defaults_are_those_of_the_design():
+    contact = {"restitution": 0.01, "penetration": 0.001, "rest_length": None, "adhesive": True}
     assert sweep().canonical() == {
-        "gamma": [2.0],
-        "omega": [0.5],
-        "xi": [0.26],
-        "protocol": {"kind": "rest"},
-        "model": {
-            "kind": "soft",
-            "restitution": 0.01,
-            "penetration": 0.001,
-            "rest_length": None,
-            "adhesive": True,
-        },
-        "settle": 200,
-        "observe": 100,
-        "keep": 64,
-        "micro_flight": 0.05,
-    }
-
-
-def test_whole_numbers_may_be_written_as_floats_and_the_other_way_round():
-    assert sweep(settle=200.0, keep=64.0, gamma=2) == sweep(settle=200, keep=64, gamma=2.0)
+        "gamma": [2.0], "omega": [0.5], "xi": [0.26], "protocol": {"kind": "rest"},
+        "model": {"kind": "soft"} | contact, "settle": 200, "observe": 100, "keep": 64, "micro_flight": 0.05,
+    }  # fmt: skip
 
 
 def test_numpy_numbers_and_arrays_are_numbers_and_lists():
     spec = sweep(gamma=np.linspace(1, 2, 3), xi=np.float64(0.1), settle=np.int64(7), keep=np.float64(3))
-    assert spec == sweep(gamma=[1.0, 1.5, 2.0], xi=0.1, settle=7, keep=3)
-
-
-@pytest.mark.parametrize("spacing", ["linear", "log"])
-def test_range_hits_its_ends_exactly(spacing):
-    values = sweep(gamma=range_(0.1, 0.7, 1001, spacing=spacing)).axis_values("gamma")
-    assert len(values) == 1001
-    assert (values[0], values[-1]) == (0.1, 0.7)
-    assert np.all(np.diff(values) > 0)
+    assert spec == sweep(gamma=[1.0, 1.5, 2.0], xi=0.1, settle=7, keep=3.0)
 
 
 @given(
@@ -525,10 +283,6 @@ def test_any_accepted_range_increases(one, two, num, spacing):
     assert np.all(np.diff(values) > 0)
 
 
-def test_range_of_one_value_where_start_equals_stop():
-    assert sweep(gamma=range_(1.5, 1.5, 1)).axis_values("gamma").tolist() == [1.5]
-
-
 def test_xi_may_be_zero_and_minus_zero_is_the_same():
     assert sweep(xi=0).job_id("1") == sweep(xi=-0.0).job_id("1") == sweep(xi=[-0.0]).job_id("1")
 
@@ -539,11 +293,6 @@ def test_xi_may_be_zero_and_minus_zero_is_the_same():
         (
             {"protocol": ramp(start={"bounces": 2})},
             "protocol.start.bounces: must be 1, not 2: cycles of one flight have a closed form",
-        ),
-        (
-            {"protocol": ramp(start={"period": 1})},
-            "protocol.start.period: is not a field here; did you mean 'periods'? the fields are bounces, "
-            "periods",
         ),
         ({"protocol": ramp(start=5)}, "protocol.start: must be an object, not 5"),
         (
@@ -558,22 +307,6 @@ def test_xi_may_be_zero_and_minus_zero_is_the_same():
         (
             {"omega": range_(0.5, 1.0, 1001)},
             "protocol.start: is possible for at most 1,000 lines, and this sweep has 1,001",
-        ),
-        (
-            {"omega": range_(0.5, 1.0, 501), "xi": [0.05, 0.06]},
-            "protocol.start: is possible for at most 1,000 lines, and this sweep has 1,002",
-        ),
-        (
-            {"omega": range_(0.7, 1.0, 1000)},
-            "protocol.start: there is no stable cycle (1, 1) at gamma 0.6, omega 0.7, xi 0.05",
-        ),
-        (
-            {"protocol": ramp(start={"bounces": True})},
-            "protocol.start.bounces: must be a whole number, not true",
-        ),
-        (
-            {"protocol": ramp(start={"bounces": "x"})},
-            "protocol.start.bounces: must be a whole number, not text 'x'",
         ),
     ],
 )
@@ -616,16 +349,6 @@ def test_shape_and_directions():
         assert spec.ramp_axis == "omega"
 
 
-def test_shape_of_a_huge_sweep_takes_no_memory():
-    axis = range_(1.0, 2.0, MAX_AXIS_VALUES)
-    assert sweep(gamma=axis, omega=axis, xi=axis).shape == (1, 10**5, 10**5, 10**5)
-
-
-def test_settling_may_end_with_the_first_window_more():
-    assert sweep(settle_until=400).settle_until == 400
-    assert sweep(settle_until=10**7, settle=9_999_800).settle_until == 10**7
-
-
 # Identity
 
 
@@ -641,14 +364,8 @@ def test_same_sweep_written_differently_is_the_same_job():
     "changes",
     [
         {"gamma": 2.0000000000000004},
-        {"omega": 0.6},
-        {"xi": 0.27},
-        {"settle": 201},
-        {"observe": 101},
         {"keep": 63},
-        {"micro_flight": 1e-3},
         {"model": {"kind": "rigid"}},
-        {"model": {"adhesive": False}},
         {"model": {"rest_length": 1.0}},
         {"settle_tolerance": 1e-9},
         {"settle_early": False},
@@ -658,17 +375,9 @@ def test_any_other_number_is_another_job(changes):
     assert sweep(**changes).job_id("1") != sweep().job_id("1")
 
 
-def test_another_kernel_version_is_another_job():
-    assert sweep().job_id("1") != sweep().job_id("2")
-
-
 def test_identity_is_not_forgotten_from_release_to_release():
     """If this fails, every stored job is computed anew: a thing to do on purpose only."""
     assert sweep(micro_flight=0.0).job_id("1") == "07e4a0b73fc29560de65d362ac80685e"
-
-
-def test_settling_to_the_end_is_no_other_job_than_before_it_could_be_cut_short():
-    assert sweep(settle_tolerance=0.0).job_id("1") == sweep().job_id("1")
 
 
 @pytest.mark.parametrize("changes", [{"protocol": ramp()}, {"exponents": 1}])
@@ -681,22 +390,11 @@ def test_early_settling_is_left_out_where_it_has_no_effect(changes):
     assert not sweep(settle_early=False).ends_early
 
 
-@pytest.mark.parametrize("settle_early", [True, False])
-def test_the_canonical_form_keeps_whether_settling_ends_early(settle_early):
-    spec = sweep(settle_early=settle_early)
-    assert SweepSpec.from_json(json.dumps(spec.canonical())).settle_early == settle_early
-
-
 def test_canonical_form_is_json_and_a_specification_again():
     spec = sweep(gamma=range_(1.0, 2.0, 7, spacing="log"), protocol=ramp(), name="label")
     again = SweepSpec.from_json(json.dumps(spec.canonical(), allow_nan=False))
     assert again.job_id("1") == spec.job_id("1")
     assert SweepSpec.from_json(json.dumps(spec.as_submitted())) == spec
-
-
-def test_survives_pickling():
-    spec = sweep(gamma=range_(), protocol=ramp(), model={"kind": "rigid"})
-    assert pickle.loads(pickle.dumps(spec)) == spec
 
 
 # Models
@@ -722,12 +420,6 @@ def test_rest_length_sets_each_cells_depth():
     assert model.penetration is None
 
 
-def test_given_depth_and_restitution_are_every_cells():
-    model = sweep(model={"penetration": 1e-4, "restitution": 0.2}).model
-    assert penetration_of(model, np.ones(3), np.ones(3)).tolist() == [1e-4] * 3
-    assert arguments(model, np.ones(2))["restitution"].tolist() == [0.2] * 2
-
-
 def test_a_ball_that_is_given_no_restitution_has_its_springs():
     """docs/model.md, section 5: f(0.5) = 0.1492, f(10) = 0.0012."""
     xi = np.array([0.5, 10.0])
@@ -737,85 +429,7 @@ def test_a_ball_that_is_given_no_restitution_has_its_springs():
     assert arguments(given, xi)["restitution"].tolist() == [0.3, 0.3]
 
 
-def test_only_stepped_says_how_it_steps():
-    model = {"kind": "stepped", "steps_per_contact": 50, "scheme": "euler"}
-    stepped = arguments(sweep(model=model).model, np.ones(1))
-    assert (stepped["steps_per_contact"], stepped["scheme"]) == (50, "euler")
-    assert "scheme" not in sweep().canonical()["model"]
-
-
-@pytest.mark.parametrize(
-    "model", [{"restitution": 0}, {"restitution": 1}, {"kind": "rigid", "restitution": 1}]
-)
-def test_restitution_from_nothing_to_one(model):
-    assert sweep(model=model)
-
-
-@pytest.mark.parametrize("field", ["adhesive", "kind", "tolerance"])
-def test_the_least_restitution_and_tolerance_are_accepted(field):
-    model, value = {
-        "adhesive": (Soft(adhesive=False, restitution=1e-6), 1e-6),
-        "kind": (Stepped(restitution=1e-6), 1e-6),
-        "tolerance": (Auto(tolerance=1e-9, restitution=0.0), 0.0),
-    }[field]
-    assert model.restitution == value
-
-
-def test_the_deepest_and_the_shallowest_contact_are_accepted():
-    for rest_length in (1e4, 1e-8):  # plate amplitudes 1 and 1e-12 deep
-        assert (
-            sweep(gamma=1.0, omega=1.0, model={"rest_length": rest_length}).model.rest_length == rest_length
-        )
-    for rest_length, depth in ((1.01e4, "1.01"), (0.99e-8, "9.9e-13")):
-        said = message(gamma=1.0, omega=1.0, model={"rest_length": rest_length})
-        assert f"gives contacts {depth} to {depth} plate amplitudes deep" in said
-
-
-def test_stepped_gives_its_kernel_contact_and_steps():
-    given = arguments(Stepped(restitution=0.2, adhesive=False, penetration=1e-2), np.ones(2))
-    assert (given["restitution"].tolist(), given["penetration"].tolist()) == ([0.2, 0.2], [1e-2, 1e-2])
-    assert (given["adhesive"], given["steps_per_contact"], given["scheme"]) == (False, 20, "verlet")
-
-
-def test_the_depth_of_a_model_without_a_soft_contact_is_the_default():
-    for model in (Rigid(), Ball(), Soft()):
-        assert penetration_of(model, np.ones(2), np.ones(2)).tolist() == [1e-3, 1e-3]
-
-
-def test_the_protocol_is_not_another_object():
-    assert message(protocol=Soft()).startswith("protocol.kind: must be 'rest', 'ramp', ")
-    assert message(protocol=Soft()).endswith(", not text 'soft'")
-    assert message(model=SweepSpec(**POINT).protocol).endswith(", not text 'rest'")
-
-
 # Files and text
-
-
-def test_the_longest_numbers_files_and_keys_are_read(tmp_path):
-    assert parsing.read_json("9" * 400) == 10**400 - 1
-    text = 'gamma = 1.5\nomega = 1.0\nxi = 0.5\nmodel.kind = "rigid"\n'
-    (tmp_path / "a.toml").write_text(text + "#" * (parsing.MAX_SLOW_BYTES - len(text)))
-    spec = SweepSpec.from_file(tmp_path / "a.toml")
-    assert spec.model.kind == "rigid"
-    (tmp_path / "a.json").write_text(json.dumps(spec.as_submitted()).ljust(parsing.MAX_FILE_BYTES))
-    assert SweepSpec.from_file(tmp_path / "a.json") == spec
-
-
-@pytest.mark.parametrize("before", ["", "\n", "x = 1\n"])
-def test_a_key_has_sixteen_parts_at_most(tmp_path, before):
-    file = tmp_path / "a.toml"
-    file.write_text(f"{before}{'.'.join('abcdefghijklmnop')} = 1")
-    assert "a" in parsing.read_file(file)
-    file.write_text(f"{before}{'.'.join('abcdefghijklmnopq')} = 1")
-    line = 1 + before.count("\n")
-    with pytest.raises(SpecUnreadable, match=f"^a key of more than 16 parts at line {line}; "):
-        parsing.read_file(file)
-
-
-def test_an_empty_file_is_no_specification(tmp_path):
-    (tmp_path / "a.yaml").write_text("")
-    with pytest.raises(SpecInvalid, match=r"^a specification must be an object, not null$"):
-        SweepSpec.from_file(tmp_path / "a.yaml")
 
 
 def test_yaml_files_are_read_as_yaml_1_2(tmp_path):
@@ -823,31 +437,36 @@ def test_yaml_files_are_read_as_yaml_1_2(tmp_path):
         """# of Fig. 2
 name: "no"
 gamma: {start: 1, stop: 6.0, num: 0011}
-omega: [0.5, 5e-1, .7]
+omega: [5e-1, .7]
 xi: 1e-3
-protocol:
-  kind: ramp
-  axis: gamma
-  direction: up
+protocol: {kind: ramp, axis: gamma, direction: up}
 settle_until: null
 refine: ~
 """
     )
-    fields = {"name": "no", "gamma": range_(1, 6.0, 11), "omega": [0.5, 0.5, 0.7], "xi": 1e-3,
-              "protocol": ramp()}  # fmt: skip
-    with pytest.raises(SpecInvalid) as caught:  # omega rises strictly
-        SweepSpec.from_file(tmp_path / "a.yaml")
-    text = (tmp_path / "a.yaml").read_text().replace("5e-1, ", "")
-    (tmp_path / "a.yml").write_text(text)
-    assert SweepSpec.from_file(tmp_path / "a.yml") == SweepSpec(**fields | {"omega": [0.5, 0.7]})
-    assert "omega" in str(caught.value)
+    expected = {
+        "name": "no",
+        "gamma": range_(1, 6.0, 11),
+        "omega": [0.5, 0.7],
+        "xi": 1e-3,
+        "protocol": ramp(),
+    }
+    assert SweepSpec.from_file(tmp_path / "a.yaml") == SweepSpec(**expected)
 
 
-def test_yaml_words_and_dates_are_no_numbers(tmp_path):
-    (tmp_path / "a.yaml").write_text("gamma: .inf\nomega: 2020-01-01\nxi: 1_000\n")
+@for_each(
+    ("name", "text", "fields"),
+    [
+        ("a.yaml", "gamma: .inf\nomega: 2020-01-01\nxi: 1_000\n", ["gamma", "omega", "xi"]),
+        ("a.toml", "gamma = inf\nomega = 2020-01-01\nxi = 0.1\n", ["gamma", "omega"]),
+        ("a.json", '{"gamma": 1e999, "omega": 1, "xi": 1}', ["gamma"]),
+    ],
+)
+def test_infinities_words_and_dates_are_no_numbers(tmp_path, name, text, fields):
+    (tmp_path / name).write_text(text)
     with pytest.raises(SpecInvalid) as caught:
-        SweepSpec.from_file(tmp_path / "a.yaml")
-    assert [problem.field for problem in caught.value.problems] == ["gamma", "omega", "xi"]
+        SweepSpec.from_file(tmp_path / name)
+    assert [problem.field for problem in caught.value.problems] == fields
 
 
 def test_json_and_toml_files_are_the_same_sweep(tmp_path):
@@ -877,31 +496,19 @@ def test_unreadable_text_says(text, expected):
     assert str(caught.value).startswith(expected)
 
 
-def test_number_too_large_for_json_readers_is_not_finite():
-    with pytest.raises(SpecInvalid, match=r"^gamma: must be finite, not inf$"):
-        SweepSpec.from_json('{"gamma": 1e999, "omega": 1, "xi": 1}')
-
-
 @for_each(
     ("name", "content", "expected"),
     [
         ("a.txt", b"", "a specification file ends in .json, .toml or .yaml"),
         ("a.yaml", b"gamma: [1", "the text is not YAML: "),
-        ("a.yaml", b"\xff", "the text is not UTF-8 at byte 0"),
         ("a.yaml", b"gamma: 1\ngamma: 2", "field 'gamma' is given twice; give it once"),
         ("a.yml", b"gamma: &a [1, 2]\nomega: *a\nxi: 1", "aliases are not read; write the value twice"),
         ("a.yaml", b"gamma: !!python/name:os.system x", "could not determine a constructor"),
         ("a.yaml", b"gamma: " + b"[" * 100_000, "the YAML cannot be read: "),
         ("a.yaml", b"gamma: " + b"9" * 500, "a number of 500 digits is too long"),
-        ("a.yaml", b"---\na: 1\n---\nb: 1", "the text is not YAML: "),
         ("a.toml", b"gamma = ", "the text is not TOML: "),
         ("a.toml", b"\xff", "the text is not UTF-8 at byte 0"),
-        ("a.toml", b"gamma = 1.5.1", "the text is not TOML: "),
-        (
-            "a.toml",
-            b" " * 1_000_001,
-            "a TOML file must be at most 1000000 bytes; give long axes as ranges, or",
-        ),
+        ("a.toml", b" " * 1_000_001, "a TOML file must be at most 1000000 bytes; give long axes as "),
         ("a.json", b" " * 4_000_001, "must be at most 4000000 bytes; give long axes as ranges"),
     ],
 )
@@ -949,32 +556,6 @@ def test_a_pile_of_combining_marks_is_refused():
     for name in ("e" + "\u0301" * 5, "\u0301" * 200, "ok \u20dd\u20dd\u20dd\u20dd\u20dd"):
         with pytest.raises(SpecInvalid, match=r"^name: must have at most 4 combining marks in a row$"):
             SweepSpec(**fields, name=name)
-
-
-def test_missing_file_says_its_name(tmp_path):
-    with pytest.raises(SpecUnreadable, match=r"nothing\.json: No such file"):
-        SweepSpec.from_file(tmp_path / "nothing.json")
-
-
-def test_toml_infinity_and_dates_are_no_numbers(tmp_path):
-    (tmp_path / "a.toml").write_text("gamma = inf\nomega = 2020-01-01\nxi = 0.1\n")
-    with pytest.raises(SpecInvalid, match=f"omega: must be {FORMS[:8]}") as caught:
-        SweepSpec.from_file(tmp_path / "a.toml")
-    assert "gamma: must be finite, not inf" in str(caught.value)
-
-
-@pytest.mark.parametrize(("gamma", "nearest"), [(2.9, "1.35"), (6.9, "7.28"), (12.0, "7.28")])
-def test_of_several_ranges_with_a_cycle_the_nearest_is_proposed(gamma: float, nearest: str):
-    """At omega 1.2 and xi 0.1, (1, 1) is stable from 1.359 to 2.829 and from 7.287 to 11.267."""
-    rule = no_cycle(Cell(gamma, 1.2, 0.1), 1)
-    assert f"it exists from gamma {nearest}" in rule
-
-
-def test_where_no_cycles_are_looked_for_the_reason_is_told():
-    assert no_cycle(Cell(1.0, 1.0, 0.0), 1) == (
-        "there is no stable cycle (1, 1) at gamma 1, omega 1, xi 0 "
-        "(xi: must be > 0 at omega = 1: the driven amplitude is infinite)"
-    )
 
 
 def test_json_schema_tells_the_bounds():

@@ -1,7 +1,6 @@
 """What a connection connects to: an address, a scheduler file, or a cluster that a function makes."""
 
 import json
-import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,9 +10,8 @@ from distributed import WorkerPlugin
 
 from worker.executors import targets
 from worker.executors.connection import SchedulerConnection
-from worker.executors.dask import _target
 from worker.executors.errors import ClusterLost
-from worker.executors.targets import FIRST_PAUSE, REFILL_SECONDS, UNANSWERED, Fixed, Made, SchedulerFile
+from worker.executors.targets import FIRST_PAUSE, UNANSWERED, Fixed, Made, SchedulerFile
 
 
 @pytest.fixture
@@ -34,20 +32,6 @@ class Cluster:
 
     def close(self) -> None:
         self.closed += 1
-
-
-def test_an_address_is_what_it_is():
-    assert Fixed("tcp://a:1").find() == "tcp://a:1"
-    assert Fixed("tcp://a:1").planned() is None
-    assert Fixed(Cluster(3)).planned() == 3
-
-
-def test_what_is_given_decides_what_is_connected_to(tmp_path: Path):
-    made = Made(Cluster, "mine")
-    assert _target(made, None, 1.0) is made
-    assert _target("tcp://a:1", None, 1.0).find() == "tcp://a:1"
-    (tmp_path / "file").write_text(json.dumps({"address": "tcp://b:2"}))
-    assert _target("tcp://a:1", tmp_path / "file", 1.0).find() == "tcp://b:2"
 
 
 def test_a_scheduler_file_is_waited_for_at_first_and_read_each_time(
@@ -139,61 +123,6 @@ def test_a_failure_is_told_until_the_next_try(now: list[float]):
         target.find()
     now[0] += 0.6
     assert isinstance(target.find(), Cluster)
-
-
-def test_a_cluster_that_cannot_be_closed_is_made_again_all_the_same(now: list[float]):
-    class Broken(Cluster):
-        def close(self) -> None:
-            raise OSError("gone")
-
-    target = Made(Broken, "mine")
-    first = target.find()
-    first.status = "failed"
-    with pytest.raises(ClusterLost):
-        target.find()
-    now[0] += FIRST_PAUSE
-    assert target.find() is not first
-
-
-def test_lost_workers_are_looked_for_now_and_then(now: list[float], monkeypatch: pytest.MonkeyPatch):
-    started: list[Any] = []
-
-    def run(work: Any, loop: Any) -> None:
-        work.close()
-        started.append(loop)
-
-    monkeypatch.setattr(targets.asyncio, "run_coroutine_threadsafe", run)
-    cluster: Any = Cluster(2)
-    cluster.loop = SimpleNamespace(asyncio_loop="its loop")
-    target = Made(lambda: cluster, "mine")
-    target.refill()  # there is none yet
-    target.find()
-    cluster.workers = range(1)
-    target.refill()
-    assert started == []
-    now[0] += REFILL_SECONDS
-    target.refill()
-    target.refill()
-    assert started == ["its loop"]
-    now[0] += REFILL_SECONDS
-    target.refill()
-    assert started == ["its loop"] * 2
-    cluster.workers = range(2)
-    now[0] += REFILL_SECONDS
-    target.refill()
-    assert len(started) == 2
-    del cluster.worker_spec
-    cluster.workers = range(1)
-    now[0] += 2 * REFILL_SECONDS
-    target.refill()  # it replaces them itself
-    assert len(started) == 2
-
-
-def test_the_time_is_that_of_the_system(tmp_path: Path):
-    began = time.monotonic()
-    with pytest.raises(ClusterLost):
-        SchedulerFile(tmp_path / "nothing", timeout=0.2).find()
-    assert time.monotonic() - began >= 0.2
 
 
 @pytest.mark.parametrize("address", ["nonsense", "tcp://"])

@@ -1,29 +1,21 @@
 """Thresholds finer than the grid: Eq. 25 upwards, docs/model.md, section 5, downwards."""
 
-import re
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
-from scripted import wait_for
-from served import computing, finished, get, service
 
 import worker.analysis.prediction
 import worker.analysis.thresholds
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from worker import store
-from worker.analysis.prediction import predict, predict_each, predict_from_cells
-from worker.analysis.thresholds import Refined, Status, _patient, refine
-from worker.executors.errors import ClusterLost
-from worker.executors.inline import Inline
+from worker.analysis.prediction import predict, predict_each
+from worker.analysis.thresholds import Refined, Status, refine
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
-from worker.spec.sweep import MAX_PERIODS
 from worker.tasks import run_chunk
 
 TOLERANCE = 1e-4
@@ -53,7 +45,7 @@ def thresholds(spec: SweepSpec, url: str, tolerance: float) -> Refined:
     return refine(spec, url, 0, tuple(range(len(spec.axis_values("omega")))), tolerance)
 
 
-@pytest.mark.parametrize("xi", [0.01, 0.05, 0.2, 1.0])
+@pytest.mark.parametrize("xi", [0.01, 0.2])
 @pytest.mark.parametrize(
     "model", [{"kind": "rigid"}, {"kind": "soft", "restitution": 0.01}], ids=["rigid", "soft"]
 )
@@ -67,8 +59,8 @@ def test_the_ascending_threshold_is_eq_25(tmp_path: Path, xi: float, model: dict
     np.testing.assert_allclose(found, threshold(np.array(OMEGA), xi), rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("xi", [0.01, 0.2, 1.0])
-@pytest.mark.parametrize("omega", [1e-3, 1e-2, np.sqrt(2.0), 1e2, 1e3])
+@pytest.mark.parametrize("xi", [0.01, 1.0])
+@pytest.mark.parametrize("omega", [1e-3, np.sqrt(2.0), 1e3])
 def test_the_ascending_threshold_at_extreme_frequencies(tmp_path: Path, omega: float, xi: float):
     """Slow plates, fast ones, and the antiresonance, where Eq. 25 goes like 1/(sqrt(8) xi)."""
     gamma = {"start": 0.3, "stop": 80.0, "num": 60, "spacing": "log"}
@@ -93,13 +85,7 @@ def last_moving(spec: SweepSpec, url: str) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "model",
-    [
-        {"kind": "rigid"},
-        {"kind": "soft", "restitution": 0.0},
-        {"kind": "soft", "restitution": 0.01},
-        {"kind": "soft", "restitution": 0.1},
-        {"kind": "rigid", "restitution": 0.1},
-    ],
+    [{"kind": "rigid"}, {"kind": "soft", "restitution": 0.1}],
     ids=lambda model: f"{model['kind']} {model.get('restitution', 0)}",
 )
 def test_the_descending_threshold_is_that_of_the_model_page(tmp_path: Path, model: dict[str, Any]):
@@ -140,33 +126,12 @@ def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path)
         assert (outcome[0] == 3, outcome[1] == 3) == (True, False)
 
 
-def test_a_refinement_ends_as_soon_as_it_holds_the_tolerance(tmp_path: Path):
-    """The threshold is 0.872; what brackets it here is exact in binary."""
-    spec, url = computed(tmp_path / "rest", gamma=[0.75, 1.0], omega=[0.5], xi=0.26)
-    assert thresholds(spec, url, 0.25).up == (1.0,)
-    assert thresholds(spec, url, 0.24).up == (0.875,)
-    spec, url = computed(tmp_path / "ramp", gamma=[0.5, 1.0], omega=[0.5], xi=0.26, protocol=ramp("up"))
-    assert thresholds(spec, url, 0.5).up == (1.0,)
-
-
-def test_a_bisection_ends_where_no_number_is_between(tmp_path: Path):
-    spec, url = computed(tmp_path, gamma=[0.75, 1.0], omega=[0.5], xi=0.26)
-    found = thresholds(spec, url, 0.0)
-    assert found.up_status == (Status.FOUND,)
-    beside = computed(
-        tmp_path / "beside", gamma=[np.nextafter(found.up[0], 0.0), found.up[0]], omega=0.5, xi=0.26
-    )
-    outcome = store.read_slice(beside[1], ("outcome",))["outcome"].ravel()
-    assert (outcome == Outcome.AT_REST).tolist() == [True, False]
-
-
 @pytest.mark.parametrize(
     ("gamma", "protocol", "up", "down"),
     [
         ([2.0, 3.0], ramp("both"), Status.BELOW, Status.BELOW),
         ([0.1, 0.2], ramp("both"), Status.ABOVE, Status.NEVER),
         ([2.0, 3.0], ramp("down"), Status.NOT_RAMPED, Status.BELOW),
-        ([0.1, 0.2], {"kind": "rest"}, Status.ABOVE, Status.NOT_RAMPED),
         ([2.0], {"kind": "rest"}, Status.BELOW, Status.NOT_RAMPED),
     ],
 )
@@ -194,19 +159,6 @@ def test_a_refinement_that_reaches_its_limit_says_so(tmp_path: Path, monkeypatch
     assert found.up_status == (Status.NOT_REFINED,)
 
 
-def test_cells_of_a_refinement_may_settle_for_sixteen_windows():
-    def patient(**fields: Any) -> SweepSpec:
-        window = {"settle": 100, "observe": 20, "keep": 8, "exponents": 1, "model": {"kind": "rigid"}}
-        return _patient(SweepSpec(gamma=1.0, omega=0.5, xi=0.26, **window | fields))
-
-    usual = patient()
-    assert (usual.settle, usual.observe, usual.keep, usual.exponents) == (100, 20, 1, 0)
-    assert usual.settle_until == 16 * 120
-    assert patient(settle_until=500).settle_until == 16 * 120
-    assert patient(settle_until=5000).settle_until == 5000
-    assert patient(settle=MAX_PERIODS // 4).settle_until == MAX_PERIODS
-
-
 def test_what_has_no_closed_form_is_unresolved_and_says_why():
     resonant, slow = predict(1.0, 0.0), predict(0.001, 0.05)
     for found, omega, xi in ((resonant, 1.0, 0.0), (slow, 0.001, 0.05)):
@@ -216,91 +168,6 @@ def test_what_has_no_closed_form_is_unresolved_and_says_why():
         assert found.fold is None
     assert "omega: must be at least about 0.038" in slow.reason
     assert resonant.reason
-    # just above that limit, the points near both ends make it too many
-    assert "omega: 0.03855 takes branches of 2,00" in predict(0.03855, 0.0).reason
     one, two = predict_each((0.6, 0.62), 0.05)
     assert (one.down, two.down) == (predict(0.6, 0.05).down, predict(0.62, 0.05).down)
     assert one.cause == "fold (1,1)"
-
-
-@pytest.mark.parametrize(("direction", "read"), [("up", 0), ("down", 0), ("both", 1)])
-def test_words_are_those_of_the_way_down_where_there_is_one(
-    monkeypatch: pytest.MonkeyPatch, direction: str, read: int
-):
-    asked = []
-
-    def lowest_words(_: Any, url: str, *where: Any) -> tuple[list[Any], float]:
-        asked.append((url, *where))
-        return [], np.inf
-
-    monkeypatch.setattr(worker.analysis.prediction, "lowest_words", lowest_words)
-    ramp = {"kind": "ramp", "axis": "gamma", "direction": direction}
-    spec = SweepSpec(gamma=[0.9, 1.1], omega=[0.46, 0.7], xi=[0.01, 0.05], protocol=ramp)
-    unresolved, resolved = predict_from_cells(spec, "a.zarr", 1, (0, 1), True)
-    assert asked == [("a.zarr", read, 1, 0, True)]
-    assert (unresolved.cause, resolved.cause) == ("unresolved", "fold (1,1)")
-
-
-# Through the service
-
-SWEEP: dict[str, Any] = {
-    "gamma": {"start": 0.4, "stop": 1.2, "num": 81},
-    "omega": [0.6, 0.66],
-    "xi": [0.05, 0.2],
-    "protocol": ramp("both"),
-    "model": {"kind": "rigid"},
-    "settle": 100,
-    "observe": 20,
-    "keep": 4,
-}
-
-
-class Counting(Inline):
-    """Counts calls, and fails the first with `errors`."""
-
-    def __init__(self, *errors: Exception) -> None:
-        super().__init__()
-        self.errors, self.calls = list(errors), 0
-
-    def call(self, function: Any, *arguments: Any) -> Any:
-        self.calls += 1
-        if self.errors:
-            raise self.errors.pop(0)
-        return super().call(function, *arguments)
-
-
-def answered(client: TestClient, here: str, **query: float) -> dict[str, Any]:
-    """What is answered once the workers have computed it."""
-    wait_for(lambda: client.get(here, params=query).status_code == 200)
-    answer: dict[str, Any] = get(client, here, **query)
-    return answer
-
-
-def test_an_answer_is_remembered_and_one_that_was_lost_is_asked_for_again(tmp_path: Path):
-    with closing(Counting(ClusterLost("gone"))) as executor, service(tmp_path, executor) as client:
-        here = f"{finished(client, SWEEP)}/threshold"
-        fine = {"xi": 0.05, "tolerance": 1e-4}
-        refused = client.get(here, params=fine)
-        assert (refused.status_code, refused.headers["Retry-After"]) == (503, "2")
-        assert refused.json()["detail"] == "no worker can compute it now (gone): repeat the request"
-        one, two = answered(client, here, **fine), answered(client, here, **fine)
-        assert one == two
-        assert one["tolerance"] == 1e-4
-        assert executor.calls == 2
-        assert answered(client, here, **fine | {"xi": 0.2}) != one
-        assert executor.calls == 3
-
-
-def test_more_computing_than_one_answer_may_take_is_refused(tmp_path: Path):
-    spec = SWEEP | {"gamma": [0.4, 1.2], "omega": {"start": 0.5, "stop": 1.0, "num": 2000}, "xi": 0.05}
-    with computing(tmp_path) as client:
-        here = client.post("/v1/jobs", json=spec | {"settle": 2000}).headers["Location"]
-        wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] > 0)
-        refused = client.get(f"{here}/threshold", params={"tolerance": 1e-4})
-        client.post(f"{here}/cancel")
-    assert refused.status_code == 422
-    detail = refused.json()["detail"]
-    assert re.search(
-        r"refining 2,000 values of omega takes about \S+ core-seconds, the limit for one answer is 60", detail
-    )
-    assert re.search(r"enough for \d+ values$", detail)

@@ -3,7 +3,6 @@
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
 from tables import for_each
 
 from worker.spec import SweepSpec
@@ -42,12 +41,6 @@ def test_a_window_keeps_all_but_the_grid():
     assert found.refine.model_dump() == {"by": "mode", "coarsest": 16, "margin": False}
     other = window(by="bouncing", margin=True).refine
     assert other.model_dump() == {"by": "bouncing", "coarsest": 64, "margin": True}
-
-
-def test_without_ends_a_window_is_the_whole_map():
-    found = window()
-    assert found.gamma.model_dump() == {"start": 1.0, "stop": 3.0, "num": 801, "spacing": "linear"}
-    assert found.omega.model_dump() == {"start": 0.25, "stop": 1.0, "num": 129, "spacing": "linear"}
 
 
 @for_each(
@@ -117,9 +110,3 @@ def test_windows_are_read_from_json():
         Window.from_json('{"coarse": 3}')
     with pytest.raises(SpecInvalid, match=r"^gamma: must be two numbers, the smaller first, not 1 and 1$"):
         Window.from_json('{"gamma": [1, 1]}')
-
-
-@pytest.mark.parametrize("ends", [[1.0], [1.0, 2.0, 3.0], [2.0, 1.0]])
-def test_a_window_has_two_ends(ends: list[float]):
-    with pytest.raises(ValidationError, match="gamma"):
-        Window(gamma=ends)

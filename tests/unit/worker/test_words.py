@@ -1,30 +1,12 @@
 """Words continued from cells: which part of a branch belongs to the cycle that a cell settled to."""
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 from tables import for_each
 
-import worker.analysis.words
-from kernel.branches.events import Events, Kind
 from kernel.branches.words import WordBranch
 from kernel.params import Outcome
-from worker import store
-from worker.analysis.words import (
-    Skipped,
-    _Cycle,
-    _cycles,
-    _lies_on,
-    _once,
-    _round,
-    _up_to_shorter,
-    continue_words,
-)
-from worker.plan import make_plan
-from worker.schema import COMPUTED, layout
-from worker.spec import SweepSpec
-from worker.tasks import run_chunk
+from worker.analysis.words import Skipped, _Cycle, _cycles, _lies_on, _round, _up_to_shorter
+from worker.schema import COMPUTED
 
 
 def doubled(first: np.ndarray, second: np.ndarray, word: str = "ss") -> WordBranch:
@@ -53,48 +35,9 @@ def test_a_doubled_cycle_ends_where_it_is_the_single_one_twice():
     assert len(above.stable) == len(above.multiplier) == 5
 
 
-@pytest.mark.parametrize(
-    ("cycle", "part"),
-    [((4.95, 5.1), slice(5)), ((5.05, 4.9), slice(5, None))],
-    ids=["last below", "first above"],
-)
-def test_the_cycles_beside_a_flip_belong_to_their_own_side(cycle: tuple[float, float], part: slice):
-    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
-    assert _up_to_shorter(branch, settled(*cycle)).gamma.tolist() == branch.gamma[part].tolist()
-
-
-def test_a_flip_may_be_a_point_of_the_branch_or_near_only_one_of_two():
-    at_a_point = np.arange(-4, 5) / 10
-    branch = doubled(5.0 + at_a_point, 5.0 - 2.0 * at_a_point)
-    assert _up_to_shorter(branch, settled(5.3, 4.4)).gamma.tolist() == branch.gamma[5:].tolist()
-    assert _up_to_shorter(branch, settled(4.7, 5.6)).gamma.tolist() == branch.gamma[:5].tolist()
-    for apart in (
-        np.array([-0.35, -0.25, -0.15, 0.05, 0.15, 0.25]),
-        np.array([-0.25, -0.15, -0.05, 0.15, 0.25, 0.35]),
-    ):
-        branch = doubled(5.0 + apart, 5.0 - 2.0 * apart)
-        assert len(_up_to_shorter(branch, settled(5.25, 4.5)).gamma) == 3
-
-
 def test_flights_of_a_word_that_repeats_nothing_may_be_equal_anywhere():
     branch = doubled(5.0 + APART, 5.0 - APART, word="sl")
     assert len(_up_to_shorter(branch, settled(5.35, 4.65)).gamma) == 10
-
-
-def test_a_leap_of_the_flights_is_not_a_flip():
-    """They change their order without being equal in between."""
-    apart = np.repeat([-0.4, 0.4], 5)
-    assert len(_up_to_shorter(doubled(5.0 + apart, 5.0 - apart), settled(5.4, 4.6)).gamma) == 10
-    apart = np.repeat([-0.3, 0.3], 5)
-    assert len(_up_to_shorter(doubled(apart, np.zeros(10)), settled(0.3, 0.0)).gamma) == 10
-
-
-def test_a_word_of_four_flights_may_be_one_of_two_gone_through_twice():
-    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
-    times = np.column_stack([5.0 + APART, np.full(10, 4.0), 5.0 - 2.0 * APART, np.full(10, 4.0)])
-    twice = branch._replace(word="slsl", flight_time=times)
-    above = _up_to_shorter(twice, settled(5.35, 4.0, 4.3, 4.0))
-    assert above.gamma.tolist() == branch.gamma[5:].tolist()
 
 
 def test_a_cycle_gone_through_three_times_ends_where_its_flights_are_equal():
@@ -103,8 +46,6 @@ def test_a_cycle_gone_through_three_times_ends_where_its_flights_are_equal():
     times = np.column_stack([5.0 + APART, 5.0 - 2.0 * APART, 5.0 + APART])
     above = _up_to_shorter(branch._replace(word="sss", flight_time=times), settled(5.35, 4.3, 5.35))
     assert above.gamma.tolist() == branch.gamma[5:].tolist()
-    below = _up_to_shorter(branch._replace(word="sss", flight_time=times), settled(4.65, 5.7, 4.65))
-    assert below.gamma.tolist() == branch.gamma[:5].tolist()
 
 
 @for_each(
@@ -112,18 +53,12 @@ def test_a_cycle_gone_through_three_times_ends_where_its_flights_are_equal():
     [
         ([1, 2, 1, 2], [0, 3, 0, 3], 2, 2),
         ([1, 1, 1, 1], [0, 0, 0, 0], 2, 2),
-        ([1, 1, 1, 1], [0, 0, 0, 0], 1, 1),
-        ([1, 1, 1, 1], [0, 0, 0, 0], 0, 1),
         ([1, 1e-9, 1, 1e-9], [0, 1, 0, 1], 1, 2),  # with a hop that does not count
         ([7, 1, 2, 1, 2], [0, 0, 3, 0, 3], 2, 2),  # the last flights, not the first
         ([1, 2, 1], [0, 3, 0], 2, 0),
-        ([1, 2, 3, 4], [0, 1, 2, 3], 1, 0),
         ([1, 1], [1e-4, 2 * np.pi - 1e-4], 1, 1),  # phases are on a circle
-        ([1, 1], [0, np.pi], 1, 0),
         ([1, 1.0011], [0, 0], 1, 0),
         ([1, 1.0009], [0, 0], 1, 1),
-        ([1, 1], [0, 0.0011], 1, 0),
-        ([1e-3, 2e-3], [0, 0], 1, 0),
     ],
 )
 def test_a_round_is_the_fewest_flights_that_repeat(
@@ -137,14 +72,10 @@ def test_a_round_is_the_fewest_flights_that_repeat(
     [
         ({}, True),
         ({"flight_time": (4.3, 5.35)}, True),  # in any order
-        ({"flight_time": (5.35 + 0.019, 4.3)}, True),
         ({"flight_time": (5.35 + 0.021, 4.3)}, False),
-        ({"flight_time": (5.35, 4.3 - 0.021)}, False),
         ({"periods": 1}, False),
         ({"flight_time": (5.35, 4.3, 4.3)}, False),
         ({"gamma": 1.99}, False),
-        ({"gamma": 2.0, "flight_time": (4.55, 5.9)}, True),
-        ({"gamma": 3.0, "flight_time": (5.45, 4.1)}, True),
         ({"gamma": 3.01, "flight_time": (5.45, 4.1)}, False),
     ],
 )
@@ -156,27 +87,6 @@ def test_a_cycle_on_a_branch_lies_between_two_of_its_points(change: dict, lies: 
     fields = {"gamma": 2.0 + 8.0 / 9.0, "flight_time": (5.35, 4.3)} | change
     cycle = settled(5.0, 5.0)._replace(**fields | {"flight_time": np.array(fields["flight_time"])})
     assert _lies_on(cycle, branch) is lies
-
-
-def test_a_branch_that_stands_still_in_gamma_has_the_cycles_of_its_points():
-    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)._replace(gamma=np.full(10, 2.5))
-    for times in ((4.55, 5.9), (5.05, 4.9)):  # of the first point, and of one between others
-        assert _lies_on(settled(*times), branch)
-    assert not _lies_on(settled(5.2, 4.6), branch)
-
-
-def test_an_event_found_twice_is_told_once():
-    kinds = [Kind.FLIP, Kind.FOLD, Kind.FLIP, Kind.FLIP, Kind.FOLD, Kind.FOLD, Kind.FOLD]
-    gamma = np.array([2.0, 2.0, 3.0, 2.0 - 5e-10, 2.0 + 5e-9, 0.0, 1e-9])
-    rows = np.arange(7)
-    events = Events(
-        kind=np.array([str(kind) for kind in kinds]), omega=rows / 10, xi=rows / 10, bounces=rows,
-        periods=rows, flight_time=rows / 1.0, gamma=gamma, multiplier=np.zeros((7, 2), complex),
-        admissible=rows,
-    )  # fmt: skip
-    once = _once(events)
-    assert once.bounces.tolist() == [0, 1, 2, 4, 5, 6]
-    assert once.gamma.tolist() == gamma[[0, 1, 2, 4, 5, 6]].tolist()
 
 
 def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
@@ -203,22 +113,3 @@ def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
     assert [c.gamma for c in adaptive] == [1.5]
     more_flights_than_kept = {**arrays, "flights": np.array([4, 2_000, 4, 2])}
     assert len(list(_cycles(gamma, more_flights_than_kept, []))) >= 1
-
-
-@pytest.mark.parametrize(("most", "followed"), [(2, 2), (1, 1)])
-def test_cells_beyond_as_many_branches_as_are_followed_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int, followed: int
-):
-    """(1,1) twice, on one branch, and its double beyond the flip."""
-    spec = SweepSpec(
-        gamma=[1.5, 1.6, 2.3], omega=0.5, xi=0.26, model={"kind": "rigid"}, settle=200, observe=40, keep=16
-    )
-    url, plan = str(tmp_path / "a.zarr"), make_plan(spec)
-    store.create(url, layout(spec, plan.chunk_shape))
-    run_chunk(spec, plan[0], url)
-    monkeypatch.setattr(worker.analysis.words, "MAX_WORDS", most)
-    monkeypatch.setattr(worker.analysis.words, "POINTS", 60)
-    words = continue_words(spec, url, 0, 0, 0, 4.0, True)
-    assert len(words.branches) == len(words.events) == followed
-    reason = f"{most} branches were followed before it, the limit"
-    assert words.skipped == ((2.3, 2, 2, reason),)[: 2 - followed]

@@ -16,7 +16,6 @@ from worker.analysis.work_precision import (
     Setup,
     _cells,
     _is_stable,
-    _run,
     measure,
 )
 from worker.spec import SpecError, SweepSpec
@@ -25,16 +24,6 @@ from worker.spec import SpecError, SweepSpec
 def test_what_is_measured_is_the_published_table():
     rows = json.loads((GOLDEN / "tradeoff_rows.json").read_text())["rows"]
     assert [Setup(**{name: row[name] for name in Setup.model_fields}) for row in rows] == list(SETUPS)
-
-
-def test_cells_are_computed_from_rest():
-    rigid = next(setup for setup in SETUPS if setup.model == "rigid")
-    cells = _cells(LINES[4])
-    line = _run(rigid, cells)
-    for i in (1, CELLS_PER_LINE - 1):
-        alone = _run(rigid, type(cells)(*(axis[i : i + 1] for axis in cells)))
-        assert line.flight_time[i].tobytes() == alone.flight_time[0].tobytes()
-    assert line.flights.max() > 0
 
 
 @for_each(

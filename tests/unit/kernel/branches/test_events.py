@@ -10,10 +10,8 @@ from hypothesis import given, strategies
 from kernel_runs import examples
 from paths import GOLDEN
 
-from kernel.branches.closed_form import floquet
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.events import Kind, branch, branch_and_events
-from kernel.branches.spring import spring
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 
@@ -104,15 +102,6 @@ def test_conditions_break_at_events_only(omega, xi, periods):
         assert ((time > low - width) & (time < high + width)).any(), (low, high)
 
 
-def test_a_graze_is_of_the_last_minimum_below_zero():
-    """The deepest minimum passes zero first, at a flight of 5.32336 rad; cycles end where another does."""
-    omega, xi, at = 0.25063082376238666, 0.06223447937261095, 5.325622320439313
-    _, events = branch_and_events(omega, xi, 1)
-    assert np.abs(of(events, Kind.GRAZE_FLIGHT)[1] - at).min() < 1e-9
-    sides = [dense_branches.held(omega, xi, 1, at + aside) for aside in (-1e-6, 1e-6)]
-    assert [bool(side.flight_held()[0]) for side in sides] == [False, True]
-
-
 def test_a_dip_before_a_soft_landing_is_found():
     """The gap passes zero some 0.03 rad before a landing at 1e-3 and rises again by 1e-6."""
     omega, xi, at = 1.3013539025728416, 0.08275128198175498, 7.995266176766961
@@ -134,22 +123,6 @@ def test_a_root_beside_a_pole_is_found():
         for aside in (-1e-6, 1e-6)
     ]
     assert sides[0] * sides[1] < 0.0
-
-
-@pytest.mark.parametrize(("omega", "xi", "periods"), [(0.5, 0.26, 2), (0.67, 0.05, 1), (1.26, 0.05, 2)])
-def test_admissibility_changes_only_at_events(omega, xi, periods):
-    line, events = branch_and_events(omega, xi, periods)
-    edges = (Kind.GRAZE_FLIGHT, Kind.GRAZE_CONTACT, Kind.IMMEDIATE_TAKEOFF)
-    at = np.sort(events.flight_time[np.isin(events.kind, edges)])
-    changes = np.flatnonzero((line.admissible[:-1] == 0) != (line.admissible[1:] == 0))
-    assert len(changes)
-    for i in changes:
-        low, high = line.flight_time[i], line.flight_time[i + 1]
-        inside = at[(at >= low) & (at <= high)]
-        assert len(inside)
-        # and they do change there
-        sides = branch(omega, xi, periods, np.array([inside[0] - 1e-7, inside[0] + 1e-7])).admissible == 0
-        assert sides[0] != sides[1]
 
 
 @pytest.fixture(scope="module")
@@ -201,14 +174,3 @@ def test_curves_of_grazes(parameter, fixed, low, high, periods):
             assert events.gamma[near] == pytest.approx(curve.gamma[i], rel=1e-8)
             seen += curve.kind in kinds[:2]
     assert seen >= 2
-
-
-def test_bogdanov_takens_and_fold_flip_points_of_other_planes():
-    """Over xi at Omega = 0.6: the cusp at which folds of (1,1) meet, and a fold-flip, by their conditions."""
-    found = curves(Parameter.XI, 0.6, 0.01, 0.3, 1, (Kind.FOLD, Kind.FLIP), lines=6)
-    assert set(found.points.kind) == {Kind.CUSP, Kind.FOLD_FLIP}
-    for kind, xi, t in zip(found.points.kind, found.points.xi, found.points.flight_time, strict=True):
-        f = floquet(spring(0.6, float(xi)), 1, np.array([float(t)]))
-        assert 1.0 - f.trace[0] + f.det[0] == pytest.approx(0.0, abs=1e-11)
-        other = f.det1 - f.trace1 if kind == Kind.CUSP else f.det + 1.0
-        assert other[0] == pytest.approx(0.0, abs=1e-11)

@@ -7,7 +7,7 @@ import pytest
 from kernel_runs import TWO_PI, run
 
 from kernel.branches.events import branch
-from kernel.branches.starts import cycles_at, stable_ranges, start_on_cycle, start_on_stable_cycle
+from kernel.branches.starts import cycles_at, start_on_cycle, start_on_stable_cycle
 from kernel.branches.thresholds import thresholds
 from kernel.params import STATE_FIELDS, Cell, KernelInputError
 
@@ -62,14 +62,6 @@ def test_the_stable_cycle_of_the_longest_flight_is_taken():
     assert start_on_stable_cycle(Cell(found.down - 1e-6, 0.6, 0.05), 1) is None
     assert start_on_stable_cycle(Cell(found.down + 1e-6, 0.6, 0.05), 1) is not None
     assert start_on_cycle(Cell(0.3, 0.6, 0.05), 1, 4.0) is None
-
-
-def test_stable_ranges_begin_at_the_fold_and_at_eq_25():
-    found = thresholds(0.6, 0.05)
-    ranges = stable_ranges(0.6, 0.05, 1)
-    assert min(r.low for r in ranges) == pytest.approx(found.down, abs=1e-3)
-    lower = min(ranges, key=lambda r: abs(r.low - found.gamma_th))
-    assert lower == pytest.approx((found.gamma_th, found.jump), abs=1e-3)
 
 
 @pytest.mark.parametrize(

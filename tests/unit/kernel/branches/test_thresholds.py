@@ -144,29 +144,6 @@ def test_a_search_finds_nothing_below_what_is_decided():
     assert [spring.found for spring in springs] == [None] * len(springs)
 
 
-def test_ghost_of_a_word():
-    """The one law, whatever the coordinate along the branch: (1,1) as the word "s"."""
-    closed = thresholds(0.6, 0.05).fold
-    beside = from_branch(0.6, 0.05, 1, closed.flight_time + 0.05)
-    end = descend(beside)
-    assert end.fold.name == closed.name == "fold (1,1)"
-    assert end.gamma == pytest.approx(closed.gamma, abs=1e-12)
-    assert end.fold.other_multiplier == pytest.approx(closed.other_multiplier, abs=1e-7)
-    assert lifetime(end.fold, 1e-6) == pytest.approx(lifetime(closed, 1e-6), rel=1e-4)
-    for ours, known in zip(end.fold.energy, closed.energy, strict=True):
-        assert ours == pytest.approx(known, abs=1e-7)
-
-
-def test_a_cycle_that_ends_at_eq_25():
-    """The only flight of (1,1) vanishes there: nothing is left open."""
-    gamma_th = float(threshold(0.75, 0.1))
-    end = descend(from_branch(0.75, 0.1, 1, 0.3))
-    assert end.gamma == pytest.approx(gamma_th, abs=1e-9)
-    assert (end.fold, end.reason) == (None, "")
-    found = thresholds(0.75, 0.1, words=[from_branch(0.75, 0.1, 1, 0.3)], bouncing=gamma_th + 1e-6)
-    assert (found.cause, found.down) == (EQ_25, gamma_th)
-
-
 def test_ghost():
     (cell,) = REFERENCE["ghost"]["cells"]
     fold = thresholds(cell["omega"], cell["xi"]).fold
@@ -186,11 +163,3 @@ def test_hysteresis_with_rest_ends():
     assert thresholds(end["omega"], end["xi"] - 5e-4).cause == "fold (1,1)"
     omegas = end["omega"] + np.linspace(-0.01, 0.01, 9)
     assert {thresholds(float(omega), end["xi"] + 5e-4).cause for omega in omegas} == {EQ_25}
-
-
-@pytest.mark.parametrize(("omega", "xi"), [(0.28, 0.03), (0.22, 0.02)])
-def test_several_folds_of_one_branch(omega, xi):
-    """Some hold, others do not: each is judged by itself."""
-    found = conjecture(omega, xi)
-    assert found.cause in (EQ_25, UNRESOLVED) or found.cause.startswith("fold")
-    assert (found.reason != "") == (found.cause == UNRESOLVED) == math.isnan(found.down)

@@ -11,7 +11,6 @@ from kernel.branches.closed_form import TWO_PI
 from kernel.branches.continuation import follow, start, turns
 from kernel.branches.events import EDGES, Kind, branch, branch_and_events
 from kernel.branches.words import (
-    Word,
     doubled,
     from_branch,
     from_flights,
@@ -23,7 +22,6 @@ from kernel.branches.words import (
 from kernel.params import KernelInputError
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
-FLIGHTS = json.loads((GOLDEN / "facts.json").read_text())["cycles"]
 
 
 @pytest.fixture(scope="module")
@@ -59,20 +57,6 @@ def test_four_flights(doubling):
     assert events.gamma[events.kind == Kind.GRAZE_CONTACT] == pytest.approx(
         [expected["flight_vanishes"]], abs=1e-6
     )
-
-
-def test_doubled_branch_passes_through_the_simulated_cycle(doubling):
-    """Gamma = 2.3 of Fig. 2, from its recorded flights; takeoff phases from the branch."""
-    line, _ = doubling
-    cell = next(c for c in FLIGHTS if c["gamma"] == 2.3)
-    i = int(np.argmin(np.abs(line.gamma - 2.3)))
-    word = from_flights(0.5, 0.26, 2.3, line.takeoff_phase[i], line.flight_time[i], 2)
-    near, _ = follow(word, points=1, gamma=(2.29, 2.31))
-    j = int(np.argmin(np.abs(near.gamma - 2.3)))
-    assert near.gamma[j] == pytest.approx(2.3, abs=1e-12)
-    assert np.sort(near.flight_time[j]) == pytest.approx(sorted(cell["flights"]), abs=1e-9)
-    assert near.stable[j]
-    assert near.admissible[j] == 0
 
 
 def test_from_the_flights_of_a_simulated_cell():
@@ -166,13 +150,6 @@ def near_end(doubling):
     """A word on the (2,2) branch before its end."""
     line, _ = doubling
     return from_flights(0.5, 0.26, line.gamma[-8], line.takeoff_phase[-8], line.flight_time[-8], 2)
-
-
-@pytest.mark.parametrize("letters", ["", "sz", "sx"])
-def test_refuses_other_words(letters):
-    with pytest.raises(KernelInputError) as refusal:
-        follow(Word(0.5, 0.26, letters, 2, np.ones(8)))
-    assert refusal.value.argument == "word"
 
 
 @pytest.mark.parametrize(
