@@ -135,11 +135,10 @@ def blocks_interrupts(pid: int) -> bool:
 def test_they_end_with_the_service_that_is_killed_and_not_with_ctrl_c(tmp_path: Path, busy: bool):
     script = tmp_path / "main.py"
     script.write_text(
-        "import sys\nfrom service.background import Processes\n"
-        "if __name__ == '__main__':\n    Processes(1).run(exec, sys.argv[1])\n"
+        "import signal, sys\nfrom service.background import Processes\n"
+        "if __name__ == '__main__':\n    Processes(1).run(exec, sys.argv[1])\n    signal.pause()\n"
     )
-    rests = "pass" if busy else "time.sleep(1)"
-    code = f"import os, time\nprint(os.getpid(), flush=True)\nwhile True: {rests}"
+    code = f"import os\nprint(os.getpid(), flush=True)\nwhile {busy}: pass"
     command = [sys.executable, str(script), code]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as process:

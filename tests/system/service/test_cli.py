@@ -291,6 +291,18 @@ def test_an_error_of_the_file_system_names_the_file(url: str, job: str, tmp_path
     assert re.fullmatch(f"Error: {tmp_path}/.*: File name too long\n", result.stderr)
 
 
+def test_a_refusal_names_the_field_and_a_value_that_works(url: str):
+    def estimate(steps: int) -> Result:
+        model = {"kind": "stepped", "penetration": 1e-4, "steps_per_contact": steps}
+        return bounce("submit", "-", "--estimate", url=url, input=json.dumps(SPEC | {"model": model}))
+
+    refused = estimate(5000)
+    assert (refused.exit_code, refused.stdout) == (1, "")
+    found = re.search(r"model.steps_per_contact: asks for .*; (\d+) would do", refused.stderr)
+    assert found
+    assert [estimate(int(found[1]) + more).exit_code for more in (0, 1)] == [0, 1]
+
+
 def test_a_line_outside_the_grid_leaves_the_file_as_it_was(url: str, job: str, tmp_path: Path):
     path = tmp_path / "a.png"
     path.write_bytes(b"before")
