@@ -89,21 +89,3 @@ def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: A
         screenshot(page, "modes-window")
         page.get_by_role("link", name="window of another sweep").click()
         page.locator("header.job h1", has_text=re.compile("^An adaptive map$")).wait_for()
-
-
-def test_the_diagram_of_an_adaptive_map_says_how_many_cells_have_flights(browser: Any, address: str):
-    id = done(address, MAP)
-    with opened(browser, f"{address}/#/job/{id}/diagram?omega=0.6") as page:
-        wait_shown(page, along="gamma")
-        page.locator(".panel .plot").focus()
-        readouts = set()
-        for _ in range(MAP["gamma"]["num"]):
-            page.keyboard.press("ArrowLeft")
-            readouts.add("taken from its block" in page.locator(".panel .readout").inner_text())
-            if len(readouts) == 2:
-                break
-        assert readouts == {True, False}
-        screenshot(page, "diagram-adaptive")
-        page.get_by_role("link", name="Thresholds").click()
-        wait_shown(page, xi=0.05)
-        screenshot(page, "thresholds-adaptive")

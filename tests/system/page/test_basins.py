@@ -18,7 +18,6 @@ DROPS: dict[str, Any] = {
 }  # fmt: skip
 #: As in `service/static/js/views/basin.js`.
 COLOURS = ["rgb(0, 114, 178)", "rgb(230, 159, 0)"]
-PLOT = ".panel .plot canvas"
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +56,8 @@ def test_a_start_is_read_and_seen_to_move(browser: Any, address: str, drops: str
         with opened(browser, page.evaluate("location.href")) as again:  # the address shows the same start
             again.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
             assert again.locator(".trajectory header .note").inner_text() == about
+            again.set_viewport_size({"width": 390, "height": 844})  # of a phone
+            assert again.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_the_slider_shows_another_cell(browser: Any, address: str, drops: str):
@@ -65,12 +66,3 @@ def test_the_slider_shows_another_cell(browser: Any, address: str, drops: str):
         page.locator("#slider-gamma").fill("0")
         wait_shown(page, gamma=0.6)
         assert "at rest" in page.locator(".panel .legend").inner_text()
-
-
-def test_basins_fit_a_phone(browser: Any, address: str, drops: str):
-    target = f"{address}/#/job/{drops}?gamma=1.27&cell=1.27,0.5,0.26,drop:3.2:1.5"
-    with opened(browser, target, viewport={"width": 390, "height": 844}) as page:
-        wait_shown(page, gamma=1.27)
-        page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        screenshot(page, "basins-phone")

@@ -3,13 +3,11 @@
 import json
 import os
 import re
-import statistics
 import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import httpx2
 import pytest
@@ -19,20 +17,18 @@ from browser import (
     longest_task,
     needs_chromium,
     opened,
-    redraws,
     screenshot,
     wait_shown,
     watch_tasks,
 )
 from click.testing import CliRunner
 from scripted import DEADLINE, Held, Scripted, free_port, wait_for
+from served import done
 
 from service.cli.main import main
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.inline import Inline
-from worker.spec import SweepSpec
-from worker.spec.contact_models import CONTACT_MODELS
 
 pytestmark = needs_chromium
 
@@ -48,17 +44,6 @@ LOOP: dict[str, Any] = {
     "observe": 30,
     "keep": 24,
 }
-#: Long axes for the sliders; `python -m benchmarks.page` measures on a million cells.
-MAP: dict[str, Any] = {
-    "name": "A map",
-    "gamma": {"start": 0.5, "stop": 6.0, "num": 120},
-    "omega": {"start": 0.4, "stop": 1.6, "num": 120},
-    "xi": 0.05,
-    "model": {"kind": "rigid"},
-    "settle": 2,
-    "observe": 8,
-    "keep": 8,
-}
 #: Far above what is measured even on a loaded machine; slower than this is a defect.
 SLOW_MS = 30_000
 
@@ -67,19 +52,9 @@ def submitted(address: str, spec: dict[str, Any]) -> str:
     return str(httpx2.post(f"{address}/v1/jobs", json=spec, timeout=DEADLINE).raise_for_status().json()["id"])
 
 
-def done(address: str, job: str) -> str:
-    def status() -> dict[str, Any]:
-        view: dict[str, Any] = httpx2.get(f"{address}/v1/jobs/{job}", timeout=DEADLINE).json()
-        return view
-
-    wait_for(lambda: status()["state"] not in ("queued", "running"))
-    assert status()["state"] == "done", status()["error"]
-    return job
-
-
 @pytest.fixture(scope="module")
 def loop(address: str) -> str:
-    return done(address, submitted(address, LOOP))
+    return done(address, LOOP)
 
 
 def view(address: str, job: str, tab: str = "diagram", **query: Any) -> str:
@@ -175,37 +150,6 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         assert page.locator("[aria-invalid=true]").count() == 0
 
 
-def _placeholders(page: Any, prefix: str = "") -> dict[str, str]:
-    """The placeholders of the visible inputs by the field names that start with `prefix`."""
-    inputs = page.locator("form.sweep [data-field][placeholder]:visible").all()
-    texts = {each.get_attribute("data-field"): each.get_attribute("placeholder") for each in inputs}
-    return {field: text for field, text in texts.items() if field.startswith(prefix)}
-
-
-def test_the_form_shows_the_contact_models_and_defaults_of_the_specification(browser: Any, address: str):
-    defaults = SweepSpec(gamma=2.0, omega=0.5, xi=0.1)
-    with opened(browser, f"{address}/#/new") as page:
-        page.locator(".cost", has_text="cells in").wait_for()
-        names = ("settle", "observe", "keep", "micro_flight", "settle_tolerance", "exponents")
-        assert {name: float(text) for name, text in _placeholders(page).items() if name in names} == {
-            name: getattr(defaults, name) for name in names
-        }
-        kinds = page.locator("[data-field='model.kind'] option").all()
-        assert [option.get_attribute("value") for option in kinds] == list(CONTACT_MODELS)
-        for kind, model in CONTACT_MODELS.items():
-            page.get_by_label("contact model").select_option(kind)
-            contact = model.fields(kind=kind)
-            fields = set(model.fields.model_fields) - {"kind"}
-            shown = page.locator("form.sweep [data-field^='model.']:visible").all()
-            assert {each.get_attribute("data-field") for each in shown} == {
-                "model.kind",
-                *(f"model.{field}" for field in fields),
-            }
-            for field, text in _placeholders(page, "model.").items():
-                value = getattr(contact, field.removeprefix("model."))
-                assert text in ("none", "f(ξ)") if value is None else float(text) == value, field
-
-
 def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any, address: str):
     """The form needs no change for a new model: it is described by the API's schema."""
 
@@ -258,49 +202,6 @@ def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, ad
         page.wait_for_function("() => document.activeElement.id === 'sweeps'")
 
 
-def test_fields_edited_before_the_presets_arrive_keep_their_values(browser: Any, address: str):
-    held: list[Any] = []
-
-    def hold(route: Any) -> None:
-        held.append(route)
-
-    with opened(browser, "about:blank") as page:
-        page.route("**/v1/figures", hold)
-        page.goto(f"{address}/#/new?figure=2")
-        page.get_by_label("Name").fill("typed")
-        page.locator("[data-field=observe]").fill("77")
-        page.locator(".cost", has_text="cells in").wait_for()  # of the default values
-        held[0].continue_()
-        page.locator(".cost", has_text="1,001 cells").wait_for()  # as in Fig. 2
-        assert page.get_by_label("Name").input_value() == "typed"
-        assert page.locator("[data-field=observe]").input_value() == "77"
-        page.get_by_label("Start from").select_option("7")  # replaces every field
-        page.wait_for_function("() => document.querySelector('[data-field=name]').value === 'figure 7'")
-        assert page.locator("[data-field=observe]").input_value() != "77"
-
-
-def test_the_back_button_returns_to_what_was_submitted(browser: Any, address: str):
-    with opened(browser, f"{address}/#/new?figure=2") as page:
-        page.locator(".cost", has_text="1,001 cells").wait_for()
-        page.get_by_label("Name").fill("and back")
-        page.locator("[data-field='gamma.num']").fill("3")
-        page.get_by_role("button", name="Compute").click()
-        page.wait_for_url(re.compile("#/job/"))
-        page.go_back()
-        page.locator(".cost", has_text="3 cells").wait_for()
-        assert page.get_by_label("Name").input_value() == "and back"
-
-
-def test_the_submit_button_never_covers_the_focused_field(browser: Any, address: str):
-    with opened(browser, f"{address}/#/new?figure=2", viewport={"width": 1280, "height": 600}) as page:
-        page.locator(".cost", has_text="1,001 cells").wait_for()
-        page.get_by_label("Name").focus()
-        bottom = "document.activeElement.getBoundingClientRect().bottom"
-        while page.evaluate("document.activeElement.closest('.submit') === null"):
-            assert page.evaluate(f"{bottom} <= document.querySelector('.submit').getBoundingClientRect().top")
-            page.keyboard.press("Tab")
-
-
 @contextmanager
 def failing(folder: Path) -> Iterator[str]:
     """A service on which the first chunk of every sweep fails until it is resumed."""
@@ -336,18 +237,6 @@ def test_an_unknown_sweep_is_reported(browser: Any, address: str):
         page.get_by_role("heading", name="A spring").wait_for()
 
 
-def test_changes_made_elsewhere_are_shown_when_the_page_becomes_visible(browser: Any, tmp_path: Path):
-    with failing(tmp_path) as address, opened(browser, address) as page:
-        job = submitted(address, {**LOOP, "settle": 10})
-        page.locator(".jobs [data-state=failed]").wait_for()
-        page.goto(view(address, job))
-        page.locator("header.job [data-state=failed]").wait_for()
-        wait_shown(page, along="gamma")
-        httpx2.post(f"{address}/v1/jobs/{job}/resume", timeout=DEADLINE).raise_for_status()
-        page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
-        page.locator("header.job [data-state=done]").wait_for()
-
-
 def test_a_name_is_shown_as_it_was_typed(browser: Any, address: str):
     name = "γ  near the fold,  ξ = .3"
     job = submitted(address, {**LOOP, "name": name, "settle": 1, "xi": 0.31})
@@ -364,38 +253,11 @@ def test_a_name_is_shown_as_it_was_typed(browser: Any, address: str):
         )
 
 
-@pytest.mark.parametrize("width", [1280, 390])
-def test_a_long_name_does_not_widen_the_page(browser: Any, address: str, width: int):
-    job = submitted(address, {**LOOP, "name": "x" * 200, "settle": 1, "xi": 0.3})
-    with opened(browser, address, viewport={"width": width, "height": 800}) as page:
-        page.locator(".jobs li", has_text="x" * 200).wait_for()
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-        page.goto(view(address, job))
-        page.locator("h1", has_text="x" * 200).wait_for()
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-
-
-def test_requests_are_repeated_after_a_temporary_error(browser: Any, address: str, loop: str):
-    def fails(route: Any) -> None:
-        route.fulfill(status=503, json={"detail": "not now"})
-
-    with opened(browser, "about:blank", expected=("503",)) as page:
-        page.route("**/v1/jobs?*", fails, times=1)
-        page.goto(address)
-        page.locator(".problem", has_text="not now").wait_for()
-        page.locator(".jobs li").first.wait_for()
-        page.route(f"**/v1/jobs/{loop}", fails, times=1)
-        page.goto(view(address, loop))
-        page.locator(".problem", has_text="not now").wait_for()
-        wait_shown(page, along="gamma")
-
-
 @pytest.mark.parametrize("asked", ["2", "1e300"])
 def test_the_page_waits_for_a_busy_service_and_says_so(browser: Any, address: str, loop: str, asked: str):
+    busy = {"status": 429, "json": {"detail": "full"}, "headers": {"Retry-After": asked}}
     with opened(browser, "about:blank", expected=("429",)) as page:
-        times = 2 if asked == "2" else 1
-        busy = {"status": 429, "json": {"detail": "full"}, "headers": {"Retry-After": asked}}
-        page.route("**/line?*", lambda route: route.fulfill(**busy), times=times)
+        page.route("**/line?*", lambda route: route.fulfill(**busy), times=2 if asked == "2" else 1)
         page.goto(view(address, loop))
         page.locator("#busy", has_text="The service is busy").wait_for()
         if asked == "2":
@@ -499,44 +361,6 @@ def test_tabs_share_the_damping_and_the_selected_cell(browser: Any, address: str
         page.locator("[aria-valuetext='Γ = 0.86']").wait_for()
 
 
-def test_a_slow_trajectory_is_waited_for(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
-        wait_shown(page, omega=0.6)
-        held: list[Any] = []
-        page.route("**/trajectory?*", lambda route: held.append(route))  # noqa: PLW0108 - playwright marks it
-        page.locator(".panel .plot").focus()
-        page.keyboard.press("ArrowRight")
-        page.keyboard.press("Enter")
-        page.locator(".trajectory .computing", has_text="compiles").wait_for()
-        screenshot(page, "computing")
-        held[0].continue_()
-        page.locator(".trajectory .player[data-phase]").wait_for()
-        assert page.locator(".trajectory .computing").is_hidden()
-
-
-def test_an_error_is_shown_above_the_plot(browser: Any, address: str):
-    job = done(address, submitted(address, {**LOOP, "name": "Gone", "xi": 0.2, "settle": 1}))
-    with opened(browser, view(address, job, omega=0.6), expected=("404",)) as page:
-        wait_shown(page, omega=0.6)
-        httpx2.delete(f"{address}/v1/jobs/{job}").raise_for_status()
-        slider = page.get_by_role("slider").first
-        slider.focus()
-        page.keyboard.press("End")
-        page.locator(".panel .problem", has_text=job).wait_for()
-
-
-def test_the_picture_of_the_readme(browser: Any, address: str):
-    """Kept in test-artefacts/page/figure-2.png."""
-    gamma = {"start": 1.0, "stop": 6.0, "num": 1001}
-    fig_2 = {"name": "Figure 2", "gamma": gamma, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}}
-    job = done(address, submitted(address, fig_2))
-    with opened(browser, view(address, job, cell="2.3,0.5,0.26,rest"), reduced_motion="reduce") as page:
-        page.get_by_label("Plate periods since").fill("1.2")
-        page.locator(".trajectory .readout", has_text="3.722, 6.285").wait_for()
-        page.evaluate("document.activeElement.blur()")  # no focus ring in the picture
-        screenshot(page, "figure-2", whole=False)
-
-
 def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
     with opened(browser, view(address, loop, "modes", xi=0.05), reduced_motion="reduce") as page:
         wait_shown(page, xi=0.05)
@@ -571,32 +395,23 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
         hatched = picture(page)
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
-        row, column = len(rows) // 2, len(rows[0]) // 2 + 1
-        for _ in range(len(rows[0])):
-            said = page.locator(".panel .readout").inner_text()
-            expected = {1: "ramped down, another mode", 2: "ramped down, other flights"}.get(
-                rows[row][column]
-            )
-            assert ("ramped down" in said) == (expected is not None)
-            assert expected is None or expected in said
-            if column == 0:
-                break
+        said = set()
+        for _ in range(len(rows[0]) // 2):
+            said.add("ramped down, another mode" in page.locator(".panel .readout").inner_text())
             page.keyboard.press("ArrowLeft")
-            column -= 1
+        assert said == {True, False}
         page.keyboard.press("Escape")
         screenshot(page, "modes-hysteresis")
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download PNG").click()
-        assert Path(download.value.path()).read_bytes().startswith(b"\x89PNG")
         page.get_by_label("Hatch where up and down differ").uncheck()
         wait_for(lambda: picture(page) != hatched)
         assert page.get_by_text("Hysteresis: going up").count() == 0
 
 
 def test_a_map_of_too_many_cells_is_thinned_until_it_is_zoomed(browser: Any, tmp_path: Path):
-    spec = {**MAP, "gamma": {**MAP["gamma"], "num": 60}, "omega": {**MAP["omega"], "num": 40}}
+    axes = {"gamma": {"start": 0.5, "stop": 6.0, "num": 60}, "omega": {"start": 0.4, "stop": 1.6, "num": 40}}
+    spec = {**axes, "xi": 0.05, "model": {"kind": "rigid"}, "settle": 2, "observe": 8, "keep": 8}
     with serving(tmp_path, 0, max_points=1000) as address:
-        job = done(address, submitted(address, spec))
+        job = done(address, spec)
         with opened(browser, view(address, job, "modes")) as page:
             note = page.get_by_text("Shown: every 2nd")
             note.wait_for()
@@ -623,44 +438,19 @@ def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: s
 
 def test_a_threshold_below_the_grid_says_to_start_lower(browser: Any, address: str):
     spec = {**LOOP, "name": "Γ–φ", "gamma": [2.3, 2.4], "omega": [0.5, 0.525], "xi": 0.26, "settle": 20}
-    job = done(address, submitted(address, spec))
+    job = done(address, spec)
     with opened(browser, view(address, job, "thresholds")) as page:
         wait_shown(page, xi=0.26)
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
         readout = page.locator(".panel .readout").inner_text()
         assert "ramp up: bounces already at the lowest Γ, 2.3: start lower" in readout
-        page.get_by_role("link", name="Mode map").click()
-        wait_shown(page, direction="up")
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download SVG").click()
-        assert download.value.suggested_filename == "γ-φ-modes.svg"
-        svg = Path(download.value.path()).read_text()
-    ticks = re.findall(r'<text x="([\d.]+)"[^>]*text-anchor="end"[^>]*>(0\.\d+)<', svg)
-    assert len(ticks) > 3
-    # The axis label takes 24 px at the left edge; ticks are 13 px high.
-    assert all(float(x) - 0.55 * 13 * len(text) >= 24 for x, text in ticks)
-
-
-def test_diagram_and_mode_map_share_the_flights_that_count(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
-        wait_shown(page, along="gamma")
-        before = picture(page)
-        field = page.get_by_label("Count flights above")
-        assert field.input_value() == "0.05"
-        field.fill("3")
-        field.press("Enter")
-        page.wait_for_url(re.compile("min=3"))
-        wait_for(lambda: picture(page) != before)
-        page.get_by_role("link", name="Mode map").click()
-        wait_shown(page, direction="up")
-        assert page.get_by_label("Count flights above").input_value() == "3"
 
 
 def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
     short = {"name": "Short", "gamma": {"start": 0.6, "stop": 1.5, "num": 46}, "omega": 1.0, "xi": 0.01}
     window = {"model": {"kind": "rigid"}, "settle": 20, "observe": 60, "keep": 4}
-    job = done(address, submitted(address, short | window))
+    job = done(address, short | window)
     with opened(browser, view(address, job, "modes")) as page:
         page.locator(".notice", has_text="of 46 cells were still settling after 80 plate periods").wait_for()
         page.locator(".legend", has_text="still settling").wait_for()
@@ -668,22 +458,9 @@ def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
         page.locator("[data-field='settle_until']").wait_for()
 
 
-def test_an_empty_view_offers_no_download(browser: Any, address: str):
-    along = {"kind": "ramp", "axis": "omega", "direction": "down"}
-    job = done(address, submitted(address, {**LOOP, "name": "Along Ω", "protocol": along, "settle": 10}))
-    with opened(browser, view(address, job, "thresholds"), expected=("422",)) as page:
-        page.locator(".panel .problem", has_text="thresholds in gamma").wait_for()
-        assert page.locator(".panel .plot").is_hidden()
-        page.get_by_role("button", name="Download CSV").click()
-        page.locator(".downloads", has_text="nothing to download").wait_for()
-        page.get_by_role("link", name="Diagram").click()
-        wait_shown(page, xi=0.1)
-        assert page.locator(".panel .plot").is_visible()
-
-
 def test_a_study_without_diagrams_is_listed_and_described(browser: Any, address: str):
     orbits = {"name": "Folds", "protocol": {"kind": "orbits"}, "omega": [0.6, 0.7], "xi": 0.05, "points": 20}
-    job = done(address, submitted(address, orbits))
+    job = done(address, orbits)
     with opened(browser, address) as page:
         page.locator("text=study: orbits").first.wait_for()
         page.get_by_role("link", name="Folds").click()
@@ -693,34 +470,7 @@ def test_a_study_without_diagrams_is_listed_and_described(browser: Any, address:
         page.locator(".panel pre", has_text="open_zarr").wait_for()
 
 
-@pytest.mark.parametrize("tab", ["diagram", "modes", "thresholds"])
-def test_a_view_can_be_downloaded(browser: Any, address: str, loop: str, tab: str):
-    with opened(browser, view(address, loop, tab, omega=0.6, xi=0.05)) as page:
-        wait_shown(page, xi=0.05)
-        assert _downloaded(page, "PNG").startswith(b"\x89PNG\r\n\x1a\n")
-        assert ElementTree.fromstring(_downloaded(page, "SVG")).tag.endswith("svg")
-        header, *rows = _downloaded(page, "CSV").decode().splitlines()
-        assert header.startswith(("direction,gamma,omega,xi", "omega,gamma,outcome", "omega,xi"))
-        assert len(rows) > 5
-        assert _downloaded(page, "NetCDF").startswith(b"\x89HDF")
-
-
-def _downloaded(page: Any, kind: str) -> bytes:
-    with page.expect_download() as download:
-        page.locator(".panel").get_by_role("button", name=f"Download {kind}").click()
-    assert re.fullmatch(
-        rf"hysteresis-.*\.{'nc' if kind == 'NetCDF' else kind.lower()}", download.value.suggested_filename
-    )
-    return Path(download.value.path()).read_bytes()
-
-
 # Speed
-
-
-@pytest.fixture(scope="module")
-def large(address: str) -> dict[str, str]:
-    jobs = {name: submitted(address, spec) for name, spec in (("map", MAP), ("line", LONG_LINE))}
-    return {name: done(address, job) for name, job in jobs.items()}
 
 
 @pytest.mark.essential
@@ -734,44 +484,11 @@ def test_the_start_page_plays_a_trajectory(browser: Any, address: str, loop: str
         screenshot(page, "start")
 
 
-@pytest.mark.parametrize("along", ["gamma", "omega"])
-def test_a_slider_redraws_quickly(browser: Any, address: str, large: dict[str, str], along: str):
-    with opened(browser, view(address, large["map"], along=along)) as page:
-        wait_shown(page, along=along)
-        times = redraws(page, [0, 30, 77, 119, 5, 6, 7, 8])
-        record(**{f"redraw_ms_along_{along}": times})
-        assert statistics.median(times) < SLOW_MS
-
-
-def test_the_next_lines_are_requested_before_the_slider_gets_there(
-    browser: Any, address: str, large: dict[str, str]
-):
-    with opened(browser, view(address, large["map"])) as page:
-        wait_shown(page, along="gamma")
-        redraws(page, [10])
-        # The initial line, the current one, three ahead, one behind.
-        page.wait_for_function(f"() => {REQUESTED_LINES}.length === 6")
-        _, *requested = page.evaluate(REQUESTED_LINES)
-        omegas = [float(re.findall(r"omega=([\d.]+)", url)[0]) for url in requested]
-        step = (1.6 - 0.4) / 119
-        expected = [
-            0.4 + step * index for index in (10, 9, 8, 7, 11)
-        ]  # the slider moved down from the middle
-        assert omegas == pytest.approx(expected)
-        redraws(page, [9, 8])
-        assert page.evaluate(REQUESTED_LINES).count(requested[1]) == 1
-
-
-REQUESTED_LINES = (
-    "performance.getEntriesByType('resource').map(({ name }) => name)"
-    ".filter((name) => name.includes('/line?'))"
-)
-
-
-def test_a_million_flights_do_not_block_the_page(browser: Any, address: str, large: dict[str, str]):
+def test_a_million_flights_do_not_block_the_page(browser: Any, address: str):
+    job = done(address, LONG_LINE)
     with opened(browser, "about:blank") as page:
         watch_tasks(page)
-        page.goto(view(address, large["line"]))
+        page.goto(view(address, job))
         wait_shown(page, along="gamma")
         assert colours(page) > 10
         page.locator(".panel .plot").focus()
@@ -783,23 +500,11 @@ def test_a_million_flights_do_not_block_the_page(browser: Any, address: str, lar
             "before => document.querySelector('.panel .plot canvas').toDataURL() !== before", arg=whole
         )
         screenshot(page, "million-flights")
-        longest = longest_task(page)
-        record(longest_task_ms=longest)
-        assert longest < SLOW_MS
+        assert longest_task(page) < SLOW_MS
         page.evaluate(
             "setTimeout(() => { for (const end = performance.now() + 90; performance.now() < end; ); })"
         )
         page.wait_for_function("() => window.longestTask > 80")  # long tasks are observed
-
-
-def record(**figures: Any) -> None:
-    """Keep measurements beside the screenshots."""
-    file = ROOT / "test-artefacts" / "page" / "measured.json"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    known = json.loads(file.read_text()) if file.exists() else {}
-    draft = file.with_suffix(f".{os.getpid()}")  # other processes never read an incomplete file
-    draft.write_text(json.dumps(known | figures, indent=1))
-    draft.replace(file)
 
 
 # Accessibility and small screens
@@ -817,7 +522,7 @@ SIZES = ((1280, 800), (820, 1180), (375, 740))
 @pytest.fixture(scope="module")
 def other(address: str) -> str:
     """Another sweep, to compare with."""
-    return done(address, submitted(address, {**LOOP, "name": "Other", "xi": 0.2, "settle": 20}))
+    return done(address, {**LOOP, "name": "Other", "xi": 0.2, "settle": 20})
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -856,34 +561,6 @@ def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: s
             assert page.evaluate("document.documentElement.scrollWidth") <= 375, path
             assert not re.search(r"\b(double-)?click", page.locator("body").inner_text(), re.IGNORECASE), path
             screenshot(page, f"phone-{number}")
-
-
-def test_the_axis_of_every_plot_is_above_the_fold(browser: Any, address: str, loop: str, other: str):
-    with opened(browser, address, viewport={"width": 1280, "height": 800}) as page:
-        for path in (path for path in VIEWS if path.startswith(("#/job", "#/compare", "#/explore"))):
-            if "details" in path:
-                continue
-            page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
-            _wait_complete(page, path)
-            bottom = page.locator(".plot[data-shown]").first.evaluate(
-                "plot => plot.getBoundingClientRect().bottom + scrollY"
-            )
-            assert bottom <= 800, path
-
-
-def test_a_cycle_of_one_flight_is_a_point_of_the_return_map(browser: Any, address: str, loop: str):
-    with opened(browser, f"{address}/#/job/{loop}/diagram?{CELL}") as page:
-        page.get_by_text("1 point of").wait_for()
-        coloured = page.eval_on_selector(
-            ".portraits .plot canvas",
-            """canvas => {
-                const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-                let count = 0;
-                for (let i = 0; i < data.length; i += 4) count += Math.abs(data[i] - data[i + 2]) > 60;
-                return count;
-            }""",
-        )
-        assert 4 < coloured < 200  # all else is grey
 
 
 def _wait_complete(page: Any, path: str) -> None:
@@ -934,19 +611,6 @@ def test_the_page_reconnects_to_a_service_that_was_restarted(browser: Any, tmp_p
             assert page.get_by_label("Name").input_value() == "kept"
 
 
-def test_the_page_asks_for_an_access_token(browser: Any, tmp_path: Path):
-    token = "a-token-of-the-tests"
-    with serving(tmp_path, 0, token=token) as address, opened(browser, address, expected=("401",)) as page:
-        dialog = page.get_by_role("dialog", name="Access token")
-        dialog.get_by_label("Access token").fill("a-token-of-the-tests-mistyped")
-        dialog.get_by_role("button").click()
-        dialog.get_by_text("does not accept this access token").wait_for()
-        screenshot(page, "token")
-        dialog.get_by_label("Access token").fill(token)
-        dialog.get_by_role("button").click()
-        page.get_by_text("No sweeps yet").wait_for()
-
-
 def test_the_page_takes_the_token_of_the_opened_address(
     browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -955,8 +619,8 @@ def test_the_page_takes_the_token_of_the_opened_address(
     with serving(tmp_path, 0, token="auto") as address:
         opened_by: list[str] = []
         monkeypatch.setattr(webbrowser, "open", lambda url: opened_by.append(url) or True)
-        done = CliRunner().invoke(main, ["open", "--url", address])
-        assert (done.exit_code, done.output) == (0, "")
+        result = CliRunner().invoke(main, ["open", "--url", address])
+        assert (result.exit_code, result.output) == (0, "")
         assert (tmp_path / "open.html").stat().st_mode & 0o077 == 0
         token = json.loads((tmp_path / "token.json").read_text())["token"]
         assert token not in opened_by[0]
@@ -970,7 +634,11 @@ def test_the_page_takes_the_token_of_the_opened_address(
             assert token not in page.content()
             assert page.evaluate("Object.values(localStorage)") == []
         with opened(browser, address, expected=("401",)) as page:  # another tab does not
-            page.get_by_role("dialog", name="Access token").wait_for()
+            dialog = page.get_by_role("dialog", name="Access token")
+            dialog.get_by_label("Access token").fill("a-token-of-the-tests-mistyped")
+            dialog.get_by_role("button").click()
+            dialog.get_by_text("does not accept this access token").wait_for()
+            screenshot(page, "token")
             page.goto(f"{address}/#token={token}")  # an address that is pasted
             page.evaluate("location.reload()")
             page.get_by_text("No sweeps yet").wait_for()

@@ -1,6 +1,5 @@
 """Cycles in closed form on the page, in a real Chromium: branches over a diagram, folds over thresholds."""
 
-import json
 import re
 from typing import Any
 
@@ -8,6 +7,7 @@ import httpx2
 import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
+from served import done
 
 from kernel.branches.starts import cycles_at
 from kernel.branches.thresholds import thresholds
@@ -51,14 +51,7 @@ READBACK = ("willReadFrequently",)
 
 @pytest.fixture(scope="module")
 def loop(address: str) -> str:
-    job = httpx2.post(f"{address}/v1/jobs", json=LOOP, timeout=DEADLINE).raise_for_status().json()["id"]
-
-    def state() -> str:
-        return str(httpx2.get(f"{address}/v1/jobs/{job}", timeout=DEADLINE).json()["state"])
-
-    wait_for(lambda: state() not in ("queued", "running"))
-    assert state() == "done"
-    return str(job)
+    return done(address, LOOP)
 
 
 def branch_pixels(page: Any) -> list[list[float]]:
@@ -120,22 +113,6 @@ def _corner(page: Any) -> tuple[float, float]:
     return box["x"], box["y"]
 
 
-def test_branches_follow_the_slider_and_leave_with_the_box(browser: Any, address: str, loop: str):
-    with opened(
-        browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05&branches=1", expected=READBACK
-    ) as page:
-        wait_for(lambda: len(branch_pixels(page)) > 200)
-        before = branch_pixels(page)
-        page.locator(".panel input[type=range]").first.evaluate(
-            "slider => { slider.value = 8; slider.dispatchEvent(new Event('input', { bubbles: true })); }"
-        )
-        wait_shown(page, omega=0.7)
-        wait_for(lambda: branch_pixels(page) != before)
-        page.get_by_label("Branches").uncheck()
-        wait_for(lambda: branch_pixels(page) == [])
-        wait_for(lambda: "branches" not in page.evaluate("location.href"))
-
-
 def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
     with opened(browser, f"{address}/#/job/{loop}/thresholds?xi=0.05", expected=READBACK) as page:
         wait_shown(page, xi=0.05, folds=False)
@@ -149,22 +126,8 @@ def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
         assert f"{thresholds(0.625, 0.05).down:.6g}" in said
         assert "(fold (1,1))" in said
         screenshot(page, "folds")
-
-
-#: The closed-form views: a diagram with branches, thresholds with folds.
-VIEWS = {
-    "branches": "diagram?omega=0.6&xi=0.05&branches=1",
-    "folds": "thresholds?xi=0.05&folds=1",
-}
-
-
-@pytest.mark.parametrize("view", ["branches", "folds"])
-def test_closed_forms_fit_a_phone(browser: Any, address: str, loop: str, view: str):
-    target = f"{address}/#/job/{loop}/{VIEWS[view]}"
-    with opened(browser, target, expected=READBACK, viewport={"width": 390, "height": 844}) as page:
-        wait_for(lambda: len(branch_pixels(page)) > 60)
+        page.set_viewport_size({"width": 390, "height": 844})  # of a phone
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        screenshot(page, f"{view}-phone")
 
 
 def test_the_form_asks_for_a_start_on_a_cycle_and_keeps_it(browser: Any, address: str):
@@ -186,11 +149,3 @@ def test_the_form_asks_for_a_start_on_a_cycle_and_keeps_it(browser: Any, address
         page.get_by_role("button", name="Compute").click()
         page.wait_for_url(re.compile(f"#/job/{view['id']}"))  # the same specification is the same job
         page.locator("header.job .summary", has_text="ramp down along Γ from the cycle (1, 1)").wait_for()
-
-
-def test_a_ball_has_no_branches(browser: Any, address: str):
-    spec = {**LOOP, "name": "a ball", "model": {"kind": "ball", "restitution": 0.0}, "omega": 0.6}
-    job = httpx2.post(f"{address}/v1/jobs", json=json.loads(json.dumps(spec)), timeout=DEADLINE).json()["id"]
-    with opened(browser, f"{address}/#/job/{job}/diagram") as page:
-        page.locator(".panel .plot").wait_for()
-        assert page.get_by_label("Branches").count() == 0

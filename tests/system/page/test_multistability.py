@@ -52,6 +52,8 @@ def test_the_diagram_shows_all_attractors_and_one_of_them_moves(browser: Any, ad
         assert page.locator(".trajectory h2").inner_text() == "Trajectory of an attractor"
         wait_for(lambda: "cell=" in page.evaluate("location.href"))
         screenshot(page, "attractors")
+        page.set_viewport_size({"width": 390, "height": 844})  # of a phone
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_the_map_says_where_several_coexist(browser: Any, address: str, job: str):
@@ -72,13 +74,3 @@ def test_the_map_says_where_several_coexist(browser: Any, address: str, job: str
             page.get_by_label("Download CSV").first.click()
         assert download.value.suggested_filename == "what-coexists-attractor-map.csv"
         screenshot(page, "attractor-map")
-
-
-@pytest.mark.parametrize("tab", ["attractors", "map"])
-def test_attractors_fit_a_phone(browser: Any, address: str, job: str, tab: str):
-    target = f"{address}/#/job/{job}/{tab}?omega=0.6&cell=0.8,0.6,0.05,attractor:1"
-    with opened(browser, target, viewport={"width": 390, "height": 844}) as page:
-        wait_shown(page, xi=0.05)
-        page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        screenshot(page, f"{tab}-phone")

@@ -2,17 +2,12 @@
 
 import asyncio
 import inspect
-import json
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
-from itertools import pairwise
+from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import xarray
-from answering import ID, Answer, Server, scripted, view
 from scripted import Held, sweep
 
 from service.client import (
@@ -22,7 +17,6 @@ from service.client import (
     Client,
     Job,
     JobCancelled,
-    JobFailed,
     WaitTimeout,
 )
 from service.server import embedded
@@ -71,6 +65,9 @@ def test_answers_are_those_of_the_other_client(address: str, tmp_path: Path):
             with pytest.raises(BadRequest, match="omega"):
                 await client.submit({**LINE, "omega": -1})
             assert f"{job!r}".startswith(f"<AsyncJob {job.id[:8]}")
+            assert [now.state async for now in job.follow()] == ["done"]
+            assert await job.pin() is job
+            assert job.pinned
 
     asyncio.run(program())
 
@@ -121,149 +118,13 @@ def test_the_loop_goes_on_while_a_job_is_waited_for(held: str):
             assert (await waits.cancel()).state == "cancelled"
             with pytest.raises(JobCancelled):
                 await waits.wait(progress=False)
-            ticking.cancel()
-
-    asyncio.run(program())
-
-
-# Against a scripted server
-
-
-@asynccontextmanager
-async def asking(*script: Answer) -> AsyncIterator[tuple[Server, AsyncClient]]:
-    with scripted(*script) as (server, client):
-        async with AsyncClient(client.url) as asynchronous:
-            yield server, asynchronous
-
-
-def listed(client: AsyncClient, *states: str) -> list[AsyncJob]:
-    return [AsyncJob(Job.from_view(client.sync._transport, view(state))) for state in states]
-
-
-def test_what_is_done_to_a_job_is_what_the_service_says():
-    async def program() -> None:
-        calls = ("refresh", "cancel", "pin", "unpin", "resume")
-        script = [Answer(body=view() | {"pinned": call == "pin"}) for call in calls]
-        async with asking(*script, Answer(202, view() | {"id": "f" * 32})) as (server, client):
-            (job,) = listed(client, "done")
-            for call in calls:
-                assert await getattr(job, call)() is job
-                assert (job.state, job.pinned) == ("running", call == "pin")
-            assert ((await job.refine()).id, job.id) == ("f" * 32, ID)
-            paths = [path.removeprefix(f"/v1/jobs/{ID}").strip("/") for _, path, _ in server.requests]
-            assert paths == ["", "cancel", "pin", "unpin", "resume", "refine"]
-            assert job._repr_html_() == job.sync._repr_html_()
-            assert (client.url, client.page) == (client.sync.url, client.sync.page)
-            assert repr(client) == f"<AsyncClient {client.url}>"
-
-    asyncio.run(program())
-
-
-def test_changes_are_followed():
-    events = [b"event: x\n", *(b"data: " + json.dumps(view(state)).encode() for state in ("queued", "done"))]
-
-    async def program() -> None:
-        async with asking(Answer(200, b"\n\n".join([*events, b""]))) as (_, client):
-            (job,) = listed(client, "queued")
-            assert [(now is job, now.state) async for now in job.follow()] == [
-                (True, "queued"),
-                (True, "done"),
-            ]
-
-    asyncio.run(program())
-
-
-def test_a_wait_shows_each_status_at_the_interval_of_the_service(monkeypatch: pytest.MonkeyPatch):
-    from service.client import asynchronous as module
-
-    pauses: list[float] = []
-
-    async def sleep(seconds: float) -> None:
-        pauses.append(seconds)
-
-    names = {name: getattr(asyncio, name) for name in ("to_thread", "Semaphore")}
-    monkeypatch.setattr(module, "asyncio", SimpleNamespace(sleep=sleep, **names))
-
-    async def program() -> None:
-        script = [Answer(200, view("running", 1), Retry_After="0.5"), *[Answer(body=view())] * 30]
-        async with asking(*script, Answer(200, view("done", 10))) as (_, client):
-            (job,) = listed(client, "queued")
-            shown: list[tuple[str, int]] = []
-            show = shown.append
-            assert await job.wait(progress=lambda now: show((now.state, now.progress.cells_done))) is job
-            assert shown[:3] == [("queued", 0), ("running", 1), ("running", 0)]
-            assert (len(shown), shown[-1]) == (33, ("done", 10))
-
-    asyncio.run(program())
-    first, asked_for, *later = pauses
-    assert (first, asked_for, later[-1]) == (0.05, 0.5, 2.0)
-    assert later == sorted(later)
-    assert all(after <= 1.2 * before for before, after in pairwise(later))  # an end is soon seen
-
-
-def test_a_wait_goes_on_with_the_job_that_takes_the_place_of_one():
-    async def program() -> None:
-        async with asking(Answer(body=view("done", 10) | {"id": "f" * 32})) as (_, client):
-            replaced = view("failed") | {"replaced_by": "f" * 32}
-            job = AsyncJob(Job.from_view(client.sync._transport, replaced))
-            await job.wait(progress=False)
-            assert (job.id, job.state) == ("f" * 32, "done")
-
-    asyncio.run(program())
-
-
-def test_ended_jobs_are_returned_however_they_ended():
-    async def program() -> None:
-        async with asking() as (_, client):
-            jobs = listed(client, "failed", "done", "cancelled")
-            assert {job async for job in client.as_completed(jobs)} == set(jobs)
-            seen: list[tuple[int, int]] = []
-            with pytest.raises(JobFailed) as caught:
-                await client.wait_all(jobs, progress=lambda *count: seen.append(count))
-            assert caught.value.job is jobs[0]
-            assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
-            assert await client.wait_all([jobs[1]], progress=False) == [jobs[1]]
-
-    asyncio.run(program())
-
-
-def test_a_wait_for_several_ends_at_its_timeout_and_leaves_nothing_behind():
-    async def program() -> None:
-        async with asking() as (_, client):
-            done, running = listed(client, "done", "running")
-            ended = client.as_completed([done, running])
-            assert await anext(ended) is done
-            await ended.aclose()
+            ended = client.as_completed([waits, job], timeout=0.1)
+            assert await anext(ended) is waits
             with pytest.raises(WaitTimeout):
-                [job async for job in client.as_completed([running], timeout=0.0)]
+                await anext(ended)
+            ticking.cancel()
             await asyncio.sleep(0)  # what is cancelled ends at the loop's next turn
             assert asyncio.all_tasks() == {asyncio.current_task()}
-
-    asyncio.run(program())
-
-
-def test_specifications_are_mapped_few_at_once():
-    async def program() -> None:
-        taken: list[int] = []
-
-        def specs() -> Iterator[dict[str, int]]:
-            for n in range(3):
-                taken.append(n)
-                yield {"xi": n}
-
-        async with asking(*[Answer(200, view("done"))] * 6) as (_, client):
-            assert [len(taken) async for _ in client.map(specs(), at_once=1)] == [1, 2, 3]
-            taken.clear()
-            assert [len(taken) async for _ in client.map(specs(), at_once=2)] == [2, 3, 3]
-
-    asyncio.run(program())
-
-
-def test_the_connections_are_closed_with_the_client():
-    async def program() -> None:
-        async with AsyncClient("http://127.0.0.1:9") as client:
-            assert not client.sync._transport._http.is_closed
-        assert client.sync._transport._http.is_closed
 
     asyncio.run(program())
 

@@ -5,7 +5,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -75,20 +74,6 @@ def test_a_process_that_dies_fails_its_answer_alone(processes: Processes):
     assert processes.run(divmod, 17, 5) == (3, 2)
 
 
-def test_a_process_that_dies_leaves_its_place_to_one_other():
-    with closing(Processes(1)) as processes:
-        with pytest.raises(NotComputed):
-            processes.run(os._exit, 1)
-        with ThreadPoolExecutor(2) as pool:
-            assert len(set(pool.map(processes.run, [_sleep_and_tell] * 2))) == 1
-
-
-def test_more_calls_than_processes_wait(processes: Processes):
-    with ThreadPoolExecutor(8) as pool:
-        pids = set(pool.map(lambda _: processes.run(os.getpid), range(40)))
-    assert 1 <= len(pids) <= 2
-
-
 def hold(megabytes: int) -> int:
     """Keep so much memory in this process for good."""
     globals()["kept"] = b"x" * (megabytes << 20)
@@ -120,30 +105,6 @@ def test_processes_without_work_end_but_one():
         assert processes.run(os.getpid) in pids
 
 
-def test_what_waits_to_end_processes_does_not_keep_the_service_from_ending():
-    before = set(threading.enumerate())
-    Processes(2, idle_seconds=DEADLINE)._end_later()
-    [timer] = set(threading.enumerate()) - before
-    assert timer.daemon
-    assert isinstance(timer, threading.Timer)
-    timer.cancel()
-
-
-def test_who_waits_for_a_process_that_dies_gets_another(tmp_path: Path):
-    begun, told = tmp_path / "begun", tmp_path / "told"
-    os.mkfifo(told)
-    computation = f"import os, pathlib; open({str(begun)!r}, 'w'); open({str(told)!r}).read(); os._exit(1)"
-    with ThreadPoolExecutor(2) as pool, closing(Processes(1)) as processes:
-        dying = pool.submit(processes.run, exec, computation)
-        wait_for(begun.exists)
-        waiting = pool.submit(processes.run, divmod, 17, 5)
-        wait_for(lambda: bool(processes._changed._waiters))  # type: ignore[attr-defined]
-        told.write_text("")
-        assert waiting.result(DEADLINE) == (3, 2)
-        with pytest.raises(NotComputed):
-            dying.result(DEADLINE)
-
-
 def _sleep_and_tell() -> int:
     time.sleep(1.0)
     return os.getpid()
@@ -170,34 +131,20 @@ def blocks_interrupts(pid: int) -> bool:
     return bool(int(blocked, 16) >> (signal.SIGINT - 1) & 1)
 
 
-def test_they_end_with_the_service_that_is_killed_and_not_with_ctrl_c(tmp_path: Path):
+@pytest.mark.parametrize("busy", [False, True])
+def test_they_end_with_the_service_that_is_killed_and_not_with_ctrl_c(tmp_path: Path, busy: bool):
     script = tmp_path / "main.py"
     script.write_text(
-        "import os, signal\nfrom service.background import Processes\n"
-        "if __name__ == '__main__':\n    print(Processes(1).run(os.getpid), flush=True)\n    signal.pause()\n"
+        "import signal, sys\nfrom service.background import Processes\n"
+        "if __name__ == '__main__':\n    Processes(1).run(exec, sys.argv[1])\n    signal.pause()\n"
     )
-    command = [sys.executable, str(script)]
+    code = f"import os\nprint(os.getpid(), flush=True)\nwhile {busy}: pass"
+    command = [sys.executable, str(script), code]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as process:
         assert process.stdout
         child = psutil.Process(int(process.stdout.readline()))
         assert (blocks_interrupts(process.pid), blocks_interrupts(child.pid)) == (False, True)
-        process.kill()
-    child.wait(DEADLINE)
-
-
-def test_one_that_computes_does_not_outlive_the_service_that_is_killed(tmp_path: Path):
-    script = tmp_path / "main.py"
-    script.write_text(
-        "from service.background import Processes\n"
-        "if __name__ == '__main__':\n"
-        "    Processes(1).run(exec, 'import os\\nprint(os.getpid(), flush=True)\\nwhile True: pass')\n"
-    )
-    command = [sys.executable, str(script)]
-    env = os.environ | {"PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as process:
-        assert process.stdout
-        child = psutil.Process(int(process.stdout.readline()))
         process.kill()
     try:
         child.wait(DEADLINE)

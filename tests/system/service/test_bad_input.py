@@ -8,28 +8,18 @@ import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import httpx2
 import pytest
-from fastapi import FastAPI, Query
 from fastapi.testclient import TestClient
-from pydantic import BaseModel, model_validator
 from scripted import DEADLINE, Held, wait_for
 from served import computing, finished, listening, service
 
-from service.api import problems
 from service.api.app import create_app
 from service.api.middleware.body_limit import BodyLimit
 from service.api.problems import STATUS, problem_response
-from service.errors import (
-    LedgerUnavailable,
-    NotAdoptable,
-    NotStarted,
-    RunFailed,
-    ServiceError,
-    UnknownJob,
-)
+from service.errors import LedgerUnavailable, NotStarted, ServiceError, UnknownJob
 from service.server.web_server import limited
 from service.settings import Settings
 from worker.executors.inline import Inline
@@ -64,10 +54,6 @@ def spec(case: str, status: int, message: str, /, **changes: Any) -> Body:
     return text(case, json.dumps({**GOOD, **changes}), status, message)
 
 
-def without(field: str) -> bytes:
-    return json.dumps({name: value for name, value in GOOD.items() if name != field}).encode()
-
-
 def raw(name: str, gamma: str, status: int, message: str) -> Body:
     """A body with `gamma` verbatim, which Python's json would not write."""
     return text(name, '{"omega": 0.5, "xi": 0.26, "gamma": %s}' % gamma, status, message)  # noqa: UP031
@@ -75,103 +61,55 @@ def raw(name: str, gamma: str, status: int, message: str) -> Body:
 
 BODIES = [
     text("nothing", b"", 400, "not JSON"),
-    text("not JSON", "gamma: 1", 400, "not JSON"),
     text("half an object", '{"gamma": 1', 400, "not JSON"),
-    text("two values", "{} {}", 400, "not JSON"),
     text("not UTF-8", b'{"name": "\xff"}', 400, "not UTF-8 at byte 10"),
-    text("a coded surrogate", b'{"name": "\xed\xa0\x80"}', 400, "not UTF-8"),
     text("a byte order mark", b"\xef\xbb\xbf{}", 400, "not JSON"),
     text("deep nesting", "[" * 9000 + "]" * 9000, 400, "nested too deeply"),
     raw("NaN", "NaN", 400, "NaN"),
-    raw("Infinity", "-Infinity", 400, "Infinity"),
     raw("5,000 digits", "1" * 5000, 400, "5000 digits"),
     raw("a field twice", '1, "gamma": 2', 400, "'gamma' is given twice"),
     raw("1e999", "1e999", 422, "gamma: must be finite"),
-    raw("300 digits", "1" * 300, 422, "gamma"),
     raw("nested lists", "[" * 500 + "]" * 500, 422, "gamma"),
     text("a list", "[1, 2]", 422, "must be an object"),
-    text("a number", "7", 422, "must be an object"),
-    text("null", "null", 422, "must be an object"),
     text("an empty object", "{}", 422, "gamma: is required"),
-    text("no omega", without("omega"), 422, "omega: is required"),
     spec("an unknown field", 422, "did you mean 'gamma'", gama=1.0),
-    spec("a field named with half a surrogate", 422, "printable", **{"\ud800": 1}),
     spec("a name with half a surrogate", 422, "name: must be text that UTF-8 can write", name="\udc00"),
-    spec("a name of two lines", 422, "name: must be one line of printable", name="a\nb"),
-    spec("a name without end", 422, "name: must have at most 200 characters", name="x" * 500),
     spec("a number as text", 422, "omega: must be a number", omega="0.5"),
-    spec("a truth as a number", 422, "omega", omega=True),
-    spec("null for an axis", 422, "xi", xi=None),
-    spec("an empty axis", 422, "omega: must hold at least one number", omega=[]),
     spec("an unsorted axis", 422, "omega: must increase", omega=[1.0, 0.5]),
-    spec("a repeated value", 422, "omega: must increase", omega=[0.5, 0.5]),
-    spec("a negative omega", 422, "omega", omega=-0.5),
-    spec("a zero gamma", 422, "gamma", gamma=0.0),
-    spec("a subnormal gamma", 422, "gamma", gamma=5e-324),
-    spec("a negative xi", 422, "xi: must be at least 0", xi=-1e-9),
-    spec("a range downwards", 422, "gamma.start", gamma={"start": 2.0, "stop": 1.0, "num": 5}),
-    spec("a range of nothing", 422, "gamma.num", gamma={"start": 1.0, "stop": 2.0, "num": 0}),
-    spec("a range of half a value", 422, "gamma.num", gamma={"start": 1.0, "stop": 2.0, "num": 2.5}),
     spec("a range without end", 422, "gamma.num: must", gamma={"start": 1.0, "stop": 2.0, "num": 10**18}),
-    spec("a log range from 0", 422, "xi.start", xi={"start": 0.0, "stop": 1.0, "num": 5, "spacing": "log"}),
-    spec("a model to come", 422, "model.kind", model={"kind": "granite"}),
     spec("a field of another model", 422, "model.penetration", model={"kind": "rigid", "penetration": 1e-3}),
-    spec("a subnormal rest length", 422, "model.rest_length: gives contacts 0 to 0",
-         model={"kind": "soft", "rest_length": 5e-324}),
-    spec("restitution above 1", 422, "model.restitution", model={"kind": "rigid", "restitution": 1.5}),
-    spec("a protocol to come", 422, "protocol.kind", protocol={"kind": "spiral"}),
     spec("a ramp along one value", 422, "protocol.axis",
          protocol={"kind": "ramp", "axis": "xi", "direction": "up"}),
-    spec("no periods observed", 422, "observe: must be at least 1", observe=0),
-    spec("half a period", 422, "settle: must be a whole number", settle=0.5),
-    spec("nothing kept", 422, "keep: must be at least 1", keep=0),
     spec("too many cells", 413, "at most 1000000",
          gamma={"start": 1, "stop": 2, "num": 99999}, xi=list(range(99))),
     spec("too many bytes", 413, "keep", keep=10_000, gamma={"start": 1, "stop": 2, "num": 90_000}),
     text("a body too long", b" " * (MAX_BODY + 1), 413, f"longer than {MAX_BODY:,} bytes"),
     Body("a form", b"gamma=1", 415, "Content-Type: application/json", "application/x-www-form-urlencoded"),
-    Body("plain text", json.dumps(GOOD).encode(), 415, "Content-Type: application/json", "text/plain"),
     Body("no type", json.dumps(GOOD).encode(), 415, "Content-Type: application/json", ""),
 ]  # fmt: skip
 
 #: Method, path ({job} is a done job), status, and part of the message.
 REQUESTS = {
     "nowhere": ("GET", "/v2/jobs", 404, "no endpoint /v2/jobs"),
-    "a method not known": ("DELETE", "/v1/jobs", 405, "/v1/jobs does not support DELETE"),
     "a made-up method": ("BREW", "/v1/jobs", 405, "/v1/jobs does not support BREW"),
     "an unknown id": ("GET", "/v1/jobs/" + "0" * 32, 404, "no job has the id"),
-    "an id with a quote": ("GET", "/v1/jobs/'%20OR%201=1", 404, "no job has the id"),
     "an id with a null": ("GET", "/v1/jobs/%00", 404, "no job has the id"),
     "an id that is a path": ("GET", "/v1/jobs/..%2F..%2Fledger.sqlite", 404, ""),
     "an id without end": ("GET", "/v1/jobs/" + "a" * 5000, 404, "no job has the id"),
     "an id that is not UTF-8": ("GET", "/v1/jobs/%ff%fe", 404, "no job has the id"),
-    "cancelling nobody": ("POST", "/v1/jobs/nobody/cancel", 404, "no job has the id 'nobody'"),
     "cancelling what is done": ("POST", "{job}/cancel", 409, "the job is done"),
     "an unknown state": ("GET", "/v1/jobs?state=lost", 422, "state: should be 'queued'"),
-    "no limit": ("GET", "/v1/jobs?limit=0", 422, "limit: should be greater than or equal to 1"),
-    "a limit in words": ("GET", "/v1/jobs?limit=all", 422, "limit: should be a valid integer"),
     "a limit without end": ("GET", "/v1/jobs?limit=" + "9" * 5000, 422, "limit"),
     "a cursor of one's own": ("GET", "/v1/jobs?cursor=two", 422, "cursor: should be `next` of the page"),
     "a misspelt parameter": ("GET", "/v1/jobs?sate=done", 422, "sate: unknown parameter"),
-    "along nothing": ("GET", "{job}/diagram?along=time&omega=0.5", 422, "along: should be 'gamma', 'omega'"),
     "a missing parameter": ("GET", "{job}/diagram", 422, "omega: is required: the sweep has 2 values"),
-    "the axis itself": ("GET", "{job}/diagram?gamma=1&omega=0.5", 422, "gamma: is the axis the diagram"),
-    "below the grid": ("GET", "{job}/diagram?omega=0.4999", 422, "omega: must be within the sweep"),
     "above the grid": ("GET", "{job}/diagram?omega=1e300", 422, "omega: must be within the sweep"),
-    "beside one value": ("GET", "{job}/diagram?omega=0.5&xi=0.27", 422, "xi: must be within the sweep"),
     "a fixed NaN": ("GET", "{job}/diagram?omega=nan", 422, "omega: should be a finite number"),
-    "a fixed infinity": ("GET", "{job}/diagram?omega=1e999", 422, "omega: should be a finite number"),
-    "a fixed word": ("GET", "{job}/diagram?omega=half", 422, "omega: should be a valid number"),
-    "a fixed nothing": ("GET", "{job}/diagram?omega=", 422, "omega: should be a valid number"),
     "a direction not there": ("GET", "{job}/diagram?omega=0.5&direction=up", 422, "direction: must be"),
-    "a negative flight": ("GET", "{job}/diagram?omega=0.5&min_flight=-1", 422, "min_flight: should be"),
     "an unknown format": ("GET", "{job}/diagram?omega=0.5&format=gif", 422, "format: should be 'json'"),
     "a motion too long": ("GET", "{job}/trajectory?gamma=1&omega=0.5&periods=1000", 413, "200,001 samples"),
-    "thresholds off the grid": ("GET", "{job}/threshold?xi=9", 422, "xi: must be within the sweep"),
     "thresholds of nobody": ("GET", "/v1/jobs/nobody/threshold", 404, "no job has the id"),
-    "Eq. 25 nowhere": ("GET", "/v1/threshold", 422, "omega: is required; xi: is required"),
     "Eq. 25 at rest": ("GET", "/v1/threshold?omega=0&xi=0.1", 422, "omega: should be greater than 0"),
-    "Eq. 25 undamped and worse": ("GET", "/v1/threshold?omega=1&xi=-0.1", 422, "xi: should be greater than"),
 }  # fmt: skip
 
 
@@ -214,43 +152,14 @@ def test_bad_request(client: TestClient, job: str, method: str, path: str, statu
     assert client.get(job).json()["state"] == "done"
 
 
-def test_errors_name_the_field_and_the_rule(client: TestClient):
-    problem = client.post("/v1/jobs", json={**GOOD, "omega": -1, "keep": 0}).json()
-    assert [error["field"] for error in problem["errors"]] == ["omega", "keep"]
-    assert [error["rule"].startswith("must be") for error in problem["errors"]] == [True, True]
-
-
-def test_a_rule_of_several_parameters_is_refused_without_naming_one():
-    class Range(BaseModel):
-        low: float
-        high: float
-
-        @model_validator(mode="after")
-        def _check(self) -> Self:
-            if self.low > self.high:
-                raise ValueError("low must not be above high")
-            return self
-
-    app = FastAPI()
-    problems.install(app)
-
-    @app.get("/between")
-    def between(query: Annotated[Range, Query()]) -> Range:
-        return query
-
-    with TestClient(app) as client:
-        assert client.get("/between?low=1&high=2").status_code == 200
-        check_refusal(client.get("/between?low=2&high=1"), 422, "query: low must not be above high")
-
-
 def test_every_error_has_a_status():
     """All but those that stop the service from starting, and those of the command line and of local runs."""
 
     def subclasses(error_class: type[ServiceError]) -> set[type[ServiceError]]:
         return {error_class}.union(*map(subclasses, error_class.__subclasses__()))
 
-    elsewhere = {NotAdoptable, RunFailed, ServiceError}
-    assert subclasses(ServiceError) - subclasses(NotStarted) - elsewhere <= set(STATUS)
+    without = subclasses(ServiceError) - subclasses(NotStarted) - set(STATUS)
+    assert {error.__name__ for error in without} == {"NotAdoptable", "RunFailed", "ServiceError"}
 
 
 def test_what_an_operator_must_look_at_is_logged(caplog: pytest.LogCaptureFixture):
@@ -287,11 +196,6 @@ def test_a_response_too_large_names_the_thinning_that_fits(tmp_path: Any):
         assert client.get(f"{here}/threshold").status_code == 200
 
 
-@pytest.mark.parametrize("path", ["/v1/jobs?state=done&state=failed", "/v1/threshold?omega=1&xi=0&xi=0.1"])
-def test_a_parameter_given_twice_is_refused(client: TestClient, path: str):
-    check_refusal(client.get(path), 422, "is given 2 times")
-
-
 def test_contradicting_validate_only_parameters_accept_nothing(client: TestClient, job: str):
     before = client.get("/v1/jobs").json()["total"]
     answer = client.post("/v1/jobs?validate_only=true&validate_only=false", json={**GOOD, "xi": 0.77})
@@ -305,14 +209,8 @@ def test_a_compressed_body_is_refused(client: TestClient):
     check_refusal(answer, 415, "the body is compressed (Content-Encoding: gzip)")
 
 
-def test_the_allow_header_names_the_methods_of_all_routes(client: TestClient, job: str):
-    assert client.put("/v1/jobs").headers["Allow"] == "GET, HEAD, POST"
-    assert client.put(job).headers["Allow"] == "DELETE, GET, HEAD"
-    assert client.put("/v1/trajectories").headers["Allow"] == "POST"
-
-
-@pytest.mark.parametrize("path", ["diagram?omega=0.5", "modes", "export?format=nc"])
-def test_an_unusable_data_folder_answers_503(tmp_path: Path, path: str):
+def test_an_unusable_data_folder_answers_503(tmp_path: Path):
+    path = "diagram?omega=0.5"
     with computing(tmp_path) as client:
         here = finished(client, GOOD)
         stores, away = tmp_path / "stores", tmp_path / "away"
@@ -322,11 +220,6 @@ def test_an_unusable_data_folder_answers_503(tmp_path: Path, path: str):
         stores.unlink()
         away.rename(stores)
         assert client.get(f"{here}/{path}").status_code == 200
-
-
-def test_a_ramp_along_omega_has_no_thresholds(client: TestClient):
-    here = finished(client, {**GOOD, "protocol": {"kind": "ramp", "axis": "omega", "direction": "up"}})
-    check_refusal(client.get(f"{here}/threshold"), 422, "protocol.axis: is omega")
 
 
 # Requests on a real connection, which a client may stop sending
@@ -376,11 +269,6 @@ def test_an_incomplete_head_times_out(address: tuple[str, int], before: bytes, p
             assert rest.startswith(b"HTTP/1.1 408 ")
 
 
-def test_a_connection_without_a_head_times_out(address: tuple[str, int]):
-    with socket.create_connection(address, timeout=DEADLINE) as connection:
-        assert connection.recv(65536).startswith(b"HTTP/1.1 408 ")
-
-
 def test_a_connection_in_use_does_not_time_out(address: tuple[str, int]):
     """The connection lasts longer than the timeout; retried, because a slow machine may pause for so long."""
 
@@ -401,12 +289,6 @@ def test_a_body_declared_too_long_is_refused_unread(address: tuple[str, int]):
     assert exchange(address, b"Content-Length: 99999999999\r\n\r\n").startswith(b"HTTP/1.1 413 ")
 
 
-def test_a_chunked_body_is_refused_at_the_limit(address: tuple[str, int]):
-    chunk = b"1000\r\n" + b" " * 0x1000 + b"\r\n"
-    answer = exchange(address, b"Transfer-Encoding: chunked\r\n\r\n", *[chunk] * 5)
-    assert answer.startswith(b"HTTP/1.1 413 ")
-
-
 def test_a_body_may_be_as_long_as_the_limit(client: TestClient, address: tuple[str, int]):
     full = json.dumps(GOOD).encode().ljust(MAX_BODY)
     headers = {"Content-Type": "application/json"}
@@ -417,28 +299,6 @@ def test_a_body_may_be_as_long_as_the_limit(client: TestClient, address: tuple[s
         address, b"Transfer-Encoding: chunked\r\nConnection: close\r\n\r\n", chunk, b"0\r\n\r\n"
     )
     assert answer.startswith(b"HTTP/1.1 202 ")
-
-
-def test_a_message_without_more_is_the_whole_body():
-    """As ASGI says: `more_body` is false, and `body` empty, where a server leaves them out."""
-    received: list[Any] = []
-
-    async def app(scope: Any, receive: Any, send: Any) -> None:
-        received.extend([await receive(), await receive()])
-
-    messages = iter([{"type": "http.request"}, {"type": "http.disconnect"}])
-
-    async def receive() -> Any:
-        return next(messages)
-
-    async def send(message: Any) -> None:
-        raise AssertionError(message)
-
-    limit = BodyLimit(app, max_bytes=100, timeout=DEADLINE)
-    asyncio.run(limit({"type": "http", "path": "/", "headers": []}, receive, send))
-    assert received == [
-        {"type": "http.request", "body": b"", "more_body": False}, {"type": "http.disconnect"}
-    ]  # fmt: skip
 
 
 def test_a_client_that_disconnects_within_its_body_reaches_no_route():

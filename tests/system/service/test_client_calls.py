@@ -1,15 +1,10 @@
 """Every call of client and command line against the real service."""
 
 import json
-import re
-import threading
-import time
 from collections.abc import Iterator
-from io import StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import httpx2
 import numpy as np
 import pytest
 import xarray
@@ -18,7 +13,6 @@ from pyarrow import parquet
 from scripted import Held, sweep, wait_for
 
 from service.cli.main import main
-from service.cli.output import jobs_live, threshold_view
 from service.client import BadRequest, BounceError, Client, Conflict, Job, NotFound, Unauthorized
 from service.client.display import summary
 from service.server import embedded
@@ -88,14 +82,6 @@ def test_the_token_is_required_of_every_caller(running: Running):
 # Submitting
 
 
-def test_a_key_makes_a_repeat_harmless(idle: Running):
-    job = idle.client.submit(sweep("keyed", xi=0.3), key="once")
-    job.cancel()
-    assert idle.client.submit(sweep("keyed", xi=0.3), key="once").state == "cancelled"
-    with pytest.raises(Conflict, match="another specification"):
-        idle.client.submit(sweep("keyed", xi=0.4), key="once")
-
-
 def test_an_estimate_submits_nothing(idle: Running, tmp_path: Path):
     before = len(list(idle.client.jobs()))
     estimate = idle.client.estimate(PLANE)
@@ -131,15 +117,6 @@ def test_the_first_digits_of_an_id_select_its_job(running: Running, idle: Runnin
         running.client.job(other)
 
 
-def test_digits_that_several_ids_begin_with_select_none(running: Running, monkeypatch: pytest.MonkeyPatch):
-    other = running.job.id[:8] + ("1" if running.job.id[8] == "0" else "0") * 24
-    same = Job.from_view(running.client._transport, {**running.job.view, "id": other})
-    monkeypatch.setattr(Client, "jobs", lambda self, search: iter([running.job, same]))
-    with pytest.raises(NotFound, match=f"2 jobs have ids that begin with {running.job.id[:8]}, as "):
-        running.client.job(running.job.id[:8])
-    assert running.client.job(running.job.id[:9]).id == running.job.id
-
-
 def completions(running: Running, words: str) -> list[str]:
     """What the shell is told of `words`, of which the last is incomplete."""
     environment = {
@@ -159,10 +136,9 @@ def test_the_shell_completes_commands_options_and_ids(running: Running):
     assert completions(running._replace(address="http://127.0.0.1:9"), "bounce status ") == []
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_script_of_a_shell(shell: str):
-    for words, environment in ((["completion", shell], {}), (["completion"], {"SHELL": f"/usr/bin/{shell}"})):
-        done = CliRunner().invoke(main, words, env={"SHELL": "", **environment})
+def test_the_script_of_a_shell():
+    for words, shell in ((["completion", "bash"], ""), (["completion"], "/usr/bin/fish")):
+        done = CliRunner().invoke(main, words, env={"SHELL": shell})
         assert (done.exit_code, "_BOUNCE_COMPLETE" in done.stdout) == (0, True)
     assert CliRunner().invoke(main, ["completion"], env={"SHELL": "/bin/other"}).exit_code == 2
 
@@ -173,69 +149,23 @@ def test_watch_without_a_terminal_is_one_table(idle: Running):
     assert any(line.startswith(idle.job.id) and "running" in line for line in lines)
 
 
-def test_a_terminal_shows_jobs_that_end_meanwhile_until_ctrl_c(
-    idle: Running, monkeypatch: pytest.MonkeyPatch
-):
-    job = idle.client.submit(sweep("ends meanwhile", xi=0.7))
-    ends, looking, real = [job.cancel], threading.current_thread(), time.sleep
-
-    def sleep(seconds: float) -> None:
-        """The command's pause: in the first one the job ends, in the second one comes Ctrl-C."""
-        if threading.current_thread() is not looking:
-            real(seconds)
-        elif ends:
-            ends.pop()()
-        else:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(time, "sleep", sleep)
-    environment = {"BOUNCE_URL": idle.address, "FORCE_COLOR": "1", "TERM": "xterm", "COLUMNS": "150"}
-    done = CliRunner().invoke(main, ["watch", "--interval", "0.5"], env=environment)
-    assert (done.exit_code, done.stderr) == (130, "\n")
-    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", done.stdout)
-    rows = [line.split() for line in text.splitlines() if line.startswith(job.id[:8])]
-    assert [row[1] for row in rows][:2] == ["queued", "cancelled"]
-
-
-def test_watched_jobs_have_bars(idle: Running):
-    from rich.console import Console
-
-    console = Console(width=120, record=True, file=StringIO())
-    console.print(jobs_live([idle.job]))
-    text = console.export_text()
-    assert text.split()[:6] == ["ID", "STATE", "DONE", "CELLS", "LEFT", "NAME"]
-    assert idle.job.id[:8] in text
-    assert idle.job.name in text
-    console.print(jobs_live([]))
-    assert "no job is queued or running" in console.export_text()
-
-
 # Changing
 
 
 def test_resume_and_delete(idle: Running):
     job = idle.client.submit(sweep("to and fro", xi=0.5))
     assert job.cancel().state == "cancelled"
-    assert job.resume().state == "queued"
-    with pytest.raises(Conflict, match="cancel it first"):
-        job.delete()
-    job.cancel()
     resumed = bounce(idle, "resume", job.id)
     assert (resumed.stdout, "queued" in resumed.stderr) == ("", True)
-    assert bounce(idle, "delete", job.id).exit_code == 1
+    with pytest.raises(Conflict, match="cancel it first"):
+        job.delete()
     cancelled = bounce(idle, "cancel", job.id)
     assert cancelled.stdout == ""
     assert cancelled.stderr.startswith(f"{job.id[:8]} to and fro: cancelled, ")
-    assert "requested" not in cancelled.stderr
     assert bounce(idle, "delete", job.id).exit_code == 0
     with pytest.raises(NotFound):
         job.refresh()
     assert "no job has the id" in bounce(idle, "delete", job.id).stderr
-
-
-def test_what_is_done_is_not_resumed(running: Running):
-    with pytest.raises(Conflict, match="nothing to resume"):
-        running.client.job(running.job.id).resume()
 
 
 def test_follow_ends_with_the_job(tmp_path: Path):
@@ -272,21 +202,8 @@ def test_modes(running: Running, tmp_path: Path):
     rows = (tmp_path / "modes.csv").read_text().splitlines()
     assert rows[0] == "omega,gamma,outcome,bounces,periods"
     assert len(rows) == 1 + 22
-    thinned = running.job.modes(direction="down", every=2)
-    np.testing.assert_array_equal(thinned.outcome, dataset.outcome[::2, ::2])
-    omega, gamma, outcome, *_ = rows[-1].split(",")
-    assert (float(omega), float(gamma)) == (0.7, 1.6)
-    assert outcome in ("periodic", "aperiodic", "at_rest")
     words = ["modes", running.job.id, "--direction", "up", "-o", "-", "--format", "json"]
     assert json.loads(output_of(running, *words))["direction"] == "up"
-    with pytest.raises(BadRequest, match="direction"):
-        running.job.modes(direction="sideways")
-
-
-def test_thresholds_as_json_are_those_of_the_client(running: Running):
-    printed = json.loads(output_of(running, "threshold", running.job.id, "--json"))
-    assert printed == json.loads(json.dumps(threshold_view(running.job.threshold())))
-    assert printed["omega"] == [0.5, 0.7]
 
 
 CELL: dict[str, Any] = {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}}
@@ -323,31 +240,14 @@ def test_the_attractors_over_a_grid_are_printed_and_drawn(running: Running, tmp_
     assert (tmp_path / "a.csv").read_bytes() == job.multistability_picture("csv", omega=0.5)
 
 
-@pytest.mark.parametrize(
-    ("command", "spec", "consequence"),
-    [("basins", BASIN, "the result may be incomplete"), ("multistability", ATTRACTORS, "the plane may be")],
-)
-def test_attractors_that_are_not_computed_yet_are_told_to_be_missing(
-    idle: Running, command: str, spec: dict[str, Any], consequence: str
-):
-    job = idle.client.submit(spec)
-    done = bounce(idle, command, job.id)
-    assert done.exit_code == 0
-    assert done.stderr.startswith(f"the job is queued at 0%: {consequence}")
-
-
-@pytest.mark.parametrize("ending", ["nc", "parquet"])
-def test_export(running: Running, tmp_path: Path, ending: str):
-    by_client = running.job.export(tmp_path / f"client.{ending}")
-    output_of(running, "export", running.job.id, "-o", str(tmp_path / f"shell.{ending}"))
+def test_export(running: Running, tmp_path: Path):
+    running.job.export(tmp_path / "client.nc")
+    output_of(running, "export", running.job.id, "-o", str(tmp_path / "shell.parquet"))
     stored = running.job.open().load()
-    for path in (by_client, tmp_path / f"shell.{ending}"):
-        if ending == "nc":
-            with xarray.open_dataset(path, engine="h5netcdf") as dataset:
-                np.testing.assert_array_equal(dataset.flight_time, stored.flight_time)
-        else:
-            assert parquet.read_table(path).num_rows == stored.outcome.size
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"client.{ending}", f"shell.{ending}"]
+    with xarray.open_dataset(tmp_path / "client.nc", engine="h5netcdf") as dataset:
+        np.testing.assert_array_equal(dataset.flight_time, stored.flight_time)
+    assert parquet.read_table(tmp_path / "shell.parquet").num_rows == stored.outcome.size
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["client.nc", "shell.parquet"]
 
 
 def test_an_export_that_is_refused_leaves_no_file(running: Running, tmp_path: Path):
@@ -359,48 +259,21 @@ def test_an_export_that_is_refused_leaves_no_file(running: Running, tmp_path: Pa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_store_is_read_over_http_and_only_where_it_is_used(running: Running):
-    store = running.job.open()
-    assert not store.flight_time.variable._in_memory
-    here = f"{running.address}/v1/jobs/{running.job.id}/zarr"
-    answer = httpx2.get(f"{here}/outcome/c.0.0.0.0", headers={"Authorization": f"Bearer {TOKEN}"}, timeout=60)
-    assert answer.status_code == 200
-    line = store.isel(direction=0, xi=0, omega=0).flight_time.load()
-    np.testing.assert_array_equal(
-        line.values[:, : line.sizes["flight"]],
-        running.job.diagram(omega=0.5, xi=0.26).flight_time.reindex(flight=range(8)).values,
-    )
-
-
 def test_trajectory(running: Running, tmp_path: Path):
-    cell = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "settle": 50, "samples": 20}
+    cell = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "samples": 20}
     dataset = running.client.trajectory(cell)
-    assert dataset.sizes["phase"] == 4 * 20 + 1
-    words = ["--gamma", "2.3", "--omega", "0.5", "--xi", "0.26", "--model", "rigid", "--settle", "50"]
+
+    words = ["--gamma", "2.3", "--omega", "0.5", "--xi", "0.26", "--model", "rigid"]
     output_of(running, "trajectory", *words, "--samples", "20", "-o", str(tmp_path / "cell.csv"))
     rows = (tmp_path / "cell.csv").read_text().splitlines()
     assert rows[0] == "phase,plate,z1,z2,force,in_flight"
     assert len(rows) == 1 + 81
     np.testing.assert_allclose([float(row.split(",")[3]) for row in rows[1:]], dataset.z2)
-    text = output_of(running, "trajectory", *words, "--samples", "20", "--format", "json", "-o", "-")
-    np.testing.assert_allclose(json.loads(text)["z2"], dataset.z2)
-    with pytest.raises(BadRequest, match="xi"):
-        running.client.trajectory({"gamma": 1, "omega": 1})
-
-
-@pytest.mark.parametrize(
-    ("words", "start"),
-    [
-        (["--drop", "0.5", "1"], {"kind": "drop", "height": 0.5, "phase": 1.0}),
-        (["--contact", "-0.5", "0.25"], {"kind": "contact", "elongation": -0.5, "velocity": 0.25}),
-    ],
-)
-def test_trajectory_from_a_start(running: Running, words: list[str], start: dict[str, Any]):
-    cell = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "samples": 8, "start": start}
-    given = ["--gamma", "2.3", "--omega", "0.5", "--xi", "0.26", "--model", "rigid", "--samples", "8"]
-    text = output_of(running, "trajectory", *given, *words, "-o", "-", "--format", "csv")
-    motion = [float(row.split(",")[3]) for row in text.splitlines()[1:]]
-    np.testing.assert_allclose(motion, running.client.trajectory(cell).z2)
+    start = {"kind": "drop", "height": 0.5, "phase": 1.0}
+    text = output_of(
+        running, "trajectory", *words, "--drop", "0.5", "1", "--samples", "20", "--format", "json", "-o", "-"
+    )
+    np.testing.assert_allclose(json.loads(text)["z2"], running.client.trajectory({**cell, "start": start}).z2)
 
 
 def test_metrics(running: Running):
@@ -409,8 +282,6 @@ def test_metrics(running: Running):
     assert f'bounce_jobs{{state="done"}} {done}.0' in running.client.metrics()
     printed = output_of(running, "metrics")
     assert "bounce_ready" in printed
-    assert printed.endswith("\n")
-    assert not printed.endswith("\n\n")
 
 
 def test_pinned_jobs_are_listed_apart(idle: Running):
@@ -423,84 +294,6 @@ def test_pinned_jobs_are_listed_apart(idle: Running):
     assert len(output_of(idle, "list", "--limit", "1").splitlines()) == 2
 
 
-@pytest.mark.parametrize(
-    ("command", "name", "place"),
-    [("modes", "modes.csv", ()), ("export", "a.parquet", ()), ("diagram", "a.csv", ("--omega", "0.5"))],
-)
-def test_a_file_of_another_kernel_version_is_written_with_a_warning(
-    running: Running,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    command: str,
-    name: str,
-    place: tuple[str, ...],
-):
-    words = (command, running.job.id, *place, "-o", str(tmp_path / name))
-    assert bounce(running, *words).stderr == ""
-    old = Job.from_view(running.client._transport, {**running.job.view, "notice": "computed by version 0"})
-    monkeypatch.setattr(Client, "job", lambda self, job_id: old)
-    assert bounce(running, *words).stderr == "the job is computed by version 0\n"
-
-
-# Bad input on the command line
-
-
-BAD = {
-    "no such file": (["submit", "nowhere.json"], "nowhere.json"),
-    "a folder": (["submit", "."], "directory"),
-    "an id that is text": (["status", "mine"], "an id is 32 hex digits"),
-    "an id that is a path": (["status", "../../etc/passwd"], "an id is 32 hex digits"),
-    "an encoded path": (["cancel", "..%2f..%2fledger"], "an id is 32 hex digits"),
-    "an id nobody has": (["status", "f" * 32], "no job has the id"),
-    "no output file": (["export", "f" * 32], "Missing option"),
-    "a file of another format": (["diagram", "f" * 32, "-o", "x.gif"], "does not end in"),
-    "a missing folder": (["modes", "f" * 32, "-o", "nowhere/x.csv"], "there is no folder"),
-    "an unknown state": (["list", "--state", "lost"], "is not one of"),
-    "a gamma that is text": (["trajectory", "--gamma", "much"], "not a valid"),
-    "a gamma of zero": (
-        ["trajectory", "--gamma", "0", "--omega", "1", "--xi", "1", "-o", "-", "--format", "json"],
-        "gamma: must be at least",
-    ),
-    "two starts": (
-        [
-            "trajectory",
-            "--gamma",
-            "1",
-            "--omega",
-            "1",
-            "--xi",
-            "1",
-            "--drop",
-            "1",
-            "0",
-            "--contact",
-            "1",
-            "0",
-            "-o",
-            "x.csv",
-        ],
-        "give --drop or --contact, not both",
-    ),
-    "NaN": (
-        ["trajectory", "--gamma", "nan", "--omega", "1", "--xi", "1", "-o", "-", "--format", "json"],
-        "gamma: must be finite",
-    ),
-    "another command": (["launch"], "No such command"),
-    "a port out of range": (["serve", "--port", "99999"], "port"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_command(running: Running, case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.chdir(tmp_path)
-    words, message = BAD[case]
-    done = bounce(running, *words)
-    assert done.exit_code in (1, 2)
-    assert message in " ".join(done.stderr.split())
-    assert "Traceback" not in done.output
-    assert list(tmp_path.iterdir()) == []
-
-
 # Cycles in closed form
 
 
@@ -510,10 +303,6 @@ def test_the_thresholds_of_a_spring_are_printed(running: Running):
     assert "1e-06 below the fold bouncing lives 3,485 periods" in text
     plain = json.loads(output_of(running, "threshold", "--omega", "0.46", "--xi", "0.05", "--json"))
     assert (plain["down"], plain["cause"]) == (None, "unresolved")
-    assert plain["reason"] in output_of(running, "threshold", "--omega", "0.46", "--xi", "0.05")
-    for given in ((), ("--omega", "0.6"), ("--xi", "0.05")):
-        assert "give --omega and --xi" in bounce(running, "threshold", *given).stderr
-    assert "--omega is for one spring" in bounce(running, "threshold", running.job.id, "--omega", "1").stderr
 
 
 def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):
@@ -526,19 +315,9 @@ def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):
     assert names[:3] == ["branch", "bounces", "periods"]
     found = running.client.orbits(0.6, 0.05, "1-1")
     assert len(rows) == int(found.points.sum())
-    first = dict(zip(names, rows[0].split(","), strict=True))
-    assert float(first["gamma"]) == float(found.gamma[0, 0])
-    assert complex(float(first["multiplier_re"]), float(first["multiplier_im"])) == found.multiplier[0, 0]
+    assert float(rows[0].split(",")[names.index("gamma")]) == float(found.gamma[0, 0])
     assert bounce(running, *words, "-o", str(tmp_path / "a.json")).exit_code == 0
-    plain = json.loads((tmp_path / "a.json").read_text())
-    assert plain["event_kind"] == found.event_kind.values.tolist()
-    assert plain["gamma"][0] == found.gamma[0].values[~np.isnan(found.gamma[0])].tolist() + [None] * int(
-        np.isnan(found.gamma[0]).sum()
-    )
-    assert "give --omega and --xi" in bounce(running, "orbits", "--omega", "0.6").stderr
-    assert "give --omega and --xi" in bounce(running, "orbits", "--xi", "0.05").stderr
-    for omega, xi, rule in (("0", "0.05", "omega: should be greater than 0"), ("1", "0", "xi: must be > 0")):
-        assert rule in bounce(running, "orbits", "--omega", omega, "--xi", xi).stderr
+    assert json.loads((tmp_path / "a.json").read_text())["event_kind"] == found.event_kind.values.tolist()
     assert "of one bounce" in bounce(running, *words[:-1], "2-2").stderr
 
 
@@ -550,11 +329,8 @@ def test_orbits_of_a_job_are_written(running: Running, tmp_path: Path):
     header, *rows = (tmp_path / "words.csv").read_text().splitlines()
     assert {"word", "flight_time_1", "gamma"} <= set(header.split(","))
     assert rows
-    found = running.job.orbits(0.5, direction="up", progress=False)
-    assert done.stderr.splitlines() == [
-        f"no branch from the cell at gamma {gamma:g}: {reason}"
-        for gamma, reason in zip(found.skipped_gamma.values, found.skipped_reason.values, strict=True)
-    ]
+    skipped = running.job.orbits(0.5, direction="up", progress=False).skipped_gamma
+    assert len(done.stderr.splitlines()) == skipped.size
 
 
 def test_curves_are_printed_and_written(running: Running, tmp_path: Path):
@@ -567,4 +343,3 @@ def test_curves_are_printed_and_written(running: Running, tmp_path: Path):
     assert {"kind", "omega", "gamma", "flight_time"} <= set(names)
     omegas = [float(row.split(",")[names.index("omega")]) for row in rows]
     assert (min(omegas), max(omegas)) == (pytest.approx(0.6), pytest.approx(0.62))
-    assert "give one of --omega and --xi" in bounce(running, "curves", "--start", "1", "--stop", "2").stderr

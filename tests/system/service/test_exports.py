@@ -58,29 +58,16 @@ KEYS = {
     "zarr.json": 200,
     "outcome/zarr.json": 200,
     "outcome/c.0.0.0.0": 200,
-    "gamma/c/0": 200,
-    "": 404,
     "outcome": 404,
-    "outcome/": 404,
-    "outcome/c.0.0.0.00": 404,
     "outcome/c.0.0.0.999999": 404,
-    "outcome/c.0.0.0.-1": 404,
     "outcome/c.0.0.0.%D9%A3": 404,  # a three, though not an ASCII one
-    "outcome/c.0.0.0.0%00": 404,
     "../../ledger.sqlite": 404,
-    "..%2F..%2Fledger.sqlite": 404,
     "%2e%2e/%2e%2e/ledger.sqlite": 404,
     "..%5c..%5cledger.sqlite": 404,
-    "%252e%252e/ledger.sqlite": 404,
     "/etc/passwd": 404,
-    "%2Fetc%2Fpasswd": 404,
     "outcome/../zarr.json": 404,
-    "outcome/%2e%2e/zarr.json": 404,
-    "outcome/c/../../../../ledger.sqlite": 404,
     "zarr.json%0a": 200,  # the line end is left off before anybody looks at the key
     ".zarr.json.partial": 404,
-    "outcome/c.0.0.0.0.partial": 404,
-    "C:/windows/win.ini": 404,
     "zarr.json%FF": 404,
 }
 
@@ -109,21 +96,15 @@ def on_the_wire(host: str, path: str) -> tuple[int, bytes]:
     return answer.status, content
 
 
-@pytest.mark.parametrize("key", KEYS)
-def test_only_the_stores_own_keys_lead_anywhere(wire: tuple[str, str, str], key: str):
-    host, here, _ = wire
-    status, content = on_the_wire(host, f"{here}/zarr/{key}")
-    assert status == KEYS[key], content
-    assert b"SQLite" not in content
-
-
-@pytest.mark.parametrize(
-    "way", ["../{}.zarr", "%2e%2e/{}.zarr", "..%2f{}.zarr", "../../{}/zarr", "..%5c{}.zarr"]
-)
-def test_another_jobs_results_are_not_reached_through_ones_own(wire: tuple[str, str, str], way: str):
+def test_only_the_stores_own_keys_lead_anywhere(wire: tuple[str, str, str]):
+    """Not to the ledger, and not to another job."""
     host, here, other = wire
-    path = way.format(other.rsplit("/", 1)[1])
-    assert on_the_wire(host, f"{here}/zarr/{path}/zarr.json")[0] == 404
+    name = other.rsplit("/", 1)[1]
+    ways = (f"../{name}.zarr", f"%2e%2e/{name}.zarr", f"..%2f{name}.zarr", f"../../{name}/zarr")
+    for key, expected in (KEYS | {f"{way}/zarr.json": 404 for way in ways}).items():
+        status, content = on_the_wire(host, f"{here}/zarr/{key}")
+        assert status == expected, key
+        assert b"SQLite" not in content
 
 
 @pytest.mark.skipif(CHECKER is None, reason="needs compliance-checker, which brings its tables")

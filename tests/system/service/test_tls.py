@@ -8,15 +8,13 @@ from pathlib import Path
 
 import pytest
 from dask_processes import LOOPBACK, dask_processes
-from distributed import LocalCluster, Security
+from distributed import Security
 from paths import CACHE
 from running import costing, running
-from scripted import sweep, wait_for
+from scripted import wait_for
 from stores import marked
 
-from service.client import Client
 from service.jobs.model import JobState
-from service.server import embedded
 from service.server.cluster import connected_cluster
 from service.settings import Settings
 from worker.executors.dask import Dask
@@ -28,6 +26,7 @@ PATIENCE = 180.0
 
 def certificates(folder: Path) -> dict[str, Path]:
     """A CA, a certificate and a key in files."""
+    folder.mkdir(exist_ok=True)
     made = Security.temporary()
     contents = {"ca": made.tls_ca_file, "cert": made.tls_scheduler_cert, "key": made.tls_scheduler_key}
     files = {name: folder / f"{name}.pem" for name in contents}
@@ -37,14 +36,8 @@ def certificates(folder: Path) -> dict[str, Path]:
 
 
 def options(files: dict[str, Path]) -> list[str]:
-    return [
-        "--tls-ca-file",
-        str(files["ca"]),
-        "--tls-cert",
-        str(files["cert"]),
-        "--tls-key",
-        str(files["key"]),
-    ]
+    names = {"--tls-ca-file": "ca", "--tls-cert": "cert", "--tls-key": "key"}
+    return [word for option, name in names.items() for word in (option, str(files[name]))]
 
 
 @pytest.mark.timeout(600)
@@ -63,20 +56,9 @@ def test_a_scheduler_of_tls_takes_those_with_certificates_alone(tmp_path: Path):
         )
         with pytest.raises(ClusterLost):
             Dask(address.replace("tls://", "tcp://"), timeout=3)
-        stranger = certificates(_folder(tmp_path / "stranger"))
-        worker = processes.start(
-            [
-                "dask",
-                "worker",
-                address,
-                *LOOPBACK,
-                *options(stranger),
-                "--nthreads",
-                "1",
-                "--death-timeout",
-                "10",
-            ]
-        )
+        stranger = options(certificates(tmp_path / "stranger"))
+        limited = ["--nthreads", "1", "--death-timeout", "10"]
+        worker = processes.start(["dask", "worker", address, *LOOPBACK, *stranger, *limited])
         settings = Settings(
             data=tmp_path / "data", scheduler_file=written,
             scheduler_ca=files["ca"], scheduler_cert=files["cert"], scheduler_key=files["key"],
@@ -90,32 +72,3 @@ def test_a_scheduler_of_tls_takes_those_with_certificates_alone(tmp_path: Path):
             assert ended.chunks_done == ended.chunks_total
             worker.wait(PATIENCE)  # it was never let in
             assert executor.workers() == 1
-
-
-def _folder(path: Path) -> Path:
-    path.mkdir()
-    return path
-
-
-SWEEP = sweep().as_submitted()
-
-
-def test_tls_to_the_scheduler(tmp_path: Path):
-    secret = Security.temporary()
-    files = {
-        "scheduler_ca": secret.tls_ca_file,
-        "scheduler_cert": secret.tls_client_cert,
-        "scheduler_key": secret.tls_client_key,
-    }
-    for name, pem in files.items():
-        (tmp_path / name).write_text(pem)
-    cluster = LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, security=secret, dashboard_address="127.0.0.1:0",
-        host="127.0.0.1",
-    )  # fmt: skip
-    with cluster:
-        given = {"data": tmp_path / "data", "port": 0, "scheduler": cluster.scheduler_address}
-        assert cluster.scheduler_address.startswith("tls://")
-        settings = embedded.settings(**given, **{name: tmp_path / name for name in files})
-        with embedded.running(settings) as address, Client(address) as client:
-            assert client.submit(SWEEP).wait(progress=False, timeout=60).state == "done"

@@ -9,26 +9,18 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import pytest
-import uvicorn
 from scripted import DEADLINE, Held, free_port, sweep, wait_for
 from served import listening
 
 from service.api.app import create_app
-from service.background import InThisProcess
 from service.client import Client
-from service.errors import DataFolderBusy
-from service.jobs.ledger import Ledger
-from service.render import answers
 from service.server import embedded
 from service.server.logging import JsonLines, OncePerSecond
 from service.server.web_server import (
@@ -78,6 +70,28 @@ def test_more_connections_than_allowed_are_told_to_come_again(address: tuple[str
         last.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
         assert received(last).startswith(b"HTTP/1.1 200 ")
     wait_for(healthy)
+
+
+def test_a_client_that_reads_slowly_gets_its_whole_answer():
+    """It is not disconnected while it reads, although the answer takes longer than a client may pause."""
+    part = b"x" * (1 << 20)
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        assert scope["type"] == "http"
+        await send({"type": "http.response.start", "status": 200, "headers": [(b"connection", b"close")]})
+        for more in [True] * 32 + [False]:
+            await send({"type": "http.response.body", "body": part, "more_body": more})
+
+    with (
+        listening(app, limited(DEADLINE, MOST, 1.0)) as address,
+        socket.create_connection(address, timeout=DEADLINE) as connection,
+    ):
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        got = b""
+        for _ in range(40):
+            got += connection.recv(1 << 18)
+            time.sleep(0.05)
+        assert (got + received(connection)).count(part[:1]) == 33 << 20
 
 
 #: Opens connections as soon as there is somebody to listen, and holds them.
@@ -137,25 +151,6 @@ def test_the_service_listens_on_ipv6(tmp_path: Path):
         assert "server" not in answer.headers
 
 
-@pytest.fixture
-def listener() -> Iterator[socket.socket]:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        yield listener
-
-
-def test_its_start_and_its_end_are_told(tmp_path: Path, listener: socket.socket):
-    settings, told = Settings(data=tmp_path), list[str]()
-    app = create_app(settings, Held())
-    server = WebServer(app, settings, listener, told.append, lambda: told.append("ends"))
-    thread = threading.Thread(target=server.serve_until_stopped)
-    thread.start()
-    url = server.wait_until_started()
-    assert told == [url] == [f"http://127.0.0.1:{listener.getsockname()[1]}"]
-    server.should_exit = True
-    thread.join()
-    assert told == [url, "ends"]
-
-
 def test_more_connections_than_are_accepted_at_a_time_wait(tmp_path: Path):
     """While the service does something else: here, while it tells its start."""
     settings, connected = Settings(data=tmp_path), list[socket.socket]()
@@ -175,157 +170,6 @@ def test_more_connections_than_are_accepted_at_a_time_wait(tmp_path: Path):
         server.should_exit = True
         thread.join()
     assert len(connected) == 4 * ACCEPTED_AT_A_TIME
-
-
-def test_a_service_whose_data_folder_is_taken_while_it_starts_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    settings, told = Settings(data=tmp_path, port=0), list[str]()
-
-    @contextmanager
-    def computing(*_: object) -> Iterator[Held]:
-        with Ledger(settings.ledger_path):
-            yield Held()
-
-    monkeypatch.setattr(embedded, "_computing", computing)
-    monkeypatch.setattr(embedded, "Processes", lambda _: InThisProcess())
-    monkeypatch.setattr(answers, "warm", lambda: None)
-    interval = sys.getswitchinterval()
-    try:
-        with pytest.raises(DataFolderBusy):
-            embedded.serve(settings, told.append)
-    finally:
-        sys.setswitchinterval(interval)
-    assert told == []
-
-
-def test_an_error_of_the_startup_is_raised_where_it_is_waited_for(tmp_path: Path, listener: socket.socket):
-    settings = Settings(data=tmp_path)
-    with Ledger(settings.ledger_path):
-        server = WebServer(create_app(settings, Held()), settings, listener)
-        thread = threading.Thread(target=server.serve_until_stopped)
-        thread.start()
-        with pytest.raises(DataFolderBusy):
-            server.wait_until_started()
-        thread.join()
-
-
-def test_small_answers_are_sent_at_once(tmp_path: Path):
-    """Connections inherit it from the socket that listens."""
-    with embedded._listening(Settings(data=tmp_path, port=0)) as (listener, _):
-        assert listener.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-
-
-@dataclass
-class Timer:
-    seconds: float
-    run: Callable[[], object]
-    cancelled: bool = False
-
-    def cancel(self) -> None:
-        self.cancelled = True
-
-
-class Connection:
-    """The loop and the transport of one connection, of which a test lets time go by."""
-
-    def __init__(self) -> None:
-        self.timers: list[Timer] = []
-        self.unsent, self.written, self.ended = 0, b"", ""
-
-    def waiting(self) -> list[float]:
-        return [timer.seconds for timer in self.timers if not timer.cancelled]
-
-    def go_on(self) -> None:
-        """Run the timer that is left."""
-        [timer] = [timer for timer in self.timers if not timer.cancelled]
-        self.timers.clear()
-        timer.run()
-
-    def call_later(self, seconds: float, function: Callable[..., object], *arguments: object) -> Timer:
-        self.timers.append(Timer(seconds, partial(function, *arguments)))
-        return self.timers[-1]
-
-    def create_task(self, request: Any, **_: Any) -> Future[None]:
-        request.close()
-        return Future()
-
-    def get_extra_info(self, name: str) -> None: ...
-
-    def pause_reading(self) -> None: ...
-
-    def get_write_buffer_size(self) -> int:
-        return self.unsent
-
-    def write(self, data: bytes) -> None:
-        self.written += data
-
-    def close(self) -> None:
-        self.ended = "closed"
-
-    def abort(self) -> None:
-        self.ended = "aborted"
-
-    def is_closing(self) -> bool:
-        return bool(self.ended)
-
-
-@pytest.fixture
-def connection() -> Connection:
-    return Connection()
-
-
-@pytest.fixture
-def protocol(connection: Connection) -> Any:
-    """Ten seconds for the head of a request, and a client may pause its reading for sixty."""
-    config = uvicorn.Config(lambda *_: None, log_config=None, lifespan="off")
-    protocol: Any = limited(10, 1, 60)(config, uvicorn.server.ServerState(), {}, _loop=connection)  # type: ignore[arg-type]
-    protocol.connection_made(connection)
-    return protocol
-
-
-def test_the_head_of_a_request_has_its_time(protocol: Any, connection: Connection):
-    assert connection.waiting() == [10]
-    protocol.data_received(b"GET / HTTP/1.1\r\nHost: localhost\r\n")
-    assert connection.waiting() == [10]  # the time goes on
-    protocol.data_received(b"\r\n")
-    assert connection.waiting() == []  # an answer may take longer
-    protocol.cycle.response_complete = True
-    protocol.data_received(b"GET")
-    assert connection.waiting() == [10]
-    connection.go_on()
-    assert connection.written.startswith(b"HTTP/1.1 408 ")
-    assert (connection.ended, connection.waiting()) == ("closed", [])
-
-
-@pytest.mark.parametrize("ended", ["", "closed"])
-def test_a_connection_that_has_ended_has_no_time_left(protocol: Any, connection: Connection, ended: str):
-    connection.ended = ended
-    if ended:
-        connection.go_on()
-        assert connection.written == b""
-    protocol.connection_lost(None)
-    assert connection.waiting() == []
-
-
-def test_a_client_that_reads_is_not_disconnected_however_slow_it_is(protocol: Any, connection: Connection):
-    protocol.connection_lost(None)
-    connection.ended = ""
-    for unsent in (1, 5, 3):
-        connection.unsent = unsent
-        protocol.pause_writing() if unsent == 1 else connection.go_on()
-        assert (connection.waiting(), connection.ended) == ([60], "")
-        assert protocol.flow.write_paused
-    protocol.resume_writing()
-    assert connection.waiting() == []
-    assert not protocol.flow.write_paused
-    protocol.pause_writing()
-    connection.go_on()
-    assert (connection.ended, connection.waiting()) == ("aborted", [])
-    connection.unsent += 1
-    protocol.pause_writing()
-    protocol.connection_lost(None)
-    assert connection.waiting() == []
 
 
 @pytest.mark.parametrize("path", ["/healthz", "/v1/nothing"])
@@ -357,30 +201,6 @@ def test_the_process_may_open_as_many_files_as_the_system_allows():
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
-@pytest.mark.parametrize(
-    ("limits", "raised", "connections"),
-    [
-        ((1_024, 4_096), (4_096, 4_096), 1_024 - OTHER_FILES),
-        ((1_024, resource.RLIM_INFINITY), (MOST_FILES, resource.RLIM_INFINITY), 1_024 - OTHER_FILES),
-        ((MOST_FILES + 1, MOST_FILES + 9), None, MOST_FILES - OTHER_FILES),
-        ((resource.RLIM_INFINITY, resource.RLIM_INFINITY), None, MOST_FILES - OTHER_FILES),
-    ],
-)
-def test_a_limit_of_files_is_raised_and_never_lowered(
-    limits: tuple[int, int],
-    raised: tuple[int, int] | None,
-    connections: int,
-    monkeypatch: pytest.MonkeyPatch,
-):
-    """Of limits that this process cannot have, or not give back."""
-    changed: list[tuple[int, int]] = []
-    monkeypatch.setattr(resource, "getrlimit", lambda _: limits)
-    monkeypatch.setattr(resource, "setrlimit", lambda _, limit: changed.append(limit))
-    raise_file_limit()
-    assert changed == ([] if raised is None else [raised])
-    assert connections_allowed() == connections
-
-
 def test_a_message_of_a_library_is_logged_once_a_second(monkeypatch: pytest.MonkeyPatch):
     now = 100.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
@@ -407,13 +227,3 @@ def test_a_message_of_a_library_is_logged_once_a_second(monkeypatch: pytest.Monk
         ("service", None),
         ("asyncio", 999),
     ]
-
-
-def test_the_messages_that_are_remembered_are_limited():
-    """Whoever causes ever new ones would else take all memory."""
-    once = OncePerSecond()
-    for number in range(3_000):
-        record = logging.LogRecord("asyncio", logging.ERROR, "", 0, f"message {number}", (), None)
-        assert once.filter(record)
-        assert not once.filter(record)
-    assert max(len(once._last), len(once._left_out)) <= 1_001

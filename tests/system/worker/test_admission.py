@@ -6,12 +6,10 @@ import re
 import shutil
 import signal
 import socket
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import psutil
@@ -27,7 +25,6 @@ from stores import marked
 from service.api.monitoring import Readiness
 from service.jobs.model import JobState
 from worker import store
-from worker.executors import admission
 from worker.executors.admission import Probe, Requirements, facts, run_if_admitted
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost, WorkerRefused
@@ -61,32 +58,17 @@ sys.meta_path.append(Late)
 """
 
 
-def without_packages(processes: Processes, folder: Path, *packages: str) -> None:
-    """In a Python that has those packages of this project only."""
+def without_the_project(processes: Processes, folder: Path) -> None:
     tree = folder / "tree"
     tree.mkdir()
     (tree / "sitecustomize.py").write_text(BARE.format(tree=str(tree), root=str(ROOT)))
-    for package in packages:
-        shutil.copytree(ROOT / package, tree / package, ignore=shutil.ignore_patterns("__pycache__"))
     processes.worker(variables={"PYTHONPATH": str(tree)})
 
 
-def without_the_project(processes: Processes, folder: Path) -> None:
-    without_packages(processes, folder)
-
-
-def without_the_kernel(processes: Processes, folder: Path) -> None:
-    without_packages(processes, folder, "worker")
-
-
-def install_late(folder: Path) -> None:
-    (folder / "tree" / "installed").touch()
-
-
-def with_broken(library: str, processes: Processes, folder: Path) -> None:
+def with_broken_numba(processes: Processes, folder: Path) -> None:
     """With a library that is there, in the right version, and cannot be imported."""
-    (folder / "tree" / library).mkdir(parents=True)
-    (folder / "tree" / library / "__init__.py").write_text(f'raise ImportError("no\\nlib{library}.so")\n')
+    (folder / "tree" / "numba").mkdir(parents=True)
+    (folder / "tree" / "numba" / "__init__.py").write_text('raise ImportError("no\\nlibnumba.so")\n')
     processes.worker(variables={"PYTHONPATH": f"{folder / 'tree'}:{ROOT}"})
 
 
@@ -101,27 +83,12 @@ def that_dies_at_once(processes: Processes, folder: Path) -> None:
     processes.worker("--no-nanny", variables={"PYTHONPATH": str(folder / "tree")})
 
 
-def mend(folder: Path) -> None:
-    shutil.rmtree(folder / "tree")
-
-
-def with_an_open_cache(processes: Processes, folder: Path) -> None:
-    """With a cache of compiled kernels to which every user can write."""
-    (folder / "tree").mkdir()
-    (folder / "tree").chmod(0o777)
-    processes.worker(variables={"NUMBA_CACHE_DIR": str(folder / "tree")})
-
-
 def on_a_read_only_folder(processes: Processes, folder: Path) -> None:
     """In a mount namespace of its own, in which it sees the stores and cannot write there."""
     stores = folder / "data" / "stores"
     stores.mkdir(parents=True, exist_ok=True)
     fix = f'mount --bind {stores} {stores} && mount -o remount,bind,ro {stores} && exec "$@"'
     processes.worker(before=("unshare", "--mount", "--map-root-user", "sh", "-c", fix, "sh"))
-
-
-with_broken_numba = partial(with_broken, "numba")
-with_broken_numpy = partial(with_broken, "numpy")
 
 
 def with_two_threads(processes: Processes, folder: Path) -> None:
@@ -151,10 +118,7 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
         (without_the_folder, "it does not see the service's stores in "),
         (on_a_read_only_folder, "it cannot write into "),
         (without_the_project, "cannot load bouncing-spring: ModuleNotFoundError: No module named 'worker'"),
-        (without_the_kernel, "it cannot load the kernel: ModuleNotFoundError: No module named 'kernel'"),
         (with_broken_numba, "it cannot load the kernel: ImportError: no libnumba.so"),
-        (with_broken_numpy, "it cannot load the kernel: ImportError: no libnumpy.so"),
-        (with_an_open_cache, "it cannot load the kernel: CacheRefused: "),
     ],
 )
 def test_a_worker_that_differs_is_refused_beside_one_that_computes(
@@ -202,16 +166,8 @@ def test_a_worker_that_dies_while_it_is_prepared_does_not_keep_the_service_from_
         executor.close()
 
 
-@pytest.mark.parametrize(
-    ("start", "repair"),
-    [(without_the_project, install_late), (without_the_kernel, install_late), (with_broken_numba, mend)],
-)
 def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_can(
-    tmp_path: Path,
-    processes: Processes,
-    monkeypatch: pytest.MonkeyPatch,
-    start: Callable[[Processes, Path], None],
-    repair: Callable[[Path], None],
+    tmp_path: Path, processes: Processes, monkeypatch: pytest.MonkeyPatch
 ):
     """It is given a chunk at once, before it is refused."""
     errors = noting_errors(monkeypatch)
@@ -221,13 +177,13 @@ def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_
         with running(tmp_path / "data", executor, chunk_tries=1) as service:
             job = service.submit(costing(chunks=2000, seconds=0.1))
             wait_for(lambda: service.job(job).chunks_done >= 1, processes.log, PATIENCE)
-            start(processes, tmp_path)
+            without_the_project(processes, tmp_path)
             wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
             done = service.job(job).chunks_done
             wait_for(lambda: service.job(job).chunks_done >= done + 3, processes.log, PATIENCE)
             assert executor.workers() == 1
             assert len(executor._connection.threads_of()) == 2
-            repair(tmp_path)
+            (tmp_path / "tree" / "installed").touch()
             wait_for(
                 lambda: executor.workers() == 2 and not executor.state().refused, processes.log, PATIENCE
             )
@@ -304,52 +260,3 @@ def test_what_a_process_is_judged_by(tmp_path: Path):
         assert "4 threads" in Requirements(here).judge(4)
     finally:
         Requirements(here).judge(1)  # this process computes for other tests
-
-
-def test_a_process_is_prepared_only_if_nothing_else_is_wrong():
-    here, prepared = facts(), []
-
-    def broken() -> None:
-        raise ImportError("no\n  libnumba.so")
-
-    try:
-        assert Requirements(here).judge(1, lambda: prepared.append(1)) == ""
-        assert prepared == [1]
-        reason = Requirements(here).judge(1, broken)
-        assert reason == "it cannot load the kernel: ImportError: no libnumba.so"
-        assert str(run_if_admitted(b"")) == reason
-        wrong = Requirements(here | {"numpy": "1.0"}).judge(2, lambda: prepared.append(2))
-        assert wrong == (
-            f"its numpy is {here['numpy']}, the service's 1.0; it has 2 threads: start it with --nthreads 1"
-        )
-        assert prepared == [1]
-    finally:
-        Requirements(here).judge(1)  # this process computes for other tests
-    assert run_if_admitted(pickle.dumps((len, "abc"))) == 3
-
-
-def test_releases_of_python_are_alike_whatever_their_last_number():
-    assert facts()["Python"] == f"{sys.version_info.major}.{sys.version_info.minor}"
-
-
-def test_a_package_is_known_by_its_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """By their names and contents, wherever the package is and whenever it was copied there."""
-
-    def digest(place: str, **sources: str) -> str:
-        for name, content in sources.items():
-            source = tmp_path / place / "springs" / name.replace("__", "/").replace("_py", ".py")
-            source.parent.mkdir(parents=True, exist_ok=True)
-            source.write_text(content)
-        with monkeypatch.context() as patched:
-            patched.syspath_prepend(tmp_path / place)
-            return admission._digest("springs")
-
-    one = digest("one", a_py="1", sub__b_py="2")
-    assert digest("copy", a_py="1", sub__b_py="2", notes="not a source") == one
-    others = [
-        digest("changed", a_py="1", sub__b_py="3"),
-        digest("renamed", a_py="1", sub__c_py="2"),
-        digest("moved", a_py="1", b_py="2"),
-        digest("more", a_py="1", sub__b_py="2", c_py=""),
-    ]
-    assert len({one, *others}) == 5

@@ -2,10 +2,8 @@
 
 import asyncio
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import dask
 import pytest
@@ -158,24 +156,6 @@ def test_what_the_connection_swallows_is_lost_with_it(
         assert executor.call(len, "abcd").result(PATIENCE) == 4
     finally:
         executor.close()
-
-
-def test_a_function_that_fails_is_called_less_and_less_often(monkeypatch: pytest.MonkeyPatch):
-    now, calls = [0.0], []
-
-    def make() -> Any:
-        calls.append(now[0])
-        raise RuntimeError("the queue is closed")
-
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    target = Made(make, "mine:cluster")
-    while now[0] < 300:
-        with pytest.raises(
-            ClusterLost, match="no cluster from mine:cluster: RuntimeError: the queue is closed"
-        ):
-            target.find()
-        now[0] += 1
-    assert calls == [0, 1, 3, 7, 15, 31, 63, 123, 183, 243]
 
 
 def test_lost_workers_of_a_users_cluster_are_replaced(made: list[LocalCluster]):

@@ -14,7 +14,7 @@ import dask
 import psutil
 import pytest
 from distributed import system
-from harm import Stuck, leave
+from harm import Stuck
 from paths import CACHE
 from scripted import DEADLINE, wait_for
 
@@ -22,7 +22,6 @@ from worker import store
 from worker.executors.base import Executor
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
-from worker.executors.inline import Inline
 from worker.plan import Plan, make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
@@ -53,11 +52,6 @@ def test_every_chunk_comes_back_with_a_report(executor, planned):
     assert all(isinstance(report, ChunkReport) and report.cells == 15 for report in reports)
     written = [(chunk, report.checksum) for chunk, report in zip(plan, reports, strict=True)]
     assert list(store.find_corrupt(url, layout(spec, plan.chunk_shape), written)) == []
-
-
-def test_is_ready_and_counts_its_workers(executor):
-    wait_for(executor.ready)
-    wait_for(lambda: executor.workers() == (1 if isinstance(executor, Inline) else 2))
 
 
 def test_a_task_that_fails_says_why(executor, planned, tmp_path):
@@ -124,35 +118,13 @@ def test_the_cluster_listens_on_loopback_only(cluster):
     assert set(listening) == {"127.0.0.1"}
 
 
-def test_nothing_is_kept_of_a_chunk_that_is_done(cluster, planned):
-    spec, plan, url = planned
-    cluster.submit(spec, plan[0], url).result(PATIENCE)
-    wait_for(lambda: not cluster._connection.client.futures)
-
-
-def test_inline_after_close_is_not_ready(planned):
-    executor = Inline()
-    executor.close()
-    assert not executor.ready()
-    assert executor.workers() == 0
-
-
-def test_an_address_without_a_scheduler_is_an_error():
-    with pytest.raises(ClusterLost, match=re.escape("tcp://127.0.0.1:9")):
+def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread():
+    with pytest.raises(ClusterLost, match=re.escape("no scheduler answers at tcp://127.0.0.1:9")):
         Dask("tcp://127.0.0.1:9", timeout=0.5)
-
-
-@pytest.mark.parametrize("address", ["nonsense", "tcp://", "ftp://127.0.0.1:8786"])
-def test_a_malformed_address_is_an_error_and_leaves_no_thread(address):
     before = set(threading.enumerate())
-    with pytest.raises(ClusterLost, match=re.escape(f"no scheduler answers at {address}")):
-        Dask(address)
+    with pytest.raises(ClusterLost, match="no scheduler answers at nonsense"):
+        Dask("nonsense")
     assert set(threading.enumerate()) <= before
-
-
-def test_a_missing_scheduler_file_is_an_error(tmp_path):
-    with pytest.raises(ClusterLost, match=r"nothing\.json"):
-        Dask(scheduler_file=tmp_path / "nothing.json", timeout=0.5)
 
 
 def test_a_scheduler_file_that_appears_later_is_waited_for(cluster, planned, tmp_path):
@@ -216,12 +188,6 @@ def test_workers_that_dask_has_dropped_are_replaced():
     client, nannies = executor._connection.client, executor._workers.cluster.workers
     try:
         assert dask.config.get("distributed.deploy.lost-worker-timeout") == "1000 days"
-        before = set(nannies.values())
-        # Not as a task, which Dask would run again on the other worker when the first is gone.
-        address = next(iter(client.scheduler_info()["workers"]))
-        client.run(leave, workers=[address], on_error="ignore")
-        wait_for(lambda: len(before & set(nannies.values())) == 1, seconds=PATIENCE)
-        wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
         before = set(nannies.values())
         with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}):
             [pid, _] = client.run(os.getpid).values()

@@ -128,26 +128,3 @@ def test_a_chunk_computed_clears_the_marks():
         quarantine.failed(chunk, "unlucky")
         assert quarantine.computed(chunk, "good") == []
         assert quarantine.computed("another", "unlucky") == []
-
-
-def test_a_worker_that_computes_at_its_second_try_gets_no_mark():
-    quarantine = Quarantine()
-    for chunk in range(2 * MARKS):
-        quarantine.failed(chunk, "only")
-        assert quarantine.computed(chunk, "only") == []
-
-
-def test_failures_of_so_many_chunks_are_remembered_and_no_more(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("worker.executors.quarantine._REMEMBERED", 3)
-    quarantine = Quarantine()
-    for chunk in range(4):
-        quarantine.failed(chunk, "bad")
-    assert [bool(quarantine.failed_on(chunk)) for chunk in range(4)] == [False, True, True, True]
-
-
-def test_a_chunk_that_fails_again_is_remembered_longer(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("worker.executors.quarantine._REMEMBERED", 2)
-    quarantine = Quarantine()
-    for chunk in "abac":
-        quarantine.failed(chunk, "bad")
-    assert [bool(quarantine.failed_on(chunk)) for chunk in "abc"] == [True, False, True]

@@ -4,12 +4,11 @@ from concurrent.futures import wait
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from worker import schema, store
+from worker import store
 from worker.executors.base import Executor
-from worker.plan import make_plan
+from worker.plan import Plan, make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.tasks import run_chunk
@@ -29,26 +28,10 @@ SPACE: dict[str, Any] = {
 TILE = (1, 17, 17)
 
 
-def sweep(**changes: Any) -> SweepSpec:
-    return SweepSpec(**SPACE | changes)
-
-
-def adaptive(**refine: Any) -> SweepSpec:
-    return sweep(refine={"by": "mode", "coarsest": 8} | refine)
-
-
-def compute(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
-    """The plane of a map, computed chunk by chunk in this process."""
-    plan = make_plan(spec, chunk_shape=shape)
+def make(spec: SweepSpec, url: Path) -> Plan:
+    plan = make_plan(spec, chunk_shape=TILE)
     store.create(str(url), layout(spec, plan.chunk_shape))
-    for chunk in plan:
-        run_chunk(spec, chunk, str(url))
-    return plane(spec, url)
-
-
-def plane(spec: SweepSpec, url: Path) -> dict[str, np.ndarray]:
-    stored = store.read_slice(str(url), [array.name for array in schema.arrays(spec)], complete=True)
-    return {name: array[0, 0] for name, array in stored.items()}
+    return plan
 
 
 def files(url: Path) -> dict[str, bytes]:
@@ -57,11 +40,11 @@ def files(url: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("margin", [False, True])
 def test_same_bytes_with_two_worker_processes(cluster: Executor, tmp_path, margin):
-    spec, url = adaptive(margin=margin), tmp_path / "executed.zarr"
-    compute(spec, tmp_path / "here.zarr")
-    plan = make_plan(spec, chunk_shape=TILE)
-    store.create(str(url), layout(spec, plan.chunk_shape))
-    futures = [cluster.submit(spec, chunk, str(url)) for chunk in reversed(plan)]
+    spec = SweepSpec(**SPACE, refine={"by": "mode", "coarsest": 8, "margin": margin})
+    here, url = tmp_path / "here.zarr", tmp_path / "executed.zarr"
+    for chunk in make(spec, here):
+        run_chunk(spec, chunk, str(here))
+    futures = [cluster.submit(spec, chunk, str(url)) for chunk in reversed(make(spec, url))]
     wait(futures)
     assert all(future.result().cells for future in futures)
-    assert files(url) == files(tmp_path / "here.zarr")
+    assert files(url) == files(here)
