@@ -472,6 +472,30 @@ def test_figure_computes_in_a_temporary_folder_if_another_command_has_the_data_f
     assert is_picture(Path("figure-1.png"))
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_figure_leaves_no_temporary_folder_and_no_process(tmp_path: Path, number: signal.Signals):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    with (
+        Ledger(tmp_path / "bounce-data" / "ledger.sqlite"),
+        subprocess.Popen(
+            [BOUNCE, "figure", "2", "--workers", "1"], cwd=tmp_path, stderr=subprocess.PIPE,
+            env=os.environ | {"TMPDIR": str(temporary)},
+            # Not ignored, as `nohup` has it for all that it starts.
+            preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # noqa: PLW1509
+        ) as process,
+    ):  # fmt: skip
+        assert process.stderr
+        lines = iter(process.stderr.readline, b"")
+        assert next(line for line in lines if b"using a temporary one" in line)
+        wait_for(lambda: list(temporary.glob("bounce-*/ledger.sqlite")))
+        family = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(number)
+        assert process.wait(DEADLINE) == 128 + number
+    assert list(temporary.iterdir()) == []
+    assert psutil.wait_procs(family, DEADLINE)[1] == []
+
+
 def test_figure_takes_a_folder_or_a_service(tmp_path: Path, url: str):
     result = figure_1("--data", tmp_path, "--url", url)
     assert result.exit_code == 2

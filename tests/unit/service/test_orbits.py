@@ -219,7 +219,9 @@ def test_a_range_and_a_value_suffice(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with served.service(tmp_path, Held()) as client:  # whose workers never answer
         for query in ("xi=0.05&omega_start=0.6&omega_stop=0.61", "omega=0.6&xi_start=0.05&xi_stop=0.06"):
             answer = client.get(f"/v1/curves?{query}")
-            assert (answer.status_code, answer.json()["state"]) == (202, "running")
+            progress = {"parts_done": 0, "parts_total": 2, "percent": 0.0}
+            assert (answer.status_code, answer.headers["Retry-After"]) == (202, "1")
+            assert answer.json() == {"state": "running", "progress": progress}
 
 
 def test_the_client_has_labelled_datasets(client: Client):

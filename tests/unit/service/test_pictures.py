@@ -230,12 +230,12 @@ def test_what_was_not_measured_is_not_drawn():
         for numbers in ((None, None), (None, 3.0), (1e-3, None))
     ]
 
-    def panel(rows: list[Measurement]) -> tuple[int, list[Any]]:
-        axes = Figure().subplots()
-        points = work_precision._panel(axes, "adhesive", rows)
-        return len(axes.lines), points
+    def lines(rows: list[Measurement]) -> int:
+        figure = Figure(figsize=work_precision.SIZE)
+        work_precision.compose(figure, rows)
+        return sum(len(axes.lines) for axes in figure.axes)
 
-    assert panel([*measured, *lacking]) == panel(measured)
+    assert lines([*measured, *lacking]) == lines(measured)
 
 
 @pytest.mark.parametrize("name", PICTURES)

@@ -531,7 +531,10 @@ def test_an_answer_of_the_workers_is_polled_until_it_is_computed(monkeypatch: py
     with scripted(*script) as (_, client):
         pauses: list[float] = []
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append))
-        assert client.tradeoff(progress=lambda *parts: reported.append(parts)) == {"rows": []}
+        answer = client._transport.get_when_computed(
+            "/v1/threshold", timeout=300.0, progress=lambda *parts: reported.append(parts)
+        )
+        assert answer.json() == {"rows": []}
         assert reported == [(0, 4), (3, 4)]
         assert pauses == [0.2, 0.1, 1.0]  # where the service names no time, a second
 
@@ -544,11 +547,11 @@ def test_a_timeout_of_the_workers_answer_reports_their_progress():
             match=r"^1 of 4 parts computed after -1 s; the computation goes on for a minute: repeat",
         ),
     ):
-        client.tradeoff(timeout=-1.0, progress=False)
+        client.threshold(0.6, 0.05, timeout=-1.0, progress=False)
     with scripted(Answer(202, {"state": "running"})) as (_, client), pytest.raises(UnexpectedAnswer):
-        client.tradeoff(progress=False)
+        client.threshold(0.6, 0.05, progress=False)
     with scripted(Answer(429, {"detail": "full"})) as (_, client), pytest.raises(Busy):
-        client.tradeoff(timeout=-1.0, progress=False)
+        client.threshold(0.6, 0.05, timeout=-1.0, progress=False)
 
 
 def test_a_plot_reports_no_progress(capsys: pytest.CaptureFixture[str]):
