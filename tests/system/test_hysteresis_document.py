@@ -6,6 +6,7 @@ the section must be in one of them or be a parameter.
 
 import math
 import re
+import runpy
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
@@ -29,7 +30,7 @@ from kernel.branches.tips import end_of_hysteresis, soft_landing, tip
 from kernel.branches.words import from_flights
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
-from service import presets
+from service.presets import FIGURES
 
 TEXT = (ROOT / "docs" / "hysteresis.md").read_text()
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", TEXT, re.MULTILINE | re.DOTALL))
@@ -45,6 +46,23 @@ LONG_ROWS = re.findall(r"^\| 0\.\d\d \| 0\.000 \|.*$", SECTIONS["Other contacts"
 
 #: The measured rows of searches.
 SEARCHED_ROWS = re.findall(r"^\| 0\.\d+ to .*$", SECTIONS["How far the rule was searched"], re.MULTILINE)
+
+#: The scripts that draw the document's figures, and arguments with which they take a second.
+SMALL: dict[str, dict[str, Any]] = {
+    "branches": {"num": 22},
+    "curves": {"lines": 5, "tips": 1},
+    "energy": {"num": 11},
+    "hysteresis": {
+        "num": 13,
+        "omegas": (0.33, 0.44, 0.6, 0.62, 0.7),
+        "loop": {
+            **FIGURES[8].sweeps[0],
+            "omega": [0.44, 0.6],
+            "gamma": {"start": 0.1, "stop": 1.6, "num": 76},
+        },
+    },
+}
+scripts = {path.stem: runpy.run_path(str(path)) for path in (ROOT / "docs" / "figures").glob("*.py")}
 
 Texts = list[str]
 
@@ -76,14 +94,16 @@ def where_bouncing_ends() -> Texts:
         assert causes.total() == sum(known) + words
     assert at(1.24).cause == "fold (1,2)"
     assert at(1.26).cause == "fold of word zs (2,2)"
+    script = scripts["hysteresis"]
+    seeded = script["seeded"]
     picture = Image.open(ROOT / "docs" / "figures" / "figure-hysteresis.png")
     (ended, ramps) = re.findall(r"(\d+) of (\d+) ramps from the cycle end", picture.text["Description"])[0]
-    assert ended == ramps == str(sum(bool(presets.seeded(omega, XI)) for omega in presets.SEEDED_OMEGAS))
+    assert ended == ramps == str(sum(seeded(omega) is not None for omega in script["OMEGAS"]))
     return [
         *rows,
         f"within 2·10⁻⁵ of the fold at all {ramps} frequencies",
         f"At ξ below {SEARCHED_XI:g} the threshold is",
-        f"in steps of 10{'⁻⁵' if presets.SEEDED_STEP == 1e-5 else ''} ends",
+        f"in steps of 10{'⁻⁵' if script['STEP'] == 1e-5 else ''} ends",
         f"Γ = {at(1.24).down:.9f}, while Γ_th = {at(1.24).gamma_th:.9f}",
         f"Its fold, Γ = {at(1.26).down:.10f}, is the end of bouncing",
         f"On {len(omegas)} frequencies from {omegas[0]:g} to {omegas[-1]:g}",
@@ -262,6 +282,20 @@ def test_numbers(title: str):
     missing = [text for text in texts if text not in body]
     assert not missing
     assert decimals(body) - CHOSEN <= set().union(*map(decimals, texts))
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_the_script_of_a_figure_draws_it(name: str):
+    drawn = scripts[name]["draw"](**SMALL[name])
+    figure, ends = drawn if name == "hysteresis" else (drawn, [])
+    figure.draw_without_rendering()
+    assert all(axes.lines or axes.collections for axes in figure.axes)
+    assert len(ends) == len(SMALL[name].get("omegas", ()))
+    assert np.all(np.abs(ends) <= 2e-5)  # ramps from the cycle end at the predicted folds
+
+
+def test_every_figure_has_its_script():
+    assert set(scripts) == set(SMALL) == set(re.findall(r"python docs/figures/(\w+)\.py", TEXT))
 
 
 def test_scaling_of_branches():

@@ -1,7 +1,6 @@
 """Claims of captions on data made for them: what agrees, what contradicts, and the bounds between."""
 
 from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,14 +8,10 @@ import pytest
 import xarray
 from tables import for_each
 
-from kernel.branches.events import Branch
-from kernel.branches.starts import cycles_at
-from kernel.branches.thresholds import thresholds as closed_form
 from kernel.labels import CHAOTIC, QUASI_PERIODIC
-from kernel.params import Cell, Outcome
-from service.figures import ball, branches, hysteresis, prediction, sections, thresholds
+from kernel.params import Outcome
+from service.figures import ball, hysteresis, sections, thresholds
 from service.figures.caption import Claim, Verdict
-from service.presets import XI
 
 AGREES, CONTRADICTS = Verdict.AGREES, Verdict.CONTRADICTS
 
@@ -348,49 +343,3 @@ def test_thresholds_that_moved_are_counted_below_and_above_a_frequency():
 
 def test_the_step_of_a_ramp():
     assert hysteresis.gamma_step({"gamma": {"start": 0.5, "stop": 2.0, "num": 7}}) == 0.25
-
-
-def ramped(omega: Sequence[float], down: Sequence[float]) -> Any:
-    """A job that was ramped down in steps of 2⁻¹⁰, and ended there."""
-    spec = {"gamma": {"start": 0.0, "stop": 1.0, "num": 1025}}
-    return SimpleNamespace(spec=spec, threshold=lambda xi: loop(omega, down))
-
-
-def test_a_ramp_ends_within_a_step_of_the_prediction_or_not(monkeypatch: pytest.MonkeyPatch):
-    predicted = {omega: closed_form(omega, XI) for omega in (0.56, 0.58, 0.6, 0.62, 0.64, 0.66, 0.68)}
-    unresolved = closed_form(0.46, XI)
-    monkeypatch.setattr(prediction, "predictions", lambda: (*predicted.values(), unresolved))
-    step = 2.0**-10
-    steps = (0.0, 0.9, -0.9, 1.5, 1.5, -1.5, np.nan)
-    omega = [*predicted, 0.46, 5.0]
-    found = [each.down + n * step for each, n in zip(predicted.values(), steps, strict=True)]
-    down = [*found, 1.0, 1.0]
-    text = prediction._on_ramp(ramped(omega, down)).text
-    assert "at 3 of 6 frequencies, above it at 2, where it is on another cycle, and below it at 1" in text
-
-
-def test_ramps_from_a_cycle_confirm_a_fold_within_a_distance():
-    bound = prediction.CONFIRMED
-    claim = prediction._on_folds(np.arange(3.0), np.array([bound, -bound, 4.5e-5]))
-    expected = "2 of 3 ramps from the cycle end within 2·10⁻⁵ of the fold, the farthest 4.5·10⁻⁵ away"
-    assert claim.text == expected
-    none = prediction._on_folds(np.empty(0), np.empty(0))
-    assert none.text == "0 of 0 ramps from the cycle end within 2·10⁻⁵ of the fold"
-
-
-# Branches
-
-
-@for_each(("value", "text"), [(0.0, "10⁻⁶"), (3e-7, "10⁻⁶"), (2e-6, "10⁻⁵"), (0.5, "10⁰"), (50.0, "10²")])
-def test_a_distance_is_told_as_the_next_power_of_ten(value: float, text: str):
-    assert branches._power(value) == text
-
-
-def test_the_last_flight_of_simple_cycles_is_compared_with_the_branch():
-    omega, xi, gamma = 0.6, 0.05, 1.0
-    known = cycles_at(Cell(gamma, omega, xi), 1).flight_time
-    line = Branch(omega, xi, 1, 1, *[np.empty(0)] * (len(Branch._fields) - 4))
-    last = float(known[-1])
-    times = [[9.0, last + 0.25, np.nan], [9.0, last, np.nan], [9.0, last, np.nan], [9.0, last - 0.5, last]]
-    cells = diagram([gamma] * 4, bounces=[1, 2, 1, 1], periods=[1, 1, 2, 1], flight_time=times)
-    assert branches.distances(line, cells) == pytest.approx([0.25, 0.0], abs=1e-9)
