@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from tips import Tip, deepest, end_of_hysteresis, tip
 
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.events import Kind
-from kernel.branches.tips import Tip, deepest, end_of_hysteresis, tip
 from kernel.threshold import threshold
 
 XI = 0.05

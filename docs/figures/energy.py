@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from tips import soft_landing
 
 from kernel.branches.thresholds import Thresholds, thresholds
-from kernel.branches.tips import soft_landing
 from kernel.threshold import threshold
 
 XI = 0.05

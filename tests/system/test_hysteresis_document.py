@@ -6,18 +6,20 @@ the section must be in one of them or be a parameter.
 
 import math
 import re
-import runpy
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from typing import Any
 
+import hysteresis
 import numpy as np
 import pytest
 from kernel_runs import run
 from paths import ROOT
 from PIL import Image
 from plates import Model, run_line
+from tips import end_of_hysteresis, soft_landing, tip
 
 from benchmarks.contacts import end_of_bouncing, shift_text
 from benchmarks.threshold_search import search
@@ -26,7 +28,6 @@ from kernel.branches.descent import descend, lifetime
 from kernel.branches.events import Kind, branch_and_events, fold_events
 from kernel.branches.starts import start_on_cycle, start_on_stable_cycle
 from kernel.branches.thresholds import SEARCHED_XI, Thresholds, conjecture, thresholds
-from kernel.branches.tips import end_of_hysteresis, soft_landing, tip
 from kernel.branches.words import from_flights
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
@@ -62,7 +63,6 @@ SMALL: dict[str, dict[str, Any]] = {
         },
     },
 }
-scripts = {path.stem: runpy.run_path(str(path)) for path in (ROOT / "docs" / "figures").glob("*.py")}
 
 Texts = list[str]
 
@@ -94,16 +94,14 @@ def where_bouncing_ends() -> Texts:
         assert causes.total() == sum(known) + words
     assert at(1.24).cause == "fold (1,2)"
     assert at(1.26).cause == "fold of word zs (2,2)"
-    script = scripts["hysteresis"]
-    seeded = script["seeded"]
     picture = Image.open(ROOT / "docs" / "figures" / "figure-hysteresis.png")
     (ended, ramps) = re.findall(r"(\d+) of (\d+) ramps from the cycle end", picture.text["Description"])[0]
-    assert ended == ramps == str(sum(seeded(omega) is not None for omega in script["OMEGAS"]))
+    assert ended == ramps == str(sum(hysteresis.seeded(omega) is not None for omega in hysteresis.OMEGAS))
     return [
         *rows,
         f"within 2·10⁻⁵ of the fold at all {ramps} frequencies",
         f"At ξ below {SEARCHED_XI:g} the threshold is",
-        f"in steps of 10{'⁻⁵' if script['STEP'] == 1e-5 else ''} ends",
+        f"in steps of 10{'⁻⁵' if hysteresis.STEP == 1e-5 else ''} ends",
         f"Γ = {at(1.24).down:.9f}, while Γ_th = {at(1.24).gamma_th:.9f}",
         f"Its fold, Γ = {at(1.26).down:.10f}, is the end of bouncing",
         f"On {len(omegas)} frequencies from {omegas[0]:g} to {omegas[-1]:g}",
@@ -286,7 +284,7 @@ def test_numbers(title: str):
 
 @pytest.mark.parametrize("name", SMALL)
 def test_the_script_of_a_figure_draws_it(name: str):
-    drawn = scripts[name]["draw"](**SMALL[name])
+    drawn = import_module(name).draw(**SMALL[name])
     figure, ends = drawn if name == "hysteresis" else (drawn, [])
     figure.draw_without_rendering()
     assert all(axes.lines or axes.collections for axes in figure.axes)
@@ -295,7 +293,7 @@ def test_the_script_of_a_figure_draws_it(name: str):
 
 
 def test_every_figure_has_its_script():
-    assert set(scripts) == set(SMALL) == set(re.findall(r"python docs/figures/(\w+)\.py", TEXT))
+    assert set(SMALL) == set(re.findall(r"python docs/figures/(\w+)\.py", TEXT))
 
 
 def test_scaling_of_branches():
