@@ -238,7 +238,6 @@ def costly_reads_of_foreign_pages(service: Target) -> Row:
         f"{job}/diagram",
         f"{job}/modes",
         f"{job}/export?format=nc",
-        "/v1/tradeoff",
     )
     sites = [{"Sec-Fetch-Site": site, "Sec-Fetch-Mode": "no-cors"} for site in ("cross-site", "same-site")]
     tried = [

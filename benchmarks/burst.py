@@ -223,7 +223,6 @@ def costly(large_job: str, wide_job: str, every: int) -> list[str]:
         f"{large_job}/{chunks}",
         f"{wide_job}/diagram?omega=0.5&format=png",
         f"{wide_job}/trajectory?gamma=2&omega=0.5",
-        "/v1/tradeoff",
     ]
 
 

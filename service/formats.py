@@ -13,8 +13,6 @@ PictureFormat = Literal["png", "svg", "pdf"]
 DiagramFormat = Literal[TableFormat, PictureFormat]
 #: Attractors over a grid.
 MultistabilityFormat = Literal[TableFormat, PictureFormat]
-#: The table of costs and errors of the contact models.
-TradeoffFormat = Literal["json", PictureFormat]
 #: A whole sweep in one file.
 ExportFormat = Literal["nc", "parquet"]
 #: What a row of an exported table is: a cell, or an attractor of one; or each of their flights.

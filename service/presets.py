@@ -11,12 +11,10 @@ The presets ramp up too, except in Fig. 2: at Γ = 3.6 only a start from rest re
 
 Where the paper says what is chaotic, in Figs. 7 and 8, the largest Lyapunov exponent is computed too.
 
-`EXPLANATIONS` are the figures of docs/hysteresis.md, on an ideal plate, where cycles have a closed form.
-
 Light to import: the service lists `FIGURES` for the page, `service.figures` draws them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple, TypeAlias
 
 Sweep: TypeAlias = Mapping[str, Any]
@@ -178,79 +176,6 @@ def _figure_9() -> tuple[Sweep, ...]:
     }  # fmt: skip
     return sweep, lower
 
-
-#: Frequencies of the ramps that start on a cycle above its fold.
-SEEDED_OMEGAS: Final = tuple(round(0.27 + 0.01 * i, 2) for i in range(44))
-#: Steps of those ramps in Γ, and how far above the fold they begin and below it they end.
-SEEDED_STEP: Final = 1e-5
-ABOVE_FOLD: Final = 24
-BELOW_FOLD: Final = 6
-#: Plate periods that a cell of those ramps may take: just below a fold, bouncing outlives shorter windows.
-GHOST_PERIODS: Final = 8000
-
-#: Frequencies of the branches that are drawn: hysteresis, a torus, and beyond the cusp.
-BRANCH_OMEGAS: Final = (0.6, 0.46, 0.82)
-
-
-class Explanation(NamedTuple):
-    """A figure of docs/hysteresis.md: its name, its title, and what makes the sweeps it is drawn from."""
-
-    name: str
-    title: str
-    sweeps: Callable[[], tuple[Sweep, ...]]
-
-
-def _hysteresis() -> tuple[Sweep, ...]:
-    """Fig. 9's ramps; then a ramp down to each fold, which starts on the cycle that ends there."""
-    return (_figure_9()[0], *(sweep for omega in SEEDED_OMEGAS for sweep in seeded(omega, XI)))
-
-
-def seeded(omega: float, xi: float) -> tuple[Sweep, ...]:
-    """The ramp down to the fold at which bouncing ends; none where it does not end at a fold of (1, k)."""
-    from kernel.branches.starts import start_on_stable_cycle
-    from kernel.branches.thresholds import thresholds
-    from kernel.params import Cell
-
-    found = thresholds(omega, xi)
-    fold = found.fold
-    if fold is None or not found.cause.startswith("fold (1,"):
-        return ()
-    # half a step beside the fold: a cell at the fold itself would hang on rounding
-    low, high = (fold.gamma + (n + 0.5) * SEEDED_STEP for n in (-BELOW_FOLD, ABOVE_FOLD))
-    if start_on_stable_cycle(Cell(high, omega, xi), fold.periods) is None:
-        return ()
-    ramp = {**_ramp("gamma", "down"), "start": {"bounces": 1, "periods": fold.periods}}
-    return (
-        {
-            "name": f"hysteresis, from the cycle at Ω = {omega:g}",
-            "gamma": _axis(low, high, ABOVE_FOLD + BELOW_FOLD + 1), "omega": omega, "xi": xi,
-            "protocol": ramp, "model": RIGID, "settle": 300, "observe": 100,
-            "settle_until": GHOST_PERIODS, "keep": 1,
-        },
-    )  # fmt: skip
-
-
-def _branches() -> tuple[Sweep, ...]:
-    """A loop over Γ at each frequency, for the points under the branches."""
-    return (
-        {
-            "name": "branches", "gamma": _axis(0.45, 1.5, 351), "omega": sorted(BRANCH_OMEGAS), "xi": XI,
-            "protocol": _ramp("gamma", "both"), "model": RIGID, "settle": 300, "observe": 60, "keep": 24,
-        },
-    )  # fmt: skip
-
-
-def _no_sweeps() -> tuple[Sweep, ...]:
-    return ()
-
-
-#: The figures of docs/hysteresis.md.
-EXPLANATIONS: Final[tuple[Explanation, ...]] = (
-    Explanation("hysteresis", "thresholds predicted and simulated", _hysteresis),
-    Explanation("branches", "branches of (1, 1) at three frequencies", _branches),
-    Explanation("curves", "fold, flip and Neimark–Sacker curves, and where hysteresis ends", _no_sweeps),
-    Explanation("energy", "energy of the cycles at which bouncing ends", _no_sweeps),
-)
 
 #: In the order of their numbers. Fig. 1 is a schematic and needs no sweep.
 FIGURES: Final[tuple[FigurePreset, ...]] = (

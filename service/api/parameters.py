@@ -13,7 +13,6 @@ from service.formats import (
     ExportLayout,
     MultistabilityFormat,
     Predict,
-    TradeoffFormat,
 )
 from service.jobs.model import JobState
 from service.jobs.search import MAX_TEXT, InvalidCursor, JobOrder, JobSearch, Position
@@ -232,12 +231,6 @@ class ExportQuery(Query):
         description="of parquet: a row for every cell, of basins and multistability for every attractor of a "
         "cell; or for each of their flights",
     )
-
-
-class TradeoffQuery(Query):
-    """Format of the table of costs and errors: numbers or a picture."""
-
-    format: TradeoffFormat = "json"
 
 
 class LineViewQuery(LineQuery):

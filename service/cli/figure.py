@@ -21,7 +21,7 @@ COMPILE_SECONDS: Final = 300.0
 
 
 @click.command()
-@click.argument("number", metavar="N|NAME|all")
+@click.argument("number", metavar="N|all")
 @click.option("-o", "--output", type=click.Path(allow_dash=True),
               help="A png, svg or pdf; for all, a folder.  [default: figure-N.png; figures]")  # fmt: skip
 @click.option("--format", type=click.Choice(PICTURES), default="png", show_default=True,
@@ -39,9 +39,6 @@ def figure(
     token: str | None,
 ) -> None:
     """Make figure N of the paper, or all, from start to end.
-
-    The figures hysteresis, branches, curves and energy explain the hysteresis of Fig. 9 by cycles in closed
-    form.
 
     Starts a local service with two worker processes, submits the sweeps of the figures, draws the results and
     prints how they compare with the paper. A second run finds the finished jobs in the data folder and only

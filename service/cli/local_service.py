@@ -1,4 +1,4 @@
-"""A service inside the command's own process, for `bounce figure` and `bounce tradeoff`.
+"""A service inside the command's own process, for `bounce figure`.
 
 It requires a token that only this process knows: other users of the machine reach its port as well.
 """

@@ -188,8 +188,6 @@ class AsyncClient:
     orbits = _in_thread(Client.orbits)
     curves = _in_thread(Client.curves)
     trajectory = _in_thread(Client.trajectory)
-    tradeoff = _in_thread(Client.tradeoff)
-    tradeoff_picture = _in_thread(Client.tradeoff_picture)
     metrics = _in_thread(Client.metrics)
 
     @property

@@ -263,11 +263,11 @@ class Client:
         """Curves of folds, flips and other events, over a range of Ω at one ξ or of ξ at one Ω.
 
         One of `omega` and `xi` is a pair, the ends of the range. `kinds` such as "fold,flip" (default: all).
-        The service's workers compute them; this waits up to `timeout` seconds, with `progress` as in
-        `tradeoff`. Returns a Dataset with dims (curve, point): `omega` or `xi`, `gamma`, `flight_time`,
-        `admissible`, NaN beyond the end of a curve; coordinates `kind`, `bounces`, `periods`. With dim event
-        the points at which curves meet or turn: `event_kind`, `event_gamma` and so on. Raises BadRequest,
-        NotComputedYet, Busy.
+        The service's workers compute them; this waits up to `timeout` seconds. `progress`: True writes lines
+        to standard error; a function is called with the numbers of parts computed and of all parts. Returns
+        a Dataset with dims (curve, point): `omega` or `xi`, `gamma`, `flight_time`, `admissible`, NaN beyond
+        the end of a curve; coordinates `kind`, `bounces`, `periods`. With dim event the points at which
+        curves meet or turn: `event_kind`, `event_gamma` and so on. Raises BadRequest, NotComputedYet, Busy.
         """
         from service.client.datasets import curves_dataset
 
@@ -296,23 +296,6 @@ class Client:
 
         response = self._transport.post("/v1/trajectories", body(cell), idempotent=True, waits=True)
         return trajectory_dataset(json_object(response))
-
-    def tradeoff(self, *, timeout: float = 900.0, progress: bool | PartsCallback = True) -> dict[str, Any]:
-        """The cost and the accuracy of every contact model: `rows`, and `advice` as text.
-
-        The service's workers measure them at the first request, which takes a minute or two; this waits up to
-        `timeout` seconds. `progress`: True writes lines to standard error; a function is called with the
-        numbers of parts computed and of all parts. Raises NotComputedYet, Busy.
-        """
-        path = "/v1/tradeoff"
-        return json_object(self._transport.get_when_computed(path, timeout=timeout, progress=progress))
-
-    def tradeoff_picture(
-        self, format: str = "png", *, timeout: float = 900.0, progress: bool | PartsCallback = True
-    ) -> bytes:
-        """The same as a picture, png or svg. Raises BadRequest, NotComputedYet, Busy."""
-        path, query = "/v1/tradeoff", {"format": format}
-        return self._transport.get_when_computed(path, query, timeout=timeout, progress=progress).content
 
     def metrics(self) -> str:
         """The service's metrics in Prometheus's text format."""

@@ -51,7 +51,7 @@ class Results(ResultMethods, JobStatus):
 
         Without `tolerance`, `up` and `down` are values of the Γ grid. With a `tolerance` (in Γ) workers
         refine them from the stored states; this waits up to `timeout` seconds, with `progress` as in
-        `Client.tradeoff`.
+        `Client.curves`.
 
         `predicted_jump`, `predicted_down` and `cause` are those of the closed form for up to 200 values of Ω.
         With `predict` "all" workers predict every Ω; with "words" they also follow the cycles of the lowest
@@ -83,7 +83,7 @@ class Results(ResultMethods, JobStatus):
 
         `omega` and `xi` take the nearest grid value; `direction` is up or down for a sweep ramped both ways.
         A worker follows the branches up to `gamma_max` (default 8); this waits up to `timeout` seconds, with
-        `progress` as in `Client.tradeoff`. Of the rigid contact without restitution.
+        `progress` as in `Client.curves`. Of the rigid contact without restitution.
 
         Returns a Dataset with dims (branch, point): `gamma`, `multiplier`, `other_multiplier`, `stable`,
         `admissible`, with `energy` the energy balance, `plate_contact` and so on; with dims (branch, point,

@@ -10,7 +10,6 @@ class Verdict(StrEnum):
     AGREES = "Agrees"  # the paper says the same
     CONTRADICTS = "Contradicts"  # the paper says otherwise
     LEFT_OPEN = "Left open by the paper"  # it does not say, and the result depends on it or adds to it
-    COMPUTED = "Computed"  # of a figure that is not the paper's
 
 
 @dataclass(frozen=True)
@@ -31,16 +30,11 @@ def left_open(text: str) -> Claim:
     return Claim(Verdict.LEFT_OPEN, text)
 
 
-def computed(text: str) -> Claim:
-    """A claim on a figure that is not the paper's."""
-    return Claim(Verdict.COMPUTED, text)
-
-
 @dataclass(frozen=True)
 class Caption:
     """The text under a figure; `shows` describes what is drawn and how it was computed."""
 
-    number: int | str  # of the paper's figure; of another, its name
+    number: int
     shows: str
     claims: tuple[Claim, ...]
 
@@ -53,8 +47,9 @@ class Caption:
     def paragraphs(self) -> list[tuple[str, str]]:
         """Headings and texts; paragraphs without text are left out."""
         verdicts = [(f"{verdict}:", self.claims_that(verdict)) for verdict in Verdict]
-        title = f"Fig. {self.number}." if isinstance(self.number, int) else f"{self.number.capitalize()}."
-        return [(heading, text) for heading, text in ((title, self.shows), *verdicts) if text]
+        return [
+            (heading, text) for heading, text in ((f"Fig. {self.number}.", self.shows), *verdicts) if text
+        ]
 
     def __str__(self) -> str:
         return "\n".join(f"{heading} {text}" for heading, text in self.paragraphs)

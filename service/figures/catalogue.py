@@ -1,4 +1,4 @@
-"""The figures of the paper by number, and those that explain its hysteresis by name.
+"""The figures of the paper by number.
 
 Each submits its preset sweeps and is drawn from the jobs.
 
@@ -7,7 +7,6 @@ Importing this module does not load matplotlib.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from service import presets
@@ -22,10 +21,10 @@ Draw: TypeAlias = Callable[[Client, Sequence[Job]], "Drawing"]
 
 
 class UnknownFigure(BounceError):
-    """The paper has no figure of this number, or the project does not draw it; or there is no such name."""
+    """The paper has no figure of this number, or the project does not draw it."""
 
     def __init__(self, number: str) -> None:
-        known = ", ".join([*map(str, FIGURES), *EXPLANATIONS, "all"])
+        known = ", ".join([*map(str, FIGURES), "all"])
         super().__init__(f"unknown figure {number}; choose one of: {known}")
 
 
@@ -41,7 +40,7 @@ class Picture:
 class Figure:
     """One figure and the sweeps it is drawn from."""
 
-    number: int | str  # of the paper's figure; of another, its name
+    number: int
     title: str
     sweeps: tuple[Sweep, ...]
 
@@ -59,22 +58,10 @@ class Figure:
 FIGURES: Final[Mapping[int, Figure]] = {preset.number: Figure(*preset) for preset in presets.FIGURES}
 
 
-EXPLANATIONS: Final[Mapping[str, presets.Explanation]] = {each.name: each for each in presets.EXPLANATIONS}
-
-
-@cache
-def explanation(name: str) -> Figure:
-    """The figure of docs/hysteresis.md of this name; some sweeps follow from predicted thresholds."""
-    _, title, sweeps = EXPLANATIONS[name]
-    return Figure(name, title, sweeps())
-
-
 def figures(selection: str) -> list[Figure]:
-    """The figure of this number or name, or "all" of the paper. Raises UnknownFigure with those there are."""
+    """The figure of this number, or "all". Raises UnknownFigure with those there are."""
     if selection == "all":
         return list(FIGURES.values())
-    if selection in EXPLANATIONS:
-        return [explanation(selection)]
     if not selection.isdecimal() or int(selection) not in FIGURES:
         raise UnknownFigure(selection)
     return [FIGURES[int(selection)]]
@@ -90,19 +77,9 @@ def make(
         yield figure.make(client, format, progress=progress)
 
 
-def _draw_functions() -> Mapping[int | str, Draw]:
-    """How each figure is drawn from its jobs, by number or name."""
-    from service.figures import (
-        ball,
-        branches,
-        curves,
-        hysteresis,
-        modes,
-        prediction,
-        schematics,
-        sections,
-        thresholds,
-    )
+def _draw_functions() -> Mapping[int, Draw]:
+    """How each figure is drawn from its jobs, by number."""
+    from service.figures import ball, hysteresis, modes, schematics, sections, thresholds
 
     return {
         1: lambda client, jobs: schematics.draw(),
@@ -114,8 +91,4 @@ def _draw_functions() -> Mapping[int | str, Draw]:
         7: lambda client, jobs: sections.draw_along_gamma(*jobs),
         8: lambda client, jobs: sections.draw_along_omega(*jobs),
         9: lambda client, jobs: hysteresis.draw(*jobs),
-        "hysteresis": lambda client, jobs: prediction.draw(*jobs),
-        "branches": lambda client, jobs: branches.draw(*jobs),
-        "curves": lambda client, jobs: curves.draw(),
-        "energy": lambda client, jobs: curves.draw_energy(),
     }

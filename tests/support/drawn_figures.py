@@ -37,9 +37,6 @@ SMALL: Mapping[int, Mapping[str, Any]] = {
 #: What each figure draws from these cells.
 DRAWN = GOLDEN / "figures.json"
 
-#: Frequencies of ramps that start on a cycle.
-SEEDED = (0.33, 0.44, 0.6, 0.62, 0.7)
-
 NEAR_TWO = {"gamma": {**presets.GAMMA_NEAR_TWO, "num": 9}}
 
 
@@ -68,22 +65,21 @@ class Made:
     minor_ticks: list[bool]  # whether each of its axes has them
 
 
-class Pictures(UserDict[int | str, Made]):
-    """Figures by number or name, each made when it is first asked for."""
+class Pictures(UserDict[int, Made]):
+    """Figures by number, each made when it is first asked for."""
 
     def __init__(self, client: Client) -> None:
         super().__init__()
         self._client = client
 
-    def __missing__(self, number: int | str) -> Made:
-        figure = SMALL_FIGURES[number] if isinstance(number, int) else small_explanation(number)
+    def __missing__(self, number: int) -> Made:
         with pytest.MonkeyPatch.context() as patch:
             drawings: list[canvas.Drawing] = []
             encoded = canvas.Drawing.encoded
             patch.setattr(
                 canvas.Drawing, "encoded", lambda self, *args: drawings.append(self) or encoded(self, *args)
             )
-            (picture,) = catalogue.make([figure], self._client, "png", progress=False)
+            (picture,) = catalogue.make([SMALL_FIGURES[number]], self._client, "png", progress=False)
         (drawing,) = drawings
         with mpl.rc_context(canvas.STYLE):
             minor = [
@@ -112,20 +108,3 @@ def contradicting(caption: Caption) -> str:
 
 def leaving_open(caption: Caption) -> str:
     return caption.claims_that(Verdict.LEFT_OPEN)
-
-
-def small_explanation(name: str) -> Figure:
-    """A figure of docs/hysteresis.md, from fewer sweeps and cells."""
-    figure = catalogue.explanation(name)
-    if name == "hysteresis":
-        loop, *seeded = figure.sweeps
-        few = [sweep for sweep in seeded if sweep["omega"] in SEEDED]
-        return replace(figure, sweeps=({**loop, **SMALL[9]}, *few))
-    if name == "branches":
-        (branches,) = figure.sweeps
-        return replace(figure, sweeps=({**branches, "gamma": {"start": 0.45, "stop": 1.1, "num": 66}},))
-    return figure
-
-
-def computed(caption: Caption) -> str:
-    return caption.claims_that(Verdict.COMPUTED)

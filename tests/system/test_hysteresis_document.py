@@ -9,14 +9,17 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from typing import Any
 
+import hysteresis
 import numpy as np
 import pytest
 from kernel_runs import run
 from paths import ROOT
 from PIL import Image
 from plates import Model, run_line
+from tips import end_of_hysteresis, soft_landing, tip
 
 from benchmarks.contacts import end_of_bouncing, shift_text
 from benchmarks.threshold_search import search
@@ -25,11 +28,10 @@ from kernel.branches.descent import descend, lifetime
 from kernel.branches.events import Kind, branch_and_events, fold_events
 from kernel.branches.starts import start_on_cycle, start_on_stable_cycle
 from kernel.branches.thresholds import SEARCHED_XI, Thresholds, conjecture, thresholds
-from kernel.branches.tips import end_of_hysteresis, soft_landing, tip
 from kernel.branches.words import from_flights
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
-from service import presets
+from service.presets import FIGURES
 
 TEXT = (ROOT / "docs" / "hysteresis.md").read_text()
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", TEXT, re.MULTILINE | re.DOTALL))
@@ -45,6 +47,22 @@ LONG_ROWS = re.findall(r"^\| 0\.\d\d \| 0\.000 \|.*$", SECTIONS["Other contacts"
 
 #: The measured rows of searches.
 SEARCHED_ROWS = re.findall(r"^\| 0\.\d+ to .*$", SECTIONS["How far the rule was searched"], re.MULTILINE)
+
+#: The scripts that draw the document's figures, and arguments with which they take a second.
+SMALL: dict[str, dict[str, Any]] = {
+    "branches": {"num": 22},
+    "curves": {"lines": 5, "tips": 1},
+    "energy": {"num": 11},
+    "hysteresis": {
+        "num": 13,
+        "omegas": (0.33, 0.44, 0.6, 0.62, 0.7),
+        "loop": {
+            **FIGURES[8].sweeps[0],
+            "omega": [0.44, 0.6],
+            "gamma": {"start": 0.1, "stop": 1.6, "num": 76},
+        },
+    },
+}
 
 Texts = list[str]
 
@@ -78,12 +96,12 @@ def where_bouncing_ends() -> Texts:
     assert at(1.26).cause == "fold of word zs (2,2)"
     picture = Image.open(ROOT / "docs" / "figures" / "figure-hysteresis.png")
     (ended, ramps) = re.findall(r"(\d+) of (\d+) ramps from the cycle end", picture.text["Description"])[0]
-    assert ended == ramps == str(sum(bool(presets.seeded(omega, XI)) for omega in presets.SEEDED_OMEGAS))
+    assert ended == ramps == str(sum(hysteresis.seeded(omega) is not None for omega in hysteresis.OMEGAS))
     return [
         *rows,
         f"within 2·10⁻⁵ of the fold at all {ramps} frequencies",
         f"At ξ below {SEARCHED_XI:g} the threshold is",
-        f"in steps of 10{'⁻⁵' if presets.SEEDED_STEP == 1e-5 else ''} ends",
+        f"in steps of 10{'⁻⁵' if hysteresis.STEP == 1e-5 else ''} ends",
         f"Γ = {at(1.24).down:.9f}, while Γ_th = {at(1.24).gamma_th:.9f}",
         f"Its fold, Γ = {at(1.26).down:.10f}, is the end of bouncing",
         f"On {len(omegas)} frequencies from {omegas[0]:g} to {omegas[-1]:g}",
@@ -262,6 +280,20 @@ def test_numbers(title: str):
     missing = [text for text in texts if text not in body]
     assert not missing
     assert decimals(body) - CHOSEN <= set().union(*map(decimals, texts))
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_the_script_of_a_figure_draws_it(name: str):
+    drawn = import_module(name).draw(**SMALL[name])
+    figure, ends = drawn if name == "hysteresis" else (drawn, [])
+    figure.draw_without_rendering()
+    assert all(axes.lines or axes.collections for axes in figure.axes)
+    assert len(ends) == len(SMALL[name].get("omegas", ()))
+    assert np.all(np.abs(ends) <= 2e-5)  # ramps from the cycle end at the predicted folds
+
+
+def test_every_figure_has_its_script():
+    assert set(SMALL) == set(re.findall(r"python docs/figures/(\w+)\.py", TEXT))
 
 
 def test_scaling_of_branches():

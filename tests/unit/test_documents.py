@@ -28,7 +28,7 @@ NOT_RUN = {
     r"(BOUNCE_\w+=\S+ )*bounce serve --(scheduler tls://scheduler\.example\.org|scheduler-file /shared/)",
     "needs Kubernetes": r"kubectl ",
     "needs a batch queue or a gateway": r"BOUNCE_STORES=\S+ bounce serve --cluster ",
-    "takes minutes": r"bounce figure (all|hysteresis|branches|curves|energy)\b|bounce tradeoff |"
+    "takes minutes": r"bounce figure all\b|python docs/figures/|bounce tradeoff |"
     r"python -m benchmarks\.",
     "goes on until it is stopped": r"dask worker |export GATEWAY_PASSWORD=|dask-gateway-server |"
     r"bounce serve --cluster (elastic|local_gateway):cluster",

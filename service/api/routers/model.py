@@ -1,4 +1,4 @@
-"""What the model itself answers, without a job: thresholds, cycles, one cell in motion, cost and accuracy."""
+"""What the model itself answers, without a job: thresholds, cycles, one cell in motion."""
 
 from typing import Annotated, Final
 
@@ -10,15 +10,13 @@ from service.api.capacity import costly
 from service.api.dependencies import JsonBody, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, problem_responses
 from service.errors import InvalidRequest
-from service.formats import MEDIA_TYPES, PICTURES
+from service.formats import MEDIA_TYPES
 from service.render import answers
 from service.render import orbits as orbits_text
-from service.render import work_precision as work_precision_diagram
-from service.results import orbits, work_precision
+from service.results import orbits
 from service.results import trajectory as trajectories
 from service.results.selection import BASE_MEMORY
 from service.results.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec
-from service.results.work_precision import Tradeoff
 from worker.orbits import MAX_GRID
 
 router = APIRouter(prefix="/v1", tags=["model"])
@@ -129,28 +127,3 @@ def compute_trajectory(service: ServiceDep, body: JsonBody) -> Response:
     trajectories.check_cost(spec, service.settings.trajectory_seconds)
     content = service.background.run(answers.trajectory, spec)
     return Response(content, media_type=MEDIA_TYPES["json"])
-
-
-@router.get(
-    "/tradeoff",
-    summary="Compare contact models by cost and accuracy",
-    response_model=Tradeoff,
-    responses={
-        200: {"content": {MEDIA_TYPES[format]: {} for format in PICTURES}},
-        **PENDING_RESPONSE,
-        **problem_responses(422, 429, 503),
-    },
-)
-@costly(work_precision_diagram.MEMORY, "on demand")
-def get_tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Query()]) -> Response:
-    """Cost and accuracy of each contact model, measured over a fixed set of cells with extremes among them.
-
-    Measured once in the service's lifetime, which takes a minute or two, beside
-    jobs up to ten times as long; until then 202 with the progress.
-    """
-    rows = service.on_demand.get("tradeoff", work_precision.submit)
-    if query.format == "json":
-        content: str | bytes = work_precision.table(rows).model_dump_json()
-    else:
-        content = service.background.run(work_precision_diagram.draw, rows, query.format)
-    return Response(content, media_type=MEDIA_TYPES[query.format])

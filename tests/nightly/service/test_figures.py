@@ -30,12 +30,10 @@ from artists import difference
 from drawn_figures import (
     DESCENDING,
     DRAWN,
-    SEEDED,
     SMALL,
     SMALL_FIGURES,
     Pictures,
     agreeing,
-    computed,
     contradicting,
     diagram,
     leaving_open,
@@ -43,13 +41,12 @@ from drawn_figures import (
 from paths import CACHE, ROOT
 from PIL import Image
 
-from kernel.branches.thresholds import thresholds
 from kernel.params import Outcome
 from kernel.restitution import restitution_of
 from kernel.threshold import threshold
 from service import presets
 from service.client import Client
-from service.figures import canvas, catalogue
+from service.figures import canvas
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.dask import Dask
@@ -71,15 +68,15 @@ def pictures(client: Client) -> Pictures:
     return Pictures(client)
 
 
-@pytest.mark.parametrize("number", [*LATER, *catalogue.EXPLANATIONS])
-def test_a_figure_draws_and_says_what_it_did(pictures: Pictures, number: int | str):
+@pytest.mark.parametrize("number", LATER)
+def test_a_figure_draws_and_says_what_it_did(pictures: Pictures, number: int):
     golden = json.loads(DRAWN.read_text())["figures"][str(number)]
     assert str(pictures[number].caption).splitlines() == golden["caption"]
     assert difference(pictures[number].drawn, golden["drawn"]) == ""
 
 
-@pytest.mark.parametrize("number", [*LATER, *catalogue.EXPLANATIONS])
-def test_axes_have_minor_ticks(pictures: Pictures, number: int | str):
+@pytest.mark.parametrize("number", LATER)
+def test_axes_have_minor_ticks(pictures: Pictures, number: int):
     assert set(pictures[number].minor_ticks) == {True}
 
 
@@ -209,47 +206,6 @@ def test_fig_9_descends_to_models_thresholds(client: Client, pictures: Pictures)
     assert "Ω = 0.62: down to Γ = 0.5" in agreeing(pictures[9].caption)
 
 
-@pytest.mark.parametrize("name", catalogue.EXPLANATIONS)
-def test_explanations_have_ink_and_captions(pictures: Pictures, name: str):
-    picture = pictures[name]
-    image = Image.open(io.BytesIO(picture.content))
-    assert image.text["Description"] == str(picture.caption)
-    assert str(picture.caption).startswith(f"{name.capitalize()}. ")
-    assert 0.01 < np.mean(np.asarray(image.convert("L")) < 128) < 0.4
-    assert np.all(np.asarray(image.convert("L"))[:, -2:] == 255)  # nothing is cut off on the right
-
-
-def test_ramps_from_the_cycle_end_at_the_predicted_folds(pictures: Pictures):
-    text = computed(pictures["hysteresis"].caption)
-    assert text.startswith(
-        f"{len(SEEDED)} of {len(SEEDED)} ramps from the cycle end within 2·10⁻⁵ of the fold"
-    )
-    same, known = map(int, re.findall(r"at (\d+) of (\d+) frequencies", text)[0])
-    assert same == known == len(DESCENDING) + 2  # 0.46 is unresolved
-
-
-def test_simulated_cycles_lie_on_the_branches(pictures: Pictures):
-    text = computed(pictures["branches"].caption)
-    found = thresholds(0.6, 0.05)
-    begins = f"begins at Γ_th = {found.gamma_th:.6f}, leaps at {found.jump:.6f} and ends at {found.down:.6f}"
-    assert begins in text
-    counts = [int(n) for n in re.findall(r"(\d+) at Ω", text.split("in cells")[1])]
-    assert min(counts) > 10
-    assert float(f"1e-{'⁰¹²³⁴⁵⁶'.index(text.split('10⁻')[1][0])}") <= 1e-3
-
-
-def test_curves_and_energy_name_their_points(pictures: Pictures):
-    text = computed(pictures["curves"].caption)
-    assert "cusps at Ω = 0.28383, 0.41681, 0.80087" in text
-    assert "Bogdanov–Takens points at Ω = 0.34552, 0.35267, 0.44840, 0.46723" in text
-    assert "the minima end at ξ = 0.10631, 0.08716, 0.07032, 0.05825" in text
-    text = computed(pictures["energy"].caption)
-    assert text == (
-        "the impact takes least, 24 %, at Ω = 0.620 next to Ω_11; "
-        "the impact takes least, 40 %, at Ω = 0.435 next to Ω_21."
-    )
-
-
 def write() -> None:
     """Write what each figure draws and says, as it is now."""
     with (
@@ -264,7 +220,7 @@ def write() -> None:
                 "caption": str(pictures[number].caption).splitlines(),
                 "drawn": pictures[number].drawn,
             }
-            for number in (*SMALL, *catalogue.EXPLANATIONS)
+            for number in SMALL
         }
     source = f"what the artists of each figure draw, read back by python {Path(__file__).relative_to(ROOT)}"
     DRAWN.write_text(json.dumps({"source": source, "figures": figures}, indent=1, ensure_ascii=False) + "\n")

@@ -95,8 +95,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
     ):
         queued = client.post("/v1/jobs", json={**DONE, "settle": 6}).json()["id"]
         schema = schemathesis.openapi.from_url(f"{address}/openapi.json")
-        # /v1/tradeoff computes for half a minute and answers 202 meanwhile.
-        yield Api(address, done, queued, schema.exclude(path="/v1/tradeoff"))
+        yield Api(address, done, queued, schema)
     idle.close()
 
 

@@ -284,7 +284,7 @@ def test_every_endpoint_that_is_not_cheap_is_costly():
     costly = {route.path for route in routes if hasattr(route.endpoint, "__wrapped__")}
     assert {route.path for route in routes} == costly | CHEAP
     assert not costly & CHEAP
-    assert {"/v1/tradeoff", "/v1/trajectories", "/v1/jobs/{job_id}/diagram"} <= costly
+    assert {"/v1/orbits", "/v1/trajectories", "/v1/jobs/{job_id}/diagram"} <= costly
 
 
 @pytest.fixture(scope="module")

@@ -1,20 +1,13 @@
 """Claims of captions on data made for them: what agrees, what contradicts, and the bounds between."""
 
 from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
 import xarray
 
-from kernel.branches.events import Branch
-from kernel.branches.starts import cycles_at
-from kernel.params import Cell, Outcome
-from service.figures import ball, branches
-from service.figures.caption import Verdict
-
-AGREES, CONTRADICTS = Verdict.AGREES, Verdict.CONTRADICTS
+from kernel.params import Outcome
+from service.figures import ball
 
 
 def diagram(values: Sequence[float], axis: str = "gamma", **cells: Any) -> xarray.Dataset:
@@ -48,33 +41,3 @@ def test_cycles_are_compared_cell_by_cell_where_both_are_periodic():
     assert str(compared) == "2 of 4 periodic cells are in the same mode"
     aperiodic = modes((2, 2), (1, 1), (2, 1), (1, 1), times=times, periodic=False)
     assert ball.compare(first, aperiodic)[:2] == ball.compare(aperiodic, first)[:2] == (0, 0)
-
-
-# Diagrams along Γ and Ω
-
-
-# Thresholds
-
-
-def loop(omega: Sequence[float], down: Sequence[float], up: float = 1.0) -> xarray.Dataset:
-    values = {"down": ("omega", np.array(down)), "up": ("omega", np.full(len(down), up))}
-    return xarray.Dataset(values, {"omega": np.array(omega, float)})
-
-
-def ramped(omega: Sequence[float], down: Sequence[float]) -> Any:
-    """A job that was ramped down in steps of 2⁻¹⁰, and ended there."""
-    spec = {"gamma": {"start": 0.0, "stop": 1.0, "num": 1025}}
-    return SimpleNamespace(spec=spec, threshold=lambda xi: loop(omega, down))
-
-
-# Branches
-
-
-def test_the_last_flight_of_simple_cycles_is_compared_with_the_branch():
-    omega, xi, gamma = 0.6, 0.05, 1.0
-    known = cycles_at(Cell(gamma, omega, xi), 1).flight_time
-    line = Branch(omega, xi, 1, 1, *[np.empty(0)] * (len(Branch._fields) - 4))
-    last = float(known[-1])
-    times = [[9.0, last + 0.25, np.nan], [9.0, last, np.nan], [9.0, last, np.nan], [9.0, last - 0.5, last]]
-    cells = diagram([gamma] * 4, bounces=[1, 2, 1, 1], periods=[1, 1, 2, 1], flight_time=times)
-    assert branches.distances(line, cells) == pytest.approx([0.25, 0.0], abs=1e-9)

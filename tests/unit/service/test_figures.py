@@ -7,13 +7,9 @@ import numpy as np
 import pytest
 from tables import for_each
 
-from service import presets
 from service.figures import catalogue, hysteresis
 from service.figures.caption import Caption, compared, left_open
 from worker.spec import SweepSpec
-
-#: The fold of (1,1) at Ω = 0.6, ξ = 0.05: docs/hysteresis.md.
-FOLD_060 = 0.5532446
 
 
 def test_every_figure_is_listed_by_its_number_with_valid_sweeps():
@@ -44,25 +40,8 @@ def test_the_parameters_are_the_papers():
 
 @for_each("which", ["10", "0", "-1", "one", "ALL", ""])
 def test_an_unknown_figure_names_those_there_are(which: str):
-    with pytest.raises(
-        catalogue.UnknownFigure, match=r"choose one of: 1, 2, 3, 4, 5, 6, 7, 8, 9, hysteresis, branches"
-    ):
+    with pytest.raises(catalogue.UnknownFigure, match=r"choose one of: 1, 2, 3, 4, 5, 6, 7, 8, 9, all"):
         catalogue.figures(which)
-
-
-def test_ramps_that_start_on_a_cycle_pass_its_fold():
-    """docs/hysteresis.md: steps of 1e-5, the fold between two of them, 6 cells below it."""
-    (sweep,) = presets.seeded(0.6, presets.XI)
-    spec = SweepSpec.parse(sweep)
-    gamma = spec.axis_values("gamma")
-    fold = FOLD_060
-    assert np.diff(gamma) == pytest.approx(1e-5)
-    assert (np.count_nonzero(gamma < fold), np.count_nonzero(gamma > fold)) == (6, 25)
-    assert np.abs(gamma - fold).min() == pytest.approx(5e-6, abs=1e-8)
-    assert spec.directions == ("down",)
-    assert (spec.settle, spec.observe, spec.settle_until, spec.keep) == (300, 100, 8000, 1)
-    assert sweep["protocol"]["start"] == {"bounces": 1, "periods": 1}
-    assert not presets.seeded(0.9, presets.XI)  # bouncing does not end at a fold of one flight
 
 
 @for_each(

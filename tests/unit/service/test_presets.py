@@ -49,12 +49,3 @@ def test_diagrams_in_which_the_paper_sees_chaos_have_the_largest_exponent(sweeps
     exponents = {name: spec.exponents for name, spec in sweeps.items() if spec.exponents}
     assert set(exponents) == {name for name in sweeps if name.startswith(("figure 7", "figure 8"))}
     assert set(exponents.values()) == {1}
-
-
-def test_hysteresis_is_of_the_loop_of_figure_9(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(presets, "SEEDED_OMEGAS", ())  # of the ramps that follow: test_figures.py
-    hysteresis = next(each for each in presets.EXPLANATIONS if each.name == "hysteresis")
-    (loop,) = hysteresis.sweeps()
-    assert loop == presets.FIGURES[8].sweeps[0]
-    assert has(SweepSpec.parse(dict(loop)), SWEEPS["figure 9"])
-    assert has(SweepSpec.parse(dict(presets._figure_9()[1])), SWEEPS["figure 9, from less high"])

@@ -1,97 +1,89 @@
-"""`GET /v1/tradeoff` and `bounce tradeoff`: the table of costs and errors, the advice, and the picture."""
+"""`bounce tradeoff`: the table of costs and errors, the advice, and the picture."""
 
 import json
-from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
 
 import pytest
-from click.testing import CliRunner
-from fastapi.testclient import TestClient
+from click.testing import CliRunner, Result
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 from paths import GOLDEN
-from served import impatient
 
-from service.api.app import create_app
 from service.cli.main import main
-from service.cli.tradeoff import table_lines
-from service.results.work_precision import REFERENCES, advice
-from service.settings import Settings
+from service.cli.tradeoff import REFERENCES
+from service.render.style import DPI
+from service.render.work_precision import SIZE, compose
 from worker.analysis import work_precision
-from worker.analysis.work_precision import SETUPS, Measurement, Setup
-from worker.executors.inline import Inline
+from worker.analysis.work_precision import Measurement, Setup
 
-#: The setups that the advice needs; to measure them all takes a minute.
-ADVISED = tuple(
-    setup
-    for setup in SETUPS
-    if setup.model == "rigid" or (setup.purpose == "adhesive" and setup.model in ("soft", "ball"))
-    or (setup.purpose, setup.scheme, setup.steps_per_contact) == ("adhesive", "verlet", 20)
-)  # fmt: skip
+#: As once measured: tests/system/worker/test_work_precision.py measures.
+ROWS = [
+    Measurement.model_validate(row) for row in json.loads((GOLDEN / "tradeoff_rows.json").read_text())["rows"]
+]
 
 
-@pytest.fixture(scope="module")
-def measured() -> list[Measurement]:
-    """As once measured: tests/system/worker/test_work_precision.py measures."""
-    rows = json.loads((GOLDEN / "tradeoff_rows.json").read_text())["rows"]
-    measurements = map(Measurement.model_validate, rows)
-    return [
-        row for row in measurements if Setup(**row.model_dump(include=set(Setup.model_fields))) in ADVISED
-    ]
+@pytest.fixture
+def bounce(monkeypatch: pytest.MonkeyPatch):
+    """The command, without the minute that it measures."""
+    rows = {Setup(**row.model_dump(include=set(Setup.model_fields))).model_dump_json(): row for row in ROWS}
+    monkeypatch.setattr(work_precision, "measure", lambda setup: rows[setup.model_dump_json()])
+
+    def run(*arguments: str) -> Result:
+        return CliRunner().invoke(main, ["tradeoff", *arguments])
+
+    return run
 
 
-# Table, advice and picture
-
-
-def test_the_table_and_the_advice(measured: list[Measurement]):
-    rows = [row.model_dump() for row in measured]
-    lines = table_lines(rows, REFERENCES)
-    assert len(lines) == len(ADVISED) + 9
+def test_the_table_the_advice_and_the_picture(bounce, tmp_path: Path):
+    pictures = [tmp_path / name for name in ("tradeoff.png", "again.png")]
+    for picture in pictures:
+        done = bounce("-o", str(picture))
+        assert done.exit_code == 0, done.output
+    assert done.stderr.startswith("measuring")  # it takes minutes
+    lines = done.stdout.splitlines()
     assert lines[0] == f"Errors relative to the {REFERENCES['adhesive']}"
     assert lines[2].split()[:3] == ["soft,", "d", "="]
     assert lines[2].split()[-3:] == ["exact", "exact", "100%"]
-    text = advice(measured)
-    assert text.startswith("Take rigid for a hard plate (")
-    assert text.endswith("and auto to choose the model on the cells of your own sweep.")
-    assert "nan" not in text
+    assert len(lines) == len(ROWS) + 3 * 3 + 3 + 2  # headings and gaps, the legend, the advice
+    assert lines[-1].startswith("Take rigid for a hard plate (")
+    assert lines[-1].endswith("and auto to choose the model on the cells of your own sweep.")
+    assert "nan" not in lines[-1]
+    first, second = (picture.read_bytes() for picture in pictures)
+    assert first.startswith(b"\x89PNG")
+    assert first == second
 
 
-# Through the service
+def test_the_measurements_as_json(bounce):
+    printed = json.loads(bounce("--json").stdout)
+    assert [Measurement.model_validate(row) for row in printed["rows"]] == ROWS
+    assert printed["cells"] == 80
+    assert set(printed["references"]) == {"adhesive", "nonadhesive", "plate"}
 
 
-def test_a_picture_of_another_kind_is_refused_before_anything_is_measured():
-    done = CliRunner().invoke(main, ["tradeoff", "-o", "tradeoff.gif"])
+def test_a_picture_of_another_kind_is_refused_before_anything_is_measured(bounce):
+    done = bounce("-o", "tradeoff.gif")
     assert done.exit_code == 2
     assert "does not end in .png, .svg" in done.stderr
+    assert "measuring" not in done.stderr
 
 
-# While the workers measure
-
-
-class Slow(Inline):
-    """An executor whose calls a test completes."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.futures: list[Future[Any]] = []
-
-    def call(self, function: Any, *arguments: Any) -> Any:
-        self.futures.append(Future())
-        return self.futures[-1]
-
-
-def test_a_request_before_the_end_gets_the_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(work_precision, "SETUPS", ADVISED[:3])
-    impatient(monkeypatch)
-    executor = Slow()
-    with TestClient(create_app(Settings(data=tmp_path), executor), base_url="http://localhost") as client:
-        first = client.get("/v1/tradeoff")
-        assert (first.status_code, first.headers["Retry-After"]) == (202, "1")
-        assert first.headers["Content-Type"] == "application/json"
-        progress = {"parts_done": 0, "parts_total": 3, "percent": 0.0}
-        assert first.json() == {"state": "running", "progress": progress}
-        executor.futures[0].set_result(None)
-        assert client.get("/v1/tradeoff").json()["progress"] == {**progress, "parts_done": 1, "percent": 33.3}
-        answers = client.get("/openapi.json").json()["paths"]["/v1/tradeoff"]["get"]["responses"]
-        assert answers["202"]["content"]["application/json"]["schema"]["$ref"].endswith("/PendingView")
-    executor.close()
-    assert executor.futures[1].cancelled()
+def test_no_label_of_the_picture_covers_another_or_a_marker():
+    figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
+    compose(figure, ROWS)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    written = 0
+    for axes in figure.axes:
+        boxes = [Text.get_window_extent(text, renderer) for text in axes.texts if text.get_text()]
+        points = [line.get_xydata()[0] for line in axes.lines if line.get_marker() != "None"]
+        markers = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in axes.transData.transform(points)]
+        legend = axes.get_legend()
+        others = [*markers, *([legend.get_window_extent(renderer)] if legend else [])]
+        written += len(boxes)
+        for i, box in enumerate(boxes):
+            assert not any(box.overlaps(other) for other in (*boxes[:i], *others))
+    labelled = sum(row.error != 0.0 and (row.scheme or row.model) in ("verlet", "euler", "ball")
+                   for row in ROWS if row.error is not None and row.cost is not None)  # fmt: skip
+    # the ends of two lines of depths, two references, and the hint of each panel
+    assert written == labelled + 4 + 2 + 3

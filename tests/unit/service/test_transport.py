@@ -333,11 +333,11 @@ def test_a_timeout_of_the_workers_answer_reports_their_progress():
             match=r"^1 of 4 parts computed after -1 s; the computation goes on for a minute: repeat",
         ),
     ):
-        client.tradeoff(timeout=-1.0, progress=False)
+        client.threshold(0.6, 0.05, timeout=-1.0, progress=False)
     with scripted(Answer(202, {"state": "running"})) as (_, client), pytest.raises(UnexpectedAnswer):
-        client.tradeoff(progress=False)
+        client.threshold(0.6, 0.05, progress=False)
     with scripted(Answer(429, {"detail": "full"})) as (_, client), pytest.raises(Busy):
-        client.tradeoff(timeout=-1.0, progress=False)
+        client.threshold(0.6, 0.05, timeout=-1.0, progress=False)
 
 
 def test_a_list_goes_on_to_its_last_page():

@@ -1,0 +1,56 @@
+"""Draw figure-curves.png: events of the cycles (1, 1) over Ω, and where hysteresis ends.
+
+python docs/figures/curves.py
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from tips import Tip, deepest, end_of_hysteresis, tip
+
+from kernel.branches.curves import Parameter, curves
+from kernel.branches.events import Kind
+from kernel.threshold import threshold
+
+XI = 0.05
+OMEGAS = (0.25, 0.86)
+STYLES = {Kind.FOLD: "C0-", Kind.FLIP: "C1--", Kind.NEIMARK_SACKER: "C2:"}
+POINTS = {Kind.CUSP: "C0o", Kind.BOGDANOV_TAKENS: "C2D"}
+
+
+def depth(at: Tip) -> float:
+    """How far a tip lies below Γ_th, in parts of it."""
+    return 1.0 - at.gamma / float(threshold(at.omega, at.xi))
+
+
+def draw(lines: int = 13, tips: int = 4) -> Figure:
+    """`lines`: frequencies at which curves are looked for; `tips`: minima of Γ_down that are drawn."""
+    found = curves(Parameter.OMEGA, XI, *OMEGAS, 1, tuple(STYLES), lines=lines)
+    figure = Figure(figsize=(6.4, 7.2), layout="constrained")
+    above, below = figure.subplots(2)
+    grid = np.linspace(*OMEGAS, 600)
+    above.plot(grid, threshold(grid, XI), color="0.7", linewidth=3, label=r"$\Gamma_\mathrm{th}$, Eq. 25")
+    for curve in found.curves:
+        gamma = np.where(curve.admissible == 0, curve.gamma, np.nan)
+        above.plot(curve.omega, gamma, STYLES[curve.kind])
+    for kind, style in STYLES.items():
+        above.plot([], [], style, label=kind)
+    for kind, style in POINTS.items():
+        shown = (found.points.kind == kind) & (found.points.admissible == 0)
+        above.plot(found.points.omega[shown], found.points.gamma[shown], style, mfc="white", label=kind)
+    for j in range(1, tips + 1):
+        name, at, end = rf"$\Omega_{{{j}1}}$", tip(j, 1, XI), end_of_hysteresis(j, 1)
+        above.annotate(name, (at.omega, at.gamma), (0, -12), textcoords="offset points", ha="center")
+        xi = np.linspace(0.004, end.xi, 24)
+        below.plot(xi, [depth(deepest(j, 1, float(value))) for value in xi], label=name)
+        below.plot(end.xi, depth(end), "o", color=below.lines[-1].get_color(), mfc="white")
+    above.set(xlim=OMEGAS, ylim=(0.42, 1.45), xlabel=r"$\Omega$", ylabel=r"$\Gamma$")
+    below.set(xlabel=r"$\xi$", ylabel=r"$1 - \Gamma_\mathrm{down}/\Gamma_\mathrm{th}$", ylim=(0, 1))
+    above.legend()
+    below.legend()
+    return figure
+
+
+if __name__ == "__main__":
+    draw().savefig(Path(__file__).with_name("figure-curves.png"), dpi=150)

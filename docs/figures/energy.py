@@ -1,0 +1,51 @@
+"""Draw figure-energy.png: Γ_down, and what impact and dashpot take at the cycle that ends there.
+
+python docs/figures/energy.py
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from tips import soft_landing
+
+from kernel.branches.thresholds import Thresholds, thresholds
+from kernel.threshold import threshold
+
+XI = 0.05
+
+
+def impact_share(found: Thresholds) -> float:
+    """The percentage of the lost energy that the impact takes; NaN where bouncing does not end at a fold."""
+    if found.energy is None:
+        return np.nan
+    return float(100 * found.energy.impact[0] / (found.energy.impact + found.energy.dashpot)[0])
+
+
+def draw(num: int = 101) -> Figure:
+    """`num`: frequencies."""
+    omega = np.linspace(0.25, 0.75, num)
+    found = [thresholds(float(value), XI) for value in omega]
+    share = np.array([impact_share(each) for each in found])
+    figure = Figure(figsize=(6.4, 6.0), layout="constrained")
+    above, below = figure.subplots(2, sharex=True)
+    above.plot(omega, threshold(omega, XI), color="0.7", linewidth=3, label=r"$\Gamma_\mathrm{th}$, Eq. 25")
+    above.plot(omega, np.where(np.isfinite(share), [each.down for each in found], np.nan),
+               label=r"$\Gamma_\mathrm{down}$")  # fmt: skip
+    below.fill_between(omega, 0, share, color="C3", alpha=0.75, linewidth=0, label="impact")
+    below.fill_between(omega, share, 100, color="C0", alpha=0.35, linewidth=0, label="dashpot")
+    for j in (1, 2, 3, 4):
+        landing = soft_landing(j, 1)[0]
+        for axes in (above, below):
+            axes.axvline(landing, color="black", linewidth=0.7, linestyle="--")
+        above.annotate(rf"$\Omega_{{{j}1}}$", (landing, 1), (0, 3), xycoords=("data", "axes fraction"),
+                       textcoords="offset points", ha="center")  # fmt: skip
+    above.set(ylabel=r"$\Gamma$", ylim=(0.45, 1.05))
+    below.set(xlabel=r"$\Omega$", xlim=(0.25, 0.75), ylabel="lost per cycle (%)", ylim=(0, 100))
+    above.legend()
+    below.legend(loc="lower right")
+    return figure
+
+
+if __name__ == "__main__":
+    draw().savefig(Path(__file__).with_name("figure-energy.png"), dpi=150)
