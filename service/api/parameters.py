@@ -207,13 +207,6 @@ class JobOrbitsQuery(Query):
     energy: bool = Field(False, description="the energy balance of every point as well")
 
 
-class ModesQuery(PlaneQuery):
-    """A plane, optionally thinned."""
-
-    every: Every = 1
-    mask: bool = Field(False, description="of an adaptive map: which cells were computed as well")
-
-
 class MultistabilityQuery(Query):
     """The plane of a job with the protocol multistability, or a line of it along gamma, and the format."""
 

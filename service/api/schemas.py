@@ -113,37 +113,6 @@ class JobList(BaseModel):
     next: str | None = Field(description="cursor of the next page; null on the last page")
 
 
-class Modes(BaseModel):
-    """Outcome and mode of every cell of a plane; rows are values of Ω, columns of Γ."""
-
-    xi: float
-    direction: str
-    omega: list[float]
-    gamma: list[float]
-    outcome: list[list[int]] = Field(description=OUTCOMES)
-    bounces: list[list[int]]
-    periods: list[list[int]]
-    label: list[list[int]] | None = Field(
-        None,
-        description="of a sweep with exponents: as outcome, 7 quasi-periodic and 8 chaotic for aperiodic, "
-        "9 on an unstable cycle for periodic",
-    )
-    mask: list[list[int]] | None = Field(
-        None, description="of an adaptive map, if asked for: 1 computed, 0 taken from its block"
-    )
-    hysteresis: list[list[int]] | None = Field(
-        None,
-        description="of a sweep ramped both ways, if asked for: 1 where up and down have other modes, "
-        "2 where they have other flights of one mode, 0 elsewhere",
-    )
-    min_flight: float = Field(description="rad; shorter flights do not count, unless all of a cell are")
-    computed: float | None = Field(
-        None, description="of an adaptive map: share of the plane's cells done that were computed"
-    )
-    complete: bool
-    every: int = Field(1, description="every n-th value of both axes; left out if 1")
-
-
 class EnergyView(BaseModel):
     """Of one cycle: energies in mA²ω², momentum in mAω."""
 
@@ -497,7 +466,6 @@ _PARTS: Final = (
     "unpin",
     "events",
     "threshold",
-    "modes",
     "orbits",
     "multistability",
     "export",

@@ -236,32 +236,6 @@ _MODE: Final = ("outcome", "bounces", "periods", "label", "hysteresis")
 _NAMED: Final = ("outcome", "label", "hysteresis")
 
 
-def modes_csv(mode_map: "xarray.Dataset") -> bytes:
-    """One row per cell; outcomes and labels by name."""
-    omega, gamma = mode_map.omega.values.tolist(), mode_map.gamma.values.tolist()
-    planes = {name: mode_map[name].values.tolist() for name in _MODE if name in mode_map}
-    names = {name: mode_map[name].attrs["flag_meanings"].split() for name in _NAMED if name in planes}
-    rows = (
-        (
-            omega[i],
-            gamma[k],
-            *(names[name][plane[i][k]] if name in names else plane[i][k] for name, plane in planes.items()),
-        )
-        for i in range(len(omega))
-        for k in range(len(gamma))
-    )
-    return _csv(("omega", "gamma", *planes), rows)
-
-
-def modes_json(mode_map: "xarray.Dataset") -> bytes:
-    """The axes, and a nested list (omega, gamma) per variable."""
-    names = ["omega", "gamma", *(name for name in _MODE if name in mode_map)]
-    plain = {"xi": float(mode_map.xi), "direction": str(mode_map.direction.values)}
-    plain |= {name: mode_map[name].values.tolist() for name in names}
-    plain["min_flight"] = mode_map.attrs["min_flight"]
-    return json.dumps({**plain, "complete": bool(mode_map.attrs["complete"])}).encode()
-
-
 _SAMPLES: Final = ("phase", "plate", "z1", "z2", "force", "in_flight")
 
 

@@ -9,7 +9,6 @@ from service.cli.options import (
     format_option,
     job_argument,
     json_option,
-    min_flight_option,
     open_client,
     optional_job_argument,
     output_format,
@@ -92,41 +91,6 @@ def threshold(
             return
         on_grid = thresholds if tolerance is None else job.threshold(xi)
     click.echo(output.threshold_table(thresholds, on_grid, job.spec))
-
-
-@click.command()
-@job_argument
-@click.option("--xi", type=float, help="ξ; the nearest grid value is used.")
-@click.option(
-    "--direction", type=click.Choice(["up", "down"]), help="Direction, for a sweep ramped both ways."
-)
-@min_flight_option
-@click.option("--every", type=click.IntRange(min=1), help="Take only every n-th value of both axes.")
-@click.option("--hysteresis", is_flag=True, help="Also write where the ramps up and down differ.")
-@format_option(*TABLES)
-@output_option
-@service_options
-def modes(
-    job_id: str,
-    xi: float | None,
-    direction: str | None,
-    min_flight: float | None,
-    every: int | None,
-    hysteresis: bool,
-    format: str | None,
-    output: str,
-    url: str,
-    token: str | None,
-) -> None:
-    """Write a job's mode map over Γ and Ω, as csv or json."""
-    from service.cli.output import modes_csv, modes_json
-
-    format = output_format(output, TABLES, format)
-    with open_client(url, token) as client:
-        job = client.job(job_id)
-        mode_map = job.modes(xi, direction, min_flight=min_flight, every=every, hysteresis=hysteresis)
-    write_file(output, modes_json(mode_map) if format == "json" else modes_csv(mode_map))
-    warn_unless_done(job, "cells are missing")
 
 
 @click.command()
@@ -258,7 +222,7 @@ def _over_a_grid(found: "xarray.Dataset") -> str:
 
 _KINDS: Final = {"births": "birth", "deaths": "death", "changes of mode": "mode"}
 
-COMMANDS: Final = (threshold, modes, multistability, export, trajectory)
+COMMANDS: Final = (threshold, multistability, export, trajectory)
 
 
 def warn_unless_done(job: "Job", consequence: str) -> None:

@@ -182,27 +182,6 @@ def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         return dataset
 
 
-def modes_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
-    """A mode map: dims (omega, gamma)."""
-    with _reading("a mode map"):
-        plane = ("omega", "gamma")
-        variables = {
-            field: _variable(field, plane, answer[field])
-            for field in ("outcome", "bounces", "periods", "label", "hysteresis")
-            if answer.get(field) is not None
-        }
-        if answer.get("mask") is not None:
-            variables["computed"] = _variable("computed", plane, answer["mask"])
-        coordinates = {axis: _variable(axis, axis, answer[axis]) for axis in plane}
-        coordinates["xi"] = _variable("xi", None, answer["xi"])
-        coordinates["direction"] = _direction(answer)
-        dataset = _dataset(variables, coordinates, answer, "mode map", job_id)
-        dataset.attrs["min_flight"] = float(answer["min_flight"])
-        if answer.get("computed") is not None:
-            dataset.attrs["computed"] = float(answer["computed"])
-        return dataset
-
-
 def multistability_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
     """Attractors over a grid: dims (omega, gamma), (omega, gamma, place), (attractor) and (event)."""
     with _reading("multistability"):

@@ -191,7 +191,9 @@ class Job(Results):
         ax = ax if ax is not None else plots.new_axes()
         if kind == "modes":
             both = spec["protocol"].get("direction") == "both"
-            plots.draw_modes(ax, self.modes(**{"hysteresis": both} | selection))
+            plots.draw_modes(
+                ax, self.modes(**{"hysteresis": both, "direction": "up" if both else None} | selection)
+            )
         elif kind == "threshold":
             plots.draw_thresholds(ax, self.threshold(progress=False, **selection))
         else:

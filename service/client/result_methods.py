@@ -7,13 +7,15 @@ if TYPE_CHECKING:
 
 #: The formats of each result.
 FORMATS = {
-    "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
     "diagram": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
+    "modes": ("json", "bin", "nc", "csv", "parquet"),
+    "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
 }
 #: The variable whose numbers are the rows of each result as a table.
 ROWS = {
-    "basins": "attractor_fraction",
     "diagram": "flight_time",
+    "modes": "outcome",
+    "basins": "attractor_fraction",
 }
 
 
@@ -23,54 +25,6 @@ class ResultMethods:
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
         raise NotImplementedError
-
-    def basins(
-        self,
-        gamma: float | None = None,
-        omega: float | None = None,
-        xi: float | None = None,
-    ) -> "xarray.Dataset":
-        """The attractors of one cell, and which of them each start of the plane reaches.
-
-        Attractors are numbered from 1 by the share of the starts that reach them. A start without an
-        attractor has the number 0.
-
-        Parameters
-        ----------
-        gamma : float | None
-        omega : float | None
-        xi : float | None
-
-        Returns
-        -------
-        xarray.Dataset
-            With the attribute `complete` and these variables:
-
-            - `attractor_of_start`: attractor that a start reaches
-            - `attractor_fraction`: share of the starts that reach the attractor
-            - `attractor_outcome`: what the attractor does
-            - `attractor_bounces`: bounces in one cycle, 0 without a cycle
-            - `attractor_periods`: plate periods in one cycle, 0 without a cycle
-            - `attractor_longest_flight` (rad): longest flight
-            - `attractor_lifetime` (plate periods): life of aperiodic motion that was seen to end
-            - `attractor_flight_time` (rad): last flights of a window in order
-            - `attractor_takeoff_phase` (rad): plate phase at take-off, modulo 2 pi
-            - `attractor_state`: a state on the attractor, in the cell's own units
-            - `attractor_lyapunov`: Lyapunov exponents, the largest first
-            - `attractor_count`: attractors of the cell, also those beyond the dimension id
-            - `undecided`: share of the starts without an attractor
-            - `basin_entropy`: basin entropy, of boxes of 8 by 8 starts
-            - `boundary_entropy`: boundary basin entropy, of boxes of 8 by 8 starts
-            - `attractor_label`: what the attractor does
-
-        Raises
-        ------
-        BadRequest
-            Names the parameter.
-        TooLarge
-            Names what fits.
-        """
-        return self.result("basins", gamma=gamma, omega=omega, xi=xi)
 
     def diagram(
         self,
@@ -129,3 +83,98 @@ class ResultMethods:
             Names what fits.
         """
         return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, caption=caption)
+
+    def modes(
+        self,
+        xi: float | None = None,
+        direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
+        min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
+        every: Annotated[int, "return every n-th value only"] = 1,
+        hysteresis: Annotated[bool, "of a sweep ramped both ways: where they differ"] = False,
+    ) -> "xarray.Dataset":
+        """The mode map at one ξ: outcome, bounces and plate periods of every cell.
+
+        A sweep ramped both ways has the dimension `direction`, unless one is selected. An adaptive map has
+        `computed`: the other cells have the values of the nearest corner or centre of their block. The
+        attribute `computed_share` is the share of cells that were computed.
+
+        Parameters
+        ----------
+        xi : float | None
+        direction : str | None
+            rest, up or down; default: all that the sweep has, a dimension if two
+        min_flight : float | None
+            rad; shorter flights do not count, unless all of a cell are; default: micro_flight
+        every : int
+            return every n-th value only
+        hysteresis : bool
+            of a sweep ramped both ways: where they differ
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `bounces`: mode: bounces in one cycle, 0 if none was found
+            - `periods`: mode: plate periods in one cycle, 0 if none was found
+            - `outcome`: what became of the cell
+            - `label`: outcome, with aperiodic and unstable cells told apart by Lyapunov exponents
+            - `computed`: whether the cell was computed
+            - `hysteresis`: how the ramps up and down compare
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis)
+
+    def basins(
+        self,
+        gamma: float | None = None,
+        omega: float | None = None,
+        xi: float | None = None,
+    ) -> "xarray.Dataset":
+        """The attractors of one cell, and which of them each start of the plane reaches.
+
+        Attractors are numbered from 1 by the share of the starts that reach them. A start without an
+        attractor has the number 0.
+
+        Parameters
+        ----------
+        gamma : float | None
+        omega : float | None
+        xi : float | None
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `attractor_of_start`: attractor that a start reaches
+            - `attractor_fraction`: share of the starts that reach the attractor
+            - `attractor_outcome`: what the attractor does
+            - `attractor_bounces`: bounces in one cycle, 0 without a cycle
+            - `attractor_periods`: plate periods in one cycle, 0 without a cycle
+            - `attractor_longest_flight` (rad): longest flight
+            - `attractor_lifetime` (plate periods): life of aperiodic motion that was seen to end
+            - `attractor_flight_time` (rad): last flights of a window in order
+            - `attractor_takeoff_phase` (rad): plate phase at take-off, modulo 2 pi
+            - `attractor_state`: a state on the attractor, in the cell's own units
+            - `attractor_lyapunov`: Lyapunov exponents, the largest first
+            - `attractor_count`: attractors of the cell, also those beyond the dimension id
+            - `undecided`: share of the starts without an attractor
+            - `basin_entropy`: basin entropy, of boxes of 8 by 8 starts
+            - `boundary_entropy`: boundary basin entropy, of boxes of 8 by 8 starts
+            - `attractor_label`: what the attractor does
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("basins", gamma=gamma, omega=omega, xi=xi)

@@ -103,35 +103,6 @@ class Results(ResultMethods, JobStatus):
         )
         return words_dataset(json_object(answer), self.id)
 
-    def modes(
-        self,
-        xi: float | None = None,
-        direction: str | None = None,
-        *,
-        min_flight: float | None = None,
-        every: int | None = None,
-        mask: bool = False,
-        hysteresis: bool = False,
-    ) -> "xarray.Dataset":
-        """The mode map at the grid's ξ nearest to `xi`: `outcome`, `bounces`, `periods`.
-
-        `min_flight` (rad) as in `diagram`: for a value other than the sweep's `micro_flight` the modes are
-        found anew from the stored flights. `every` takes every n-th value of both axes. Returns a Dataset
-        with dims (omega, gamma), of a sweep with exponents also `label`; its attribute `complete` is 0 while
-        cells are missing. Of an adaptive map, the attribute `computed` is the share of cells computed, and
-        with `mask` the variable `computed` tells which ones. Of a sweep ramped both ways, with `hysteresis`
-        the variable of that name is 1 where going down leads to another mode than going up, 2 where only the
-        flights are others. Raises BadRequest naming the parameter, TooLarge naming the smallest `every` that
-        fits.
-        """
-        from service.client.datasets import modes_dataset
-
-        query: dict[str, str | float | None] = {
-            "xi": xi, "direction": direction, "min_flight": min_flight, "every": every,
-            "mask": "true" if mask else None, "hysteresis": "true" if hysteresis else None,
-        }  # fmt: skip
-        return modes_dataset(json_object(self._transport.get(self._path("modes"), query)), self.id)
-
     def multistability(self, xi: float | None = None, *, omega: float | None = None) -> "xarray.Dataset":
         """The attractors over (omega, gamma) of a job with the protocol multistability, matched over cells.
 

@@ -51,21 +51,6 @@ class View(NamedTuple):
     most: int  # flights sent as points
 
 
-def modes(
-    sweep: Sweep,
-    xi: float | None,
-    direction: str | None,
-    max_points: int,
-    every: int,
-    min_flight: float | None,
-    mask: bool,
-    hysteresis: bool,
-) -> Answer:
-    """The mode map as JSON; mask: of an adaptive map, with which cells were computed."""
-    plane = mode_map.modes(sweep, xi, direction, max_points, every, min_flight, hysteresis=hysteresis)
-    return Answer(text.mode_map_json(plane, mask and sweep.spec.refine is not None), plane.complete)
-
-
 def packed_line(sweep: Sweep, line: Line, view: View) -> Answer:
     """A line in binary form, its flights as points or, if there are too many, as density."""
     cells = lines.read_line(sweep, *line)

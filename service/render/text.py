@@ -8,7 +8,6 @@ from pydantic import TypeAdapter
 
 from kernel.branches.events import Branch
 from kernel.numerics.elementary import TWO_PI
-from service.results.mode_map import Plane
 from service.results.trajectory import Motion, cycle_energy
 from worker import schema
 
@@ -25,25 +24,6 @@ ROWS: Final = 1024
 
 #: A document is put together once, from pieces: no copies of its lists are in memory beside it.
 _Pieces = Iterable[bytes]
-
-
-def mode_map_json(plane: Plane, mask: bool) -> bytes:
-    """A mode map as a JSON document; arrays as lists of rows, one for each Ω.
-
-    mask: with which cells were computed, of an adaptive map.
-    """
-    share = {} if plane.computed is None else {"computed": [to_json(plane.computed)]}
-    members = {
-        "xi": [to_json(plane.xi)],
-        "direction": [to_json(plane.direction)],
-        "omega": _list(plane.omega),
-        "gamma": _list(plane.gamma),
-        **{name: _list(array) for name, array in plane.arrays.items() if name != COMPUTED},
-        **({"mask": _list(plane.arrays[COMPUTED])} if mask else {}),
-        "min_flight": [to_json(plane.min_flight)],
-        **share,
-    }
-    return _object(members, plane.complete, plane.every)
 
 
 def trajectory_json(motion: Motion) -> bytes:

@@ -14,8 +14,7 @@ from service.results.counting import FLIGHT_ARRAYS, arrays_of_modes, needs_fligh
 from service.results.hysteresis import Hysteresis, check_both_ways, compare
 from service.results.selection import (
     MAX_READ,
-    Sweep,
-    check_points,
+    Stored,
     nearest_index,
     read,
     resolve_direction,
@@ -55,27 +54,20 @@ class Plane:
 
 
 def modes(
-    sweep: Sweep,
+    sweep: Stored[SweepSpec],
     xi: float | None,
     direction: str | None,
-    max_points: int,
+    *,
     every: int = 1,
     min_flight: float | None = None,
-    *,
     hysteresis: bool = False,
 ) -> Plane:
     """The mode map at the grid's xi nearest to `xi`, every n-th cell of both axes.
 
     `min_flight` is in rad; None is the sweep's `micro_flight`, whose modes are stored, for another value the
     flights are read. With `hysteresis`, of a sweep ramped both ways, the array of that name is a `Hysteresis`
-    for each cell. Raises InvalidRequest as `selection.nearest_index`, TooLarge for more than `max_points`
-    cells, or more than MAX_READ flights to read.
+    for each cell. Raises InvalidRequest as `selection.nearest_index` and `check_min_flight`.
     """
-    lengths = [len(sweep.spec.axis_values(axis)) for axis in ("omega", "gamma")]
-    omegas, gammas = (-(-n // every) for n in lengths)
-    what = f"{omegas:,} values of omega × {gammas:,} of gamma"
-    fitting = _cells(sweep.spec, min_flight, max_points)
-    check_points(omegas * gammas, fitting, what, thinning(lengths, 1, fitting))
     part = slice(None, None, every)
     found = _recounted_plane(sweep, xi, direction, min_flight, part, part)
     if hysteresis:
@@ -84,7 +76,7 @@ def modes(
 
 
 def modes_between(
-    sweep: Sweep,
+    sweep: Stored[SweepSpec],
     xi: float | None,
     direction: str | None,
     gamma: tuple[float | None, float | None],
@@ -101,14 +93,14 @@ def modes_between(
     """
     columns = _between(sweep.spec.axis_values("gamma"), *gamma)
     rows = _between(sweep.spec.axis_values("omega"), *omega)
-    every = thinning((len(rows), len(columns)), 1, _cells(sweep.spec, min_flight, max_points)) or 1
+    every = thinning((len(rows), len(columns)), 1, most_cells(sweep.spec, min_flight, max_points)) or 1
     part = (slice(rows.start, rows.stop, every), slice(columns.start, columns.stop, every))
     found = _recounted_plane(sweep, xi, direction, min_flight, *part)
     return replace(_compared(sweep, found, min_flight, *part) if hysteresis else found, every=every)
 
 
 def plane(
-    sweep: Sweep,
+    sweep: Stored[SweepSpec],
     xi: float | None,
     direction: str,
     names: tuple[str, ...],
@@ -129,7 +121,7 @@ def plane(
 def plane_size(spec: SweepSpec, min_flight: float | None, max_points: int, every: int = 1) -> tuple[int, int]:
     """The most cells of an answer, and the most flights read for it."""
     cells = prod(-(-len(spec.axis_values(axis)) // every) for axis in ("omega", "gamma"))
-    cells = min(cells, _cells(spec, min_flight, max_points))
+    cells = min(cells, most_cells(spec, min_flight, max_points))
     return cells, cells * spec.keep if needs_flights(spec, min_flight) else 0
 
 
@@ -140,13 +132,24 @@ def comparison_memory(spec: SweepSpec) -> int:
     return min(cells * len(spec.directions) * spec.keep, max(_COMPARED, row)) * _PER_COMPARED
 
 
-def _cells(spec: SweepSpec, min_flight: float | None, max_points: int) -> int:
+def most_cells(spec: SweepSpec, min_flight: float | None, max_points: int) -> int:
     """The most cells of one answer: where their flights are read, as many as MAX_READ flights belong to."""
     return min(max_points, max(1, MAX_READ // spec.keep)) if needs_flights(spec, min_flight) else max_points
 
 
+def check_min_flight(spec: SweepSpec, min_flight: float | None) -> None:
+    """Raise InvalidRequest for an adaptive map whose modes would have to be found from other flights."""
+    if spec.refine is not None and needs_flights(spec, min_flight):
+        rule = (
+            f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where modes of these "
+            "flights change, and those of others change elsewhere; submit the map with micro_flight "
+            f"{min_flight:g} instead, or read diagrams, which count other flights where cells are computed"
+        )
+        raise InvalidRequest.of("min_flight", rule)
+
+
 def _recounted_plane(
-    sweep: Sweep,
+    sweep: Stored[SweepSpec],
     xi: float | None,
     direction: str | None,
     min_flight: float | None,
@@ -155,20 +158,16 @@ def _recounted_plane(
 ) -> Plane:
     """Outcome and mode over a part of (omega, gamma) if flights longer than `min_flight` (rad) count."""
     spec = sweep.spec
-    if spec.refine is not None and needs_flights(spec, min_flight):
-        rule = (
-            f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where modes of these "
-            "flights change, and those of others change elsewhere; submit the map with micro_flight "
-            f"{min_flight:g} instead, or read diagrams, which count other flights where cells are computed"
-        )
-        raise InvalidRequest.of("min_flight", rule)
+    check_min_flight(spec, min_flight)
     names = arrays_of_modes(spec, min_flight)
     cells = plane(sweep, xi, resolve_direction(spec, direction), names, omega, gamma)
     arrays = recounted(spec, cells.arrays, min_flight)
     return replace(cells, arrays=arrays, min_flight=shortest(spec, min_flight))
 
 
-def _compared(sweep: Sweep, found: Plane, min_flight: float | None, omega: slice, gamma: slice) -> Plane:
+def _compared(
+    sweep: Stored[SweepSpec], found: Plane, min_flight: float | None, omega: slice, gamma: slice
+) -> Plane:
     """A part of a plane with the array `hysteresis`. Raises InvalidRequest for a sweep of one direction.
 
     Cells that are not computed in both directions have none. The flights are read some rows at a time.
@@ -193,7 +192,7 @@ def _compared(sweep: Sweep, found: Plane, min_flight: float | None, omega: slice
     return replace(found, arrays={**found.arrays, "hysteresis": result}, compared=compared)
 
 
-def _computed_share(sweep: Sweep, xi: float | None, direction: str) -> float | None:
+def _computed_share(sweep: Stored[SweepSpec], xi: float | None, direction: str) -> float | None:
     """Of an adaptive map, the share of its cells at one xi that were computed, of those done; else None.
 
     Of every cell, also where an answer is thinned: rows and columns of a thinned one are those of blocks'

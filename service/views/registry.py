@@ -9,10 +9,10 @@ from typing import Any, Final
 from service.errors import InvalidRequest, TooLarge
 from service.formats import PICTURES
 from service.results.selection import MAX_READ, Stored
-from service.views import basins, diagram, encode
+from service.views import basins, diagram, encode, modes
 from service.views.view import Estimate, Query, View
 
-VIEWS: Final[dict[str, View]] = {view.name: view for view in (basins.VIEW, diagram.VIEW)}
+VIEWS: Final[dict[str, View]] = {view.name: view for view in (diagram.VIEW, modes.VIEW, basins.VIEW)}
 
 
 def admit(view: View, spec: Any, query: Query, format: str, max_points: int) -> tuple[Query, Estimate]:
@@ -27,6 +27,7 @@ def admit(view: View, spec: Any, query: Query, format: str, max_points: int) -> 
         raise InvalidRequest.of("job_id", f"has no {view.name}: the protocol of this job is {kind}{there}")
     estimate = view.estimate(spec, query)
     limit = MAX_READ if format in PICTURES else max_points
+    limit = limit if estimate.most is None else min(limit, estimate.most)
     if estimate.points <= limit:
         return query, estimate
     every = estimate.fitting(limit)

@@ -36,6 +36,8 @@ def _row(
 _DERIVED: Final = (
     _row("attractor_of_start", ("row", "column"), "|u1", "attractor that a start reaches",
          comment="0: undecided"),
+    _row("hysteresis", (), "|u1", "how the ramps up and down compare", flag_values=[0, 1, 2],
+         flag_meanings="none other_mode other_flights"),
     _row("attractor_label", ("attractor",), "U", "what the attractor does"),
     of_attractor(LIFETIME)._replace(attrs={
         "long_name": "life of aperiodic motion that was seen to end", "units": "plate periods",

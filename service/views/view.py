@@ -48,6 +48,7 @@ class Estimate:
     every: int = 1
     reads: tuple[str, ...] = ()  # cell dimensions whose chunks are all read
     memory: int = 0  # bytes of reading and computing, beside the answer
+    most: int | None = None  # points that can be computed, if fewer than an answer may have
     small: bool = True  # whether the computation is quick; the size of the read is judged beside it
 
     @property

@@ -18,12 +18,10 @@ from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.errors import NotInStore, OutOfRange
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
-from service.render import answers
 from service.render import export as export_files
 from service.render import orbits as orbits_text
 from service.render.blocks import GROUP_BYTES
 from service.results import orbits, thresholds
-from service.results.mode_map import comparison_memory, plane_size
 from service.results.provenance import attributes_of
 from service.results.selection import BASE_MEMORY, MAX_READ
 from service.results.thresholds import Thresholds
@@ -77,14 +75,6 @@ def get_job_threshold(
     return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
 
 
-def _modes_cost(service: ServiceDep, job: JobRecord, query: parameters.ModesQuery) -> Cost:
-    spec = dependencies.sweep(service, job).spec
-    cells, flights = plane_size(spec, query.min_flight, service.settings.max_points, query.every)
-    compared = comparison_memory(spec) if query.hysteresis else 0
-    memory = cells * _PER_CELL + flights * _PER_FLIGHT["json"] + compared
-    return dependencies.cost_of_read(service, job, memory, "omega", "gamma")
-
-
 @router.get(
     "/orbits",
     summary="Continue the cycles of a sweep's cells",
@@ -105,28 +95,6 @@ def get_job_orbits(
         query.omega, query.xi, query.direction, query.gamma_max,
     )  # fmt: skip
     return Response(orbits_text.words_json(found, query.energy), media_type=MEDIA_TYPES["json"])
-
-
-@router.get(
-    "/modes",
-    summary="Read a mode map",
-    response_model=schemas.Modes,
-    responses={**NOT_MODIFIED, **problem_responses(404, 413, 422)},
-)
-@costly(_modes_cost)
-def get_modes(
-    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]
-) -> Response:
-    """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ.
-
-    Of an adaptive map also the share of cells computed, and with `mask` which ones: the others have the
-    values of the nearest corner or centre of their block. Of a sweep ramped both ways, with `hysteresis` also
-    where its directions differ.
-    """
-    sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
-    plane = (query.xi, query.direction, max_points, query.every, query.min_flight)
-    answer = service.background.run(answers.modes, sweep, *plane, query.mask, query.hysteresis)
-    return Response(answer.content, media_type=MEDIA_TYPES["json"], headers=_complete(answer.complete))
 
 
 class _OpenFile(StreamingResponse):
