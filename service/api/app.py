@@ -71,7 +71,8 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     )
     for module in (jobs, results, multistability, model, health, docs, page, page_data):
         app.include_router(module.router)
-    app.include_router(views.routes())
+    for router in views.routes():
+        app.include_router(router)
     app.mount("/static", page.static_files(), name="static")
     problems.install(app)
     app.add_middleware(HeadAsGet)

@@ -14,7 +14,7 @@ from service.cli.options import (
     write_file,
 )
 from service.cli.results import warn_unless_done
-from service.client.result_methods import FORMATS, ROWS, ResultMethods
+from service.client.result_methods import ResultMethods
 
 if TYPE_CHECKING:
     import xarray
@@ -99,4 +99,6 @@ def _without(prefixes: tuple[str, ...], name: str) -> str:
     return next((name.removeprefix(prefix) for prefix in prefixes if name.startswith(prefix)), name)
 
 
-COMMANDS: Final = tuple(command(name, formats, ROWS[name]) for name, formats in FORMATS.items())
+COMMANDS: Final = tuple(
+    command(name, formats, ResultMethods.ROWS[name]) for name, formats in ResultMethods.FORMATS.items()
+)

@@ -13,6 +13,7 @@ from service.client.display import PartsCallback
 from service.client.errors import NotFound, UnexpectedAnswer
 from service.client.job import Job, as_completed, wait_all
 from service.client.models import Estimate, Problem
+from service.client.result_methods import SpringMethods
 from service.client.specification import Specification, body
 from service.client.transport import Transport, header_value, json_object
 
@@ -33,7 +34,7 @@ _ID_LENGTH: Final = 32
 _SHORTEST_ID: Final = 4
 
 
-class Client:
+class Client(SpringMethods):
     """A client of a running service.
 
         with Client() as client:
@@ -113,6 +114,16 @@ class Client:
             named = ", ".join(sorted(found)[:5])
             raise _not_found(f"{len(found)} jobs have ids that begin with {beginning}, as {named}")
         return found[0]
+
+    def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
+        """The result of a spring alone, as the method of that name returns it. Raises BadRequest."""
+        from service.client.dataset import from_binary
+
+        return from_binary(self.result_file(name, "bin", **query))
+
+    def result_file(self, name: str, format: str, /, **query: Any) -> bytes:
+        """A result of a spring alone as the content of a file. Raises BadRequest."""
+        return self._transport.get_result(f"/v1/{name}", format, **query)
 
     def jobs(
         self,

@@ -1,26 +1,26 @@
 """A method for each result. Made by service.views.client_methods: do not edit."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 if TYPE_CHECKING:
     import xarray
 
-#: The formats of each result.
-FORMATS = {
-    "diagram": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
-    "modes": ("json", "bin", "nc", "csv", "parquet"),
-    "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
-}
-#: The variable whose numbers are the rows of each result as a table.
-ROWS = {
-    "diagram": "flight_time",
-    "modes": "outcome",
-    "basins": "attractor_fraction",
-}
 
 
 class ResultMethods:
-    """A method for each result."""
+    """A method for each result of a job."""
+
+    #: The formats of each result, and the variable whose numbers are the rows of a table.
+    FORMATS: ClassVar = {
+        "diagram": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
+        "modes": ("json", "bin", "nc", "csv", "parquet"),
+        "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
+    }
+    ROWS: ClassVar = {
+        "diagram": "flight_time",
+        "modes": "outcome",
+        "basins": "attractor_fraction",
+    }
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
@@ -178,3 +178,17 @@ class ResultMethods:
             Names what fits.
         """
         return self.result("basins", gamma=gamma, omega=omega, xi=xi)
+
+
+class SpringMethods:
+    """A method for each result of a spring."""
+
+    #: The formats of each result, and the variable whose numbers are the rows of a table.
+    FORMATS: ClassVar = {
+    }
+    ROWS: ClassVar = {
+    }
+
+    def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
+        """The result of this name."""
+        raise NotImplementedError

@@ -30,9 +30,11 @@ class Results(ResultMethods, JobStatus):
         return from_binary(self.result_file(name, "bin", **query))
 
     def result_file(self, name: str, format: str, /, **query: Any) -> bytes:
-        """A result as the content of a file: png, svg, pdf, csv, nc, parquet or json. Raises as `result`."""
-        plain = {key: str(x).lower() if isinstance(x, bool) else x for key, x in query.items()}
-        return self._transport.get(self._path(name), {**plain, "format": format}).content
+        """A result as the content of a file: png, svg, pdf, csv, nc, parquet or json.
+
+        `timeout` and `progress` in `query` are those of `Transport.get_result`. Raises as `result`.
+        """
+        return self._transport.get_result(self._path(name), format, **query)
 
     def threshold(
         self,

@@ -137,6 +137,24 @@ class Transport:
                 raise NotComputedYet(done, total, timeout)
             time.sleep(_pause(retry_after(response), left))
 
+    def get_result(
+        self,
+        path: str,
+        format: str,
+        *,
+        timeout: float = 300.0,
+        progress: bool | PartsCallback = True,
+        **query: Any,
+    ) -> bytes:
+        """The body of a result in this format, waiting up to `timeout` seconds while workers compute it.
+
+        `progress`: True writes the parts done to standard error; a function is called with their number and
+        that of all.
+        """
+        plain = {key: str(x).lower() if isinstance(x, bool) else x for key, x in query.items()}
+        query = {**plain, "format": format}
+        return self.get_when_computed(path, query, timeout=timeout, progress=progress).content
+
     def _when_free(
         self, send: Callable[[], httpx2.Response], seconds: float, *, shown: bool = True
     ) -> httpx2.Response:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from service.views.registry import VIEWS
+from service.views.registry import SPRINGS, VIEWS
 from service.views.view import View
 
 FILE: Final = Path(__file__).parents[1] / "client" / "result_methods.py"
@@ -22,19 +22,21 @@ _WIDTH: Final = 110
 
 _HEAD: Final = '''"""A method for each result. Made by service.views.client_methods: do not edit."""
 
-from typing import TYPE_CHECKING{imports}
+from typing import {imports}
 
 if TYPE_CHECKING:
     import xarray
 
-#: The formats of each result.
-FORMATS = {formats}
-#: The variable whose numbers are the rows of each result as a table.
-ROWS = {rows}
+    from service.client.display import PartsCallback
+'''
+_CLASS: Final = '''
 
+class {name}:
+    """A method for each result of {of}."""
 
-class ResultMethods:
-    """A method for each result."""
+    #: The formats of each result, and the variable whose numbers are the rows of a table.
+    FORMATS: ClassVar = {formats}
+    ROWS: ClassVar = {rows}
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
@@ -44,18 +46,22 @@ class ResultMethods:
 
 def source() -> str:
     """The text of the file."""
-    formats = {name: view.formats for name, view in VIEWS.items()}
-    rows = {name: view.rows for name, view in VIEWS.items()}
-    methods = "".join(map(_method, VIEWS.values()))
-    imports = "".join(
-        f", {name}" for name in ("Annotated", "Any", "Literal") if f"{name}[" in methods or name == "Any"
-    )
-    return _HEAD.format(imports=imports, formats=_mapping(formats), rows=_mapping(rows)) + methods
+    text = _class("ResultMethods", "a job", VIEWS) + _class("SpringMethods", "a spring", SPRINGS)
+    names = ("TYPE_CHECKING", "Annotated", "Any", "ClassVar", "Literal")
+    used = (name for name in names if f"{name}[" in text or name in ("TYPE_CHECKING", "Any", "ClassVar"))
+    return _HEAD.format(imports=", ".join(used)) + text
+
+
+def _class(name: str, of: str, views: dict[str, View]) -> str:
+    formats = _mapping({name: view.formats for name, view in views.items()})
+    rows = _mapping({name: view.rows for name, view in views.items()})
+    head = _CLASS.format(name=name, of=of, formats=formats, rows=rows)
+    return head + "".join(map(_method, views.values()))
 
 
 def _mapping(values: dict[str, Any]) -> str:
-    lines = [f"    {_quoted(name)}: {_literal(value)},\n" for name, value in values.items()]
-    return "{\n" + "".join(lines) + "}"
+    lines = [f"        {_quoted(name)}: {_literal(value)},\n" for name, value in values.items()]
+    return "{\n" + "".join(lines) + "    }"
 
 
 def _literal(value: Any) -> str:
@@ -72,6 +78,9 @@ def _method(view: View) -> str:
     fields = view.query.model_fields
     parameters = "".join(f"        {name}: {_parameter(field)},\n" for name, field in fields.items())
     passed = ", ".join(f"{name}={name}" for name in fields)
+    if view.parts is not None:
+        parameters += '        timeout: float = 300.0,\n        progress: "bool | PartsCallback" = True,\n'
+        passed += ", timeout=timeout, progress=progress"
     text = indent("\n".join(_docstring(view)), " " * 8)
     return (
         f'\n    def {view.name}(\n        self,\n{parameters}    ) -> "xarray.Dataset":\n'
@@ -87,6 +96,9 @@ def _docstring(view: View) -> Iterator[str]:
         yield f"{name} : {_type(field.annotation)}"
         if field.description:
             yield from _wrapped(field.description)
+    if view.parts is not None:
+        yield "timeout : float\n    Seconds to wait for the workers."
+        yield "progress : bool or callable\n    Shows the parts done, or is called with their number and all."
     yield "\nReturns\n-------\nxarray.Dataset\n    With the attribute `complete` and these variables:\n"
     for row in view.variables:
         units = f" ({row.attrs['units']})" if row.attrs.get("units", "1") != "1" else ""

@@ -9,10 +9,15 @@ from typing import Any, Final
 from service.errors import InvalidRequest, TooLarge
 from service.formats import PICTURES
 from service.results.selection import MAX_READ, Stored
+from service.software import software
 from service.views import basins, diagram, encode, modes
 from service.views.view import Estimate, Query, View
 
+#: The results of a job, by name.
 VIEWS: Final[dict[str, View]] = {view.name: view for view in (diagram.VIEW, modes.VIEW, basins.VIEW)}
+
+#: The results of a spring alone, in closed form.
+SPRINGS: Final[dict[str, View]] = {}
 
 
 def admit(view: View, spec: Any, query: Query, format: str, max_points: int) -> tuple[Query, Estimate]:
@@ -20,8 +25,8 @@ def admit(view: View, spec: Any, query: Query, format: str, max_points: int) -> 
 
     Raises InvalidRequest for a study without this result, TooLarge naming the `every` that fits.
     """
-    if not isinstance(spec, view.study):
-        names = [name for name, other in VIEWS.items() if isinstance(spec, other.study)]
+    if view.study is not None and not isinstance(spec, view.study):
+        names = [name for name, other in VIEWS.items() if other.study and isinstance(spec, other.study)]
         there = f"; it has {', '.join(names)}" if names else ""
         kind = spec.protocol.kind
         raise InvalidRequest.of("job_id", f"has no {view.name}: the protocol of this job is {kind}{there}")
@@ -44,16 +49,20 @@ def admit(view: View, spec: Any, query: Query, format: str, max_points: int) -> 
 
 
 def answer(
-    name: str, study: Stored[Any], fields: Mapping[str, Any], format: str, parts: Sequence[Any] = ()
+    name: str, study: Stored[Any] | None, fields: Mapping[str, Any], format: str, parts: Sequence[Any] = ()
 ) -> tuple[bytes, bool]:
-    """The bytes of a result, and whether it is complete. Arguments and result can be pickled.
+    """The bytes of a result of a study, or of a spring, and whether it is complete.
+
+    Arguments and result can be pickled.
 
     Raises as `View.compute`.
     """
-    view = VIEWS[name]
+    view = SPRINGS[name] if study is None else VIEWS[name]
     found = view.compute(study, view.query(**fields), *parts)
-    found.attrs = {"Conventions": "CF-1.11", "title": view.summary, **study.attributes, **found.attrs}
+    about = {"release": software().release} if study is None else study.attributes
+    found.attrs = {"Conventions": "CF-1.11", "title": view.summary, **about, **found.attrs}
     complete = bool(found.attrs["complete"])
     if format in PICTURES:
-        return encode.picture(found, view.draw, view.size, format, study.origin), complete
+        origin = about if study is None else study.origin
+        return encode.picture(found, view.draw, view.size, format, origin), complete
     return encode.ENCODERS[format](found, view.rows), complete

@@ -9,7 +9,7 @@ import xarray
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.formats import PICTURES
-from service.results.selection import Stored, thinning
+from service.results.selection import thinning
 from service.views import encode
 from worker.schema import Array
 
@@ -71,16 +71,16 @@ class Estimate:
 
 @dataclass(frozen=True)
 class View:
-    """One result of a job.
+    """One result, of a job or of a spring alone.
 
-    `compute(study, query, *parts)` returns the Dataset, with the attribute `complete`. It raises
-    InvalidRequest and `store.StoreError`. Its docstring documents the HTTP operation, the client's method and
-    the command.
+    `compute(study, query, *parts)`, of a spring `compute(None, query, *parts)`, returns the Dataset, with
+    the attribute `complete`. It raises InvalidRequest and `store.StoreError`. Its docstring documents the
+    HTTP operation, the client's method and the command.
     """
 
     name: str  # of the path, the client's method and the command
     summary: str
-    study: type[Any]  # the class of the specifications that have this result
+    study: type[Any] | None  # the class of the specifications that have this result; None: needs no job
     query: type[Query]
     compute: Callable[..., xarray.Dataset]
     estimate: Callable[[Any, Any], Estimate]  # of specification and query
@@ -88,8 +88,9 @@ class View:
     rows: str | None = None  # the variable whose numbers are the rows of a table
     draw: "Callable[[xarray.Dataset, Figure], None] | None" = None
     size: tuple[float, float] = (6.8, 4.2)  # of the picture, inches
-    #: What workers compute first, as functions of `worker` with their arguments. `compute` takes the results.
-    parts: Callable[[Stored[Any], Any], Sequence[Call]] | None = None
+    #: What workers compute first, as functions of `worker` with their arguments; `compute` takes the results.
+    #: Without any, as for what takes less than a second, `compute` does it all.
+    parts: Callable[[Any, Any], Sequence[Call]] | None = None
 
     @property
     def formats(self) -> tuple[str, ...]:

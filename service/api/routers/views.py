@@ -1,4 +1,4 @@
-"""GET /v1/jobs/{job_id}/NAME for every view."""
+"""GET /v1/jobs/{job_id}/NAME for every result of a job, GET /v1/NAME for every one of a spring."""
 
 from collections.abc import Callable, Sequence
 from inspect import cleandoc
@@ -10,13 +10,13 @@ from pydantic import BaseModel, JsonValue, create_model
 from service.api import dependencies
 from service.api.capacity import Cost, costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
-from service.api.dependencies import ServiceDep
+from service.api.dependencies import Service, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.formats import MEDIA_TYPES, PICTURES
 from service.jobs.model import JobRecord
-from service.results.selection import BASE_MEMORY
-from service.views.registry import VIEWS, admit, answer
-from service.views.view import View
+from service.results.selection import BASE_MEMORY, Stored
+from service.views.registry import SPRINGS, VIEWS, admit, answer
+from service.views.view import Estimate, View
 
 #: Bytes of memory per number of an answer.
 _PER_POINT: Final = {
@@ -42,21 +42,26 @@ class Dataset(BaseModel):
     attrs: dict[str, JsonValue]
 
 
-def routes() -> APIRouter:
-    """The routes of all views."""
-    router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
+def routes() -> list[APIRouter]:
+    """The routes of all views: of jobs, and of springs."""
+    jobs = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
     for view in VIEWS.values():
-        router.add_api_route(
-            f"/{view.name}", _endpoint(view), name=f"get_{view.name}", summary=view.summary,
-            description=_description(view), response_model=Dataset,
-            responses={
-                **content(*view.formats),
-                **(PENDING_RESPONSE if view.parts else {}),
-                **NOT_MODIFIED,
-                **problem_responses(404, 413, 422),
-            },
-        )  # fmt: skip
-    return router
+        _add(jobs, view, _of_job(view), f"get_job_{view.name}", {**NOT_MODIFIED, **problem_responses(404)})
+    springs = APIRouter(prefix="/v1", tags=["model"])
+    for view in SPRINGS.values():
+        _add(springs, view, _of_spring(view), f"get_{view.name}", {})
+    return [jobs, springs]
+
+
+def _add(
+    router: APIRouter, view: View, endpoint: Callable[..., Any], name: str, responses: dict[int | str, Any]
+) -> None:
+    pending = {**PENDING_RESPONSE, **problem_responses(429, 503)} if view.parts else {}
+    router.add_api_route(
+        f"/{view.name}", endpoint, name=name, summary=view.summary, description=_description(view),
+        response_model=Dataset,
+        responses={**content(*view.formats), **pending, **problem_responses(413, 422), **responses},
+    )  # fmt: skip
 
 
 def _description(view: View) -> str:
@@ -68,36 +73,65 @@ def _description(view: View) -> str:
     return "\n".join([cleandoc(view.compute.__doc__ or view.summary), "", *rows])
 
 
-def _endpoint(view: View) -> Callable[..., Any]:
+def _query_model(view: View) -> Any:
     # The format is a field of the model, which forbids parameters beside its own.
     formats: Any = Literal[view.formats]
-    model: Any = create_model(view.query.__name__, __base__=view.query, format=(formats, "json"))
+    return create_model(view.query.__name__, __base__=view.query, format=(formats, "json"))
 
-    def asked(service: ServiceDep, job: JobRecord, query: Any) -> Any:
-        study = dependencies.stored(service, job)
-        plain = view.query(**query.model_dump(exclude={"format"}))
-        return study, *admit(view, study.spec, plain, query.format, service.settings.max_points)
+
+def _asked(service: Service, view: View, study: Stored[Any] | None, query: Any) -> tuple[Any, Estimate]:
+    """The query without the format, thinned if it is of a picture, and its estimate."""
+    plain = view.query(**query.model_dump(exclude={"format"}))
+    spec = None if study is None else study.spec
+    return admit(view, spec, plain, query.format, service.settings.max_points)
+
+
+def _memory(estimate: Estimate, format: str) -> int:
+    return estimate.memory + estimate.points * _PER_POINT[format]
+
+
+def _answer(
+    service: Service, view: View, study: Stored[Any] | None, query: Any, key: tuple[Any, ...]
+) -> Response:
+    plain, _ = _asked(service, view, study, query)
+    calls = view.parts(study, plain) if view.parts is not None else ()
+    parts: Sequence[Any] = ()
+    if calls:
+        parts = service.on_demand.get(
+            (view.name, *key, plain), lambda workers: [workers.call(*call) for call in calls]
+        )
+    body, complete = service.background.run(answer, view.name, study, plain.model_dump(), query.format, parts)
+    headers = {"Bounce-Complete": "true" if complete else "false"}
+    return Response(body, media_type=MEDIA_TYPES[query.format], headers=headers)
+
+
+def _of_job(view: View) -> Callable[..., Any]:
+    model: Any = _query_model(view)
 
     def cost(service: ServiceDep, job: JobRecord, query: Any) -> Cost:
-        _, _, estimate = asked(service, job, query)
-        memory = estimate.memory + estimate.points * _PER_POINT[query.format]
+        _, estimate = _asked(service, view, dependencies.stored(service, job), query)
+        memory = _memory(estimate, query.format)
         if query.format in PICTURES or not estimate.small:
             return Cost(BASE_MEMORY + memory)
         return dependencies.cost_of_read(service, job, memory, *estimate.reads)
 
     @costly(cost, "on demand" if view.parts else "read")
     def get(service: ServiceDep, job: ResultsJob, query: Annotated[model, Query()]) -> Response:
-        asking: Any = query
-        study, plain, _ = asked(service, job, asking)
-        parts: Sequence[Any] = ()
-        if view.parts is not None:
-            calls = view.parts(study, plain)
-            key = (view.name, job.id, job.chunks_done, plain)
-            parts = service.on_demand.get(key, lambda workers: [workers.call(*call) for call in calls])
-        body, complete = service.background.run(
-            answer, view.name, study, plain.model_dump(), asking.format, parts
-        )
-        headers = {"Bounce-Complete": "true" if complete else "false"}
-        return Response(body, media_type=MEDIA_TYPES[asking.format], headers=headers)
+        study = dependencies.stored(service, job)
+        return _answer(service, view, study, query, (job.id, job.chunks_done))
+
+    return get
+
+
+def _of_spring(view: View) -> Callable[..., Any]:
+    model: Any = _query_model(view)
+
+    def cost(service: ServiceDep, query: Any) -> int:
+        _, estimate = _asked(service, view, None, query)
+        return BASE_MEMORY + _memory(estimate, query.format)
+
+    @costly(cost, "trajectory")
+    def get(service: ServiceDep, query: Annotated[model, Query()]) -> Response:
+        return _answer(service, view, None, query, ())
 
     return get

@@ -72,7 +72,8 @@ def test_a_new_result_has_a_command(
     namespace: dict[str, Any] = {}
     exec(client_methods.source(), namespace)
     monkeypatch.setattr(commands, "ResultMethods", namespace["ResultMethods"])
-    command = commands.command(TOY, namespace["FORMATS"][TOY], namespace["ROWS"][TOY])
+    methods = namespace["ResultMethods"]
+    command = commands.command(TOY, methods.FORMATS[TOY], methods.ROWS[TOY])
     shown = CliRunner().invoke(command, [job.id])
     assert (shown.exit_code, len(shown.stdout.splitlines())) == (0, 5 * 7 + 2), shown.output
     path = tmp_path / "outcomes.csv"
