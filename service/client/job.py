@@ -191,7 +191,7 @@ class Job(Results):
         ax = ax if ax is not None else plots.new_axes()
         if kind == "modes":
             both = spec["protocol"].get("direction") == "both"
-            defaults = {"hysteresis": True, "direction": "up"} if both else {}
+            defaults: dict[str, Any] = {"hysteresis": True, "direction": "up"} if both else {}
             plots.draw_modes(ax, self.modes(**defaults | selection))
         elif kind == "threshold":
             plots.draw_thresholds(ax, self.threshold(progress=False, **selection))

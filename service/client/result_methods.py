@@ -6,17 +6,16 @@ if TYPE_CHECKING:
     import xarray
 
 
-
 class ResultMethods:
     """A method for each result of a job."""
 
     #: The formats of each result, and the variable whose numbers are the rows of a table.
-    FORMATS: ClassVar = {
+    FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {
         "diagram": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
         "modes": ("json", "bin", "nc", "csv", "parquet"),
         "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
     }
-    ROWS: ClassVar = {
+    ROWS: ClassVar[dict[str, str | None]] = {
         "diagram": "flight_time",
         "modes": "outcome",
         "basins": "attractor_fraction",
@@ -184,9 +183,9 @@ class SpringMethods:
     """A method for each result of a spring."""
 
     #: The formats of each result, and the variable whose numbers are the rows of a table.
-    FORMATS: ClassVar = {
+    FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {
     }
-    ROWS: ClassVar = {
+    ROWS: ClassVar[dict[str, str | None]] = {
     }
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":

@@ -26,17 +26,15 @@ from typing import {imports}
 
 if TYPE_CHECKING:
     import xarray
-
-    from service.client.display import PartsCallback
-'''
+{callback}'''
 _CLASS: Final = '''
 
 class {name}:
     """A method for each result of {of}."""
 
     #: The formats of each result, and the variable whose numbers are the rows of a table.
-    FORMATS: ClassVar = {formats}
-    ROWS: ClassVar = {rows}
+    FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {formats}
+    ROWS: ClassVar[dict[str, str | None]] = {rows}
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
@@ -48,8 +46,9 @@ def source() -> str:
     """The text of the file."""
     text = _class("ResultMethods", "a job", VIEWS) + _class("SpringMethods", "a spring", SPRINGS)
     names = ("TYPE_CHECKING", "Annotated", "Any", "ClassVar", "Literal")
-    used = (name for name in names if f"{name}[" in text or name in ("TYPE_CHECKING", "Any", "ClassVar"))
-    return _HEAD.format(imports=", ".join(used)) + text
+    used = (name for name in names if f"{name}[" in text or name in ("TYPE_CHECKING", "Any"))
+    callback = "\n    from service.client.display import PartsCallback\n" if "PartsCallback" in text else ""
+    return _HEAD.format(imports=", ".join(used), callback=callback) + text
 
 
 def _class(name: str, of: str, views: dict[str, View]) -> str:
