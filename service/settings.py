@@ -41,11 +41,12 @@ class Settings(BaseSettings):
     port: Port = Field(8000, description="Port to listen on; 0 takes any free one.")
     token: SecretStr | None = Field(
         None,
-        description="Access token that callers must send, or `auto` to make one and keep it in `data`; "
-        "required to listen beyond loopback.",
+        description="Access token that callers must send; `auto` makes one and keeps it in `data`; "
+        "required beyond loopback.",
     )
     token_file: Path | None = Field(
-        None, description="File of more access tokens, one `NAME: TOKEN` per line, for this user alone."
+        None,
+        description="File of more access tokens, one `NAME: TOKEN` per line, readable by this user alone.",
     )
     allowed_hosts: Annotated[frozenset[str], NoDecode] = Field(
         frozenset(),
@@ -53,11 +54,10 @@ class Settings(BaseSettings):
     )
     cors_origins: Annotated[frozenset[str], NoDecode] = Field(
         frozenset(),
-        description="Origins, separated by commas, whose web pages may read what the service answers to GET, "
-        "such as `https://example.org`.",
+        description="Origins, separated by commas, whose web pages may read, such as `https://example.org`.",
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
-        "info", description="Messages below this level are not logged."
+        "info", description="Lowest level of messages that are logged."
     )
 
     # Data
@@ -66,37 +66,33 @@ class Settings(BaseSettings):
         Path("bounce-data"), description="Folder of the ledger, the stores and files being exported."
     )
     stores: str | None = Field(
-        None, description="Folder, or s3://BUCKET/PREFIX, of the stores; `data`/stores if not given."
+        None, description="Folder, or s3://BUCKET/PREFIX, of the stores; default `data`/stores."
     )
 
     verify_days: Positive = Field(
-        30.0, description="Days after which the stored results of a job that is done are verified again."
+        30.0, description="Days after which the results of a done job are verified again."
     )
-    private: bool = Field(
-        True, description="Whether ledger and stores are closed to other users of this machine."
-    )
+    private: bool = Field(True, description="Close ledger and stores to other users of this machine.")
 
     # The cluster
 
-    workers: Count = Field(
-        2, description="Worker processes of the embedded cluster; not used with another cluster."
-    )
+    workers: Count = Field(2, description="Worker processes of the embedded cluster.")
     scheduler: str | None = Field(None, description="Address of a Dask scheduler to compute with.")
     scheduler_file: Path | None = Field(
-        None, description="File written by `dask scheduler --scheduler-file`, in place of its address."
+        None, description="File written by `dask scheduler --scheduler-file`."
     )
     cluster: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")] | None = Field(
         None, description="`module:function` that returns a Dask cluster to compute with."
     )
     scheduler_ca: Path | None = Field(
-        None, description="CA certificate that the scheduler's TLS certificate is checked against."
+        None, description="CA certificate to check the scheduler's TLS certificate against."
     )
     scheduler_cert: Path | None = Field(
         None, description="TLS certificate that the service presents to the scheduler."
     )
     scheduler_key: Path | None = Field(None, description="Private key of `scheduler_cert`.")
     worker_memory: Count | None = Field(
-        None, description="Bytes of memory of an embedded worker; its share of the machine's if not given."
+        None, description="Bytes of memory of an embedded worker; default: its share of the machine's."
     )
 
     # Limits on requests
@@ -106,36 +102,30 @@ class Settings(BaseSettings):
         10.0, description="Seconds for a request's headers to arrive, and for its body."
     )
     stall_seconds: Positive = Field(
-        60.0, description="Seconds after which a client that reads nothing of its answer is disconnected."
+        60.0, description="Seconds after which a client that reads nothing is disconnected."
     )
     max_cells: Count = Field(DEFAULT_MAX_CELLS, description="Cells of one sweep.")
-    max_bytes: Count = Field(
-        DEFAULT_MAX_BYTES, description="Bytes of one sweep's stored arrays before compression."
-    )
+    max_bytes: Count = Field(DEFAULT_MAX_BYTES, description="Bytes of one sweep's arrays before compression.")
     max_core_seconds: Positive = Field(
-        DEFAULT_MAX_CORE_SECONDS, description="Core-seconds of one sweep, by the estimate."
+        DEFAULT_MAX_CORE_SECONDS, description="Estimated core-seconds of one sweep."
     )
-    max_queue: Count = Field(1_000, description="Jobs that may be queued or running.")
-    max_queue_per_token: Count = Field(
-        500, description="Jobs submitted with one named token that may be queued or running."
-    )
+    max_queue: Count = Field(1_000, description="Unfinished jobs.")
+    max_queue_per_token: Count = Field(500, description="Unfinished jobs of one named token.")
     max_points: Count = Field(1_000_000, description="Flights, or cells of a mode map, in one answer.")
     max_export_bytes: Count = Field(
-        2 * 2**30, description="Bytes of a sweep that may be exported as one file, before compression."
+        2 * 2**30, description="Bytes of a sweep exported as one file, before compression."
     )
     max_reads: Count = Field(1, description="Diagrams, maps and tables read or drawn at a time.")
     answer_memory: Count = Field(
         512 * 2**20,
-        description="Bytes that diagrams, maps, files and trajectories take together until they are sent.",
+        description="Bytes of all answers together until they are sent.",
     )
     turn_seconds: Positive = Field(
-        5.0, description="Seconds that a costly request waits for its turn before it is refused."
+        5.0, description="Seconds that a costly request waits before it is refused."
     )
     max_exports: Count = Field(1, description="Files exported at a time.")
     max_trajectories: Count = Field(2, description="Trajectories computed at a time.")
-    trajectory_seconds: Positive = Field(
-        5.0, description="Estimated seconds that computing one trajectory may take."
-    )
+    trajectory_seconds: Positive = Field(5.0, description="Estimated seconds of one trajectory.")
     max_listeners: Count = Field(1_000, description="Connections to progress streams.")
     key_seconds: Positive = Field(
         24 * 3600.0, description="Seconds for which an Idempotency-Key is remembered."
@@ -143,40 +133,31 @@ class Settings(BaseSettings):
 
     # Running jobs
 
-    active_jobs: Count = Field(
-        32, description="Jobs with their plans in memory; one that waits for others gives up its place."
-    )
-    window: Count = Field(
-        2, description="Chunks in flight per worker, of one job and those with less left to compute."
-    )
+    active_jobs: Count = Field(32, description="Jobs with their plans in memory.")
+    window: Count = Field(2, description="Chunks in flight per worker; chunks of larger jobs do not count.")
     window_seconds: Annotated[float, Field(ge=0, le=1e9)] = Field(
         0.5,
-        description="Core-seconds in flight per worker: where chunks are short, more than `window` are.",
+        description="Core-seconds in flight per worker, where that is more chunks than `window`.",
     )
     longest_chunk_seconds: Positive = Field(
         LONGEST_SECONDS,
-        description="Core-seconds of a chunk, by the estimate, of a job that would have more than 15,000 of "
-        "0.75 s; it pauses in between.",
+        description="Longest chunk, in estimated core-seconds, of jobs with more than 15,000 of 0.75 s.",
     )
-    chunk_tries: Count = Field(
-        3, description="Tries of a chunk that fails or whose worker dies of it, before it is given up."
-    )
+    chunk_tries: Count = Field(3, description="Tries of a chunk before it is given up.")
     chunk_seconds: Positive = Field(
         60.0, description="Seconds that any chunk may take before its worker is replaced."
     )
     # One cell may cost 150 times what the table of costs says.
     chunk_slack: Positive = Field(
         300.0,
-        description="Times its estimate, with all cells settling until `settle_until`, that a chunk may "
-        "take, if that is longer than `chunk_seconds`.",
+        description="Limit on a chunk's time in multiples of its longest estimate, if that is above "
+        "`chunk_seconds`.",
     )
-    failed_chunks: Count = Field(8, description="Chunks given up after which a job submits no further ones.")
+    failed_chunks: Count = Field(8, description="Chunks given up after which a job submits no more.")
     heartbeat_seconds: Positive = Field(
-        2.0, description="Seconds between two syncs of the supervisor with the ledger if nothing wakes it."
+        2.0, description="Seconds between two syncs of the supervisor with the ledger, unless woken."
     )
-    shutdown_seconds: Positive = Field(
-        2.0, description="Seconds for open requests to finish when the service stops."
-    )
+    shutdown_seconds: Positive = Field(2.0, description="Seconds for open requests to finish at shutdown.")
 
     @field_validator("allowed_hosts", mode="before")
     @classmethod

@@ -240,20 +240,11 @@ def test_every_status_is_explained():
     assert {int(status) for status in STATUS.values()} | {400, 404, 405, 422, 500} == explained
 
 
-def test_every_command_and_option_is_listed():
+def test_every_command_is_listed():
     from service.cli.main import main
 
-    content = text("docs/command-line.md")
     rows = table("docs/command-line.md", "## Commands")
-    listed = {code(row[0])[0].split()[1]: " ".join(row) for row in rows}
-    assert set(listed) == set(main.commands)
-    shared = " ".join(row[0] for row in table("docs/command-line.md", "## Options of most commands"))
-    for name, command in main.commands.items():
-        for parameter in command.params:
-            for option in parameter.opts:
-                if option.startswith("--"):
-                    assert f"`{option}`" in listed[name] or f"`{option}`" in shared, f"{name} {option}"
-    assert "BOUNCE_URL" in content
+    assert sorted(code(row[0])[0] for row in rows) == sorted(f"bounce {name}" for name in main.commands)
 
 
 def test_names_of_the_client_are_those_it_exports():
@@ -336,7 +327,7 @@ def test_every_promise_names_a_test_or_a_benchmark_that_can_be_run(heading: str)
     rows = table("docs/reliability.md", heading)
     assert len(rows) > 10
     for row in rows:
-        assert len(row) == 4, row
+        assert len(row) == 3, row
         assert all(row), row
         assert row[-1].startswith("the same") or runnable(row[-1]), row
 
