@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +69,7 @@ def test_axes_have_minor_ticks(pictures: Pictures, number: int):
 
 def test_the_sweeps_of_all_figures_are_submitted_before_one_is_drawn(client: Client):
     later = {"name": "submitted early", "gamma": [1.0], "omega": 0.5, "xi": 0.26}
-    selected = [SMALL_FIGURES[1], replace(SMALL_FIGURES[6], sweeps=(later,))]
+    selected = [SMALL_FIGURES[1], SMALL_FIGURES[6]._replace(sweeps=(later,))]
     next(catalogue.make(selected, client, "svg", progress=False))
     assert [job.name for job in client.jobs(search="submitted early")] == ["submitted early"]
 
