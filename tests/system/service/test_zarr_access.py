@@ -262,7 +262,7 @@ def test_what_is_not_there_has_no_value(job: Any):
 
 
 def test_a_service_that_sends_all_bytes_has_their_part_taken(job: Any):
-    """As one of an earlier release does."""
+    """As a proxy may."""
     content = b"0123456789"
     answers = [Answer(200, content) for _ in (None, *PARTS, None)]
     with scripted(*answers) as (server, client):
