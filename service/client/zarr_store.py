@@ -60,11 +60,7 @@ def open_store(
         for name, coord in dataset.coords.items()
         if coord.dtype.kind in "OT"
     }
-    # Of stores of earlier releases, so that `to_netcdf` can write them too.
-    nested = {name: value for name, value in dataset.attrs.items() if isinstance(value, dict | list)}
-    return dataset.assign_coords(texts).assign_attrs(
-        {name: json.dumps(value) for name, value in nested.items()}
-    )
+    return dataset.assign_coords(texts)
 
 
 def store_url(transport: Transport, path: str, job_id: str) -> str:
@@ -162,7 +158,7 @@ class HTTPStore(Store):
             return b""
         if key.endswith(_METADATA):
             self._check(key, response.content)
-        # A service of an earlier release sends all bytes.
+        # A proxy may ignore the range and send all bytes.
         return response.content if response.status_code == 206 else _slice(response.content, byte_range)
 
     def _check(self, key: str, content: bytes) -> None:

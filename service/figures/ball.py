@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kernel.params import Outcome
 from kernel.restitution import restitution_of
 from service.client import Job
-from service.figures.canvas import Drawing, flight_scales, new_drawing, panel_title, plot_flights, styled
+from service.figures.canvas import Drawing, flight_scales, new_drawing, panel_title, plot_flights
 from service.figures.caption import Caption, Claim, compared, left_open, mode
 from service.presets import MICRO_FLIGHT
 
@@ -38,7 +38,6 @@ class Comparison(NamedTuple):
         return f"{self.same} of {self.periodic} periodic cells are in the same mode"
 
 
-@styled
 def draw_inelastic(spring: Job, ball: Job, deep: Job) -> Drawing:
     """Fig. 3: the spring, the completely inelastic ball, and the spring on a deeper contact."""
     of_spring, of_ball, of_deep = (_diagram(job) for job in (spring, ball, deep))
@@ -55,7 +54,6 @@ def draw_inelastic(spring: Job, ball: Job, deep: Job) -> Drawing:
     return _draw(Caption(3, shows, claims), (of_spring, of_ball), titles)
 
 
-@styled
 def draw_elastic(spring: Job, ball: Job, own: Job) -> Drawing:
     """Fig. 4: the spring, the ball of restitution 0.15, and the ball of restitution f(ξ)."""
     of_spring, of_ball, of_own = (_diagram(job) for job in (spring, ball, own))

@@ -6,10 +6,10 @@ these for a printed column with a caption; and `service.figures` may not import 
 
 import io
 import re
-from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import lru_cache, wraps
-from typing import Any, Final, ParamSpec, TypeVar
+from functools import lru_cache
+from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
@@ -66,19 +66,10 @@ _SUBSCRIPTS: Final = re.compile(r"([ΓΩ])_(\w+)")
 _GREEK: Final = {"Γ": "Gamma", "Ω": "Omega"}
 _PLAIN: Final = str.maketrans("⁺⁻³⁴⁵⁶", "+-3456")
 
-P = ParamSpec("P")
-T = TypeVar("T")
 
-
-def styled(draw: Callable[P, T]) -> Callable[P, T]:
-    """Decorator: the function draws in the style of the figures."""
-
-    @wraps(draw)
-    def draw_styled(*args: P.args, **kwargs: P.kwargs) -> T:
-        with mpl.rc_context(STYLE):
-            return draw(*args, **kwargs)
-
-    return draw_styled
+def style() -> AbstractContextManager[None]:
+    """The style of the figures, within a block."""
+    return mpl.rc_context(STYLE)
 
 
 #: Metadata without the time of drawing, by format: the same drawing gives the same bytes.
@@ -95,7 +86,7 @@ class Drawing:
     def encoded(self, format: str) -> bytes:
         """The bytes of a png, svg or pdf file."""
         file = io.BytesIO()
-        with mpl.rc_context(STYLE):
+        with style():
             self.figure.savefig(file, format=format, metadata=_TIMELESS.get(format, {}))
         return self._with_palette(file) if format == "png" else file.getvalue()
 

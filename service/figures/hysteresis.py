@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kernel.threshold import threshold
 from service.client import Job
-from service.figures.canvas import BLUE, Drawing, minor_ticks, new_drawing, styled
+from service.figures.canvas import BLUE, Drawing, minor_ticks, new_drawing
 from service.figures.caption import Caption, Claim, compared, left_open, percent
 from service.figures.thresholds import OMEGA_GRID, extremum, max_relative_difference
 from service.presets import XI
@@ -24,7 +24,6 @@ STEPS_APART: Final = 3
 SLOW: Final = 0.5
 
 
-@styled
 def draw(job: Job, lower: Job) -> Drawing:
     """Up in gray and down in black, as printed, with Eq. 25."""
     loop, from_lower = job.threshold(xi=XI), lower.threshold(xi=XI)

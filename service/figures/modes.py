@@ -18,7 +18,6 @@ from service.figures.canvas import (
     panel_title,
     plot_flights,
     split,
-    styled,
 )
 from service.figures.caption import Caption, Claim, compared, mode
 from service.presets import INSETS, SOFT
@@ -34,7 +33,6 @@ RAMPED: Final = "0.66"
 LENGTH: Final = 1.6
 
 
-@styled
 def draw(client: Client, job: Job, ramped: Job) -> Drawing:
     """The diagram above the four insets: from rest in black, and ramped up in grey behind it."""
     diagram, up = job.diagram(), ramped.diagram()

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
-from service.figures.canvas import BLUE, Drawing, new_drawing, styled
+from service.figures.canvas import BLUE, Drawing, new_drawing
 from service.figures.caption import Caption, compared, left_open
 
 CAPTION = Caption(
@@ -29,7 +29,6 @@ BOTH_WAYS = {"arrowstyle": "<->", "linewidth": 0.8}
 ONE_WAY = {"arrowstyle": "-|>", "linewidth": 0.9, "color": "black"}
 
 
-@styled
 def draw() -> Drawing:
     """The two schematics, side by side on plates of one height."""
     drawing, area = new_drawing(2.7, CAPTION)

@@ -20,7 +20,6 @@ from service.figures.canvas import (
     new_drawing,
     panel_title,
     plot_flights,
-    styled,
 )
 from service.figures.caption import Caption, Claim, compared, mode, percent
 from service.presets import CONTACTS, ELASTIC, GAMMAS, LONG_SETTLE, OMEGAS, SHORT_SETTLE, XI
@@ -46,7 +45,6 @@ CONTACT: Final = (
 )
 
 
-@styled
 def draw_along_gamma(job: Job, short: Job, settled: Job, *others: Job) -> Drawing:
     """Fig. 7; the jobs after the first are cells around Γ = 2 at Ω = 1, in the order of the preset."""
     diagrams = [job.diagram(omega=omega) for omega in OMEGAS]
@@ -72,7 +70,6 @@ def draw_along_gamma(job: Job, short: Job, settled: Job, *others: Job) -> Drawin
     return drawing
 
 
-@styled
 def draw_along_omega(job: Job) -> Drawing:
     """Fig. 8."""
     diagrams = [job.diagram("omega", gamma=gamma) for gamma in GAMMAS]

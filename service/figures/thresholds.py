@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from kernel.threshold import threshold
 from service.client import Job
-from service.figures.canvas import BLUE, GREEN, ORANGE, RED, Drawing, minor_ticks, new_drawing, styled
+from service.figures.canvas import BLUE, GREEN, ORANGE, RED, Drawing, minor_ticks, new_drawing
 from service.figures.caption import Caption, Claim, compared, left_open, percent
 from service.presets import DAMPINGS, GAMMAS, OMEGAS, XI
 
@@ -24,7 +24,6 @@ MAX_OMEGA: Final = 2.0
 OMEGA_GRID: Final = np.linspace(0.005, MAX_OMEGA, 1500)
 
 
-@styled
 def draw_dampings(job: Job) -> Drawing:
     """Fig. 5: the curves of four dampings, with the computed thresholds as markers."""
     onsets = {xi: job.threshold(xi=xi) for xi in DAMPINGS}
@@ -42,7 +41,6 @@ def draw_dampings(job: Job) -> Drawing:
     return drawing
 
 
-@styled
 def draw_sections(job: Job) -> Drawing:
     """Fig. 6: one curve, and the sections of Figs. 7 and 8; Ω is the vertical axis, as in the paper."""
     onset = job.threshold(xi=XI)

@@ -2,7 +2,7 @@
 
 from collections import UserDict
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
@@ -16,7 +16,7 @@ from service import presets
 from service.client import Client
 from service.figures import canvas, catalogue
 from service.figures.caption import Caption, Verdict
-from service.figures.catalogue import Figure
+from service.presets import FigurePreset
 
 #: docs/model.md, section 5: the last Γ that bounces on the way down, by Ω.
 DESCENDING = {0.56: 0.743, 0.6: 0.554, 0.62: 0.508, 0.66: 0.6, 0.7: 0.671}
@@ -40,11 +40,10 @@ DRAWN = GOLDEN / "figures.json"
 NEAR_TWO = {"gamma": {**presets.GAMMA_NEAR_TWO, "num": 9}}
 
 
-def small(figure: Figure) -> Figure:
+def small(figure: FigurePreset) -> FigurePreset:
     """The figure with fewer cells."""
     changed = SMALL[figure.number]
-    return replace(
-        figure,
+    return figure._replace(
         sweeps=tuple(
             {**sweep, **(NEAR_TWO if sweep["gamma"] == presets.GAMMA_NEAR_TWO else changed)}
             for sweep in figure.sweeps

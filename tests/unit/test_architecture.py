@@ -136,7 +136,7 @@ def libraries_imported(*folders: str) -> set[str]:
     ("folders", "extras"),
     [
         (TOP_LEVEL, ["s3", "notebook", "parquet"]),
-        (["tests"], ["test", "system", "lint"]),
+        (["tests", "docs"], ["test", "system", "lint"]),
         (["benchmarks"], ["bench", "test", "system"]),
     ],
     ids=["program", "tests", "benchmarks"],

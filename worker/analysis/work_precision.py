@@ -115,15 +115,10 @@ def _stepped(
     purpose: Purpose, e: float, d: float, steps: tuple[int, ...], schemes: tuple[str, ...], *, adhesive: bool
 ) -> tuple[Setup, ...]:
     stepped = Setup(purpose=purpose, model="stepped", restitution=e, penetration=d, adhesive=adhesive)
-    settings = [(n, scheme) for scheme in schemes for n in steps]
     return tuple(
-        stepped.model_copy(update={"steps_per_contact": n, "scheme": scheme}) for n, scheme in settings
-    )
-
-
-def _soft(purpose: Purpose, e: float, *, adhesive: bool) -> tuple[Setup, ...]:
-    return tuple(
-        Setup(purpose=purpose, model="soft", restitution=e, penetration=d, adhesive=adhesive) for d in DEPTHS
+        stepped.model_copy(update={"steps_per_contact": n, "scheme": scheme})
+        for scheme in schemes
+        for n in steps
     )
 
 
@@ -143,8 +138,11 @@ def _of_contact(purpose: Purpose, *, adhesive: bool) -> tuple[Setup, ...]:
 SETUPS: Final = (
     *_of_contact("adhesive", adhesive=True),
     *_of_contact("nonadhesive", adhesive=False),
-    *_soft("plate", 0.0, adhesive=True),
-    *_soft("plate", 1e-6, adhesive=False),
+    *(
+        Setup(purpose="plate", model="soft", restitution=e, penetration=d, adhesive=adhesive)
+        for adhesive, e in ((True, 0.0), (False, 1e-6))
+        for d in DEPTHS
+    ),
     *_stepped("plate", 1e-6, 1e-2, STEPS, SCHEMES, adhesive=True),
     *_stepped("plate", 1e-6, 1e-3, STEPS, SCHEMES, adhesive=True),
     *_stepped("plate", 1e-2, 1e-2, STEPS, SCHEMES[:1], adhesive=False),
@@ -155,45 +153,33 @@ SETUPS: Final = (
 )
 
 
-class _Part(NamedTuple):
-    """A setup on one line of cells, compared with its reference."""
-
-    errors: NDArray[np.float64]  # rad, of the cells whose reference is periodic
-    cost: float | None  # core-microseconds per cell per plate period
-    agree: int  # cells, as the next two
-    unresolved: int
-    refused: int
-
-
 def measure(setup: Setup) -> Measurement:
-    """Measure a setup against its reference over all lines, or over the locked one. Run by workers."""
+    """Measure a setup against its reference over all lines, or over the locked one."""
+    errors, costs, agree, unresolved, refused = [np.empty(0)], [], 0, 0, 0
     lines = [LINES[LOCKED]] if setup.locked_only else LINES
-    parts = [_on_line(setup, _cells(line)) for line in lines]
-    errors = np.concatenate([part.errors for part in parts])
-    costs = np.array([part.cost for part in parts if part.cost is not None])
-    cells = len(lines) * CELLS_PER_LINE
+    for cells in map(_cells, lines):
+        if not _is_stable(setup, cells):
+            refused += CELLS_PER_LINE
+            continue
+        exact = _run(REFERENCES[setup.purpose], cells)
+        line, cost = _timed(setup, cells)
+        costs.append(cost)
+        errors.append(deviations(exact, line, MICRO_FLIGHT)[exact.outcome == Outcome.PERIODIC])
+        same = [getattr(exact, name) == getattr(line, name) for name in ("outcome", "bounces", "periods")]
+        agree += int(np.count_nonzero(np.all(same, axis=0)))
+        unresolved += int(np.count_nonzero(np.isin(line.outcome, FAILED)))
+    compared, number = np.concatenate(errors), len(lines) * CELLS_PER_LINE
     return Measurement(
         **setup.model_dump(),
-        cost=percentile(costs, 50.0),
-        cost_most=percentile(costs, 100.0),
-        error=percentile(errors, 50.0),
-        error_95=percentile(errors, 95.0),
-        cells=len(errors),
-        agree=sum(part.agree for part in parts) / cells,
-        unresolved=sum(part.unresolved for part in parts) / cells,
-        refused=sum(part.refused for part in parts) / cells,
+        cost=percentile(np.array(costs), 50.0),
+        cost_most=percentile(np.array(costs), 100.0),
+        error=percentile(compared, 50.0),
+        error_95=percentile(compared, 95.0),
+        cells=len(compared),
+        agree=agree / number,
+        unresolved=unresolved / number,
+        refused=refused / number,
     )
-
-
-def _on_line(setup: Setup, cells: _Cells) -> _Part:
-    if not _is_stable(setup, cells):
-        return _Part(np.empty(0), None, 0, 0, CELLS_PER_LINE)
-    exact = _run(REFERENCES[setup.purpose], cells)
-    line, cost = _timed(setup, cells)
-    same = (exact.outcome == line.outcome) & (exact.bounces == line.bounces) & (exact.periods == line.periods)
-    errors = deviations(exact, line, MICRO_FLIGHT)[exact.outcome == Outcome.PERIODIC]
-    unresolved = np.count_nonzero(np.isin(line.outcome, FAILED))
-    return _Part(errors, cost, int(np.count_nonzero(same)), int(unresolved), 0)
 
 
 def _cells(line: tuple[float, float, float, float]) -> _Cells:

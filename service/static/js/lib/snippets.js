@@ -41,9 +41,6 @@ ${Object.entries(spec).filter(([, value]) => value !== null).map(([name, value])
   JSON: (spec) => `${JSON.stringify(spec, null, 2)}\n`,
 };
 
-/** The texts by language. */
-export const snippetsOf = (spec) => Object.fromEntries(Object.entries(LANGUAGES).map(([name, write]) => [name, write(spec)]));
-
 /** The specification in a language of choice, with a button that copies it; `show(spec)` changes it. */
 export class Snippets {
   constructor(language = "Python") {
