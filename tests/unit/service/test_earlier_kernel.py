@@ -14,7 +14,6 @@ import pytest
 import xarray
 from earlier_kernel import IDS, earlier_folder
 from fastapi.testclient import TestClient
-from pyarrow import parquet
 from scripted import Held, Scripted, wait_for
 from served import get, service
 from stores import checksum
@@ -192,20 +191,6 @@ def test_no_number_of_this_kernel_is_added_to_an_earlier_job(folder: Path):
             answer = client.get(path, params=query)
             assert answer.status_code == 409
             assert answer.json()["detail"].startswith(f"the sweep was {NOTICE}: submit the sweep again")
-
-
-def test_exports_say_which_kernel_computed_them(folder: Path, tmp_path: Path):
-    with service(folder, Held()) as client:
-        for format in ("nc", "parquet"):
-            answer = client.get(f"{DONE}/export", params={"format": format})
-            assert answer.status_code == 200
-            (tmp_path / f"sweep.{format}").write_bytes(answer.content)
-    with xarray.open_dataset(tmp_path / "sweep.nc") as sweep:
-        netcdf = dict(sweep.attrs)
-    metadata = parquet.read_schema(tmp_path / "sweep.parquet").metadata
-    for attributes in (netcdf, {name.decode(): text.decode() for name, text in metadata.items()}):
-        assert attributes["kernel_version"] == "1"
-        assert attributes["comment"].startswith("computed by kernel version 1; the release that wrote")
 
 
 # Damage

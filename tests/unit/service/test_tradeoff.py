@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 from fastapi.testclient import TestClient
 from paths import GOLDEN
 from served import impatient
 
 from service.api.app import create_app
-from service.cli.main import main
 from service.cli.tradeoff import table_lines
 from service.results.work_precision import REFERENCES, advice
 from service.settings import Settings
@@ -56,12 +54,6 @@ def test_the_table_and_the_advice(measured: list[Measurement]):
 
 
 # Through the service
-
-
-def test_a_picture_of_another_kind_is_refused_before_anything_is_measured():
-    done = CliRunner().invoke(main, ["tradeoff", "-o", "tradeoff.gif"])
-    assert done.exit_code == 2
-    assert "does not end in .png, .svg" in done.stderr
 
 
 # While the workers measure
