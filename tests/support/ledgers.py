@@ -1,8 +1,28 @@
-"""Jobs accepted by a ledger, and reports of their chunks."""
+"""Records of jobs, jobs accepted by a ledger, and reports of their chunks."""
 
+import json
+from typing import Any
+
+from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord, NewJob
+from service.jobs.model import JobRecord, JobState, NewJob
+from worker.plan import make_plan
+from worker.spec import SweepSpec
 from worker.tasks import ChunkReport
+
+
+def record(study: SweepSpec, **changes: Any) -> JobRecord:
+    """The record of a queued job, with these fields changed."""
+    plan = make_plan(study)
+    fields: dict[str, Any] = {
+        "id": study.job_id(KERNEL_VERSION), "name": study.name, "spec": json.dumps(study.as_submitted()),
+        "kernel_version": KERNEL_VERSION, "chunk_shape": plan.chunk_shape, "chunks_total": len(plan),
+        "cells_total": plan.cells, "seq": 1, "state": JobState.QUEUED, "cancel_requested": False,
+        "error": None, "created": 0.0, "started": None, "finished": None, "run_started": None,
+        "run_cells": 0, "chunks_done": 0, "cells_done": 0, "cells_settling": 0, "cells_computed": 0,
+        "choice": None, "replaced_by": None,
+    }  # fmt: skip
+    return JobRecord(**fields | changes)
 
 
 def new_job(job_id: str = "a" * 32, chunks: int = 4) -> NewJob:

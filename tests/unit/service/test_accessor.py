@@ -1,6 +1,5 @@
 """`dataset.bounce`: flights as a table, and plots of results that are Datasets already."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,20 +74,3 @@ def test_branches_are_drawn_over_a_line_if_they_are_given(sweep: xarray.Dataset)
 def test_what_to_select_is_said(sweep: xarray.Dataset, where: dict[str, Any], message: str):
     with pytest.raises(BounceError, match=message):
         sweep.bounce.plot(**where)
-
-
-def test_other_datasets_are_not_drawn(sweep: xarray.Dataset):
-    with pytest.raises(BounceError, match="plot: is of a diagram"):
-        xarray.Dataset().bounce.plot()
-    line = sweep.sel(omega=0.6, direction="down").squeeze("xi")
-    with pytest.raises(BounceError, match=r"select of gamma \(9 values\)"):
-        line.drop_vars(["flight_time", "takeoff_phase"]).bounce.plot()
-    with pytest.raises(BounceError, match="omega is selected already"):
-        line.bounce.plot(omega=0.6)
-    with pytest.raises(BounceError, match="to_dataframe: is of a diagram"):
-        line.isel(flight=0).bounce.to_dataframe()
-
-
-def test_a_store_on_disk_is_asked_alike(tmp_path: Path):
-    stored = run(SPEC, tmp_path / "sweep.zarr", progress=False)
-    assert len(stored.bounce.to_dataframe()) == int(np.isfinite(stored.flight_time).sum())

@@ -193,11 +193,6 @@ def test_formats_of_a_diagram(client: TestClient, figure_2: str, format: str, me
 # Thresholds
 
 
-def test_eq_25(client: TestClient):
-    assert get(client, "/v1/threshold", omega=1, xi=0.05)["threshold"] == pytest.approx(0.2 / 1.04**0.5)
-    assert get(client, "/v1/threshold", omega=1, xi=0)["threshold"] == 0.0
-
-
 # Operation
 
 

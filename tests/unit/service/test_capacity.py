@@ -293,7 +293,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
         yield client
 
 
-READS = ["diagram", "diagram?format=csv", "diagram?format=png", "line", "modes", "plane"]
+READS = ["diagram", "diagram?format=png", "line"]
 
 
 FLIGHTS, RAMPED, HYSTERESIS = 111 * 64, 11 * 8, comparison_memory(SweepSpec.parse(RAMP))

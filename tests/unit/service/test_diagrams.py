@@ -149,10 +149,8 @@ def test_a_picture_says_what_is_missing_and_what_is_unresolved():
         made(values=np.array([1.5]), **{name: array[1:2] for name, array in made().arrays.items()}),
         made(flights=np.zeros(4, np.int32)),
         made(values=np.geomspace(1e-3, 1e3, 4)),
-        made(flight_time=np.full((4, 2), 1e4), flights=np.full(4, 2, np.int32)),
-        made(flight_time=np.full((4, 2), 1e-9), flights=np.full(4, 2, np.int32)),
     ],
-    ids=["one cell", "no flight", "logarithmic", "huge flights", "tiny flights"],
+    ids=["one cell", "no flight", "logarithmic"],
 )
 def test_odd_diagrams_can_be_drawn(diagram: Diagram):
     assert len(draw([diagram], spec(), "png")) > 1000

@@ -35,20 +35,6 @@ class Terminal(io.StringIO):
 # Notes
 
 
-def test_html_has_a_row_for_what_there_is_to_say():
-    plain = job_html(status(done=500, percent=50.0))
-    assert "<b>sweep</b>" in plain
-    assert "<progress value='50' max='100'></progress> 500 of 1,000 (50%)" in plain
-    names = re.compile("<th[^>]*>([a-z]+)</th>")
-    assert names.findall(plain) == ["job", "state", "cells"]
-    told = job_html(
-        status("failed", 20, name="mine", notice="a & b", error="<roof>", progress={"cells_settling": 3})
-    )
-    assert names.findall(told) == ["job", "state", "cells", "notice", "settling", "error"]
-    for text in ("<b>mine</b>", "a &amp; b", "3 of 20 cells were still settling", "&lt;roof&gt;"):
-        assert text in told
-
-
 # Lines
 
 

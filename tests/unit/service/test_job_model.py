@@ -1,11 +1,17 @@
-"""States, transitions and progress."""
+"""Records of jobs: states, transitions, progress, and how they are shown over HTTP."""
 
+import json
+from pathlib import Path
 from typing import Any
 
+import ledgers
 import pytest
+from scripted import Held, sweep, wait_for
+from served import get, service
 from tables import for_each
 
-from kernel.params import KERNEL_VERSION
+from service.api.conditional import job_headers
+from service.api.schemas import job_view
 from service.errors import IllegalTransition
 from service.jobs.model import (
     Failure,
@@ -29,6 +35,15 @@ ALLOWED = {
     ("failed", "queued"),
     ("cancelled", "queued"),
 }
+
+
+def record(**changes: Any) -> JobRecord:
+    """A running job of 1000 cells, of which 400 are done, 200 in this run, since second 100."""
+    running: dict[str, Any] = {
+        "state": JobState.RUNNING, "cells_total": 1000, "chunks_total": 10, "created": 90.0, "started": 95.0,
+        "run_started": 100.0, "run_cells": 200, "chunks_done": 4, "cells_done": 400, "cells_computed": 40,
+    }  # fmt: skip
+    return ledgers.record(sweep(), **running | changes)
 
 
 @for_each("new", JobState)
@@ -76,19 +91,7 @@ def test_only_a_running_job_that_was_done_before_is_repairing(
     assert record(state=state, finished=finished).repairing is repairing
 
 
-def record(**changes: Any) -> JobRecord:
-    """A job that has run since 100 s and has done 3 of 10 chunks, with these fields changed."""
-    fields: dict[str, Any] = {
-        "id": "a" * 32, "name": "", "spec": "{}", "kernel_version": KERNEL_VERSION,
-        "chunk_shape": (1, 1, 1), "chunks_total": 10, "cells_total": 1000, "seq": 1,
-        "state": JobState.RUNNING, "cancel_requested": False, "error": None, "created": 0.0, "started": 50.0,
-        "finished": None, "run_started": 100.0, "run_cells": 200, "chunks_done": 3, "cells_done": 300,
-        "cells_settling": 7, "cells_computed": 40, "choice": None, "replaced_by": None,
-    }  # fmt: skip
-    return JobRecord(**fields | changes)
-
-
-@pytest.mark.parametrize(("first_cells", "needed"), [(100, 40 + 70), (99, 40 + 70), (91, 40 + 64)])
+@pytest.mark.parametrize(("first_cells", "needed"), [(100, 40 + 60), (91, 40 + 55)])
 def test_an_adaptive_map_needs_at_least_the_first_rounds_of_the_chunks_to_come(first_cells: int, needed: int):
     progress = record(first_cells=first_cells).progress(104.0)
     assert (progress.cells_computed, progress.cells_needed) == (40, needed)
@@ -98,7 +101,7 @@ def test_an_adaptive_map_needs_at_least_the_first_rounds_of_the_chunks_to_come(f
     "change",
     [
         {"id": "b" * 32}, {"state": JobState.DONE}, {"error": "because"}, {"choice": "{}"},
-        {"chunks_done": 4}, {"started": 51.0}, {"finished": 60.0}, {"owner": "ann"}, {"pinned": True},
+        {"chunks_done": 5}, {"started": 51.0}, {"finished": 60.0}, {"owner": "ann"}, {"pinned": True},
         {"kernel_version": "0"},
     ],
 )  # fmt: skip
@@ -123,3 +126,48 @@ def failures(*tries: int) -> list[Failure]:
 )
 def test_failures_are_told_by_the_first_and_the_number_of_others(given: list[Failure], summary: str | None):
     assert summary_of(given) == summary
+
+
+# As users see a job
+
+
+def test_the_time_left_is_that_at_the_moment_of_the_view():
+    assert job_view(record(), 110.0).progress.eta_seconds == pytest.approx(30.0)
+    assert job_view(record(), 120.0).progress.eta_seconds == pytest.approx(60.0)
+
+
+def test_a_notice_of_the_service_stands_in_for_that_of_the_job():
+    assert job_view(record(), notice="no workers yet").notice == "no workers yet"
+    old = record(kernel_version="1")
+    assert job_view(old).notice == old.notice is not None
+    assert job_view(old, notice="no workers yet").notice == "no workers yet"
+    assert job_view(record()).notice is None
+
+
+def test_a_list_leaves_out_a_specification_that_is_too_long():
+    assert job_view(record(), longest_spec=len(record().spec)).spec == json.loads(record().spec)
+    assert job_view(record(), longest_spec=len(record().spec) - 1).spec is None
+    assert job_view(record()).spec == json.loads(record().spec)
+
+
+@for_each("change", [
+    {"failures": 1}, {"notice": "no workers yet"}, {"job": record(chunks_done=5)},
+    {"job": record(state=JobState.DONE)}, {"job": record(pinned=True)},
+])  # fmt: skip
+def test_the_tag_changes_with_what_is_shown(change: dict[str, Any]):
+    before = job_headers(record())
+    assert before["ETag"].startswith('W/"')
+    assert before["Cache-Control"] == "no-cache"
+    assert job_headers(record()) == before
+    assert job_headers(**{"job": record(), **change})["ETag"] != before["ETag"]
+
+
+def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):
+    with service(tmp_path, Held(capacity=0)) as client:
+        here = client.post("/v1/jobs", json=sweep().as_submitted()).headers["Location"]
+        manager = client.app.state.service.manager  # type: ignore[attr-defined]
+        wait_for(lambda: manager.cluster_fault is not None)
+        assert get(client, here)["notice"] == manager.cluster_fault
+        client.post(f"{here}/cancel")
+        wait_for(lambda: bool(get(client, here)["state"] == "cancelled"))
+        assert get(client, here)["notice"] is None

@@ -1,15 +1,14 @@
 """The estimated cost of a study: by the speed of earlier jobs of its kind, else by the table."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
+from ledgers import record
 from scripted import small
 
-from kernel.params import KERNEL_VERSION
 from service.jobs.cost import cost
-from service.jobs.model import JobRecord, JobState
+from service.jobs.model import JobState
 from service.jobs.prepare import JobPreparer
 from service.jobs.transactions import Pace
 from service.settings import Settings
@@ -34,14 +33,8 @@ def by_table(spec: SweepSpec) -> Cost:
 
 def pace(spec: SweepSpec, seconds: float, expected: float, text: str | None = None) -> Pace:
     """A job of which so many cells took `seconds` that the table says `expected`."""
-    plan, table = make_plan(spec), by_table(spec)
-    job = JobRecord(
-        id=spec.job_id(KERNEL_VERSION), name="", spec=text or json.dumps(spec.as_submitted()),
-        kernel_version=KERNEL_VERSION, chunk_shape=plan.chunk_shape, chunks_total=len(plan),
-        cells_total=plan.cells, seq=1, state=JobState.DONE, cancel_requested=False, error=None, created=0.0,
-        started=None, finished=None, run_started=None, run_cells=0, chunks_done=0, cells_done=0,
-        cells_settling=0, cells_computed=0, choice=None, replaced_by=None,
-    )  # fmt: skip
+    table = by_table(spec)
+    job = record(spec, state=JobState.DONE, **({} if text is None else {"spec": text}))
     cells: Any = expected * table.cells / table.core_seconds
     return Pace(job, seconds, cells)
 

@@ -104,14 +104,6 @@ def test_a_choice_whose_worker_or_cluster_is_lost_is_made_again(tmp_path: Path):
     assert executor.calls == 5
 
 
-def test_a_choice_that_kills_every_worker_fails_the_job_which_may_be_tried_again(tmp_path: Path):
-    errors = [WorkerDied("out of memory")] * 3
-    with closing(Unlucky(*errors)) as executor, service(tmp_path, executor) as client:
-        job = ended(client)
-        assert (job["state"], job["error"]) == ("failed", "the job cannot start: WorkerDied: out of memory")
-        assert ended(client)["state"] == "done"
-
-
 def test_a_choice_is_remembered_through_a_restart_before_the_first_chunk(tmp_path: Path):
     """The service stops between the two; the next one computes with the recorded choice."""
 

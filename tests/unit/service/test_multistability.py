@@ -152,14 +152,7 @@ def test_attractors_of_neighbouring_cells_are_one_if_each_leads_to_the_other(tmp
 
 @pytest.mark.parametrize(
     ("mode", "other", "longest", "same"),
-    [
-        (ONE, ONE, 4.0, True),
-        (ONE, ONE, 2.0, True),
-        (ONE, ONE, 4.01, False),
-        (ONE, TWO, 3.0, False),
-        (CHAOS, CHAOS, 9.0, True),
-        (CHAOS, ONE, 3.0, False),
-    ],
+    [(ONE, ONE, 4.0, True), (ONE, ONE, 4.01, False), (ONE, TWO, 3.0, False), (CHAOS, CHAOS, 9.0, True)],
 )
 def test_attractors_of_neighbouring_lines_are_one_if_they_are_near(
     mode: Any, other: Any, longest: float, same: bool, tmp_path: Path

@@ -211,23 +211,6 @@ def test_thresholds_of_a_sweep_stand_beside_the_predictions(client: Client):
         assert (str(difference) == "") == (agrees or not np.isfinite(down - predicted))
 
 
-def test_words_of_the_cells_leave_unresolved_what_they_do_not_show(service: TestClient, client: Client):
-    """At Omega = 0.46 a torus may live near a fold that no cycle of the cells leads to."""
-    weak = RAMP | {
-        "gamma": {"start": 0.8, "stop": 0.95, "num": 16}, "omega": 0.46,
-        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "down"}, "settle": 200, "observe": 60,
-        "keep": 16,
-    }  # fmt: skip
-    job = client.submit(weak).wait(progress=False)
-    found = job.threshold(predict="words", progress=False)
-    assert found.cause.values.tolist() == ["unresolved"]
-    assert np.isnan(found.predicted_down.values[0])
-    assert "others may reach lower" in found.attrs["prediction"]
-    soft = client.submit(weak | {"model": {"kind": "soft"}, "gamma": [1.0, 1.1]}).wait(progress=False)
-    where = f"/v1/jobs/{soft.id}/threshold"
-    assert "the sweep's contact is soft" in refused(service, where, 422, predict="words")
-
-
 def test_a_damping_that_was_not_searched_is_said_to_be(service: TestClient, client: Client):
     """In the answer of a spring, and in the table, the picture and the answer of a sweep, with words too."""
     spring = get(service, "/v1/threshold", omega=0.52, xi=0.02)

@@ -151,7 +151,7 @@ def test_the_scripts_know_the_kernel_s_outcome_codes():
     }
 
 
-@pytest.mark.parametrize("min_flight", [None, 0.0, 3.0])
+@pytest.mark.parametrize("min_flight", [None, 3.0])
 def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: str, min_flight: float | None):
     query = {} if min_flight is None else {"min_flight": min_flight}
     diagram, modes = get(client, f"{line}/diagram", omega=0.5, **query), get(client, f"{line}/modes", **query)
@@ -205,14 +205,9 @@ def test_a_mode_map_is_compressed_and_points_are_not(
     ("query", "field"),
     [
         ({}, "omega"),
-        ({"omega": 0.5, "gamma": 2}, "gamma"),
-        ({"omega": 9}, "omega"),
         ({"omega": 0.5, "width": 0}, "width"),
-        ({"omega": 0.5, "direction": "up"}, "direction"),
         ({"omega": 0.5, "most": 10**9}, "most"),
         ({"omega": 0.5, "log": "true", "left": 0}, "left"),
-        ({"omega": 0.5, "left": 3, "right": 2}, "right"),
-        ({"omega": 0.5, "bottom": 3, "top": 2}, "top"),
     ],
 )
 def test_an_invalid_line_query_is_refused(client: TestClient, line: str, query: dict[str, Any], field: str):

@@ -12,18 +12,11 @@ from worker.spec import SweepSpec
 SWEEPS: Final[dict[str, dict[str, Any]]] = {
     "figure 2": {"gamma": (1.0, 6.0, 1001), "omega": (0.5, 0.5, 1), "xi": (0.26, 0.26, 1)},
     "figure 3, spring": {"gamma": (1.0, 7.0, 601), "xi": (10.0, 10.0, 1)},
-    "figure 3, ball": {"gamma": (1.0, 7.0, 601), "xi": (10.0, 10.0, 1)},
-    "figure 3, deep contact": {"gamma": (1.0, 7.0, 151), "xi": (10.0, 10.0, 1)},
-    "figure 4, spring": {"gamma": (1.0, 7.0, 601), "xi": (0.5, 0.5, 1)},
     "figure 5": {"gamma": (0.03, 4.0, 981), "omega": (0.1, 2.0, 39), "window": (100, 20, 1)},
-    "figure 6": {"gamma": (0.03, 4.0, 981), "omega": (0.67, 1.24, 3), "xi": (0.05, 0.05, 1)},
-    "figure 7": {"gamma": (0.01, 6.0, 600), "omega": (0.67, 1.24, 3), "window": (300, 100, 64)},
-    "figure 7, hardly settled": {"gamma": (1.8, 2.2, 81), "omega": (1.0, 1.0, 1), "window": (20, 100, 64)},
     "figure 7, an ideal plate": {"gamma": (1.8, 2.2, 81), "window": (1000, 100, 64)},
-    "figure 8": {"gamma": (1.0, 3.0, 3), "omega": (0.05, 2.0, 781), "window": (300, 100, 64)},
     "figure 9": {"gamma": (0.1, 3.0, 726), "omega": (0.1, 1.4, 131), "window": (100, 20, 1)},
     "figure 9, from less high": {"gamma": (0.1, 1.2, 276), "omega": (0.2, 0.8, 31), "window": (100, 20, 1)},
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,14 @@
 """One running job: what it submits, counts, saves, and how it ends."""
 
-import json
 from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ledgers import record
 from scripted import small
 
-from kernel.params import KERNEL_VERSION
-from service.jobs.model import JobRecord, JobState
+from service.jobs.model import JobState
 from service.jobs.prepare import JobPreparer
 from service.jobs.retry import Action, History, RetryPolicy
 from service.jobs.run import JobRun
@@ -26,12 +25,9 @@ def run(tmp_path: Path) -> JobRun:
     """A ramp of 60 cells: six lines along gamma, each in two chunks of five cells."""
     spec = small(protocol=RAMP)
     plan = make_plan(spec, chunk_shape=(1, 1, 5))
-    job = JobRecord(
-        id="a" * 32, name="", spec=json.dumps(spec.as_submitted()), kernel_version=KERNEL_VERSION,
-        chunk_shape=plan.chunk_shape, chunks_total=len(plan), cells_total=plan.cells, seq=1,
-        state=JobState.RUNNING, cancel_requested=False, error=None, created=0.0, started=0.0, finished=None,
-        run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, cells_settling=0, cells_computed=0,
-        choice=None, replaced_by=None,
+    job = record(
+        spec, chunk_shape=plan.chunk_shape, chunks_total=len(plan), state=JobState.RUNNING, started=0.0,
+        run_started=0.0,
     )  # fmt: skip
     prepared = JobPreparer(Settings(data=tmp_path)).prepare(job)
     return JobRun(job, prepared, np.zeros(len(plan), np.bool_), POLICY)

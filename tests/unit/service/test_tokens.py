@@ -38,18 +38,11 @@ def test_a_file_names_one_token_on_each_line(tmp_path: Path):
     ("text", "rule"),
     [
         ("", "holds no token: add a line NAME: TOKEN"),
-        ("# nobody\n", "holds no token"),
         (f"{ANA}\n", "line 1: must be NAME: TOKEN"),
-        ("ana:\n", "line 1: must be NAME: TOKEN"),
-        (f": {ANA}\n", "line 1: the name must be at most 64 letters"),
         (f"a b: {ANA}\n", "line 1: the name must be"),
-        (f"-a: {ANA}\n", "line 1: the name must be"),
-        (f"{'a' * 65}: {ANA}\n", "line 1: the name must be"),
         (f"ben: {BEN}\nana: s3cret\n", "line 2: the token of ana must be at least 16 ASCII characters"),
-        ("ana: s3cret with spaces in it\n", "line 1: the token of ana must be"),
         (f"ana: {ANA}\nana: {BEN}\n", "line 2: the name ana is given twice"),
         (f"ana: {ANA}\nben: {ANA}\n", "line 2: the token of ben is that of another name too"),
-        (f"an\u00e4: {ANA}\n", "must be ASCII text"),
     ],
 )
 def test_a_line_that_breaks_a_rule_is_named_and_its_token_not_shown(tmp_path: Path, text: str, rule: str):

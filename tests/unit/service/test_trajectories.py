@@ -94,23 +94,10 @@ def test_a_start_on_a_cycle(client: TestClient):
             "start",
             "there is no stable cycle (1, 2) at gamma 0.7, omega 0.6, xi 0.05",
         ),
-        ({"gamma": 0.3, "start": {"flight_time": 4.0}}, "start", "there is no cycle (1, 1) at gamma 0.3"),
         ({"start": {"flight": 4.0}}, "start.flight", "is not a field here; did you mean 'flight_time'?"),
         ({"start": {}, "settle": 10}, "settle", "must be 0 with a start on a cycle, not 10"),
-        ({"start": {}, "model": {"kind": "ball"}}, "start", "needs a spring"),
-        ({"omega": 1.0, "xi": 0.0, "start": {"flight_time": 2.0}}, "xi", "must be > 0 at omega = 1"),
-        ({"start": {"kind": "fall"}}, "start.kind", "must be 'cycle', 'drop' or 'contact', not text 'fall'"),
-        ({"start": {"kind": "drop"}}, "start.height", "is required"),
         ({"start": {"kind": "drop", "height": 0.0}}, "start.height", "must be above 0"),
-        ({"start": {"kind": "drop", "height": 1.0, "phase": 6.3}}, "start.phase", "must be below 6.28"),
-        ({"start": {"kind": "drop", "hight": 1.0, "height": 1.0}}, "start.hight", "is not a field here; did"),
         ({"start": {"kind": "drop", "height": 1.0}, "settle": 3}, "settle", "must be 0 with a start, not 3"),
-        ({"start": {"kind": "contact", "elongation": 1e7}}, "start.elongation", "must be at most 1e+06"),
-        (
-            {"start": {"kind": "contact", "elongation": 1}, "model": {"kind": "ball"}},
-            "start",
-            "needs a spring",
-        ),
     ],
 )
 def test_a_start_that_cannot_be_names_the_rule(
@@ -201,20 +188,9 @@ def test_the_motion_obeys_newton(model: Model):
 UNDAMPED: dict[str, Any] = {"kind": "soft", "restitution": 1, "penetration": 1e-8}
 BAD: dict[str, tuple[Any, int, str]] = {
     "not JSON": (b"{", 400, "not JSON"),
-    "a list": ([1], 422, "must be an object"),
     "no gamma": ({"omega": 1, "xi": 1}, 422, "gamma: is required"),
     "an axis": ({**CELL, "gamma": [1, 2]}, 422, "gamma: must be a number, not a list of 2"),
-    "a range": (
-        {**CELL, "xi": {"start": 0, "stop": 1, "num": 3}},
-        422,
-        "xi: must be a number, not an object",
-    ),
-    "an unknown field": ({**CELL, "keep": 3}, 422, "keep: is not a field here"),
     "a truth": ({**CELL, "omega": True}, 422, "omega: must be a number"),
-    "a zero": ({**CELL, "omega": 0}, 422, "omega: must be at least"),
-    "no samples": ({**CELL, "samples": 0}, 422, "samples: must be at least 1"),
-    "half a period": ({**CELL, "periods": 0.5}, 422, "periods: must be a whole number"),
-    "a model not there": ({**CELL, "model": {"kind": "stone"}}, 422, "model.kind: must be"),
     "too many samples": ({**CELL, "periods": 200, "samples": 200}, 413, "the limit is 20,000"),
     "no end of the settling": (
         {**CELL, "gamma": 1.5, "omega": 0.8, "xi": 0, "settle": 2, "model": UNDAMPED},
