@@ -86,9 +86,6 @@ def test_the_kernel_finds_what_the_definition_says(flights, waits, times, noise,
     assert find(flown, takeoffs) == cycle(list(flown), list(takeoffs))
 
 
-# --- outcomes -------------------------------------------------------------------------------
-
-
 def test_outcomes():
     below = 0.9 * float(threshold(0.5, 0.26))
     line = run([below, 1.5, 5.0], 0.5, 0.26, settle=300, observe=60)

@@ -61,9 +61,6 @@ def test_every_flight_is_the_integrated_one(cell):
     assert takeoffs == pytest.approx([f.takeoff % TWO_PI for f in expected], abs=1e-8)
 
 
-# --- an isolated impact ---------------------------------------------------------------------
-
-
 @for_each("adhesive", [True, False])
 @for_each("zeta", [0.0, 0.01, 0.3, 0.7, 0.999, 1.0, 1.001, 1.5, 4.0])
 def test_restitution_is_that_of_an_integrated_impact(zeta, adhesive):
@@ -80,9 +77,6 @@ def test_the_kernels_contact_gives_the_requested_restitution(e, adhesive):
     impact = one_phase(s, False, math.pi / 2, (0.0, -1.0, 0.0, 0.0), 1.0, 1000)
     assert impact.ending == ROOT
     assert impact.after[1] == pytest.approx(e, abs=2e-5)
-
-
-# --- stiffness ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("fact", FACTS["trap"])
@@ -123,17 +117,6 @@ def test_soft_tends_to_rigid():
         off.append(abs(last_cycle(line, 1)[0] - rigid))
     slopes = [math.log10(before / after) for before, after in pairwise(off)]
     assert slopes == pytest.approx([1.0] * 3, abs=0.15)
-
-
-@pytest.mark.parametrize("beside", [0.0, 1e-12, 1e-9, 1e-6, 1e-3])
-def test_a_plate_as_soft_as_the_spring(beside):
-    """Omega = d, xi = 0, zeta = 1: both free motions are one; to tell them apart costs digits."""
-    cell = Setting(2.5, 0.1 * (1.0 + beside), 0.0, True, 0.0, 0.1, True)
-    line = run_setting(cell, settle=0, observe=3)
-    assert recorded(line) == pytest.approx([f.time for f in trajectory(cell, 3.0)], abs=1e-7)
-
-
-# --- the constants of the contact -----------------------------------------------------------
 
 
 def coefficients(s: Setting) -> tuple[float, float, float, float]:

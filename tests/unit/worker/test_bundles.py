@@ -70,9 +70,6 @@ def test_a_message_that_cannot_be_sent_concerns_its_calls_alone():
     assert futures[1] == "future of 2"
 
 
-# Specifications
-
-
 @pytest.fixture
 def long_spec() -> SweepSpec:
     return small_spec(gamma=[round(1.0 + i / 1000, 6) for i in range(1000)])

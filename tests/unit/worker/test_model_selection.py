@@ -30,9 +30,6 @@ def percentiles(choice: ModelChoice) -> dict[str, float | None]:
     return {row.model: row.percentile_95 for row in choice.table}
 
 
-# What is chosen
-
-
 def test_a_stiff_contact_without_rebound_is_a_rigid_plate():
     choice = choose(sweep(1e-4, model=STIFF))
     assert choice.model == "rigid"
@@ -120,9 +117,6 @@ def test_a_sweep_computed_with_its_choice_keeps_its_contact():
         assert resolved(spec, choice).settle == spec.settle
 
 
-# The sample
-
-
 @settings(max_examples=30)
 @given(st.integers(1, 300), st.integers(1, 60), st.integers(1, 60))
 def test_a_sample_visits_every_part_of_every_axis(gamma, omega, xi):
@@ -148,9 +142,6 @@ def test_a_sample_of_a_ramp_goes_its_way():
         assert line.omega.tolist() == [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.0, 0.9, 0.8, 0.7, 0.6, 0.5]
         assert len(set(line.gamma)) == 1
     assert len({line.gamma[0] for line in lines}) == 4
-
-
-# The deviation
 
 
 def cell(gamma: float, model: Model = Model.RIGID, *, settle: int = 300, observe: int = 100, **given) -> Line:

@@ -128,9 +128,6 @@ def test_a_ramp_chunk_follows_its_neighbour_and_down_follows_up():
     ]
 
 
-# How large a chunk is
-
-
 def test_chunks_of_cells_side_by_side_fill_the_lanes():
     full = sweep(gamma=64 * LANES, settle=10**6)
     assert all(chunk.cells == LANES for chunk in make_plan(full))
@@ -261,9 +258,6 @@ def test_a_plan_is_a_sequence():
             plan[index]
 
 
-# What it will take
-
-
 def test_estimate_counts_what_the_store_holds():
     spec = sweep(2, 3, 1000, ramp=("gamma", "both"), keep=10, settle=100, observe=200)
     found = cost_of(spec)
@@ -313,9 +307,6 @@ def test_too_much_is_refused_with_the_limit():
     ):
         with pytest.raises(SpecTooLarge, match=rule):
             check_size(cost, **limit)
-
-
-# Many chunks
 
 
 def huge(kind: str, xi: int) -> SweepSpec:

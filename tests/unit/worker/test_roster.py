@@ -66,9 +66,6 @@ def test_why_no_chunk_is_computed(state: ClusterState, fault: str | None, explan
     assert (state.fault, state.explanation) == (fault, explanation)
 
 
-# How many workers a cluster shall have
-
-
 @pytest.fixture
 def scheduler() -> SimpleNamespace:
     """What the plugin sees of a scheduler of three workers that wants two by its tasks."""

@@ -213,9 +213,6 @@ def test_is_frozen():
         sweep().settle = 3
 
 
-# What is accepted
-
-
 def test_defaults_are_those_of_the_design():
     contact = {"restitution": 0.01, "penetration": 0.001, "rest_length": None, "adhesive": True}
     assert sweep().canonical() == {
@@ -307,9 +304,6 @@ def test_shape_and_directions():
         assert spec.ramp_axis == "omega"
 
 
-# Identity
-
-
 def test_same_sweep_written_differently_is_the_same_job():
     one = sweep(gamma=range_(1.0, 2.0, 3), name="a", settle=200.0)
     two = sweep(gamma=[1, 1.5, 2], name="b", model={"penetration": 1e-3}, protocol={"kind": "rest"})
@@ -355,9 +349,6 @@ def test_canonical_form_is_json_and_a_specification_again():
     assert SweepSpec.from_json(json.dumps(spec.as_submitted())) == spec
 
 
-# Models
-
-
 def arguments(model, xi):
     """What the kernel's plate is given, at gamma = omega = 1."""
     return model.plate_arguments(np.ones_like(xi), np.ones_like(xi), xi)
@@ -385,9 +376,6 @@ def test_a_ball_that_is_given_no_restitution_has_its_springs():
     assert arguments(own, xi)["restitution"] == pytest.approx([0.1492, 0.0012], abs=5e-5)
     given = sweep(model={"kind": "ball", "restitution": 0.3}).model
     assert arguments(given, xi)["restitution"].tolist() == [0.3, 0.3]
-
-
-# Files and text
 
 
 def test_yaml_files_are_read_as_yaml_1_2(tmp_path):

@@ -62,9 +62,6 @@ def files(url: str) -> dict[str, bytes]:
     return {str(path.relative_to(url)): path.read_bytes() for path in Path(url).rglob("*") if path.is_file()}
 
 
-# Reading with xarray
-
-
 def test_opens_with_plain_xarray(url, spec):
     with xr.open_zarr(url) as dataset:
         assert dict(dataset.sizes) == {
@@ -145,9 +142,6 @@ def test_consolidated_metadata_is_what_zarr_writes(tmp_path, url):
     assert files(other) == files(url)
 
 
-# Creation
-
-
 def test_the_root_is_written_once_all_else_is_there(tmp_path, spec, plan, monkeypatch):
     """A store whose root has the metadata of all arrays is complete."""
     named, real = [], os.replace
@@ -188,9 +182,6 @@ def test_another_sweep_or_another_cut_is_not_overwritten(url, spec, small_spec, 
         store.create(url, layout(small_spec(settle=21), plan.chunk_shape))
     with pytest.raises(store.StoreConflict, match=r"is cut into chunks of \[1, 2, 4\], not \[2, 3, 10\]"):
         store.create(url, layout(spec, make_plan(spec, chunk_shape=(2, 3, 10)).chunk_shape))
-
-
-# Writing and reading
 
 
 def test_every_chunk_reads_back_as_written(url, spec, plan):
@@ -288,9 +279,6 @@ def test_concurrent_writers_of_different_chunks_lose_nothing(url, spec, plan):
         expected = record_of(spec, chunk)
         stored = store.read_chunk(url, chunk, expected)
         assert all(np.array_equal(stored[name], expected[name]) for name in expected)
-
-
-# Damage
 
 
 def stored_files(url: str, chunk: Chunk) -> list[Path]:
@@ -397,9 +385,6 @@ def test_a_store_that_is_not_finished_or_has_no_outcomes_is_said(url):
         store.read_slice(url, ["flights"])
 
 
-# The cancel flag
-
-
 def test_cancel_flag_is_no_part_of_the_store(url):
     before = files(url)
     assert not store.is_cancelled(url)
@@ -410,9 +395,6 @@ def test_cancel_flag_is_no_part_of_the_store(url):
     store.clear_cancelled(url)
     store.clear_cancelled(url)
     assert not store.is_cancelled(url)
-
-
-# How chunks are stored
 
 
 def test_bytes_are_those_that_zarr_writes_with_a_seal_behind(url, spec, plan):

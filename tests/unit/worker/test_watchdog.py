@@ -104,9 +104,6 @@ def test_nothing_is_ended_whose_chunk_is_done(tmp_path: Path, monkeypatch: pytes
     assert whys == []
 
 
-# In a worker
-
-
 @pytest.fixture(scope="module")
 def client() -> Iterator[Client]:
     """A client of a cluster whose only worker is a thread of this process."""
