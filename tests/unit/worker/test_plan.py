@@ -116,18 +116,6 @@ def cells_along(spec: SweepSpec, chunk: Chunk, axis: str) -> list[tuple[str, int
     return [(direction, place) for place in (reversed(places) if direction == "down" else places)]
 
 
-def test_a_ramp_chunk_follows_its_neighbour_and_down_follows_up():
-    plan = make_plan(sweep(gamma=10, ramp=("gamma", "both")), chunk_shape=(1, 1, 4))
-    assert [(c.direction, c.gamma, c.after) for c in plan] == [
-        (0, (0, 4), None),
-        (0, (4, 8), 0),
-        (0, (8, 10), 1),
-        (1, (8, 10), 2),
-        (1, (4, 8), 3),
-        (1, (0, 4), 4),
-    ]
-
-
 def test_chunks_of_cells_side_by_side_fill_the_lanes():
     full = sweep(gamma=64 * LANES, settle=10**6)
     assert all(chunk.cells == LANES for chunk in make_plan(full))
@@ -140,11 +128,6 @@ def test_those_models_fill_lanes_that_the_kernel_computes_in_lanes(kind):
     values = spec.model.exact if kind == "auto" else spec.model
     plate = module.plate(**values.plate_arguments(*(np.ones(1),) * 3))
     assert (cells_at_once(spec) > 1) == (type(plate) in advance_lanes)
-
-
-def test_chunks_fit_into_memory_however_many_flights_are_kept():
-    spec = sweep(gamma=10_000, omega=10, keep=10_000, settle=0, observe=1)
-    assert make_plan(spec)[0].cells * 10_000 * 16 <= 64 * 2**20
 
 
 def test_a_chunk_of_a_ramp_holds_whole_lines_where_they_fit():

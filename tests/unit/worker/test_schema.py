@@ -31,15 +31,6 @@ def test_a_sweep_stores_what_it_computes():
     assert list(arrays(small(refine={"by": "mode"}))) == [*usual, "computed", "outcome"]
 
 
-def test_the_bytes_of_a_cell():
-    flights, counts = 2 * 8 * 8, 4 + 4 + 4
-    assert schema.bytes_per_cell(small()) == flights + counts + 1
-    assert schema.bytes_per_cell(small(exponents=3)) == flights + counts + 3 * 8 + 8 + 1
-    ramp = small(protocol=UP_AND_DOWN)
-    assert schema.bytes_per_cell(ramp) == flights + counts + len(STATE_FIELDS) * 8 + 1
-    assert schema.bytes_of_map(small(refine={"by": "mode"})) == counts + 1 + 1
-
-
 def test_the_shapes_of_a_sweep():
     spec = small(protocol=UP_AND_DOWN, exponents=2)
     cut, found = layout(spec, (1, 2, 4)), arrays(spec)

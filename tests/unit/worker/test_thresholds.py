@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import worker.analysis.prediction
-import worker.analysis.thresholds
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from worker import store
@@ -149,14 +147,6 @@ def test_a_change_that_is_not_computed_yet_is_missing(tmp_path: Path):
     store.create(str(tmp_path / "c"), layout(spec, make_plan(spec).chunk_shape))
     found = thresholds(spec, str(tmp_path / "c"), 1e-3)
     assert (found.up_status, found.down_status) == ((Status.MISSING,), (Status.NOT_RAMPED,))
-
-
-def test_a_refinement_that_reaches_its_limit_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    spec, url = computed(tmp_path, gamma=[0.5, 2.0], omega=[0.5], xi=0.26, protocol=ramp("up"))
-    monkeypatch.setattr(worker.analysis.thresholds, "MAX_CELLS", 3)
-    found = thresholds(spec, url, 1e-9)
-    assert np.isnan(found.up).all()
-    assert found.up_status == (Status.NOT_REFINED,)
 
 
 def test_what_has_no_closed_form_is_unresolved_and_says_why():

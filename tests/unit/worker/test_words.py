@@ -35,11 +35,6 @@ def test_a_doubled_cycle_ends_where_it_is_the_single_one_twice():
     assert len(above.stable) == len(above.multiplier) == 5
 
 
-def test_flights_of_a_word_that_repeats_nothing_may_be_equal_anywhere():
-    branch = doubled(5.0 + APART, 5.0 - APART, word="sl")
-    assert len(_up_to_shorter(branch, settled(5.35, 4.65)).gamma) == 10
-
-
 def test_a_cycle_gone_through_three_times_ends_where_its_flights_are_equal():
     """The first and the last of three flights are the same everywhere: neighbours in order are compared."""
     branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
