@@ -217,25 +217,6 @@ def test_a_graze_of_the_normal_force(omega, xi, above):
             assert step.tau == pytest.approx(expected, abs=1e-6 + 1e-15 / math.sqrt(above))
 
 
-@pytest.mark.parametrize("above", [1e-3, 1e-6, 1e-9, 1e-12])
-def test_a_graze_of_the_plate(above):
-    """A mass that hardly falls while the plate goes down and comes up to meet it."""
-    s = Setting(100.0, 1.0, 0.3)
-    state = (0.0, 0.0, 0.05, 0.0)
-    motion = exact(s, True, 0.0, state)
-    first = min(np.linspace(5.0, 7.5, 200), key=lambda tau: float(motion.state(tau)[0]))
-    dip = mp.findroot(lambda tau: motion.state(tau)[1], first)
-    lowest_gap = float(motion.state(dip)[0])
-    for sign in (1.0, -1.0):
-        lifted = (sign * above - lowest_gap, *state[1:])
-        step = one_phase(s, True, 0.0, lifted, HORIZON_RAD, BUDGET)
-        if sign > 0.0:
-            assert step.ending == HORIZON or step.tau > float(dip) + 0.1
-        else:
-            assert step.ending == ROOT
-            assert step.tau < float(dip) <= step.tau + 3.0 * math.sqrt(above)
-
-
 @given(f0=powers(-12.0, 1.0), f1=signed(10.0), f2=signed(10.0), f3=signed(10.0), f4=powers(-3.0, 6.0),
        guess=powers(-9.0, 2.0))  # fmt: skip
 @examples(300)

@@ -4,6 +4,7 @@ import os
 import shutil
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from paths import ROOT
@@ -40,19 +41,15 @@ def test_a_cache_is_made_for_this_user_alone(tmp_path):
 def test_a_copy_of_the_sources_has_the_same_digest_and_a_change_another(tmp_path, monkeypatch):
     before = kernel_cache._digest()
     shutil.copytree(ROOT / "kernel", tmp_path / "kernel")
-    monkeypatch.setattr(kernel_cache, "find_spec", lambda name: kernel_cache_spec(tmp_path / "kernel"))
+    monkeypatch.setattr(
+        kernel_cache,
+        "find_spec",
+        lambda name: SimpleNamespace(submodule_search_locations=[str(tmp_path / "kernel")]),
+    )
     assert kernel_cache._digest() == before
     with (tmp_path / "kernel" / "numerics" / "quartic.py").open("a") as source:
         source.write("# another digit\n")
     assert kernel_cache._digest() != before
-
-
-def kernel_cache_spec(folder: Path):
-    from importlib.machinery import ModuleSpec
-
-    spec = ModuleSpec("kernel", None, is_package=True)
-    spec.submodule_search_locations = [str(folder)]
-    return spec
 
 
 @pytest.mark.parametrize(

@@ -171,12 +171,6 @@ def test_a_window_of_chaos_is_seldom_told_from_the_next():
     assert np.mean(deviations(one, ball, 0.0)[aperiodic] > 0.05) > 0.9
 
 
-def test_resting_cells_must_rest():
-    resting, bouncing = cell(0.5), cell(1.5)
-    assert between(resting, cell(0.4)) == 0.0
-    assert between(resting, bouncing) == between(bouncing, resting) == math.inf
-
-
 def test_cells_without_an_answer_are_not_compared_and_do_not_pass():
     good = cell(1.5)
     bad = good._replace(outcome=np.array([4], dtype=np.uint8))

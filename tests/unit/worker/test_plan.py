@@ -308,9 +308,3 @@ def test_a_billion_cells_are_less_than_a_hundred_thousand_files(kind: str):
     inner = math.prod(cut.inner_sizes.values()) * schema.bytes_per_cell(spec)
     assert inner <= schema.INNER_BYTES < cut.chunk_bytes <= MAX_SHARD_BYTES
     assert all(size % cut.inner_sizes[dim] == 0 for dim, size in cut.chunk_sizes.items())
-
-
-def test_ordinary_jobs_have_no_shards():
-    for xi in (2, 20, 100):
-        spec = huge("rigid", xi)
-        assert schema.layout(spec, make_plan(spec).chunk_shape).inner_sizes is None

@@ -1,7 +1,6 @@
 """Layouts of stores: shapes, shards, keys, and the texts for people and readers."""
 
 import numpy as np
-import pytest
 from scripted import small
 from tables import for_each
 
@@ -62,19 +61,6 @@ def test_large_chunks_are_halved_into_parts_of_four_megabytes(sizes, inner):
     cut = sized(**sizes)
     assert cut.inner_sizes == inner
     assert cut.inner_shape(cut.arrays[0]) == (inner and tuple(inner.values()))
-
-
-@pytest.mark.parametrize(
-    ("place", "text"),
-    [
-        ((0, (0, 1), (0, 1), (0, 1)), "up, gamma 0.5, omega 0.5, xi 0.05"),
-        ((1, (0, 2), (1, 3), (2, 10)), "down, gamma 1.5 to 5, omega 0.7 to 1, xi 0.05 to 0.26"),
-    ],
-)
-def test_cells_are_described(place, text):
-    direction, *spans = place
-    slices = slice(direction, direction + 1), *(slice(*span) for span in spans)
-    assert layout(small(protocol=UP_AND_DOWN), (1, 1, 1)).describe(slices) == text
 
 
 @for_each(

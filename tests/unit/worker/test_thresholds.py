@@ -100,15 +100,6 @@ def test_the_descending_threshold_is_that_of_the_model_page(tmp_path: Path, mode
     np.testing.assert_allclose(found.up, threshold(np.array(spec.omega), 0.05), rtol=0, atol=TOLERANCE)
 
 
-def test_a_finer_tolerance_confirms_a_coarser_one(tmp_path: Path):
-    spec, url = descending(tmp_path, kind="rigid")
-    fine = thresholds(spec, url, 1e-7)
-    for tolerance in (1e-3, 1e-5):
-        coarse = thresholds(spec, url, tolerance)
-        np.testing.assert_allclose(coarse.up, fine.up, rtol=0, atol=tolerance)
-        np.testing.assert_allclose(coarse.down, fine.down, rtol=0, atol=tolerance)
-
-
 def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path):
     spec, url = computed(
         tmp_path, gamma={"start": 0.5, "stop": 1.5, "num": 11}, omega=[0.5, 0.7, 1.0], xi=0.26

@@ -76,15 +76,6 @@ def test_the_nearest_xi_of_the_map_is_taken(asked: float, given: float):
     assert window(xi=asked).xi == given
 
 
-def test_the_only_xi_need_not_be_named_and_may_be_rounded():
-    assert window({"xi": 0.26}, xi=None).xi == 0.26
-    assert window({"xi": 0.26}, xi=0.26 * (1 + 1e-12)).xi == 0.26
-    assert window({"xi": [0.1, 0.2]}, xi=0.2).xi == 0.2
-    assert problem(xi=None) == "xi: is required: the sweep has 3 values"
-    assert problem(xi=0.6) == "xi: must be within the sweep, which is from 0 to 0.5, not 0.6"
-    assert problem({"xi": [0.1, 0.2]}, xi=0.05).startswith("xi: must be within the sweep")
-
-
 def test_the_map_of_a_ramp_has_no_windows():
     ramp = {"kind": "ramp", "axis": "gamma", "direction": "up"}
     assert problem({"protocol": ramp}) == (
