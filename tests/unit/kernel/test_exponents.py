@@ -141,19 +141,6 @@ def test_their_sum_is_the_mean_rate_of_volume_of_soft(adhesive):
     assert line.lyapunov[0].sum() * time / TWO_PI == pytest.approx(volume, abs=1e-6)
 
 
-@pytest.mark.parametrize(("gamma", "restitution"), [(4.0, 0.9), (5.2, 0.7)])
-def test_their_sum_is_the_mean_rate_of_volume_of_hops(gamma, restitution):
-    """e**2 at every landing, and exp(-2b) per rad of flight. The cycles never stick."""
-    xi, omega = 0.3, 1.0
-    options = {"restitution": restitution, "settle": 1000, "observe": 1400}
-    two = run(gamma, omega, xi, exponents=2, **options)
-    four = run(gamma, omega, xi, exponents=4, **options)
-    assert four.outcome[0] == Outcome.PERIODIC
-    volume = 2.0 * math.log(restitution) * four.bounces[0] / four.periods[0] - 4.0 * xi / omega * TWO_PI
-    assert four.lyapunov[0].sum() == pytest.approx(volume, abs=1e-6)
-    assert four.lyapunov[0][:2] == pytest.approx(two.lyapunov[0], abs=1e-12)
-
-
 @pytest.mark.parametrize("gamma", [1.1, 1.2, 1.5])
 def test_a_ball_that_bounces_once_a_period(gamma):
     """From its orbit in closed form: M = K F, F being the free fall over 2 pi and K the impact."""

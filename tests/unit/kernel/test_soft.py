@@ -8,17 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import (
-    TWO_PI,
-    Model,
-    constants,
-    examples,
-    last_cycle,
-    phases,
-    recorded,
-    run,
-    run_setting,
-)
+from kernel_runs import TWO_PI, Model, constants, examples, last_cycle, phases, recorded, run, run_setting
 from mpmath import mp, mpf
 from naive import Setting, bounce, trajectory
 from naive_exact import pressed

@@ -130,12 +130,6 @@ def test_those_models_fill_lanes_that_the_kernel_computes_in_lanes(kind):
     assert (cells_at_once(spec) > 1) == (type(plate) in advance_lanes)
 
 
-def test_a_chunk_of_a_ramp_holds_whole_lines_where_they_fit():
-    spec = sweep(omega=50, gamma=20, ramp=("omega", "up"), model={"kind": "stepped"})
-    assert make_plan(spec, chunk_cells=100).chunk_shape == (1, 50, 2)
-    assert make_plan(spec, chunk_cells=20).chunk_shape == (1, 17, 1)
-
-
 @for_each(
     ("lines", "cells", "shape"),
     [

@@ -6,12 +6,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from distributed import WorkerPlugin
 
 from worker.executors import targets
-from worker.executors.connection import SchedulerConnection
 from worker.executors.errors import ClusterLost
-from worker.executors.targets import FIRST_PAUSE, UNANSWERED, Fixed, Made, SchedulerFile
+from worker.executors.targets import FIRST_PAUSE, UNANSWERED, Made, SchedulerFile
 
 
 @pytest.fixture
@@ -117,17 +115,3 @@ def test_a_failure_is_told_until_the_next_try(now: list[float]):
         target.find()
     now[0] += 0.6
     assert isinstance(target.find(), Cluster)
-
-
-@pytest.mark.parametrize("address", ["nonsense", "tcp://"])
-def test_a_target_is_told_when_nobody_answers(address: str):
-    class Told(Fixed):
-        times = 0
-
-        def unanswered(self) -> None:
-            self.times += 1
-
-    target, plugin = Told(address), WorkerPlugin()
-    with pytest.raises(ClusterLost, match=f"^no scheduler answers at {address}: "):
-        SchedulerConnection(target, plugin, print, print, print, timeout=60)
-    assert target.times == 1
