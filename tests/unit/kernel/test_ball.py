@@ -147,20 +147,6 @@ def test_the_series_of_the_gap_is_complete(tau: float):
         assert value == pytest.approx(float(expected), rel=2e-15, abs=0.0)
 
 
-def test_small_hops_keep_their_digits():
-    for hop in (1e-3, 1e-6, 1e-9, 1e-12):
-        for phi in (1.6, 3.0, 4.6):
-            press, press1 = 1.0 / 2.0 - math.cos(phi), math.sin(phi)
-            end = free_fall.landing(make_drop(2.0, phi, 0.0, hop), 1e4, 10_000)
-            time = 2.0 * hop / press
-            assert end.tau == pytest.approx(
-                time - press1 * time**2 / (3.0 * press), rel=4.0 * time**2 + 1e-14
-            )
-            assert end.gap1 == pytest.approx(
-                -hop * (1.0 + press1 * time / (3.0 * press)), rel=4.0 * time**2 + 1e-14
-            )
-
-
 def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> float:
     """Time until hops fade, each of them searched for."""
     phases = [phi]

@@ -90,21 +90,13 @@ def test_a_cell_that_only_takes_off_or_lands_in_the_window_is_not_at_rest():
     assert line.outcome[0] == Outcome.APERIODIC
 
 
-@for_each(
-    ("restitution", "cell", "mode"),
-    [
-        (0.95, (5.064393900886782, 1.462037452302902, 0.07543424170733475), (6, 1)),
-        (0.95, (2.9038873900086406, 1.7097974775080125, 0.15902207355587852), (14, 1)),
-        (0.99, (5.064393900886782, 1.462037452302902, 0.07543424170733475), (8, 1)),
-    ],
-)
-@for_each("keep", [1, 8_000])
-def test_hops_beyond_number_do_not_hide_a_mode(restitution, cell, mode, keep):
+@pytest.mark.parametrize("keep", [1, 8_000])
+def test_hops_beyond_number_do_not_hide_a_mode(keep):
     """140 to 730 hops in each plate period: 256 flights would hold two cycles, or less than one."""
-    line = run(*cell, restitution=restitution, settle=200, observe=100, keep=keep, micro_flight=0.05)
+    cell = (5.064393900886782, 1.462037452302902, 0.07543424170733475)
+    line = run(*cell, restitution=0.99, settle=200, observe=100, keep=keep, micro_flight=0.05)
     assert line.flights[0] > 13_000
-    assert line.outcome[0] == Outcome.PERIODIC
-    assert (line.bounces[0], line.periods[0]) == mode
+    assert (line.outcome[0], line.bounces[0], line.periods[0]) == (Outcome.PERIODIC, 8, 1)
 
 
 def test_a_spent_budget_is_unresolved():

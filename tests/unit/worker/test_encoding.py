@@ -13,17 +13,6 @@ def form(chunks: tuple[int, ...] = (4, 4), inner: tuple[int, ...] = (2, 4), fill
     return ArrayForm(np.dtype("<i4"), fill, ("x", "y"), (10, 10), chunks, inner, "a job")
 
 
-def test_a_chunk_that_is_no_shard_has_no_index():
-    whole = form(inner=(4, 4))
-    assert not whole.sharded
-    values = np.arange(16, dtype=np.int32).reshape(4, 4)
-    assert decode(whole, encode(whole, values, (0, 0)), (0, 0)).tolist() == values.tolist()
-    edge = decode(whole, encode(whole, values[:3, :2], (0, 0)), (0, 0))
-    assert edge[:3, :2].tolist() == values[:3, :2].tolist()
-    assert np.all(edge[3] == 7)
-    assert np.all(edge[:, 2:] == 7)
-
-
 @for_each("inner", [(2, 4), (1, 2), (2, 2), (4, 1)])
 @for_each("shape", [(4, 4), (3, 4), (2, 3), (1, 1)])
 def test_a_shard_has_the_inner_chunks_with_cells(inner: tuple[int, int], shape: tuple[int, int]):

@@ -68,15 +68,6 @@ def test_the_root_comes_from_the_environment(variables, expected, monkeypatch):
     assert kernel_cache.default_root() == expected
 
 
-def test_where_no_cache_can_be_kept_there_is_one_for_the_process(tmp_path, monkeypatch):
-    file = tmp_path / "no folder"
-    file.write_text("")
-    monkeypatch.setattr(kernel_cache.tempfile, "tempdir", str(tmp_path))
-    folder = kernel_cache._made(file)
-    assert folder.is_dir()
-    assert folder.parents[1] == tmp_path
-
-
 @pytest.mark.parametrize("inner", ["", "*", "*/run"])
 def test_a_cache_that_others_can_write_to_is_refused(root, inner):
     for each in (root, *root.rglob("*")):

@@ -66,13 +66,6 @@ def test_what_rests_is_counted_by_each_model():
         assert row.resting == np.count_nonzero(visited < onsets[row.model])
 
 
-def test_a_locked_dashpot_is_a_ball():
-    """docs/model.md, section 5: overdamped, the spring relaxes within 1/(2 xi Omega) rad."""
-    choice = choose(sweep(0.2, omega=5.0, xi=200.0, model=STIFF))
-    assert choice.model == "ball"
-    assert percentiles(choice)["ball"] < 0.2
-
-
 def test_a_ball_that_bounces_where_the_spring_rests_has_no_bound():
     """Omega = 1.4, xi = 0.05: the spring's threshold is above 5, the ball's is 1."""
     choice = choose(sweep(1.0, omega=1.4, xi=0.05, gamma={"start": 2.0, "stop": 4.0, "num": 30}))

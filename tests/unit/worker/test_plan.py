@@ -190,16 +190,10 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
 @for_each(
     ("keep", "coarsest", "side"),
     [
-        (1, 2, 129),
-        (1, 3, 127),
-        (1, 16, 129),
-        (200, 2, 79),  # of 3,214 bytes a cell, 80 by 80 cells fit
-        (200, 16, 65),
-        (200, 128, 80),
-        (1000, 3, 34),
+        (1, 2, 129), (1, 3, 127), (1, 16, 129), (200, 2, 79), (200, 16, 65), (200, 128, 80), (1000, 3, 34),
         (1000, 64, 36),
     ],
-)
+)  # fmt: skip
 def test_the_tiles_of_an_adaptive_map(keep, coarsest, side):
     """What is computed of a map depends on them: a map in other tiles is another one."""
     spec = sweep(xi=2, omega=300, gamma=300, keep=keep, refine={"by": "mode", "coarsest": coarsest})

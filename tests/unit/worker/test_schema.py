@@ -66,13 +66,9 @@ def test_large_chunks_are_halved_into_parts_of_four_megabytes(sizes, inner):
 @for_each(
     ("key", "known"),
     [
-        ("zarr.json", True),
-        ("outcome/zarr.json", True),
-        ("outcome/c.0.1.0.2", True),
-        ("outcome/.zattrs", False),
-        (".spec-0123456789abcdef", False),
-        ("", False),
+        ("zarr.json", True), ("outcome/zarr.json", True), ("outcome/c.0.1.0.2", True),
+        ("outcome/.zattrs", False), (".spec-0123456789abcdef", False), ("", False),
     ],
-)
+)  # fmt: skip
 def test_which_files_a_store_has(key, known):
     assert layout(small(), (1, 1, 1)).has_key(key) == known

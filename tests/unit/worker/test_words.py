@@ -35,14 +35,6 @@ def test_a_doubled_cycle_ends_where_it_is_the_single_one_twice():
     assert len(above.stable) == len(above.multiplier) == 5
 
 
-def test_a_cycle_gone_through_three_times_ends_where_its_flights_are_equal():
-    """The first and the last of three flights are the same everywhere: neighbours in order are compared."""
-    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
-    times = np.column_stack([5.0 + APART, 5.0 - 2.0 * APART, 5.0 + APART])
-    above = _up_to_shorter(branch._replace(word="sss", flight_time=times), settled(5.35, 4.3, 5.35))
-    assert above.gamma.tolist() == branch.gamma[5:].tolist()
-
-
 @for_each(
     ("times", "phases", "bounces", "flights"),
     [

@@ -75,13 +75,6 @@ def test_a_fold_of_a_word():
     assert balance.force + balance.impulse == pytest.approx(balance.weight, abs=1e-9)
 
 
-def test_unresolved_where_a_word_becomes_a_torus():
-    """At Omega = 1.28 it turns into one 2e-6 above its fold."""
-    found = thresholds(1.28, 0.05)
-    assert found.cause == UNRESOLVED
-    assert "zs (2,2) ends at a neimark-sacker at Gamma = 2.710437" in found.reason
-
-
 def test_a_doubled_cycle_reaches_below_the_fold():
     """A flip next to the fold of (1,1): its (2,2), unstable there, turns at a lower fold of its own."""
     expected = REFERENCE["doubled_below_a_fold"]
