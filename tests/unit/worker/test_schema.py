@@ -45,6 +45,8 @@ def test_the_shapes_of_a_sweep():
     assert cut.inner_shape(found["outcome"]) is None
     assert cut.coords((slice(1, 2), slice(1, 2), slice(2, 3), slice(8, 10))) == (1, 1, 1, 2)
     assert cut.identity == {"job": spec.job_id(KERNEL_VERSION), "chunk_shape": [1, 2, 4]}
+    place = slice(1, 2), slice(0, 2), slice(1, 3), slice(2, 10)
+    assert cut.describe(place) == "down, gamma 1.5 to 5, omega 0.7 to 1, xi 0.05 to 0.26"
 
 
 @for_each(
