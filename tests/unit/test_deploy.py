@@ -167,14 +167,6 @@ def test_workers_and_service_share_the_data_folder_and_nothing_else():
     assert not own.startswith("/data")
 
 
-def test_image_installs_the_lock_before_it_copies_the_code():
-    lines = DOCKERFILE.splitlines()
-    locked_at = next(n for n, line in enumerate(lines) if "--require-hashes -r requirements.lock" in line)
-    code_at = next(n for n, line in enumerate(lines) if line.startswith("COPY kernel"))
-    assert locked_at < code_at
-    assert "--no-deps" in "".join(lines[code_at:])
-
-
 def test_build_context_holds_what_the_image_copies():
     sources = {word for line in instructions("COPY") for word in line.split()[:-1]}
     assert all((ROOT / source).exists() for source in sources)

@@ -290,16 +290,9 @@ def test_numbers_of_the_model_are_the_golden_ones():
                for omega, gamma in facts["threshold"]["not_one_at_xi_one"])  # fmt: skip
 
 
-# Files about the project.
-
-
 def test_changelog_has_this_version():
     headings = re.findall(r"^## \[([^\]]+)\]", text("CHANGELOG.md"), re.MULTILINE)
-    assert project_version() in headings
-
-
-def project_version() -> str:
-    return str(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"])
+    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"] in headings
 
 
 # Promises
