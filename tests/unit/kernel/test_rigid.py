@@ -76,12 +76,3 @@ def test_gamma_two_exactly(omega, xi):
     below, exactly, above = line.end_state
     assert exactly == pytest.approx(below, abs=1e-3)
     assert exactly == pytest.approx(above, abs=1e-3)
-
-
-def test_a_flight_at_resonance_has_the_springs_own_frequency():
-    """Only what is driven, in contact, is computed beside an undamped resonance (rigid.NEAREST_RESONANCE)."""
-    s = Setting(3.0, 1.0, 0.0)
-    step = next(iter(phases(s, 3, 1)))
-    assert step.flying
-    gap, gap1, _, _ = flight(s, 0.0, step.before).state(step.tau)
-    assert abs(float(gap / gap1)) < 1e-13

@@ -99,11 +99,7 @@ def test_flights_that_still_drift_do_not_repeat(moved: Any, repeats: bool):
 def test_the_flights_recorded_are_those_of_the_turns_left_out(seed: int):
     """Against a run that records flight by flight, and forgets those before the window when that begins."""
     random = np.random.default_rng(seed)
-    flights, periods, turns = (
-        int(random.integers(1, 6)),
-        int(random.integers(1, 5)),
-        int(random.integers(1, 40)),
-    )
+    flights, periods, turns = (int(random.integers(1, most)) for most in (6, 5, 40))
     before = int(random.integers(TURNS, 9))
     settle = int(random.integers(0, (before + turns) * periods))
     size = int(random.choice([flights * TURNS, 64, 500]))

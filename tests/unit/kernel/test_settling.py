@@ -8,7 +8,7 @@ from kernel_runs import TWO_PI, Model, assert_same_bytes, run
 from tables import for_each
 
 from kernel.modes import CLOSE, find_cycle, is_settling, limit_cycle
-from kernel.params import Cell, Line, Outcome, Start
+from kernel.params import Line, Outcome
 from worker.spec import SweepSpec
 
 #: Random cells of `rigid` with e = 0 whose flights repeat after a multiple of their cycle in the default
@@ -59,13 +59,6 @@ def test_a_true_cycle_of_two_flights_stays_one(size, start):
     assert modes_of(times) == (2, 2)
 
 
-@pytest.mark.parametrize("parts", [3, 5])
-def test_an_approach_in_turns_by_another_root_of_unity(parts):
-    i = np.arange(100)
-    times = 4.0 + 1e-5 * np.exp(-0.02 * i) * np.cos(TWO_PI * i / parts)
-    assert modes_of(times) == (parts, 1)
-
-
 @for_each(("gamma", "omega", "xi", "repeating", "true"), MULTIPLES)
 def test_cells_that_were_given_a_multiple_of_their_mode(gamma, omega, xi, repeating, true):
     line = run(gamma, omega, xi, settle=200, observe=100, keep=256)
@@ -74,9 +67,6 @@ def test_cells_that_were_given_a_multiple_of_their_mode(gamma, omega, xi, repeat
     assert (line.bounces[0], line.periods[0]) == true
     late = run(gamma, omega, xi, settle=20_000, observe=100)
     assert (late.bounces[0], late.periods[0]) == true
-
-
-# --- flights without a cycle ----------------------------------------------------------------
 
 
 def spiral(rate: float, size: float, flights: int = 100, turn: float = 0.381966) -> np.ndarray:
@@ -111,8 +101,6 @@ def test_chaotic_flights_do_not_settle():
         orbits[i] = x
     assert sum(settles(3.0 + 4.0 * orbit) for orbit in orbits.T) <= 4
 
-
-# --- cells -----------------------------------------------------------------------------------
 
 #: gamma, omega, xi of `rigid` cells, e = 0, that settle at the end of the default window, and their mode in
 #: the end. The last one takes more than 1,000 periods.
@@ -197,25 +185,6 @@ def test_a_cell_that_goes_on_depends_on_no_other():
         assert_same_bytes(Line(*(array[i : i + 1] for array in together)), alone)
 
 
-@pytest.mark.parametrize("model", [Model.RIGID, Model.SOFT])
-def test_a_ramp_goes_on_from_where_its_cell_ended(model):
-    """In two pieces as in one, with cells that take more than their window."""
-    gamma, omega, xi = np.linspace(3.4, 3.8, 9), 1.288, 0.352
-    window = {"settle": 30, "observe": 40, "settle_until": 2_000, "carry": True, "which": model}
-    whole = run(gamma, omega, xi, **window)
-    first = run(gamma[:4], omega, xi, **window)
-    start = Start(first.end_state[-1], Cell(gamma[3], omega, xi))
-    second = run(gamma[4:], omega, xi, **window, start=start)
-    joined = Line(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
-    assert_same_bytes(whole, joined)
-    short = run(gamma, omega, xi, **window | {"settle_until": None})
-    assert np.any(short.outcome == Outcome.SETTLING)
-    assert not np.any(whole.outcome == Outcome.SETTLING)
-
-
-# --- what is recorded, and what counts ------------------------------------------------------
-
-
 @pytest.mark.parametrize(("gamma", "mode"), [(1.5, (1, 1)), (2.3, (2, 2)), (3.6, (1, 2))])
 def test_the_default_contact_has_the_modes_of_figure_2(gamma, mode):
     """Soft, e = 0.01, d = 1e-3, Omega = 0.5, xi = 0.26: its hops after a landing do not count."""
@@ -227,9 +196,6 @@ def test_the_default_contact_has_the_modes_of_figure_2(gamma, mode):
     assert (rigid.bounces[0], rigid.periods[0]) == mode
     every = run(gamma, 0.5, 0.26, Model.SOFT, **window, micro_flight=0.0)
     assert every.bounces[0] > line.bounces[0]
-
-
-# --- settling that ends as soon as the flights repeat -----------------------------------------
 
 
 @pytest.mark.parametrize("carry", [False, True])

@@ -8,18 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import (
-    TWO_PI,
-    Model,
-    constants,
-    examples,
-    last_cycle,
-    one_phase,
-    phases,
-    recorded,
-    run,
-    run_setting,
-)
+from kernel_runs import TWO_PI, Model, constants, examples, last_cycle, phases, recorded, run, run_setting
 from mpmath import mp, mpf
 from naive import Setting, bounce, trajectory
 from naive_exact import pressed
@@ -61,28 +50,12 @@ def test_every_flight_is_the_integrated_one(cell):
     assert takeoffs == pytest.approx([f.takeoff % TWO_PI for f in expected], abs=1e-8)
 
 
-# --- an isolated impact ---------------------------------------------------------------------
-
-
 @for_each("adhesive", [True, False])
 @for_each("zeta", [0.0, 0.01, 0.3, 0.7, 0.999, 1.0, 1.001, 1.5, 4.0])
 def test_restitution_is_that_of_an_integrated_impact(zeta, adhesive):
     expected = 0.0 if adhesive and zeta >= 1.0 else bounce(zeta, adhesive)
     # adhesive leaves only after more and more of the plate's time: nothing is left of it near 1
     assert restitution(zeta, adhesive) == pytest.approx(expected, abs=1e-10)
-
-
-@for_each("adhesive", [True, False])
-@for_each("e", [0.05, 0.2, 0.5, 0.9, 1.0])
-def test_the_kernels_contact_gives_the_requested_restitution(e, adhesive):
-    """A fast impact on a stiff plate, the spring too soft to be felt; the trap would give 0.2137 for 0.05."""
-    s = Setting(100.0, 1000.0, 0.0, True, e, 1e-6, adhesive)
-    impact = one_phase(s, False, math.pi / 2, (0.0, -1.0, 0.0, 0.0), 1.0, 1000)
-    assert impact.ending == ROOT
-    assert impact.after[1] == pytest.approx(e, abs=2e-5)
-
-
-# --- stiffness ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("fact", FACTS["trap"])
@@ -123,17 +96,6 @@ def test_soft_tends_to_rigid():
         off.append(abs(last_cycle(line, 1)[0] - rigid))
     slopes = [math.log10(before / after) for before, after in pairwise(off)]
     assert slopes == pytest.approx([1.0] * 3, abs=0.15)
-
-
-@pytest.mark.parametrize("beside", [0.0, 1e-12, 1e-9, 1e-6, 1e-3])
-def test_a_plate_as_soft_as_the_spring(beside):
-    """Omega = d, xi = 0, zeta = 1: both free motions are one; to tell them apart costs digits."""
-    cell = Setting(2.5, 0.1 * (1.0 + beside), 0.0, True, 0.0, 0.1, True)
-    line = run_setting(cell, settle=0, observe=3)
-    assert recorded(line) == pytest.approx([f.time for f in trajectory(cell, 3.0)], abs=1e-7)
-
-
-# --- the constants of the contact -----------------------------------------------------------
 
 
 def coefficients(s: Setting) -> tuple[float, float, float, float]:

@@ -38,9 +38,6 @@ def slope(sizes, errors) -> float:
     return float(np.polyfit(np.log(sizes), np.log(errors), 1)[0])
 
 
-# --- accuracy -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("adhesive", [True, False])
 @pytest.mark.parametrize("name", SCHEMES)
 @pytest.mark.parametrize(
@@ -59,9 +56,6 @@ def test_converges_to_exact_soft_at_its_order(gamma, omega, xi, e, name, adhesiv
         assert line.bounces[0] == bounces
         errors.append(np.abs(last_flights(line, bounces) - last_flights(exact, bounces)).max())
     assert slope(numbers, errors) == pytest.approx(-ORDER[name], abs=0.15)
-
-
-# --- one step -------------------------------------------------------------------------------
 
 
 def random_contacts(count: int) -> list[dict]:
@@ -142,9 +136,6 @@ def test_contact_time_is_that_of_an_isolated_impact(adhesive: bool):
         assert row.now.gap1 == pytest.approx(e, abs=3e-4)
 
 
-# --- stability in a run ---------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("name", "omega", "xi", "d"), [("euler", 10.0 / 650.0, 10.0, 1e-2), ("verlet", 2e-3, 0.1, 5e-2)]
 )
@@ -159,18 +150,3 @@ def test_a_run_needs_the_fewest_stable_steps(name: str, omega: float, xi: float,
     assert outcome(fewest) == (Outcome.PERIODIC, pytest.approx(exact, abs=0.01))
     assert outcome(fewest - 1)[0] != Outcome.PERIODIC
     assert outcome(int(0.9 * fewest))[0] == Outcome.DIVERGED
-
-
-def test_fewest_stable_steps_are_the_fewest():
-    for contact in random_contacts(100):
-        for kind in Scheme:
-            limit = float(largest_stable_step(**contact, scheme=kind))
-            fewest = int(stable_steps_per_contact(**contact, scheme=kind))
-            time = float(
-                restitution.contact_time(contact["restitution"], contact["penetration"], contact["adhesive"])
-            )
-            assert time / fewest < limit
-            assert fewest == 1 or time / (fewest - 1) >= limit * (1.0 - 1e-9)
-
-
-# --- windows, ramps, refusals ---------------------------------------------------------------

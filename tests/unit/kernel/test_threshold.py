@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 from paths import GOLDEN
-from scipy.optimize import minimize_scalar
 from tables import for_each
 
 from kernel.threshold import takeoff_phase, threshold
@@ -38,22 +37,6 @@ def test_eq_25_and_eq_24_are_the_onset(omega, xi):
 def test_closed_forms_at_resonance_and_at_the_square_root_of_two(xi):
     assert threshold(1.0, xi) == pytest.approx(4.0 * xi / math.sqrt(1.0 + 16.0 * xi**2), rel=1e-13)
     assert threshold(math.sqrt(2.0), xi) == pytest.approx(math.sqrt(1.0 + 1.0 / (8.0 * xi**2)), rel=1e-13)
-
-
-@for_each("xi", [0.0, 0.01, 0.05, 0.2, 0.3])
-def test_extrema(xi):
-    """Omega**2 = (3 -+ sqrt(1 + 48 xi**2))/(2 (1 - 6 xi**2)); both exist below xi = 1/sqrt(6)."""
-    root = math.sqrt(1.0 + 48.0 * xi**2)
-    minimum, maximum = (math.sqrt((3.0 + sign * root) / (2.0 * (1.0 - 6.0 * xi**2))) for sign in (-1.0, 1.0))
-    if xi > 0.0:
-        optimum = minimize_scalar(
-            lambda o: float(threshold(o, xi)), bounds=(0.3, 1.15), options={"xatol": 1e-10}
-        )
-        assert optimum.x == pytest.approx(minimum, abs=1e-6)
-        optimum = minimize_scalar(
-            lambda o: -float(threshold(o, xi)), bounds=(1.2, 9.0), options={"xatol": 1e-10}
-        )
-        assert optimum.x == pytest.approx(maximum, abs=1e-5)
 
 
 def test_facts():

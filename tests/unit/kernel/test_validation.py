@@ -101,9 +101,6 @@ def test_starts_that_cannot_be(start, why):
         call(carry=True, start=start)
 
 
-# --- what is taken --------------------------------------------------------------------------
-
-
 @for_each("name", ["gamma", "omega", "xi", "penetration"])
 @for_each("bad", [1.1e30, 1e300, 0.9e-30, 5e-324])
 def test_numbers_whose_products_overflow(name, bad):

@@ -16,7 +16,7 @@ TWO_PI = 2.0 * math.pi
 BUDGET = 100_000
 
 #: Events of each setting whose Jacobians are compared.
-EVENTS = 200
+EVENTS = 60
 
 #: The largest relative error allowed, of the largest element of the Jacobian.
 TOLERANCE = 1e-6

@@ -41,9 +41,6 @@ GAMMA = st.one_of(st.sampled_from([1.0, 1.0 + 1e-12, 2.0, math.hypot(1.0, math.p
 EPSILON = st.one_of(st.sampled_from([0.0, 0.15, 0.5]), st.floats(0.0, 0.99))
 
 
-# --- the ball -------------------------------------------------------------------------------
-
-
 @given(gamma=GAMMA, epsilon=EPSILON)
 @examples(300)
 def test_any_ball_ends_with_an_outcome_in_time(gamma, epsilon):
@@ -124,9 +121,6 @@ def test_a_ball_flies_as_its_twin(gamma, epsilon):
         np.testing.assert_allclose(np.sort(mine)[-count:], np.sort(twin)[-count:], rtol=0, atol=1e-2)
 
 
-# --- time steps -----------------------------------------------------------------------------
-
-
 @st.composite
 def stepped(draw: st.DrawFn, smallest: float) -> tuple[Setting, int, str]:
     """A cell with a contact of at least that depth, and steps that a specification would accept."""
@@ -157,7 +151,7 @@ def run_stepped(s: Setting, number: int, name: str, **window):
 
 
 @given(case=stepped(-4.0))
-@examples(200)
+@examples(80)
 def test_any_stepped_cell_ends_with_an_outcome(case):
     """Finite, its flights counted, and above the plate where it is in flight."""
     line = run_stepped(*case, settle=1, observe=2)
@@ -187,9 +181,6 @@ def test_time_steps_are_those_of_their_twin(case):
     mine, twin = mine[mine > shortest], twin[twin > shortest]
     assert len(mine) == len(twin)
     np.testing.assert_allclose(mine, twin, rtol=1e-6, atol=1e-8)
-
-
-# --- lanes ----------------------------------------------------------------------------------
 
 
 # --- cost -----------------------------------------------------------------------------------

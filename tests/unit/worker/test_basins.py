@@ -218,9 +218,8 @@ def test_cells_in_one_chunk_or_in_many_are_the_same_bytes(tmp_path: Path, whole:
             assert data[name].values.tobytes() == content, (name, shape)
 
 
-@pytest.mark.parametrize("slice_seconds", [0.0, 0.05])
 def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes], slice_seconds: float
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes]
 ):
     monkeypatch.setattr(tasks, "FIRST_STEPS", 65_537)
     monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
@@ -233,7 +232,7 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
     for attempt in itertools.count():
         assert attempt < 5000
         try:
-            run_chunk(spec, plan[0], url, slice_seconds)
+            run_chunk(spec, plan[0], url, 0.0)
             break
         except ChunkPaused:
             kept = store.read_checkpoint(url, plan[0].index)
@@ -241,7 +240,7 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
             done.append(int(kept["steps_done"]))
     assert attempt > 2
     assert done == sorted(done)
-    assert slice_seconds > 0.0 or set(done) == set(range(6))  # of six cells; none is computed again
+    assert set(done) == set(range(6))  # of six cells; none is computed again
     data = xarray.open_zarr(url, chunks=None).load()
     for name, content in whole.items():
         assert data[name].values.tobytes() == content, name

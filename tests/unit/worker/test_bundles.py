@@ -64,15 +64,6 @@ def test_calls_that_differ_in_urgency_or_workers_are_not():
     assert futures == [f"future of {result}" for result in (1, 2, 3, 5)]
 
 
-def test_a_message_that_cannot_be_sent_concerns_its_calls_alone():
-    _, futures = submit([Call((str, "bad"), 0.0), Call((abs, 2), -50.0)])
-    assert isinstance(futures[0], ValueError)
-    assert futures[1] == "future of 2"
-
-
-# Specifications
-
-
 @pytest.fixture
 def long_spec() -> SweepSpec:
     return small_spec(gamma=[round(1.0 + i / 1000, 6) for i in range(1000)])

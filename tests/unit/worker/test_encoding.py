@@ -6,22 +6,11 @@ import numpy as np
 import pytest
 from tables import for_each
 
-from worker.store.encoding import ArrayForm, decode, encode, form_of, spans_of
+from worker.store.encoding import ArrayForm, decode, encode, spans_of
 
 
 def form(chunks: tuple[int, ...] = (4, 4), inner: tuple[int, ...] = (2, 4), fill: float = 7) -> ArrayForm:
     return ArrayForm(np.dtype("<i4"), fill, ("x", "y"), (10, 10), chunks, inner, "a job")
-
-
-def test_a_chunk_that_is_no_shard_has_no_index():
-    whole = form(inner=(4, 4))
-    assert not whole.sharded
-    values = np.arange(16, dtype=np.int32).reshape(4, 4)
-    assert decode(whole, encode(whole, values, (0, 0)), (0, 0)).tolist() == values.tolist()
-    edge = decode(whole, encode(whole, values[:3, :2], (0, 0)), (0, 0))
-    assert edge[:3, :2].tolist() == values[:3, :2].tolist()
-    assert np.all(edge[3] == 7)
-    assert np.all(edge[:, 2:] == 7)
 
 
 @for_each("inner", [(2, 4), (1, 2), (2, 2), (4, 1)])
@@ -60,26 +49,3 @@ def test_a_damaged_index_is_no_index():
     shorter = form(chunks=(2, 4), inner=(1, 4))._replace(chunks=(6, 4), inner=(2, 4))
     with pytest.raises(ValueError, match="the shard is cut off"):
         spans_of(shorter, index, [(0, 0)])
-
-
-METADATA = {
-    "data_type": "float64",
-    "shape": [10, 10],
-    "fill_value": "NaN",
-    "dimension_names": ["x", "y"],
-    "chunk_grid": {"configuration": {"chunk_shape": [4, 4]}},
-    "codecs": [{"name": "bytes"}],
-}
-
-
-def test_how_an_array_is_stored_is_read_from_its_metadata():
-    found = form_of(METADATA, "job")
-    assert np.isnan(found.fill)
-    assert found._replace(fill=0) == ArrayForm(
-        np.dtype("<f8"), 0, ("x", "y"), (10, 10), (4, 4), (4, 4), "job"
-    )
-    sharding = {"name": "sharding_indexed", "configuration": {"chunk_shape": [2, 4]}}
-    assert form_of(METADATA | {"codecs": [sharding]}, "").inner == (2, 4)
-    assert form_of(METADATA | {"data_type": "uint8", "fill_value": 3}, "").fill == 3
-    assert form_of(METADATA | {"fill_value": "-Infinity"}, "").fill == -np.inf
-    assert form_of(METADATA | {"data_type": "complex128", "fill_value": ["NaN", 2.0]}, "").fill.imag == 2.0

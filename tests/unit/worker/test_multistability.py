@@ -1,6 +1,5 @@
 """Multistability: the attractors that drops find, followed along gamma, however the work is cut."""
 
-import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,10 @@ import xarray
 
 from kernel.branches.events import Kind, fold_events
 from kernel.params import Outcome
-from worker import store, tasks
+from worker import store
 from worker.basins.multistability import MULTISTABILITY, run_chunk
 from worker.basins.spec import MultistabilitySpec
 from worker.spec import SpecError
-from worker.tasks import ChunkPaused
 
 GOLDEN = json.loads((paths.GOLDEN / "multistability.json").read_text())
 
@@ -135,32 +133,6 @@ def test_lines_in_one_chunk_or_in_several_are_the_same_bytes(tmp_path: Path, who
         data = computed(str(tmp_path / f"{i}.zarr"), multistability(), shape)
         for name, content in whole.items():
             assert data[name].values.tobytes() == content, (name, shape)
-
-
-def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes]
-):
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 16_411)
-    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
-    spec, url = multistability(), str(tmp_path / "paused.zarr")
-    plan = MULTISTABILITY.plan(spec, (1, 2, 3))
-    store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
-    done: list[int] = []
-    for attempt in itertools.count():
-        assert attempt < 5000
-        try:
-            run_chunk(spec, plan[0], url, 0.0)
-            break
-        except ChunkPaused:
-            kept = store.read_checkpoint(url, plan[0].index)
-            assert kept is not None
-            done.append(int(kept["steps_done"]))
-    assert attempt > 4
-    assert done == sorted(done)
-    assert done[-1] > 2  # what is done is not computed again
-    data = xarray.open_zarr(url, chunks=None).load()
-    for name, content in whole.items():
-        assert data[name].values.tobytes() == content, name
 
 
 @pytest.mark.parametrize(

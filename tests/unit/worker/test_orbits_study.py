@@ -105,17 +105,6 @@ def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
     assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
 
 
-def test_what_lies_at_gamma_max_is_stored(tmp_path: Path):
-    branch, events = branch_and_events(0.6, 0.05, 1)
-    one = {"omega": 0.6, "xi": 0.05, "modes": ["1-1"], "events": 100}
-    for i, most in enumerate((events.gamma.min(), branch.gamma.min())):
-        cell = computed(
-            str(tmp_path / f"{i}.zarr"), OrbitsSpec.parse(SPEC | one | {"gamma_max": float(most)})
-        )
-        assert int(cell.event_count[0, 0]) == np.count_nonzero(events.gamma <= most)
-        assert np.isfinite(cell.gamma).sum() == np.count_nonzero(branch.gamma <= most)
-
-
 @for_each(
     ("changes", "rule"),
     [

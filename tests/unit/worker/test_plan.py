@@ -116,21 +116,6 @@ def cells_along(spec: SweepSpec, chunk: Chunk, axis: str) -> list[tuple[str, int
     return [(direction, place) for place in (reversed(places) if direction == "down" else places)]
 
 
-def test_a_ramp_chunk_follows_its_neighbour_and_down_follows_up():
-    plan = make_plan(sweep(gamma=10, ramp=("gamma", "both")), chunk_shape=(1, 1, 4))
-    assert [(c.direction, c.gamma, c.after) for c in plan] == [
-        (0, (0, 4), None),
-        (0, (4, 8), 0),
-        (0, (8, 10), 1),
-        (1, (8, 10), 2),
-        (1, (4, 8), 3),
-        (1, (0, 4), 4),
-    ]
-
-
-# How large a chunk is
-
-
 def test_chunks_of_cells_side_by_side_fill_the_lanes():
     full = sweep(gamma=64 * LANES, settle=10**6)
     assert all(chunk.cells == LANES for chunk in make_plan(full))
@@ -143,17 +128,6 @@ def test_those_models_fill_lanes_that_the_kernel_computes_in_lanes(kind):
     values = spec.model.exact if kind == "auto" else spec.model
     plate = module.plate(**values.plate_arguments(*(np.ones(1),) * 3))
     assert (cells_at_once(spec) > 1) == (type(plate) in advance_lanes)
-
-
-def test_chunks_fit_into_memory_however_many_flights_are_kept():
-    spec = sweep(gamma=10_000, omega=10, keep=10_000, settle=0, observe=1)
-    assert make_plan(spec)[0].cells * 10_000 * 16 <= 64 * 2**20
-
-
-def test_a_chunk_of_a_ramp_holds_whole_lines_where_they_fit():
-    spec = sweep(omega=50, gamma=20, ramp=("omega", "up"), model={"kind": "stepped"})
-    assert make_plan(spec, chunk_cells=100).chunk_shape == (1, 50, 2)
-    assert make_plan(spec, chunk_cells=20).chunk_shape == (1, 17, 1)
 
 
 @for_each(
@@ -216,16 +190,10 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
 @for_each(
     ("keep", "coarsest", "side"),
     [
-        (1, 2, 129),
-        (1, 3, 127),
-        (1, 16, 129),
-        (200, 2, 79),  # of 3,214 bytes a cell, 80 by 80 cells fit
-        (200, 16, 65),
-        (200, 128, 80),
-        (1000, 3, 34),
+        (1, 2, 129), (1, 3, 127), (1, 16, 129), (200, 2, 79), (200, 16, 65), (200, 128, 80), (1000, 3, 34),
         (1000, 64, 36),
     ],
-)
+)  # fmt: skip
 def test_the_tiles_of_an_adaptive_map(keep, coarsest, side):
     """What is computed of a map depends on them: a map in other tiles is another one."""
     spec = sweep(xi=2, omega=300, gamma=300, keep=keep, refine={"by": "mode", "coarsest": coarsest})
@@ -259,9 +227,6 @@ def test_a_plan_is_a_sequence():
     for index in (4, -5):
         with pytest.raises(IndexError):
             plan[index]
-
-
-# What it will take
 
 
 def test_estimate_counts_what_the_store_holds():
@@ -315,9 +280,6 @@ def test_too_much_is_refused_with_the_limit():
             check_size(cost, **limit)
 
 
-# Many chunks
-
-
 def huge(kind: str, xi: int) -> SweepSpec:
     axes = {"gamma": (0.5, 6.0, 1000), "omega": (0.1, 5.0, 1000), "xi": (0.02, 5.0, xi)}
     ranges = {name: dict(zip(("start", "stop", "num"), axis, strict=True)) for name, axis in axes.items()}
@@ -334,9 +296,3 @@ def test_a_billion_cells_are_less_than_a_hundred_thousand_files(kind: str):
     inner = math.prod(cut.inner_sizes.values()) * schema.bytes_per_cell(spec)
     assert inner <= schema.INNER_BYTES < cut.chunk_bytes <= MAX_SHARD_BYTES
     assert all(size % cut.inner_sizes[dim] == 0 for dim, size in cut.chunk_sizes.items())
-
-
-def test_ordinary_jobs_have_no_shards():
-    for xi in (2, 20, 100):
-        spec = huge("rigid", xi)
-        assert schema.layout(spec, make_plan(spec).chunk_shape).inner_sizes is None

@@ -254,17 +254,6 @@ def test_computed_cells_are_those_of_the_full_grid(full, tmp_path, by, margin):
         assert by == "bouncing" or abs(shares[0] - shares[1]) < 0.01, outcome
 
 
-def test_values_of_other_cells_are_those_of_a_computed_cell_of_their_tile(tmp_path):
-    found = compute(adaptive(), tmp_path / "a.zarr")
-    cells = np.stack([found[name] for name in MODE_ARRAYS], axis=-1)
-    for rows in range(0, 45, 17):
-        for columns in range(0, 52, 17):
-            tile = np.s_[rows : rows + 17, columns : columns + 17]
-            computed = found["computed"][tile] == 1
-            known = {tuple(cell) for cell in cells[tile][computed].tolist()}
-            assert {tuple(cell) for cell in cells[tile][~computed].tolist()} <= known
-
-
 def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
     refine, omega = {"by": "mode", "coarsest": 8, "margin": True}, {"start": 0.35, "stop": 0.7, "num": 20}
     spec = sweep(refine=refine, omega=omega, settle_until=300)

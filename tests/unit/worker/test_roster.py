@@ -39,17 +39,6 @@ def test_a_refused_worker_is_listed_until_it_is_admitted_or_gone(caplog: pytest.
     assert roster.refused == ()
 
 
-def test_a_worker_that_said_so_is_leaving_and_hosts_are_known():
-    roster = Roster()
-    roster.note(event("a", leaving=True))
-    roster.note(event("b", admitted=True))
-    assert roster.is_leaving("a")
-    assert not roster.is_leaving("b")
-    assert roster.describe("b") == "b on host of b"
-    assert roster.describe("c") == "c"
-    assert roster.refused == ()
-
-
 @for_each(
     ("state", "fault", "explanation"),
     [
@@ -64,9 +53,6 @@ def test_a_worker_that_said_so_is_leaving_and_hosts_are_known():
 )
 def test_why_no_chunk_is_computed(state: ClusterState, fault: str | None, explanation: str | None):
     assert (state.fault, state.explanation) == (fault, explanation)
-
-
-# How many workers a cluster shall have
 
 
 @pytest.fixture

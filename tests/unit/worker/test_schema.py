@@ -1,7 +1,6 @@
 """Layouts of stores: shapes, shards, keys, and the texts for people and readers."""
 
 import numpy as np
-import pytest
 from scripted import small
 from tables import for_each
 
@@ -31,15 +30,6 @@ def test_a_sweep_stores_what_it_computes():
     assert list(arrays(small(refine={"by": "mode"}))) == [*usual, "computed", "outcome"]
 
 
-def test_the_bytes_of_a_cell():
-    flights, counts = 2 * 8 * 8, 4 + 4 + 4
-    assert schema.bytes_per_cell(small()) == flights + counts + 1
-    assert schema.bytes_per_cell(small(exponents=3)) == flights + counts + 3 * 8 + 8 + 1
-    ramp = small(protocol=UP_AND_DOWN)
-    assert schema.bytes_per_cell(ramp) == flights + counts + len(STATE_FIELDS) * 8 + 1
-    assert schema.bytes_of_map(small(refine={"by": "mode"})) == counts + 1 + 1
-
-
 def test_the_shapes_of_a_sweep():
     spec = small(protocol=UP_AND_DOWN, exponents=2)
     cut, found = layout(spec, (1, 2, 4)), arrays(spec)
@@ -55,6 +45,8 @@ def test_the_shapes_of_a_sweep():
     assert cut.inner_shape(found["outcome"]) is None
     assert cut.coords((slice(1, 2), slice(1, 2), slice(2, 3), slice(8, 10))) == (1, 1, 1, 2)
     assert cut.identity == {"job": spec.job_id(KERNEL_VERSION), "chunk_shape": [1, 2, 4]}
+    place = slice(1, 2), slice(0, 2), slice(1, 3), slice(2, 10)
+    assert cut.describe(place) == "down, gamma 1.5 to 5, omega 0.7 to 1, xi 0.05 to 0.26"
 
 
 @for_each(
@@ -73,29 +65,12 @@ def test_large_chunks_are_halved_into_parts_of_four_megabytes(sizes, inner):
     assert cut.inner_shape(cut.arrays[0]) == (inner and tuple(inner.values()))
 
 
-@pytest.mark.parametrize(
-    ("place", "text"),
-    [
-        ((0, (0, 1), (0, 1), (0, 1)), "up, gamma 0.5, omega 0.5, xi 0.05"),
-        ((1, (0, 2), (1, 3), (2, 10)), "down, gamma 1.5 to 5, omega 0.7 to 1, xi 0.05 to 0.26"),
-    ],
-)
-def test_cells_are_described(place, text):
-    direction, *spans = place
-    slices = slice(direction, direction + 1), *(slice(*span) for span in spans)
-    assert layout(small(protocol=UP_AND_DOWN), (1, 1, 1)).describe(slices) == text
-
-
 @for_each(
     ("key", "known"),
     [
-        ("zarr.json", True),
-        ("outcome/zarr.json", True),
-        ("outcome/c.0.1.0.2", True),
-        ("outcome/.zattrs", False),
-        (".spec-0123456789abcdef", False),
-        ("", False),
+        ("zarr.json", True), ("outcome/zarr.json", True), ("outcome/c.0.1.0.2", True),
+        ("outcome/.zattrs", False), (".spec-0123456789abcdef", False), ("", False),
     ],
-)
+)  # fmt: skip
 def test_which_files_a_store_has(key, known):
     assert layout(small(), (1, 1, 1)).has_key(key) == known

@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import worker.analysis.prediction
-import worker.analysis.thresholds
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from worker import store
@@ -102,15 +100,6 @@ def test_the_descending_threshold_is_that_of_the_model_page(tmp_path: Path, mode
     np.testing.assert_allclose(found.up, threshold(np.array(spec.omega), 0.05), rtol=0, atol=TOLERANCE)
 
 
-def test_a_finer_tolerance_confirms_a_coarser_one(tmp_path: Path):
-    spec, url = descending(tmp_path, kind="rigid")
-    fine = thresholds(spec, url, 1e-7)
-    for tolerance in (1e-3, 1e-5):
-        coarse = thresholds(spec, url, tolerance)
-        np.testing.assert_allclose(coarse.up, fine.up, rtol=0, atol=tolerance)
-        np.testing.assert_allclose(coarse.down, fine.down, rtol=0, atol=tolerance)
-
-
 def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path):
     spec, url = computed(
         tmp_path, gamma={"start": 0.5, "stop": 1.5, "num": 11}, omega=[0.5, 0.7, 1.0], xi=0.26
@@ -149,14 +138,6 @@ def test_a_change_that_is_not_computed_yet_is_missing(tmp_path: Path):
     store.create(str(tmp_path / "c"), layout(spec, make_plan(spec).chunk_shape))
     found = thresholds(spec, str(tmp_path / "c"), 1e-3)
     assert (found.up_status, found.down_status) == ((Status.MISSING,), (Status.NOT_RAMPED,))
-
-
-def test_a_refinement_that_reaches_its_limit_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    spec, url = computed(tmp_path, gamma=[0.5, 2.0], omega=[0.5], xi=0.26, protocol=ramp("up"))
-    monkeypatch.setattr(worker.analysis.thresholds, "MAX_CELLS", 3)
-    found = thresholds(spec, url, 1e-9)
-    assert np.isnan(found.up).all()
-    assert found.up_status == (Status.NOT_REFINED,)
 
 
 def test_what_has_no_closed_form_is_unresolved_and_says_why():

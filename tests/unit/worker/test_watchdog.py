@@ -3,7 +3,7 @@
 import faulthandler
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -104,9 +104,6 @@ def test_nothing_is_ended_whose_chunk_is_done(tmp_path: Path, monkeypatch: pytes
     assert whys == []
 
 
-# In a worker
-
-
 @pytest.fixture(scope="module")
 def client() -> Iterator[Client]:
     """A client of a cluster whose only worker is a thread of this process."""
@@ -131,91 +128,71 @@ def timers(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 class Watched:
     """Runs the first chunk of a small sweep as a worker does."""
 
-    def __init__(self, client: Client, url: Path, spec: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-        self._client, self.url, self._spec, self._patch = client, str(url), spec, monkeypatch
-        self.plan = make_plan(spec)
-        store.create(self.url, layout(spec, self.plan.chunk_shape))
-        self.key = f"{url.parent.name}-0"
-        [self.worker] = client.scheduler_info()["workers"]
+    def __init__(self, client: Client, url: str, spec: Any) -> None:
+        self._client, self.url, self.spec, self.plan = client, url, spec, make_plan(spec)
+        store.create(url, layout(spec, self.plan.chunk_shape))
+        self.begun = {"key": f"{url}-0", "worker": next(iter(client.scheduler_info()["workers"]))}
 
-    def __call__(self, seconds: float = 100.0, **more: Any) -> Any:
-        future = self._client.submit(
-            run_watched, self._spec, self.plan[0], self.url, seconds, key=self.key, pure=False, **more
+    def __call__(self, seconds: float = 100.0) -> Any:
+        arguments = self.spec, self.plan[0], self.url, seconds
+        return self._client.submit(run_watched, *arguments, key=self.begun["key"], pure=False).result(
+            DEADLINE
         )
-        return future.result(DEADLINE)
-
-    def running(self, task: Callable[..., Any]) -> "Watched":
-        """The same with another task in place of the real one."""
-        self._patch.setattr(watchdog, "run_task", task)
-        return self
-
-    def compiling(self, compile_for: Callable[..., Any]) -> "Watched":
-        self._patch.setattr(watchdog, "compile_for", compile_for)
-        return self
 
     def events(self) -> list[dict[str, str]]:
-        found = [event for _, event in self._client.get_events(TOPIC)]
-        return [event for event in found if event["key"] == self.key]
+        return [event for _, event in self._client.get_events(TOPIC) if event.get("key") == self.begun["key"]]
 
 
 @pytest.fixture
-def watched(
-    client: Client, tmp_path: Path, small_spec: Any, timers: Any, monkeypatch: pytest.MonkeyPatch
-) -> Watched:
-    return Watched(client, tmp_path / "a.zarr", small_spec(), monkeypatch)
+def watched(client: Client, tmp_path: Path, small_spec: Any, timers: Any) -> Watched:
+    return Watched(client, str(tmp_path / "a.zarr"), small_spec())
 
 
 def test_a_worker_says_what_it_begins_and_returns_the_report(watched: Watched, timers: list[Any]):
-    compiled: list[Any] = []
-    report = watched.compiling(compiled.append)()
+    report = watched()
     assert isinstance(report, ChunkReport)
     assert report.index == 0
     assert store.read_chunk(watched.url, watched.plan[0], ["outcome"])["outcome"].all()
-    assert compiled == [watched._spec]
-    assert watched.events() == [{"key": watched.key, "worker": watched.worker}]
+    assert watched.events() == [watched.begun]
     assert not watching()
     assert timers == [(105.0, True), ("cancelled",)]  # five seconds more than the chunk has
 
 
 @pytest.mark.parametrize("stop", [ChunkCancelled("cancelled"), ChunkPaused("paused")])
-def test_that_a_chunk_stopped_is_returned(watched: Watched, stop: Exception):
+def test_that_a_chunk_stopped_is_returned(watched: Watched, monkeypatch: pytest.MonkeyPatch, stop: Exception):
     def stopping(*_: Any) -> None:
         raise stop
 
-    assert type(watched.running(stopping)()) is type(stop)
+    monkeypatch.setattr(watchdog, "run_task", stopping)
+    assert type(watched()) is type(stop)
 
 
 def test_a_process_that_is_ended_says_why_first(watched: Watched, monkeypatch: pytest.MonkeyPatch):
     ended, codes = threading.Event(), []
-
-    def exit_(code: int) -> None:
-        codes.append(code)
-        ended.set()
-
-    monkeypatch.setattr(os, "_exit", exit_)
-    assert watched.running(lambda *_: ended.wait(DEADLINE))(seconds=0.0) is True
+    monkeypatch.setattr(os, "_exit", lambda code: (codes.append(code), ended.set()))
+    monkeypatch.setattr(watchdog, "run_task", lambda *_: ended.wait(DEADLINE))
+    assert watched(seconds=0.0) is True
     wait_for(lambda: not watching())  # it goes on asking for the end until the chunk is done
     why = "it took longer than 0 s; its worker process was terminated"
-    begun = {"key": watched.key, "worker": watched.worker}
-    assert watched.events()[:2] == [begun, begun | {"why": why}]
+    assert watched.events()[:2] == [watched.begun, watched.begun | {"why": why}]
     assert codes[0] == 1
 
 
 def test_a_job_cancelled_while_its_kernel_is_compiled_does_not_begin(
     watched: Watched, monkeypatch: pytest.MonkeyPatch
 ):
-    compiled, begun, background = threading.Event(), [], []
-    monkeypatch.setattr(watchdog, "FLAG_SECONDS", 0.001)
+    compiled, begun = threading.Event(), []
 
     def compile_for(_: Any) -> None:
-        background.append(threading.current_thread().daemon)
         store.set_cancelled(watched.url)
         assert compiled.wait(DEADLINE)
 
+    monkeypatch.setattr(watchdog, "FLAG_SECONDS", 0.001)
+    monkeypatch.setattr(watchdog, "compile_for", compile_for)
+    monkeypatch.setattr(watchdog, "run_task", lambda *_: begun.append(1))
     try:
-        answer = watched.compiling(compile_for).running(lambda *_: begun.append(1))()
+        answer = watched()
     finally:
         compiled.set()
     assert isinstance(answer, ChunkCancelled)
     assert begun == []
-    assert background == [True]  # the process may end before it is compiled

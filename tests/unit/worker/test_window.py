@@ -64,14 +64,6 @@ def test_the_window_of_a_logarithmic_axis_is_logarithmic():
     assert window(spaced, gamma=[1.0, 1.5]).gamma.spacing == "log"
 
 
-def test_an_axis_of_one_value_stays_as_it_is():
-    for ends in (None, [0.25, 1.0], [0.5, 1.0], [0.25, 0.5]):
-        assert window({"omega": 0.5}, omega=ends).omega == 0.5
-    rule = "omega: must enclose 0.5, the only value of this sweep"
-    assert problem({"omega": 0.5}, omega=[0.75, 1.0]) == rule
-    assert problem({"omega": 0.5}, omega=[0.25, 0.375]) == rule
-
-
 @pytest.mark.parametrize("ends", [[0.1, 0.9], [0.5, 1.0], [3.0, 4.0], [3.5, 4.0]])
 def test_a_window_has_a_part_of_the_map(ends: list[float]):
     assert problem(gamma=ends) == "gamma: must overlap the sweep, which is from 1 to 3"
@@ -82,15 +74,6 @@ def test_a_window_has_a_part_of_the_map(ends: list[float]):
 )
 def test_the_nearest_xi_of_the_map_is_taken(asked: float, given: float):
     assert window(xi=asked).xi == given
-
-
-def test_the_only_xi_need_not_be_named_and_may_be_rounded():
-    assert window({"xi": 0.26}, xi=None).xi == 0.26
-    assert window({"xi": 0.26}, xi=0.26 * (1 + 1e-12)).xi == 0.26
-    assert window({"xi": [0.1, 0.2]}, xi=0.2).xi == 0.2
-    assert problem(xi=None) == "xi: is required: the sweep has 3 values"
-    assert problem(xi=0.6) == "xi: must be within the sweep, which is from 0 to 0.5, not 0.6"
-    assert problem({"xi": [0.1, 0.2]}, xi=0.05).startswith("xi: must be within the sweep")
 
 
 def test_the_map_of_a_ramp_has_no_windows():

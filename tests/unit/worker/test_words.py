@@ -1,12 +1,27 @@
 """Words continued from cells: which part of a branch belongs to the cycle that a cell settled to."""
 
+from pathlib import Path
+
 import numpy as np
+import pytest
 from tables import for_each
 
+import worker.analysis.words
 from kernel.branches.words import WordBranch
 from kernel.params import Outcome
-from worker.analysis.words import Skipped, _Cycle, _cycles, _lies_on, _round, _up_to_shorter
-from worker.schema import COMPUTED
+from worker import store
+from worker.analysis.words import (
+    Skipped,
+    _Cycle,
+    _cycles,
+    _round,
+    _up_to_shorter,
+    continue_words,
+)
+from worker.plan import make_plan
+from worker.schema import COMPUTED, layout
+from worker.spec import SweepSpec
+from worker.tasks import run_chunk
 
 
 def doubled(first: np.ndarray, second: np.ndarray, word: str = "ss") -> WordBranch:
@@ -35,19 +50,6 @@ def test_a_doubled_cycle_ends_where_it_is_the_single_one_twice():
     assert len(above.stable) == len(above.multiplier) == 5
 
 
-def test_flights_of_a_word_that_repeats_nothing_may_be_equal_anywhere():
-    branch = doubled(5.0 + APART, 5.0 - APART, word="sl")
-    assert len(_up_to_shorter(branch, settled(5.35, 4.65)).gamma) == 10
-
-
-def test_a_cycle_gone_through_three_times_ends_where_its_flights_are_equal():
-    """The first and the last of three flights are the same everywhere: neighbours in order are compared."""
-    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
-    times = np.column_stack([5.0 + APART, 5.0 - 2.0 * APART, 5.0 + APART])
-    above = _up_to_shorter(branch._replace(word="sss", flight_time=times), settled(5.35, 4.3, 5.35))
-    assert above.gamma.tolist() == branch.gamma[5:].tolist()
-
-
 @for_each(
     ("times", "phases", "bounces", "flights"),
     [
@@ -65,28 +67,6 @@ def test_a_round_is_the_fewest_flights_that_repeat(
     times: list[float], phases: list[float], bounces: int, flights: int
 ):
     assert _round(np.array(times, float), np.array(phases, float), bounces) == flights
-
-
-@for_each(
-    ("change", "lies"),
-    [
-        ({}, True),
-        ({"flight_time": (4.3, 5.35)}, True),  # in any order
-        ({"flight_time": (5.35 + 0.021, 4.3)}, False),
-        ({"periods": 1}, False),
-        ({"flight_time": (5.35, 4.3, 4.3)}, False),
-        ({"gamma": 1.99}, False),
-        ({"gamma": 3.01, "flight_time": (5.45, 4.1)}, False),
-    ],
-)
-@for_each("backwards", [False, True])
-def test_a_cycle_on_a_branch_lies_between_two_of_its_points(change: dict, lies: bool, backwards: bool):
-    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
-    if backwards:
-        branch = branch._replace(gamma=branch.gamma[::-1], flight_time=branch.flight_time[::-1])
-    fields = {"gamma": 2.0 + 8.0 / 9.0, "flight_time": (5.35, 4.3)} | change
-    cycle = settled(5.0, 5.0)._replace(**fields | {"flight_time": np.array(fields["flight_time"])})
-    assert _lies_on(cycle, branch) is lies
 
 
 def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
@@ -113,3 +93,22 @@ def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
     assert [c.gamma for c in adaptive] == [1.5]
     more_flights_than_kept = {**arrays, "flights": np.array([4, 2_000, 4, 2])}
     assert len(list(_cycles(gamma, more_flights_than_kept, []))) >= 1
+
+
+@pytest.mark.parametrize(("most", "followed"), [(2, 2), (1, 1)])
+def test_cells_beyond_as_many_branches_as_are_followed_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int, followed: int
+):
+    """(1,1) twice, on one branch, and its double beyond the flip."""
+    spec = SweepSpec(
+        gamma=[1.5, 1.6, 2.3], omega=0.5, xi=0.26, model={"kind": "rigid"}, settle=200, observe=40, keep=16
+    )
+    url, plan = str(tmp_path / "a.zarr"), make_plan(spec)
+    store.create(url, layout(spec, plan.chunk_shape))
+    run_chunk(spec, plan[0], url)
+    monkeypatch.setattr(worker.analysis.words, "MAX_WORDS", most)
+    monkeypatch.setattr(worker.analysis.words, "POINTS", 60)
+    words = continue_words(spec, url, 0, 0, 0, 4.0, True)
+    assert len(words.branches) == len(words.events) == followed
+    reason = f"{most} branches were followed before it, the limit"
+    assert words.skipped == ((2.3, 2, 2, reason),)[: 2 - followed]

@@ -15,7 +15,6 @@ from kernel.branches.energy import energy
 from kernel.branches.events import Branch, branch, branch_and_events, flight_times
 from kernel.branches.spring import spring
 from kernel.params import Cell, KernelInputError, Start
-from kernel.threshold import threshold
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 TWO_PI = 2.0 * math.pi
@@ -111,17 +110,6 @@ def test_the_four_conditions(omega, xi, periods):
         expected = naive_orbit(omega, xi, periods, t)
         found = np.array([x.q0[0], x.v0[0], x.c[0], x.s[0]])
         assert found == pytest.approx(expected, rel=1e-6 if xi > 0.99 else 1e-9, abs=1e-9)
-
-
-@for_each(("omega", "xi"), SPRINGS)
-def test_short_flights_begin_at_eq_25(omega, xi):
-    """Gamma - Gamma_th is proportional to T**2, to rounding down to T = 1e-5."""
-    t = 1e-2 * min(1.0, omega / max(xi, 1.0)) * np.array([1.0, 0.1, 1e-3])
-    x = orbit(spring(omega, xi), 1, t)
-    above = np.hypot(x.c, x.s) / threshold(omega, xi) - 1.0
-    curvature = above[0] / t[0] ** 2
-    assert above[1] == pytest.approx(curvature * t[1] ** 2, rel=0.05, abs=1e-11)
-    assert abs(above[2]) < 1e-9 + 2.0 * abs(curvature) * t[2] ** 2
 
 
 @for_each(("omega", "xi"), SPRINGS)

@@ -1,7 +1,5 @@
 """Starts on the cycles of a branch, against the simulating kernel."""
 
-import math
-
 import numpy as np
 import pytest
 from kernel_runs import TWO_PI, run
@@ -9,7 +7,7 @@ from kernel_runs import TWO_PI, run
 from kernel.branches.events import branch
 from kernel.branches.starts import cycles_at, start_on_cycle, start_on_stable_cycle
 from kernel.branches.thresholds import thresholds
-from kernel.params import STATE_FIELDS, Cell, KernelInputError
+from kernel.params import STATE_FIELDS, Cell
 
 
 def random_cells(count: int) -> list[tuple[Cell, int, float]]:
@@ -62,13 +60,3 @@ def test_the_stable_cycle_of_the_longest_flight_is_taken():
     assert start_on_stable_cycle(Cell(found.down - 1e-6, 0.6, 0.05), 1) is None
     assert start_on_stable_cycle(Cell(found.down + 1e-6, 0.6, 0.05), 1) is not None
     assert start_on_cycle(Cell(0.3, 0.6, 0.05), 1, 4.0) is None
-
-
-@pytest.mark.parametrize(
-    ("cell", "argument"),
-    [(Cell(0.0, 0.5, 0.1), "gamma"), (Cell(math.nan, 0.5, 0.1), "gamma"), (Cell(1.0, 0.0, 0.1), "omega")],
-)
-def test_refuses_impossible_cells(cell, argument):
-    with pytest.raises(KernelInputError) as refusal:
-        cycles_at(cell, 1)
-    assert refusal.value.argument == argument

@@ -11,7 +11,7 @@ from tables import for_each
 from benchmarks.threshold_search import search, searched
 from kernel.branches.descent import descend, lifetime
 from kernel.branches.thresholds import EQ_25, NOT_SEARCHED, SEARCHED_XI, UNRESOLVED, conjecture, thresholds
-from kernel.branches.words import from_branch, from_flights
+from kernel.branches.words import from_flights
 from kernel.threshold import threshold
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
@@ -75,13 +75,6 @@ def test_a_fold_of_a_word():
     assert balance.force + balance.impulse == pytest.approx(balance.weight, abs=1e-9)
 
 
-def test_unresolved_where_a_word_becomes_a_torus():
-    """At Omega = 1.28 it turns into one 2e-6 above its fold."""
-    found = thresholds(1.28, 0.05)
-    assert found.cause == UNRESOLVED
-    assert "zs (2,2) ends at a neimark-sacker at Gamma = 2.710437" in found.reason
-
-
 def test_a_doubled_cycle_reaches_below_the_fold():
     """A flip next to the fold of (1,1): its (2,2), unstable there, turns at a lower fold of its own."""
     expected = REFERENCE["doubled_below_a_fold"]
@@ -104,16 +97,6 @@ def test_words_of_settled_cells():
     lower = thresholds(1.26, 0.05, words=[word], bouncing=2.2)
     assert lower.cause == UNRESOLVED
     assert "2.200000" in lower.reason
-
-
-def test_words_do_not_close_a_fold_near_which_a_torus_may_live():
-    """At Omega = 0.46 the torus bounces down to 0.8296; at 0.3191, xi = 0.02, a (2,1) down to 0.896."""
-    for omega, xi in ((0.46, 0.05), (0.3191, 0.02)):
-        alone = conjecture(omega, xi)
-        assert alone.cause == UNRESOLVED
-        assert conjecture(omega, xi, words=[]).reason == alone.reason
-        above = from_branch(omega, xi, 1, 0.3)  # leads down to Eq. 25
-        assert conjecture(omega, xi, words=[above], bouncing=alone.gamma_th).cause == UNRESOLVED
 
 
 #: Omega, xi and the fold of sssz (4,3), below the Gamma that the rule says. A search found it, as did an

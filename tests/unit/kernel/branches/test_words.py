@@ -19,7 +19,6 @@ from kernel.branches.words import (
     with_split_contact,
     without,
 )
-from kernel.params import KernelInputError
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 
@@ -150,14 +149,3 @@ def near_end(doubling):
     """A word on the (2,2) branch before its end."""
     line, _ = doubling
     return from_flights(0.5, 0.26, line.gamma[-8], line.takeoff_phase[-8], line.flight_time[-8], 2)
-
-
-@pytest.mark.parametrize(
-    ("times", "phases", "periods", "argument"),
-    [([1.0, 2.0], [0.1], 1, "flight_time"), ([7.0], [0.1], 1, "periods"), ([np.nan], [0.1], 1, "flight_time"),
-     ([TWO_PI], [0.1], 1, "flight_time")],
-)  # fmt: skip
-def test_refuses_other_flights(times, phases, periods, argument):
-    with pytest.raises(KernelInputError) as refusal:
-        from_flights(0.5, 0.26, 1.5, np.array(phases), np.array(times), periods)
-    assert refusal.value.argument == argument
