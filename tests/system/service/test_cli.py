@@ -10,11 +10,10 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-import psutil
 import pytest
 import xarray
 from click.testing import CliRunner, Result
-from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
+from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep
 
 from service import address
 from service.cli import local_service, options
@@ -25,7 +24,6 @@ from service.jobs.ledger import Ledger
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.base import Executor
-from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
@@ -320,83 +318,6 @@ def test_an_unusable_ledger_is_reported(tmp_path: Path):
 
 
 # Processes
-
-
-class Serve:
-    """`bounce serve` as a process of its own."""
-
-    def __init__(self, folder: Path, *options: str) -> None:
-        self.log = (folder / "log").open("w+")
-        words = [BOUNCE, "serve", "--port", "0", "--data", str(folder / "data"), *options]
-        self.process = subprocess.Popen(
-            words, stdout=subprocess.PIPE, stderr=self.log, text=True, start_new_session=True
-        )
-
-    def line(self) -> str:
-        assert self.process.stdout
-        line = self.process.stdout.readline()
-        self.log.seek(0)
-        assert line, self.log.read()
-        return line
-
-    def end(self, number: int) -> int:
-        """Its exit code, once it and everything it started have ended."""
-        family = psutil.Process(self.process.pid).children(recursive=True)
-        self.process.send_signal(number)
-        code = self.process.wait(DEADLINE)
-        _, left = psutil.wait_procs(family, timeout=DEADLINE)
-        assert left == []
-        return code
-
-    def close(self) -> None:
-        if self.process.poll() is None:
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.communicate()
-        self.log.close()
-
-
-@pytest.fixture
-def serve(tmp_path: Path, cluster: Dask) -> Iterator[Serve]:
-    """Started after the shared cluster has compiled the kernels, which this service then only reads."""
-    serve = Serve(tmp_path)
-    yield serve
-    serve.close()
-
-
-def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [BOUNCE, *words],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE,
-        check=False,
-    )
-
-
-def test_serve_computes_locks_its_data_and_stops_on_a_signal(serve: Serve, spec: Path):
-    line = serve.line()
-    (url,) = re.findall(
-        r"^bounce listens on (http://127\.0\.0\.1:\d+) \(data in .*, 2 worker processes\)$", line
-    )
-
-    submitted = run("submit", str(spec), "--wait", BOUNCE_URL=url)
-    assert submitted.returncode == 0, submitted.stderr
-    assert json.loads(run("list", "--json", BOUNCE_URL=url).stdout)[0]["id"] == submitted.stdout.strip()
-
-    data = line.split("data in ")[1].split(",")[0]
-    assert address.find(Path(data)) == url
-    second = run("serve", "--port", "0", "--data", data, "--workers", "1")
-    assert second.returncode == 1
-    assert "another service uses the data folder" in second.stderr
-    assert "Traceback" not in second.stderr
-    assert serve.end(signal.SIGTERM) == 0
-    assert not (Path(data) / "service.json").exists()
-
-
-def test_serve_stops_while_it_is_still_starting(serve: Serve):
-    wait_for(lambda: len(psutil.Process(serve.process.pid).children(recursive=True)) >= 2)
-    assert serve.end(signal.SIGINT) == 130
 
 
 def test_a_wait_that_is_interrupted_leaves_the_job_alone(tmp_path: Path):
