@@ -9,7 +9,6 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -262,13 +261,3 @@ def test_numbers(title: str):
     missing = [text for text in texts if text not in body]
     assert not missing
     assert decimals(body) - CHOSEN <= set().union(*map(decimals, texts))
-
-
-def test_scaling_of_branches():
-    """(1, k) at k Omega has its events at k times the flight times of (1, 1) at Omega."""
-    times: list[Any] = []
-    for k in (1, 2):
-        _, events = branch_and_events(0.6 * k, XI, k)
-        keep = np.isin(events.kind, [Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER])
-        times.append(np.sort(events.flight_time[keep]) / k)
-    assert times[0] == pytest.approx(times[1], rel=1e-9)

@@ -1,6 +1,5 @@
 """Adaptive maps through a service that listens."""
 
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -8,8 +7,6 @@ from typing import Any
 import httpx2
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
-from served import computing
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.client.client import Client
@@ -29,12 +26,6 @@ SPACE: dict[str, Any] = {
 }
 
 MAP: dict[str, Any] = {**SPACE, "refine": {"by": "mode", "coarsest": 8}}
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
 
 
 def test_the_client_refines_a_window(tmp_path: Path):

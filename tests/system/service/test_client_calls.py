@@ -13,7 +13,7 @@ from pyarrow import parquet
 from scripted import Held, sweep, wait_for
 
 from service.cli.main import main
-from service.client import BadRequest, BounceError, Client, Conflict, Job, NotFound, Unauthorized
+from service.client import BadRequest, BounceError, Client, Conflict, Job, NotFound
 from service.client.display import summary
 from service.server import embedded
 from worker.executors.inline import Inline
@@ -64,19 +64,6 @@ def output_of(running: Running, *words: str) -> str:
     done = bounce(running, *words)
     assert done.exit_code == 0, done.output
     return done.stdout
-
-
-# Tokens
-
-
-def test_the_token_is_required_of_every_caller(running: Running):
-    assert running.client.job(running.job.id).state == "done"
-    with Client(running.address) as anonymous, pytest.raises(Unauthorized, match="token"):
-        anonymous.job(running.job.id)
-    assert output_of(running, "status", running.job.id)
-    refused = bounce(running, "status", running.job.id, token="not-the-token-at-all")
-    assert (refused.exit_code, refused.stdout) == (1, "")
-    assert "token" in refused.stderr
 
 
 # Submitting
@@ -145,7 +132,6 @@ def test_the_script_of_a_shell():
 
 def test_watch_without_a_terminal_is_one_table(idle: Running):
     lines = output_of(idle, "watch").splitlines()
-    assert lines[0].split() == ["ID", "STATE", "DONE", "CELLS", "NAME"]
     assert any(line.startswith(idle.job.id) and "running" in line for line in lines)
 
 

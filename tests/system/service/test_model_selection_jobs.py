@@ -1,17 +1,12 @@
 """A model chosen on a cluster."""
 
-from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import pytest
 from fastapi.testclient import TestClient
-from scripted import wait_for
-from served import service
+from served import computing, finished, get, service
 
 from worker.executors.dask import Dask
-from worker.executors.inline import Inline
 
 SWEEP: dict[str, Any] = {
     "name": "auto",
@@ -23,18 +18,9 @@ SWEEP: dict[str, Any] = {
 }
 
 
-def ended(client: TestClient, spec: dict[str, Any] = SWEEP) -> dict[str, Any]:
+def ended(client: TestClient) -> dict[str, Any]:
     """The job, finished."""
-    here = client.post("/v1/jobs", json=spec).headers["Location"]
-    wait_for(lambda: client.get(here).json()["state"] not in ("queued", "running"))
-    return client.get(here).json()
-
-
-@pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[TestClient, dict[str, Any], Path]]:
-    folder = tmp_path_factory.mktemp("auto")
-    with closing(Inline()) as executor, service(folder, executor) as client:
-        yield client, ended(client), folder
+    return dict(get(client, finished(client, SWEEP)))
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -45,9 +31,10 @@ def files(folder: Path) -> dict[str, bytes]:
     }
 
 
-def test_the_same_sweep_gives_the_same_bytes_on_a_cluster(done, tmp_path: Path, cluster: Dask):
-    _, job, folder = done
-    with service(tmp_path, cluster) as client:
+def test_the_same_sweep_gives_the_same_bytes_on_a_cluster(tmp_path: Path, cluster: Dask):
+    with computing(tmp_path / "inline") as client:
+        job = ended(client)
+    with service(tmp_path / "cluster", cluster) as client:
         assert ended(client)["choice"]["reason"] == job["choice"]["reason"]
     path = Path("stores") / f"{job['id']}.zarr"
-    assert files(tmp_path / path) == files(folder / path)
+    assert files(tmp_path / "cluster" / path) == files(tmp_path / "inline" / path)

@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
-from pydantic import ValidationError
 from served import RAMP, computing, finished
-from zarr.abc.store import OffsetByteRequest, RangeByteRequest, SuffixByteRequest
 from zarr.core.buffer import default_buffer_prototype
 
 from service.api.app import create_app
@@ -133,12 +131,6 @@ def test_a_browser_is_told_what_a_page_may_send(tmp_path: Path):
         assert client.get("/v1/jobs", headers=browser).status_code == 200
 
 
-@pytest.mark.parametrize("origin", ["*", "null", "viewer.example", "https://viewer.example/page", "file://x"])
-def test_what_is_no_origin_is_refused(origin: str):
-    with pytest.raises(ValidationError, match="an origin is"):
-        Settings(cors_origins=origin)
-
-
 # The client
 
 
@@ -188,43 +180,6 @@ def test_a_store_is_read_only(job: Any):
     for change in (lambda: store.set("zarr.json", buffer), lambda: store.delete("zarr.json")):
         with pytest.raises(PermissionError, match="read only"):
             asyncio.run(change())
-
-
-#: Parts of a value, and what they are of ten bytes.
-PARTS = (
-    (None, slice(None)),
-    (RangeByteRequest(2, 5), slice(2, 5)),
-    (RangeByteRequest(4, 4), slice(4, 4)),
-    (OffsetByteRequest(7), slice(7, None)),
-    (SuffixByteRequest(3), slice(-3, None)),
-)
-
-
-async def read(store: HTTPStore, key: str) -> tuple[bytes | None, list[bytes | None], bool]:
-    """A key's value, its PARTS, and whether there is one."""
-    prototype = default_buffer_prototype()
-    value = await store.get(key, prototype)
-    parts = await store.get_partial_values(prototype, [(key, part) for part, _ in PARTS])
-    contents = [None if part is None else part.to_bytes() for part in parts]
-    return None if value is None else value.to_bytes(), contents, await store.exists(key)
-
-
-def test_a_part_of_a_value_is_that_part(job: Any):
-    whole = Path(job.store_url, "outcome", "c.0.0.0.0").read_bytes()
-    for address in (None, job.store_url):
-        content, parts, exists = asyncio.run(read(store_of(job, address), "outcome/c.0.0.0.0"))
-        assert (content, exists) == (whole, True)
-        assert parts == [whole[part] for _, part in PARTS]
-    behind = OffsetByteRequest(len(whole))
-    store = store_of(job)
-    found = asyncio.run(store.get("outcome/c.0.0.0.0", default_buffer_prototype(), behind))
-    assert found is not None
-    assert found.to_bytes() == b""
-
-
-def test_what_is_not_there_has_no_value(job: Any):
-    for key in ("outcome/c.9.9.9.9", "outcome/.zarray", ".zgroup"):
-        assert asyncio.run(read(store_of(job), key)) == (None, [None] * len(PARTS), False)
 
 
 def test_of_a_shard_parts_are_sent(job: Any, monkeypatch: pytest.MonkeyPatch):

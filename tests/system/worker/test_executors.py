@@ -13,7 +13,6 @@ from pathlib import Path
 import dask
 import psutil
 import pytest
-from distributed import system
 from harm import Stuck
 from paths import CACHE
 from scripted import DEADLINE, wait_for
@@ -21,7 +20,7 @@ from scripted import DEADLINE, wait_for
 from worker import store
 from worker.executors.base import Executor
 from worker.executors.dask import Dask
-from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
+from worker.executors.errors import ClusterLost
 from worker.plan import Plan, make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
@@ -102,11 +101,6 @@ def test_cancelling_a_future_withdraws_its_chunk(cluster, small_spec, tmp_path):
     assert not store.read_chunk(url, plan[1], ["outcome"])["outcome"].any()
 
 
-def test_workers_share_the_memory_however_many_cores_there_are(cluster):
-    limits = cluster._connection.client.run(lambda dask_worker: dask_worker.memory_manager.memory_limit)
-    assert set(limits.values()) == {system.MEMORY_LIMIT // 2}
-
-
 def test_the_cluster_listens_on_loopback_only(cluster):
     here = psutil.Process()
     listening = [
@@ -125,47 +119,6 @@ def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread():
     with pytest.raises(ClusterLost, match="no scheduler answers at nonsense"):
         Dask("nonsense")
     assert set(threading.enumerate()) <= before
-
-
-def test_a_scheduler_file_that_appears_later_is_waited_for(cluster, planned, tmp_path):
-    spec, plan, url = planned
-    file = tmp_path / "scheduler.json"
-    writer = threading.Timer(0.3, cluster._connection.client.write_scheduler_file, [str(file)])
-    writer.start()
-    executor = Dask(scheduler_file=file, security=cluster._workers.cluster.security, timeout=PATIENCE)
-    writer.join()
-    try:
-        assert executor.workers() == 2
-        assert executor.submit(spec, plan[0], url).result(PATIENCE).cells == 15
-    finally:
-        executor.close()
-
-
-def test_a_chunk_whose_worker_dies_says_so_its_neighbours_too_and_the_next_worker_is_ready(
-    small_spec, tmp_path
-):
-    spec = small_spec(gamma=[3.0, 3.5], settle=10_000_000)
-    plan, url = make_plan(spec, chunk_shape=(2, 3, 2)), str(tmp_path / "sweep.zarr")
-    store.create(url, layout(spec, plan.chunk_shape))
-    quick = small_spec()
-    other = str(tmp_path / "other.zarr")
-    store.create(other, layout(quick, make_plan(quick).chunk_shape))
-    executor = Dask(workers=1)
-    try:
-        [pid] = executor._connection.client.run(os.getpid).values()
-        future = executor.submit(spec, plan[0], url)
-        wait_for(lambda: any(task.worker for task in executor._tasks.values()))  # it has begun
-        waiting = executor.submit(quick, make_plan(quick)[0], other)
-        os.kill(pid, signal.SIGKILL)
-        with pytest.raises(WorkerDied, match="the worker process that computed it died"):
-            future.result(PATIENCE)
-        try:
-            report = waiting.result(PATIENCE)
-        except WorkerLost:  # it was waiting on that worker already
-            report = executor.submit(quick, make_plan(quick)[0], other).result(PATIENCE)
-        assert report.outcomes[0] == 0
-    finally:
-        executor.close()
 
 
 def test_closing_does_not_wait_for_a_worker_that_is_starting(tmp_path):

@@ -1,12 +1,10 @@
 """A worker that fails what others compute: retries go elsewhere, and it gets nothing for a while."""
 
 import errno
-import os
 import socket
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 from harm import leave
 from paths import CACHE
@@ -16,7 +14,6 @@ from scripted import wait_for
 from service.jobs.model import JobState
 from worker import store, watchdog
 from worker.executors import dask
-from worker.executors.admission import Probe
 from worker.executors.dask import Dask
 from worker.executors.errors import WorkerLeft
 from worker.executors.quarantine import MARKS, Quarantine
@@ -87,23 +84,6 @@ def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
         assert report.index == 0
     finally:
         executor.close()
-
-
-def test_a_cluster_that_is_closed_leaves_nothing_behind(tmp_path: Path):
-    """No process, no thread that would connect again, no file; `stores` are not asked for on one machine."""
-    use_cache(CACHE)
-    executor = Dask(workers=1, kernel_cache=CACHE, stores=Probe(str(tmp_path / "stores"), "ours"))
-    try:
-        connection, workers = executor._connection, executor._workers
-        client, monitor, scratch = connection.client, connection._monitor, workers._scratch.folder
-        assert (client.status, monitor.is_alive(), scratch.is_dir()) == ("running", True, True)
-        processes = client.run(os.getpid).values()
-        assert all(map(psutil.pid_exists, processes))
-    finally:
-        executor.close()
-    assert not any(map(psutil.pid_exists, processes))
-    assert (client.status, monitor.is_alive(), scratch.exists()) == ("closed", False, False)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_chunk_that_fails_everywhere_is_a_mark_against_nobody():
