@@ -1,18 +1,15 @@
 """Adaptive maps through a service that listens."""
 
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import numpy as np
 import pytest
+from served import computing_at
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.client.client import Client
-from service.server import embedded
-from service.settings import Settings
-from worker.executors.inline import Inline
 
 SPACE: dict[str, Any] = {
     "name": "thresholds and modes",
@@ -29,11 +26,7 @@ MAP: dict[str, Any] = {**SPACE, "refine": {"by": "mode", "coarsest": 8}}
 
 
 def test_the_client_refines_a_window(tmp_path: Path):
-    with (
-        closing(Inline()) as executor,
-        embedded.running(Settings(data=tmp_path, port=0), executor) as address,
-        Client(address) as client,
-    ):
+    with computing_at(tmp_path) as address, Client(address) as client:
         estimate = client.estimate(MAP)
         assert estimate.computed_cells is not None
         job = client.submit(MAP).wait(progress=False)

@@ -192,13 +192,6 @@ def test_a_response_too_large_names_the_thinning_that_fits(tmp_path: Any):
             assert client.get(f"{here}/diagram?omega=0.5&{more}").status_code == 200
 
 
-def test_contradicting_validate_only_parameters_accept_nothing(client: TestClient, job: str):
-    before = client.get("/v1/jobs").json()["total"]
-    answer = client.post("/v1/jobs?validate_only=true&validate_only=false", json={**GOOD, "xi": 0.77})
-    check_refusal(answer, 422, "validate_only: is given 2 times")
-    assert client.get("/v1/jobs").json()["total"] == before
-
-
 def test_a_compressed_body_is_refused(client: TestClient):
     headers = {"Content-Type": "application/json", "Content-Encoding": "gzip"}
     answer = client.post("/v1/jobs", content=gzip.compress(json.dumps(GOOD).encode()), headers=headers)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
+from stores import files
 
 from worker import store, tasks
 from worker.executors.base import Executor
@@ -60,10 +61,6 @@ def values(url: Path) -> dict[str, bytes]:
     """The bytes of every stored array."""
     with xr.open_zarr(url) as dataset:
         return {name: dataset[name].values.tobytes() for name in dataset.data_vars}
-
-
-def files(url: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (2, 2, 3)])
