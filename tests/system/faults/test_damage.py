@@ -203,7 +203,6 @@ def swap_everything(ours: Path, theirs: Path, chance: random.Random) -> None:
     shutil.copytree(theirs, ours)
 
 
-@pytest.mark.essential
 def test_files_that_are_not_the_jobs_own_are_never_answered(tmp_path: Path):
     """Each is whole, and would be decoded: a swapped or edited file is damage, and is repaired."""
     chance = random.Random(8)

@@ -43,16 +43,9 @@ STEPS = (
     "chunk marked",
     "job ends",
 )
-ESSENTIAL = ("chunk half written", "in the transaction", "job ends")
-
 #: The step, and how many times it comes before the service is killed.
 KILLS = [
-    pytest.param(
-        step,
-        times,
-        marks=pytest.mark.essential if times == 1 and step in ESSENTIAL else (),
-        id=f"{step}-{times}",
-    )
+    pytest.param(step, times, marks=[pytest.mark.essential] * ((step, times) == ("in the transaction", 1)))
     for step in STEPS
     for times in (1, 3)
 ]
