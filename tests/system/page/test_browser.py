@@ -342,6 +342,18 @@ def test_tabs_share_the_damping_and_the_selected_cell(browser: Any, address: str
         page.locator("[aria-valuetext='Γ = 0.86']").wait_for()
 
 
+def test_the_picture_of_the_readme(browser: Any, address: str):
+    """Kept in test-artefacts/page/figure-2.png."""
+    gamma = {"start": 1.0, "stop": 6.0, "num": 1001}
+    fig_2 = {"name": "Figure 2", "gamma": gamma, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}}
+    job = done(address, fig_2)
+    with opened(browser, view(address, job, cell="2.3,0.5,0.26,rest"), reduced_motion="reduce") as page:
+        page.get_by_label("Plate periods since").fill("1.2")
+        page.locator(".trajectory .readout", has_text="3.722, 6.285").wait_for()
+        page.evaluate("document.activeElement.blur()")  # no focus ring in the picture
+        screenshot(page, "figure-2", whole=False)
+
+
 def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
     with opened(browser, view(address, loop, "modes", xi=0.05), reduced_motion="reduce") as page:
         wait_shown(page, xi=0.05)
