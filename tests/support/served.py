@@ -16,6 +16,7 @@ from scripted import DEADLINE, Held, sweep, wait_for
 from service.api import app as application
 from service.api.app import create_app
 from service.jobs.on_demand import OnDemandCache
+from service.server import embedded
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
@@ -54,6 +55,14 @@ def computing(folder: Path, **settings: Any) -> Iterator[TestClient]:
     """A service that computes in this process."""
     with closing(Inline()) as executor, service(folder, executor, **settings) as client:
         yield client
+
+
+@contextmanager
+def computing_at(folder: Path, **settings: Any) -> Iterator[str]:
+    """The address of a service that computes in this process."""
+    merged = Settings(data=folder, **{"port": 0, "heartbeat_seconds": 0.2, **settings})
+    with closing(Inline()) as executor, embedded.running(merged, executor) as address:
+        yield address
 
 
 def impatient(patch: pytest.MonkeyPatch) -> None:

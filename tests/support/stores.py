@@ -1,5 +1,6 @@
 """What tests ask of a store's chunks, and of the folder of stores."""
 
+from contextlib import suppress
 from pathlib import Path
 
 from service.jobs.stores.adoption import open_ledger
@@ -18,6 +19,16 @@ def checksum(url: str, layout: Layout, chunk: HasSlices) -> str:
 def is_sound(url: str, layout: Layout, chunk: HasSlices, expected: str) -> bool:
     """Whether a chunk's stored bytes are those that were written."""
     return not list(store.find_corrupt(url, layout, [(chunk, expected)]))
+
+
+def files(folder: str | Path) -> dict[str, bytes]:
+    """All files below a folder by their paths in it. One that is being renamed is left out."""
+    contents = {}
+    for path in Path(folder).rglob("*"):
+        with suppress(FileNotFoundError):
+            if path.is_file():
+                contents[str(path.relative_to(folder))] = path.read_bytes()
+    return contents
 
 
 def marked(data: Path) -> Probe:

@@ -9,16 +9,15 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import httpx2
 import psutil
 import pytest
 from distributed import LocalCluster
 from paths import CACHE, ROOT, SUPPORT
-from scripted import DEADLINE, free_port, wait_for
+from scripted import DEADLINE
+from serving import serving
 
 from service.client import Client
 
@@ -44,33 +43,6 @@ def shared() -> Iterator[Path]:
         folder = Path(name)
         folder.chmod(0o1777)
         yield folder
-
-
-@contextmanager
-def serving(data: Path, log: Path, **variables: str) -> Iterator[tuple[str, psutil.Process]]:
-    """`bounce serve` that hides nothing by itself: its umask is 0."""
-    port = free_port()
-    with log.open("wb") as output:
-        started = subprocess.Popen(
-            [sys.executable, "-m", "service.cli.main", "serve", "--port", str(port), "--data", str(data)],
-            stdout=output, stderr=output, cwd=ROOT, umask=0,
-            env=os.environ | {"NUMBA_CACHE_DIR": str(CACHE)} | variables,
-        )  # fmt: skip
-    url = f"http://127.0.0.1:{port}"
-
-    def ready() -> bool:
-        assert started.poll() is None, log.read_text()
-        try:
-            return httpx2.get(f"{url}/readyz", timeout=DEADLINE).status_code == 200
-        except httpx2.TransportError:
-            return False
-
-    try:
-        wait_for(ready)
-        yield url, psutil.Process(started.pid)
-    finally:
-        started.terminate()
-        started.wait(DEADLINE)
 
 
 def ports(process: psutil.Process) -> set[int]:
@@ -107,11 +79,11 @@ def test_another_user_runs_no_code_and_reads_no_data(shared: Path):
         os.chown(path, OTHER, OTHER, follow_symlinks=False)
     with (
         LocalCluster(n_workers=0, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0") as plain,
-        serving(data, shared / "log", TMPDIR=str(temporary)) as (url, process),
+        serving(shared, variables={"TMPDIR": str(temporary)}, umask=0) as served,
     ):
-        with Client(url) as client:
+        with Client(served.url) as client:
             client.submit(SWEEP).wait(progress=False)
-        listening = ports(process)
+        listening = ports(psutil.Process(served.process.pid))
         # The service; a scheduler, two nannies and two workers; three HTTP servers of theirs.
         assert len(listening) >= 9
         control = int(plain.scheduler_address.rpartition(":")[2])
@@ -123,7 +95,7 @@ def test_another_user_runs_no_code_and_reads_no_data(shared: Path):
             ports=sorted({*listening, control}), markers=str(markers), files=[*files, str(ours)]
         )
         modes = {path: path.stat().st_mode & 0o077 for path in (data, *data.rglob("*"))}
-    service = int(url.rpartition(":")[2])
+    service = int(served.url.rpartition(":")[2])
     assert set(seen["ran"]) == {control}
     assert set(seen["answered"]) == {service}
     assert seen["read"] == [str(ours)]

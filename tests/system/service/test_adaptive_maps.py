@@ -1,21 +1,15 @@
 """Adaptive maps through a service that listens."""
 
-from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
-from served import computing
+from served import computing_at
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.client.client import Client
-from service.server import embedded
-from service.settings import Settings
-from worker.executors.inline import Inline
 
 SPACE: dict[str, Any] = {
     "name": "thresholds and modes",
@@ -31,18 +25,8 @@ SPACE: dict[str, Any] = {
 MAP: dict[str, Any] = {**SPACE, "refine": {"by": "mode", "coarsest": 8}}
 
 
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
-
-
 def test_the_client_refines_a_window(tmp_path: Path):
-    with (
-        closing(Inline()) as executor,
-        embedded.running(Settings(data=tmp_path, port=0), executor) as address,
-        Client(address) as client,
-    ):
+    with computing_at(tmp_path) as address, Client(address) as client:
         estimate = client.estimate(MAP)
         assert estimate.computed_cells is not None
         job = client.submit(MAP).wait(progress=False)

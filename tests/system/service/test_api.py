@@ -7,6 +7,7 @@ import psutil
 import pytest
 from scripted import wait_for
 from served import FIGURE_2, computing, finished, get, service
+from stores import files
 
 from worker.executors.dask import Dask
 
@@ -18,6 +19,17 @@ def test_the_cluster_computes_what_inline_computes(tmp_path: Path, cluster: Dask
     with service(tmp_path / "cluster", cluster) as there:
         assert get(there, f"{finished(there, FIGURE_2)}/diagram") == expected
         wait_for(lambda: there.get("/readyz").json() == {"status": "ok"})
+
+
+#: Whose model is chosen for each sweep.
+AUTO = FIGURE_2 | {"model": {"kind": "auto", "tolerance": 1e-3, "restitution": 0.0, "penetration": 1e-6}}
+
+
+def test_the_same_sweep_gives_the_same_bytes_on_a_cluster(tmp_path: Path, cluster: Dask):
+    with computing(tmp_path / "inline") as here, service(tmp_path / "cluster", cluster) as there:
+        jobs = [get(client, finished(client, AUTO)) for client in (here, there)]
+    assert jobs[0]["choice"]["reason"] == jobs[1]["choice"]["reason"]
+    assert files(tmp_path / "inline" / "stores") == files(tmp_path / "cluster" / "stores")
 
 
 def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):

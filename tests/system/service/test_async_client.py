@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import xarray
 from scripted import Held, sweep
+from served import computing_at
 
 from service.client import (
     AsyncClient,
@@ -20,7 +21,6 @@ from service.client import (
     WaitTimeout,
 )
 from service.server import embedded
-from worker.executors.inline import Inline
 
 LINE: dict[str, Any] = {
     "gamma": {"start": 0.6, "stop": 1.6, "num": 11}, "omega": 0.5, "xi": 0.26,
@@ -30,11 +30,8 @@ LINE: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    executor = Inline()
-    settings = embedded.settings(data=tmp_path_factory.mktemp("data"), port=0, heartbeat_seconds=0.2)
-    with embedded.running(settings, executor) as address:
+    with computing_at(tmp_path_factory.mktemp("data")) as address:
         yield address
-    executor.close()
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -19,7 +18,7 @@ from served import listening
 
 from service.api import capacity
 from service.api.app import create_app
-from service.background import NICER, InThisProcess, Processes, _bytes_held
+from service.background import NICER, InThisProcess, Processes
 from service.errors import InvalidRequest, NotComputed
 from service.server.web_server import limited
 from service.settings import Settings
@@ -87,27 +86,6 @@ def test_a_process_that_holds_much_memory_after_an_answer_is_replaced():
         child = psutil.Process(processes.run(os.getpid))
         assert child.pid != first
         assert not psutil.pid_exists(first)
-
-
-def test_memory_that_an_answer_has_freed_is_given_back(processes: Processes):
-    """Of 120 MB the C library would keep all that is below the last piece."""
-    before = processes.run(_bytes_held)
-    processes.run(exec, "import sys; sys.last = [b'x' * 60_000 for _ in range(2_000)].pop()")
-    assert processes.run(_bytes_held) < before + (60 << 20)
-
-
-def test_processes_without_work_end_but_one():
-    with closing(Processes(2, idle_seconds=0.2)) as processes:
-        with ThreadPoolExecutor(2) as pool:
-            pids = set(pool.map(processes.run, [_sleep_and_tell] * 2))
-        assert len(pids) == 2
-        wait_for(lambda: sum(map(psutil.pid_exists, pids)) == 1)
-        assert processes.run(os.getpid) in pids
-
-
-def _sleep_and_tell() -> int:
-    time.sleep(1.0)
-    return os.getpid()
 
 
 def test_they_end_when_closed_also_while_computing(tmp_path: Path):

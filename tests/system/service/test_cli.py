@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-import psutil
 import pytest
 import xarray
 from click.testing import CliRunner, Result
-from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
+from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep
+from served import computing_at
 
 from service import address
 from service.cli import local_service, options
@@ -25,7 +25,6 @@ from service.jobs.ledger import Ledger
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.base import Executor
-from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
@@ -52,10 +51,8 @@ def bounce(*words: object, url: str = "http://127.0.0.1:9", **options: object) -
 
 @pytest.fixture(scope="module")
 def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    executor = Inline()
-    with serving(tmp_path_factory.mktemp("cli"), executor) as url:
+    with computing_at(tmp_path_factory.mktemp("cli"), shutdown_seconds=1.0) as url:
         yield url
-    executor.close()
 
 
 @pytest.fixture(scope="module")
@@ -91,12 +88,7 @@ def test_help_lists_every_command_in_one_line():
 
 def test_submit_prints_the_id_alone_so_that_it_can_be_piped(url: str, spec: Path, job: str):
     result = bounce("submit", spec, url=url)
-    assert re.fullmatch(r"[0-9a-f]{32}\n", result.stdout)
-    assert result.stdout.strip() == job  # the same sweep
-    assert result.stderr == ""
-
-
-def test_submit_reads_standard_input(url: str, job: str):
+    assert (result.stdout, result.stderr) == (f"{job}\n", "")  # the same sweep
     assert bounce("submit", "-", url=url, input=json.dumps(SPEC)).stdout.strip() == job
     broken = bounce("submit", "-", url=url, input='{"gamma": ')
     assert (broken.exit_code, broken.stdout) == (1, "")
@@ -285,12 +277,6 @@ def test_an_error_is_one_message_and_an_exit_code(words: list[str], code: int, m
     assert "Traceback" not in result.stderr
 
 
-def test_an_error_of_the_file_system_names_the_file(url: str, job: str, tmp_path: Path):
-    result = bounce("diagram", job, "--omega", 0.5, "-o", tmp_path / f"{'a' * 250}.png", url=url)
-    assert (result.exit_code, result.stdout) == (1, "")
-    assert re.fullmatch(f"Error: {tmp_path}/.*: File name too long\n", result.stderr)
-
-
 def test_a_refusal_names_the_field_and_a_value_that_works(url: str):
     def estimate(steps: int) -> Result:
         model = {"kind": "stepped", "penetration": 1e-4, "steps_per_contact": steps}
@@ -320,83 +306,6 @@ def test_an_unusable_ledger_is_reported(tmp_path: Path):
 
 
 # Processes
-
-
-class Serve:
-    """`bounce serve` as a process of its own."""
-
-    def __init__(self, folder: Path, *options: str) -> None:
-        self.log = (folder / "log").open("w+")
-        words = [BOUNCE, "serve", "--port", "0", "--data", str(folder / "data"), *options]
-        self.process = subprocess.Popen(
-            words, stdout=subprocess.PIPE, stderr=self.log, text=True, start_new_session=True
-        )
-
-    def line(self) -> str:
-        assert self.process.stdout
-        line = self.process.stdout.readline()
-        self.log.seek(0)
-        assert line, self.log.read()
-        return line
-
-    def end(self, number: int) -> int:
-        """Its exit code, once it and everything it started have ended."""
-        family = psutil.Process(self.process.pid).children(recursive=True)
-        self.process.send_signal(number)
-        code = self.process.wait(DEADLINE)
-        _, left = psutil.wait_procs(family, timeout=DEADLINE)
-        assert left == []
-        return code
-
-    def close(self) -> None:
-        if self.process.poll() is None:
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.communicate()
-        self.log.close()
-
-
-@pytest.fixture
-def serve(tmp_path: Path, cluster: Dask) -> Iterator[Serve]:
-    """Started after the shared cluster has compiled the kernels, which this service then only reads."""
-    serve = Serve(tmp_path)
-    yield serve
-    serve.close()
-
-
-def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [BOUNCE, *words],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE,
-        check=False,
-    )
-
-
-def test_serve_computes_locks_its_data_and_stops_on_a_signal(serve: Serve, spec: Path):
-    line = serve.line()
-    (url,) = re.findall(
-        r"^bounce listens on (http://127\.0\.0\.1:\d+) \(data in .*, 2 worker processes\)$", line
-    )
-
-    submitted = run("submit", str(spec), "--wait", BOUNCE_URL=url)
-    assert submitted.returncode == 0, submitted.stderr
-    assert json.loads(run("list", "--json", BOUNCE_URL=url).stdout)[0]["id"] == submitted.stdout.strip()
-
-    data = line.split("data in ")[1].split(",")[0]
-    assert address.find(Path(data)) == url
-    second = run("serve", "--port", "0", "--data", data, "--workers", "1")
-    assert second.returncode == 1
-    assert "another service uses the data folder" in second.stderr
-    assert "Traceback" not in second.stderr
-    assert serve.end(signal.SIGTERM) == 0
-    assert not (Path(data) / "service.json").exists()
-
-
-def test_serve_stops_while_it_is_still_starting(serve: Serve):
-    wait_for(lambda: len(psutil.Process(serve.process.pid).children(recursive=True)) >= 2)
-    assert serve.end(signal.SIGINT) == 130
 
 
 def test_a_wait_that_is_interrupted_leaves_the_job_alone(tmp_path: Path):

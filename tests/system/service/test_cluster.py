@@ -25,10 +25,6 @@ def two_processes():
     return made[-1]
 
 
-def looks_for_a_neighbour():
-    import neighbour_of_mine  # in the current folder: not found, for the search there has ended
-
-
 def no_cluster():
     raise RuntimeError("the queue is closed")
 """
@@ -47,7 +43,6 @@ SPEC = {
 def maker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A user's module in the current folder."""
     (tmp_path / "queue_of_mine.py").write_text(MAKER)
-    (tmp_path / "neighbour_of_mine.py").touch()
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "queue_of_mine", raising=False)
     return "queue_of_mine"
@@ -71,7 +66,6 @@ def test_the_cluster_of_a_function_computes_and_is_closed(tmp_path: Path, maker:
     [
         ("no_cluster", "RuntimeError: the queue is closed"),
         ("missing", "no attribute 'missing'"),
-        ("looks_for_a_neighbour", "No module named 'neighbour_of_mine'"),
     ],
 )
 def test_a_function_that_fails_gives_the_reason(tmp_path: Path, maker: str, function: str, why: str):

@@ -12,11 +12,7 @@ import pytest
 import xarray
 from fastapi.testclient import TestClient
 from scripted import DEADLINE
-from served import RAMP, computing, finished
-
-from service.server import embedded
-from service.settings import Settings
-from worker.executors.inline import Inline
+from served import RAMP, computing, computing_at, finished
 
 #: A checker of the CF conventions: `pip install compliance-checker`.
 CHECKER = shutil.which("compliance-checker")
@@ -40,9 +36,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
 
 
 def test_the_store_opens_over_http_with_plain_xarray(tmp_path: Path):
-    executor = Inline()
     with (
-        embedded.running(Settings(data=tmp_path, port=0, heartbeat_seconds=0.2), executor) as address,
+        computing_at(tmp_path) as address,
         httpx2.Client(base_url=address, timeout=DEADLINE) as client,
     ):
         here = finished(client, RAMP)  # type: ignore[arg-type]
@@ -51,7 +46,6 @@ def test_the_store_opens_over_http_with_plain_xarray(tmp_path: Path):
         xarray.testing.assert_identical(dataset, xarray.open_zarr(url, chunks=None).load())
         head = client.head(f"{here}/zarr/zarr.json")
         assert (head.status_code, head.content) == (200, b"")
-    executor.close()
 
 
 KEYS = {
@@ -75,15 +69,12 @@ KEYS = {
 @pytest.fixture(scope="module")
 def wire(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, str]]:
     """A service's host and port, and two jobs of it that are done."""
-    executor = Inline()
-    settings = Settings(data=tmp_path_factory.mktemp("data"), port=0, heartbeat_seconds=0.2)
     with (
-        embedded.running(settings, executor) as address,
+        computing_at(tmp_path_factory.mktemp("data")) as address,
         httpx2.Client(base_url=address, timeout=DEADLINE) as client,
     ):
         first, other = (finished(client, {**RAMP, "settle": settle}) for settle in (10, 11))  # type: ignore[arg-type]
         yield address.removeprefix("http://"), first, other
-    executor.close()
 
 
 def on_the_wire(host: str, path: str) -> tuple[int, bytes]:

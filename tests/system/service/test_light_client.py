@@ -14,10 +14,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from paths import ROOT
 from scripted import DEADLINE
-
-from service.server import embedded
-from service.settings import Settings
-from worker.executors.inline import Inline
+from served import computing_at
 
 LISTED = [
     Requirement(line)
@@ -99,12 +96,10 @@ def test_a_client_asks_with_these_libraries_alone(tmp_path: Path):
         if not {canonicalize_name(owner) for owner in owners} & allowed
     ]
     assert {"numba", "distributed", "fastapi", "matplotlib", "pyarrow", "h5py"} <= set(refused)
-    executor = Inline()
-    with embedded.running(Settings(data=tmp_path / "data", port=0), executor) as address:
+    with computing_at(tmp_path / "data") as address:
         done = subprocess.run(
             [sys.executable, "-c", ASKS, address, str(tmp_path)],
             input=json.dumps(refused), capture_output=True, text=True, check=False, timeout=10 * DEADLINE,
         )  # fmt: skip
-    executor.close()
     assert (done.stdout, done.returncode) == ("asked\n", 0), done.stderr
     assert {path.suffix for path in tmp_path.iterdir()} >= {".nc", ".parquet", ".csv"}

@@ -1,8 +1,6 @@
 """Many who listen to the events of jobs."""
 
 import asyncio
-import json
-import threading
 import time
 from collections import Counter
 from contextlib import ExitStack
@@ -17,53 +15,6 @@ from service.server import embedded
 from service.settings import Settings
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
-
-
-def events(text: str) -> list[tuple[str, dict[str, Any]]]:
-    blocks = [block.split("\n") for block in text.strip().split("\n\n") if not block.startswith(":")]
-    return [
-        (block[0].removeprefix("event: "), json.loads(block[1].removeprefix("data: "))) for block in blocks
-    ]
-
-
-def test_many_listeners_do_not_delay_other_requests(tmp_path: Path):
-    held, listeners = Held(), 60
-    settings = Settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
-    heard: list[str] = []
-    listening: list[str] = []
-
-    def listen(here: str) -> None:
-        with many.stream("GET", f"{here}/events") as answer:
-            lines = answer.iter_lines()
-            listening.append(first := next(lines))
-            heard.append("\n".join([first, *lines]))
-
-    limits = httpx2.Limits(max_connections=listeners)
-    with (
-        embedded.running(settings, held) as address,
-        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
-        httpx2.Client(base_url=address, timeout=DEADLINE, limits=limits) as many,
-    ):
-        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
-        wait_for(held.held)
-        threads = [threading.Thread(target=listen, args=[here]) for _ in range(listeners)]
-        for thread in threads:
-            thread.start()
-        wait_for(lambda: len(listening) == listeners)
-        for _ in range(20):  # while the listeners wait for a change
-            assert client.get(here).status_code == 200
-        assert client.get("/metrics").status_code == 200
-        held.let_go_until(lambda: client.get(here).json()["state"] == "done")
-        for thread in threads:
-            thread.join(DEADLINE)
-    assert len(heard) == listeners
-    for stream in map(events, heard):
-        names = [name for name, _ in stream]
-        assert names[-1] == "end"
-        assert set(names[:-1]) <= {"progress"}
-        done = [view["progress"]["chunks_done"] for _, view in stream]
-        assert done == sorted(done)
-        assert stream[-1][1]["state"] == "done"
 
 
 def test_listeners_are_limited_and_do_not_delay_the_shutdown(tmp_path: Path):

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from stores import files
 
 from service import local
 from service.client.models import JobStatus
@@ -41,12 +42,6 @@ ORBITS = {
     "protocol": {"kind": "orbits"},
     "points": 40,
 }
-
-
-def files(store: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(store)): path.read_bytes() for path in sorted(store.rglob("*")) if path.is_file()
-    }
 
 
 def stored_chunks(folder: Path) -> int:

@@ -12,29 +12,16 @@ from typing import Any
 import pytest
 from extras import SYSTEM
 from scripted import DEADLINE, wait_for
-
-from service.api.app import create_app
-from service.server import embedded
-from service.settings import Settings
-from worker.executors.inline import Inline
-
-
-def document_of(folder: Path, **settings: Any) -> dict[str, Any]:
-    executor = Inline()
-    try:
-        return create_app(Settings(data=folder, **settings), executor).openapi()
-    finally:
-        executor.close()
+from served import computing, computing_at
 
 
 @pytest.fixture(scope="module")
-def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    return document_of(tmp_path_factory.mktemp("data"))
+def document(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    with computing(tmp_path_factory.mktemp("data")) as client:
+        return client.get("/openapi.json").json()
 
 
-def test_a_generated_client_submits_a_sweep(
-    tmp_path: Path, document: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-):
+def test_a_generated_client_submits_a_sweep(tmp_path: Path, document: Any, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("openapi_python_client", reason=SYSTEM)
     source, package = tmp_path / "openapi.json", tmp_path / "generated"
     source.write_text(json.dumps(document))
@@ -49,10 +36,8 @@ def test_a_generated_client_submits_a_sweep(
         name: importlib.import_module(f"generated.api.{tag}.{name}").sync
         for tag, name in (("jobs", "submit_job"), ("jobs", "get_job"))
     }
-    executor = Inline()
-    settings = Settings(data=tmp_path / "data", port=0, heartbeat_seconds=0.2)
     with (
-        embedded.running(settings, executor) as address,
+        computing_at(tmp_path / "data") as address,
         generated.Client(base_url=address, timeout=DEADLINE) as client,
     ):
         sweep = models.SweepSpec(
@@ -68,7 +53,6 @@ def test_a_generated_client_submits_a_sweep(
         problem = calls["submit_job"](client=client, body=models.SweepSpec(gamma=-1.0, omega=0.5, xi=0.26))
         assert problem.status == 422
         assert problem.errors[0].field == "gamma"
-    executor.close()
 
 
 #: A client in TypeScript: it submits a sweep, waits for it, and prints its job and what a wrong sweep gets.
@@ -115,7 +99,7 @@ def node_modules() -> Path | None:
     return modules if all((modules / part).is_dir() for part in parts) else None
 
 
-def test_a_generated_client_in_typescript_submits_a_sweep(tmp_path: Path, document: dict[str, Any]):
+def test_a_generated_client_in_typescript_submits_a_sweep(tmp_path: Path, document: Any):
     modules = node_modules()
     if modules is None:
         pytest.skip("needs npm install --global openapi-typescript openapi-fetch typescript@5")
@@ -138,11 +122,8 @@ def test_a_generated_client_in_typescript_submits_a_sweep(tmp_path: Path, docume
     (tmp_path / "main.ts").write_text(TYPESCRIPT)
     compiled = run(compile_)
     assert compiled.returncode == 0, compiled.stdout
-    executor = Inline()
-    settings = Settings(data=tmp_path / "data", port=0, heartbeat_seconds=0.2)
-    with embedded.running(settings, executor) as address:
+    with computing_at(tmp_path / "data") as address:
         told = run("main.js", address)
-    executor.close()
     assert told.returncode == 0, told.stderr
     job, status, field = json.loads(told.stdout)
     assert (job["state"], job["progress"]["cells_done"]) == ("done", 10)

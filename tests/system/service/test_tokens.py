@@ -2,16 +2,13 @@
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import httpx2
-import psutil
 import pytest
 from click.testing import CliRunner
-from paths import CACHE, ROOT
-from scripted import DEADLINE, Held, free_port, wait_for
+from scripted import Held
+from serving import serving
 
 from service import tokens
 from service.cli.main import main
@@ -55,30 +52,10 @@ def test_the_token_of_the_environment_is_there_again_after_the_service(
 
 def test_the_processes_of_a_service_do_not_inherit_its_token(tmp_path: Path):
     """A worker runs whatever a study needs; of the service's secrets it needs none."""
-    port = free_port()
-    with (tmp_path / "log").open("wb") as log:
-        service = subprocess.Popen(
-            [sys.executable, "-m", "service.cli.main", "serve", "--port", str(port), "--workers", "1"],
-            cwd=ROOT, stdout=log, stderr=log, env=os.environ | {
-                "BOUNCE_TOKEN": ANA, "BOUNCE_DATA": str(tmp_path / "data"), "NUMBA_CACHE_DIR": str(CACHE),
-            },
-        )  # fmt: skip
-
-    def ready() -> bool:
-        assert service.poll() is None, (tmp_path / "log").read_text()
-        try:
-            return httpx2.get(f"http://127.0.0.1:{port}/readyz").status_code == 200
-        except httpx2.TransportError:
-            return False
-
-    try:
-        wait_for(ready)
-        children = psutil.Process(service.pid).children(recursive=True)
+    with serving(tmp_path, variables={"BOUNCE_TOKEN": ANA, "BOUNCE_WORKERS": "1"}) as service:
+        children = service.family()
         assert len(children) >= 1
         environments = [child.environ() for child in children]
         assert all("NUMBA_CACHE_DIR" in environment for environment in environments)
         assert [value for environment in environments for value in environment.values() if ANA in value] == []
-        assert httpx2.get(f"http://127.0.0.1:{port}/v1/jobs").status_code == 401
-    finally:
-        service.terminate()
-        service.wait(DEADLINE)
+        assert service.ask("GET", "/v1/jobs").status_code == 401

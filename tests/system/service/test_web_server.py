@@ -7,10 +7,9 @@ import resource
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +23,8 @@ from service.client import Client
 from service.server import embedded
 from service.server.logging import JsonLines, OncePerSecond
 from service.server.web_server import (
-    ACCEPTED_AT_A_TIME,
     MOST_FILES,
     OTHER_FILES,
-    WebServer,
     connections_allowed,
     limited,
     raise_file_limit,
@@ -149,27 +146,6 @@ def test_the_service_listens_on_ipv6(tmp_path: Path):
         answer = httpx2.get(f"{url}/healthz")
         assert answer.status_code == 200
         assert "server" not in answer.headers
-
-
-def test_more_connections_than_are_accepted_at_a_time_wait(tmp_path: Path):
-    """While the service does something else: here, while it tells its start."""
-    settings, connected = Settings(data=tmp_path), list[socket.socket]()
-    with ExitStack() as held:
-        listener = held.enter_context(socket.create_server(("127.0.0.1", 0), backlog=1))
-
-        def connect(_: str) -> None:
-            with suppress(TimeoutError):
-                for _ in range(4 * ACCEPTED_AT_A_TIME):
-                    connection = socket.create_connection(listener.getsockname(), timeout=5.0)
-                    connected.append(held.enter_context(connection))
-
-        server = WebServer(create_app(settings, Held()), settings, listener, connect)
-        thread = threading.Thread(target=server.serve_until_stopped)
-        thread.start()
-        server.wait_until_started()
-        server.should_exit = True
-        thread.join()
-    assert len(connected) == 4 * ACCEPTED_AT_A_TIME
 
 
 @pytest.mark.parametrize("path", ["/healthz", "/v1/nothing"])

@@ -1,10 +1,7 @@
 """Workers that differ from the service get no chunk, beside one that computes; the reason names them."""
 
-import os
 import pickle
-import re
 import shutil
-import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -193,19 +190,6 @@ def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_
         executor.close()
     unexpected = [error for error in errors if not isinstance(error, EXPECTED)]
     assert unexpected == []
-
-
-def test_a_refused_worker_ends_when_it_is_told_to(tmp_path: Path, processes: Processes):
-    with_broken_numba(processes, tmp_path)
-    executor = Dask(processes.address, timeout=60)
-    try:
-        wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
-        [reason] = executor.state().refused
-        [process] = re.findall(r"\(process (\d+)\)", reason)
-        os.kill(int(process), signal.SIGTERM)
-        wait_for(lambda: not psutil.pid_exists(int(process)), processes.log, PATIENCE)
-    finally:
-        executor.close()
 
 
 def test_a_worker_whose_folder_is_mounted_late_is_admitted(tmp_path: Path, processes: Processes):

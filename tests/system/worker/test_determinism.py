@@ -1,17 +1,11 @@
 """Same specification, same bytes: for any chunks and any executor, and after crashes."""
 
-import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from concurrent.futures import wait
 from pathlib import Path
 
 import pytest
 import xarray as xr
-from paths import ROOT
+from stores import files
 
 from worker import store, tasks
 from worker.executors.base import Executor
@@ -69,10 +63,6 @@ def values(url: Path) -> dict[str, bytes]:
         return {name: dataset[name].values.tobytes() for name in dataset.data_vars}
 
 
-def files(url: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
-
-
 @pytest.mark.parametrize("shape", [(1, 1, 1), (2, 2, 3)])
 def test_chunk_shapes_change_no_number(spec, expected, tmp_path, shape):
     assert values(compute(spec, tmp_path / "cut.zarr", shape)) == expected
@@ -92,41 +82,3 @@ def test_inline_and_two_workers_write_the_same_files(spec, expected, tmp_path, c
     by_cluster = compute_with(cluster, spec, tmp_path / "cluster.zarr", (1, 1, 7))
     assert files(by_inline) == files(by_cluster)
     assert values(by_cluster) == expected
-
-
-WRITER = """
-import sys
-from worker.kernel_cache import use_cache
-use_cache()
-from worker.plan import make_plan
-from worker.spec import SweepSpec
-from worker.tasks import run_chunk
-spec = SweepSpec.from_file(sys.argv[1])
-print("begins", flush=True)
-while True:
-    for chunk in make_plan(spec, chunk_shape=(1, 1, 3)):
-        run_chunk(spec, chunk, sys.argv[2])
-"""
-
-
-@pytest.mark.parametrize("delay", [0.05, 0.4])
-def test_killed_while_writing_and_resumed(small_spec, tmp_path, delay):
-    """A process that writes chunks repeatedly is killed; resuming repairs whatever it left."""
-    spec = small_spec(**SWEEPS["ramp both"])
-    whole = compute(spec, tmp_path / "whole.zarr", (1, 1, 3))
-    url = tmp_path / "killed.zarr"
-    make(spec, url, (1, 1, 3))
-    (tmp_path / "spec.json").write_text(json.dumps(spec.as_submitted()))
-    writer = subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(tmp_path / "spec.json"), str(url)],
-        stdout=subprocess.PIPE,
-        cwd=ROOT,
-    )
-    with writer:
-        assert writer.stdout
-        assert writer.stdout.readline() == b"begins\n"
-        time.sleep(delay)
-        os.kill(writer.pid, signal.SIGKILL)
-    compute(spec, url, (1, 1, 3))
-    store.sweep_leftovers(str(url))
-    assert files(url) == files(whole)

@@ -64,29 +64,6 @@ def test_an_adaptive_cluster_starts_without_workers_grows_and_shrinks(
         executor.close()
 
 
-def test_a_job_for_one_worker_starts_one(tmp_path: Path, made: list[LocalCluster]):
-    """A ramp is computed cell after cell: more workers would wait."""
-    most = 0
-    made.append(local_cluster(0))
-    made[0].adapt(minimum=0, maximum=3, interval="200 ms", target_duration="500 ms")
-    executor = Dask(made[0], kernel_cache=CACHE)
-
-    def done() -> bool:
-        nonlocal most
-        most = max(most, len(made[0].plan))
-        return service.job(job).state is JobState.DONE
-
-    try:
-        with running(tmp_path, executor) as service:
-            job = service.submit(
-                costing(chunks=30, seconds=0.1, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
-            )
-            wait_for(done, lambda: f"{service.job(job)}", PATIENCE)
-    finally:
-        executor.close()
-    assert most == 1
-
-
 def test_a_cancelled_job_ends_while_there_are_no_workers(tmp_path: Path, made: list[LocalCluster]):
     made.append(local_cluster(0))
     executor = Dask(made[0], kernel_cache=CACHE)

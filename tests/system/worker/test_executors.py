@@ -3,17 +3,13 @@
 import os
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
-from concurrent.futures import CancelledError
-from pathlib import Path
 
 import dask
 import psutil
 import pytest
-from distributed import system
+from distributed import LocalCluster
 from harm import Stuck
 from paths import CACHE
 from scripted import DEADLINE, wait_for
@@ -21,7 +17,7 @@ from scripted import DEADLINE, wait_for
 from worker import store
 from worker.executors.base import Executor
 from worker.executors.dask import Dask
-from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
+from worker.executors.errors import ClusterLost
 from worker.plan import Plan, make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
@@ -70,43 +66,6 @@ def test_a_cancelled_store_stops_its_tasks(executor, planned):
     executor.submit(spec, plan[0], url).result(PATIENCE)
 
 
-def test_cancelling_a_future_withdraws_its_chunk(cluster, small_spec, tmp_path):
-    """Both workers are busy until it is withdrawn."""
-    spec, gate = small_spec(), tmp_path / "gate"
-    plan, url = make_plan(spec, chunk_shape=(2, 3, 5)), str(tmp_path / "sweep.zarr")
-    store.create(url, layout(spec, plan.chunk_shape))
-
-    def wait_at(gate: Path) -> None:
-        while not gate.exists():
-            time.sleep(0.01)
-
-    def known() -> int:
-        return int(
-            cluster._connection.client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
-        )
-
-    before = known()
-    try:
-        waiting = [cluster.call(wait_at, gate) for _ in range(2)]
-        first, last = (cluster.submit(spec, chunk, url) for chunk in plan)
-        wait_for(lambda: known() == before + 4)
-        assert last.cancel()
-        with pytest.raises(CancelledError):
-            last.result(PATIENCE)
-        wait_for(lambda: known() == before + 3)
-    finally:
-        gate.touch()
-    for future in (*waiting, first):
-        future.result(PATIENCE)
-    assert store.read_chunk(url, plan[0], ["outcome"])["outcome"].all()
-    assert not store.read_chunk(url, plan[1], ["outcome"])["outcome"].any()
-
-
-def test_workers_share_the_memory_however_many_cores_there_are(cluster):
-    limits = cluster._connection.client.run(lambda dask_worker: dask_worker.memory_manager.memory_limit)
-    assert set(limits.values()) == {system.MEMORY_LIMIT // 2}
-
-
 def test_the_cluster_listens_on_loopback_only(cluster):
     here = psutil.Process()
     listening = [
@@ -125,47 +84,6 @@ def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread():
     with pytest.raises(ClusterLost, match="no scheduler answers at nonsense"):
         Dask("nonsense")
     assert set(threading.enumerate()) <= before
-
-
-def test_a_scheduler_file_that_appears_later_is_waited_for(cluster, planned, tmp_path):
-    spec, plan, url = planned
-    file = tmp_path / "scheduler.json"
-    writer = threading.Timer(0.3, cluster._connection.client.write_scheduler_file, [str(file)])
-    writer.start()
-    executor = Dask(scheduler_file=file, security=cluster._workers.cluster.security, timeout=PATIENCE)
-    writer.join()
-    try:
-        assert executor.workers() == 2
-        assert executor.submit(spec, plan[0], url).result(PATIENCE).cells == 15
-    finally:
-        executor.close()
-
-
-def test_a_chunk_whose_worker_dies_says_so_its_neighbours_too_and_the_next_worker_is_ready(
-    small_spec, tmp_path
-):
-    spec = small_spec(gamma=[3.0, 3.5], settle=10_000_000)
-    plan, url = make_plan(spec, chunk_shape=(2, 3, 2)), str(tmp_path / "sweep.zarr")
-    store.create(url, layout(spec, plan.chunk_shape))
-    quick = small_spec()
-    other = str(tmp_path / "other.zarr")
-    store.create(other, layout(quick, make_plan(quick).chunk_shape))
-    executor = Dask(workers=1)
-    try:
-        [pid] = executor._connection.client.run(os.getpid).values()
-        future = executor.submit(spec, plan[0], url)
-        wait_for(lambda: any(task.worker for task in executor._tasks.values()))  # it has begun
-        waiting = executor.submit(quick, make_plan(quick)[0], other)
-        os.kill(pid, signal.SIGKILL)
-        with pytest.raises(WorkerDied, match="the worker process that computed it died"):
-            future.result(PATIENCE)
-        try:
-            report = waiting.result(PATIENCE)
-        except WorkerLost:  # it was waiting on that worker already
-            report = executor.submit(quick, make_plan(quick)[0], other).result(PATIENCE)
-        assert report.outcomes[0] == 0
-    finally:
-        executor.close()
 
 
 def test_closing_does_not_wait_for_a_worker_that_is_starting(tmp_path):
@@ -198,42 +116,8 @@ def test_workers_that_dask_has_dropped_are_replaced():
         executor.close()
 
 
-@pytest.fixture
-def scheduler(tmp_path):
-    """A scheduler in a process of its own, without workers: the process and its scheduler file."""
-    file = tmp_path / "scheduler.json"
-    command = [str(Path(sys.executable).with_name("dask")), "scheduler", "--host", "127.0.0.1", "--port", "0"]
-    quiet = ["--no-dashboard", "--dashboard-address", "127.0.0.1:0", "--scheduler-file", str(file)]
-    with (tmp_path / "scheduler.log").open("wb") as log:
-        process = subprocess.Popen([*command, *quiet], stdout=log, stderr=log)
-    yield process, file
-    process.kill()
-    process.wait()
-
-
-def test_a_cluster_without_workers_a_frozen_and_a_dead_one(scheduler, planned, caplog):
-    process, file = scheduler
-    spec, plan, url = planned
-    executor = Dask(scheduler_file=file)
-    try:
-        assert not executor.ready()
-        [message] = [message for message in caplog.messages if "allowed-failures" in message]
-        assert message.endswith("start it with DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=0")
-        assert executor.workers() == 0
-        waiting = executor.submit(spec, plan[0], url)
-
-        process.send_signal(signal.SIGSTOP)
-        began = time.monotonic()
-        assert not executor.ready()
-        assert time.monotonic() - began < DEADLINE  # a ping would wait for ever
-        process.send_signal(signal.SIGCONT)
-        assert not waiting.done()
-
-        process.kill()
-        with pytest.raises(ClusterLost):
-            waiting.result(PATIENCE)
-        assert not executor.ready()
-        with pytest.raises(ClusterLost):
-            executor.submit(spec, plan[0], url).result(PATIENCE)
-    finally:
-        executor.close()
+def test_a_scheduler_that_would_judge_deaths_itself_is_told_how_to_start(caplog):
+    with LocalCluster(n_workers=0, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0") as plain:
+        Dask(plain.scheduler_address).close()
+    [message] = [message for message in caplog.messages if "allowed-failures" in message]
+    assert message.endswith("start it with DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=0")

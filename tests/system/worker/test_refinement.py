@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from stores import files
 
 from worker import store
 from worker.executors.base import Executor
@@ -32,10 +33,6 @@ def make(spec: SweepSpec, url: Path) -> Plan:
     plan = make_plan(spec, chunk_shape=TILE)
     store.create(str(url), layout(spec, plan.chunk_shape))
     return plan
-
-
-def files(url: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
 
 
 @pytest.mark.parametrize("margin", [False, True])
