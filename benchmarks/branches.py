@@ -80,14 +80,10 @@ def requests(service: Serving, path: str, count: int = 200) -> tuple[float, floa
 
 def over_http() -> None:
     """Print what requests take in a service."""
-    with tempfile.TemporaryDirectory() as folder:
-        service = Serving(Path(folder))
-        try:
-            paths = {"orbits": "/v1/orbits", "threshold": "/v1/threshold"}
-            rows = [[name, *map(short, requests(service, path))] for name, path in paths.items()]
-            print(table(["over HTTP", "median ms", "p95 ms", "CPU ms"], rows))
-        finally:
-            service.end()
+    paths = {"orbits": "/v1/orbits", "threshold": "/v1/threshold"}
+    with tempfile.TemporaryDirectory() as folder, Serving(Path(folder)) as service:
+        rows = [[name, *map(short, requests(service, path))] for name, path in paths.items()]
+    print(table(["over HTTP", "median ms", "p95 ms", "CPU ms"], rows))
 
 
 def main() -> None:

@@ -355,12 +355,8 @@ def main() -> int:
         __doc__, requests=500, clients=8, cells=100_000, seconds=20.0, costly=200, small_only=False
     )
     print(describe("fastapi", "uvicorn", "matplotlib"))
-    with tempfile.TemporaryDirectory() as folder:
-        service = Serving(Path(folder))
-        try:
-            return int(measure(service, arguments))
-        finally:
-            service.end()
+    with tempfile.TemporaryDirectory() as folder, Serving(Path(folder)) as service:
+        return int(measure(service, arguments))
 
 
 if __name__ == "__main__":

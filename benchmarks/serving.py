@@ -57,6 +57,13 @@ class Serving:
         while not self._answers():
             time.sleep(0.2)
 
+    def __enter__(self) -> "Serving":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.end()
+
     def _answers(self) -> bool:
         if self.process.poll() is not None:
             raise SystemExit("the service ended")
@@ -91,8 +98,10 @@ class Serving:
         return job
 
     def _job(self, path: str) -> dict[str, Any]:
-        job: dict[str, Any] = httpx2.get(self.url + path, timeout=TIMEOUT).json()
-        return job
+        """The job, asked for again while the service says that it is not ready."""
+        while (answer := httpx2.get(self.url + path, timeout=TIMEOUT)).status_code == 503:
+            time.sleep(0.5)
+        return dict(answer.raise_for_status().json())
 
     def cells_done(self, path: str) -> int:
         """How many cells of a job are done."""
