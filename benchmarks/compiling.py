@@ -13,6 +13,7 @@ import os
 import resource
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -58,7 +59,8 @@ class Cost(NamedTuple):
 
 def words(checkout: Path, command: str, folder: Path) -> list[str]:
     """The command line, which writes into `folder` only."""
-    programs, picture = checkout / ".venv" / "bin", str(folder / "diagram.png")
+    programs = Path(sys.executable).parent if checkout == HERE else checkout / ".venv" / "bin"
+    picture = str(folder / "diagram.png")
     if command == "figure 2":
         return [str(programs / "bounce"), "figure", "2", "-o", picture]
     if command in _MODELS:
