@@ -1,20 +1,17 @@
 """This version's kernel against another's, alternating in one run.
 
-    git worktree add ../before main
+    git worktree add ../before COMMIT
     python -m benchmarks.against ../before [--repeat 7] [--only rest,ramp]
 
 Each version has a process of its own and both compute the same random cells in turn: Gamma 0.3 to 6, Omega
 0.2 to 2, xi 0.01 to 1, 200 + 100 plate periods; on a ramp, lines of 50 cells of Gamma. Prints
 core-microseconds per cell and plate period, medians over the repetitions, the median ratio of the two runs
 of a repetition, which holds on a busy machine too, and the share of cells with the same outcome and mode:
-chaotic cells may differ where the last digit does. A version that cannot compute lines side by side computes
-them one by one.
+chaotic cells may differ where the last digit does.
 """
 
-import argparse
 import importlib
 import json
-import statistics
 import subprocess
 import sys
 import time
@@ -26,6 +23,7 @@ import numpy as np
 
 LENGTH = 50
 PERIODS = {"settle": 200, "observe": 100}
+SOFT = {"restitution": 0.01, "penetration": 1e-3, "adhesive": True}
 
 
 class Case(NamedTuple):
@@ -33,31 +31,21 @@ class Case(NamedTuple):
 
     model: str
     options: dict[str, float | bool]  # of the plate; numbers are for every cell
-    cells: int
+    cells: int = 0
     lines: int = 0  # of a ramp
 
 
 CASES = {
     "rigid from rest": Case("rigid", {"restitution": 0.0}, 2000),
     "rigid from rest, e = 0.3": Case("rigid", {"restitution": 0.3}, 600),
-    "rigid ramp, 32 lines": Case("rigid", {"restitution": 0.0}, 32 * LENGTH, 32),
-    "rigid ramp, 8 lines": Case("rigid", {"restitution": 0.0}, 8 * LENGTH, 8),
-    "rigid ramp, 1 line": Case("rigid", {"restitution": 0.0}, LENGTH, 1),
-    "soft, adhesive, d = 1e-3": Case(
-        "soft", {"restitution": 0.01, "penetration": 1e-3, "adhesive": True}, 200
-    ),
-    "soft, adhesive, d = 1e-6": Case(
-        "soft", {"restitution": 0.01, "penetration": 1e-6, "adhesive": True}, 200
-    ),
-    "soft, nonadhesive, d = 1e-3": Case(
-        "soft", {"restitution": 0.01, "penetration": 1e-3, "adhesive": False}, 200
-    ),
-    "soft ramp, adhesive, d = 1e-3": Case(
-        "soft", {"restitution": 0.01, "penetration": 1e-3, "adhesive": True}, 4 * LENGTH, 4
-    ),
-    "soft ramp, 16 lines": Case(
-        "soft", {"restitution": 0.01, "penetration": 1e-3, "adhesive": True}, 16 * LENGTH, 16
-    ),
+    "rigid ramp, 32 lines": Case("rigid", {"restitution": 0.0}, lines=32),
+    "rigid ramp, 8 lines": Case("rigid", {"restitution": 0.0}, lines=8),
+    "rigid ramp, 1 line": Case("rigid", {"restitution": 0.0}, lines=1),
+    "soft, adhesive, d = 1e-3": Case("soft", SOFT, 200),
+    "soft, adhesive, d = 1e-6": Case("soft", SOFT | {"penetration": 1e-6}, 200),
+    "soft, nonadhesive, d = 1e-3": Case("soft", SOFT | {"adhesive": False}, 200),
+    "soft ramp, adhesive, d = 1e-3": Case("soft", SOFT, lines=4),
+    "soft ramp, 16 lines": Case("soft", SOFT, lines=16),
     "ball, e = 0.3": Case("ball", {"restitution": 0.3}, 2000),
 }
 
@@ -73,43 +61,29 @@ def cells_of(case: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return ramp, np.repeat(omega, LENGTH), np.repeat(xi, LENGTH)
 
 
-def runner(case: Case) -> Callable[[], list[Any]]:
-    """Computes a case with the kernel that is imported: the lines' records."""
+def runner(case: Case) -> Callable[[], Any]:
+    """Computes a case with the kernel that is imported: the record of its cells."""
     line = importlib.import_module("kernel.line")
     model = importlib.import_module(f"kernel.models.{case.model}")
     cells = cells_of(case)
-    side_by_side = "Sequence" in str(line.LineRun.__init__.__annotations__.get("start"))
-
-    def run(part: slice, **options: Any) -> Any:
-        gamma, omega, xi = (axis[part] for axis in cells)
-        plate = model.plate(
-            **{k: v if isinstance(v, bool) else np.full(len(gamma), v) for k, v in case.options.items()}
-        )
-        return line.run_line(gamma, omega, xi, plate=plate, keep=16, **PERIODS, **options)
-
-    if not case.lines:
-        return lambda: [run(slice(None), carry=False)]
-    if side_by_side:
-        return lambda: [run(slice(None), carry=True, start=[None] * case.lines)]
-    parts = [slice(i * LENGTH, (i + 1) * LENGTH) for i in range(case.lines)]
-    return lambda: [run(part, carry=True) for part in parts]
+    n = len(cells[0])
+    plate = model.plate(**{k: v if isinstance(v, bool) else np.full(n, v) for k, v in case.options.items()})
+    ramp: dict[str, Any] = {"start": [None] * case.lines} if case.lines else {}
+    return lambda: line.run_line(*cells, plate=plate, keep=16, carry=bool(case.lines), **PERIODS, **ramp)
 
 
 def answer(tree: str) -> None:
     """The process of one version: computes the cases named on its input, one line each."""
     sys.path.insert(0, tree)
-    runs: dict[str, Callable[[], list[Any]]] = {}
+    runs: dict[str, Callable[[], Any]] = {}
     for name in map(str.strip, sys.stdin):
         if name not in runs:
             runs[name] = runner(CASES[name])
             runs[name]()  # compiles
         began = time.process_time()
-        records = runs[name]()
+        record = runs[name]()
         seconds = time.process_time() - began
-        modes = [
-            np.concatenate([getattr(record, field) for record in records]).tolist()
-            for field in ("outcome", "bounces", "periods")
-        ]
+        modes = [getattr(record, field).tolist() for field in ("outcome", "bounces", "periods")]
         print(json.dumps({"seconds": seconds, "modes": modes}), flush=True)
 
 
@@ -136,28 +110,22 @@ class Version:
 
 def main() -> None:
     """Print the table."""
-    from benchmarks.machine import describe
-    from benchmarks.tables import short, table
+    from benchmarks.measuring import HERE, describe, options, ratio, short, table
 
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("tree", type=Path, help="folder of the other version")
-    parser.add_argument("--repeat", type=int, default=7)
-    parser.add_argument("--only", default="", help="words in the names of cases, separated by commas")
-    arguments = parser.parse_args()
-    versions = [Version(arguments.tree), Version(Path(__file__).parents[1])]
+    given = options(__doc__, tree=Path, repeat=7, only="")
+    versions = [Version(given.tree), Version(HERE)]
     print(describe(), flush=True)
     rows = []
     for name, case in CASES.items():
-        if not any(word in name for word in arguments.only.split(",")):
+        if not any(word in name for word in given.only.split(",")):
             continue
-        runs = [[version.run(name) for version in versions] for _ in range(arguments.repeat)]
+        runs = [[version.run(name) for version in versions] for _ in range(given.repeat)]
+        times = np.array([[run["seconds"] for run in both] for both in runs])
         units = len(cells_of(case)[0]) * sum(PERIODS.values()) * 1e-6
-        before, now = (statistics.median(run[i]["seconds"] for run in runs) / units for i in (0, 1))
-        ratio = statistics.median(run[1]["seconds"] / run[0]["seconds"] for run in runs)
-        same = np.all(
-            [np.equal(*modes) for modes in zip(*(r["modes"] for r in runs[0]), strict=True)], axis=0
-        )
-        rows.append((name, short(before), short(now), f"{ratio:.2f}", f"{same.mean():.1%}"))
+        modes = (np.equal(*pair) for pair in zip(*(run["modes"] for run in runs[0]), strict=True))
+        same = np.logical_and.reduce(list(modes)).mean()
+        medians = map(short, np.median(times, axis=0) / units)
+        rows.append((name, *medians, f"{ratio(times, 1):.2f}", f"{same:.1%}"))
         print(*rows[-1], flush=True)
     for version in versions:
         version.close()

@@ -1,31 +1,24 @@
-"""Atlas: Gamma x Omega x xi cells of `rigid` or `soft`, over HTTP on the embedded cluster.
+"""The atlas: a sweep over Gamma x Omega x xi cells of `rigid` or `soft`, over HTTP on the embedded cluster.
 
-    python -m benchmarks.atlas [--gamma 1000 --omega 100 --xi 10] [--workers 2] [--queries 40]
-        [--model soft] [--ramp] [--every-cycle]
+    python -m benchmarks.atlas [--gamma 1000 --omega 100 --xi 10] [--workers 2] [--model soft] [--ramp]
+        [--every-cycle]
 
-From rest, with `--ramp` along Gamma up and down: twice as many cells.
-
-Prints the wall time from submission to completion on warm workers, the share of kernel time, the peak memory
-of every process, the size of the store, and the latency of diagram queries over HTTP along each axis.
+From rest, with `--ramp` along Gamma up and down: twice as many cells; with `--every-cycle` without early
+settling. Prints the wall time from submission to completion on warm workers, the share of kernel time, the
+peak memory of every process and the size of the store.
 """
 
-import argparse
 import math
-import statistics
-import tempfile
 import time
 from concurrent.futures import Future
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import httpx2
-import numpy as np
 import psutil
 
-from benchmarks.machine import describe
-from service.client import Client, Job
-from service.server import embedded
+from benchmarks.measuring import describe, options, service
+from service.client import Client
 from worker.executors.dask import Dask
 from worker.plan import Chunk
 from worker.spec import SweepSpec
@@ -87,67 +80,29 @@ class Counting(Dask):
         self.task_seconds += report.seconds
 
 
-def queries(url: str, job: Job, spec: dict[str, Any], count: int) -> None:
-    """Time diagrams along each axis, the other parameters random values of the grid."""
-    rng = np.random.default_rng(1)
-    values = {
-        axis["label"]: (np.geomspace if axis.get("spacing") == "log" else np.linspace)(
-            axis["start"], axis["stop"], axis["num"]
-        )
-        for axis in ({"label": name, **spec[name]} for name in ("gamma", "omega", "xi"))
-    }
-    print(f"\n{'diagram along':16}{'p50 ms':>10}{'p95 ms':>10}{'values':>10}")
-    with httpx2.Client(base_url=url, timeout=60) as http:
-        for along, axis in values.items():
-            times = []
-            for _ in range(count):
-                fixed = {name: float(rng.choice(others)) for name, others in values.items() if name != along}
-                start = time.perf_counter()
-                answer = http.get(f"/v1/jobs/{job.id}/diagram", params={"along": along, **fixed})
-                answer.raise_for_status()
-                times.append((time.perf_counter() - start) * 1e3)
-            low, high = statistics.median(times), float(np.quantile(times, 0.95))
-            print(f"{along:16}{low:10.1f}{high:10.1f}{len(axis):10d}")
-
-
 def main() -> None:
     """Run the benchmark and print the results."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    for name, size in (("gamma", 1000), ("omega", 100), ("xi", 10), ("workers", 2), ("queries", 40)):
-        parser.add_argument(f"--{name}", type=int, default=size)
-    parser.add_argument("--model", choices=("rigid", "soft"), default="rigid")
-    parser.add_argument("--ramp", action="store_true")
-    parser.add_argument("--every-cycle", action="store_true", help="settle_early false")
-    arguments = parser.parse_args()
+    given = options(
+        __doc__, gamma=1000, omega=100, xi=10, workers=2, model="rigid", ramp=False, every_cycle=False
+    )
     print(describe("dask", "zarr"))
-    spec = atlas(
-        arguments.gamma, arguments.omega, arguments.xi, arguments.model,
-        ramp=arguments.ramp, settle_early=not arguments.every_cycle,
-    )  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        data = Path(folder)
-        settings = embedded.settings(data=data, workers=arguments.workers, host="127.0.0.1", port=0)
-        with (
-            closing(Counting(workers=arguments.workers)) as executor,
-            embedded.running(settings, executor) as url,
-            Client(url) as client,
-        ):
-            warm(client, arguments.model)
-            executor.kernel_seconds = executor.task_seconds = 0.0
-            start = time.perf_counter()
-            job = client.submit(spec).wait(progress=True)
-            wall = time.perf_counter() - start
-            busy, tasks = executor.kernel_seconds, executor.task_seconds
-            cells = math.prod(SweepSpec.parse(spec).shape)
-            print(f"{cells} cells x 300 plate periods: {wall:.1f} s, {wall / cells / 300 * 1e6:.3f} us each")
-            print(f"kernel time: {busy:.1f} s, {busy / tasks:.1%} of the tasks' time,")
-            print(f"             {busy / wall / arguments.workers:.1%} of the workers'")
-            stored = sum(f.stat().st_size for f in data.rglob("*") if f.is_file())
-            print(f"store: {stored / 2**20:.0f} MiB in {sum(1 for _ in data.rglob('*'))} files")
-            for name, peak in peaks():
-                print(f"peak memory of {name}: {peak:.2f} GiB")
-            if not arguments.ramp:
-                queries(url, job, spec, arguments.queries)
+    early = not given.every_cycle
+    spec = atlas(given.gamma, given.omega, given.xi, given.model, ramp=given.ramp, settle_early=early)
+    with closing(Counting(workers=given.workers)) as executor, service(executor) as (client, _, data):
+        warm(client, given.model)
+        executor.kernel_seconds = executor.task_seconds = 0.0
+        start = time.perf_counter()
+        client.submit(spec).wait(progress=True)
+        wall = time.perf_counter() - start
+        busy, tasks = executor.kernel_seconds, executor.task_seconds
+        cells = math.prod(SweepSpec.parse(spec).shape)
+        print(f"{cells} cells x 300 plate periods: {wall:.1f} s, {wall / cells / 300 * 1e6:.3f} us each")
+        print(f"kernel time: {busy:.1f} s, {busy / tasks:.1%} of the tasks' time,")
+        print(f"             {busy / wall / given.workers:.1%} of the workers'")
+        files = [file.stat().st_size for file in data.rglob("*") if file.is_file()]
+        print(f"store: {sum(files) / 2**20:.0f} MiB in {len(files)} files")
+        for name, peak in peaks():
+            print(f"peak memory of {name}: {peak:.2f} GiB")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ Spurious is an attractor of more than 0.3 % that shares such a group with anothe
 attractors or more.
 """
 
-import argparse
 import tempfile
 import time
 from collections.abc import Iterator
@@ -26,8 +25,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.machine import describe
-from benchmarks.tables import short, table
+from benchmarks.measuring import describe, options, short, table
 from kernel.params import Line, Outcome
 from service.results.multistability import Multistability, plane
 from worker import store
@@ -249,24 +247,14 @@ def _timed(spec: BasinSpec) -> tuple[float, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    what = parser.add_subparsers(dest="what", required=True)
-    timing = what.add_parser("time")
-    timing.add_argument("--side", type=int, default=256)
-    coexisting = what.add_parser("planes")
-    coexisting.add_argument("--side", type=int, default=40)
-    checking = what.add_parser("cells")
-    checking.add_argument("--kind", choices=KINDS, default="rigid")
-    for name, default in (("seed", 11), ("count", 14), ("side", 64)):
-        checking.add_argument(f"--{name}", type=int, default=default)
-    options = parser.parse_args()
+    given = options(__doc__, what=["time", "cells", "planes"], side=0, kind="rigid", seed=11, count=14)
     print(describe())
-    if options.what == "time":
-        times(options.side)
-    elif options.what == "planes":
-        planes(options.side)
-    else:
-        cells(options.kind, options.seed, options.count, options.side)
+    if "time" in given.what:
+        times(given.side or 256)
+    if "cells" in given.what:
+        cells(given.kind, given.seed, given.count, given.side or 64)
+    if "planes" in given.what:
+        planes(given.side or 40)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """CPU time of branches with their events, and of thresholds, beside the simulation of one sweep line.
 
-    python -m benchmarks.branches [--repeat 9] [--http] [--grid 200x50]
+    python -m benchmarks.branches [--repeat 9] [--http]
 
 "branches" is (1,1) and (1,2) on 400 points with every event, "threshold" is Gamma_down with its cause; each
 at 20 springs spread over Omega and xi. "line" simulates 400 cells of one such spring for 100 plate periods
@@ -9,22 +9,21 @@ CPU time, and medians as ratios to "line". The first spring, Omega = 0.26 and xi
 
 --http starts a service and asks it for the orbits (two modes, 400 points, all events) and the thresholds of
 200 springs, one at a time: median and 95th percentile of the wall time, and the mean of the service's CPU
-time, in milliseconds. --grid computes a grid of springs (omega x xi) as a job of that service.
+time, in milliseconds.
 """
 
-import argparse
 import statistics
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import httpx2
 import numpy as np
 
-from benchmarks.machine import describe
+from benchmarks.measuring import describe, options, seconds, short, table
 from benchmarks.serving import TIMEOUT, Serving
-from benchmarks.tables import short, table
 from kernel.branches.events import branch_and_events
 from kernel.branches.thresholds import thresholds
 from tests.support.plates import Model, run_line
@@ -54,12 +53,8 @@ def milliseconds(call: Callable[[float, float], object], repeat: int) -> tuple[f
     """The median over the springs, and the largest."""
     times = []
     for omega, xi in zip(OMEGA, XI, strict=True):
-        once = []
-        for _ in range(repeat):
-            start = time.process_time()
-            call(float(omega), float(xi))
-            once.append(time.process_time() - start)
-        times.append(1e3 * min(once))
+        once = partial(call, float(omega), float(xi))
+        times.append(1e3 * min(seconds(once, time.process_time) for _ in range(repeat)))
     return statistics.median(times), max(times)
 
 
@@ -83,57 +78,26 @@ def requests(service: Serving, path: str, count: int = 200) -> tuple[float, floa
     return float(np.percentile(times, 50)), float(np.percentile(times, 95)), taken
 
 
-def over_http(http: bool, grid: str | None) -> None:
-    """Print what requests and a grid take in a service."""
-    with tempfile.TemporaryDirectory() as folder:
-        service = Serving(Path(folder))
-        try:
-            if http:
-                paths = {"orbits": "/v1/orbits", "threshold": "/v1/threshold"}
-                times = {name: requests(service, path) for name, path in paths.items()}
-                rows = [[name, *(short(value) for value in both)] for name, both in times.items()]
-                print(table(["over HTTP", "median ms", "p95 ms", "CPU ms"], rows))
-            if grid is not None:
-                omega, xi = map(int, grid.split("x"))
-                spec = {
-                    "protocol": {"kind": "orbits"},
-                    "omega": {"start": 0.26, "stop": 1.6, "num": omega},
-                    "xi": {"start": 0.02, "stop": 0.8, "num": xi},
-                }
-                began = time.perf_counter()
-                job = service.wait(service.submit(spec))
-                took = time.perf_counter() - began
-                cells = job["progress"]["cells_done"]
-                print(f"a grid of {omega} x {xi} springs: {took:.0f} s, {cells:,} cells")
-        finally:
-            service.end()
+def over_http() -> None:
+    """Print what requests take in a service."""
+    paths = {"orbits": "/v1/orbits", "threshold": "/v1/threshold"}
+    with tempfile.TemporaryDirectory() as folder, Serving(Path(folder)) as service:
+        rows = [[name, *map(short, requests(service, path))] for name, path in paths.items()]
+    print(table(["over HTTP", "median ms", "p95 ms", "CPU ms"], rows))
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--repeat", type=int, default=9)
-    parser.add_argument("--http", action="store_true")
-    parser.add_argument("--grid", metavar="OMEGASxXIS")
-    options = parser.parse_args()
-    repeat = options.repeat
+    given = options(__doc__, repeat=9, http=False)
     simulated(0.6, 0.05)  # compiles
     rows = {"branches": both, "threshold": thresholds, "line": simulated}
-    times = {name: milliseconds(call, repeat) for name, call in rows.items()}
+    times = {name: milliseconds(call, given.repeat) for name, call in rows.items()}
     print(describe())
-    print(
-        table(
-            ["", "ms", "largest", "over a line"],
-            [
-                [name, short(median), short(largest), short(median / times["line"][0])]
-                for name, (median, largest) in times.items()
-            ],
-        )
-    )
-    if options.http or options.grid:
-        over_http(options.http, options.grid)
+    over = times["line"][0]
+    shown = [[name, *map(short, (median, most, median / over))] for name, (median, most) in times.items()]
+    print(table(["", "ms", "largest", "over a line"], shown))
+    if given.http:
+        over_http()
 
 
 if __name__ == "__main__":

@@ -26,16 +26,15 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import numpy as np
-import psutil
 
-from benchmarks.machine import describe
-from benchmarks.serving import MB, TIMEOUT, Polls, Serving, sweep
+from benchmarks.measuring import describe, options
+from benchmarks.serving import MB, TIMEOUT, Polls, Serving, sweep, used
 
 MAX_MEMORY_MB = 1_500.0
 MAX_P99 = 0.250
@@ -90,51 +89,15 @@ def atlas() -> dict[str, Any]:
     }
 
 
-def family(service: Serving) -> dict[str, list[psutil.Process]]:
-    """The processes of the service by what they do; `answers` with those that write files for them."""
-    answers = service.answer_processes()
-    for process in list(answers):
-        with suppress(psutil.NoSuchProcess):
-            answers += process.children(recursive=True)
-    workers = []
-    for pid in service.worker_pids():
-        with suppress(psutil.NoSuchProcess):
-            workers.append(psutil.Process(pid))
-    return {
-        "service": [service.me],
-        "answers": answers,
-        "workers": [worker for worker in workers if worker not in answers],
-        "clients": [psutil.Process()],
-    }
-
-
-def used(service: Serving) -> tuple[float, int]:
-    """Megabytes of the service with the processes that compute its answers, and its file handles."""
-    megabytes, handles = service.used()
-    processes = family(service)["answers"]
-    return megabytes + sum(map(_megabytes, processes)), handles
-
-
-def _megabytes(process: psutil.Process) -> float:
-    try:
-        return float(process.memory_info().rss) / MB
-    except psutil.NoSuchProcess:
-        return 0.0
-
-
-class Usage:
-    """The service's memory and the processors' time of its processes, sampled in a thread during a block."""
+class Peak:
+    """The most memory of the service with the processes of its answers, and file handles, during a block."""
 
     def __init__(self, service: Serving) -> None:
         self._service, self._over = service, threading.Event()
         self._thread = threading.Thread(target=self._sample)
-        self.most, self.handles = 0.0, 0
-        self._first: dict[tuple[str, int], float] = {}
-        self._last: dict[tuple[str, int], float] = {}
+        self.memory, self.handles = 0.0, 0
 
-    def __enter__(self) -> "Usage":
-        self._note(family(self._service))
-        self._first = dict(self._last)
+    def __enter__(self) -> "Peak":
         self._thread.start()
         return self
 
@@ -142,30 +105,10 @@ class Usage:
         self._over.set()
         self._thread.join()
 
-    def seconds(self) -> dict[str, float]:
-        """Processor seconds during the block, by what the processes do."""
-        total: Counter[str] = Counter()
-        for (what, pid), seconds in self._last.items():
-            total[what] += seconds - self._first.get((what, pid), 0.0)
-        return dict(total)
-
     def _sample(self) -> None:
-        """Memory many times a second; which processes there are twice a second, as that takes longer."""
-        processes, looked = family(self._service), time.monotonic()
-        while not self._over.wait(0.05):
-            if time.monotonic() - looked > 0.5:
-                processes, looked = family(self._service), time.monotonic()
-            megabytes, handles = self._service.used()
-            megabytes += sum(map(_megabytes, processes["answers"]))
-            self.most, self.handles = max(self.most, megabytes), max(self.handles, handles)
-            self._note(processes)
-
-    def _note(self, processes: dict[str, list[psutil.Process]]) -> None:
-        for what, members in processes.items():
-            for process in members:
-                with suppress(psutil.NoSuchProcess):
-                    times = process.cpu_times()
-                    self._last[what, process.pid] = times.user + times.system
+        while not self._over.wait(0.1):
+            self.memory = max(self.memory, used(self._service))
+            self.handles = max(self.handles, self._service.used()[1])
 
 
 class Jobs:
@@ -313,46 +256,32 @@ class Report:
 
     def phase(self, what: str, work: Callable[[], Any]) -> Any:
         """Do some work beside polls; one line about polls and memory."""
-        service = self._service
+        with Peak(self._service) as peak:
+            result = self.beside(what, self._path, work, connections=8, pause=0.25)
+        print(
+            f"    at most {peak.memory:.0f} MB and {peak.handles} handles, then {used(self._service):.0f} MB",
+            flush=True,
+        )
+        self.broken |= peak.memory >= MAX_MEMORY_MB
+        return result
+
+    def beside(
+        self, what: str, path: str, work: Callable[[], Any], connections: int = 4, pause: float = 0.1
+    ) -> Any:
+        """Do some work beside reads of a path; one line about these."""
         began = time.perf_counter()
-        with Usage(service) as usage, Polls(service.port, self._path, 8, 0.25) as polls:
+        with Polls(self._service.port, path, connections, pause) as polls:
             result = work()
         took = time.perf_counter() - began
-        time.sleep(1.0)  # for the last connections to close
-        p99, worst = float(np.percentile(polls.seconds, 99)), max(polls.seconds)
+        p50, p99 = np.percentile(polls.seconds, (50, 99))
         print(
-            f"{what}: {took:.0f} s, {len(polls.seconds)} polls, p99 {1e3 * p99:.0f} ms, "
-            f"longest {1e3 * worst:.0f} ms, {len(polls.wrong)} errors {polls.wrong[:3]}; "
-            f"at most {usage.most:.0f} MB and {usage.handles} handles, "
-            f"then {used(service)[0]:.0f} MB and {used(service)[1]}",
+            f"{what}: {took:.0f} s, {len(polls.seconds)} reads, median {1e3 * p50:.0f} ms, p99 "
+            f"{1e3 * p99:.0f} ms, longest {1e3 * max(polls.seconds):.0f} ms, {len(polls.wrong)} refused "
+            f"{polls.wrong[:3]}; load {os.getloadavg()[0]:.1f}",
             flush=True,
         )
-        shares = ", ".join(f"{what} {seconds / took:.2f}" for what, seconds in usage.seconds().items())
-        print(f"    processors in use: {shares}", flush=True)
-        self.broken |= p99 >= MAX_P99 or usage.most >= MAX_MEMORY_MB or bool(polls.wrong)
+        self.broken |= p99 >= MAX_P99 or bool(polls.wrong)
         return result
-
-    def small_reads(self, what: str, path: str, work: Callable[[], Any]) -> Any:
-        """Do some work beside small reads by four connections; one line about these."""
-        with Polls(self._service.port, path, 4, 0.1) as reads:
-            result = work()
-        p50, p99 = np.percentile(reads.seconds, (50, 99))
-        print(
-            f"{what}: {len(reads.seconds)} small reads, median {1e3 * p50:.0f} ms, p99 {1e3 * p99:.0f} ms, "
-            f"longest {1e3 * max(reads.seconds):.0f} ms, {len(reads.wrong)} refused {reads.wrong[:3]}; "
-            f"load {os.getloadavg()[0]:.1f}",
-            flush=True,
-        )
-        self.broken |= p99 >= MAX_P99 or bool(reads.wrong)
-        return result
-
-    def throughput(self, alone: float, beside: float) -> None:
-        """The line on jobs."""
-        print(
-            f"jobs: {alone:.0f} cells/s alone, {beside:.0f} beside the burst: {beside / alone:.0%}",
-            flush=True,
-        )
-        self.broken |= beside < MIN_THROUGHPUT * alone
 
 
 def _in_a_process(port: int, paths: list[str], costly: int) -> str:
@@ -373,8 +302,8 @@ def measure_small(service: Serving, report: Report, paths: list[str], arguments:
     while not service.cells_done(running):
         time.sleep(0.1)
     diagram = f"{here}/diagram"
-    report.small_reads("beside an atlas", diagram, lambda: time.sleep(arguments.seconds))
-    burst = report.small_reads(
+    report.beside("beside an atlas", diagram, lambda: time.sleep(arguments.seconds))
+    burst = report.beside(
         f"beside an atlas and {arguments.costly} costly requests at once",
         diagram,
         lambda: _in_a_process(service.port, paths, arguments.costly),
@@ -401,14 +330,15 @@ def measure(service: Serving, arguments: argparse.Namespace) -> bool:
         with unread(service.port, paths[6], 100):
             time.sleep(arguments.seconds)
 
-    print(f"idle: {used(service)[0]:.0f} MB and {used(service)[1]} handles", flush=True)
+    print(f"idle: {used(service):.0f} MB", flush=True)
     with Jobs(service) as jobs:
         alone, _ = report.phase("jobs alone", lambda: rate(jobs, lambda: time.sleep(arguments.seconds)))
         who = f"{arguments.clients} clients of niceness {CLIENTS_NICENESS}"
         what = f"{arguments.requests} GETs by {who} beside jobs"
         beside, burst = report.phase(what, lambda: rate(jobs, requests))
     print(f"    {burst}")
-    report.throughput(alone, beside)
+    print(f"jobs: {alone:.0f} cells/s alone, {beside:.0f} beside the burst: {beside / alone:.0%}", flush=True)
+    report.broken |= beside < MIN_THROUGHPUT * alone
     burst = report.phase(
         "20 JSON diagrams of a million flights at once", lambda: Burst(service.port, paths[1:2], 20, 20)
     )
@@ -420,23 +350,12 @@ def measure(service: Serving, arguments: argparse.Namespace) -> bool:
 
 def main() -> int:
     """Print the figures."""
-    options = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    arguments = options(
+        __doc__, requests=500, clients=8, cells=100_000, seconds=20.0, costly=200, small_only=False
     )
-    options.add_argument("--requests", type=int, default=500)
-    options.add_argument("--clients", type=int, default=8)
-    options.add_argument("--cells", type=int, default=100_000)
-    options.add_argument("--seconds", type=float, default=20.0, help="of each phase")
-    options.add_argument("--costly", type=int, default=200, help="costly requests beside small reads")
-    options.add_argument("--small-only", action="store_true", help="measure only small reads")
-    arguments = options.parse_args()
     print(describe("fastapi", "uvicorn", "matplotlib"))
-    with tempfile.TemporaryDirectory() as folder:
-        service = Serving(Path(folder))
-        try:
-            return int(measure(service, arguments))
-        finally:
-            service.end()
+    with tempfile.TemporaryDirectory() as folder, Serving(Path(folder)) as service:
+        return int(measure(service, arguments))
 
 
 if __name__ == "__main__":

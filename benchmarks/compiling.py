@@ -8,21 +8,21 @@ command starts, and of the wall time, and each as a share of `bounce figure 2` o
 one without `--against`). FOLDER is a checkout with an environment of its own in `.venv`.
 """
 
-import argparse
 import json
 import os
 import resource
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from benchmarks.machine import describe
-from benchmarks.tables import short, table
+import numpy as np
 
-HERE: Final = Path(__file__).parents[1]
+from benchmarks.measuring import HERE, describe, options, short, table
+
 _GRID: Final[dict[str, Any]] = {"gamma": {"start": 0.5, "stop": 6.0, "num": 111}, "omega": 0.5, "xi": 0.26}
 _MODELS: Final[dict[str, Any]] = {
     "rigid": {"kind": "rigid"},
@@ -30,11 +30,8 @@ _MODELS: Final[dict[str, Any]] = {
 }
 #: Compiles every contact model, its exponents and its trajectories.
 _ALL: Final = """
-try:
-    from worker.kernel_cache import use_cache as claim
-except ImportError:
-    from worker.kernel_cache import claim_cache as claim
-claim()
+from worker.kernel_cache import use_cache
+use_cache()
 import numpy as np
 from kernel.interface import dimension
 from kernel.line import LineRun
@@ -62,18 +59,13 @@ class Cost(NamedTuple):
 
 def words(checkout: Path, command: str, folder: Path) -> list[str]:
     """The command line, which writes into `folder` only."""
-    programs = checkout / ".venv" / "bin"
+    programs = Path(sys.executable).parent if checkout == HERE else checkout / ".venv" / "bin"
+    picture = str(folder / "diagram.png")
     if command == "figure 2":
-        return [str(programs / "bounce"), "figure", "2", "-o", str(folder / "figure.png")]
+        return [str(programs / "bounce"), "figure", "2", "-o", picture]
     if command in _MODELS:
         (folder / "sweep.json").write_text(json.dumps({**_GRID, "model": _MODELS[command]}))
-        return [
-            str(programs / "bounce"),
-            "run",
-            str(folder / "sweep.json"),
-            "-o",
-            str(folder / "diagram.png"),
-        ]
+        return [str(programs / "bounce"), "run", str(folder / "sweep.json"), "-o", picture]
     return [str(programs / "python"), "-c", _ALL]
 
 
@@ -91,31 +83,25 @@ def cost(checkout: Path, command: str) -> Cost:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("commands", nargs="*", help=f"of: {', '.join(COMMANDS)}")
-    parser.add_argument("--repeat", type=int, default=3)
-    parser.add_argument("--against", type=Path, help="another checkout")
-    arguments = parser.parse_args()
-    checkouts = {"this checkout": HERE}
-    if arguments.against:
-        checkouts["the other"] = arguments.against.resolve()
-    commands = [command for command in COMMANDS if command in (arguments.commands or COMMANDS)]
+    given = options(__doc__, commands=list(COMMANDS), repeat=3, against="")
+    checkouts = {"this checkout": HERE} | (
+        {"the other": Path(given.against).resolve()} if given.against else {}
+    )
     print(describe(), flush=True)
     medians = {}
-    for command in commands:
+    for command in given.commands:
         costs: dict[str, list[Cost]] = {name: [] for name in checkouts}
-        for _ in range(arguments.repeat):
+        for _ in range(given.repeat):
             for name, checkout in checkouts.items():
                 costs[name].append(cost(checkout, command))
         for name, each in costs.items():
             medians[command, name] = Cost(*map(statistics.median, zip(*each, strict=True)))
         print(command, costs, flush=True)
     whole = medians.get(("figure 2", list(checkouts)[-1]))
-    rows = [
-        (command, name, short(spent.processor), short(spent.wall))
-        + ((short(spent.processor / whole.processor), short(spent.wall / whole.wall)) if whole else ("", ""))
-        for (command, name), spent in medians.items()
-    ]
+    rows = []
+    for (command, name), spent in medians.items():
+        shares = np.divide(spent, whole) if whole else (float("nan"),) * 2
+        rows.append((command, name, *map(short, (*spent, *shares))))
     heads = ["", "checkout", "processor, s", "wall, s", "share of processor", "share of wall"]
     print("\n" + table(heads, rows))
 

@@ -8,13 +8,11 @@ spring may come to rest. From there a ramp descends until the spring stays on th
 Gamma that bounces less the fold; –: bouncing ends before the descent.
 """
 
-import argparse
 import math
 
 import numpy as np
 
-from benchmarks.machine import describe
-from benchmarks.tables import table
+from benchmarks.measuring import describe, options, table
 from kernel.branches.starts import stable_ranges, start_on_stable_cycle
 from kernel.branches.thresholds import thresholds
 from kernel.params import Cell, Line, Outcome, Start
@@ -78,11 +76,7 @@ def shift_text(shift: float, decimals: int) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--step", type=float, default=1e-4)
-    step = parser.parse_args().step
+    step = options(__doc__, step=1e-4).step
     rows = []
     for omega in OMEGA:
         fold = thresholds(omega, XI).down

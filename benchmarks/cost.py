@@ -14,25 +14,18 @@ beside what it takes on average: random cells from rest (Gamma 0.3 to 6, Omega 0
 lines of 50 values of Gamma; both include the periods in which cells without a mode are followed.
 """
 
-import argparse
-import itertools
 import math
-import tempfile
-import time
+import statistics
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.atlas import atlas, warm
 from benchmarks.kernel import NEIGHBOURS, cost_of, line
-from benchmarks.machine import describe
-from benchmarks.tables import short, table
+from benchmarks.measuring import describe, options, short, table
+from benchmarks.scaling import sweep_seconds, warmed
 from kernel.line import run_line
-from service.client import Client
-from service.server import embedded
 from tests.support.plates import Model
 from worker.cost import cell_seconds
 from worker.spec import SweepSpec
@@ -89,24 +82,11 @@ def kernel_curve(kind: str, axis: str, repeat: int) -> Curve:
 
 def size_curve(repeat: int) -> Curve:
     """(cells, microseconds of wall time per cell per plate period) of whole sweeps on two workers."""
-    curve = []
-    shifts = itertools.count()
-    with tempfile.TemporaryDirectory() as folder:
-        settings = embedded.settings(data=Path(folder), workers=2, host="127.0.0.1", port=0)
-        with embedded.running(settings) as url, Client(url) as client:
-            warm(client)
-            for omegas in SIZES:
-                times = []
-                for _ in range(repeat):
-                    spec = atlas(1000, max(2, omegas), 2)
-                    gamma = spec["gamma"] | {"start": spec["gamma"]["start"] + 1e-9 * next(shifts)}
-                    spec |= {"gamma": gamma, "xi": 0.26} | ({"omega": 0.5} if omegas == 1 else {})
-                    start = time.perf_counter()
-                    client.submit(spec).wait(progress=False)
-                    times.append(time.perf_counter() - start)
-                cells = 1000 * omegas
-                curve.append((float(cells), float(np.median(times)) / cells / 300 * 1e6))
-    return curve
+    with warmed(2) as client:
+        walls = [
+            statistics.median(sweep_seconds(client, omegas, 1) for _ in range(repeat)) for omegas in SIZES
+        ]
+    return [(1000.0 * n, wall / n / 0.3) for n, wall in zip(SIZES, walls, strict=True)]
 
 
 def estimate_row(name: str, ramp: bool, repeat: int) -> list[str]:
@@ -152,15 +132,8 @@ def row(name: str, axis: str, curve: Curve) -> tuple[str, ...]:
     costs = [cost for _, cost in curve]
     span = f"{curve[0][0]:g} to {curve[-1][0]:g}"
     linear = f"{exponent(curve):.2f}" if axis in ("settle", "cells") else ""
-    return (
-        name,
-        LABELS[axis],
-        span,
-        short(min(costs)),
-        short(max(costs)),
-        short(max(costs) / min(costs)),
-        linear,
-    )
+    least, most = min(costs), max(costs)
+    return (name, LABELS[axis], span, *map(short, (least, most, most / least)), linear)
 
 
 def draw(curves: dict[str, dict[str, Curve]], file: str) -> None:
@@ -179,11 +152,7 @@ def draw(curves: dict[str, dict[str, Curve]], file: str) -> None:
 
 def main() -> None:
     """Print the table and draw the figure."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeat", type=int, default=5)
-    parser.add_argument("-o", "--output", default="docs/cost.png")
-    parser.add_argument("--estimates", action="store_true")
-    arguments = parser.parse_args()
+    arguments = options(__doc__, repeat=5, output="docs/cost.png", estimates=False)
     print(describe("dask", "zarr"), flush=True)
     if arguments.estimates:
         rows = []

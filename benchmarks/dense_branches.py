@@ -13,11 +13,9 @@ Around each of ours the same samples tell 1e-6 rad on both sides whether its con
 are those of minima less deep than 1e-8. They take some ten seconds a branch.
 """
 
-import argparse
-
 import numpy as np
 
-from benchmarks.tables import table
+from benchmarks.measuring import options, table
 from kernel.branches.events import Events, branch_and_events
 from tests.support import dense_branches
 
@@ -79,22 +77,16 @@ def _is_small(omega: float, xi: float, periods: int, low: float, high: float) ->
 
 def main() -> None:
     """Print the table, and each difference."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--cells", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--no-grazes", action="store_true")
-    options = parser.parse_args()
-    rng = np.random.default_rng(options.seed)
+    given = options(__doc__, cells=40, seed=1, no_grazes=False)
+    rng = np.random.default_rng(given.seed)
     rows = {kind: np.zeros(5, int) for kind in KINDS}
     largest = 0.0
     touching = np.zeros(5, int)
-    for n in range(options.cells):
+    for n in range(given.cells):
         omega, xi = float(rng.uniform(0.25, 2.5)), float(np.exp(rng.uniform(np.log(0.01), np.log(3.0))))
         for periods in (1, 2, 3) if n % 5 == 0 else (1, 2):
             _, events = branch_and_events(omega, xi, periods)
-            if not options.no_grazes:
+            if not given.no_grazes:
                 touching += grazes(events, omega, xi, periods)
             whole = dense_branches.events(omega, xi, periods, BELOW)
             for kind in KINDS:
@@ -112,14 +104,14 @@ def main() -> None:
                 if missed or invented or other:
                     print(f"({omega!r}, {xi!r}) (1,{periods}) {kind}: {ours} {theirs} {lives} {margin}")
                 rows[kind] += len(theirs), int((margin > -1e-12).sum()), missed, invented, other
-    print(f"{options.cells} springs; events agree within {largest:.1e} of T")
+    print(f"{given.cells} springs; events agree within {largest:.1e} of T")
     print(
         table(
             ["kind", "events", "admissible", "missed", "invented", "admissibility differs"],
             [[kind, *map(str, row)] for kind, row in rows.items()],
         )
     )
-    if not options.no_grazes:
+    if not given.no_grazes:
         headings = ["changes on the dense grid", "missed", "grazes", "invented", "not decided"]
         print(table(headings, [list(map(str, touching))]))
 

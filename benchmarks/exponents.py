@@ -9,15 +9,12 @@ machine's speed meets all of them. Core-microseconds per cell and plate period, 
 run without exponents.
 """
 
-import argparse
-import time
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 
-from benchmarks.machine import describe
-from benchmarks.tables import short, table
+from benchmarks.measuring import alternating, describe, options, short, table
 from kernel import line
 from kernel.params import Line
 from tests.support.plates import Model, plate_of
@@ -44,24 +41,8 @@ def run(plate: object, cells: tuple[np.ndarray, ...], exponents: int, in_lanes: 
     )  # fmt: skip
 
 
-def medians(runs: list[Callable[[], Line]], repeat: int) -> np.ndarray:
-    """The median core-seconds of each run (n,), the runs alternating."""
-    for run in runs:
-        run()  # compiles
-    seconds = np.empty((repeat, len(runs)))
-    for i in range(repeat):
-        for k, run in enumerate(runs):
-            began = time.thread_time()
-            run()
-            seconds[i, k] = time.thread_time() - began
-    return np.median(seconds, axis=0)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--cells", type=int, default=60, help="values of Gamma at each setting")
-    parser.add_argument("--repeat", type=int, default=7)
-    arguments = parser.parse_args()
+    arguments = options(__doc__, cells=60, repeat=7)
     print(describe())
     n = arguments.cells
     gamma = np.tile(np.linspace(1.2, 6.0, n), len(SETTINGS))
@@ -74,7 +55,7 @@ def main() -> None:
         runs: list[Callable[[], Line]] = [partial(run, plate, cells, k) for k in (0, *counts)]
         if model is Model.RIGID:
             runs.append(partial(run, plate, cells, 0, in_lanes=True))
-        spent = medians(runs, arguments.repeat)
+        spent = np.median(alternating(runs, arguments.repeat), axis=0)
         ratios = {count: f"{spent[i + 1] / spent[0]:.2f}" for i, count in enumerate(counts)}
         in_lanes = f"{spent[-1] / spent[0]:.2f}" if model is Model.RIGID else "-"
         others = [ratios.get(count, "-") for count in (1, 2, 3, 4)]

@@ -15,17 +15,17 @@ Lines: 501 cells with Gamma from 1 to 6 on hard contacts without adhesion, 200 p
 observation, median of five runs.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.machine import describe
-from kernel.params import Outcome
+from benchmarks.measuring import alternating, describe, options
+from kernel.params import Line, Outcome
 from tests.support.plates import HARD_CONTACTS, Model, run_line
 
 #: Special values of xi and omega, and values within rounding of them.
@@ -159,36 +159,26 @@ def lines() -> None:
     gamma = np.linspace(1.0, 6.0, 501)
     print("\nlines without adhesion: unresolved cells, and CPU us per plate period")
     for e, d, omega, xi in HARD_CONTACTS:
-        cost = []
-        for _ in range(5):
-            began = time.thread_time()
-            line = run_line(
-                gamma, np.full_like(gamma, omega), np.full_like(gamma, xi), model=Model.SOFT,
-                restitution=np.full_like(gamma, e), penetration=np.full_like(gamma, d), adhesive=False,
-                carry=False, settle=200, observe=100, keep=64,
+        omegas, xis, restitution, penetration = (np.full_like(gamma, value) for value in (omega, xi, e, d))
+
+        def run(*cells: NDArray[np.float64], e: Any = restitution, d: Any = penetration) -> Line:
+            return run_line(
+                *cells, model=Model.SOFT, restitution=e, penetration=d, adhesive=False, carry=False,
+                settle=200, observe=100, keep=64,
             )  # fmt: skip
-            cost.append((time.thread_time() - began) / (300 * len(gamma)) * 1e6)
-        unresolved = np.sum(line.outcome == Outcome.UNRESOLVED)
-        print(f"e {e:g}, d {d:g}, Omega {omega}, xi {xi}: {unresolved:8d}{np.median(cost):10.2f}")
+
+        unresolved = np.sum(run(gamma, omegas, xis).outcome == Outcome.UNRESOLVED)
+        cost = np.median(alternating([partial(run, gamma, omegas, xis)], 5)) / (300 * len(gamma)) * 1e6
+        print(f"e {e:g}, d {d:g}, Omega {omega}, xi {xi}: {unresolved:8d}{cost:10.2f}")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("ranges", nargs="*", help=f"of lines, {', '.join(RANGES)}; all")
-    parser.add_argument("--cells", type=int)
-    parser.add_argument("--periods", type=int)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--worst", type=int, default=3)
-    arguments = parser.parse_args()
+    arguments = options(__doc__, ranges=["lines", *RANGES], cells=0, periods=0, seed=1, worst=3)
     print(describe())
     names = [kind.name.lower().replace("_", " ") for kind in list(Outcome)[1:]]
-    titles = arguments.ranges or ["lines", *RANGES]
-    if "lines" in titles:
-        lines()
-    for title in titles:
+    for title in arguments.ranges:
         if title == "lines":
+            lines()
             continue
         draw, kinds, cells, periods = RANGES[title]
         cells, periods = arguments.cells or cells, arguments.periods or periods

@@ -7,7 +7,6 @@ in three ways, each at first without compiled kernels and then with. Needs Chrom
 `--installed` measures the environment that this runs in instead.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -19,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.machine import describe
+from benchmarks.measuring import describe, options
 from tests.support.browser import ROOT, chromium, opened
 
 SPEC: Final[dict[str, Any]] = {
@@ -110,9 +109,7 @@ def install(folder: Path) -> tuple[Path, float]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--installed", action="store_true")
-    arguments = parser.parse_args()
+    arguments = options(__doc__, installed=False)
     print(describe(), f"load {os.getloadavg()[0]:.1f}", flush=True)
     with tempfile.TemporaryDirectory() as name:
         root, python = Path(name), Path(sys.executable)

@@ -1,33 +1,30 @@
-"""CPU time per cell per plate period of each contact model and of general integrators, and their errors.
+"""CPU time per cell per plate period of each contact model and of heyoka, and their errors.
 
-    python -m benchmarks.kernel [--repeat 7] [--only heyoka,diffrax,sundials,scipy]
+    python -m benchmarks.kernel [--repeat 7] [--own]
 
 Time: cells of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate periods each
 from rest. "neighbours" computes 64 cells within 1% of Gamma in one line, as in a sweep; "alone" computes one
 cell with the scalar functions; "ramp" computes 16 lines within 1% of Omega, each of 10 cells within 5% of
 Gamma. Every cycle is computed (no settle_early). Every number is the median over the cells of the median
-over repetitions; the ratios come from one run. The general integrators solve the rigid spring, compiled
-beforehand; slow ones compute fewer periods.
+over repetitions; the ratios come from one run. heyoka, a general integrator, solves the rigid
+spring, compiled beforehand; `--own` leaves it out.
 
 Errors: the worst flight time of tests/golden's rigid cells after 200 periods, whose uncertainty is 6e-10; and
 the deviation of the first three flights from those of `rigid`.
 """
 
-import argparse
 import json
 import math
-import statistics
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.machine import describe
-from benchmarks.tables import short, table
+from benchmarks.measuring import alternating, describe, options, short, table
 from kernel.params import Line
 from tests.support.plates import Model, run_line
 
@@ -114,20 +111,12 @@ def ramp(
 def ramp_cost(model: Model, repeat: int, **options: Any) -> float:
     """Median over CELLS."""
     units = LINES * ALONG * PERIODS
-    return statistics.median(
-        cost_of(lambda c=cell: ramp(*c, model, **options), units, repeat) for cell in CELLS
-    )
+    return median(cost_of(lambda c=cell: ramp(*c, model, **options), units, repeat) for cell in CELLS)
 
 
 def cost_of(run: Callable[[], object], units: float, repeat: int) -> float:
     """Median CPU microseconds per unit; the first run, which may compile, is not timed."""
-    run()
-    times = []
-    for _ in range(repeat):
-        start = time.process_time()
-        run()
-        times.append(time.process_time() - start)
-    return statistics.median(times) / units * 1e6
+    return float(np.median(alternating([run], repeat))) / units * 1e6
 
 
 def kernel_cost(model: Model, repeat: int, **options: Any) -> float:
@@ -140,7 +129,7 @@ def kernel_cost(model: Model, repeat: int, **options: Any) -> float:
             return line(g, o, x, model, **options)
 
         costs.append(cost_of(run, len(spread) * PERIODS, repeat))
-    return statistics.median(costs)
+    return median(costs)
 
 
 def golden_error(solve: Solver) -> float:
@@ -173,7 +162,7 @@ def own_rows(repeat: int) -> list[Row]:
         Row("rigid, alone", kernel_cost(Model.RIGID, repeat, alone=True), golden_error(flights_alone)),
         Row("rigid, ramp", ramp_cost(Model.RIGID, repeat)),
         Row("rigid, e = 0.3", kernel_cost(Model.RIGID, repeat, e=0.3)),
-        Row("ball, e = 0.3", kernel_cost(Model.BALL, repeat, e=0.3)),
+        *(Row(f"ball, e = {e:g}", kernel_cost(Model.BALL, repeat, e=e)) for e in (0.0, 0.3)),
     ]  # fmt: skip
     for adhesive in (True, False):
         for d in (1e-3, 1e-6):
@@ -188,84 +177,38 @@ def own_rows(repeat: int) -> list[Row]:
     return rows
 
 
-def rival(name: str, solve: Solver, periods: int, repeat: int) -> Row:
-    """One general integrator: its cost over CELLS and its errors."""
-    costs = [cost_of(lambda c=cell: solve(*c, periods), periods, repeat) for cell in CELLS]
-    return Row(name, statistics.median(costs), golden_error(solve), first_error(solve))
-
-
 def heyoka(repeat: int) -> list[Row]:
     """Taylor's method to machine precision, compiled."""
     from benchmarks.heyoka_rival import BatchSpring, Spring
 
-    batch = BatchSpring()
-    costs = []
+    spring, batch = Spring(), BatchSpring()
+    alone, together = [], []
     for gamma, omega, xi in CELLS:
         spread = gamma * np.linspace(0.99, 1.01, batch.cells)
+        alone.append(cost_of(partial(spring.run, gamma, omega, xi, PERIODS), PERIODS, repeat))
         run = partial(batch.run, spread, omega, xi, PERIODS)
-        costs.append(cost_of(run, batch.cells * PERIODS, repeat))
+        together.append(cost_of(run, batch.cells * PERIODS, repeat))
 
     def one(gamma: float, omega: float, xi: float, periods: int) -> list[float]:
         return batch.run([gamma] * batch.cells, omega, xi, periods)[0]
 
-    alone = rival("heyoka, tolerance 2.2e-16", Spring().run, PERIODS, repeat)
     name = f"the same in batch mode, {batch.cells} neighbours"
-    return [alone, Row(name, statistics.median(costs), golden_error(one), first_error(one))]
-
-
-def sundials(repeat: int) -> list[Row]:
-    """CVODE with root finding; the equations are Python callbacks."""
-    from benchmarks.sundials_rival import Spring
-
-    return [rival("scikit-sundae CVODE (Adams), rtol 1e-11", Spring(1e-11).run, 20, min(repeat, 3))]
-
-
-def diffrax(repeat: int) -> list[Row]:
-    """Dopri8 compiled by JAX: one cell at a time, and as many in parallel as `rigid` has neighbours."""
-    from benchmarks.diffrax_rival import Spring
-
-    spring = Spring(1e-11)
-    alone = rival("diffrax Dopri8, rtol 1e-11", spring.run, 40, min(repeat, 3))
-    costs = []
-    for gamma, omega, xi in CELLS[::4]:
-        spread = gamma * np.linspace(0.99, 1.01, NEIGHBOURS)
-        costs.append(cost_of(partial(spring.run_batch, spread, omega, xi, 20), NEIGHBOURS * 20, 1))
-    return [alone, Row("the same under vmap, 64 neighbours", statistics.median(costs), alone.golden)]
-
-
-def scipy(repeat: int) -> list[Row]:
-    """solve_ivp with the equations in Python."""
-    from benchmarks import scipy_rival
-
-    def of(method: str) -> Solver:
-        return lambda *cell: scipy_rival.run(*cell, method)
-
-    methods = ("DOP853", "LSODA")
-    return [rival(f"scipy solve_ivp {m}, rtol 1e-9", of(m), 20, min(repeat, 1)) for m in methods]
-
-
-RIVALS = {"heyoka": heyoka, "diffrax": diffrax, "sundials": sundials, "scipy": scipy}
+    return [
+        Row("heyoka, tolerance 2.2e-16", median(alone), golden_error(spring.run), first_error(spring.run)),
+        Row(name, median(together), golden_error(one), first_error(one)),
+    ]
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeat", type=int, default=7)
-    parser.add_argument(
-        "--only", default=",".join(RIVALS), help="integrators, separated by commas; '' for none"
-    )
-    arguments = parser.parse_args()
-    selected = [name for name in arguments.only.split(",") if name]
-    packages = {"sundials": "scikit-sundae"}
-    print(describe(*(packages.get(name, name) for name in selected)))
-    rows = own_rows(arguments.repeat)
-    for name in selected:
-        rows += RIVALS[name](arguments.repeat)
-
-    def shown(row: Row) -> list[str]:
-        errors = ["" if math.isnan(error) else f"{error:.0e}" for error in (row.golden, row.first)]
-        return [row.name, short(row.cost), short(row.cost / rows[0].cost), *errors]
-
+    given = options(__doc__, repeat=7, own=False)
+    print(describe(*([] if given.own else ["heyoka"])))
+    rows = own_rows(given.repeat) + ([] if given.own else heyoka(given.repeat))
+    first = rows[0].cost
+    shown = [
+        [row.name, short(row.cost), short(row.cost / first), *map(error_text, (row.golden, row.first))]
+        for row in rows
+    ]
     head = [
         "",
         "µs per plate period",
@@ -273,7 +216,12 @@ def main() -> None:
         "worst error, rad",
         "first flights, rad",
     ]
-    print("\n" + table(head, [shown(row) for row in rows]))
+    print("\n" + table(head, shown))
+
+
+def error_text(error: float) -> str:
+    """An error in a table; nothing where none applies."""
+    return "" if math.isnan(error) else f"{error:.0e}"
 
 
 if __name__ == "__main__":

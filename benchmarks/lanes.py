@@ -11,14 +11,12 @@ prints them). Cells: outcomes, counts and modes of both, from rest and on ramps 
 chaotic cells, so their flight times are compared as samples (Kolmogorov-Smirnov).
 """
 
-import argparse
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.machine import describe
-from benchmarks.tables import table
+from benchmarks.measuring import describe, options, table
 from kernel.line import run_line
 from kernel.models import rigid, soft
 from kernel.params import Line, Outcome
@@ -157,13 +155,7 @@ def _ks(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--phases", type=int, default=50_000)
-    parser.add_argument("--cells", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="rigid,soft", help="models, separated by commas")
-    parser.add_argument("--show", action="store_true", help="print phases that differ by more than 2e-9 rad")
-    arguments = parser.parse_args()
+    arguments = options(__doc__, phases=50_000, cells=100_000, seed=1, only="rigid,soft", show=False)
     print(describe(), flush=True)
     selected = arguments.only.split(",")
     random = np.random.default_rng(arguments.seed)

@@ -6,17 +6,13 @@ Needs Chromium. The service is the embedded one with two workers. The sliders re
 before, except those that the page prefetches.
 """
 
-import argparse
 import random
 import statistics
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-from benchmarks.machine import describe
-from service.client import Client, Job
-from service.server import embedded
+from benchmarks.measuring import describe, options, service
+from service.client import Job
 from tests.support.browser import LONG_LINE, chromium, longest_task, opened, redraws, wait_shown, watch_tasks
 
 #: How often a page is opened.
@@ -83,29 +79,24 @@ def _view(url: str, job: Job, tab: str) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--moves", type=int, default=40)
-    parser.add_argument("--cells", type=int, default=1000, help="along each of two axes")
-    arguments = parser.parse_args()
+    arguments = options(__doc__, moves=40, cells=1000)
     anywhere = random.Random(7).sample(range(arguments.cells), arguments.moves)
     start = arguments.cells // 3
     steps = list(range(start, start + arguments.moves))
     print(describe("zarr"))
-    with tempfile.TemporaryDirectory() as folder:
-        settings = embedded.settings(data=Path(folder), workers=2, host="127.0.0.1", port=0)
-        with embedded.running(settings) as url, Client(url) as client, chromium() as browser:
-            grid, line = (
-                client.submit(spec).wait(progress=False) for spec in (map_of(arguments.cells), LONG_LINE)
-            )
-            print(f"first moving spring of the service: {first_view(browser, url, MOVING):.0f} ms")
-            print(f"{'':<48}{'median':>10}{'95 %':>12}")
-            print(summary("first view: list of jobs and moving spring", _views(browser, url, MOVING)))
-            diagram = _view(url, grid, "diagram")
-            print(summary("first view: diagram of a million cells", _views(browser, diagram, SHOWN)))
-            for along, moved in (("gamma", "Ω"), ("omega", "Γ")):
-                print(summary(f"{moved} slider, random", slider(browser, url, grid, along, anywhere)))
-                print(summary(f"{moved} slider, step by step", slider(browser, url, grid, along, steps)))
-            print(f"longest task: {busiest(browser, url, line, grid):.0f} ms (0: none of 50 ms or more)")
+    with service() as (client, url, _), chromium() as browser:
+        grid, line = (
+            client.submit(spec).wait(progress=False) for spec in (map_of(arguments.cells), LONG_LINE)
+        )
+        print(f"first moving spring of the service: {first_view(browser, url, MOVING):.0f} ms")
+        print(f"{'':<48}{'median':>10}{'95 %':>12}")
+        print(summary("first view: list of jobs and moving spring", _views(browser, url, MOVING)))
+        diagram = _view(url, grid, "diagram")
+        print(summary("first view: diagram of a million cells", _views(browser, diagram, SHOWN)))
+        for along, moved in (("gamma", "Ω"), ("omega", "Γ")):
+            print(summary(f"{moved} slider, random", slider(browser, url, grid, along, anywhere)))
+            print(summary(f"{moved} slider, step by step", slider(browser, url, grid, along, steps)))
+        print(f"longest task: {busiest(browser, url, line, grid):.0f} ms (0: none of 50 ms or more)")
 
 
 def _views(browser: Any, address: str, selector: str) -> list[float]:

@@ -1,165 +1,124 @@
-"""Latency of diagrams over HTTP from stores of ten thousand to ten million cells.
+"""Reads over HTTP: how long they take, against another version of the service if its folder is given.
 
-    python -m benchmarks.queries [--queries 30] [--largest 7]
+    git worktree add ../before COMMIT
+    python -m benchmarks.queries [--against ../before] [--repeat 9] [--only json,csv] [--scale 1]
 
-The stores are filled over HTTP by an executor that computes one chunk in forty and writes its record for the
-next ones too: numbers are realistic, but not those of their cells. Queries are for random values of the grid,
-on one connection; files are in the page cache.
+Each version is a `bounce serve` process of its own with two workers, and computes the same three sweeps: a
+line of 1,000 cells with 32 flights each, one of a million flights, and an atlas of a million cells (each
+`scale` times as long). Then every read is asked of the versions in turn on one connection, after a first one
+that is not timed: medians, the median ratio of the two answers of a round, which holds on a busy machine too,
+and the size of the answer. At last the memory of each service, with the processes that compute its answers.
 """
 
-import argparse
-import math
-import statistics
+import random
 import tempfile
-import threading
 import time
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.atlas import atlas
-from benchmarks.machine import describe
-from benchmarks.tables import short, table
-from kernel.params import Outcome
-from service.client import Client
-from service.server import embedded
-from worker import schema, store
-from worker.executors.base import ClusterState
-from worker.plan import Chunk
-from worker.spec import AXES, SweepSpec
-from worker.tasks import ChunkReport, run_chunk
+from benchmarks.measuring import HERE, alternating, describe, options, ratio, short, table
+from benchmarks.serving import TIMEOUT, Serving, used
 
-#: Values of (gamma, omega, xi); those of gamma are always the same.
-GRIDS = {4: (1000, 10, 1), 5: (1000, 100, 1), 6: (1000, 100, 10), 7: (1000, 1000, 10)}
-ONE_IN = 40
+#: Values of the atlas.
+OMEGA = [round(0.05 * n, 2) for n in range(1, 101)]
+XI = [0.02, 0.05, 0.1, 0.2, 0.26, 0.3, 0.5, 1.0, 2.0, 5.0]
 
-
-class Tiling:
-    """An executor that computes one chunk in `ONE_IN` and writes its record for the others."""
-
-    def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(max_workers=2, thread_name_prefix="tiles")
-        self._records: dict[tuple[int, ...], dict[str, NDArray[Any]]] = {}  # by shape
-        self._lock = threading.Lock()
-
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **limits: float) -> "Future[ChunkReport]":
-        """Compute or copy a chunk."""
-        return self._thread.submit(self._write, spec, chunk, store_url)
-
-    def _write(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
-        shape = (*chunk.shape, spec.keep)
-        if chunk.index % ONE_IN == 0 or shape not in self._records:
-            report = run_chunk(spec, chunk, store_url)
-            names = [array.name for array in schema.arrays(spec)]
-            with self._lock:
-                self._records[shape] = store.read_chunk(store_url, chunk, names)
-            return report
-        began, record = time.perf_counter(), self._records[shape]
-        stored = store.write_chunk(store_url, chunk, record)
-        outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
-        took = time.perf_counter() - began
-        return ChunkReport(
-            chunk.index, chunk.cells, took, 0.0, stored.checksum, tuple(outcomes.tolist()), bytes=stored.bytes
-        )
-
-    def call(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
-        """Call a function in a thread."""
-        return self._thread.submit(function, *arguments)
-
-    def ready(self) -> bool:
-        """Always true."""
-        return True
-
-    def workers(self) -> int:
-        """Two threads."""
-        return 2
-
-    def state(self) -> ClusterState:
-        """Always connected."""
-        return ClusterState(connected=True, workers=2)
-
-    def ask_for(self, seconds: float, tasks: int) -> None:
-        """The number of workers does not change."""
-
-    def close(self) -> None:
-        """End the threads."""
-        self._thread.shutdown(cancel_futures=True)
+#: What is read: of which sweep, or of none; the path below its job; {xi} is one of the atlas.
+READS = {
+    "json: 1,000 × 32 flights": ("line", "diagram"),
+    "csv: a million flights": ("flights", "diagram?format=csv"),
+    "png: a million flights": ("flights", "diagram?format=png"),
+    "diagram of the atlas along gamma": ("atlas", "diagram?along=gamma&omega=1&xi={xi}"),
+    "diagram of the atlas along omega": ("atlas", "diagram?along=omega&gamma=2&xi={xi}"),
+    "modes: 10⁵ cells": ("atlas", "modes?xi={xi}"),
+    "threshold of the atlas": ("atlas", "threshold?xi={xi}"),
+    "nc: the atlas": ("atlas", "export?format=nc"),
+    "parquet: the atlas": ("atlas", "export?format=parquet"),
+    "orbits: a spring": (None, "/v1/orbits?omega=0.6&xi={xi}"),
+}
 
 
-def timed(
-    http: httpx2.Client, path: str, parameters: Callable[[], dict[str, Any]], count: int
-) -> list[float]:
-    """Latencies of `count` requests, ms; a first one is not counted."""
-    times = []
-    for _ in range(count + 1):
-        params = parameters()
-        start = time.perf_counter()
-        http.get(path, params=params).raise_for_status()
-        times.append((time.perf_counter() - start) * 1e3)
-    return times[1:]
+def sweeps(scale: float) -> dict[str, dict[str, Any]]:
+    """The specifications by their names in READS."""
+    base = {"model": {"kind": "rigid"}, "omega": 0.5, "xi": 0.26, "settle": 20, "observe": 80, "keep": 32}
+
+    def gamma(num: float) -> dict[str, Any]:
+        return {"start": 1.0, "stop": 8.0, "num": max(2, round(scale * num))}
+
+    return {
+        "line": base | {"name": "line", "gamma": gamma(1_000)},
+        "flights": base | {"name": "flights", "gamma": gamma(50_000), "keep": 20},
+        "atlas": base | {"name": "atlas", "gamma": gamma(1_000), "omega": OMEGA, "xi": XI, "keep": 16},
+    }
 
 
-def rows_of(url: str, client: Client, power: int, queries: int) -> list[tuple[str, ...]]:
-    """Fill a store of 10^power cells and time its queries; returns rows of the table."""
-    data = atlas(*GRIDS[power])
-    if GRIDS[power][2] == 1:
-        data["xi"] = 0.1
-    spec = SweepSpec.model_validate(data)
-    start = time.perf_counter()
-    job = client.submit(data).wait(progress=False)
-    took = time.perf_counter() - start
-    rng = np.random.default_rng(power)
-    values = {axis: spec.axis_values(axis) for axis in AXES}
+class Version:
+    """The service of one checkout, with the sweeps computed."""
 
-    def diagram(along: str) -> dict[str, Any]:
-        fixed = {axis: float(rng.choice(values[axis])) for axis in AXES if axis != along}
-        return {"along": along, **fixed}
+    def __init__(self, tree: Path, folder: Path, scale: float) -> None:
+        folder.mkdir()
+        self.service = Serving(folder, tree=tree)
+        self.http = httpx2.Client(base_url=self.service.url, timeout=20 * TIMEOUT)
+        self.jobs = {name: self.service.submit(spec) for name, spec in sweeps(scale).items()}
+        for job in self.jobs.values():
+            self.service.wait(job)
 
-    rows = []
-    with httpx2.Client(base_url=url, timeout=120) as http:
-        requests = {
-            axis: (f"/v1/jobs/{job.id}/diagram", lambda a=axis: diagram(a), len(values[axis]))
-            for axis in AXES
-        }
-        requests["modes"] = (
-            f"/v1/jobs/{job.id}/modes", lambda: {"xi": float(rng.choice(values["xi"]))},
-            len(values["gamma"]) * len(values["omega"]),
-        )  # fmt: skip
-        for name, (path, parameters, points) in requests.items():
-            if points == 1 or points > 200_000:
-                continue
-            times = timed(http, path, parameters, queries if points < 10_000 else max(5, queries // 4))
-            p95 = float(np.quantile(times, 0.95))
-            what = "mode map" if name == "modes" else f"along {name}"
-            rows.append((f"1e{power}, {what}", f"{points:,}", short(statistics.median(times)), short(p95)))
-    print(f"1e{power} cells: filled in {took:.0f} s", flush=True)
-    return rows
+    def read(self, sweep: str | None, path: str, chance: random.Random) -> int:
+        """The bytes of an answer."""
+        place = path.format(xi=chance.choice(XI))
+        answer = self.http.get(place if sweep is None else f"{self.jobs[sweep]}/{place}")
+        answer.raise_for_status()
+        return len(answer.content)
+
+    def end(self) -> None:
+        """Stop the service."""
+        self.http.close()
+        self.service.end()
+
+
+def row(name: str, versions: list[Version], repeat: int) -> list[str]:
+    """A row of the table; – for a read that a version does not have."""
+    sizes = []
+    for version in versions:
+        try:
+            sizes.append(version.read(*READS[name], random.Random(1)))
+        except httpx2.HTTPStatusError as error:
+            return [name, f"{error.response.status_code}", *["–"] * (2 * len(versions) - 1)]
+    chances = [random.Random(7) for _ in versions]  # the same values for all
+    runs = [
+        partial(version.read, *READS[name], chance) for version, chance in zip(versions, chances, strict=True)
+    ]
+    times = alternating(runs, repeat, time.perf_counter)
+    medians = [short(1e3 * value) for value in np.median(times, axis=0)]
+    ratios = [f"{ratio(times, 1):.2f}"] if len(versions) == 2 else []
+    return [name, f"{sizes[-1] / 1e3:,.0f}", *medians, *ratios]
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--queries", type=int, default=30)
-    parser.add_argument(
-        "--largest", type=int, default=7, choices=GRIDS, help="power of ten of the largest store"
-    )
-    arguments = parser.parse_args()
-    print(describe("zarr"), flush=True)
-    rows: list[tuple[str, ...]] = []
-    with tempfile.TemporaryDirectory() as folder, closing(Tiling()) as executor:
-        settings = embedded.settings(
-            data=Path(folder), host="127.0.0.1", port=0, max_cells=math.prod(GRIDS[7])
-        )
-        with embedded.running(settings, executor) as url, Client(url) as client:
-            for power in range(min(GRIDS), arguments.largest + 1):
-                rows += rows_of(url, client, power, arguments.queries)
-    print("\n" + table(["cells of the store", "values in the response", "p50, ms", "p95, ms"], rows))
+    given = options(__doc__, against="", repeat=9, only="", scale=1.0)
+    print(describe("zarr", "fastapi"), flush=True)
+    trees = [Path(given.against).resolve(), HERE] if given.against else [HERE]
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        versions = []
+        for number, tree in enumerate(trees):
+            versions.append(Version(tree, Path(folder) / str(number), given.scale))
+            stack.callback(versions[-1].end)
+        rows = []
+        for name in READS:
+            if any(word in name for word in given.only.split(",")):
+                rows.append(row(name, versions, given.repeat))
+                print(*rows[-1], sep=" | ", flush=True)
+        memory = [f"{used(version.service):.0f}" for version in versions]
+    names = ["before", "now"][-len(trees) :]
+    head = ["", "kB", *(f"{name}, ms" for name in names), *(["ratio"] if len(trees) == 2 else [])]
+    print("\n" + table(head, rows))
+    print("service with the processes of its answers, MB:", " → ".join(memory))
 
 
 if __name__ == "__main__":

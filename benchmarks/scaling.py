@@ -16,18 +16,16 @@ import argparse
 import itertools
 import multiprocessing
 import statistics
-import tempfile
 import time
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
 from benchmarks.atlas import atlas, warm
-from benchmarks.machine import describe
-from benchmarks.tables import short, table
+from benchmarks.measuring import alternating, describe, options, seconds, service, short, table
 from service.client import Client
-from service.server import embedded
 
 #: Every sweep is shifted slightly; otherwise it would be the same job.
 _SHIFTS = itertools.count()
@@ -44,19 +42,16 @@ def kernel_seconds(barrier: Any, lines: int, answers: Any) -> None:
     gamma = np.linspace(0.5, 6.0, 1000)
     line(gamma, 1.0, 0.1, settle=1, observe=1)
     barrier.wait()
-    start = time.perf_counter()
-    for omega in np.geomspace(0.1, 5.0, lines):
-        line(gamma, float(omega), 0.1)
-    answers.put(time.perf_counter() - start)
+    omegas = np.geomspace(0.1, 5.0, lines)
+    answers.put(seconds(lambda: [line(gamma, float(omega), 0.1) for omega in omegas]))
 
 
 def bare(processes: int, lines: int) -> float:
     """Wall time, s, of so many processes at once, each with all lines."""
     context = multiprocessing.get_context("spawn")
     barrier, answers = context.Barrier(processes), context.Queue()
-    started = [
-        context.Process(target=kernel_seconds, args=(barrier, lines, answers)) for _ in range(processes)
-    ]
+    arguments = barrier, lines, answers
+    started = [context.Process(target=kernel_seconds, args=arguments) for _ in range(processes)]
     for process in started:
         process.start()
     times = [answers.get(timeout=600) for _ in started]
@@ -65,44 +60,10 @@ def bare(processes: int, lines: int) -> float:
     return max(times)
 
 
-def sweep_seconds(client: Client, omega: int) -> float:
-    """Wall time of one sweep from submission to completion, s."""
-    spec = atlas(1000, omega, 10)
-    gamma = spec["gamma"] | {"start": spec["gamma"]["start"] + 1e-9 * next(_SHIFTS)}
-    start = time.perf_counter()
-    client.submit(spec | {"gamma": gamma}).wait(progress=False)
-    return time.perf_counter() - start
-
-
-def service_seconds(workers: int, sizes: list[int], repeat: int) -> list[list[float]]:
-    """Times of sweeps of these sizes on so many workers, s; the sizes alternate."""
-    with tempfile.TemporaryDirectory() as folder:
-        settings = embedded.settings(data=Path(folder), workers=workers, host="127.0.0.1", port=0)
-        with embedded.running(settings) as url, Client(url) as client:
-            warm(client)
-            sweep_seconds(client, 2)
-            rounds = [[sweep_seconds(client, size) for size in sizes] for _ in range(repeat)]
-    return [list(times) for times in zip(*rounds, strict=True)]
-
-
-def grid_seconds(workers: int, sizes: list[int]) -> list[float]:
-    """Wall times of sweeps of so many thousand cells each on so many workers, s."""
-    with tempfile.TemporaryDirectory() as folder:
-        settings = embedded.settings(data=Path(folder), workers=workers, host="127.0.0.1", port=0)
-        with embedded.running(settings) as url, Client(url) as client:
-            warm(client)
-            sweep_seconds(client, 2)
-            return [
-                statistics.median(grid_sweep(client, size) for _ in range(3 if size < SEVERAL else 1))
-                for size in sizes
-            ]
-
-
-def grid_sweep(client: Client, thousands: int) -> float:
-    """Wall time of one sweep of so many thousand cells, from submission to completion, s; it is deleted."""
-    xi = 10 if thousands >= 100 else 1
-    spec = atlas(1000, max(2, thousands // xi), max(2, xi))
-    spec |= {"omega": 1.0} if thousands < 2 else {}
+def sweep_seconds(client: Client, omega: int, xi: int = 10) -> float:
+    """Wall time of one sweep of 1000 x omega x xi cells, from submission to completion, s; it is deleted."""
+    spec = atlas(1000, max(2, omega), max(2, xi))
+    spec |= {"omega": 1.0} if omega == 1 else {}
     spec |= {"xi": 0.1} if xi == 1 else {}
     spec["gamma"] |= {"start": spec["gamma"]["start"] + 1e-9 * next(_SHIFTS)}
     start = time.perf_counter()
@@ -110,6 +71,25 @@ def grid_sweep(client: Client, thousands: int) -> float:
     took = time.perf_counter() - start
     job.delete()
     return took
+
+
+@contextmanager
+def warmed(workers: int) -> Iterator[Client]:
+    """The client of a service with so many workers that have computed something."""
+    with service(workers=workers) as (client, _, _):
+        warm(client)
+        sweep_seconds(client, 2)
+        yield client
+
+
+def grid_seconds(workers: int, sizes: list[int]) -> list[float]:
+    """Wall times of sweeps of so many thousand cells each on so many workers, s."""
+    with warmed(workers) as client:
+        grids = [(size // 10, 10) if size >= SEVERAL else (size, 1) for size in sizes]
+        return [
+            statistics.median(sweep_seconds(client, *grid) for _ in range(3 if grid[1] == 1 else 1))
+            for grid in grids
+        ]
 
 
 def draw(curves: dict[int, list[tuple[int, float]]], file: str) -> None:
@@ -149,8 +129,8 @@ def grid(arguments: argparse.Namespace) -> None:
     for workers in map(int, arguments.workers.split(",")):
         mine = [size for size in sizes if workers == 2 or size * 1000 <= arguments.largest_alone]
         curves[workers] = list(zip(mine, grid_seconds(workers, mine), strict=True))
-        for size, seconds in curves[workers]:
-            rows.append((f"{workers}", f"{1000 * size:,}", short(seconds), short(seconds / size / 0.3)))
+        for size, took in curves[workers]:
+            rows.append((f"{workers}", f"{1000 * size:,}", short(took), short(took / size / 0.3)))
             print(*rows[-1], flush=True)
     print("\n" + table(["workers", "cells", "wall time, s", "µs per cell and plate period"], rows))
     draw(curves, arguments.output)
@@ -159,31 +139,28 @@ def grid(arguments: argparse.Namespace) -> None:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--omega", type=int, default=25)
-    parser.add_argument("--repeat", type=int, default=3)
-    parser.add_argument("--grid", action="store_true")
-    parser.add_argument("--workers", default="1,2,4")
-    parser.add_argument("--largest", type=float, default=1e7)
-    parser.add_argument("--largest-alone", type=float, default=1e6)
-    parser.add_argument("-o", "--output", default="docs/scaling.png")
-    arguments = parser.parse_args()
+    given = options(
+        __doc__, omega=25, repeat=3, grid=False, workers="1,2,4", largest=1e7, largest_alone=1e6,
+        output="docs/scaling.png",
+    )  # fmt: skip
     print(describe("dask", "zarr"), flush=True)
-    if arguments.grid:
-        grid(arguments)
+    if given.grid:
+        grid(given)
         return
-    median = statistics.median
-    kernel = [median(bare(n, arguments.omega) for _ in range(arguments.repeat)) for n in (1, 2)]
-    (one,) = service_seconds(1, [arguments.omega], arguments.repeat)
-    two, double = service_seconds(2, [arguments.omega, 2 * arguments.omega], arguments.repeat)
-    cells = f"{arguments.omega * 10_000:,} cells"
+    median, size = statistics.median, given.omega
+    kernel = [median(bare(n, size) for _ in range(given.repeat)) for n in (1, 2)]
+    with warmed(1) as client:
+        one = median(sweep_seconds(client, size) for _ in range(given.repeat))
+    with warmed(2) as client:
+        runs = [lambda n=n: sweep_seconds(client, n) for n in (size, 2 * size)]
+        two, double = np.median(alternating(runs, given.repeat, time.perf_counter), axis=0)
     rows = [
-        ("strong: " + cells, median(one), median(two), median(one) / median(two)),
-        ("weak: the same for each worker", median(one), median(double), 2 * median(one) / median(double)),
+        (f"strong: {size * 10_000:,} cells", one, two, one / two),
+        ("weak: the same for each worker", one, double, 2 * one / double),
         ("the kernel alone, the same for each process", *kernel, 2 * kernel[0] / kernel[1]),
     ]
-    head = ["", "one, s", "two, s", "speed-up"]
-    print("\n" + table(head, [(name, *(short(value) for value in values)) for name, *values in rows]))
+    shown = [(name, *map(short, values)) for name, *values in rows]
+    print("\n" + table(["", "one, s", "two, s", "speed-up"], shown))
 
 
 if __name__ == "__main__":

@@ -10,14 +10,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import psutil
 
-from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
+from benchmarks.measuring import HERE
 
 MB = 1 << 20
 #: Time-out of a request, s; the machine may be busy.
@@ -41,9 +40,9 @@ def sweep(number: int, gammas: int = 400, settle: int = 4_000) -> dict[str, Any]
 
 
 class Serving:
-    """The service on a free port with its own folder; the constructor returns when it is ready."""
+    """The service of a checkout on a free port with its own folder, which is ready when this returns."""
 
-    def __init__(self, folder: Path, *more_options: str) -> None:
+    def __init__(self, folder: Path, *more_options: str, tree: Path = HERE) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
@@ -51,11 +50,19 @@ class Serving:
         options = ["--port", str(self.port), "--data", str(self.data), *more_options]
         with (folder / "service.log").open("wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "service.cli.main", "serve", *options], stdout=log, stderr=log
-            )
+                [sys.executable, "-m", "service.cli.main", "serve", *options],
+                cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, stdout=log, stderr=log,
+            )  # fmt: skip
         self.me = psutil.Process(self.process.pid)
         while not self._answers():
             time.sleep(0.2)
+
+    def __enter__(self) -> "Serving":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.end()
 
     def _answers(self) -> bool:
         if self.process.poll() is not None:
@@ -91,8 +98,10 @@ class Serving:
         return job
 
     def _job(self, path: str) -> dict[str, Any]:
-        job: dict[str, Any] = httpx2.get(self.url + path, timeout=TIMEOUT).json()
-        return job
+        """The job, asked for again while the service says that it is not ready."""
+        while (answer := httpx2.get(self.url + path, timeout=TIMEOUT)).status_code == 503:
+            time.sleep(0.5)
+        return dict(answer.raise_for_status().json())
 
     def cells_done(self, path: str) -> int:
         """How many cells of a job are done."""
@@ -126,68 +135,17 @@ class Serving:
         return time.monotonic() - began
 
 
-class Restarted:
-    """A program of this environment that is restarted whenever it ends, until `end`."""
-
-    def __init__(self, log: Path, variables: Mapping[str, str], *command: str) -> None:
-        self._command, self._log, self._variables = command, log, variables
-        self._over = threading.Event()
-        self.process = self._start()
-        self._thread = threading.Thread(target=self._keep)
-        self._thread.start()
-
-    def _start(self) -> "subprocess.Popen[bytes]":
-        program = str(Path(sys.executable).with_name(self._command[0]))
-        with self._log.open("ab") as log:
-            return subprocess.Popen(
-                [program, *self._command[1:]], stdout=log, stderr=log, env=os.environ | dict(self._variables)
-            )
-
-    def _keep(self) -> None:
-        while not self._over.is_set():
-            self.process.wait()
-            if not self._over.wait(0.2):
-                self.process = self._start()
-
-    def family(self) -> list[psutil.Process]:
-        """The processes that it has started."""
-        try:
-            return psutil.Process(self.process.pid).children(recursive=True)
-        except psutil.NoSuchProcess:
-            return []
-
-    def end(self) -> None:
-        """Stop it and all that it has started."""
-        self._over.set()
-        family = self.family()
-        self.process.send_signal(signal.SIGCONT)
-        self.process.terminate()
-        self._thread.join(20)
-        for process in psutil.wait_procs(family, timeout=10)[1]:
-            process.kill()
+def used(service: Serving) -> float:
+    """Megabytes of the service with the processes that compute its answers."""
+    return service.used()[0] + sum(map(megabytes, service.answer_processes()))
 
 
-class Cluster:
-    """A Dask scheduler and two workers on loopback, each restarted whenever it ends."""
-
-    def __init__(self, folder: Path, port: int, variables: Mapping[str, str] | None = None) -> None:
-        self.address = f"tcp://127.0.0.1:{port}"
-        settings = {environment_variable(name): f"{value:g}" for name, value in SCHEDULER_SETTINGS.items()}
-        settings |= variables or {}
-        self.scheduler = Restarted(
-            folder / "scheduler.log", settings, "dask", "scheduler", "--host", "127.0.0.1",
-            "--port", str(port), "--no-dashboard", "--dashboard-address", "127.0.0.1:0",
-        )  # fmt: skip
-        self.workers = Restarted(
-            folder / "worker.log", settings, "dask", "worker", self.address, "--nworkers", "2",
-            "--nthreads", "1", "--host", "127.0.0.1", "--no-dashboard",
-            "--local-directory", str(folder / "dask"), "--death-timeout", "60",
-        )  # fmt: skip
-
-    def end(self) -> None:
-        """Stop all of its processes."""
-        self.workers.end()
-        self.scheduler.end()
+def megabytes(process: psutil.Process) -> float:
+    """Memory of a process, which may have ended."""
+    try:
+        return float(process.memory_info().rss) / MB
+    except psutil.NoSuchProcess:
+        return 0.0
 
 
 class Polls:

@@ -9,15 +9,12 @@ where it differs from that in the end. With settle_until = `--long`, cells that 
 table says how many after how many periods, and what it costs, a ratio of medians of runs that alternate.
 """
 
-import argparse
-import time
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.machine import describe
-from benchmarks.tables import short, table
+from benchmarks.measuring import alternating, describe, options, ratio, short, table
 from kernel.params import Line, Outcome
 from tests.support.plates import Model, run_line
 from worker.spec import SweepSpec
@@ -90,23 +87,12 @@ def going_on(name: str, cells: Cells, long: int) -> list[object]:
     """One row of the second table."""
     periods = [(SETTLE + OBSERVE) * 2**k for k in range(DOUBLINGS + 1)]
     shares = [np.mean(run(cells, settle_until=p).outcome == Outcome.SETTLING) for p in periods]
-    seconds = np.empty((REPEAT, 2))
-    for i in range(REPEAT):
-        for k, settle_until in enumerate((None, long)):
-            began = time.thread_time()
-            run(cells, settle_until=settle_until)
-            seconds[i, k] = time.thread_time() - began
-    without, with_it = np.median(seconds, axis=0)
-    return [name, *(f"{100.0 * share:.2f}%" for share in shares), short(with_it / without)]
+    times = alternating([lambda: run(cells), lambda: run(cells, settle_until=long)], REPEAT)
+    return [name, *(f"{100.0 * share:.2f}%" for share in shares), short(ratio(times, 1))]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--cells", type=int, default=6_000)
-    parser.add_argument("--samples", type=int, default=3)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--long", type=int, default=20_000)
-    args = parser.parse_args()
+    args = options(__doc__, cells=6_000, samples=3, seed=1, long=20_000)
     sets = {f"random, seed {seed}": random_cells(args.cells, seed)
             for seed in range(args.seed, args.seed + args.samples)}  # fmt: skip
     sets["grid"] = grid()

@@ -3,12 +3,11 @@
     python -m benchmarks.study [--cells 1000000000] [--omega 20]
 
 Measures a part of the atlas (1000 x --omega x 10 cells of `rigid`, 300 plate periods per cell) over HTTP on
-two workers, ten thousand chunks in the ledger with a thousand simulated workers (benchmarks.million), and two
+two workers, ten thousand chunks in the ledger with a thousand simulated workers (benchmarks.chunks), and two
 thousand empty tasks in Dask. The extrapolation assumes that the cluster has cores like these and a file
 system that is not the bottleneck.
 """
 
-import argparse
 import math
 import tempfile
 import time
@@ -16,12 +15,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks import million
+from benchmarks import chunks
 from benchmarks.atlas import Counting, atlas, warm
-from benchmarks.machine import describe
-from benchmarks.tables import short, table
-from service.client import Client
-from service.server import embedded
+from benchmarks.measuring import describe, options, service, short, table
 from worker import schema
 from worker.plan import make_plan
 from worker.spec import SweepSpec
@@ -44,15 +40,13 @@ def piece(omega: int) -> Piece:
     """Compute a part of the atlas and measure its cost."""
     spec = atlas(1000, omega, 10)
     cells = 10_000 * omega
-    with tempfile.TemporaryDirectory() as folder, closing(Counting(workers=2)) as executor:
-        settings = embedded.settings(data=Path(folder), host="127.0.0.1", port=0)
-        with embedded.running(settings, executor) as url, Client(url) as client:
-            warm(client)
-            executor.kernel_seconds = executor.task_seconds = 0.0
-            start = time.perf_counter()
-            job = client.submit(spec).wait(progress=False)
-            wall = time.perf_counter() - start
-        stored = sum(f.stat().st_size for f in (Path(folder) / "stores" / f"{job.id}.zarr").rglob("*"))
+    with closing(Counting(workers=2)) as executor, service(executor) as (client, _, data):
+        warm(client)
+        executor.kernel_seconds = executor.task_seconds = 0.0
+        start = time.perf_counter()
+        job = client.submit(spec).wait(progress=False)
+        wall = time.perf_counter() - start
+        stored = sum(f.stat().st_size for f in (data / "stores" / f"{job.id}.zarr").rglob("*"))
     return Piece(
         executor.kernel_seconds / cells, executor.task_seconds / cells, 2 * wall / cells, stored / cells,
         schema.bytes_per_cell(SweepSpec.model_validate(spec)),
@@ -61,18 +55,15 @@ def piece(omega: int) -> Piece:
 
 def main() -> None:
     """Measure and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cells", type=int, default=1_000_000_000)
-    parser.add_argument("--omega", type=int, default=20)
-    arguments = parser.parse_args()
+    arguments = options(__doc__, cells=1_000_000_000, omega=20)
     print(describe("dask", "zarr"), flush=True)
     cells = arguments.cells
     cell = piece(arguments.omega)
     plan = make_plan(SweepSpec.model_validate(atlas(1000, 1000, math.ceil(cells / 1e6))))
     chunk_seconds = cell.task * math.prod(plan.chunk_shape)
     with tempfile.TemporaryDirectory() as folder:
-        driven = million.drive(million.sweep(10_000), WORKERS[-1], 0.0, Path(folder))
-    dask = million.through_dask(2_000)
+        driven = chunks.drive(chunks.huge(10_000), WORKERS[-1], Path(folder))
+    dask = chunks.through_dask(2_000)
     hours = {n: max(cells * cell.worker / n, len(plan) / min(dask, driven.rate)) / 3600 for n in WORKERS}
     arrays = len(list(schema.arrays(SweepSpec.model_validate(atlas(10, 10, 10)))))
     rows = [

@@ -10,7 +10,6 @@ what bounces even then, with its Gamma over the rule's and its mode, (0,0) if ap
 the rule says and whether `thresholds` answers it.
 """
 
-import argparse
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.tables import table
+from benchmarks.measuring import options, table
 from kernel.branches.closed_form import TWO_PI
 from kernel.branches.thresholds import NOT_SEARCHED, Thresholds, conjecture, thresholds
 from kernel.params import Line, Outcome
@@ -124,16 +123,7 @@ def searched(
 
 def main() -> None:
     """Print what bounces below the rule, and a table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--springs", type=int, default=40)
-    parser.add_argument("--omega", type=float, nargs=2, default=(0.05, 10.0))
-    parser.add_argument("--xi", type=float, nargs=2, default=(0.04, 0.3))
-    parser.add_argument("--starts", type=int, default=80)
-    parser.add_argument("--gammas", type=int, default=34)
-    parser.add_argument("--seed", type=int, default=1)
-    o = parser.parse_args()
+    o = options(__doc__, springs=40, omega=(0.05, 10.0), xi=(0.04, 0.3), starts=80, gammas=34, seed=1)
     count: Counter[tuple[str, str, str]] = Counter()
     for rule, answer, found in searched(o.seed, o.springs, o.omega, o.xi, o.starts, o.gammas):
         says = rule.cause.split(" (")[0]

@@ -2,8 +2,10 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -104,3 +106,60 @@ def dask_processes(folder: Path) -> Iterator[Processes]:
         yield processes
     finally:
         processes.end()
+
+
+class Restarted:
+    """A program of this environment that is restarted whenever it ends, until `end`."""
+
+    def __init__(self, log: Path, variables: Mapping[str, str], *command: str) -> None:
+        self._command, self._log, self._variables = command, log, variables
+        self._over = threading.Event()
+        self.process = self._start()
+        self._thread = threading.Thread(target=self._keep)
+        self._thread.start()
+
+    def _start(self) -> "subprocess.Popen[bytes]":
+        program = str(Path(sys.executable).with_name(self._command[0]))
+        with self._log.open("ab") as log:
+            return subprocess.Popen(
+                [program, *self._command[1:]], stdout=log, stderr=log, env=os.environ | dict(self._variables)
+            )
+
+    def _keep(self) -> None:
+        while not self._over.is_set():
+            self.process.wait()
+            if not self._over.wait(0.2):
+                self.process = self._start()
+
+    def end(self) -> None:
+        """Stop it and all that it has started."""
+        self._over.set()
+        members = family(self.process)[1:]
+        self.process.send_signal(signal.SIGCONT)
+        self.process.terminate()
+        self._thread.join(20)
+        for process in psutil.wait_procs(members, timeout=10)[1]:
+            process.kill()
+
+
+class Cluster:
+    """A Dask scheduler and two workers on loopback, each restarted whenever it ends."""
+
+    def __init__(self, folder: Path, port: int, variables: Mapping[str, str] | None = None) -> None:
+        self.address = f"tcp://127.0.0.1:{port}"
+        settings = {environment_variable(name): f"{value:g}" for name, value in SCHEDULER_SETTINGS.items()}
+        settings |= variables or {}
+        self.scheduler = Restarted(
+            folder / "scheduler.log", settings, "dask", "scheduler", "--host", "127.0.0.1",
+            "--port", str(port), "--no-dashboard", "--dashboard-address", "127.0.0.1:0",
+        )  # fmt: skip
+        self.workers = Restarted(
+            folder / "worker.log", settings, "dask", "worker", self.address, "--nworkers", "2",
+            "--nthreads", "1", "--host", "127.0.0.1", "--no-dashboard",
+            "--local-directory", str(folder / "dask"), "--death-timeout", "60",
+        )  # fmt: skip
+
+    def end(self) -> None:
+        """Stop all of its processes."""
+        self.workers.end()
+        self.scheduler.end()

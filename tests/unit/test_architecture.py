@@ -129,7 +129,7 @@ def test_whatever_is_imported_is_asked_for(folders: Sequence[str], extras: Seque
         *(one for name in extras for one in PROJECT["optional-dependencies"][name]),
     ]
     asked_for = {canonicalize_name(Requirement(one).name) for one in wanted}
-    other_name = {"yaml": "pyyaml", "sksundae": "scikit-sundae", "PIL": "pillow"}
+    other_name = {"yaml": "pyyaml", "PIL": "pillow"}
     imported = {canonicalize_name(other_name.get(name, name)) for name in libraries_imported(*folders)}
     assert imported - asked_for == set()
 

@@ -112,6 +112,12 @@ def test_named_modules_and_tests_exist(page: str):
         assert (ROOT / path).exists(), path
 
 
+def test_every_benchmark_is_in_the_index():
+    index = (ROOT / "benchmarks" / "README.md").read_text()
+    programs = [path for path in (ROOT / "benchmarks").glob("*.py") if "def main" in path.read_text()]
+    assert set(re.findall(r"-m benchmarks\.(\w+)", index)) == {path.stem for path in programs}
+
+
 def test_every_document_is_linked_from_the_readme():
     linked = set(re.findall(r"\]\(([^)#\s]+\.(?:md|cff))\)", text("README.md")))
     assert {name for name in PAGES if name != "README.md"} | {"CITATION.cff"} <= linked

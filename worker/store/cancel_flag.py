@@ -51,7 +51,8 @@ def sweep_leftovers(url: str) -> int:
     """
     if backend.in_bucket(url):
         return 0
-    leftovers = list(Path(url, backend.PARTIAL).glob("*.partial"))
+    # The second: of checkpoints.
+    leftovers = [*Path(url, backend.PARTIAL).glob("*.partial"), *Path(url).glob(".*.partial")]
     for path in leftovers:
         path.unlink(missing_ok=True)
     return len(leftovers)

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from dask_processes import Cluster, Restarted
 from paths import CACHE, ROOT
 from running import Counting, Running, costing, running
 from scripted import free_port, wait_for
 
-from benchmarks.serving import Cluster, Restarted
 from service.api.monitoring import Readiness
 from service.jobs.model import JobRecord, JobState
 from worker.executors.dask import Dask

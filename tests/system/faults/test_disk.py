@@ -4,15 +4,15 @@ import os
 import resource
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from disks import fill, mounted, use_up_inodes
 from running import running
 from scripted import Held, sweep, wait_for
 from served import FIGURE_2, service
 
-from benchmarks.full_disk import fill, mounted, use_up_inodes
 from kernel.params import Outcome
 from service.jobs.model import JobState
 from service.render import export, netcdf
@@ -23,18 +23,7 @@ from worker.executors.inline import Inline
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 2 MB; skips where none can be mounted."""
-    with mounted_or_skipped(tmp_path / "small", "size=2m") as folder:
-        yield folder
-
-
-@contextmanager
-def mounted_or_skipped(folder: Path, options: str) -> Iterator[Path]:
-    """A file system in memory; skips where none can be mounted."""
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(mounted(folder, options))
-        except OSError as error:
-            pytest.skip(str(error))
+    with mounted(tmp_path / "small", "size=2m") as folder:
         yield folder
 
 
@@ -80,7 +69,7 @@ def test_the_ledger_records_what_happened_while_the_disk_has_no_byte_left(small_
 def test_a_disk_without_inodes_can_be_emptied(tmp_path: Path):
     """Not even the cancel flag of the store can be written."""
     with (
-        mounted_or_skipped(tmp_path / "few", "size=64m,nr_inodes=600") as folder,
+        mounted(tmp_path / "few", "size=64m,nr_inodes=600") as folder,
         closing(Inline()) as executor,
         running(folder / "data", executor) as service,
     ):

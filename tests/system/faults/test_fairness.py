@@ -1,7 +1,4 @@
-"""Small jobs beside endless ones and beside many: the order in which they end, on a real cluster.
-
-Times on a quiet machine: `python -m benchmarks.fairness`.
-"""
+"""Small jobs beside endless ones and beside many: the order in which they end, on a real cluster."""
 
 import os
 from pathlib import Path

@@ -33,7 +33,7 @@ def test_the_same_sweep_gives_the_same_bytes_on_a_cluster(tmp_path: Path, cluste
 
 
 def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):
-    """CPU time of the workers; for wall-clock time on a quiet machine, run `python -m benchmarks.figure`."""
+    """CPU time of the workers; for wall-clock time on a quiet machine, run `python -m benchmarks.small`."""
     pids = cluster._connection.client.run(os.getpid).values()
 
     def spent() -> float:

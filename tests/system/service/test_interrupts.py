@@ -1,9 +1,10 @@
-"""Ctrl-C on a terminal: exit code 130, no traceback, nothing left. More moments: `benchmarks.interrupts`."""
+"""Ctrl-C on a terminal: exit code 130, no traceback, nothing left."""
 
 import json
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,32 @@ from interrupted import Command
 from paths import CACHE, ROOT
 from scripted import DEADLINE
 
-from benchmarks.interrupts import LONG, queue
+from service.jobs.manager import JobManager
+from service.jobs.stores.adoption import open_ledger
+from service.settings import Settings
+from worker.executors.inline import Inline
+from worker.spec import SweepSpec
+
+#: Computes for minutes.
+LONG = {
+    "name": "long",
+    "gamma": {"start": 1.0, "stop": 6.0, "num": 20_000},
+    "omega": [0.5, 0.6],
+    "xi": 0.26,
+    "model": {"kind": "rigid"},
+    "settle": 20_000,
+    "settle_early": False,
+}
 
 Reached = Callable[[Command], bool]
+
+
+def queue(folder: Path) -> None:
+    """Have a job for a service to compute in its data folder."""
+    settings = Settings(data=folder / "bounce-data")
+    settings.data.mkdir(mode=0o700)
+    with open_ledger(settings) as ledger, closing(Inline()) as executor:
+        JobManager(ledger, executor, settings).submit(SweepSpec(**LONG))
 
 
 def writes(text: str) -> Reached:
@@ -45,7 +69,7 @@ def test_ctrl_c_ends_everything(tmp_path: Path, words: tuple[str, ...], reached:
     command.wait_for(reached)
     ended = command.interrupt()
     assert ended is not None
-    # On an overloaded machine it takes longer; `benchmarks.interrupts` measures.
+    # On an overloaded machine it takes longer than its faults allow.
     assert [fault for fault in ended.faults if not fault.endswith(" s")] == [], ended.output
     assert ended.seconds < 10.0
 

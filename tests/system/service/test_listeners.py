@@ -10,11 +10,79 @@ from typing import Any
 import httpx2
 from scripted import DEADLINE, Held, sweep, wait_for
 
-from benchmarks.attack import streams_at_once
 from service.server import embedded
 from service.settings import Settings
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
+
+
+def events(text: str) -> list[tuple[str, dict[str, Any]]]:
+    blocks = [block.split("\n") for block in text.strip().split("\n\n") if not block.startswith(":")]
+    return [
+        (block[0].removeprefix("event: "), json.loads(block[1].removeprefix("data: "))) for block in blocks
+    ]
+
+
+async def statuses_at_once(url: str, job: str, count: int) -> Counter[int]:
+    """Statuses of event streams, all open until the last is answered; 503 without Retry-After counts as 0."""
+    address = httpx2.URL(url)
+    head = f"GET {job}/events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode()
+    streams: list[asyncio.StreamWriter] = []
+
+    async def opened() -> int:
+        reader, writer = await asyncio.open_connection(address.host, address.port)
+        streams.append(writer)
+        writer.write(head)
+        answer = await reader.readuntil(b"\r\n\r\n")
+        status = int(answer.split()[1])
+        if status == 200:
+            await reader.readuntil(b"event: progress")
+        return status if status != 503 or b"retry-after:" in answer.lower() else 0
+
+    statuses = Counter(await asyncio.gather(*(opened() for _ in range(count))))
+    for writer in streams:
+        writer.close()
+    return statuses
+
+
+def test_many_listeners_do_not_delay_other_requests(tmp_path: Path):
+    held, listeners = Held(), 60
+    settings = Settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
+    heard: list[str] = []
+    listening: list[str] = []
+
+    def listen(here: str) -> None:
+        with many.stream("GET", f"{here}/events") as answer:
+            lines = answer.iter_lines()
+            listening.append(first := next(lines))
+            heard.append("\n".join([first, *lines]))
+
+    limits = httpx2.Limits(max_connections=listeners)
+    with (
+        embedded.running(settings, held) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+        httpx2.Client(base_url=address, timeout=DEADLINE, limits=limits) as many,
+    ):
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+        wait_for(held.held)
+        threads = [threading.Thread(target=listen, args=[here]) for _ in range(listeners)]
+        for thread in threads:
+            thread.start()
+        wait_for(lambda: len(listening) == listeners)
+        for _ in range(20):  # while the listeners wait for a change
+            assert client.get(here).status_code == 200
+        assert client.get("/metrics").status_code == 200
+        held.let_go_until(lambda: client.get(here).json()["state"] == "done")
+        for thread in threads:
+            thread.join(DEADLINE)
+    assert len(heard) == listeners
+    for stream in map(events, heard):
+        names = [name for name, _ in stream]
+        assert names[-1] == "end"
+        assert set(names[:-1]) <= {"progress"}
+        done = [view["progress"]["chunks_done"] for _, view in stream]
+        assert done == sorted(done)
+        assert stream[-1][1]["state"] == "done"
 
 
 def test_listeners_are_limited_and_do_not_delay_the_shutdown(tmp_path: Path):
@@ -39,7 +107,7 @@ def test_of_more_listeners_than_allowed_the_others_are_told_to_come_again(tmp_pa
         here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
 
         def statuses(count: int) -> Counter[int]:
-            return asyncio.run(streams_at_once(address, here, count, {}))[0]
+            return asyncio.run(statuses_at_once(address, here, count))
 
         assert statuses(allowed + 100) == {200: allowed, 503: 100}
         wait_for(lambda: statuses(allowed) == {200: allowed})

@@ -7,11 +7,11 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from service.results.diagram import Diagram
 
 from kernel.threshold import threshold
 from service.render import bifurcation
 from service.render.style import BLUE
-from service.results.diagram import Diagram
 from worker.spec import SweepSpec
 
 NAN = float("nan")

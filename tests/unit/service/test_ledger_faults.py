@@ -1,7 +1,4 @@
-"""A ledger that is damaged, moved, replaced or locked: nothing is lost, every state is told, and it goes on.
-
-`python -m benchmarks.ledger_faults` draws such faults at random.
-"""
+"""A ledger that is damaged, moved, replaced or locked: nothing is lost, each is told, and it goes on."""
 
 import os
 import shutil

@@ -301,8 +301,9 @@ def test_damaged_bytes_are_never_read_as_data(url, spec, plan, damage):
 def test_leftovers_of_killed_writers_are_swept(url, spec, plan):
     store.write_chunk(url, plan[0], record_of(spec, plan[0]))
     before = files(url)
-    (Path(url) / ".partial" / "0.partial").write_bytes(b"half")
-    assert store.sweep_leftovers(url) == 1
+    for name in (".partial/0.partial", ".checkpoint-0.0.partial"):
+        (Path(url) / name).write_bytes(b"half")
+    assert store.sweep_leftovers(url) == 2
     assert store.sweep_leftovers(url) == 0
     assert files(url) == before
 
