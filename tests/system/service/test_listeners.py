@@ -1,6 +1,8 @@
 """Many who listen to the events of jobs."""
 
 import asyncio
+import json
+import threading
 import time
 from collections import Counter
 from contextlib import ExitStack
