@@ -5,13 +5,14 @@ implementation. Waiting takes no thread.
 """
 
 import asyncio
+import inspect
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable
 from functools import update_wrapper
 from itertools import islice
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Concatenate, Final, ParamSpec, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
 
 from service.client.client import DEFAULT_URL, Client
 from service.client.display import PartsCallback, display_job, display_parts, job_html, summary
@@ -21,105 +22,69 @@ from service.client.specification import Specification
 
 if TYPE_CHECKING:
     import httpx2
-    from matplotlib.axes import Axes
 
-    from service.client.plots import Kind
 
 #: Jobs of one wait whose status is requested at a time.
 _REQUESTS: Final = 4
 
-Sync_co = TypeVar("Sync_co", covariant=True)
-Blocking = TypeVar("Blocking")
-Arguments = ParamSpec("Arguments")
-Answer = TypeVar("Answer")
+#: Methods that waits are built from, and that programs do not call.
+_BLOCKING: Final = frozenset({"from_view", "has_ended", "pause", "refresh_through_outage"})
+
+Mirror = TypeVar("Mirror", bound=type)
 
 
-class _Wrapper(Protocol[Sync_co]):
-    @property
-    def sync(self) -> Sync_co: ...
+def _mirroring(blocking: type) -> Callable[[Mirror], Mirror]:
+    """Give a class the public methods of `blocking` that it lacks, as coroutines or async iterators."""
+
+    def declare(mirror: Mirror) -> Mirror:
+        for name, method in inspect.getmembers(blocking, inspect.isfunction):
+            if not name.startswith("_") and name not in _BLOCKING and name not in vars(mirror):
+                iterates = inspect.isgeneratorfunction(method)
+                setattr(mirror, name, (_iterated if iterates else _in_thread)(method))
+        return mirror
+
+    return declare
 
 
-def _in_thread(
-    method: Callable[Concatenate[Blocking, Arguments], Answer],
-) -> Callable[Concatenate[_Wrapper[Blocking], Arguments], Coroutine[Any, Any, Answer]]:
-    """The method of the blocking object as a coroutine."""
+def _in_thread(method: Callable[..., Any]) -> Callable[..., Any]:
+    async def call(self: Any, /, *args: Any, **options: Any) -> Any:
+        return _mirrored(self, await asyncio.to_thread(method, self.sync, *args, **options))
 
-    async def call(self: _Wrapper[Blocking], /, *args: Arguments.args, **options: Arguments.kwargs) -> Answer:
-        return await asyncio.to_thread(method, self.sync, *args, **options)
-
-    update_wrapper(call, method)
-    return call
+    return update_wrapper(call, method)
 
 
+def _iterated(method: Callable[..., Any]) -> Callable[..., Any]:
+    async def call(self: Any, /, *args: Any, **options: Any) -> AsyncIterator[Any]:
+        found = method(self.sync, *args, **options)
+        while (each := await asyncio.to_thread(next, found, None)) is not None:
+            yield _mirrored(self, each)
+
+    return update_wrapper(call, method)
+
+
+def _mirrored(owner: Any, result: Any) -> Any:
+    """`result`; a job as an `AsyncJob`, the owner's own as the owner, with the status of now."""
+    if result is owner.sync and isinstance(owner, AsyncJob):
+        owner._update(owner.sync.view)
+        return owner
+    return AsyncJob(result) if isinstance(result, Job) else result
+
+
+@_mirroring(Job)
 class AsyncJob(JobStatus):
     """A `Job` whose requests are awaited; `sync` is the same job with blocking methods."""
+
+    if TYPE_CHECKING:  # the methods of Job, as coroutines
+
+        def __getattr__(self, name: str) -> Callable[..., Any]: ...
 
     def __init__(self, job: Job) -> None:
         self.sync = job
         self._update(job.view)
 
-    diagram = _in_thread(Job.diagram)
-    threshold = _in_thread(Job.threshold)
-    orbits = _in_thread(Job.orbits)
-    modes = _in_thread(Job.modes)
-    result = _in_thread(Job.result)
-    result_file = _in_thread(Job.result_file)
-    basins = _in_thread(Job.basins)
-    multistability = _in_thread(Job.multistability)
-    multistability_picture = _in_thread(Job.multistability_picture)
-    trajectory = _in_thread(Job.trajectory)
-    export = _in_thread(Job.export)
-    open = _in_thread(Job.open)
-    delete = _in_thread(Job.delete)
-
-    async def refresh(self) -> "AsyncJob":
-        """As `Job.refresh`."""
-        return await self._change(self.sync.refresh)
-
-    async def cancel(self) -> "AsyncJob":
-        """As `Job.cancel`."""
-        return await self._change(self.sync.cancel)
-
-    async def pin(self) -> "AsyncJob":
-        """As `Job.pin`."""
-        return await self._change(self.sync.pin)
-
-    async def unpin(self) -> "AsyncJob":
-        """As `Job.unpin`."""
-        return await self._change(self.sync.unpin)
-
-    async def resume(self) -> "AsyncJob":
-        """As `Job.resume`."""
-        return await self._change(self.sync.resume)
-
     async def spec(self) -> dict[str, Any]:
         """The specification with its defaults, as `Job.spec`: a method, as it may send a request."""
         return await asyncio.to_thread(lambda: self.sync.spec)
-
-    async def refine(
-        self,
-        gamma: tuple[float, float] | None = None,
-        omega: tuple[float, float] | None = None,
-        xi: float | None = None,
-        *,
-        finer: int = 4,
-        by: str = "mode",
-        margin: bool = False,
-    ) -> "AsyncJob":
-        """As `Job.refine`."""
-        refine = self.sync.refine
-        return AsyncJob(await asyncio.to_thread(refine, gamma, omega, xi, finer=finer, by=by, margin=margin))
-
-    async def plot(self, kind: "Kind | None" = None, **selection: Any) -> "Axes":
-        """As `Job.plot`."""
-        return await asyncio.to_thread(self.sync.plot, kind, **selection)
-
-    async def follow(self) -> "AsyncIterator[AsyncJob]":
-        """As `Job.follow`."""
-        changes = self.sync.follow()
-        while await asyncio.to_thread(next, changes, None) is not None:
-            self._update(self.sync.view)
-            yield self
 
     async def wait(
         self, progress: "bool | Callable[[AsyncJob], None]" = True, timeout: float | None = None
@@ -151,11 +116,6 @@ class AsyncJob(JobStatus):
         self._update(self.sync.view)
         return self
 
-    async def _change(self, method: Callable[[], Job]) -> "AsyncJob":
-        await asyncio.to_thread(method)
-        self._update(self.sync.view)
-        return self
-
     def __repr__(self) -> str:
         return f"<AsyncJob {summary(self)}>"
 
@@ -163,6 +123,7 @@ class AsyncJob(JobStatus):
         return job_html(self)
 
 
+@_mirroring(Client)
 class AsyncClient:
     """A client of a running service for `async` programs, with the methods and arguments of `Client`.
 
@@ -172,6 +133,10 @@ class AsyncClient:
 
     `sync` is the blocking client that sends its requests.
     """
+
+    if TYPE_CHECKING:  # the methods of Client, as coroutines
+
+        def __getattr__(self, name: str) -> Callable[..., Any]: ...
 
     def __init__(
         self,
@@ -183,13 +148,6 @@ class AsyncClient:
     ) -> None:
         self.sync = Client(url, token, timeout, http=http)
 
-    estimate = _in_thread(Client.estimate)
-    threshold = _in_thread(Client.threshold)
-    orbits = _in_thread(Client.orbits)
-    curves = _in_thread(Client.curves)
-    trajectory = _in_thread(Client.trajectory)
-    metrics = _in_thread(Client.metrics)
-
     @property
     def url(self) -> str:
         """The address of the service."""
@@ -199,20 +157,6 @@ class AsyncClient:
     def page(self) -> str:
         """As `Client.page`."""
         return self.sync.page
-
-    async def submit(self, spec: Specification, *, key: str | None = None) -> AsyncJob:
-        """As `Client.submit`."""
-        return AsyncJob(await asyncio.to_thread(self.sync.submit, spec, key=key))
-
-    async def job(self, id: str) -> AsyncJob:
-        """As `Client.job`."""
-        return AsyncJob(await asyncio.to_thread(self.sync.job, id))
-
-    async def jobs(self, state: str | None = None, **wanted: Any) -> AsyncIterator[AsyncJob]:
-        """As `Client.jobs`, with the same arguments."""
-        jobs = self.sync.jobs(state, **wanted)
-        while (job := await asyncio.to_thread(next, jobs, None)) is not None:
-            yield AsyncJob(job)
 
     async def as_completed(
         self, jobs: Iterable[AsyncJob], timeout: float | None = None
