@@ -121,10 +121,10 @@ def run_to_file(
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
     from service.client.output_file import complete_file
-    from service.render import export
     from service.results.provenance import attributes_of
     from service.results.selection import Stored
     from service.views import diagram
+    from service.views.files import export
     from service.views.registry import admit, answer
     from service.views.view import Query
 

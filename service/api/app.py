@@ -22,9 +22,9 @@ from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.on_demand import MAX_PENDING, OnDemandCache
 from service.jobs.stores.adoption import open_ledger
-from service.render import export
 from service.settings import Settings
 from service.software import software
+from service.views.files import export
 from worker.executors.base import Executor
 
 #: Chunks of stores read at a time.

@@ -1,16 +1,15 @@
 """A Dataset as bytes: JSON, binary, NetCDF, CSV, Parquet, or a picture. Knows no result by name."""
 
+import csv
 import io
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from math import prod
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import numpy as np
-import pyarrow as pa
 import xarray
 from numpy.typing import NDArray
-from pyarrow import csv, parquet
 from pydantic import TypeAdapter
 
 from service.formats import PictureFormat
@@ -113,26 +112,45 @@ def to_netcdf(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
 
 
 def to_csv(dataset: xarray.Dataset, rows: str) -> bytes:
-    """A header and one line per row of `tables`."""
-    file = io.BytesIO()
-    batches = tables(dataset, rows, lists=False)
-    first = next(batches)
-    with csv.CSVWriter(file, first.schema) as writer:
-        for batch in chain([first], batches):
-            writer.write_batch(batch)
-    return file.getvalue()
+    """A header and one line per row of `tables`; NaN is empty."""
+    pieces: list[bytes] = []
+    for part in tables(dataset, rows, lists=False):
+        file = io.StringIO()
+        writer = csv.writer(file, lineterminator="\n")
+        if not pieces:
+            writer.writerow(part)
+        writer.writerows(zip(*(column.texts() for column in part.values()), strict=True))
+        pieces.append(file.getvalue().encode())
+    return b"".join(pieces)
 
 
 def to_parquet(dataset: xarray.Dataset, rows: str) -> bytes:
     """The rows of `tables` with lists; attributes are metadata of the table."""
+    from pyarrow import parquet
+
     file = io.BytesIO()
-    batches = tables(dataset, rows, lists=True)
+    batches = (record_batch(part) for part in tables(dataset, rows, lists=True))
     first = next(batches)
     described = first.schema.with_metadata({name: str(x) for name, x in dataset.attrs.items()})
     with parquet.ParquetWriter(file, described, compression="zstd") as writer:
         for batch in chain([first], batches):
             writer.write_batch(batch)
     return file.getvalue()
+
+
+def record_batch(columns: Mapping[str, "Column"]) -> Any:
+    """The columns as a `pyarrow.RecordBatch`."""
+    import pyarrow as pa
+
+    arrays = {}
+    for name, column in columns.items():
+        values = pa.array(column.values)
+        if column.names is not None:
+            values = pa.array(column.names, pa.string()).take(values)
+        if column.ends is not None:
+            values = pa.ListArray.from_arrays(pa.array(column.ends), values)
+        arrays[name] = values
+    return pa.record_batch(arrays)
 
 
 def picture(
@@ -154,7 +172,23 @@ TABLES: Final[dict[str, Callable[..., bytes]]] = {"csv": to_csv, "parquet": to_p
 ENCODERS: Final = {**DATASETS, **TABLES}
 
 
-def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[pa.RecordBatch]:
+class Column(NamedTuple):
+    """A value, or a list, for each row of a table."""
+
+    values: NDArray[Any]  # (rows,), or the values of all lists
+    names: Sequence[str] | None = None  # of the values, which are positions in it then
+    ends: NDArray[np.int32] | None = None  # (rows + 1,) where the list of each row begins, and the last ends
+
+    def texts(self) -> Sequence[Any]:
+        """What a line of text shows."""
+        if self.names is not None:
+            return [self.names[i] for i in self.values.tolist()]
+        if self.values.dtype.kind == "f" and (missing := np.isnan(self.values)).any():
+            return list(np.where(missing, "", self.values.astype(object)))
+        return list(self.values.tolist())
+
+
+def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[dict[str, Column]]:
     """One row for each number of the variable `rows`, NaN left out, some thousand at a time.
 
     Columns are the coordinates and the variables over dimensions of `rows`. A variable with a further
@@ -165,7 +199,7 @@ def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[pa.Re
     for part in _parts(dataset, dims):
         counted = part[rows].values.ravel()
         kept = np.flatnonzero(~np.isnan(counted)) if counted.dtype.kind == "f" else np.arange(counted.size)
-        yield pa.record_batch(dict(_columns(part, dims, kept, lists)))
+        yield dict(_columns(part, dims, kept, lists))
 
 
 def _parts(dataset: xarray.Dataset, dims: tuple[str, ...]) -> Iterator[xarray.Dataset]:
@@ -180,39 +214,36 @@ def _parts(dataset: xarray.Dataset, dims: tuple[str, ...]) -> Iterator[xarray.Da
 
 def _columns(
     part: xarray.Dataset, dims: tuple[str, ...], kept: NDArray[Any], lists: bool
-) -> Iterator[tuple[str, pa.Array]]:
+) -> Iterator[tuple[str, Column]]:
     for dim in dims:
         if dim not in part.coords:
             index = xarray.Variable((dim,), np.arange(part.sizes[dim], dtype=np.int32))
-            yield dim, _column(part, index, dims, kept, nan=lists)
+            yield dim, _column(part, index, dims, kept)
     for name in map(str, (*part.coords, *part.data_vars)):
         variable = part.variables[name]
         extra = [str(dim) for dim in variable.dims if dim not in dims]
         if not extra:
-            yield name, _column(part, variable, dims, kept, nan=lists)
+            yield name, _column(part, variable, dims, kept)
         elif len(extra) == variable.ndim:  # the same for all rows, such as a map of starts
             continue
         elif lists:
             yield name, _list_column(part, variable, extra, dims, kept)
         elif len(extra) == 1 and part.sizes[extra[0]] <= COLUMNS:
             for i in range(part.sizes[extra[0]]):
-                yield f"{name}_{i + 1}", _column(part, variable.isel({extra[0]: i}), dims, kept, nan=False)
+                yield f"{name}_{i + 1}", _column(part, variable.isel({extra[0]: i}), dims, kept)
 
 
 def _column(
-    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: NDArray[Any], *, nan: bool
-) -> pa.Array:
-    """One value per row; without `nan`, NaN becomes null. Texts are stored once and taken by position."""
+    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: NDArray[Any]
+) -> Column:
     values, names = variable.values, None
     if "flag_meanings" in variable.attrs:
-        meanings = dict(
-            zip(variable.attrs["flag_values"], variable.attrs["flag_meanings"].split(), strict=True)
-        )
-        names = [meanings.get(code, "") for code in range(max(meanings) + 1)]
+        codes = [int(code) for code in variable.attrs["flag_values"]]
+        meanings = dict(zip(codes, variable.attrs["flag_meanings"].split(), strict=True))
+        names = [meanings.get(code, "") for code in range(max(codes) + 1)]
     elif values.dtype.kind in "UOT":
         names, values = values.ravel().tolist(), np.arange(values.size).reshape(values.shape)
-    column = pa.array(_repeated(part, values, variable.dims, dims)[kept], from_pandas=not nan)
-    return column if names is None else pa.array(names, pa.string()).take(column)
+    return Column(_repeated(part, values, variable.dims, dims)[kept], names)
 
 
 def _list_column(
@@ -221,18 +252,16 @@ def _list_column(
     extra: list[str],
     dims: tuple[str, ...],
     kept: NDArray[Any],
-) -> pa.Array:
-    """The numbers of each row along the other dimensions, without the NaN at the end."""
+) -> Column:
+    """The numbers of each row along the other dimensions; of flights without the NaN at the end."""
     along = [dim for dim in dims if dim in variable.dims]
     flat = variable.transpose(*along, *extra).values.reshape(*(part.sizes[dim] for dim in along), -1)
     numbers = _repeated(part, flat, (*along, ""), dims).reshape(-1, flat.shape[-1])[kept]
     there = np.ones(numbers.shape, bool)
-    if numbers.dtype.kind == "f":
+    if extra[-1] == "flight" and numbers.dtype.kind == "f":
         there = np.logical_or.accumulate(~np.isnan(numbers[:, ::-1]), axis=1)[:, ::-1]
-    ends = np.cumsum(there.sum(axis=1), dtype=np.int32)
-    return pa.ListArray.from_arrays(
-        pa.array(np.concatenate([[0], ends]), pa.int32()), pa.array(numbers[there])
-    )
+    ends = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int32)
+    return Column(numbers[there], ends=ends)
 
 
 def _repeated(

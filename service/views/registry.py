@@ -4,9 +4,10 @@ A new result is a module of this package and a row here.
 """
 
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from typing import Any, Final
 
-from service.errors import InvalidRequest, TooLarge
+from service.errors import InvalidRequest, NotInstalled, TooLarge
 from service.formats import PICTURES
 from service.results.selection import MAX_READ, Stored
 from service.software import software
@@ -30,6 +31,8 @@ def admit(view: View, spec: Any, query: Query, format: str, max_points: int) -> 
         there = f"; it has {', '.join(names)}" if names else ""
         kind = spec.protocol.kind
         raise InvalidRequest.of("job_id", f"has no {view.name}: the protocol of this job is {kind}{there}")
+    if format == "parquet" and find_spec("pyarrow") is None:
+        raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
     estimate = view.estimate(spec, query)
     limit = MAX_READ if format in PICTURES else max_points
     limit = limit if estimate.most is None else min(limit, estimate.most)

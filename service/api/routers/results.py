@@ -18,13 +18,13 @@ from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.errors import NotInStore, OutOfRange
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
-from service.render import export as export_files
 from service.render import orbits as orbits_text
-from service.render.blocks import GROUP_BYTES
 from service.results import orbits, thresholds
 from service.results.provenance import attributes_of
 from service.results.selection import BASE_MEMORY, MAX_READ
 from service.results.thresholds import Thresholds
+from service.views.files import export as export_files
+from service.views.files.blocks import GROUP_BYTES
 from worker.store import ROOT
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])

@@ -15,7 +15,7 @@ from served import FIGURE_2, service
 
 from kernel.params import Outcome
 from service.jobs.model import JobState
-from service.render import export, netcdf
+from service.views.files import export, netcdf
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 

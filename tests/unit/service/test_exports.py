@@ -20,10 +20,10 @@ from kernel.params import KERNEL_VERSION, Outcome
 from service.api import schemas
 from service.background import InThisProcess
 from service.errors import NoSpace
-from service.render import export
 from service.results.counting import MODE_ARRAYS
 from service.results.selection import Sweep
 from service.software import processor, software
+from service.views.files import export
 from worker import schema
 from worker.plan import make_plan
 from worker.spec import SweepSpec

@@ -42,7 +42,7 @@ def client(tmp_path: Path) -> Iterator[TestClient]:
 
 @pytest.fixture
 def no_pyarrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    from service.render import export
+    from service.views.files import export
 
     monkeypatch.setattr(export, "find_spec", lambda name: None if name == "pyarrow" else 1 / 0)
 

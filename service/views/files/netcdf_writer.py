@@ -1,4 +1,4 @@
-"""The process that writes a NetCDF file: `python -m service.render.netcdf_writer FILE`.
+"""The process that writes a NetCDF file: `python -m service.views.files.netcdf_writer FILE`.
 
 A full disk makes libhdf5 crash, also long after the failed write. So it runs in a process of its own, which
 gets a `Head` and then `Part`s through its input, pickled, and ends without a chance for libhdf5 to clean up.
@@ -53,7 +53,7 @@ class Head:
 class Part:
     """The numbers of one block of cells."""
 
-    where: tuple[int | slice, ...]
+    where: tuple[slice, ...]
     arrays: Mapping[str, NDArray[Any]]  # by name
 
 

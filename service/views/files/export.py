@@ -18,9 +18,9 @@ import numpy as np
 from service.background import Background
 from service.errors import ExportFailed, InvalidRequest, NoSpace, NotInstalled, TooLarge
 from service.formats import ExportFormat, ExportLayout
-from service.render import netcdf
-from service.render.blocks import Block, blocks, is_of_flights
 from service.results.selection import Stored
+from service.views.files import netcdf
+from service.views.files.blocks import Block, blocks
 from worker.schema import Layout
 from worker.studies import Plan, study_of
 
@@ -62,7 +62,7 @@ def check(spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "c
             raise InvalidRequest.of("format", rule)
     if layout == "flights" and format != "parquet":
         raise InvalidRequest.of("layout", f"flights is for parquet, whose rows they are, not for {format}")
-    if layout == "flights" and not any(is_of_flights(array) for array in arrays):
+    if layout == "flights" and not any(array.dims[-1] == "flight" for array in arrays):
         raise InvalidRequest.of("layout", "this study stores no flights")
     if format == "parquet" and find_spec("pyarrow") is None:
         raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
@@ -102,7 +102,7 @@ def write(export: Export, path: Path) -> None:
         if export.format == "nc":
             netcdf.write(study, layout, attributes, parts, path)
         else:
-            from service.render import parquet  # noqa: PLC0415 - comes with the extra `parquet`
+            from service.views.files import parquet
 
             parquet.write(study, layout, attributes, parts, path, by_flight=export.layout == "flights")
     except OSError as error:

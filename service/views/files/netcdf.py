@@ -17,10 +17,10 @@ from typing import IO, Any, Final
 import numpy as np
 
 from service.errors import ExportFailed
-from service.render import netcdf_writer
-from service.render.blocks import Block, exported
-from service.render.netcdf_writer import Along, Head, Part, Variable
 from service.results.selection import Stored
+from service.views.files import netcdf_writer
+from service.views.files.blocks import Block, exported
+from service.views.files.netcdf_writer import Along, Head, Part, Variable
 from worker.schema import Array, Layout
 
 #: -P: no module is imported from the current folder.
@@ -49,7 +49,7 @@ def write(
         assert process.stdout
         try:
             _send(
-                chain([_head(study, layout, attributes)], _parts(study, layout, blocks), [None]),
+                chain([_head(study, layout, attributes)], _parts(blocks), [None]),
                 process.stdin,
             )
         except BaseException:
@@ -72,13 +72,9 @@ def _send(objects: Iterable[Any], pipe: IO[bytes]) -> None:
             pipe.close()
 
 
-def _parts(study: Stored[Any], layout: Layout, blocks: Iterable[Block]) -> Iterator[Part]:
-    names = [array.name for array in exported(study, layout)]
+def _parts(blocks: Iterable[Block]) -> Iterator[Part]:
     for block in blocks:
-        where: tuple[int | slice, ...] = tuple(block.cells.values())
-        if block.direction is not None:
-            where = (study.spec.directions.index(block.direction), *where)
-        yield Part(where, {name: block.arrays[name] for name in names})
+        yield Part(tuple(block.cells.values()), block.arrays)
 
 
 def _check(answer: bytes, returncode: int) -> None:
@@ -94,7 +90,7 @@ def _check(answer: bytes, returncode: int) -> None:
 
 
 def _head(study: Stored[Any], layout: Layout, attributes: Mapping[str, str | int | float]) -> Head:
-    arrays, attrs = exported(study, layout), layout.coordinate_attrs
+    arrays, attrs = exported(study.spec, layout), layout.coordinate_attrs
     return Head(
         sizes={
             dim: size for array in arrays for dim, size in zip(array.dims, layout.shape(array), strict=True)
