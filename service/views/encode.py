@@ -172,6 +172,10 @@ TABLES: Final[dict[str, Callable[..., bytes]]] = {"csv": to_csv, "parquet": to_p
 ENCODERS: Final = {**DATASETS, **TABLES}
 
 
+#: The rows of a table among all places of the variable that has them.
+Rows = NDArray[Any] | slice
+
+
 class Column(NamedTuple):
     """A value, or a list, for each row of a table."""
 
@@ -198,7 +202,7 @@ def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[dict[
     dims = tuple(map(str, dataset[rows].dims))
     for part in _parts(dataset, dims):
         counted = part[rows].values.ravel()
-        kept = np.flatnonzero(~np.isnan(counted)) if counted.dtype.kind == "f" else np.arange(counted.size)
+        kept: Rows = np.flatnonzero(~np.isnan(counted)) if counted.dtype.kind == "f" else slice(None)
         yield dict(_columns(part, dims, kept, lists))
 
 
@@ -213,7 +217,7 @@ def _parts(dataset: xarray.Dataset, dims: tuple[str, ...]) -> Iterator[xarray.Da
 
 
 def _columns(
-    part: xarray.Dataset, dims: tuple[str, ...], kept: NDArray[Any], lists: bool
+    part: xarray.Dataset, dims: tuple[str, ...], kept: Rows, lists: bool
 ) -> Iterator[tuple[str, Column]]:
     for dim in dims:
         if dim not in part.coords:
@@ -233,9 +237,7 @@ def _columns(
                 yield f"{name}_{i + 1}", _column(part, variable.isel({extra[0]: i}), dims, kept)
 
 
-def _column(
-    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: NDArray[Any]
-) -> Column:
+def _column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows) -> Column:
     values, names = variable.values, None
     if "flag_meanings" in variable.attrs:
         codes = [int(code) for code in variable.attrs["flag_values"]]
@@ -251,7 +253,7 @@ def _list_column(
     variable: xarray.Variable,
     extra: list[str],
     dims: tuple[str, ...],
-    kept: NDArray[Any],
+    kept: Rows,
 ) -> Column:
     """The numbers of each row along the other dimensions; of flights without the NaN at the end."""
     along = [dim for dim in dims if dim in variable.dims]
@@ -259,7 +261,9 @@ def _list_column(
     numbers = _repeated(part, flat, (*along, ""), dims).reshape(-1, flat.shape[-1])[kept]
     there = np.ones(numbers.shape, bool)
     if extra[-1] == "flight" and numbers.dtype.kind == "f":
-        there = np.logical_or.accumulate(~np.isnan(numbers[:, ::-1]), axis=1)[:, ::-1]
+        finite = ~np.isnan(numbers)
+        last = numbers.shape[1] - np.argmax(finite[:, ::-1], axis=1)
+        there = np.arange(numbers.shape[1]) < np.where(finite.any(axis=1), last, 0)[:, None]
     ends = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int32)
     return Column(numbers[there], ends=ends)
 
