@@ -100,8 +100,8 @@ def main() -> None:
     whole = medians.get(("figure 2", list(checkouts)[-1]))
     rows = []
     for (command, name), spent in medians.items():
-        shares = np.divide(spent, whole) if whole else (float("nan"),) * 2
-        rows.append((command, name, *map(short, (*spent, *shares))))
+        shares = map(short, np.divide(spent, whole)) if whole else ("", "")
+        rows.append((command, name, *map(short, spent), *shares))
     heads = ["", "checkout", "processor, s", "wall, s", "share of processor", "share of wall"]
     print("\n" + table(heads, rows))
 
