@@ -113,15 +113,7 @@ def test_links_name_every_resource_and_no_path_of_the_machine(tmp_path: Path):
 # Conditional requests
 
 
-PARTS = (
-    "diagram",
-    "diagram?format=csv",
-    "diagram?format=png",
-    "threshold",
-    "modes",
-    "zarr/zarr.json",
-    "zarr/gamma/c/0",
-)
+PARTS = ("diagram", "diagram?format=csv", "threshold", "zarr/zarr.json")
 
 
 def test_results_of_a_done_job_answer_304(tmp_path: Path):
