@@ -190,24 +190,6 @@ def test_the_attractors_of_a_cell_are_a_line_each():
     ]
 
 
-def test_the_attractors_over_a_grid_are_a_line_each():
-    plane = xarray.Dataset(
-        {
-            "cells": ("attractor", [10, 2]), "attractor_label": ("attractor", ["(1,2)", "rest"]),
-            "kind": ("event", ["mode", "birth", "mode", "mode", "death", "death"]),
-        },
-        {"attractor": [1, 2]},
-        {"several": 0.25, "several_by_drops": 0.125},
-    )  # fmt: skip
-    assert results._over_a_grid(plane).splitlines() == [
-        "  ID    CELLS  MOSTLY",
-        "   1       10  (1,2)",
-        "   2        2  rest",
-        "cells with two attractors or more: 0.2500, reached by drops 0.1250",
-        "births 1, deaths 2, changes of mode 3",
-    ]
-
-
 # Cycles in closed form
 
 

@@ -18,11 +18,6 @@ def masses(axes: Axes) -> list[tuple[float, float]]:
     return sorted((patch.center[1] - patch.radius, patch.center[1] + patch.radius) for patch in circles)
 
 
-def arrows(axes: Axes) -> list[tuple[float, float]]:
-    """Heights of the tip and the other end of every arrow; the texts of annotations are empty."""
-    return [(note.xy[1], note.xyann[1]) for note in axes.texts if hasattr(note, "xyann")]
-
-
 def test_a_ball_has_one_mass_and_a_spring_two_above_the_plate(panels: list[Axes]):
     assert [len(masses(axes)) for axes in panels] == [1, 2]
     for axes in panels:
@@ -31,11 +26,3 @@ def test_a_ball_has_one_mass_and_a_spring_two_above_the_plate(panels: list[Axes]
         assert masses(axes)[0][0] > schematics.PLATE
         for low, high in masses(axes):
             assert high - low == pytest.approx(2 * schematics.RADIUS)
-
-
-def test_the_plate_moves_both_ways_and_gravity_points_down(panels: list[Axes]):
-    for axes in panels:
-        below = [pair for pair in arrows(axes) if max(pair) < schematics.PLATE]
-        (gravity,) = [pair for pair in arrows(axes) if min(pair) > schematics.PLATE]
-        assert len(below) == 1
-        assert gravity[0] < gravity[1]
