@@ -179,8 +179,10 @@ def test_a_map_that_was_cancelled_and_resumed_has_the_bytes_of_one_that_was_not(
         **MAP,
         "gamma": {"start": 0.4, "stop": 2.4, "num": 300},
         "omega": {"start": 0.4, "stop": 1.0, "num": 300},
-        "settle": 60,
-        "settle_until": 300,
+        "settle": 20,
+        "settle_until": 40,
+        "observe": 10,
+        "keep": 2,
     }
     with computing(tmp_path / "whole") as client:
         here = finished(client, tiles)

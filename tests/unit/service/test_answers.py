@@ -101,7 +101,7 @@ MODEL: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("threshold", {"omega": 0.6, "xi": 0.05}),
     ("threshold", {"omega": 1.5, "xi": 0.3, "delta": 1e-3}),
     ("orbits", {"omega": 0.6, "xi": 0.05, "points": 20, "energy": True}),
-    ("curves", {"xi": 0.05, "omega_start": 0.4, "omega_stop": 0.7, "gamma_max": 3.0}),
+    ("curves", {"xi": 0.05, "omega_start": 0.6, "omega_stop": 0.68, "gamma_max": 3.0, "modes": "1-1"}),
     ("curves", {"omega": 0.6, "xi_start": 0.02, "xi_stop": 0.1, "modes": "1-1", "kinds": "fold,flip"}),
 )
 #: Motions: of a cell, and from a drop and a state of contact.

@@ -42,23 +42,9 @@ def test_a_submission_is_accepted_and_returns_the_jobs_location(tmp_path: Path):
         assert re.fullmatch("[0-9a-f]{32}", view["id"])
         assert answer.headers["Location"] == view["links"]["self"] == f"/v1/jobs/{view['id']}"
         assert answer.headers["Retry-After"] == "0"
-        assert set(view) == {
-            *("id", "name", "state", "progress", "error", "failures"),
-            *("created", "started", "finished", "spec", "choice", "links", "compiling"),
-            *("kernel_version", "notice", "replaced_by", "owner", "repairing", "pinned", "core_seconds"),
-        }
         assert (view["name"], view["state"], view["error"]) == ("figure 2, coarse", "queued", None)
-        assert view["progress"] == {
-            "chunks_done": 0,
-            "chunks_total": view["progress"]["chunks_total"],
-            "cells_done": 0,
-            "cells_total": 111,
-            "cells_settling": 0,
-            "cells_computed": None,
-            "cells_needed": None,
-            "percent": 0.0,
-            "eta_seconds": None,
-        }
+        progress = view["progress"]
+        assert (progress["cells_done"], progress["cells_total"], progress["percent"]) == (0, 111, 0.0)
         assert view["spec"]["gamma"] == {"start": 0.5, "stop": 6.0, "num": 111, "spacing": "linear"}
 
 

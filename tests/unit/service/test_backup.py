@@ -162,13 +162,6 @@ def test_a_log_that_is_not_of_the_backup_is_set_aside(folder: Path):
     assert len(ids(ledger)) == 1
 
 
-def test_a_ledger_is_restored_to_a_new_folder(folder: Path):
-    ledger = folder / "another" / "machine" / "ledger.sqlite"
-    restored = backup.restore(ledger, folder / "backup.sqlite")
-    assert (restored.contents.jobs, restored.replaced) == (1, None)
-    assert list(ledger.parent.glob("*.sqlite*")) == [ledger]
-
-
 def test_nothing_is_restored_under_a_running_service(folder: Path):
     data = folder / "data"
     with running(data, Held(capacity=0)) as service:

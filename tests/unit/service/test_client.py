@@ -95,20 +95,6 @@ def test_a_bad_specification_names_field_and_rule(client: Client, change: dict, 
     assert caught.value.problem.status == caught.value.status == 422
 
 
-def test_what_json_cannot_carry_is_refused_before_it_is_sent(client: Client):
-    nested: dict[str, Any] = {}
-    nested["gamma"] = nested
-    for spec, word in [
-        (nested, "deep"),
-        (SPEC | {"keep": 10**5000}, "JSON"),
-        ([1, 2], "mapping"),
-        (42, "mapping"),
-        (None, "mapping"),
-    ]:
-        with pytest.raises(InvalidSpecification, match=word):
-            client.submit(spec)
-
-
 @for_each(
     ("name", "content", "word"),
     [

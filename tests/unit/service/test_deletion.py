@@ -16,7 +16,6 @@ from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobState
 from service.jobs.stores import deletion
-from service.settings import Settings
 from worker import store
 from worker.executors.inline import Inline
 
@@ -182,30 +181,3 @@ def test_metadata_repaired_while_the_job_is_deleted_does_not_stay(
         service.manager._scrubber._thread.join()
         wait_for(lambda: service.pending_deletions() == 0)
         assert names(done) == []
-
-
-def test_all_chunks_of_deleted_jobs_are_forgotten_and_their_pages_given_back(
-    done: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """Of a deleted job, and of one that a restored copy knows nothing else of."""
-    monkeypatch.setattr(deletion, "CHUNKS_FORGOTTEN", 3)
-    monkeypatch.setattr(deletion, "PAGES_FREED", 50)
-    record_deletion(done, age=0.0)
-    with Ledger(done / "ledger.sqlite") as ledger:
-        with ledger.writing() as writing:
-            writing._sql.execute("INSERT INTO chunks SELECT 77, chunk, 1, 0, x'', '[]', 0, 0 FROM chunks")
-            writing._sql.execute("CREATE TABLE used AS SELECT zeroblob(2000000)")
-        with ledger.writing() as writing:
-            writing._sql.execute("DROP TABLE used")
-        deleter = deletion.Deleter(ledger, Settings(data=done), lambda: None)
-        deleter.start()
-
-        def rows() -> int:
-            with ledger.reading() as reading:
-                return len(reading.deletions()) + len(reading.orphans())
-
-        wait_for(lambda: rows() == 0)
-        deleter.stop(DEADLINE)
-        with ledger.reading() as reading:
-            assert reading._sql.execute("SELECT count(*) FROM chunks").fetchone()[0] == 0
-        assert not ledger.shrink(1)

@@ -82,12 +82,4 @@ def test_the_threshold_is_a_line_where_the_axis_has_it():
     assert onsets(other) == pytest.approx([float(threshold(0.7, 0.05))])
 
 
-def test_a_picture_says_what_is_missing():
-    missing = cells(direction="up", arrays={"outcome": np.array([3, 0, 0, 3], np.uint8)})
-    whole = cells(direction="down")
-    assert "incomplete: 2 of 8 cells are not computed yet" in texts(drawn(missing, whole))
-    assert [text for text in texts(drawn(whole)) if "incomplete" in text] == []
-    assert "incomplete: being repaired" in texts(drawn(cells(repairing=True)))
-
-
 # Density

@@ -258,14 +258,3 @@ def test_parquet_holds_a_row_for_every_attractor(attractors: Done):
         if "starts" in row:
             assert row["starts"] == np.flatnonzero(cell.attractor.values == row["id"]).tolist()
             np.testing.assert_array_equal(row["lyapunov"], cell.lyapunov.values)
-
-
-def test_an_answer_of_attractors_says_whether_it_is_complete(attractors: Done, tmp_path: Path):
-    spec = get(attractors.client, attractors.here)["spec"]
-    path = {"basin": "basins?gamma=0.6", "multistability": "multistability"}[spec["protocol"]["kind"]]
-    answer = attractors.client.get(f"{attractors.here}/{path}")
-    assert (answer.status_code, answer.headers["Bounce-Complete"]) == (200, "true")
-    with service(tmp_path, Held(capacity=0)) as client:
-        here = client.post("/v1/jobs", json=spec).headers["Location"]
-        answer = client.get(f"{here}/{path}")
-        assert (answer.status_code, answer.headers["Bounce-Complete"]) == (200, "false")

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from matplotlib.patches import Circle
 from tables import for_each
 
-from service.figures import catalogue, hysteresis
+from service.figures import catalogue, hysteresis, schematics
 from service.figures.caption import Caption, compared, left_open
 from worker.spec import SweepSpec
 
@@ -68,3 +69,10 @@ def test_caption_sorts_claims():
     sorted_ = ["Fig. 5. A line.", "Agrees: one; four.", "Contradicts: two.", "Left open by the paper: three."]
     assert str(Caption(5, "A line.", claims)) == "\n".join(sorted_)
     assert str(Caption(5, "A line.", ())) == "Fig. 5. A line."
+
+
+def test_figure_1_has_a_ball_of_one_mass_and_a_spring_of_two_above_the_plate():
+    for axes, number in zip(schematics.draw().figure.axes, (1, 2), strict=True):
+        masses = [patch for patch in axes.patches if isinstance(patch, Circle)]
+        assert len(masses) == number
+        assert min(mass.center[1] - mass.radius for mass in masses) > schematics.PLATE

@@ -1,18 +1,13 @@
 """Labels and exponents in every answer, and how many cells were still settling."""
 
-import csv
-import io
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, Final
 
 import pytest
-import xarray
 from fastapi.testclient import TestClient
-from pyarrow import parquet
 from served import computing, finished, get
 
-from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC
+from kernel.labels import LABELS
 from service.cli.output import job_report
 from service.client.datasets import diagram_dataset
 from service.client.display import settling_note
@@ -53,24 +48,6 @@ def test_a_diagram_tells_quasi_periodic_from_chaotic_cells(client: TestClient, j
     assert dataset.lyapunov.dims == ("gamma", "exponent")
     assert 0.0 < dataset.lyapunov_error.values[3] < 0.1
     assert dataset.label.attrs["flag_meanings"].split() == list(LABELS)
-
-
-def test_files_have_labels(client: TestClient, job: str, tmp_path: Path):
-    header, *rows = csv.reader(
-        io.StringIO(client.get(f"{job}/diagram", params={"omega": 1.0, "format": "csv"}).text)
-    )
-    assert header[-4:] == ["lyapunov_1", "lyapunov_2", "lyapunov_error", "label"]
-    assert {row[-1] for row in rows} == set(EXPECTED[1:])
-    netcdf = tmp_path / "sweep.nc"
-    netcdf.write_bytes(client.get(f"{job}/export?format=nc").content)
-    with xarray.open_dataset(netcdf, engine="h5netcdf") as dataset:
-        assert dataset.label.sel(omega=1.0).values.ravel()[2:].tolist() == [QUASI_PERIODIC, CHAOTIC]
-        assert dataset.lyapunov.dims[-1] == "exponent"
-        assert "settling" in dataset.outcome.attrs["flag_meanings"].split()
-    table = parquet.read_table(io.BytesIO(client.get(f"{job}/export?format=parquet").content)).to_pylist()
-    cells = [row for row in table if row["omega"] == 1.0]
-    assert [row["label"] for row in cells] == EXPECTED
-    assert [len(row["lyapunov"]) for row in cells] == [2] * 4
 
 
 #: Slow settling next to the resonance, and a window too short for it.

@@ -159,24 +159,6 @@ def test_what_is_no_ledger_is_left_alone(tmp_path: Path):
 # What is read and counted
 
 
-def test_verified_chunks_are_remembered_by_the_page_until_one_is_unmarked(ledger: Ledger):
-    job = accept(ledger, chunks=2 * VERIFIED_PAGE)
-    verified = np.arange(VERIFIED_PAGE) % 3 == 0
-    with ledger.writing() as writing:
-        assert writing.verified_chunks(job, 0).tolist() == [False] * VERIFIED_PAGE
-        for page in (0, 1):
-            writing.note_verified(job, page, verified)
-            assert np.array_equal(writing.verified_chunks(job, page), verified)
-        writing.unmark(job, [VERIFIED_PAGE])
-        assert np.array_equal(writing.verified_chunks(job, 0), verified)
-        assert not writing.verified_chunks(job, 1).any()
-        writing.finish_verification(job, 7.0)
-        assert writing.find(job.id).verified == 7.0
-        writing.forget_verification(job)
-        assert writing.find(job.id).verified is None
-        assert not writing.verified_chunks(job, 0).any()
-
-
 def done_job(ledger: Ledger, chunks: int = 4) -> JobRecord:
     job = run(ledger, accept(ledger, chunks=chunks))
     with ledger.writing() as writing:

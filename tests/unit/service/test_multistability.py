@@ -203,22 +203,6 @@ def test_what_happens_between_cells_that_are_computed(tmp_path: Path):
     assert lost.complete
 
 
-def test_a_line_of_a_plane_has_its_own_attractors_and_events(tmp_path: Path):
-    lines: Lines = [
-        [[Known(REST, 0.0)], [Known(ONE, 3.0)]],
-        [[Known(TWO, 5.0, up=1)], [Known(TWO, 5.0, down=1)]],
-    ]
-    job = written(tmp_path, lines)
-    whole = plane(job, None)
-    assert [(a.id, a.label) for a in whole.attractors] == [(1, "(2,2)"), (2, "rest"), (3, "(1,1)")]
-    one, other = whole.line(0.52), whole.line(0.6)
-    assert [a.id for a in one.attractors] == [2, 3]
-    assert one.events == whole.events != ()
-    assert ([a.id for a in other.attractors], other.events) == ([1], ())
-    assert other.omega.tolist() == [0.6]
-    assert multistability.flights(job, None, 0.6)[:, 0, 0].tolist() == [5.0, 5.0]
-
-
 def test_before_the_first_cell_is_computed_there_is_no_attractor(tmp_path: Path):
     queued = Multistability(spec_of([1.0, 1.5], [0.5, 0.6, 0.7]), str(tmp_path / "nothing.zarr"))
     found = plane(queued, None)

@@ -214,23 +214,6 @@ def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
         np.testing.assert_array_equal(thinned_map.arrays[name], whole_map.arrays[name][::every, ::every])
 
 
-def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path, reads: list[str]):
-    """However large the store: a line touches as many files as the plan has chunks along its axis."""
-    large = spec(
-        gamma={"start": 1.0, "stop": 6.0, "num": 1000},
-        omega={"start": 0.1, "stop": 5.0, "num": 100},
-        xi={"start": 0.1, "stop": 5.0, "num": 10},
-    )
-    plan, url = make_plan(large), str(tmp_path / "large.zarr")
-    store.create(url, layout(large, plan.chunk_shape))
-    point = {"gamma": 2.0, "omega": 0.5, "xi": 0.5}
-    for along, chunks in zip(("xi", "omega", "gamma"), plan.counts, strict=True):
-        reads.clear()
-        values = {axis: value for axis, value in point.items() if axis != along}
-        assert diagrams.diagram(Sweep(large, url), along, values, None, 0.0, 10**6).missing > 0
-        assert len([name for name in reads if name != "zarr.json"]) == chunks  # outcomes, not there yet
-
-
 # A line for the page
 
 TWO_FLIGHTS = lines.FlightLine(
@@ -278,16 +261,6 @@ def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):
     np.testing.assert_array_equal(result.analytic, threshold([0.5, 0.7, 1.0], 0.05))
     assert np.isnan(result.down).all()
     assert result.complete
-
-
-def test_thresholds_are_found_in_planes_of_any_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Read a few rows of Ω at a time, the same."""
-    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
-    whole = thresholds.on_grid(fine, None, 3)
-    monkeypatch.setattr(thresholds, "MAX_READ", 50)
-    np.testing.assert_array_equal(thresholds.on_grid(fine, None, 3).up, whole.up)
-    with pytest.raises(TooLarge, match="3 values of omega"):
-        thresholds.on_grid(fine, None, 2)
 
 
 def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):

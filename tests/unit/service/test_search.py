@@ -15,7 +15,6 @@ from tables import for_each
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState, NewJob
 from service.jobs.search import InvalidCursor, JobOrder, JobSearch
-from worker.tasks import ChunkReport
 
 SWEEP: dict[str, Any] = sweep().as_submitted()
 
@@ -125,20 +124,6 @@ WRONG_CURSORS = (
 def test_a_cursor_of_another_list_is_refused(order: JobOrder, cursor: str):
     with pytest.raises(InvalidCursor):
         JobSearch(order=order).read_cursor(cursor)
-
-
-def _report(index: int, seconds: float) -> ChunkReport:
-    return ChunkReport(index, 1, seconds, seconds, "00", (0, 1, 0, 0, 0, 0, 0))
-
-
-def test_core_seconds_are_those_of_all_chunks_that_came_back(tmp_path: Path):
-    with Ledger(tmp_path / "ledger.sqlite") as ledger, ledger.writing() as writing:
-        writing.insert(NewJob("a" * 32, "", "{}", "3", (1, 1, 1), 2, 2), 1.0)
-        job = writing.find("a" * 32)
-        writing.mark_done(job, [_report(0, 0.25), _report(1, 0.5)])
-        writing.unmark(writing.find("a" * 32), [1])
-        writing.mark_done(job, [_report(1, 1.0)])
-        assert writing.find("a" * 32).core_seconds == 1.75
 
 
 def test_jobs_are_found_and_pinned_over_http(tmp_path: Path):

@@ -3,8 +3,6 @@
 import json
 from typing import Any
 
-import pytest
-
 from service import software
 
 
@@ -28,9 +26,3 @@ def test_a_run_on_the_same_software_is_not_told_again():
     (run,) = runs(once)
     earlier = json.dumps([run, {**run, "release": "0.0.1"}])
     assert [r["began"] for r in runs(software.with_this_run(earlier, 7.0))] == [5.0, 5.0, 7.0]
-
-
-@pytest.mark.parametrize(("known", "kept"), [(98, 99), (99, 100), (100, 100)])
-def test_the_first_hundred_runs_are_kept(known: int, kept: int):
-    earlier = json.dumps([{"release": f"0.0.{number}"} for number in range(known)])
-    assert len(runs(software.with_this_run(earlier, 1.0))) == kept

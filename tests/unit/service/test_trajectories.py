@@ -14,15 +14,9 @@ from served import service, taken
 from tables import for_each
 
 from kernel.branches.starts import cycles_at
-from kernel.params import Cell, Line
+from kernel.params import Cell
 from kernel.trajectory import Trajectory
 from service.api import schemas
-from service.errors import TooLarge
-from service.results.trajectory import TrajectorySpec, check_cost
-from worker.basins.spec import BasinSpec
-from worker.basins.starts import starts_of
-from worker.basins.steps import line_run
-from worker.cost import period_seconds
 
 CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
 MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]
@@ -127,31 +121,6 @@ def test_a_drop_falls_freely_until_it_lands(client: TestClient, model: dict[str,
     assert path["flights"]["takeoff"][0] > phase[landed - 1]  # the drop is no flight that took off
 
 
-def test_the_motion_of_a_start_reaches_the_attractor_of_its_pixel(client: TestClient):
-    """Starts of both attractors of Fig. 2 at Gamma = 3.6, by their longest flights (docs/basins.md)."""
-    spec = BasinSpec(
-        protocol={"kind": "basin", "rows": 8, "columns": 8}, gamma=3.6, omega=0.5, xi=0.26,
-        model={"kind": "rigid"},
-    )  # fmt: skip
-    longest = []
-    for row, column in ((2, 1), (2, 3), (5, 0), (5, 6)):
-        height, phase = float(spec.protocol.row_values[row]), float(spec.protocol.column_values[column])
-        start = {"kind": "drop", "height": height, "phase": phase}
-        changes = {"gamma": 3.6, "model": {"kind": "rigid"}, "settle": 0, "periods": 200, "samples": 4}
-        flights = trajectory(client, start=start, **changes)["flights"]["flight_time"]
-        line = _line_of(spec, starts_of(spec, 3.6, 0.5, 0.26)[8 * row + column])
-        assert max(flights[-6:]) == pytest.approx(np.nanmax(line.flight_time), abs=1e-6)
-        longest.append(round(max(flights[-6:]), 3))
-    assert set(longest) == {7.956, 11.247}
-
-
-def _line_of(spec: BasinSpec, state: np.ndarray) -> Line:
-    cell = tuple(np.array([x]) for x in (3.6, 0.5, 0.26))
-    run = line_run(spec, cell, state[np.newaxis], settle=500, observe=60, keep=16)
-    run.advance()
-    return run.line
-
-
 @for_each("settle", [60, 3, 1])
 @for_each("model", MODELS)
 def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any], settle: int):
@@ -212,18 +181,6 @@ def test_bad_trajectory(client: TestClient, case: str):
     answer = client.post("/v1/trajectories", content=content, headers={"Content-Type": "application/json"})
     assert answer.status_code == status, answer.text
     assert message in answer.json()["detail"]
-
-
-def test_a_refusal_names_the_periods_that_fit():
-    """The settled and the sampled ones together."""
-    with pytest.raises(TooLarge, match=r"the limit for one answer is 0\.01 s") as error:
-        check_cost(TrajectorySpec(**CELL | {"settle": 1_000_000}), 0.01)
-    periods = int(str(error.value).split("settle for ")[1].split(" ")[0].replace(",", ""))
-    fitting = TrajectorySpec(**CELL | {"settle": periods - CELL["periods"]})
-    assert periods == int(0.01 / period_seconds(fitting.sweep(), alone=True))
-    check_cost(fitting, 0.01)
-    with pytest.raises(TooLarge, match=rf"settle: {periods + 1:,} periods"):
-        check_cost(TrajectorySpec(**CELL | {"settle": periods + 1 - CELL["periods"]}), 0.01)
 
 
 def test_only_a_settled_cycle_of_one_bounce_without_restitution_has_its_energy(client: TestClient):
