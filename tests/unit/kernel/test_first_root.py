@@ -86,7 +86,7 @@ def size_of(s: Setting, step: Step, motion: Exact, what: str) -> float:
 @given(
     **CELLS, gap=st.one_of(st.just(0.0), powers(-9.0, 0.5)), gap1=signed(5.0), q=signed(1.0), q1=signed(5.0)
 )
-@examples(40)
+@examples(20)
 def test_no_landing_is_missed(gamma, omega, xi, phi, gap, gap1, q, q1):
     state = (gap, gap1 if gap > 0.0 else abs(gap1), q * min(1.0, omega**2), q1)
     s = Setting(gamma, omega, xi, restitution=1.0)
@@ -94,7 +94,7 @@ def test_no_landing_is_missed(gamma, omega, xi, phi, gap, gap1, q, q1):
 
 
 @given(**CELLS, q1=signed(5.0))
-@examples(40)
+@examples(20)
 def test_no_landing_is_missed_after_a_take_off(gamma, omega, xi, phi, q1):
     """Gap, gap' and gap'' all zero: the root at the beginning is a triple one."""
     s = Setting(gamma, omega, xi)
@@ -105,7 +105,7 @@ def test_no_landing_is_missed_after_a_take_off(gamma, omega, xi, phi, q1):
 
 
 @given(**CELLS, force=powers(-9.0, 1.0), q1=signed(5.0))
-@examples(40)
+@examples(20)
 def test_no_take_off_is_missed(gamma, omega, xi, phi, force, q1):
     s = Setting(gamma, omega, xi)
     q1 *= min(1.0, 1.0 / s.b) if s.b else 1.0
@@ -120,7 +120,7 @@ SOFT = {
 
 
 @given(**CELLS, **SOFT, depth=powers(-6.0, 0.0), gap1=signed(2.0), q=signed(1.0), q1=signed(2.0))
-@examples(40)
+@examples(20)
 def test_no_release_is_missed(gamma, omega, xi, phi, penetration, restitution, depth, gap1, q, q1):
     """An adhesive contact lasts as long as the mass is below the plate."""
     s = Setting(gamma, omega, xi, True, restitution, penetration, True)
@@ -129,7 +129,7 @@ def test_no_release_is_missed(gamma, omega, xi, phi, penetration, restitution, d
 
 
 @given(**CELLS, **SOFT, depth=powers(-6.0, 0.0), gap1=signed(2.0), q=signed(1.0), q1=signed(2.0))
-@examples(40)
+@examples(20)
 def test_no_release_without_adhesion_is_missed(
     gamma, omega, xi, phi, penetration, restitution, depth, gap1, q, q1
 ):
@@ -140,7 +140,7 @@ def test_no_release_without_adhesion_is_missed(
 
 
 @given(**CELLS, **SOFT, depth=powers(-6.0, -1.0), q=signed(1.0), q1=signed(2.0))
-@examples(40)
+@examples(20)
 def test_a_flight_below_the_surface_ends_at_recontact(
     gamma, omega, xi, phi, penetration, restitution, depth, q, q1
 ):
