@@ -23,7 +23,7 @@ import urllib.request
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import pytest
 from paths import CACHE, ROOT
@@ -231,40 +231,32 @@ class _Interpreter:
 
     def __init__(self, command: list[str], folder: Path, environment: Mapping[str, str]) -> None:
         self._process = subprocess.Popen(
-            command,
-            cwd=folder,
-            env=dict(environment),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+            command, cwd=folder, env=dict(environment), text=True, start_new_session=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
+        assert self._process.stdin
+        assert self._process.stdout
+        self._commands, self._answers = self._process.stdin, self._process.stdout
 
     def execute(self, command: str, seconds: float = DEADLINE) -> str:
         """The line that answers a command; empty if the process ended instead."""
-        stdin, stdout = _pipe(self._process.stdin), _pipe(self._process.stdout)
         try:
-            stdin.write(f"{command}\n")
-            stdin.flush()
+            self._commands.write(f"{command}\n")
+            self._commands.flush()
         except BrokenPipeError:
             return ""
-        readable, _, _ = select.select([stdout], [], [], seconds)
-        return stdout.readline().strip() if readable else f"took longer than {seconds:g} s"
+        readable, _, _ = select.select([self._answers], [], [], seconds)
+        return self._answers.readline().strip() if readable else f"took longer than {seconds:g} s"
 
     def close(self) -> None:
         with suppress(BrokenPipeError):
-            _pipe(self._process.stdin).close()
+            self._commands.close()
         try:
             self._process.wait(timeout=10)
         except subprocess.TimeoutExpired:
             _signal(self._process.pid, signal.SIGKILL)
             self._process.wait()
-        _pipe(self._process.stdout).close()
-
-
-def _pipe(pipe: IO[str] | None) -> IO[str]:
-    assert pipe is not None
-    return pipe
+        self._answers.close()
 
 
 def _alive(group: int) -> bool:

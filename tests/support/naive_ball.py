@@ -10,15 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 from mpmath import mp, mpf
+from naive import SLOWEST_HOP, Flown
 from scipy.optimize import brentq
 
 TWO_PI = 2.0 * math.pi
 
 #: Looks at a flight in every rad.
 LOOKS = 1000
-
-#: A hop that leaves a pressing plate more slowly than this is taken for the last.
-SLOWEST_HOP = 1e-9
 
 
 class Fall(NamedTuple):
@@ -58,11 +56,6 @@ class Fall(NamedTuple):
                     brentq(self.gaps, taus[high - 1] if high else 0.5 * start, taus[high], xtol=1e-15)
                 )
             taus = taus[-1] + np.arange(0, 7 * LOOKS) / LOOKS
-
-
-class Flown(NamedTuple):
-    takeoff: float  # phase since the start, rad
-    time: float
 
 
 def trajectory(gamma: float, epsilon: float, periods: int) -> Iterator[Flown]:

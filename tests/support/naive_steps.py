@@ -8,20 +8,14 @@ ends within that one ends with it.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from naive import Setting, damping_for
+from naive import Flown, Setting, damping_for
 
 #: Parts of a step that bisection tells apart.
 FINEST = 1e-15
 
 TWO_PI = 2.0 * math.pi
-
-
-class Flown(NamedTuple):
-    takeoff: float  # phase since the start, rad
-    time: float
 
 
 class Stepper:

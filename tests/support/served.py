@@ -80,7 +80,7 @@ def occupied(folder: Path, **settings: Any) -> Iterator[TestClient]:
         yield client
 
 
-def finished(client: TestClient, spec: dict[str, Any]) -> str:
+def finished(client: TestClient | httpx2.Client, spec: dict[str, Any]) -> str:
     """Submit a sweep, wait until it is done, and return the job's path."""
     answer = client.post("/v1/jobs", json=spec)
     assert answer.status_code in (200, 202), answer.text
@@ -93,15 +93,8 @@ def finished(client: TestClient, spec: dict[str, Any]) -> str:
 
 def done(address: str, spec: dict[str, Any]) -> str:
     """Submit a study to the service at an address, wait until it is done, and return the job's id."""
-    answer = httpx2.post(f"{address}/v1/jobs", json=spec, timeout=DEADLINE).raise_for_status()
-    here = f"{address}/v1/jobs/{answer.json()['id']}"
-
-    def state() -> str:
-        return str(httpx2.get(here, timeout=DEADLINE).json()["state"])
-
-    wait_for(lambda: state() not in ("queued", "running"))
-    assert state() == "done"
-    return str(answer.json()["id"])
+    with httpx2.Client(base_url=address, timeout=DEADLINE) as client:
+        return finished(client, spec).rsplit("/", 1)[1]
 
 
 @contextmanager

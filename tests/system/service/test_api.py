@@ -29,7 +29,8 @@ def test_the_same_sweep_gives_the_same_bytes_on_a_cluster(tmp_path: Path, cluste
     with computing(tmp_path / "inline") as here, service(tmp_path / "cluster", cluster) as there:
         jobs = [get(client, finished(client, AUTO)) for client in (here, there)]
     assert jobs[0]["choice"]["reason"] == jobs[1]["choice"]["reason"]
-    assert files(tmp_path / "inline" / "stores") == files(tmp_path / "cluster" / "stores")
+    store = Path("stores") / f"{jobs[0]['id']}.zarr"
+    assert files(tmp_path / "inline" / store) == files(tmp_path / "cluster" / store)
 
 
 def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):

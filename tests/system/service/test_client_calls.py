@@ -61,9 +61,6 @@ def output_of(running: Running, *words: str) -> str:
     return done.stdout
 
 
-# Submitting
-
-
 def test_an_estimate_submits_nothing(idle: Running, tmp_path: Path):
     before = len(list(idle.client.jobs()))
     estimate = idle.client.estimate(PLANE)
@@ -81,9 +78,6 @@ def test_a_key_on_the_command_line(idle: Running, tmp_path: Path):
         done = bounce(idle, "submit", str(file), "--key", "mine")
     assert done.exit_code == 1
     assert "Idempotency-Key" in done.stderr
-
-
-# Names
 
 
 def test_the_first_digits_of_an_id_select_its_job(running: Running, idle: Running):
@@ -127,9 +121,6 @@ def test_watch_without_a_terminal_is_one_table(idle: Running):
     assert any(line.startswith(idle.job.id) and "running" in line for line in lines)
 
 
-# Changing
-
-
 def test_resume_and_delete(idle: Running):
     job = idle.client.submit(sweep("to and fro", xi=0.5))
     assert job.cancel().state == "cancelled"
@@ -164,9 +155,6 @@ def test_follow_ends_with_the_job(tmp_path: Path):
         assert (followed.stdout, followed.stderr) == ("", f"{summary(job)}\n")
         (line,) = output_of(Running(address, client, job), "follow", job.id, "--json").splitlines()
         assert json.loads(line)["state"] == "done"
-
-
-# Results
 
 
 def test_modes(running: Running, tmp_path: Path):
@@ -264,9 +252,6 @@ def test_pinned_jobs_are_listed_apart(idle: Running):
     assert [row.split()[0] for row in rows] == [job.id]
     assert len(output_of(idle, "list").splitlines()) > 2
     assert len(output_of(idle, "list", "--limit", "1").splitlines()) == 2
-
-
-# Cycles in closed form
 
 
 def test_the_thresholds_of_a_spring_are_printed(running: Running):

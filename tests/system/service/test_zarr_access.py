@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+from answering import Answer, scripted
 from fastapi.testclient import TestClient
 from served import RAMP, computing, computing_at, finished
+from zarr.abc.store import RangeByteRequest
 from zarr.core.buffer import default_buffer_prototype
 
 from service.client import Client
@@ -153,6 +155,14 @@ def test_a_store_is_read_only(job: Any):
     for change in (lambda: store.set("zarr.json", buffer), lambda: store.delete("zarr.json")):
         with pytest.raises(PermissionError, match="read only"):
             asyncio.run(change())
+
+
+def test_of_all_bytes_that_a_proxy_may_send_the_part_is_taken():
+    with scripted(Answer(200, b"0123456789")) as (_, client):
+        store = HTTPStore(client._transport, "/zarr")
+        part = asyncio.run(store.get("gamma/c.0", default_buffer_prototype(), RangeByteRequest(2, 5)))
+    assert part is not None
+    assert part.to_bytes() == b"234"
 
 
 def test_of_a_shard_parts_are_sent(job: Any, monkeypatch: pytest.MonkeyPatch):

@@ -117,7 +117,10 @@ def test_workers_that_dask_has_dropped_are_replaced():
 
 
 def test_a_scheduler_that_would_judge_deaths_itself_is_told_how_to_start(caplog):
-    with LocalCluster(n_workers=0, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0") as plain:
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 3}),
+        LocalCluster(n_workers=0, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0") as plain,
+    ):
         Dask(plain.scheduler_address).close()
     [message] = [message for message in caplog.messages if "allowed-failures" in message]
     assert message.endswith("start it with DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=0")
