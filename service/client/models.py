@@ -9,10 +9,11 @@ FINISHED: Final = ("done", "failed", "cancelled")
 
 
 class FieldProblem(NamedTuple):
-    """One field and the rule it breaks."""
+    """One field, the rule it breaks, and the rule's name, such as "whole"."""
 
     field: str
     rule: str
+    code: str = ""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Problem:
     def __str__(self) -> str:
         """The detail, then one line for each field that the detail does not mention."""
         text = self.detail or self.title
-        lines = [f"{field}: {rule}" for field, rule in self.fields]
+        lines = [f"{broken.field}: {broken.rule}" for broken in self.fields]
         return "\n".join([text, *(f"  {line}" for line in lines if line not in text)])
 
 
@@ -168,7 +169,7 @@ def _field_problems(errors: object) -> tuple[FieldProblem, ...]:
     """The `errors` member, each entry naming a field and a rule; other entries are ignored."""
     entries = errors if isinstance(errors, list) else []
     return tuple(
-        FieldProblem(str(entry.get("field") or ""), str(entry.get("rule") or ""))
+        FieldProblem(*(str(entry.get(name) or "") for name in ("field", "rule", "code")))
         for entry in entries
         if isinstance(entry, dict)
     )

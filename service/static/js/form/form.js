@@ -61,7 +61,7 @@ export class SweepForm {
       observe: numberField("observe", "observe", "plate periods, recorded", defaults.observe),
       keep: numberField("keep", "keep", "flights stored per cell, the last ones", defaults.keep),
       micro_flight: numberField("micro_flight", "micro-flight", "rad; shorter flights do not count, unless all are", defaults.micro_flight),
-      settle_until: numberField("settle_until", "settle until", "plate periods in all that a cell still settling may take", "off"),
+      settle_until: numberField("settle_until", "settle until", "at most this many plate periods per cell, if it has not settled by then; an adaptive map takes 5,000 by itself", "off"),
       settle_early: checkField("settle_early", "settle early", "from rest, cycles that surely repeat are not computed", defaults.settle_early),
       exponents: numberField("exponents", "Lyapunov exponents", "0 to 4; they tell quasi-periodic from chaotic cells", defaults.exponents),
       settle_tolerance: numberField("settle_tolerance", "settle tolerance", "rad; settling ends once flights repeat within it; 0: never", defaults.settle_tolerance),
