@@ -54,11 +54,6 @@ def test_a_contact_model_is_its_module_and_a_row(tmp_path: Path, glued: None):
         assert "did you mean 'glued'?" in unknown.json()["detail"]
 
 
-def test_without_its_row_there_is_no_such_model(tmp_path: Path):
-    with computing(tmp_path) as client:
-        assert client.post("/v1/jobs", json=GLUED).status_code == 422
-
-
 TOY_JOB = {"name": "divisors", "protocol": {"kind": "divisors"}, "last": 30}
 
 
