@@ -5,13 +5,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
 import xarray
+from tables import for_each
 
-from kernel.branches.events import Branch
-from kernel.branches.starts import cycles_at
-from kernel.params import Cell, Outcome
-from service.figures import ball, branches
+from kernel.labels import CHAOTIC, QUASI_PERIODIC
+from kernel.params import Outcome
+from service.figures import ball, sections
 from service.figures.caption import Verdict
 
 AGREES, CONTRADICTS = Verdict.AGREES, Verdict.CONTRADICTS
@@ -70,11 +69,14 @@ def ramped(omega: Sequence[float], down: Sequence[float]) -> Any:
 # Branches
 
 
-def test_the_last_flight_of_simple_cycles_is_compared_with_the_branch():
-    omega, xi, gamma = 0.6, 0.05, 1.0
-    known = cycles_at(Cell(gamma, omega, xi), 1).flight_time
-    line = Branch(omega, xi, 1, 1, *[np.empty(0)] * (len(Branch._fields) - 4))
-    last = float(known[-1])
-    times = [[9.0, last + 0.25, np.nan], [9.0, last, np.nan], [9.0, last, np.nan], [9.0, last - 0.5, last]]
-    cells = diagram([gamma] * 4, bounces=[1, 2, 1, 1], periods=[1, 1, 2, 1], flight_time=times)
-    assert branches.distances(line, cells) == pytest.approx([0.25, 0.0], abs=1e-9)
+def test_a_share_is_one_of_the_cells_that_bounce():
+    cells = diagram(range(4), label=[CHAOTIC, QUASI_PERIODIC, Outcome.AT_REST, Outcome.MISSING])
+    assert sections.chaotic(cells) == sections.share_of(cells, QUASI_PERIODIC) == 0.5
+    assert sections.chaotic(cells, np.array([False, False, True, True])) == 0.0
+
+
+@for_each(("begins", "verdict"), [(2.25, CONTRADICTS), (3.0, AGREES), (3.75, CONTRADICTS)])
+def test_chaos_beyond_three_begins_near_three_or_not(begins: float, verdict: Verdict):
+    gamma = np.arange(1.0, 5.01, 0.0625)
+    label = np.where(gamma >= begins, CHAOTIC, Outcome.PERIODIC)
+    assert sections._chaos_beyond_three(diagram(gamma + 0.0625, label=label)).verdict is verdict
