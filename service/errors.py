@@ -19,7 +19,6 @@
     ├── TooManyListeners       too many event streams
     ├── NotComputed            no worker could compute the response
     ├── RunFailed              a study without a service could not be computed
-    ├── NotInstalled           what is asked for needs an extra of the package
     ├── NoSpace                no disk space for an export
     ├── ExportFailed           the process that writes an export has died
     ├── LedgerUnavailable      the ledger cannot be read or written at the moment
@@ -128,10 +127,6 @@ class NotComputed(ServiceError):
 
 class RunFailed(ServiceError):
     """A study that `service.local` ran could not be computed."""
-
-
-class NotInstalled(ServiceError):
-    """What is asked for needs an extra of the package; the text says which, and how to install it."""
 
 
 class NoSpace(ServiceError):

@@ -9,14 +9,13 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
 
 from service.background import Background
-from service.errors import ExportFailed, InvalidRequest, NoSpace, NotInstalled, TooLarge
+from service.errors import ExportFailed, InvalidRequest, NoSpace, TooLarge
 from service.formats import ExportFormat, ExportLayout
 from service.render import netcdf
 from service.render.blocks import Block, blocks, is_of_flights
@@ -51,10 +50,7 @@ class Export:
 
 
 def check(spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "cells") -> None:
-    """Raise InvalidRequest for complex arrays, which no such file holds, and for rows that there are not.
-
-    Raises NotInstalled for Parquet without its library.
-    """
+    """Raise InvalidRequest for complex arrays, which no such file holds, and for rows that there are not."""
     arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
     for array in arrays:
         if np.dtype(array.dtype).kind == "c":
@@ -64,8 +60,6 @@ def check(spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "c
         raise InvalidRequest.of("layout", f"flights is for parquet, whose rows they are, not for {format}")
     if layout == "flights" and not any(is_of_flights(array) for array in arrays):
         raise InvalidRequest.of("layout", "this study stores no flights")
-    if format == "parquet" and find_spec("pyarrow") is None:
-        raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
 
 
 def check_size(study: Stored[Any], plan: Plan, max_bytes: int) -> None:
@@ -102,7 +96,7 @@ def write(export: Export, path: Path) -> None:
         if export.format == "nc":
             netcdf.write(study, layout, attributes, parts, path)
         else:
-            from service.render import parquet  # noqa: PLC0415 - comes with the extra `parquet`
+            from service.render import parquet  # noqa: PLC0415 - only here are tables needed
 
             parquet.write(study, layout, attributes, parts, path, by_flight=export.layout == "flights")
     except OSError as error:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 #: What only extras bring, by the names under which it is imported.
-EXTRAS = ("pyarrow", "obstore", "aiohttp", "IPython")
+EXTRAS = ("obstore", "aiohttp", "IPython")
 
 
 def needs(extra: str) -> str:

@@ -117,7 +117,7 @@ def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.Export
 @router.get(
     "/export",
     summary="Export the job's results as a file",
-    responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 501, 507)},
+    responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 507)},
 )
 @costly(_export_memory, "export")
 def export_job(

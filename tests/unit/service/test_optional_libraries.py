@@ -1,21 +1,13 @@
-"""What an installation without extras says when it is asked for what needs one."""
+"""What an installation without extras can do."""
 
-import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-import pytest
-from click.testing import CliRunner
 from extras import EXTRAS
-from fastapi.testclient import TestClient
 from paths import CACHE, ROOT
 from scripted import DEADLINE
-from served import computing, finished
-
-from service.cli.main import main
 
 SWEEP: Final[dict[str, Any]] = {
     "gamma": [1.2, 1.3], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "settle": 5, "observe": 5,
@@ -34,43 +26,13 @@ sys.meta_path.insert(0, Missing())
 """
 
 
-@pytest.fixture
-def client(tmp_path: Path) -> Iterator[TestClient]:
-    with computing(tmp_path / "data") as client:
-        yield client
-
-
-@pytest.fixture
-def no_pyarrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    from service.render import export
-
-    monkeypatch.setattr(export, "find_spec", lambda name: None if name == "pyarrow" else 1 / 0)
-
-
-def test_over_http_parquet_is_501_and_netcdf_is_there(client: TestClient, no_pyarrow: None):
-    job = finished(client, SWEEP)
-    answer = client.get(f"{job}/export", params={"format": "parquet"})
-    assert (answer.status_code, answer.json()["title"]) == (501, "Not Implemented")
-    assert 'pip install "bouncing-spring[parquet]"' in answer.json()["detail"]
-    assert client.get(f"{job}/export", params={"format": "nc"}).status_code == 200
-
-
-def test_a_run_says_so_before_it_computes(tmp_path: Path, no_pyarrow: None):
-    specification = tmp_path / "sweep.json"
-    specification.write_text(json.dumps(SWEEP))
-    done = CliRunner().invoke(main, ["run", str(specification), "-o", str(tmp_path / "a.parquet")])
-    assert done.exit_code == 1
-    assert 'pip install "bouncing-spring[parquet]"' in done.stderr
-    assert list(tmp_path.iterdir()) == [specification]
-
-
 def test_a_program_without_any_extra_computes_and_writes_all_else(tmp_path: Path):
     """In a process that can import nothing but what the project depends on."""
     code = WITHOUT.format(missing=EXTRAS) + (
         "from service import local; import pathlib;"
         f"spec, folder = {SWEEP!r}, pathlib.Path({str(tmp_path)!r});"
         "[local.run_to_file(spec, folder / f'a.{ending}', ending, {'omega': 0.5, 'xi': 0.26}, progress=False)"
-        " for ending in ('nc', 'csv', 'png')];"
+        " for ending in ('nc', 'parquet', 'csv', 'png')];"
         "print(len(local.run(spec, progress=False).gamma))"
     )
     done = subprocess.run(
@@ -78,4 +40,4 @@ def test_a_program_without_any_extra_computes_and_writes_all_else(tmp_path: Path
         env={"NUMBA_CACHE_DIR": str(CACHE), "TMPDIR": str(tmp_path)},
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr
-    assert {path.suffix for path in tmp_path.glob("a.*")} == {".nc", ".csv", ".png"}
+    assert {path.suffix for path in tmp_path.glob("a.*")} == {".nc", ".parquet", ".csv", ".png"}
