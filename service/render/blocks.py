@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.results.counting import LABEL, labelled
-from service.results.selection import Stored, Sweep, read, read_stored
+from service.results.selection import Stored, read, read_stored
 from worker import schema
 from worker.schema import Layout
 from worker.spec import SweepSpec
@@ -19,7 +19,7 @@ GROUP_BYTES: Final = 16 * 2**20
 
 def exported(study: Stored[Any], layout: Layout) -> tuple[schema.Array, ...]:
     """The exported arrays: of a sweep `of_sweep`, of any other study all that is stored."""
-    return of_sweep(study.spec) if isinstance(study, Sweep) else layout.arrays
+    return of_sweep(study.spec) if isinstance(study.spec, SweepSpec) else layout.arrays
 
 
 def of_sweep(spec: SweepSpec) -> tuple[schema.Array, ...]:
@@ -49,7 +49,7 @@ def blocks(study: Stored[Any], plan: Plan, layout: Layout) -> Iterator[Block]:
     names = [array.name for array in exported(study, layout) if array is not LABEL]
     for chunk in plan:
         cells = dict(zip(layout.chunk_sizes, chunk.slices, strict=True))
-        if isinstance(study, Sweep):
+        if isinstance(study.spec, SweepSpec):
             direction = study.spec.directions[cells.pop("direction").start]
             arrays = read(study, names, direction, cells)
             arrays |= labelled(study.spec, arrays[schema.OUTCOME.name], arrays)

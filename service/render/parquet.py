@@ -13,7 +13,7 @@ from kernel.labels import LABELS
 from service.render.blocks import GROUP_BYTES, Block, exported, is_of_flights, of_sweep
 from service.render.study_rows import lists, rows_of, schema_of
 from service.results.counting import LABEL
-from service.results.selection import Stored, Sweep
+from service.results.selection import Stored
 from worker import schema
 from worker.schema import Layout
 from worker.spec import AXES, SweepSpec
@@ -71,7 +71,7 @@ def write(
 
     Raises OSError, and what `blocks` raises.
     """
-    is_sweep = isinstance(study, Sweep)
+    is_sweep = isinstance(study.spec, SweepSpec)
     cells = _schema(study.spec) if is_sweep else schema_of(layout)
     rows: Iterator[pa.RecordBatch] = (
         _rows(study.spec, block, cells) if is_sweep else rows_of(layout, block, cells) for block in blocks

@@ -154,7 +154,10 @@ def test_the_scripts_know_the_kernel_s_outcome_codes():
 @pytest.mark.parametrize("min_flight", [None, 0.0, 3.0])
 def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: str, min_flight: float | None):
     query = {} if min_flight is None else {"min_flight": min_flight}
-    diagram, modes = read(client, f"{line}/diagram", omega=0.5, **query), read(client, f"{line}/modes", **query)
+    diagram, modes = (
+        read(client, f"{line}/diagram", omega=0.5, **query),
+        read(client, f"{line}/modes", **query),
+    )
     header, plane = unpacked(client, f"{line}/plane", **query)
     shortest = {diagram.attrs["min_flight"], modes.attrs["min_flight"], header["min_flight"]}
     assert shortest == {0.05 if min_flight is None else min_flight}
