@@ -188,7 +188,7 @@ def test_a_response_too_large_names_the_thinning_that_fits(tmp_path: Any):
         here = finished(client, GOOD)
         for format in ("json", "csv"):
             answer = client.get(f"{here}/diagram?omega=0.5&format={format}")
-            check_refusal(answer, 413, "9 values of gamma × keep 64")
+            check_refusal(answer, 413, "gamma 9 × flight 64")
             assert "every=9 fits" in answer.json()["detail"]
             assert client.get(f"{here}/diagram?omega=0.5&format={format}&every=9").status_code == 200
         for format in ("png", "svg"):
