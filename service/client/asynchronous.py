@@ -188,6 +188,8 @@ class AsyncClient:
     orbits = _in_thread(Client.orbits)
     curves = _in_thread(Client.curves)
     trajectory = _in_thread(Client.trajectory)
+    result = _in_thread(Client.result)
+    result_file = _in_thread(Client.result_file)
     metrics = _in_thread(Client.metrics)
 
     @property
