@@ -14,7 +14,7 @@ from service.cli.options import (
     write_file,
 )
 from service.cli.results import warn_unless_done
-from service.client.result_methods import ResultMethods
+from service.result_methods import ResultMethods
 
 if TYPE_CHECKING:
     import xarray

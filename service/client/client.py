@@ -13,9 +13,9 @@ from service.client.display import PartsCallback
 from service.client.errors import NotFound, UnexpectedAnswer
 from service.client.job import Job, as_completed, wait_all
 from service.client.models import Estimate, Problem
-from service.client.result_methods import SpringMethods
 from service.client.specification import Specification, body
 from service.client.transport import Transport, header_value, json_object
+from service.result_methods import SpringMethods
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

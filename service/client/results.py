@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 from service.client.display import PartsCallback
 from service.client.errors import BounceError
 from service.client.models import JobStatus
-from service.client.result_methods import ResultMethods
 from service.client.transport import Transport, json_object
 from service.formats import EXPORTS, ExportLayout, MultistabilityFormat, Predict
+from service.result_methods import ResultMethods
 
 if TYPE_CHECKING:
     import xarray

@@ -51,7 +51,8 @@ def read_line(
 ) -> FlightLine:
     """The cells along `along` and their flights that count; a very long line is thinned.
 
-    `min_flight` is in rad; None is the sweep's `micro_flight`. Raises InvalidRequest as `diagram.diagram`.
+    `min_flight` is in rad; None is the sweep's `micro_flight`. Raises InvalidRequest as
+    `selection.fixed_axes`.
     """
     spec = sweep.spec
     fixed = fixed_axes(spec, along, values)

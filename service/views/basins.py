@@ -47,10 +47,10 @@ class BasinQuery(Query):
 
 
 def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
-    """The attractors of one cell, and which of them each start of the plane reaches.
+    """The attractors of one cell, and their basins.
 
-    Attractors are numbered from 1 by the share of the starts that reach them. A start without an
-    attractor has the number 0.
+    Attractors are numbered from 1 by the share of the starts of the plane that reach them. A start without
+    an attractor has the number 0.
     """
     spec, plane = study.spec, study.spec.protocol
     at = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in reversed(AXES)}

@@ -1,7 +1,7 @@
 """Write the client's methods, one for each view: `python -m service.views.client_methods`.
 
-The client and the commands read that file, since a client's installation lacks the kernel and the server. A
-test compares it with the registry.
+The client and the commands read that file, since a client's installation lacks the kernel and the server, and
+the commands load no client to show their help. A test compares it with the registry.
 """
 
 import sys
@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from service.views.registry import SPRINGS, VIEWS
 from service.views.view import View
 
-FILE: Final = Path(__file__).parents[1] / "client" / "result_methods.py"
+FILE: Final = Path(__file__).parents[1] / "result_methods.py"
 _WIDTH: Final = 110
 
 _HEAD: Final = '''"""A method for each result. Made by service.views.client_methods: do not edit."""
@@ -25,8 +25,8 @@ _HEAD: Final = '''"""A method for each result. Made by service.views.client_meth
 from typing import {imports}
 
 if TYPE_CHECKING:
-    import xarray
-{callback}'''
+{callback}    import xarray
+'''
 _CLASS: Final = '''
 
 class {name}:
@@ -47,7 +47,7 @@ def source() -> str:
     text = _class("ResultMethods", "a job", VIEWS) + _class("SpringMethods", "a spring", SPRINGS)
     names = ("TYPE_CHECKING", "Annotated", "Any", "ClassVar", "Literal")
     used = (name for name in names if f"{name}[" in text or name in ("TYPE_CHECKING", "Any"))
-    callback = "\n    from service.client.display import PartsCallback\n" if "PartsCallback" in text else ""
+    callback = "    from collections.abc import Callable\n\n" if "Callable[" in text else ""
     return _HEAD.format(imports=", ".join(used), callback=callback) + text
 
 
@@ -78,7 +78,8 @@ def _method(view: View) -> str:
     parameters = "".join(f"        {name}: {_parameter(field)},\n" for name, field in fields.items())
     passed = ", ".join(f"{name}={name}" for name in fields)
     if view.parts is not None:
-        parameters += '        timeout: float = 300.0,\n        progress: "bool | PartsCallback" = True,\n'
+        parameters += "        timeout: float = 300.0,\n"
+        parameters += '        progress: "bool | Callable[[int, int], None]" = True,\n'
         passed += ", timeout=timeout, progress=progress"
     text = indent("\n".join(_docstring(view)), " " * 8)
     return (

@@ -41,11 +41,11 @@ class DiagramQuery(Query):
 
 
 def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
-    """The flights of the cells along an axis, NaN where there is none that counts.
+    """The flights of the cells along an axis.
 
     A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
-    `min_flight` do not count, neither here nor for `outcome`, `bounces` and `periods`, unless all of a
-    cell are so short.
+    `min_flight` do not count, neither here, where they are NaN, nor for `outcome`, `bounces` and `periods`,
+    unless all of a cell are so short.
     """
     spec, along = study.spec, query.along
     fixed = fixed_axes(spec, along, {axis: getattr(query, axis) for axis in AXES})

@@ -35,11 +35,11 @@ class ModesQuery(Query):
 
 
 def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
-    """The mode map at one ξ: outcome, bounces and plate periods of every cell.
+    """Outcome, bounces and plate periods of every cell.
 
-    A sweep ramped both ways has the dimension `direction`, unless one is selected. An adaptive map has
-    `computed`: the other cells have the values of the nearest corner or centre of their block. The
-    attribute `computed_share` is the share of cells that were computed.
+    The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
+    unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
+    corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
     """
     spec, directions = study.spec, directions_of(study.spec, query.direction)
     planes = [

@@ -40,7 +40,7 @@ needs_chromium = pytest.mark.skipif(
 #: A line of a million flights, computed in half a second; the flights themselves do not matter.
 LONG_LINE: dict[str, Any] = {
     "name": "A million flights",
-    "gamma": {"start": 1.1, "stop": 6.0, "num": 20_000},
+    "gamma": {"start": 1.1, "stop": 6.0, "num": 15_600},
     "omega": 0.5,
     "xi": 0.05,
     "model": {"kind": "rigid"},

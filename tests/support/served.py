@@ -10,11 +10,13 @@ from typing import Any
 import httpx2
 import pytest
 import uvicorn
+import xarray
 from fastapi.testclient import TestClient
 from scripted import DEADLINE, Held, sweep, wait_for
 
 from service.api import app as application
 from service.api.app import create_app
+from service.client.dataset import from_json
 from service.jobs.on_demand import OnDemandCache
 from service.server import embedded
 from service.settings import Settings
@@ -114,6 +116,13 @@ def get(client: TestClient, path: str, **query: Any) -> Any:
     answer = client.get(path, params=query)
     assert answer.status_code == 200, answer.text
     return answer.json()
+
+
+def read(client: TestClient, path: str, **query: Any) -> xarray.Dataset:
+    """A result that is a Dataset."""
+    answer = client.get(path, params=query)
+    assert answer.status_code == 200, answer.text
+    return from_json(answer.content)
 
 
 @contextmanager

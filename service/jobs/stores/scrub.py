@@ -169,6 +169,8 @@ class Scrubber:
         if not job.chunks_done:
             return
         self._repairer.repair_metadata(job)
+        if job.outdated:  # chunks that only its metadata describe look damaged if these are
+            store.stored_forms(prepared.store_url, None)
         self._verify_sizes(job, prepared)
         for page in range(-(-job.chunks_total // VERIFIED_PAGE)):
             self._verify_page(job, prepared, page)

@@ -53,7 +53,9 @@ def test_the_form_submits_an_adaptive_map(browser: Any, address: str):
 
 def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: Any, address: str):
     parent = done(address, MAP)
-    share = httpx2.get(f"{address}/v1/jobs/{parent}/modes", timeout=DEADLINE).json()["computed"]
+    share = httpx2.get(f"{address}/v1/jobs/{parent}/modes", timeout=DEADLINE).json()["attrs"][
+        "computed_share"
+    ]
     with opened(browser, f"{address}/#/job/{parent}/modes") as page:
         wait_shown(page, xi=0.05)
         note = page.locator(".panel .note", has_text="Adaptive map")

@@ -372,12 +372,9 @@ def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
 
 
 def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address: str, loop: str):
-    def plane(**query: str) -> Any:
-        path = f"{address}/v1/jobs/{loop}/modes"
-        return httpx2.get(path, params={"xi": 0.05, **query}, timeout=DEADLINE).json()
-
-    rows = plane(hysteresis="true")["hysteresis"]
-    assert "hysteresis" not in plane()
+    path, query = f"{address}/v1/jobs/{loop}/modes", {"xi": 0.05, "hysteresis": True}
+    plane = httpx2.get(path, params=query, timeout=DEADLINE).json()["data_vars"]
+    rows = plane["hysteresis"]["data"]
     cells = [value for row in rows for value in row]
     assert 0 < cells.count(1) < len(cells)
     with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
@@ -473,6 +470,10 @@ def test_a_million_flights_do_not_block_the_page(browser: Any, address: str):
         page.goto(view(address, job))
         wait_shown(page, along="gamma")
         assert colours(page) > 10
+        with page.expect_download(timeout=60_000) as download:
+            page.get_by_role("button", name="Download CSV", exact=True).click()
+        with Path(download.value.path()).open() as table:
+            assert next(table).replace('"', "").startswith("flight,direction,omega,xi,gamma,flight_time,")
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
         whole = picture(page)

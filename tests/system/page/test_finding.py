@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pandas
 import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
 from click.testing import CliRunner
@@ -162,7 +163,7 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         with page.expect_download() as download:
             page.get_by_role("button", name="Download CSV of 2").click()
         rows = Path(download.value.path()).read_text().splitlines()
-        assert rows[0].startswith("direction,gamma,omega,xi,flight_time_rad")
+        assert rows[0].startswith("direction,gamma,omega,xi,flight_time,")
         assert {row.split(",")[3] for row in rows[1:]} == {"0.1"}
 
 
@@ -252,4 +253,5 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
     theirs = tmp_path / "modes.csv"
     done = CliRunner().invoke(main, ["modes", job, "-o", str(theirs), "--url", address])
     assert done.exit_code == 0, done.output
-    assert ours.decode().split() == theirs.read_text().split()
+    rows, cells = (pandas.read_csv(io.BytesIO(content)) for content in (ours, theirs.read_bytes()))
+    pandas.testing.assert_frame_equal(rows, cells[rows.columns])

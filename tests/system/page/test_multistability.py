@@ -24,7 +24,7 @@ def job(address: str) -> str:
 
 
 def line_of(address: str, job: str, omega: float) -> dict[str, Any]:
-    answer = httpx2.get(f"{address}/v1/jobs/{job}/diagram", params={"omega": omega}, timeout=DEADLINE)
+    answer = httpx2.get(f"{address}/v1/jobs/{job}/multistability", params={"omega": omega}, timeout=DEADLINE)
     return dict(answer.raise_for_status().json())
 
 

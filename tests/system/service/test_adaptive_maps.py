@@ -30,8 +30,8 @@ def test_the_client_refines_a_window(tmp_path: Path):
         estimate = client.estimate(MAP)
         assert estimate.computed_cells is not None
         job = client.submit(MAP).wait(progress=False)
-        modes = job.modes(mask=True)
-        assert modes.attrs["computed"] == pytest.approx(float(modes.computed.mean()))
+        modes = job.modes()
+        assert modes.attrs["computed_share"] == pytest.approx(float(modes.computed.mean()))
         assert "computed" in job.diagram(omega=0.6)
         assert job.threshold().up_computed.dtype == bool
         window = job.refine(gamma=(0.6, 1.1), omega=(0.5, 0.7), by="bouncing").wait(progress=False)

@@ -186,7 +186,7 @@ def test_a_response_too_large_names_the_thinning_that_fits(tmp_path: Any):
     with computing(tmp_path, max_points=100) as client:
         here = finished(client, GOOD)
         answer = client.get(f"{here}/diagram?omega=0.5")
-        check_refusal(answer, 413, "9 values of gamma × keep 64")
+        check_refusal(answer, 413, "gamma 9 × flight 64")
         assert "every=9 fits" in answer.json()["detail"]
         for more in ("every=9", "format=png"):
             assert client.get(f"{here}/diagram?omega=0.5&{more}").status_code == 200

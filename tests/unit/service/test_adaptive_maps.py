@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from fastapi.testclient import TestClient
 from scripted import Held, wait_for
-from served import computing, finished, get, service
+from served import computing, finished, get, read, service
 from tables import for_each
 
 SPACE: dict[str, Any] = {
@@ -51,27 +51,15 @@ def adaptive(client: TestClient) -> str:
     return finished(client, MAP)
 
 
-def read(client: TestClient, path: str) -> dict[str, Any]:
-    answer = client.get(path)
-    assert answer.status_code == 200, answer.text
-    return dict(answer.json())
-
-
-def test_a_mode_map_tells_the_share_computed_and_with_mask_which_cells(
-    client: TestClient, full: str, adaptive: str
-):
-    whole, plain = read(client, f"{full}/modes"), read(client, f"{adaptive}/modes")
+def test_a_mode_map_tells_which_cells_were_computed(client: TestClient, full: str, adaptive: str):
+    whole, part = read(client, f"{full}/modes"), read(client, f"{adaptive}/modes")
     assert "computed" not in whole
-    assert "mask" not in whole
-    assert "mask" not in plain
-    masked = read(client, f"{adaptive}/modes?mask=true")
-    mask = np.array(masked["mask"], bool)
-    assert mask.shape == (41, 49)
-    assert plain["computed"] == masked["computed"] == pytest.approx(mask.mean())
-    assert 0.1 < mask.mean() < 0.9
+    computed = part.computed.values.astype(bool)
+    assert computed.shape == (41, 49)
+    assert part.attrs["computed_share"] == pytest.approx(computed.mean())
+    assert 0.1 < computed.mean() < 0.9
     for name in ("outcome", "bounces", "periods"):
-        assert np.array_equal(np.array(whole[name])[mask], np.array(masked[name])[mask])
-    assert "mask" not in read(client, f"{full}/modes?mask=true")
+        np.testing.assert_array_equal(whole[name].values[computed], part[name].values[computed])
 
 
 def test_a_mode_map_counts_no_flights_anew(client: TestClient, adaptive: str):
@@ -82,7 +70,7 @@ def test_a_mode_map_counts_no_flights_anew(client: TestClient, adaptive: str):
 
 
 def test_thresholds_tell_where_they_lie_between_computed_cells(client: TestClient, full: str, adaptive: str):
-    whole, part = (read(client, f"{job}/threshold") for job in (full, adaptive))
+    whole, part = (get(client, f"{job}/threshold") for job in (full, adaptive))
     assert whole["up_computed"] is None
     between = np.array(part["up_computed"])
     found = np.array(part["up_status"]) == "found"
@@ -96,7 +84,7 @@ def test_refined_thresholds_are_those_of_the_full_grid(client: TestClient, full:
     def refined(job: str) -> dict[str, Any]:
         path = f"{job}/threshold?tolerance=0.001"
         wait_for(lambda: client.get(path).status_code == 200)
-        return read(client, path)
+        return dict(get(client, path))
 
     whole, part = refined(full), refined(adaptive)
     assert part["up_status"] == whole["up_status"]
@@ -105,7 +93,7 @@ def test_refined_thresholds_are_those_of_the_full_grid(client: TestClient, full:
 
 
 def test_files_hold_which_cells_were_computed(client: TestClient, adaptive: str, tmp_path: Path):
-    share = read(client, f"{adaptive}/modes")["computed"]
+    share = read(client, f"{adaptive}/modes").attrs["computed_share"]
     for format in ("nc", "parquet"):
         (tmp_path / f"map.{format}").write_bytes(client.get(f"{adaptive}/export?format={format}").content)
     with xr.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as stored:

@@ -83,7 +83,7 @@ QUERIES: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("ramp", "modes", {"xi": 0.05, "direction": "down"}),
     ("ramp", "modes", {"xi": 0.26, "every": 2, "min_flight": 5.0}),
     ("ramp", "plane", {"xi": 0.26}),
-    ("adaptive", "modes", {"mask": True}),
+    ("adaptive", "modes", {}),
     ("adaptive", "diagram", {"omega": 0.5}),
     ("adaptive", "plane", {"left": 1.0, "right": 2.0, "bottom": 0.45}),
     ("basins", "basins", {"gamma": 1.27}),
@@ -91,8 +91,6 @@ QUERIES: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("basins", "trajectory", {"gamma": 1.27, "attractor": 1, "periods": 1, "samples": 8}),
     ("multistability", "multistability", {}),
     ("multistability", "multistability", {"omega": 0.6}),
-    ("multistability", "diagram", {"omega": 0.5}),
-    ("multistability", "diagram", {"omega": 0.5, "format": "csv"}),
     ("soft", "diagram", {}),
     ("ball", "diagram", {}),
 )
@@ -116,7 +114,6 @@ COSTLY: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("ramp", "diagram", {"omega": 0.7, "xi": 0.05}),
     ("ramp", "diagram", {"omega": 0.7, "xi": 0.05, "every": 4, "direction": "down", "format": "csv"}),
     ("ramp", "diagram", {"omega": 0.7, "xi": 0.05, "format": "svg"}),
-    ("multistability", "diagram", {"omega": 0.5}),
     ("ramp", "threshold", {"xi": 0.05}),
     ("ramp", "modes", {"xi": 0.05}),
     ("ramp", "modes", {"xi": 0.05, "every": 2, "min_flight": 5.0}),
@@ -132,12 +129,8 @@ COSTLY: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
 )
 #: What the client makes of them.
 READ: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
-    ("rest", "diagram", {}),
     ("rest", "orbits", {"gamma_max": 3.0}),
-    ("ramp", "diagram", {"omega": 0.7, "xi": 0.05, "direction": "down"}),
     ("ramp", "threshold", {"xi": 0.05}),
-    ("ramp", "modes", {"xi": 0.05, "direction": "down"}),
-    ("adaptive", "modes", {"mask": True}),
     ("multistability", "multistability", {}),
     ("orbits", "open", {}),
     ("basins", "open", {}),

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from paths import GOLDEN
 from scripted import Held, sweep, wait_for
-from served import FIGURE_2, computing, finished, get, service
+from served import FIGURE_2, computing, finished, get, read, service
 
 from service.errors import DataFolderBusy
 
@@ -87,27 +88,15 @@ def test_two_services_cannot_use_one_data_folder(tmp_path: Path):
 # Diagrams
 
 
-def test_a_diagram_holds_every_cell_and_no_more_than_its_flights(client: TestClient, figure_2: str):
-    answer = get(client, f"{figure_2}/diagram", min_flight=0)
-    assert (answer["along"], answer["direction"], answer["complete"]) == ("gamma", "rest", True)
-    assert answer["fixed"] == {"omega": 0.5, "xi": 0.26}
-    assert len(answer["values"]) == 111
-    assert [len(cell) for cell in answer["flight_time"]] == [min(n, 64) for n in answer["flights"]]
-    assert [len(cell) for cell in answer["takeoff_phase"]] == [min(n, 64) for n in answer["flights"]]
-
-
 def test_figure_2s_modes(client: TestClient, figure_2: str):
-    answer = get(client, f"{figure_2}/diagram")
-    index = {round(gamma, 9): i for i, gamma in enumerate(answer["values"])}
-    modes = {
-        gamma: (answer["bounces"][index[gamma]], answer["periods"][index[gamma]]) for gamma in (1.5, 2.3, 3.6)
-    }
-    assert modes == {1.5: (1, 1), 2.3: (2, 2), 3.6: (1, 2)}
-    assert answer["outcome"][index[5.0]] == 2
+    found = read(client, f"{figure_2}/diagram")
+    at = {gamma: found.sel(gamma=gamma, method="nearest") for gamma in (1.5, 2.3, 3.6, 5.0)}
+    modes = [(int(cell.bounces), int(cell.periods)) for cell in at.values()]
+    assert modes[:3] == [(1, 1), (2, 2), (1, 2)]
+    assert at[5.0].outcome == 2
     threshold = get(client, "/v1/threshold", omega=0.5, xi=0.26)["threshold"]
-    for gamma, i in index.items():
-        assert (answer["outcome"][i] == 3) == (gamma < threshold)
-        assert answer["flights"][i] > 0 or gamma < threshold
+    np.testing.assert_array_equal(found.outcome == 3, found.gamma < threshold)
+    np.testing.assert_array_equal(found.flights == 0, found.gamma < threshold)
 
 
 @pytest.mark.parametrize("name", ["rigid", "soft"])
@@ -117,16 +106,10 @@ def test_diagrams_contain_the_reference_flights(client: TestClient, name: str):
         model = {key: cell[key] for key in ("restitution", "penetration", "adhesive") if key in cell}
         point = {axis: cell[axis] for axis in ("gamma", "omega", "xi")}
         here = finished(client, {**point, "model": {"kind": name, **model}, "settle": 500, "observe": 40})
-        flights = get(client, f"{here}/diagram", min_flight=0)["flight_time"][0][-len(cell["flights"]) :]
-        assert sorted(flights) == pytest.approx(cell["flights"], abs=tolerance), point
-
-
-def test_short_flights_do_not_count_unless_all_are_short(client: TestClient, figure_2: str):
-    everything, long = get(client, f"{figure_2}/diagram"), get(client, f"{figure_2}/diagram", min_flight=5.0)
-    assert long["flight_time"] == [[t for t in cell if t > 5] or cell for cell in everything["flight_time"]]
-    assert (everything["min_flight"], long["min_flight"]) == (0.05, 5.0)
-    assert [len(cell) for cell in long["takeoff_phase"]] == [len(cell) for cell in long["flight_time"]]
-    assert long["flights"] == everything["flights"]
+        flights = read(client, f"{here}/diagram", min_flight=0).flight_time[0].dropna("flight").values
+        assert sorted(flights[-len(cell["flights"]) :]) == pytest.approx(cell["flights"], abs=tolerance), (
+            point
+        )
 
 
 def test_results_before_the_job_is_done_are_incomplete(tmp_path: Path):
@@ -136,28 +119,18 @@ def test_results_before_the_job_is_done_are_incomplete(tmp_path: Path):
         wait_for(lambda: held.held() == 4)
         held.let_go()
         wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] == 1)
-        half = get(client, f"{here}/diagram")
-        assert half["complete"] is False
-        assert 0 < half["outcome"].count(0) < 60
-        assert all(
-            cell == [] for cell, what in zip(half["flight_time"], half["outcome"], strict=True) if not what
-        )
+        half = read(client, f"{here}/diagram")
+        assert not half.attrs["complete"]
+        missing = half.outcome == 0
+        assert 0 < missing.sum() < 60
+        assert half.flight_time[missing].isnull().all()
         assert client.get(f"{here}/diagram", params={"format": "png"}).headers["Bounce-Complete"] == "false"
         assert get(client, f"{here}/threshold")["complete"] is False
         queued = client.post("/v1/jobs", json=sweep(omega=0.6).as_submitted()).headers["Location"]
-        nothing = get(client, f"{queued}/diagram")
-        assert (nothing["complete"], nothing["outcome"]) == (False, [0] * 60)
+        nothing = read(client, f"{queued}/diagram")
+        assert not nothing.attrs["complete"]
+        assert not nothing.outcome.any()
         assert get(client, f"{queued}/threshold")["up"] == [None]
-
-
-def test_a_ramp_in_both_directions_shows_the_first_by_default(client: TestClient):
-    ramp = {"kind": "ramp", "axis": "gamma", "direction": "both"}
-    spec = {**FIGURE_2, "protocol": ramp, "gamma": {"start": 0.6, "stop": 1.4, "num": 9}, "settle": 20}
-    here = finished(client, spec)
-    assert get(client, f"{here}/diagram")["direction"] == "up"
-    assert get(client, f"{here}/diagram", direction="down")["direction"] == "down"
-    table = csv.DictReader(io.StringIO(client.get(f"{here}/diagram", params={"format": "csv"}).text))
-    assert {row["direction"] for row in table} == {"up", "down"}
 
 
 @pytest.mark.parametrize(

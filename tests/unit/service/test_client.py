@@ -232,20 +232,17 @@ def test_every_variable_has_attributes_and_can_be_stored(job: Job, tmp_path: Pat
     ],
 )
 def test_a_line_outside_the_grid_is_refused(job: Job, line: dict, field: str):
-    for ask in (job.diagram, job.picture):
-        with pytest.raises(BadRequest, match=field) as caught:
-            ask(**line)
-        assert not isinstance(caught.value, InvalidSpecification)
-        assert field in [problem.field for problem in caught.value.fields]
+    with pytest.raises(BadRequest, match=field) as caught:
+        job.diagram(**line)
+    assert not isinstance(caught.value, InvalidSpecification)
+    assert field in [problem.field for problem in caught.value.fields]
 
 
 def test_pictures_are_the_bytes_of_files(job: Job):
-    assert job.picture(omega=0.5).startswith(b"\x89PNG")
-    assert b"<svg" in job.picture(omega=0.5, format="svg")
-    assert job.picture(omega=0.5, format="csv").startswith(b"direction,gamma")
-    assert job.picture(omega=0.5, format="pdf").startswith(b"%PDF")
+    for format, start in (("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")):
+        assert job.result_file("diagram", format, omega=0.5).startswith(start)
     with pytest.raises(BadRequest, match="format"):
-        job.picture(omega=0.5, format="bmp")
+        job.result_file("diagram", "bmp", omega=0.5)
 
 
 def test_the_store_opens_lazily(job: Job):

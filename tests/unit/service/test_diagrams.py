@@ -1,164 +1,163 @@
-"""Diagrams as JSON, CSV and pictures."""
+"""Diagrams made up by hand: their table, and what their picture draws, read back from its artists."""
 
 import csv
 import io
-import json
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from service.results.diagram import Diagram
+import xarray
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from kernel.params import Outcome
-from service.formats import PictureFormat
-from service.render import bifurcation
-from service.render.text import COLUMNS, diagram_json, diagrams_csv
-from worker.spec import SweepSpec
+from kernel.threshold import threshold
+from service.render.style import BLUE, GREY, RED
+from service.views import diagram, encode
+from service.views.variables import variable
+from worker import schema
 
-NAN = float("nan")
-#: What the metadata of every picture say.
-ORIGIN = {"release": "0.2.0", "job": 32 * "a"}
-
-
-def draw(diagrams: list[Diagram], spec: SweepSpec, format: PictureFormat) -> bytes:
-    return bifurcation.draw(diagrams, spec, format, ORIGIN)
-
-
-def made(**changes: Any) -> Diagram:
-    """Four cells: at rest, bouncing once and twice, and missing; two flights are kept."""
-    arrays: dict[str, Any] = {
-        "flight_time": np.array([[NAN, NAN], [4.0, NAN], [3.0, 6.0], [NAN, NAN]]),
-        "takeoff_phase": np.array([[NAN, NAN], [1.0, NAN], [2.0, 0.5], [NAN, NAN]]),
-        "flights": np.array([0, 1, 7, 0], np.int32),
-        "outcome": np.array([3, 1, 2, 0], np.uint8),
-        "bounces": np.array([0, 1, 0, 0], np.int32),
-        "periods": np.array([0, 1, 0, 0], np.int32),
-    }
-    fields: dict[str, Any] = {
-        "along": "gamma",
-        "fixed": {"omega": 0.5, "xi": 0.26},
-        "direction": "rest",
-        "values": np.array([0.5, 1.5, 2.5, 3.5]),
-        "arrays": {name: changes.pop(name, array) for name, array in arrays.items()},
-    }
-    return Diagram(**(fields | changes))
+NAN = np.nan
+ROWS = {row.name: row for row in (*schema.RECORD, schema.OUTCOME)}
 
 
-def spec(**changes: Any) -> SweepSpec:
-    fields: dict[str, Any] = {"gamma": [0.5, 1.5, 2.5, 3.5], "omega": 0.5, "xi": 0.26, "keep": 2}
-    return SweepSpec(**(fields | changes))
+def cells(
+    *, along: str = "gamma", gamma: Any = (0.5, 1.5, 2.5, 3.5), complete: bool = True, **arrays: Any
+) -> xarray.Dataset:
+    """Four cells: at rest, bouncing once, bouncing twice, and at rest."""
+    times = [[NAN, NAN], [4.0, NAN], [3.0, 6.0], [NAN, NAN]]
+    values = {"flight_time": times, "outcome": [3, 1, 2, 3], "bounces": [0, 1, 0, 0], **arrays}
+    fixed = {"gamma": 2.0, "omega": 0.5, "xi": 0.26, "direction": "rest"}
+    return xarray.Dataset(
+        {name: variable((along,), array, ROWS[name]) for name, array in values.items()},
+        {**fixed, along: np.asarray(gamma)},
+        {"along": along, "complete": complete, "caption": "ramped along xi"},
+    )  # fmt: skip
 
 
-def long(cells: int, keep: int, seed: int = 1, **changes: Any) -> Diagram:
-    """Many cells, every flight kept."""
-    shape = (cells, keep)
-    arrays: dict[str, Any] = {
-        "values": np.linspace(0.5, 6.0, cells),
-        "flight_time": np.random.default_rng(seed).uniform(0.0, 19.0, shape),
-        "takeoff_phase": np.zeros(shape),
-        "flights": np.full(cells, keep, np.int32),
-        "outcome": np.full(cells, 2, np.uint8),
-        "bounces": np.zeros(cells, np.int32),
-        "periods": np.zeros(cells, np.int32),
-    }
-    return made(**(arrays | changes))
-
-
-def words(svg: bytes) -> str:
-    """The picture's texts: text is text, and the source of mathematical text is a comment beside it."""
-    return svg.decode()
-
-
-def test_json_is_the_contract_to_the_letter():
-    assert json.loads(diagram_json(made())) == {
-        "along": "gamma",
-        "fixed": {"omega": 0.5, "xi": 0.26},
-        "direction": "rest",
-        "values": [0.5, 1.5, 2.5, 3.5],
-        "flight_time": [[], [4.0], [3.0, 6.0], []],
-        "takeoff_phase": [[], [1.0], [2.0, 0.5], []],
-        "flights": [0, 1, 7, 0],
-        "outcome": [3, 1, 2, 0],
-        "bounces": [0, 1, 0, 0],
-        "periods": [0, 1, 0, 0],
-        "min_flight": 0.0,
-        "complete": False,
-    }
-
-
-def test_a_diverged_cell_spoils_no_json():
-    wild = made(flight_time=np.array([[NAN, NAN], [np.inf, NAN], [3.0, 6.0], [NAN, NAN]]))
-    assert json.loads(diagram_json(wild))["flight_time"] == [[], [], [3.0, 6.0], []]
-
-
-def test_short_flights_are_left_out_of_both_lists():
-    content = json.loads(diagram_json(made(min_flight=3.5)))
-    assert (content["flight_time"], content["takeoff_phase"]) == (
-        [[], [4.0], [6.0], []],
-        [[], [1.0], [0.5], []],
+def both(up: xarray.Dataset, down: xarray.Dataset) -> xarray.Dataset:
+    return xarray.concat(
+        [up.assign_coords(direction="up"), down.assign_coords(direction="down")], "direction"
     )
 
 
+def drawn(found: xarray.Dataset) -> Axes:
+    figure = Figure(figsize=diagram.SIZE)
+    diagram.draw(found, figure)
+    figure.draw_without_rendering()
+    return figure.axes[0]
+
+
+def dots(axes: Axes) -> list[Line2D]:
+    return [line for line in axes.lines if line.get_marker() == "."]
+
+
+def places(line: Line2D) -> list[tuple[float, float]]:
+    return sorted(zip(line.get_xdata(), line.get_ydata(), strict=True))
+
+
+def onsets(axes: Axes) -> list[Line2D]:
+    """The vertical lines."""
+    return [line for line in axes.lines if list(line.get_ydata()) == [0, 1]]
+
+
+def texts(axes: Axes) -> list[str]:
+    return [text.get_text() for text in axes.texts]
+
+
 def test_a_table_has_a_row_per_flight():
-    down = made(direction="down", min_flight=5.0)
-    rows = list(csv.DictReader(io.StringIO(diagrams_csv([made(), down]).decode())))
-    assert tuple(rows[0]) == COLUMNS
-    assert rows[0] == {
-        "direction": "rest",
-        "gamma": "1.5",
-        "omega": "0.5",
-        "xi": "0.26",
-        "flight": "0",
-        "flight_time_rad": "4.0",
-        "takeoff_phase_rad": "1.0",
-        "outcome": "periodic",
-        "bounces": "1",
-        "periods": "1",
-    }
+    found = both(cells(), cells(flight_time=[[NAN, NAN], [4.0, NAN], [NAN, 6.0], [NAN, NAN]]))
+    rows = list(csv.DictReader(io.StringIO(encode.to_csv(found, "flight_time").decode())))
+    assert {name: rows[0][name] for name in ("flight_time", "outcome", "bounces", "xi")} == {
+        "flight_time": "4", "outcome": "periodic", "bounces": "1", "xi": "0.26"
+    }  # fmt: skip
     assert [(row["direction"], row["gamma"], row["flight"]) for row in rows] == [
-        ("rest", "1.5", "0"),
-        ("rest", "2.5", "0"),
-        ("rest", "2.5", "1"),
-        ("down", "1.5", "0"),  # the cell has no longer flight
-        ("down", "2.5", "1"),
-    ]
+        ("up", "1.5", "0"), ("up", "2.5", "0"), ("up", "2.5", "1"), ("down", "1.5", "0"), ("down", "2.5", "1")
+    ]  # fmt: skip
 
 
-def test_few_points_are_drawn_and_many_become_an_image():
-    few = draw([long(100, 4)], spec(), "svg")
-    many = draw([long(2000, 64)], spec(), "svg")
-    assert b"<image" not in few
-    assert b"<image" in many
-    assert len(many) < 3_000_000
-    ElementTree.fromstring(many)
+def test_a_dot_for_each_flight_at_its_cell():
+    axes = drawn(cells())
+    (line,) = dots(axes)
+    assert places(line) == [(1.5, 4.0), (2.5, 3.0), (2.5, 6.0)]
+    assert to_hex(line.get_color()) == "#000000"
+    assert (axes.get_xlim(), axes.get_ylim()) == ((0.5, 3.5), pytest.approx((0.0, 1.06 * 6.0)))
+    assert axes.get_title("right") == r"ramped along $\xi$"
+    assert axes.get_legend() is None
+    plain = cells()
+    del plain.attrs["caption"]
+    assert {drawn(plain).get_title(side) for side in ("left", "right")} == {""}
 
 
-def test_a_picture_says_what_is_missing_and_what_is_unresolved():
-    assert "incomplete: 1 of 4 cells" in words(draw([made()], spec(), "svg"))
-    whole = np.array([3, 1, 2, Outcome.UNRESOLVED], np.uint8)
-    picture = words(draw([made(outcome=whole)], spec(), "svg"))
-    assert "incomplete" not in picture
-    assert "1 of 4 cells unresolved" in picture
+def test_up_is_a_rim_below_down():
+    axes = drawn(both(cells(), cells(flight_time=[[NAN, NAN], [2.0, NAN], [1.0, 5.0], [NAN, NAN]])))
+    up, down = dots(axes)
+    assert (to_hex(up.get_color()), to_hex(down.get_color())) == (GREY, RED)
+    assert up.get_markersize() > 2 * down.get_markersize()
+    assert places(down) == [(1.5, 2.0), (2.5, 1.0), (2.5, 5.0)]
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["up", "down"]
+
+
+def test_many_flights_are_drawn_as_density(monkeypatch: pytest.MonkeyPatch):
+    """The image is opaque where flights are; one flight covers its cell of the axes alone."""
+    monkeypatch.setattr(diagram, "DENSE_POINTS", 2)
+    monkeypatch.setattr(diagram, "COLUMNS_AND_ROWS", (4, 4))
+    monkeypatch.setattr(diagram, "_dot", lambda number: 0.36)  # a pixel
+    axes = drawn(cells())
+    (line,) = dots(axes)
+    assert places(line) == []
+    (image,) = axes.child_axes[0].images
+    # bins of gamma from 0.5 to 3.5, of flights up to 6.36 rad
+    assert np.argwhere(np.asarray(image.get_array())[..., 3]).tolist() == [[1, 2], [2, 1], [3, 2]]
 
 
 @pytest.mark.parametrize(
-    "diagram",
-    [
-        made(values=np.array([1.5]), **{name: array[1:2] for name, array in made().arrays.items()}),
-        made(flights=np.zeros(4, np.int32)),
-        made(values=np.geomspace(1e-3, 1e3, 4)),
-    ],
-    ids=["one cell", "no flight", "logarithmic"],
-)
-def test_odd_diagrams_can_be_drawn(diagram: Diagram):
-    assert len(draw([diagram], spec(), "png")) > 1000
+    ("values", "scale"),
+    [([1, 2, 4, 8], "log"), ([1, 2, 3, 4], "linear"), ([0, 1, 10, 100], "linear"),
+     ([1.0, 1.0 + 1e-9, 1.0 + 2e-9, 1.0 + 3e-9], "linear")],
+)  # fmt: skip
+def test_values_in_equal_ratios_have_a_logarithmic_axis(values: list[float], scale: str):
+    assert drawn(cells(gamma=np.array(values, float))).get_xscale() == scale
+
+
+def test_the_threshold_is_a_line_where_the_axis_has_it():
+    onset = float(threshold(0.5, 0.26))
+    axes = drawn(cells())
+    assert [(line.get_xdata()[0], line.get_color()) for line in onsets(axes)] == [(onset, BLUE)]
+    assert r"$\Gamma_{\mathrm{th}}$" in texts(axes)
+    assert len(onsets(drawn(cells(gamma=[onset, 2.0, 3.0, 4.0])))) == 1
+    assert onsets(drawn(cells(gamma=[0.1, 0.2, 0.3, onset - 0.01]))) == []
+    assert onsets(drawn(cells(along="omega"))) == []
+
+
+def test_a_picture_says_what_is_missing():
+    missing = both(cells(outcome=[3, 0, 0, 3], complete=False), cells())
+    assert "incomplete: 2 of 8 cells are not computed yet" in texts(drawn(missing))
+    assert "incomplete: being repaired" in texts(drawn(cells(complete=False)))
+    assert not any("incomplete" in text for text in texts(drawn(cells())))
+
+
+@pytest.mark.parametrize(
+    "found",
+    [cells().isel(gamma=[1]), cells(flight_time=np.full((4, 2), NAN)),
+     cells(gamma=np.geomspace(1e-3, 1e3, 4)), cells(flight_time=np.full((4, 2), 1e4)),
+     cells(flight_time=np.full((4, 2), 1e-9))],
+    ids=["one cell", "no flight", "logarithmic", "huge flights", "tiny flights"],
+)  # fmt: skip
+def test_odd_diagrams_can_be_drawn(found: xarray.Dataset):
+    assert len(picture(found)) > 1000
 
 
 def test_pictures_may_be_drawn_by_many_at_once():
-    diagrams = [long(50, 4, seed) for seed in range(4)]
-    alone = [draw([diagram], spec(), "png") for diagram in diagrams]
+    found = [cells(flight_time=np.full((4, 2), float(longest))) for longest in range(1, 5)]
+    alone = [picture(each) for each in found]
     with ThreadPoolExecutor(4) as threads:
-        together = list(threads.map(lambda diagram: draw([diagram], spec(), "png"), diagrams))
-    assert together == alone
+        assert list(threads.map(picture, found)) == alone
+
+
+def picture(found: xarray.Dataset) -> bytes:
+    return encode.picture(found, diagram.draw, diagram.SIZE, "png", {"release": "0.2.0"})

@@ -17,14 +17,11 @@ from tables import for_each
 
 from kernel.labels import LABELS
 from kernel.params import KERNEL_VERSION, Outcome
-from service.api import schemas
 from service.background import InThisProcess
 from service.errors import NoSpace
-from service.results.counting import MODE_ARRAYS
 from service.results.selection import Sweep
 from service.software import processor, software
 from service.views.files import export
-from worker import schema
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
@@ -107,26 +104,6 @@ def test_parquet_holds_a_row_for_every_cell(done: Done):
     assert SweepSpec.from_json(table.schema.metadata[b"spec"]) == SweepSpec(**RAMP)
 
 
-def test_every_stored_variable_is_in_every_format(done: Done, tmp_path: Path):
-    """A variable added to `worker.schema` needs no change in the modules that render it."""
-    stored = {array.name for array in (*schema.RECORD, schema.END_STATE, schema.OUTCOME)}
-    axes = {coordinate.name for coordinate in schema.COORDINATES}
-    netcdf = tmp_path / "sweep.nc"
-    netcdf.write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
-    with xarray.open_dataset(netcdf, engine="h5netcdf") as dataset:
-        assert set(dataset.variables) == stored | axes | {"direction_code"}
-    content = done.client.get(f"{done.here}/export?format=parquet").content
-    assert set(parquet.read_schema(io.BytesIO(content)).names) == stored | axes
-    stored.remove(schema.END_STATE.name)  # for a ramp to go on, not for people to look at
-    line = {"omega": 0.5, "xi": 0.26}
-    diagram = get(done.client, f"{done.here}/diagram", **line)
-    assert stored <= set(diagram)
-    header = done.client.get(f"{done.here}/diagram", params={"format": "csv", **line}).text.splitlines()[0]
-    columns = {column.removesuffix("_rad") for column in header.split(",")}
-    assert columns == (stored - {"flights"}) | axes | {"flight"}  # a row is a flight: nothing to count
-    assert set(MODE_ARRAYS) < set(schemas.Modes.model_fields)
-
-
 @pytest.mark.parametrize("format", ["nc", "parquet"])
 def test_a_job_not_begun_exports_as_missing_cells(tmp_path: Path, format: str):
     with service(tmp_path, Held(capacity=0)) as client:
@@ -195,9 +172,6 @@ def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
 )
 def test_an_export_needs_a_format_and_rows_that_it_has(done: Done, query: str):
     assert done.client.get(f"{done.here}/export{query}").status_code == 422
-
-
-# Mode maps
 
 
 # The store over HTTP

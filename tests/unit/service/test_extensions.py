@@ -10,7 +10,7 @@ import pytest
 import toy_model
 import xarray
 from scripted import wait_for
-from served import computing, finished, get
+from served import computing, finished, get, read
 from toy_study import TOY
 
 from kernel.params import Outcome
@@ -42,8 +42,8 @@ def test_a_contact_model_is_its_module_and_a_row(tmp_path: Path, glued: None):
         followed = 2 * GLUED["observe"]  # plate periods of a cell without a mode
         assert cost["core_seconds"] == pytest.approx(10 * (5 + FOLLOWED_SHARE * followed) * 0.01e-6)
         here = finished(client, GLUED)
-        diagram = get(client, f"{here}/diagram", along="gamma", omega=0.5, xi=0.1)
-        assert diagram["outcome"] == [Outcome.AT_REST] * 5
+        diagram = read(client, f"{here}/diagram", along="gamma", omega=0.5, xi=0.1)
+        assert diagram.outcome.values.tolist() == [Outcome.AT_REST] * 5
         picture = client.get(f"{here}/diagram", params={"omega": 0.5, "xi": 0.1, "format": "svg"})
         assert picture.status_code == 200
 

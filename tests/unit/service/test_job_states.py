@@ -21,9 +21,9 @@ from service.errors import IllegalTransition, LedgerUnavailable, UnknownJob
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import UNFINISHED, JobRecord, JobState
-from service.results import diagram
 from service.results.selection import Sweep
 from service.settings import Settings
+from service.views import diagram
 from worker import store
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLeft, WorkerLost
 from worker.plan import Chunk
@@ -169,9 +169,8 @@ class Machine(RuleBasedStateMachine):
         if job is None:
             return
         results = Sweep(SWEEPS[number], self._url(number), job.state is JobState.DONE)
-        for direction in SWEEPS[number].directions:
-            line = diagram.diagram(results, "gamma", {}, direction, 0.0, 10_000)
-            assert line.complete or job.state is not JobState.DONE
+        line = diagram.compute(results, diagram.DiagramQuery())
+        assert line.attrs["complete"] or job.state is not JobState.DONE
 
     # Invariants
 

@@ -1,6 +1,5 @@
 """`service.local`: studies computed without a service."""
 
-import json
 from contextlib import closing
 from pathlib import Path
 from typing import Any, cast
@@ -15,6 +14,7 @@ from studies import STUDIES
 from kernel.params import KERNEL_VERSION
 from service import local
 from service.client import Client
+from service.client.dataset import from_json
 from service.client.errors import InvalidSpecification
 from service.client.models import JobStatus
 from service.errors import DataFolderBusy, InvalidRequest
@@ -107,7 +107,7 @@ def test_a_sweep_is_written_as_a_file(tmp_path: Path, format: str):
             )
         case "json":
             bounces = expected.sel(omega=0.6).bounces.values.ravel().tolist()
-            assert json.loads(content)["bounces"] == bounces
+            assert from_json(content).bounces.values.tolist() == bounces
         case "csv":
             at_one_omega = expected.sel(omega=0.6).flight_time.values
             assert len(content.splitlines()) == 1 + np.count_nonzero(np.isfinite(at_one_omega))

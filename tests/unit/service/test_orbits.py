@@ -289,7 +289,7 @@ def test_a_grid_of_springs_is_a_job(service: TestClient, client: Client):
     cell = stored.sel(xi=0.05).sel(omega=0.6, method="nearest")
     fold = (cell.event_kind.values == 1) & (cell.event_periods.values == 1)
     assert cell.event_gamma.values[fold].min() == pytest.approx(FOLD_060, abs=1e-9)
-    assert "must be a sweep; the protocol of this job is orbits" in refused(
+    assert "has no diagram: the protocol of this job is orbits" in refused(
         service, f"/v1/jobs/{job.id}/diagram", 422
     )
     assert client.submit(GRID | {"name": "the same"}).id == job.id

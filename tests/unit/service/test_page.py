@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from scripted import Held
-from served import computing, finished, get, service
+from served import computing, finished, get, read, service
 from tables import for_each
 
 from kernel.params import Outcome
@@ -154,18 +154,18 @@ def test_the_scripts_know_the_kernel_s_outcome_codes():
 @pytest.mark.parametrize("min_flight", [None, 3.0])
 def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: str, min_flight: float | None):
     query = {} if min_flight is None else {"min_flight": min_flight}
-    diagram, modes = get(client, f"{line}/diagram", omega=0.5, **query), get(client, f"{line}/modes", **query)
-    header, plane = unpacked(client, f"{line}/plane", **query)
-    assert (
-        diagram["min_flight"]
-        == modes["min_flight"]
-        == header["min_flight"]
-        == (query or {"": 0.05}).popitem()[1]
+    diagram, modes = (
+        read(client, f"{line}/diagram", omega=0.5, **query),
+        read(client, f"{line}/modes", **query),
     )
+    header, plane = unpacked(client, f"{line}/plane", **query)
+    shortest = {diagram.attrs["min_flight"], modes.attrs["min_flight"], header["min_flight"]}
+    assert shortest == {0.05 if min_flight is None else min_flight}
     for name in ("outcome", "bounces", "periods"):
-        assert diagram[name] == modes[name][0] == plane[name][: len(diagram[name])].tolist()
-    stored = get(client, f"{line}/diagram", omega=0.5)
-    assert (diagram["bounces"] != stored["bounces"]) == (min_flight == 3.0)
+        np.testing.assert_array_equal(diagram[name], modes[name][0])
+        np.testing.assert_array_equal(diagram[name], plane[name][: diagram.sizes["gamma"]])
+    stored = read(client, f"{line}/diagram", omega=0.5)
+    assert stored.bounces.equals(diagram.bounces) == (min_flight != 3.0)
 
 
 def test_files_outside_the_folder_are_not_served(client: TestClient):
@@ -179,14 +179,15 @@ def test_files_outside_the_folder_are_not_served(client: TestClient):
 def test_points_are_the_flights_of_the_diagram(client: TestClient, line: str):
     query = {"along": "gamma", "omega": 0.6, "min_flight": 0.5}
     header, arrays = unpacked(client, f"{line}/line", **query)
-    diagram = get(client, f"{line}/diagram", **query)
-    assert (header["fixed"], header["direction"]) == (diagram["fixed"], diagram["direction"])
+    diagram = read(client, f"{line}/diagram", **query)
+    assert header["fixed"] == {axis: diagram[axis].item() for axis in ("omega", "xi")}
+    assert header["direction"] == diagram.direction
     assert header["missing"] == 0
-    assert arrays["values"].tolist() == diagram["values"]
+    assert arrays["values"].tolist() == diagram.gamma.values.tolist()
     for name in ("outcome", "bounces", "periods"):
-        assert arrays[name].tolist() == diagram[name]
-    assert arrays["shown"].tolist() == [len(times) for times in diagram["flight_time"]]
-    flights = np.concatenate(diagram["flight_time"])
+        np.testing.assert_array_equal(arrays[name], diagram[name])
+    np.testing.assert_array_equal(arrays["shown"], diagram.flight_time.count("flight"))
+    flights = diagram.flight_time.values[diagram.flight_time.notnull()]
     np.testing.assert_allclose(arrays["flight_time"], flights, rtol=1e-6)
     assert header["points"] == len(flights)
     assert header["highest"] == pytest.approx(flights.max(), rel=1e-6)
@@ -221,13 +222,13 @@ def test_an_invalid_line_query_is_refused(client: TestClient, line: str, query: 
 
 def test_a_plane_is_the_mode_map(client: TestClient, line: str):
     header, arrays = unpacked(client, f"{line}/plane", xi=0.26)
-    modes = get(client, f"{line}/modes", xi=0.26)
+    modes = read(client, f"{line}/modes", xi=0.26)
     whole = {"every_gamma": 1, "every_omega": 1, "min_flight": 0.05}
     assert header == {"xi": 0.26, "direction": "rest", "complete": True} | whole
     for name in ("gamma", "omega"):
-        assert arrays[name].tolist() == modes[name]
+        np.testing.assert_array_equal(arrays[name], modes[name])
     for name in ("outcome", "bounces", "periods"):
-        assert arrays[name].tolist() == np.concatenate(modes[name]).tolist()
+        np.testing.assert_array_equal(arrays[name], modes[name].values.ravel())
 
 
 def test_a_plane_of_too_many_cells_is_thinned(tmp_path: Path):
@@ -260,9 +261,8 @@ def test_the_trajectory_of_a_ramp_cell_starts_from_its_stored_state(
     trajectory = get(client, f"{ramp}/trajectory", gamma=0.6, direction=direction, periods=10)
     assert any(trajectory["in_flight"]) == bounces
     if bounces:
-        stored = get(client, f"{ramp}/diagram", along="gamma", direction=direction)
-        cell = int(np.argmin(np.abs(np.array(stored["values"]) - 0.6)))
-        known = np.array(stored["flight_time"][cell])
+        stored = read(client, f"{ramp}/diagram", along="gamma", direction=direction)
+        known = stored.flight_time.sel(gamma=0.6, method="nearest").dropna("flight").values
         for time in trajectory["flights"]["flight_time"]:
             assert np.min(np.abs(known - time)) < 1e-4
 

@@ -21,18 +21,16 @@ if __name__ == "__main__":
 
 from artists import difference, read_back
 from paths import GOLDEN, ROOT
-from service.results.diagram import Diagram
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.client import plots
-from service.render import bifurcation, multistability, work_precision
+from service.render import multistability, work_precision
 from service.render.style import DPI
-from service.results.counting import LABEL
 from service.results.multistability import Attractor, Place, Plane
+from service.views import diagram
 from worker.analysis.work_precision import Measurement
 from worker.basins.spec import MultistabilitySpec
-from worker.spec import SweepSpec
 
 DRAWN = GOLDEN / "pictures.json"
 NAN = float("nan")
@@ -85,31 +83,17 @@ def empty_plane() -> Plane:
     return plane(0, gamma=np.array([1.1]), count=count, cells=(((),), ((),)))
 
 
-def diagram(direction: str, cells: int, **changes: Any) -> Diagram:
-    """Flights over gamma: none, then up to three, some of them long."""
-    number = np.arange(cells) % 4
-    times = 1.0 + np.arange(3.0 * cells).reshape(cells, 3) % 31
+def diagram_both_ways(figure: Figure) -> None:
+    """Flights over gamma, the same up and down: none, then up to three, some of them long."""
+    number = np.arange(40) % 4
+    times = 1.0 + np.arange(120.0).reshape(40, 3) % 31
     times[np.arange(3) >= number[:, None]] = NAN
-    outcome = np.array([Outcome.AT_REST, Outcome.PERIODIC, Outcome.APERIODIC, Outcome.UNRESOLVED], np.uint8)
-    labels = np.array([LABELS.index(name) for name in ("at_rest", "periodic", "chaotic", "unresolved")])
-    fields: dict[str, Any] = {
-        "along": "gamma",
-        "fixed": {"omega": 0.5, "xi": 0.26},
-        "direction": direction,
-        "values": np.linspace(0.5, 3.5, cells),
-        "arrays": {
-            "flight_time": times,
-            "flights": number.astype(np.int32),
-            "outcome": outcome[number],
-            LABEL.name: labels[number].astype(np.uint8),
-        },
-    }
-    return Diagram(**(fields | changes))
-
-
-def diagrams(*drawn: Diagram) -> Draw:
-    spec = SweepSpec(**CELL | {"gamma": [0.5, 3.5], "omega": 0.5})
-    return lambda figure: bifurcation._draw(figure.subplots(), drawn, spec)
+    found = xarray.Dataset(
+        {"flight_time": (("direction", "gamma", "flight"), [times, times]), "outcome": ("gamma", number + 1)},
+        {"direction": ["up", "down"], "gamma": np.linspace(0.5, 3.5, 40), "omega": 0.5, "xi": 0.26},
+        {"along": "gamma", "complete": False, "caption": "rigid contact, 10 of 40 cells unresolved"},
+    )
+    diagram.draw(found, figure)
 
 
 def tradeoff(figure: Figure) -> None:
@@ -167,8 +151,7 @@ PICTURES: dict[str, tuple[tuple[float, float], Draw]] = {
     "multistability, a line": (
         multistability.LINE_SIZE, lambda figure: multistability._draw_line(figure, line(), flights())
     ),
-    "diagram": (bifurcation.SIZE, diagrams(diagram("up", 40), diagram("down", 40, repairing=True))),
-    "diagram, dense": (bifurcation.SIZE, diagrams(diagram("rest", 80_000))),
+    "diagram": (diagram.SIZE, diagram_both_ways),
     "tradeoff": (work_precision.SIZE, tradeoff),
     "client's diagram": ((6.4, 4.8), client_diagram),
     "client's map": ((12.8, 4.8), client_map),

@@ -69,7 +69,7 @@ def test_a_diagram_holds_every_flight(job: Job, ax: Axes):
 
 def test_branches_are_solid_where_they_are_stable(job: Job, client: Client, ax: Axes):
     branches = client.orbits(0.6, 0.05, "1-1")
-    job.plot("diagram", ax=ax, omega=0.6, branches=branches)
+    job.plot("diagram", ax=ax, omega=0.6, direction="up", branches=branches)
     assert {line.get_linestyle() for line in ax.lines[1:]} == {"-", "--", ":"}
     stable = branches.stable.values.astype(bool) & (branches.admissible.values == 0)
     solid = [np.asarray(line.get_xdata()) for line in ax.lines[1:] if line.get_linestyle() == "-"]
@@ -133,7 +133,7 @@ def test_what_is_drawn_by_default(job: Job, client: Client):
     assert over_omega.plot(along="omega").get_xlabel() == AXES["omega"]
     assert job.plot("diagram", along="omega", gamma=1.5).get_xlabel() == AXES["omega"]
     assert job.plot(along="gamma", omega=0.6).get_ylabel() == FLIGHT
-    assert len(job.plot("diagram", omega=0.6, ax=Figure().subplots()).lines) == 1
+    assert len(job.plot("diagram", omega=0.6, ax=Figure().subplots()).lines) == 2
     with pytest.raises(BounceError, match="kind: must be one of diagram, modes, threshold"):
         job.plot("pie")  # type: ignore[arg-type]
     with pytest.raises(BounceError, match="are drawn in a diagram"):

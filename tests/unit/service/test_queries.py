@@ -6,18 +6,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray
 from scripted import small as spec
 from tables import for_each
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
-from service.results import diagram as diagrams
 from service.results import line as lines
 from service.results import mode_map, selection, thresholds
 from service.results.counting import MODE_ARRAYS
 from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis, compare
 from service.results.selection import Sweep
+from service.views.registry import VIEWS, admit
 from worker import schema, store
 from worker.plan import make_plan
 from worker.schema import layout
@@ -43,10 +44,18 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
     return computed(tmp_path_factory.mktemp("sweep"), spec())
 
 
-def diagram(
-    sweep: Sweep, along: str = "gamma", direction: str | None = None, **values: float
-) -> diagrams.Diagram:
-    return diagrams.diagram(sweep, along, values, direction, 0.0, 1_000_000)
+def diagram(sweep: Sweep, max_points: int = 1_000_000, **fields: Any) -> xarray.Dataset:
+    return answer("diagram", sweep, max_points, fields)
+
+
+def modes(sweep: Sweep, max_points: int = 1_000_000, **fields: Any) -> xarray.Dataset:
+    return answer("modes", sweep, max_points, fields)
+
+
+def answer(name: str, sweep: Sweep, max_points: int, fields: dict[str, Any]) -> xarray.Dataset:
+    view = VIEWS[name]
+    query, _ = admit(view, sweep.spec, view.query(**fields), "json", max_points)
+    return view.compute(sweep, query)
 
 
 def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.ndarray) -> Sweep:
@@ -76,20 +85,21 @@ def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.n
     [("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.05})],
 )
 def test_a_line_is_the_stores_own(sweep: Sweep, along: str, values: dict[str, float]):
-    line = diagram(sweep, along, **values)
-    assert line.fixed == values
-    assert line.values.tolist() == sweep.spec.axis_values(along).tolist()
+    line = diagram(sweep, along=along, min_flight=0, **values)
+    assert {axis: line[axis].item() for axis in values} == values
+    assert line[along].values.tolist() == sweep.spec.axis_values(along).tolist()
     indices = {
         axis: int(np.flatnonzero(sweep.spec.axis_values(axis) == value)[0]) for axis, value in values.items()
     }
     for name, array in store.read_slice(sweep.url, ARRAYS, direction=0, **indices).items():
-        np.testing.assert_array_equal(line.arrays[name], array)
-    assert line.complete
+        np.testing.assert_array_equal(line[name], array)
+    assert line.attrs["complete"]
 
 
 def test_fixed_values_snap_to_the_grid(sweep: Sweep):
-    assert diagram(sweep, omega=0.59, xi=0.1).fixed == {"omega": 0.5, "xi": 0.05}
-    assert diagram(sweep, omega=0.61, xi=0.2).fixed == {"omega": 0.7, "xi": 0.26}
+    for asked, snapped in (((0.59, 0.1), [0.5, 0.05]), ((0.61, 0.2), [0.7, 0.26])):
+        line = diagram(sweep, omega=asked[0], xi=asked[1])
+        assert [line.omega.item(), line.xi.item()] == snapped
 
 
 @pytest.mark.parametrize(
@@ -98,6 +108,7 @@ def test_fixed_values_snap_to_the_grid(sweep: Sweep):
         ({"omega": 1.01, "xi": 0.05}, "omega", "from 0.5 to 1.0, not 1.01"),
         ({"omega": 0.5}, "xi", "is required: the sweep has 2 values from 0.05 to 0.26"),
         ({"omega": 0.5, "xi": 0.05, "gamma": 1.0}, "gamma", "leave it out"),
+        ({"omega": 0.5, "xi": 0.05, "direction": "up"}, "direction", "must be 'rest' in this sweep"),
     ],
 )
 def test_a_parameter_outside_the_grid_is_named(sweep: Sweep, values: dict[str, float], field: str, rule: str):
@@ -108,46 +119,58 @@ def test_a_parameter_outside_the_grid_is_named(sweep: Sweep, values: dict[str, f
 
 
 def test_the_only_value_of_an_axis_may_be_left_out(tmp_path: Path):
-    sweep = computed(tmp_path, spec(omega=0.5, xi=0.26))
-    assert diagram(sweep).fixed == {"omega": 0.5, "xi": 0.26}
+    queued = Sweep(spec(omega=0.5, xi=0.26), str(tmp_path))
+    assert [diagram(queued)[axis].item() for axis in ("omega", "xi")] == [0.5, 0.26]
     with pytest.raises(InvalidRequest, match=r"xi: must be within .*, which is at 0\.26 alone, not 0\.3"):
-        diagram(sweep, xi=0.3)
+        diagram(queued, xi=0.3)
 
 
-def test_directions(tmp_path: Path, sweep: Sweep):
+def test_a_sweep_ramped_both_ways_has_both_directions_unless_one_is_selected(tmp_path: Path):
     both = computed(tmp_path, spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}))
-    point = {"omega": 0.5, "xi": 0.05}
-    assert diagram(both, **point).direction == "up"
+    point = {"omega": 0.5, "xi": 0.05, "min_flight": 0}
+    found = diagram(both, **point)
+    assert found.direction.values.tolist() == ["up", "down"]
     down = store.read_slice(both.url, ("flight_time",), direction=1, xi=0, omega=0)["flight_time"]
+    np.testing.assert_array_equal(found.flight_time.sel(direction="down"), down)
     np.testing.assert_array_equal(diagram(both, direction="down", **point).flight_time, down)
-    lines = diagrams.diagrams(both, "gamma", point, None, 0.0, 1000)
-    assert [line.direction for line in lines] == ["up", "down"]
     with pytest.raises(InvalidRequest, match="direction: must be 'up' or 'down' in this sweep"):
         diagram(both, direction="rest", **point)
-    with pytest.raises(InvalidRequest, match="direction: must be 'rest' in this sweep"):
-        diagram(sweep, direction="sideways", **point)
+    planes = modes(both, xi=0.05)
+    assert planes.outcome.dims == ("direction", "omega", "gamma")
+    for name in MODE_ARRAYS:
+        np.testing.assert_array_equal(planes[name][1], modes(both, xi=0.05, direction="down")[name])
 
 
-def test_shown_are_the_recorded_flights_that_count(sweep: Sweep):
-    line = diagrams.diagram(sweep, "gamma", {"omega": 1.0, "xi": 0.05}, None, 3.0, 1000)
-    kept = np.minimum(line.arrays["flights"], 8)
-    assert np.all(np.isnan(line.flight_time[kept == 0]))
-    assert not line.shown[np.isnan(line.flight_time)].any()
-    for times, shown, n in zip(line.flight_time, line.shown, kept, strict=True):
-        longer = times[:n] > 3.0
-        assert shown[:n].tolist() == (longer if longer.any() else np.ones(n, np.bool_)).tolist()
-    assert 0 < line.shown.sum() < kept.sum()
+def test_flights_that_do_not_count_are_missing_in_their_place(sweep: Sweep):
+    """All of a cell count where all are short."""
+    point = {"omega": 1.0, "xi": 0.05}
+    whole, line = (diagram(sweep, min_flight=shortest, **point) for shortest in (0, 3))
+    longer = whole.flight_time > 3
+    shown = np.isfinite(whole.flight_time) & (longer | ~longer.any("flight"))
+    for name in ("flight_time", "takeoff_phase"):
+        np.testing.assert_array_equal(line[name], whole[name].where(shown))
+    np.testing.assert_array_equal(line.flights, whole.flights)
+    assert 0 < shown.sum() < np.isfinite(whole.flight_time).sum()
+
+
+def test_a_caption_says_how_the_cells_were_computed(tmp_path: Path):
+    lost = np.full((1, 1, 1, 10), Outcome.AT_REST)
+    lost[..., 3:5] = Outcome.UNRESOLVED
+    line = diagram(handmade(tmp_path, lost, spec(omega=0.5, xi=0.26)), min_flight=0.1, every=3)
+    said = "flights above 0.1 rad, 1 cell in 3, 1 of 4 cells unresolved"
+    assert line.attrs["caption"] == f"rigid contact, from rest, {said}"
 
 
 def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
     queued = Sweep(spec(omega=0.5, xi=0.26), str(tmp_path / "nothing.zarr"))
     line = diagram(queued)
-    assert (line.complete, line.missing, line.flight_time.shape) == (False, 10, (10, 8))
-    assert np.isnan(line.flight_time).all()
-    assert line.arrays["flights"].dtype == np.int32
+    assert not line.attrs["complete"]
+    assert not line.outcome.any()
+    assert line.flight_time.isnull().all()
+    assert (line.flight_time.shape, line.flights.dtype) == ((10, 8), np.int32)
     assert not thresholds.on_grid(queued, None, 1000).complete
-    missing = mode_map.modes(queued, None, None, 1000)
-    assert (missing.arrays["bounces"].shape, missing.complete) == ((1, 10), False)
+    missing = modes(queued)
+    assert (missing.bounces.shape, missing.attrs["complete"]) == ((1, 10), False)
 
 
 @pytest.fixture
@@ -168,19 +191,19 @@ def test_only_the_chunks_that_a_line_touches_are_read(sweep: Sweep, reads: list[
     chunks = {key for key in reads if key.startswith("flight_time/c.")}
     assert chunks == {f"flight_time/c.0.1.0.{gamma}.0" for gamma in (0, 1)}
     reads.clear()
-    diagram(sweep, "omega", gamma=0.5, xi=0.05)
+    diagram(sweep, along="omega", gamma=0.5, xi=0.05)
     chunks = {key for key in reads if key.startswith("flight_time/c.")}
     assert chunks == {f"flight_time/c.0.0.{omega}.0.0" for omega in (0, 1)}
 
 
 def test_points_are_counted_before_anything_is_read(sweep: Sweep, reads: list[str]):
     point = {"omega": 0.5, "xi": 0.05}
-    assert diagrams.diagram(sweep, "gamma", point, None, 0.0, 80).complete
+    assert diagram(sweep, 80, **point).attrs["complete"]
     reads.clear()
-    with pytest.raises(TooLarge, match=r"80 points \(10 values of gamma × keep 8\); the limit is 79"):
-        diagrams.diagram(sweep, "gamma", point, None, 0.0, 79)
-    with pytest.raises(TooLarge, match=r"3 values of omega × 10 of gamma.*every=2 "):
-        mode_map.modes(sweep, 0.05, "rest", 29)
+    with pytest.raises(TooLarge, match=r"80 points \(gamma 10 × flight 8\); the limit is 79"):
+        diagram(sweep, 79, **point)
+    with pytest.raises(TooLarge, match=r"omega 3 × gamma 10.*every=2 "):
+        modes(sweep, 29, xi=0.05)
     assert reads == []
 
 
@@ -191,27 +214,22 @@ def test_a_refusal_names_the_thinning_that_fits(sweep: Sweep, max_points: int, e
     assert selection.thinning((10,), 8, max_points) == every
     if every is None:
         with pytest.raises(TooLarge, match=r"the limit is \d+: open the store itself, which has no"):
-            diagrams.diagram(sweep, "gamma", point, None, 0.0, max_points)
+            diagram(sweep, max_points, **point)
         return
-    assert diagrams.diagram(sweep, "gamma", point, None, 0.0, max_points, every).every == every
+    assert diagram(sweep, max_points, every=every, **point).attrs["every"] == every
     if every > 1:
         with pytest.raises(TooLarge, match=f"every={every} fits"):
-            diagrams.diagram(sweep, "gamma", point, None, 0.0, max_points, every - 1)
+            diagram(sweep, max_points, every=every - 1, **point)
 
 
 @for_each("every", [1, 2, 3, 4, 7, 10, 99])
 def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
     for along, point in (("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.26})):
-        whole = diagrams.diagram(sweep, along, point, None, 0.0, 1000)
-        thinned = diagrams.diagram(sweep, along, point, None, 0.0, 1000, every)
-        np.testing.assert_array_equal(thinned.values, whole.values[::every])
-        for name in ARRAYS:
-            np.testing.assert_array_equal(thinned.arrays[name], whole.arrays[name][::every])
-    whole_map, thinned_map = (mode_map.modes(sweep, 0.05, None, 1000, n) for n in (1, every))
-    np.testing.assert_array_equal(thinned_map.omega, whole_map.omega[::every])
-    np.testing.assert_array_equal(thinned_map.gamma, whole_map.gamma[::every])
-    for name in MODE_ARRAYS:
-        np.testing.assert_array_equal(thinned_map.arrays[name], whole_map.arrays[name][::every, ::every])
+        whole = diagram(sweep, along=along, **point).isel({along: slice(None, None, every)})
+        xarray.testing.assert_equal(diagram(sweep, along=along, every=every, **point), whole)
+    part = slice(None, None, every)
+    whole_map = modes(sweep, xi=0.05).isel(omega=part, gamma=part)
+    xarray.testing.assert_equal(modes(sweep, xi=0.05, every=every), whole_map)
 
 
 # A line for the page
@@ -313,19 +331,19 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Swee
     expected = np.zeros((3, 15), int)
     for place in np.ndindex(3, 15):
         cells = [{name: arrays[name][place] for name in names} for arrays in (up, down)]
-        modes = [tuple(int(cell[name]) for name in names[1:]) for cell in cells]
-        if Outcome.SETTLING in (modes[0][0], modes[1][0]):
+        pair = [tuple(int(cell[name]) for name in names[1:]) for cell in cells]
+        if Outcome.SETTLING in (pair[0][0], pair[1][0]):
             continue
-        if modes[0] != modes[1]:
+        if pair[0] != pair[1]:
             expected[place] = Hysteresis.MODE
-        elif modes[0][0] == Outcome.PERIODIC and any(
+        elif pair[0][0] == Outcome.PERIODIC and any(
             abs(a - b) > OTHER_FLIGHTS for a, b in zip(*map(cycle, cells), strict=True)
         ):
             expected[place] = Hysteresis.FLIGHTS
     for direction in ("up", "down"):
-        found = mode_map.modes(both_ways, None, direction, 1000, hysteresis=True)
-        assert found.arrays["hysteresis"].tolist() == expected.tolist()
-        assert found.complete
+        found = modes(both_ways, direction=direction, hysteresis=True)
+        assert found.hysteresis.values.tolist() == expected.tolist()
+        assert found.attrs["complete"]
     assert set(expected.ravel().tolist()) == {0, 1, 2}
     window = mode_map.modes_between(both_ways, None, "up", (0.6, 1.0), (0.59, 0.7), 1000, hysteresis=True)
     columns = [i for i, gamma in enumerate(both_ways.spec.axis_values("gamma")) if 0.6 <= gamma <= 1.0]
@@ -353,11 +371,11 @@ def test_cycles_of_one_mode_are_other_cycles_if_a_flight_differs(both_ways: Swee
 
 def test_cells_of_one_direction_alone_have_no_hysteresis(tmp_path: Path):
     begun = computed(tmp_path, SweepSpec(**BOTH_WAYS), chunks=6)  # up is done, down is not begun
-    found = mode_map.modes(begun, None, "up", 1000, hysteresis=True)
-    assert (found.arrays["outcome"] != Outcome.MISSING).all()
-    assert not found.arrays["hysteresis"].any()
-    assert not found.complete
-    assert mode_map.modes(begun, None, "up", 1000).complete
+    found = modes(begun, direction="up", hysteresis=True)
+    assert (found.outcome != Outcome.MISSING).all()
+    assert not found.hysteresis.any()
+    assert not found.attrs["complete"]
+    assert modes(begun, direction="up").attrs["complete"]
 
 
 @pytest.mark.parametrize(
@@ -369,4 +387,4 @@ def test_hysteresis_of_one_direction_is_refused(tmp_path: Path, protocol: dict[s
         tmp_path, np.full((1, 1, 3, 15), Outcome.AT_REST), SweepSpec(**BOTH_WAYS | {"protocol": protocol})
     )
     with pytest.raises(InvalidRequest, match=rule):
-        mode_map.modes(one, None, None, 1000, hysteresis=True)
+        modes(one, hysteresis=True)

@@ -15,11 +15,14 @@ from fastapi.testclient import TestClient
 from pyarrow import parquet
 from served import computing
 
+from kernel.params import Line
 from service.cli import views as commands
 from service.client import Client, Job, UnexpectedAnswer
 from service.client.dataset import from_binary, from_json
 from service.views import client_methods
 from service.views.registry import VIEWS
+from worker import schema
+from worker.schema import CELL_DIMS, Array
 
 SPEC: dict[str, Any] = {
     "gamma": {"start": 0.8, "stop": 2.6, "num": 5}, "omega": [0.5, 0.6], "xi": 0.26,
@@ -79,6 +82,30 @@ def test_a_new_result_has_a_command(
     path = tmp_path / "outcomes.csv"
     assert CliRunner().invoke(command, [job.id, "--xi", "0.26", "-o", str(path)]).exit_code == 0
     assert path.read_bytes() == job.result_file(TOY, "csv")
+
+
+def test_a_variable_added_to_the_schema_is_in_every_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """No reader lists the variables: the schema and the kernel's record are all that know of it."""
+    added = Array("contacts", CELL_DIMS, "<i4", 0, {"long_name": "contacts of the window", "units": "1"})
+    stored = schema.arrays
+    monkeypatch.setattr(schema, "arrays", lambda spec: (added, *stored(spec)))
+    monkeypatch.setattr(Line, "contacts", property(lambda line: line.flights + 1), raising=False)
+    with computing(tmp_path) as service:
+        job = Client("http://localhost", http=service).submit(SPEC).wait(progress=False)
+        found = job.diagram(omega=0.5)
+        np.testing.assert_array_equal(found.contacts, found.flights + 1)
+        assert found.contacts.attrs == added.attrs
+        xarray.testing.assert_identical(from_json(job.result_file("diagram", "json", omega=0.5)), found)
+        csv = pandas.read_csv(io.BytesIO(job.result_file("diagram", "csv", omega=0.5)))
+        assert (csv.contacts == csv.flights + 1).all()
+        for netcdf in (
+            job.result_file("diagram", "nc", omega=0.5),
+            job.export(tmp_path / "a.nc").read_bytes(),
+        ):
+            with xarray.open_dataset(io.BytesIO(netcdf), engine="h5netcdf") as dataset:
+                np.testing.assert_array_equal(dataset.contacts, dataset.flights + 1)
+        frame = pandas.read_parquet(job.export(tmp_path / "a.parquet"))
+        assert (frame.contacts == frame.flights + 1).all()
 
 
 def test_a_result_is_limited_before_it_is_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

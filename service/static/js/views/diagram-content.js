@@ -85,5 +85,5 @@ export function flightTable(lines, along, { x0, x1, y0, y1 }) {
       }
     });
   }
-  return csv(["direction", "gamma", "omega", "xi", "flight_time_rad", lines[0]?.arrays.label ? "label" : "outcome", "bounces", "periods"], rows);
+  return csv(["direction", "gamma", "omega", "xi", "flight_time", lines[0]?.arrays.label ? "label" : "outcome", "bounces", "periods"], rows);
 }

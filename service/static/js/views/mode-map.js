@@ -51,7 +51,7 @@ export function describeMode({ arrays }, { column, row }) {
   return parts;
 }
 
-/** The cells of a plane as CSV, as `bounce modes` writes it. */
+/** The cells of a plane as CSV, with columns of `bounce modes`. */
 export function modeTable({ arrays }) {
   const { gamma, omega, outcome, label, bounces, periods, hysteresis } = arrays;
   const row = (_, i) => [

@@ -31,16 +31,20 @@ class ResultMethods:
         gamma: float | None = None,
         omega: float | None = None,
         xi: float | None = None,
-        direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
-        min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
+        direction: Annotated[
+            str | None, "rest, up or down; default: all that the sweep has, a dimension if two"
+        ] = None,
+        min_flight: Annotated[
+            float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"
+        ] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
         caption: Annotated[bool, "of a picture: how it was computed, above it"] = True,
     ) -> "xarray.Dataset":
-        """The flights of the cells along an axis, NaN where there is none that counts.
+        """The flights of the cells along an axis.
 
         A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
-        `min_flight` do not count, neither here nor for `outcome`, `bounces` and `periods`, unless all of a
-        cell are so short.
+        `min_flight` do not count, neither here, where they are NaN, nor for `outcome`, `bounces` and `periods`,
+        unless all of a cell are so short.
 
         Parameters
         ----------
@@ -81,21 +85,35 @@ class ResultMethods:
         TooLarge
             Names what fits.
         """
-        return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, caption=caption)
+        return self.result(
+            "diagram",
+            along=along,
+            gamma=gamma,
+            omega=omega,
+            xi=xi,
+            direction=direction,
+            min_flight=min_flight,
+            every=every,
+            caption=caption,
+        )
 
     def modes(
         self,
         xi: float | None = None,
-        direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
-        min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
+        direction: Annotated[
+            str | None, "rest, up or down; default: all that the sweep has, a dimension if two"
+        ] = None,
+        min_flight: Annotated[
+            float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"
+        ] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
         hysteresis: Annotated[bool, "of a sweep ramped both ways: where they differ"] = False,
     ) -> "xarray.Dataset":
-        """The mode map at one ξ: outcome, bounces and plate periods of every cell.
+        """Outcome, bounces and plate periods of every cell.
 
-        A sweep ramped both ways has the dimension `direction`, unless one is selected. An adaptive map has
-        `computed`: the other cells have the values of the nearest corner or centre of their block. The
-        attribute `computed_share` is the share of cells that were computed.
+        The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
+        unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
+        corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
 
         Parameters
         ----------
@@ -128,7 +146,9 @@ class ResultMethods:
         TooLarge
             Names what fits.
         """
-        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis)
+        return self.result(
+            "modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis
+        )
 
     def basins(
         self,
@@ -136,10 +156,10 @@ class ResultMethods:
         omega: float | None = None,
         xi: float | None = None,
     ) -> "xarray.Dataset":
-        """The attractors of one cell, and which of them each start of the plane reaches.
+        """The attractors of one cell, and their basins.
 
-        Attractors are numbered from 1 by the share of the starts that reach them. A start without an
-        attractor has the number 0.
+        Attractors are numbered from 1 by the share of the starts of the plane that reach them. A start without
+        an attractor has the number 0.
 
         Parameters
         ----------
@@ -183,10 +203,8 @@ class SpringMethods:
     """A method for each result of a spring."""
 
     #: The formats of each result, and the variable whose numbers are the rows of a table.
-    FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {
-    }
-    ROWS: ClassVar[dict[str, str | None]] = {
-    }
+    FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {}
+    ROWS: ClassVar[dict[str, str | None]] = {}
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
