@@ -11,8 +11,6 @@ PictureFormat = Literal["png", "svg", "pdf"]
 
 #: A bifurcation diagram is sent as a table or as a picture.
 DiagramFormat = Literal[TableFormat, PictureFormat]
-#: Attractors over a grid.
-MultistabilityFormat = Literal[TableFormat, PictureFormat]
 #: A whole sweep in one file.
 ExportFormat = Literal["nc", "parquet"]
 #: What a row of an exported table is: a cell, or an attractor of one; or each of their flights.

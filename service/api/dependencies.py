@@ -1,11 +1,10 @@
 """FastAPI dependencies: the parts of the running service, the job named by a path, and JSON bodies."""
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
@@ -27,7 +26,6 @@ from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
 from service.render.answers import Line
-from service.results.multistability import Multistability
 from service.results.selection import BASE_MEMORY, Stored, Sweep
 from service.settings import Settings
 from worker.basins.spec import BasinSpec, MultistabilitySpec
@@ -88,16 +86,11 @@ JobDep = Annotated[JobRecord, Depends(find_job)]
 def stored(service: Service, job: JobRecord) -> Stored[Specification]:
     """What a job of any kind computes and where its results are."""
     prepared = service.manager.preparer.prepare(job)
-    kind = next((kind for spec, kind in _STORED.items() if isinstance(prepared.spec, spec)), Stored)
+    kind = Sweep if isinstance(prepared.spec, SweepSpec) else Stored
     done = job.state is JobState.DONE
     return kind(
         prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, prepared.forms
     )
-
-
-_STORED: Final[Mapping[type, type[Stored[Any]]]] = {
-    SweepSpec: Sweep, MultistabilitySpec: Multistability,
-}  # fmt: skip
 
 
 def sweep(service: Service, job: JobRecord) -> Sweep:
@@ -106,14 +99,6 @@ def sweep(service: Service, job: JobRecord) -> Sweep:
     if not isinstance(found, Sweep):
         kind = _kind(found)
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
-    return found
-
-
-def multistability(service: Service, job: JobRecord) -> Multistability:
-    """The attractors over a job's grid and where they are. Raises InvalidRequest for other kinds of study."""
-    found = stored(service, job)
-    if not isinstance(found, Multistability):
-        raise _other_study("multistability", _kind(found))
     return found
 
 

@@ -11,7 +11,6 @@ from service.errors import InvalidRequest
 from service.formats import (
     ExportFormat,
     ExportLayout,
-    MultistabilityFormat,
     Predict,
 )
 from service.jobs.model import JobState
@@ -205,14 +204,6 @@ class JobOrbitsQuery(Query):
     direction: Direction = None
     gamma_max: GammaMax = 8.0
     energy: bool = Field(False, description="the energy balance of every point as well")
-
-
-class MultistabilityQuery(Query):
-    """The plane of a job with the protocol multistability, or a line of it along gamma, and the format."""
-
-    xi: Number | None = None
-    omega: Number | None = None
-    format: MultistabilityFormat = "json"
 
 
 class ExportQuery(Query):

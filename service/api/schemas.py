@@ -316,55 +316,6 @@ class Trajectory(BaseModel):
     cycle: CycleView | None = Field(description="with a start on a cycle")
 
 
-class PlaceView(BaseModel):
-    """An attractor of one cell."""
-
-    id: int = Field(description="of the attractor in the whole plane")
-    label: str = Field(description="rest, a mode as (3,4), or aperiodic")
-    fraction: float = Field(description="share of the drops that reach it; 0 if found by following another")
-    longest_flight: float = Field(description="rad; 0 at rest")
-    flight_time: list[float] | None = Field(None, description="rad, with omega: flights of a window")
-
-
-class PlaneAttractorView(BaseModel):
-    """An attractor of a plane of cells."""
-
-    id: int = Field(description="from 1, by the number of cells")
-    label: str = Field(description="its commonest")
-    cells: int
-    gamma: tuple[float, float] = Field(description="smallest and largest")
-    omega: tuple[float, float]
-    longest_flight: tuple[float, float] = Field(description="rad")
-
-
-class AttractorEventView(BaseModel):
-    """What happens to an attractor between two neighbouring cells, with gamma growing."""
-
-    kind: Literal["birth", "death", "mode"]
-    attractor: int
-    omega: float
-    gamma_below: float
-    gamma_above: float
-    below: str | None = Field(description="its label there; null where it is none")
-    above: str | None
-    leads_to: int | None = Field(description="of a birth or death: the attractor that takes its place")
-
-
-class MultistabilityView(BaseModel):
-    """The attractors over (omega, gamma) at one xi."""
-
-    xi: float
-    omega: list[float]
-    gamma: list[float]
-    count: list[list[int | None]] = Field(description="attractors of each cell; null: not computed")
-    cells: list[list[list[PlaceView]]] = Field(description="the stored attractors of each cell")
-    attractors: list[PlaneAttractorView]
-    events: list[AttractorEventView]
-    several: float | None = Field(description="share of the cells with two attractors or more")
-    several_by_drops: float | None = Field(description="the same of attractors that drops reach")
-    complete: bool
-
-
 class BrokenRule(BaseModel):
     """A field and the rule that it breaks."""
 
@@ -467,7 +418,6 @@ _PARTS: Final = (
     "events",
     "threshold",
     "orbits",
-    "multistability",
     "export",
     "zarr",
 )

@@ -14,11 +14,13 @@ class ResultMethods:
         "diagram": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
         "modes": ("json", "bin", "nc", "csv", "parquet"),
         "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
+        "multistability": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
     }
     ROWS: ClassVar[dict[str, str | None]] = {
         "diagram": "flight_time",
         "modes": "outcome",
         "basins": "attractor_fraction",
+        "multistability": "fraction",
     }
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
@@ -177,6 +179,54 @@ class ResultMethods:
             Names what fits.
         """
         return self.result("basins", gamma=gamma, omega=omega, xi=xi)
+
+    def multistability(
+        self,
+        xi: float | None = None,
+        omega: Annotated[float | None, "the nearest line along gamma alone"] = None,
+    ) -> "xarray.Dataset":
+        """The attractors of every cell at one ξ, matched from cell to cell, and their births and deaths.
+
+        One attractor has one `id` in all cells; ids are numbered from 1 by the number of cells. With `omega` only
+        the line along Γ nearest to it, with the flights of every attractor. The attribute `several` is the share
+        of cells with two attractors or more, `several_by_drops` the same without attractors that no drop reaches.
+
+        Parameters
+        ----------
+        xi : float | None
+        omega : float | None
+            the nearest line along gamma alone
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `count`: attractors of the cell
+            - `id`: attractor of the plane
+            - `label`: what the attractor does
+            - `fraction`: share of the starts that reach the attractor
+            - `longest_flight` (rad): longest flight
+            - `flight_time` (rad): last flights of a window in order
+            - `attractor_label`: what the attractor does in most cells
+            - `cells`: cells of the attractor
+            - `event_kind`: birth, death or mode, with gamma growing
+            - `event_attractor`: attractor of the event
+            - `event_omega`: omega of the event
+            - `event_gamma_below`: gamma of the cell below the event
+            - `event_gamma_above`: gamma of the cell above the event
+            - `event_below`: label of the attractor below
+            - `event_above`: label of the attractor above
+            - `event_leads_to`: attractor that takes the place of one born or dying
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("multistability", xi=xi, omega=omega)
 
 
 class SpringMethods:

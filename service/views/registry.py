@@ -10,11 +10,13 @@ from service.errors import InvalidRequest, TooLarge
 from service.formats import PICTURES
 from service.results.selection import MAX_READ, Stored
 from service.software import software
-from service.views import basins, diagram, encode, modes
+from service.views import basins, diagram, encode, modes, multistability
 from service.views.view import Estimate, Query, View
 
 #: The results of a job, by name.
-VIEWS: Final[dict[str, View]] = {view.name: view for view in (diagram.VIEW, modes.VIEW, basins.VIEW)}
+VIEWS: Final[dict[str, View]] = {
+    module.VIEW.name: module.VIEW for module in (diagram, modes, basins, multistability)
+}
 
 #: The results of a spring alone, in closed form.
 SPRINGS: Final[dict[str, View]] = {}
@@ -65,4 +67,5 @@ def answer(
     if format in PICTURES:
         origin = about if study is None else study.origin
         return encode.picture(found, view.draw, view.size, format, origin), complete
-    return encode.ENCODERS[format](found, view.rows), complete
+    rows = view.finer_rows if view.finer_rows in found else view.rows
+    return encode.ENCODERS[format](found, rows), complete
