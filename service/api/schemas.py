@@ -271,51 +271,6 @@ class CurvesView(BaseModel):
     points: list[EventView] = Field(description="cusps, Bogdanov-Takens and fold-flip points")
 
 
-class FlightsView(BaseModel):
-    """Flights that took off and landed within the samples; rad."""
-
-    takeoff: list[float] = Field(description="phase of the plate, with whole periods as in `phase`")
-    takeoff_phase: list[float] = Field(description="of the plate, modulo 2π")
-    flight_time: list[float]
-
-
-class CycleView(BaseModel):
-    """The cycle of the closed form that a trajectory starts on."""
-
-    bounces: int
-    periods: int
-    flight_time: float = Field(description="rad")
-    multipliers: list[Multiplier] = Field(description="both, as real and imaginary part")
-    stable: bool
-    admissible: int = Field(description="0 if the spring has it; else the sum of the conditions that fail")
-
-
-class Trajectory(BaseModel):
-    """Motion of one cell, sampled; lengths in plate amplitudes, null after the trajectory ends early."""
-
-    gamma: float
-    omega: float
-    xi: float
-    model: dict[str, JsonValue]
-    rest_length: float = Field(
-        description="of the spring; 1e4 contact depths if the model does not define it"
-    )
-    phase: list[float] = Field(
-        description="of the plate, rad, from 0, or from the phase of a drop; whole periods are added"
-    )
-    plate: list[float]
-    z1: list[float | None] = Field(description="upper mass")
-    z2: list[float | None] = Field(description="lower mass")
-    force: list[float | None] = Field(description="of the plate on the lower mass, in mAω²")
-    in_flight: list[bool]
-    flights: FlightsView
-    energy: EnergyView | None = Field(
-        description="balance of a cycle of one bounce on a rigid plate without restitution; else null"
-    )
-    complete: bool
-    cycle: CycleView | None = Field(description="with a start on a cycle")
-
-
 class BrokenRule(BaseModel):
     """A field and the rule that it breaks."""
 

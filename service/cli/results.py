@@ -18,13 +18,15 @@ from service.cli.options import (
 )
 from service.formats import (
     EXPORTS,
-    TABLES,
+    DatasetFormat,
     ExportLayout,
     Predict,
 )
 
 if TYPE_CHECKING:
     from service.client import Job
+
+_MOTIONS: Final = get_args(DatasetFormat)
 
 
 @click.command()
@@ -122,7 +124,7 @@ def export(job_id: str, output: str, layout: ExportLayout, url: str, token: str 
               help="Let go at rest, so high (plate amplitudes), at this phase (rad).")  # fmt: skip
 @click.option("--contact", type=(float, float), metavar="ELONGATION VELOCITY",
               help="Start in contact: beyond the static one, velocity × Ω.")  # fmt: skip
-@format_option(*TABLES)
+@format_option(*_MOTIONS)
 @output_option
 @service_options
 def trajectory(
@@ -137,15 +139,13 @@ def trajectory(
     token: str | None,
     **cell: Any,
 ) -> None:
-    """Write the motion of one cell, as csv or json.
+    """Write the motion of one cell.
 
-    One row per sample; lengths are in plate amplitudes. For example:
+    A row of a table is a sample; lengths are in plate amplitudes. For example:
 
       bounce trajectory --gamma 2.3 --omega 0.5 --xi 0.26 -o motion.csv
     """
-    from service.cli.output import trajectory_csv, trajectory_json
-
-    format = output_format(output, TABLES, format)
+    format = output_format(output, _MOTIONS, format)
     if drop and contact:
         raise click.UsageError("give --drop or --contact, not both")
     if drop:
@@ -154,8 +154,7 @@ def trajectory(
         cell["start"] = {"kind": "contact", "elongation": contact[0], "velocity": contact[1]}
     cell["model"] = _without_none({"kind": model, "restitution": restitution, "penetration": penetration})
     with open_client(url, token) as client:
-        motion = client.trajectory(_without_none(cell))
-    write_file(output, trajectory_json(motion) if format == "json" else trajectory_csv(motion))
+        write_file(output, client.trajectory_file(_without_none(cell), format))
 
 
 def _spring(

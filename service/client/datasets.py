@@ -125,22 +125,6 @@ _CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
     "weight": (np.float64, {"long_name": "momentum that gravity takes, 4π periods/Γ", "units": "m A ω"}),
 }
 
-#: The samples of a trajectory, with dim phase.
-_SAMPLES: Final[Mapping[str, Attributes]] = {
-    "plate": {"long_name": "plate", **_LENGTH},
-    "z1": {"long_name": "upper mass", **_LENGTH},
-    "z2": {"long_name": "lower mass", **_LENGTH},
-    "force": {"long_name": "force of the plate on the lower mass", "units": "m A ω²"},
-    "in_flight": {"long_name": "whether the spring is off the plate"},
-}
-
-#: The flights of a trajectory, with dim flight.
-_FLIGHTS: Final[Mapping[str, Attributes]] = {
-    "takeoff": {"long_name": "plate phase at take-off, with whole periods as of the samples", "units": "rad"},
-    "takeoff_phase": {"long_name": "plate phase at take-off", "units": "rad"},
-    "flight_time": {"long_name": "flight time", "units": "rad"},
-}
-
 
 def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
     """Thresholds: dim omega, NaN unless the status is `found`."""
@@ -160,29 +144,6 @@ def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         if answer.get("tolerance") is not None:
             dataset.attrs["tolerance"] = float(answer["tolerance"])
         return dataset
-
-
-def trajectory_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
-    """The motion of one cell: dims phase (samples) and flight (those that start and end within them)."""
-    with _reading("a trajectory"):
-        samples = {
-            name: ("phase", _sample(name, answer[name]), dict(attributes))
-            for name, attributes in _SAMPLES.items()
-        }
-        flights = {
-            name: ("flight", np.array(answer["flights"][name], np.float64), dict(attributes))
-            for name, attributes in _FLIGHTS.items()
-        }
-        phase = np.array(answer["phase"], np.float64)
-        coordinates = {
-            "phase": ("phase", phase, {"long_name": "plate phase, with whole periods added", "units": "rad"}),
-            **{name: ((), float(answer[name])) for name in ("gamma", "omega", "xi")},
-        }
-        balance = {
-            name: _cycle_variable(name, (), value) for name, value in (answer.get("energy") or {}).items()
-        }
-        attributes = {"rest_length": float(answer["rest_length"]), "complete": int(answer["complete"])}
-        return xarray.Dataset({**samples, **flights, **balance}, coordinates, attributes)
 
 
 def thresholds_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
@@ -377,10 +338,6 @@ def _direction(answer: Mapping[str, Any]) -> Variable:
 
 def _attributes(field: str) -> dict[str, Any]:
     return dict(_RESULTS[field][1])
-
-
-def _sample(name: str, values: Sequence[Any]) -> NDArray[Any]:
-    return np.array(values, np.bool_) if name == "in_flight" else _with_nan(values)
 
 
 def _with_nan(values: Sequence[float | None]) -> NDArray[np.float64]:

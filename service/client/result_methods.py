@@ -15,12 +15,14 @@ class ResultMethods:
         "modes": ("json", "bin", "nc", "csv", "parquet"),
         "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
         "multistability": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
+        "trajectory": ("json", "bin", "nc", "csv", "parquet"),
     }
     ROWS: ClassVar[dict[str, str | None]] = {
         "diagram": "flight_time",
         "modes": "outcome",
         "basins": "attractor_fraction",
         "multistability": "fraction",
+        "trajectory": "plate",
     }
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
@@ -227,6 +229,72 @@ class ResultMethods:
             Names what fits.
         """
         return self.result("multistability", xi=xi, omega=omega)
+
+    def trajectory(
+        self,
+        gamma: float | None = None,
+        omega: float | None = None,
+        xi: float | None = None,
+        direction: Annotated[str | None, "rest, up or down; default: the first direction of the sweep"] = None,
+        attractor: Annotated[int | None, "of a job of basins or multistability: which attractor of the cell, from 1"] = None,
+        periods: Annotated[int, "plate periods"] = 4,
+        samples: Annotated[int, "per plate period"] = 200,
+    ) -> "xarray.Dataset":
+        """The motion of one cell: as it settles from rest, where the ramp left it, or on one of its attractors.
+
+        Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring. Flights are those that
+        start and end within the samples. Refused for a cell of a ramp that is not computed yet, or that is
+        unresolved or diverged: its stored state is where the computation stopped.
+
+        Parameters
+        ----------
+        gamma : float | None
+        omega : float | None
+        xi : float | None
+        direction : str | None
+            rest, up or down; default: the first direction of the sweep
+        attractor : int | None
+            of a job of basins or multistability: which attractor of the cell, from 1
+        periods : int
+            plate periods
+        samples : int
+            per plate period
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `plate` (plate amplitudes): plate
+            - `z1` (plate amplitudes): upper mass
+            - `z2` (plate amplitudes): lower mass
+            - `force` (m A ω²): force of the plate on the lower mass
+            - `in_flight`: whether the spring is off the plate
+            - `takeoff` (rad): phase of the plate at take-off, as `phase`
+            - `takeoff_phase` (rad): plate phase at take-off, modulo 2 pi
+            - `flight_time` (rad): flight time
+            - `cycle_bounces`: bounces of the cycle
+            - `cycle_periods`: plate periods of the cycle
+            - `cycle_flight_time` (rad): flight time of the cycle
+            - `cycle_multipliers`: Floquet multipliers, real and imaginary
+            - `cycle_stable`: whether both multipliers are inside the unit circle
+            - `cycle_admissible`: 0, or the sum of the conditions that fail
+            - `energy_plate_contact` (m A² ω²): work of the plate in contact
+            - `energy_plate_impact` (m A² ω²): work of the plate at the impact
+            - `energy_dashpot` (m A² ω²): energy that the dashpot takes
+            - `energy_impact` (m A² ω²): energy that the impact takes
+            - `energy_force` (m A ω): momentum that the contact force gives
+            - `energy_impulse` (m A ω): momentum that the impact gives
+            - `energy_weight` (m A ω): momentum that gravity takes
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("trajectory", gamma=gamma, omega=omega, xi=xi, direction=direction, attractor=attractor, periods=periods, samples=samples)
 
 
 class SpringMethods:

@@ -105,31 +105,6 @@ class Results(ResultMethods, JobStatus):
         )
         return words_dataset(json_object(answer), self.id)
 
-    def trajectory(
-        self,
-        gamma: float | None = None,
-        omega: float | None = None,
-        xi: float | None = None,
-        *,
-        direction: str | None = None,
-        periods: int = 4,
-        samples: int = 200,
-    ) -> "xarray.Dataset":
-        """The motion of one cell as the sweep has it: settled from rest, or from where its ramp left it.
-
-        `gamma`, `omega`, `xi` take the nearest grid value; one that has only one value may be left out.
-        `direction` is up or down for a sweep ramped both ways (default: up). `periods` plate periods of
-        `samples` each. Returns a Dataset as `Client.trajectory`. Raises BadRequest, Conflict while the cell
-        is not computed, TooLarge, Busy.
-        """
-        from service.client.datasets import trajectory_dataset
-
-        query = {
-            "gamma": gamma, "omega": omega, "xi": xi, "direction": direction,
-            "periods": periods, "samples": samples,
-        }  # fmt: skip
-        return trajectory_dataset(json_object(self._transport.get(self._path("trajectory"), query)))
-
     def export(self, path: str | PathLike[str], *, layout: ExportLayout = "cells") -> Path:
         """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.
 

@@ -6,15 +6,10 @@ Arguments and results can be pickled. The functions raise what those of `service
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from service.render import binary, text
+from service.render import binary
 from service.results import line as lines
 from service.results import mode_map
-from service.results import trajectory as trajectories
 from service.results.selection import Sweep
-from service.results.trajectory import TrajectorySpec
 
 
 class Answer(NamedTuple):
@@ -96,11 +91,6 @@ def packed_plane(
     }
     arrays = {"omega": plane.omega, "gamma": plane.gamma, **plane.arrays}
     return Answer(binary.packed(attributes, arrays), plane.complete, dense=True)
-
-
-def trajectory(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> bytes:
-    """One cell in motion as JSON, from rest, on a cycle, or on from a state."""
-    return text.trajectory_json(trajectories.compute(spec, state))
 
 
 def warm() -> None:
