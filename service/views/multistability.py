@@ -383,7 +383,7 @@ def _draw_line(found: xarray.Dataset, figure: "Figure") -> None:
     ids, times = found.id.values[0], found.flight_time.values[0].copy()
     times[~np.isfinite(times).any(axis=-1), 0] = 0.0
     gamma = np.broadcast_to(found.gamma.values[:, np.newaxis, np.newaxis], times.shape)
-    for number in found.attractor.values[::-1].tolist():
+    for number in np.unique(ids[ids > 0])[::-1].tolist():
         shown = (ids == number)[..., np.newaxis] & np.isfinite(times)
         colour = colours[min(number, len(colours) - 1)]
         axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=2.5, markeredgewidth=0.0)
