@@ -51,10 +51,11 @@ def plane(number: int = 12) -> xarray.Dataset:
 
 
 def line() -> xarray.Dataset:
-    """The first frequency alone, with two flights of its attractors; those of the second cell are at rest."""
+    """The first frequency alone, with two flights of its attractors, very short ones of the second."""
     times = np.full((1, 3, 5, 2), NAN)
     times[0, :, :3] = np.arange(1.0, 19.0).reshape(3, 3, 2)
-    times[0, 1] = times[0, 0, 0, 1] = NAN
+    times[0, :, 1] = 1e-9
+    times[0, 0, 0, 1] = NAN
     return plane().isel(omega=[0]).assign(flight_time=(("omega", "gamma", "place", "flight"), times))
 
 
