@@ -347,7 +347,7 @@ def test_nothing_is_computed_for_clients_that_left_before_their_turn(tmp_path: P
         b"Content-Length: %d\r\n\r\n%s" % (len(body), body)
     )
     with pytest.MonkeyPatch.context() as patch, listening(app, limited(DEADLINE, 99)) as address:
-        patch.setattr("service.results.trajectory.compute", hold)
+        patch.setattr("service.views.trajectory.motion", hold)
         capacity = app.state.service.capacity
         with contextlib.ExitStack() as connections:
             for _ in range(20):

@@ -1,6 +1,5 @@
 """What the commands print and write: tables, CSV and JSON of results that are made up here."""
 
-import json
 from typing import Any, cast
 
 import numpy as np
