@@ -10,7 +10,6 @@ from service.cli import orbits
 from service.cli.output import (
     estimate_line,
     job_report,
-    modes_csv,
     threshold_table,
 )
 from service.client import Job
@@ -118,32 +117,6 @@ def test_thresholds_stand_in_columns_with_what_explains_them_below():
     found = thresholds(complete=0)
     last = threshold_table(found, found, SWEEP).splitlines()[-1]
     assert last == "the job is not done: thresholds may be missing"
-
-
-# Cells and samples
-
-
-def mode_map(**more: Any) -> xarray.Dataset:
-    planes = {"outcome": [[1, 3]], "bounces": [[2, 0]], "periods": [[4, 0]], **more}
-    found = xarray.Dataset(
-        {name: (("omega", "gamma"), plane) for name, plane in planes.items()},
-        {"omega": [0.5], "gamma": [1.0, 1.5], "xi": 0.26, "direction": "up"},
-        {"complete": 0, "min_flight": 0.05},
-    )
-    found.outcome.attrs["flag_meanings"] = "missing periodic aperiodic at_rest"
-    if "hysteresis" in found:
-        found.hysteresis.attrs["flag_meanings"] = "none mode flights"
-    return found
-
-
-def test_a_mode_map_is_a_row_for_each_cell():
-    assert modes_csv(mode_map()) == (
-        b"omega,gamma,outcome,bounces,periods\n0.5,1.0,periodic,2,4\n0.5,1.5,at_rest,0,0\n"
-    )
-    assert modes_csv(mode_map(hysteresis=[[0, 2]])) == (
-        b"omega,gamma,outcome,bounces,periods,hysteresis\n"
-        b"0.5,1.0,periodic,2,4,none\n0.5,1.5,at_rest,0,0,flights\n"
-    )
 
 
 # Cycles in closed form
