@@ -314,9 +314,9 @@ _Spec = SweepSpec | BasinSpec | MultistabilitySpec
 
 
 def compute(study: Stored[_Spec], query: TrajectoryQuery) -> xarray.Dataset:
-    """The motion of one cell: as it settles from rest, where the ramp left it, or on one of its attractors.
+    """The motion of one cell of a job.
 
-    Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring. Flights are those that
+    As it settles from rest, where the ramp left it, or on one of its attractors. Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring. Flights are those that
     start and end within the samples. Refused for a cell of a ramp that is not computed yet, or that is
     unresolved or diverged: its stored state is where the computation stopped.
     """
