@@ -189,9 +189,10 @@ class ResultMethods:
     ) -> "xarray.Dataset":
         """The attractors of every cell at one ξ.
 
-        They are matched from cell to cell, with births, deaths and changes of mode as events. One attractor has one `id` in all cells; ids are numbered from 1 by the number of cells. With `omega` only
-        the line along Γ nearest to it, with the flights of every attractor. The attribute `several` is the share
-        of cells with two attractors or more, `several_by_drops` the same without attractors that no drop reaches.
+        They are matched from cell to cell, with births, deaths and changes of mode as events. One attractor has
+        one `id` in all cells; ids are numbered from 1 by the number of cells. With `omega` only the line along Γ
+        nearest to it, with the flights of every attractor. The attribute `several` is the share of cells with two
+        attractors or more, `several_by_drops` the same without attractors that no drop reaches.
 
         Parameters
         ----------
@@ -242,9 +243,10 @@ class ResultMethods:
     ) -> "xarray.Dataset":
         """The motion of one cell of a job.
 
-        As it settles from rest, where the ramp left it, or on one of its attractors. Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring. Flights are those that
-        start and end within the samples. Refused for a cell of a ramp that is not computed yet, or that is
-        unresolved or diverged: its stored state is where the computation stopped.
+        As it settles from rest, where the ramp left it, or on one of its attractors. Lengths are in plate
+        amplitudes; the attribute `rest_length` is that of the spring. Flights are those that start and end within
+        the samples. Refused for a cell of a ramp that is not computed yet, or that is unresolved or diverged: its
+        stored state is where the computation stopped.
 
         Parameters
         ----------

@@ -316,9 +316,10 @@ _Spec = SweepSpec | BasinSpec | MultistabilitySpec
 def compute(study: Stored[_Spec], query: TrajectoryQuery) -> xarray.Dataset:
     """The motion of one cell of a job.
 
-    As it settles from rest, where the ramp left it, or on one of its attractors. Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring. Flights are those that
-    start and end within the samples. Refused for a cell of a ramp that is not computed yet, or that is
-    unresolved or diverged: its stored state is where the computation stopped.
+    As it settles from rest, where the ramp left it, or on one of its attractors. Lengths are in plate
+    amplitudes; the attribute `rest_length` is that of the spring. Flights are those that start and end within
+    the samples. Refused for a cell of a ramp that is not computed yet, or that is unresolved or diverged: its
+    stored state is where the computation stopped.
     """
     check_kernel(study.kernel_version)
     cell = _cell(study.spec, query)
