@@ -100,7 +100,8 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     of_places: dict[str, NDArray[Any]] = {"id": shown, "label": labels[rows]}
     of_places |= {name: np.where(there, arrays[name][rows], np.nan) for name in _OF_PLACES[:2]}
     if query.omega is not None:
-        of_places |= _read(study, _OF_PLACES[2:], xi.index, rows)
+        times = _read(study, ("flight_time",), xi.index, rows)["flight_time"]
+        of_places["flight_time"] = np.where(there[..., np.newaxis], times, np.nan)
     places = max(1, int(np.count_nonzero(there, axis=-1).max()))
     data = {name: variable(_PLANE, values[:, :, :places], _ROWS[name]) for name, values in of_places.items()}
     numbers = np.unique(shown[there])
