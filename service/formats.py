@@ -9,8 +9,6 @@ from typing import Final, Literal, get_args
 TableFormat = Literal["json", "csv"]
 PictureFormat = Literal["png", "svg", "pdf"]
 
-#: A bifurcation diagram is sent as a table or as a picture.
-DiagramFormat = Literal[TableFormat, PictureFormat]
 #: A result as a Dataset, and its table.
 DatasetFormat = Literal["json", "bin", "nc", "csv", "parquet"]
 #: A whole sweep in one file.

@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import Depends, Request
 
@@ -28,7 +28,6 @@ from service.jobs.on_demand import OnDemandCache
 from service.render.answers import Line
 from service.results.selection import BASE_MEMORY, Stored, Sweep
 from service.settings import Settings
-from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.spec import SweepSpec
 from worker.spec.specification import Specification
 
@@ -97,13 +96,9 @@ def sweep(service: Service, job: JobRecord) -> Sweep:
     """What a job computes and where its results are. Raises InvalidRequest for other kinds of study."""
     found = stored(service, job)
     if not isinstance(found, Sweep):
-        kind = _kind(found)
+        kind = found.spec.protocol.kind
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
     return found
-
-
-def _kind(found: Stored[Any]) -> str:
-    return str(found.spec.protocol.kind)
 
 
 def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> Cost:
@@ -117,19 +112,6 @@ def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> 
     chunks = prod(-(-length // size) for length, size in sizes)
     few = chunks <= FEW_CHUNKS and chunks * layout.chunk_bytes <= SMALL_CHUNKS
     return Cost(BASE_MEMORY + memory, few and memory <= SMALL_ANSWER)
-
-
-def attractors(service: Service, job: JobRecord) -> Stored[Any]:
-    """A job that stores attractors of its cells. Raises InvalidRequest for other kinds of study."""
-    found = stored(service, job)
-    if not isinstance(found.spec, BasinSpec | MultistabilitySpec):
-        raise _other_study("basin or multistability", _kind(found))
-    return found
-
-
-def _other_study(expected: str, kind: str) -> InvalidRequest:
-    rule = f"must be a job with the protocol {expected}; that of this job is {kind}"
-    return InvalidRequest.of("job_id", rule)
 
 
 def line(query: LineQuery) -> Line:
