@@ -29,7 +29,6 @@ from service.render.answers import Line
 from service.results.selection import BASE_MEMORY, Stored, Sweep
 from service.settings import Settings
 from worker.spec import SweepSpec
-from worker.spec.specification import Specification
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ def find_job(job_id: str, service: ServiceDep) -> JobRecord:
 JobDep = Annotated[JobRecord, Depends(find_job)]
 
 
-def stored(service: Service, job: JobRecord) -> Stored[Specification]:
+def stored(service: Service, job: JobRecord) -> Stored[Any]:
     """What a job of any kind computes and where its results are."""
     prepared = service.manager.preparer.prepare(job)
     kind = Sweep if isinstance(prepared.spec, SweepSpec) else Stored

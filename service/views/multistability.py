@@ -98,9 +98,8 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     labels, shown, there = _labels(arrays, ids), ids[rows], ids[rows] > 0
     count = np.where(arrays["outcome"] == Outcome.MISSING, -1, arrays["attractor_count"])[rows]
     of_places: dict[str, NDArray[Any]] = {"id": shown, "label": labels[rows]}
-    of_places |= {
-        name: np.where(there, arrays[name][rows], np.nan) for name in ("fraction", "longest_flight")
-    }
+    for name in ("fraction", "longest_flight"):
+        of_places[name] = np.where(there, arrays[name][rows], np.nan)
     if query.omega is not None:
         times = _read(study, ("flight_time",), xi.index, rows)["flight_time"]
         of_places["flight_time"] = np.where(there[..., np.newaxis], times, np.nan)
