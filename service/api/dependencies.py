@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Request
 

@@ -91,7 +91,3 @@ def packed_plane(
     }
     arrays = {"omega": plane.omega, "gamma": plane.gamma, **plane.arrays}
     return Answer(binary.packed(attributes, arrays), plane.complete, dense=True)
-
-
-def warm() -> None:
-    """Import what the others need: this module did."""

@@ -86,3 +86,7 @@ def _encoded(view: View, study: Stored[Any] | None, found: Dataset, format: str)
         return encode.picture(found, view.draw, view.size, format, origin)
     rows = view.finer_rows if view.finer_rows in found else view.rows
     return encode.ENCODERS[format](found, rows)
+
+
+def warm() -> None:
+    """Import what most answers need: this module did."""
