@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from benchmarks.measuring import describe, options, short, table
 from kernel.params import Line, Outcome
-from service.results.multistability import Multistability, plane
+from service.results.selection import Stored
+from service.views.multistability import MultistabilityQuery, compute
 from worker import store
 from worker.basins.attractors import Found, counted, find
 from worker.basins.multistability import MULTISTABILITY
@@ -217,8 +218,10 @@ def planes(side: int) -> None:
             for chunk in plan:
                 compute_lines(spec, chunk, url)
             core = time.process_time() - core
-            found = plane(Multistability(spec, url), None)
-        shares = [f"{100.0 * share:.1f}" for share in (found.several_by_drops, found.several)]
+            found = compute(Stored(spec, url), MultistabilityQuery())
+        shares = [
+            f"{100.0 * share:.1f}" for share in (found.attrs["several_by_drops"], found.attrs["several"])
+        ]
         rows.append([f"{xi:g}", *shares, short(core)])
         print(*rows[-1], sep=" | ", flush=True)
     print(table(["ξ", "several by drops, %", "several, %", "core-s"], rows))

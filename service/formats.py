@@ -9,10 +9,8 @@ from typing import Final, Literal, get_args
 TableFormat = Literal["json", "csv"]
 PictureFormat = Literal["png", "svg", "pdf"]
 
-#: A bifurcation diagram is sent as a table or as a picture.
-DiagramFormat = Literal[TableFormat, PictureFormat]
-#: Attractors over a grid.
-MultistabilityFormat = Literal[TableFormat, PictureFormat]
+#: A result as a Dataset, and its table.
+DatasetFormat = Literal["json", "bin", "nc", "csv", "parquet"]
 #: A whole sweep in one file.
 ExportFormat = Literal["nc", "parquet"]
 #: What a row of an exported table is: a cell, or an attractor of one; or each of their flights.

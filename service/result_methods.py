@@ -14,11 +14,15 @@ class ResultMethods:
         "diagram": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
         "modes": ("json", "bin", "nc", "csv", "parquet"),
         "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
+        "multistability": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
+        "trajectory": ("json", "bin", "nc", "csv", "parquet"),
     }
     ROWS: ClassVar[dict[str, str | None]] = {
         "diagram": "flight_time",
         "modes": "outcome",
         "basins": "attractor_fraction",
+        "multistability": "fraction",
+        "trajectory": "plate",
     }
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
@@ -31,12 +35,8 @@ class ResultMethods:
         gamma: float | None = None,
         omega: float | None = None,
         xi: float | None = None,
-        direction: Annotated[
-            str | None, "rest, up or down; default: all that the sweep has, a dimension if two"
-        ] = None,
-        min_flight: Annotated[
-            float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"
-        ] = None,
+        direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
+        min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
         caption: Annotated[bool, "of a picture: how it was computed, above it"] = True,
     ) -> "xarray.Dataset":
@@ -85,27 +85,13 @@ class ResultMethods:
         TooLarge
             Names what fits.
         """
-        return self.result(
-            "diagram",
-            along=along,
-            gamma=gamma,
-            omega=omega,
-            xi=xi,
-            direction=direction,
-            min_flight=min_flight,
-            every=every,
-            caption=caption,
-        )
+        return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, caption=caption)
 
     def modes(
         self,
         xi: float | None = None,
-        direction: Annotated[
-            str | None, "rest, up or down; default: all that the sweep has, a dimension if two"
-        ] = None,
-        min_flight: Annotated[
-            float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"
-        ] = None,
+        direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
+        min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
         hysteresis: Annotated[bool, "of a sweep ramped both ways: where they differ"] = False,
     ) -> "xarray.Dataset":
@@ -146,9 +132,7 @@ class ResultMethods:
         TooLarge
             Names what fits.
         """
-        return self.result(
-            "modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis
-        )
+        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis)
 
     def basins(
         self,
@@ -198,13 +182,131 @@ class ResultMethods:
         """
         return self.result("basins", gamma=gamma, omega=omega, xi=xi)
 
+    def multistability(
+        self,
+        xi: float | None = None,
+        omega: Annotated[float | None, "the nearest line along gamma alone"] = None,
+    ) -> "xarray.Dataset":
+        """The attractors of every cell at one ξ.
+
+        They are matched from cell to cell, with births, deaths and changes of mode as events. One attractor has
+        one `id` in all cells; ids are numbered from 1 by the number of cells. With `omega` only the line along Γ
+        nearest to it, with the flights of every attractor. The attribute `several` is the share of cells with two
+        attractors or more, `several_by_drops` the same without attractors that no drop reaches.
+
+        Parameters
+        ----------
+        xi : float | None
+        omega : float | None
+            the nearest line along gamma alone
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `count`: attractors of the cell
+            - `id`: attractor of the plane
+            - `label`: what the attractor does
+            - `fraction`: share of the starts that reach the attractor
+            - `longest_flight` (rad): longest flight
+            - `flight_time` (rad): last flights of a window in order
+            - `attractor_label`: what the attractor does in most cells
+            - `cells`: cells of the attractor
+            - `event_kind`: birth, death or mode, with gamma growing
+            - `event_attractor`: attractor of the event
+            - `event_omega`: omega of the event
+            - `event_gamma_below`: gamma of the cell below the event
+            - `event_gamma_above`: gamma of the cell above the event
+            - `event_below`: label of the attractor below
+            - `event_above`: label of the attractor above
+            - `event_leads_to`: attractor that takes the place of one born or dying
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("multistability", xi=xi, omega=omega)
+
+    def trajectory(
+        self,
+        gamma: float | None = None,
+        omega: float | None = None,
+        xi: float | None = None,
+        direction: Annotated[str | None, "rest, up or down; default: the first direction of the sweep"] = None,
+        attractor: Annotated[int | None, "of a job of basins or multistability: which attractor of the cell, from 1"] = None,
+        periods: Annotated[int, "plate periods"] = 4,
+        samples: Annotated[int, "per plate period"] = 200,
+    ) -> "xarray.Dataset":
+        """The motion of one cell of a job.
+
+        As it settles from rest, where the ramp left it, or on one of its attractors. Lengths are in plate
+        amplitudes; the attribute `rest_length` is that of the spring. Flights are those that start and end within
+        the samples. Refused for a cell of a ramp that is not computed yet, or that is unresolved or diverged: its
+        stored state is where the computation stopped.
+
+        Parameters
+        ----------
+        gamma : float | None
+        omega : float | None
+        xi : float | None
+        direction : str | None
+            rest, up or down; default: the first direction of the sweep
+        attractor : int | None
+            of a job of basins or multistability: which attractor of the cell, from 1
+        periods : int
+            plate periods
+        samples : int
+            per plate period
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `plate` (plate amplitudes): plate
+            - `z1` (plate amplitudes): upper mass
+            - `z2` (plate amplitudes): lower mass
+            - `force` (m A ω²): force of the plate on the lower mass
+            - `in_flight`: whether the spring is off the plate
+            - `takeoff` (rad): phase of the plate at take-off, as `phase`
+            - `takeoff_phase` (rad): plate phase at take-off, modulo 2 pi
+            - `flight_time` (rad): flight time
+            - `cycle_bounces`: bounces of the cycle
+            - `cycle_periods`: plate periods of the cycle
+            - `cycle_flight_time` (rad): flight time of the cycle
+            - `cycle_multipliers`: Floquet multipliers, real and imaginary
+            - `cycle_stable`: whether both multipliers are inside the unit circle
+            - `cycle_admissible`: 0, or the sum of the conditions that fail
+            - `energy_plate_contact` (m A² ω²): work of the plate in contact
+            - `energy_plate_impact` (m A² ω²): work of the plate at the impact
+            - `energy_dashpot` (m A² ω²): energy that the dashpot takes
+            - `energy_impact` (m A² ω²): energy that the impact takes
+            - `energy_force` (m A ω): momentum that the contact force gives
+            - `energy_impulse` (m A ω): momentum that the impact gives
+            - `energy_weight` (m A ω): momentum that gravity takes
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("trajectory", gamma=gamma, omega=omega, xi=xi, direction=direction, attractor=attractor, periods=periods, samples=samples)
+
 
 class SpringMethods:
     """A method for each result of a spring."""
 
     #: The formats of each result, and the variable whose numbers are the rows of a table.
-    FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {}
-    ROWS: ClassVar[dict[str, str | None]] = {}
+    FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {
+    }
+    ROWS: ClassVar[dict[str, str | None]] = {
+    }
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""

@@ -1,11 +1,10 @@
 """FastAPI dependencies: the parts of the running service, the job named by a path, and JSON bodies."""
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
@@ -27,12 +26,9 @@ from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
 from service.render.answers import Line
-from service.results.multistability import Multistability
 from service.results.selection import BASE_MEMORY, Stored, Sweep
 from service.settings import Settings
-from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.spec import SweepSpec
-from worker.spec.specification import Specification
 
 
 @dataclass(frozen=True)
@@ -85,40 +81,23 @@ def find_job(job_id: str, service: ServiceDep) -> JobRecord:
 JobDep = Annotated[JobRecord, Depends(find_job)]
 
 
-def stored(service: Service, job: JobRecord) -> Stored[Specification]:
+def stored(service: Service, job: JobRecord) -> Stored[Any]:
     """What a job of any kind computes and where its results are."""
     prepared = service.manager.preparer.prepare(job)
-    kind = next((kind for spec, kind in _STORED.items() if isinstance(prepared.spec, spec)), Stored)
+    kind = Sweep if isinstance(prepared.spec, SweepSpec) else Stored
     done = job.state is JobState.DONE
     return kind(
         prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, prepared.forms
     )
 
 
-_STORED: Final[Mapping[type, type[Stored[Any]]]] = {
-    SweepSpec: Sweep, MultistabilitySpec: Multistability,
-}  # fmt: skip
-
-
 def sweep(service: Service, job: JobRecord) -> Sweep:
     """What a job computes and where its results are. Raises InvalidRequest for other kinds of study."""
     found = stored(service, job)
     if not isinstance(found, Sweep):
-        kind = _kind(found)
+        kind = found.spec.protocol.kind
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
     return found
-
-
-def multistability(service: Service, job: JobRecord) -> Multistability:
-    """The attractors over a job's grid and where they are. Raises InvalidRequest for other kinds of study."""
-    found = stored(service, job)
-    if not isinstance(found, Multistability):
-        raise _other_study("multistability", _kind(found))
-    return found
-
-
-def _kind(found: Stored[Any]) -> str:
-    return str(found.spec.protocol.kind)
 
 
 def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> Cost:
@@ -132,19 +111,6 @@ def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> 
     chunks = prod(-(-length // size) for length, size in sizes)
     few = chunks <= FEW_CHUNKS and chunks * layout.chunk_bytes <= SMALL_CHUNKS
     return Cost(BASE_MEMORY + memory, few and memory <= SMALL_ANSWER)
-
-
-def attractors(service: Service, job: JobRecord) -> Stored[Any]:
-    """A job that stores attractors of its cells. Raises InvalidRequest for other kinds of study."""
-    found = stored(service, job)
-    if not isinstance(found.spec, BasinSpec | MultistabilitySpec):
-        raise _other_study("basin or multistability", _kind(found))
-    return found
-
-
-def _other_study(expected: str, kind: str) -> InvalidRequest:
-    rule = f"must be a job with the protocol {expected}; that of this job is {kind}"
-    return InvalidRequest.of("job_id", rule)
 
 
 def line(query: LineQuery) -> Line:

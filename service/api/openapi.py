@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from service.api.middleware.access_control import OPEN_PATHS
 from service.api.schemas import ProblemDocument, problem_responses
-from service.results.trajectory import TrajectorySpec
+from service.views.trajectory import TrajectorySpec
 from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.orbits import OrbitsSpec
 from worker.spec import SweepSpec

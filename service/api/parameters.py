@@ -9,14 +9,13 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from kernel.branches.curves import CURVES
 from service.errors import InvalidRequest
 from service.formats import (
+    DatasetFormat,
     ExportFormat,
     ExportLayout,
-    MultistabilityFormat,
     Predict,
 )
 from service.jobs.model import JobState
 from service.jobs.search import MAX_TEXT, InvalidCursor, JobOrder, JobSearch, Position
-from service.results.trajectory import MAX_SAMPLES
 from worker.orbits import MAX_POINTS
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.studies import STUDIES
@@ -118,6 +117,12 @@ class SubmitQuery(Query):
     validate_only: bool = False
 
 
+class MotionQuery(Query):
+    """The format of a motion."""
+
+    format: DatasetFormat = "json"
+
+
 class LineQuery(Query):
     """One line of the grid along one axis; the other axes are fixed at the nearest grid value."""
 
@@ -207,14 +212,6 @@ class JobOrbitsQuery(Query):
     energy: bool = Field(False, description="the energy balance of every point as well")
 
 
-class MultistabilityQuery(Query):
-    """The plane of a job with the protocol multistability, or a line of it along gamma, and the format."""
-
-    xi: Number | None = None
-    omega: Number | None = None
-    format: MultistabilityFormat = "json"
-
-
 class ExportQuery(Query):
     """Format of the file, and what its rows are."""
 
@@ -246,17 +243,3 @@ class PlaneViewQuery(PlaneQuery):
     right: Number | None = None
     bottom: Number | None = None
     top: Number | None = None
-
-
-class CellQuery(Query):
-    """The cell of the job nearest to the given values, and how to sample its motion."""
-
-    gamma: Number | None = None
-    omega: Number | None = None
-    xi: Number | None = None
-    direction: Direction = None
-    attractor: Annotated[int, Field(ge=1)] | None = Field(
-        None, description="of a job of basins or multistability: which attractor of the cell, from 1"
-    )
-    periods: Annotated[int, Field(ge=1, le=1000)] = 4
-    samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES)] = 200

@@ -271,100 +271,6 @@ class CurvesView(BaseModel):
     points: list[EventView] = Field(description="cusps, Bogdanov-Takens and fold-flip points")
 
 
-class FlightsView(BaseModel):
-    """Flights that took off and landed within the samples; rad."""
-
-    takeoff: list[float] = Field(description="phase of the plate, with whole periods as in `phase`")
-    takeoff_phase: list[float] = Field(description="of the plate, modulo 2π")
-    flight_time: list[float]
-
-
-class CycleView(BaseModel):
-    """The cycle of the closed form that a trajectory starts on."""
-
-    bounces: int
-    periods: int
-    flight_time: float = Field(description="rad")
-    multipliers: list[Multiplier] = Field(description="both, as real and imaginary part")
-    stable: bool
-    admissible: int = Field(description="0 if the spring has it; else the sum of the conditions that fail")
-
-
-class Trajectory(BaseModel):
-    """Motion of one cell, sampled; lengths in plate amplitudes, null after the trajectory ends early."""
-
-    gamma: float
-    omega: float
-    xi: float
-    model: dict[str, JsonValue]
-    rest_length: float = Field(
-        description="of the spring; 1e4 contact depths if the model does not define it"
-    )
-    phase: list[float] = Field(
-        description="of the plate, rad, from 0, or from the phase of a drop; whole periods are added"
-    )
-    plate: list[float]
-    z1: list[float | None] = Field(description="upper mass")
-    z2: list[float | None] = Field(description="lower mass")
-    force: list[float | None] = Field(description="of the plate on the lower mass, in mAω²")
-    in_flight: list[bool]
-    flights: FlightsView
-    energy: EnergyView | None = Field(
-        description="balance of a cycle of one bounce on a rigid plate without restitution; else null"
-    )
-    complete: bool
-    cycle: CycleView | None = Field(description="with a start on a cycle")
-
-
-class PlaceView(BaseModel):
-    """An attractor of one cell."""
-
-    id: int = Field(description="of the attractor in the whole plane")
-    label: str = Field(description="rest, a mode as (3,4), or aperiodic")
-    fraction: float = Field(description="share of the drops that reach it; 0 if found by following another")
-    longest_flight: float = Field(description="rad; 0 at rest")
-    flight_time: list[float] | None = Field(None, description="rad, with omega: flights of a window")
-
-
-class PlaneAttractorView(BaseModel):
-    """An attractor of a plane of cells."""
-
-    id: int = Field(description="from 1, by the number of cells")
-    label: str = Field(description="its commonest")
-    cells: int
-    gamma: tuple[float, float] = Field(description="smallest and largest")
-    omega: tuple[float, float]
-    longest_flight: tuple[float, float] = Field(description="rad")
-
-
-class AttractorEventView(BaseModel):
-    """What happens to an attractor between two neighbouring cells, with gamma growing."""
-
-    kind: Literal["birth", "death", "mode"]
-    attractor: int
-    omega: float
-    gamma_below: float
-    gamma_above: float
-    below: str | None = Field(description="its label there; null where it is none")
-    above: str | None
-    leads_to: int | None = Field(description="of a birth or death: the attractor that takes its place")
-
-
-class MultistabilityView(BaseModel):
-    """The attractors over (omega, gamma) at one xi."""
-
-    xi: float
-    omega: list[float]
-    gamma: list[float]
-    count: list[list[int | None]] = Field(description="attractors of each cell; null: not computed")
-    cells: list[list[list[PlaceView]]] = Field(description="the stored attractors of each cell")
-    attractors: list[PlaneAttractorView]
-    events: list[AttractorEventView]
-    several: float | None = Field(description="share of the cells with two attractors or more")
-    several_by_drops: float | None = Field(description="the same of attractors that drops reach")
-    complete: bool
-
-
 class BrokenRule(BaseModel):
     """A field and the rule that it breaks."""
 
@@ -467,7 +373,6 @@ _PARTS: Final = (
     "events",
     "threshold",
     "orbits",
-    "multistability",
     "export",
     "zarr",
 )

@@ -132,9 +132,9 @@ def _handed_over(address: str) -> str:
 
 
 for command in (
-    *jobs.COMMANDS,
-    *results.COMMANDS,
     *views.COMMANDS,
+    *jobs.COMMANDS,
+    *results.COMMANDS,  # after those of its views: one of a spring or a cell replaces that of a job
     *orbits.COMMANDS,
     *data.COMMANDS,
     figure,

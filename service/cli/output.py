@@ -1,10 +1,8 @@
 """Text, CSV and JSON that the commands print and write."""
 
-import csv
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from io import StringIO
-from math import ceil, isfinite, isnan, log10
+from collections.abc import Mapping, Sequence
+from math import ceil, isfinite, log10
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from service.client.display import about, rounded, settling_note, size, time_left
@@ -226,41 +224,3 @@ def _differences(thresholds: "xarray.Dataset") -> list[str]:
         f"PREDICTED: the lowest that bounces by the closed form, {thresholds.attrs['prediction']}",
         *differing,
     ]
-
-
-# Tables of cells and samples
-
-
-_MODE: Final = ("outcome", "bounces", "periods", "label", "hysteresis")
-#: Those whose numbers stand for names.
-_NAMED: Final = ("outcome", "label", "hysteresis")
-
-
-_SAMPLES: Final = ("phase", "plate", "z1", "z2", "force", "in_flight")
-
-
-def trajectory_csv(motion: "xarray.Dataset") -> bytes:
-    """One row per sample."""
-    columns = [motion[name].values.astype(float).tolist() for name in _SAMPLES]
-    return _csv(_SAMPLES, zip(*columns, strict=True))
-
-
-def trajectory_json(motion: "xarray.Dataset") -> bytes:
-    """A list per variable, null for NaN, and the flights."""
-    flights = {name: motion[name].values.tolist() for name in ("takeoff", "takeoff_phase", "flight_time")}
-    samples = {name: _with_null(motion[name].values.tolist()) for name in _SAMPLES}
-    scalars = {"rest_length": motion.attrs["rest_length"], "complete": bool(motion.attrs["complete"])}
-    return json.dumps({**scalars, **samples, "flights": flights}).encode()
-
-
-def _with_null(values: Sequence[float]) -> list[float | None]:
-    """The values, None in the place of NaN, which JSON lacks."""
-    return [None if isnan(value) else value for value in values]
-
-
-def _csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
-    text = StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(names)
-    table.writerows(rows)
-    return text.getvalue().encode()

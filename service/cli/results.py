@@ -1,7 +1,7 @@
-"""The commands on results: diagram, threshold, modes, multistability, export, trajectory."""
+"""The commands on results that the service's views do not make: threshold, export, trajectory."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast, get_args
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 import click
 
@@ -18,20 +18,15 @@ from service.cli.options import (
 )
 from service.formats import (
     EXPORTS,
-    PICTURES,
-    TABLES,
+    DatasetFormat,
     ExportLayout,
-    MultistabilityFormat,
     Predict,
 )
 
 if TYPE_CHECKING:
-    import xarray
-
     from service.client import Job
 
-_DIAGRAMS: Final = (*PICTURES, *TABLES)
-_MULTISTABILITY: Final[tuple[str, ...]] = get_args(MultistabilityFormat)
+_MOTIONS: Final = get_args(DatasetFormat)
 
 
 @click.command()
@@ -129,7 +124,7 @@ def export(job_id: str, output: str, layout: ExportLayout, url: str, token: str 
               help="Let go at rest, so high (plate amplitudes), at this phase (rad).")  # fmt: skip
 @click.option("--contact", type=(float, float), metavar="ELONGATION VELOCITY",
               help="Start in contact: beyond the static one, velocity × Ω.")  # fmt: skip
-@format_option(*TABLES)
+@format_option(*_MOTIONS)
 @output_option
 @service_options
 def trajectory(
@@ -144,15 +139,13 @@ def trajectory(
     token: str | None,
     **cell: Any,
 ) -> None:
-    """Write the motion of one cell, as csv or json.
+    """Write the motion of one cell.
 
-    One row per sample; lengths are in plate amplitudes. For example:
+    A row of a table is a sample; lengths are in plate amplitudes. For example:
 
       bounce trajectory --gamma 2.3 --omega 0.5 --xi 0.26 -o motion.csv
     """
-    from service.cli.output import trajectory_csv, trajectory_json
-
-    format = output_format(output, TABLES, format)
+    format = output_format(output, _MOTIONS, format)
     if drop and contact:
         raise click.UsageError("give --drop or --contact, not both")
     if drop:
@@ -161,8 +154,7 @@ def trajectory(
         cell["start"] = {"kind": "contact", "elongation": contact[0], "velocity": contact[1]}
     cell["model"] = _without_none({"kind": model, "restitution": restitution, "penetration": penetration})
     with open_client(url, token) as client:
-        motion = client.trajectory(_without_none(cell))
-    write_file(output, trajectory_json(motion) if format == "json" else trajectory_csv(motion))
+        write_file(output, client.trajectory_file(_without_none(cell), format))
 
 
 def _spring(
@@ -178,51 +170,7 @@ def _spring(
     click.echo(output.as_json(orbits.plain(found)) if as_json else orbits.threshold_text(found))
 
 
-@click.command()
-@job_argument
-@click.option("--xi", type=float, help="ξ of the plane.")
-@click.option("--omega", type=float, help="Ω of a line along Γ.  [default: the whole plane]")
-@format_option(*_MULTISTABILITY)
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
-    help="File to write; - is standard output.  [default: print a table of the attractors]",
-)  # fmt: skip
-@service_options
-def multistability(
-    job_id: str, output: str | None, format: str | None, url: str, token: str | None, **plane: float | None
-) -> None:
-    """Show the attractors over a grid.
-
-    Of a job with the protocol multistability, the plane at the nearest ξ, or one line of it. Prints the
-    attractors, or draws them. For example:
-
-      bounce multistability ID --omega 0.5 -o line.png
-    """
-    format = None if output is None else output_format(output, _MULTISTABILITY, format)
-    with open_client(url, token) as client:
-        job = client.job(job_id)
-        if output is None:
-            click.echo(_over_a_grid(job.multistability(**plane)))
-        else:
-            write_file(output, job.multistability_picture(cast(MultistabilityFormat, format), **plane))
-    warn_unless_done(job, "the plane may be incomplete")
-
-
-def _over_a_grid(found: "xarray.Dataset") -> str:
-    """One line per attractor, then the shares of cells with several and the number of events."""
-    lines = [f"{'ID':>4}  {'CELLS':>7}  MOSTLY"]
-    columns = [found[name].values.tolist() for name in ("attractor", "cells", "attractor_label")]
-    lines += [f"{id:>4}  {cells:>7}  {label}" for id, cells, label in zip(*columns, strict=True)]
-    several, by_drops = (found.attrs[name] for name in ("several", "several_by_drops"))
-    lines.append(f"cells with two attractors or more: {several:.4f}, reached by drops {by_drops:.4f}")
-    kinds = found.kind.values.tolist()
-    lines.append(", ".join(f"{name} {kinds.count(kind)}" for name, kind in _KINDS.items()))
-    return "\n".join(lines)
-
-
-_KINDS: Final = {"births": "birth", "deaths": "death", "changes of mode": "mode"}
-
-COMMANDS: Final = (threshold, multistability, export, trajectory)
+COMMANDS: Final = (threshold, export, trajectory)
 
 
 def warn_unless_done(job: "Job", consequence: str) -> None:

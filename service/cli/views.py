@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     import xarray
 
 
+#: What is printed instead of the rows of a file: of a plane its attractors, not those of every cell.
+_PRINTED: Final = {"multistability": "cells"}
+
+
 def command(name: str, formats: tuple[str, ...], rows: str | None) -> click.Command:
     """The command of one result."""
 
@@ -30,7 +34,7 @@ def command(name: str, formats: tuple[str, ...], rows: str | None) -> click.Comm
         with open_client(url, token) as client:
             job = client.job(job_id)
             if output is None:
-                click.echo(table(job.result(name, **query), rows))
+                click.echo(table(job.result(name, **query), _PRINTED.get(name, rows)))
             else:
                 write_file(output, job.result_file(name, str(file_format), **query))
         warn_unless_done(job, "the result may be incomplete")
@@ -66,7 +70,7 @@ def _option(name: str, hint: Any, default: object) -> Any:
 
 
 def table(found: "xarray.Dataset", rows: str | None) -> str:
-    """The rows of a result as columns of text, then its scalars, one line each."""
+    """The rows of a result as columns of text, then its scalars and shares, one line each."""
     from math import isfinite
 
     lines = []
@@ -85,6 +89,7 @@ def table(found: "xarray.Dataset", rows: str | None) -> str:
         frame.columns = [_without(prefixes, str(name)) for name in frame.columns]
         lines.append(frame.reset_index().to_string(index=False, na_rep="-"))
     scalars = {str(name): v.values.item() for name, v in found.variables.items() if not v.dims}
+    scalars |= {str(name): value for name, value in found.attrs.items() if isinstance(value, float)}
     lines += [
         f"{name.replace('_', ' ')}  {value:.10g}"
         if isinstance(value, float)

@@ -296,17 +296,19 @@ class Client(SpringMethods):
 
         `cell` contains `gamma`, `omega`, `xi`, and optionally `model`, `settle` and `periods` (plate
         periods), `samples` per period, and `start`: a cycle of the closed form, or
-        `{"kind": "drop", "height", "phase"}`, or `{"kind": "contact", "elongation", "velocity"}`. Returns
-        a Dataset with dim phase: `plate`, `z1`, `z2` in plate amplitudes, `force`, `in_flight`; with dim
-        flight: `takeoff`, `takeoff_phase`, `flight_time` in rad; attribute `rest_length` in plate
-        amplitudes; of a cycle of one bounce on a rigid plate without restitution the energy balance,
-        `plate_contact` and so on. Raises
-        BadRequest naming the field, TooLarge, Busy.
+        `{"kind": "drop", "height", "phase"}`, or `{"kind": "contact", "elongation", "velocity"}`. Returns a
+        Dataset as `Job.trajectory`. Raises BadRequest naming the field, TooLarge, Busy.
         """
-        from service.client.datasets import trajectory_dataset
+        from service.client.dataset import from_binary
 
-        response = self._transport.post("/v1/trajectories", body(cell), idempotent=True, waits=True)
-        return trajectory_dataset(json_object(response))
+        return from_binary(self.trajectory_file(cell, "bin"))
+
+    def trajectory_file(self, cell: "Mapping[str, Any]", format: str) -> bytes:
+        """The same as the content of a file: json, csv, nc or parquet."""
+        query = {"format": format}
+        return self._transport.post(
+            "/v1/trajectories", body(cell), query=query, idempotent=True, waits=True
+        ).content
 
     def metrics(self) -> str:
         """The service's metrics in Prometheus's text format."""

@@ -58,8 +58,11 @@ def _read(header: bytes, values: Callable[[Mapping[str, Any]], NDArray[Any]]) ->
             {str(name): _variable(about, values(about)) for name, about in document[kind].items()}
             for kind in ("data_vars", "coords")
         )
-        # NetCDF has no booleans: the Dataset can be written as it is.
-        attrs = {name: int(x) if isinstance(x, bool) else x for name, x in document["attrs"].items()}
+        # NetCDF has neither booleans nor null: the Dataset can be written as it is.
+        attrs = {
+            name: int(x) if isinstance(x, bool) else np.nan if x is None else x
+            for name, x in document["attrs"].items()
+        }
         return xarray.Dataset(data, coords, attrs)
     except (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError) as error:
         raise UnexpectedAnswer(

@@ -125,42 +125,6 @@ _CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
     "weight": (np.float64, {"long_name": "momentum that gravity takes, 4π periods/Γ", "units": "m A ω"}),
 }
 
-#: dtype, value where there is none, and attributes of the attractors of each cell of a grid.
-_PLACES: Final[Mapping[str, tuple[type, Any, Attributes]]] = {
-    "id": (np.int32, 0, {"long_name": "attractor of the cell", "comment": "0: none", "units": "1"}),
-    "label": (np.str_, "", {"long_name": "what the attractor does"}),
-    "fraction": (np.float64, np.nan, {"long_name": "share of the drops that reach it", "units": "1"}),
-    "longest_flight": (np.float64, np.nan, {"long_name": "longest flight", "units": "rad"}),
-}
-
-#: Field, dtype and value where there is none of the variables of events of attractors.
-_EVENTS: Final[Mapping[str, tuple[str, type, Any]]] = {
-    "kind": ("kind", np.str_, ""),
-    "event_attractor": ("attractor", np.int32, 0),
-    "event_omega": ("omega", np.float64, np.nan),
-    "gamma_below": ("gamma_below", np.float64, np.nan),
-    "gamma_above": ("gamma_above", np.float64, np.nan),
-    "below": ("below", np.str_, ""),
-    "above": ("above", np.str_, ""),
-    "leads_to": ("leads_to", np.int32, 0),
-}
-
-#: The samples of a trajectory, with dim phase.
-_SAMPLES: Final[Mapping[str, Attributes]] = {
-    "plate": {"long_name": "plate", **_LENGTH},
-    "z1": {"long_name": "upper mass", **_LENGTH},
-    "z2": {"long_name": "lower mass", **_LENGTH},
-    "force": {"long_name": "force of the plate on the lower mass", "units": "m A ω²"},
-    "in_flight": {"long_name": "whether the spring is off the plate"},
-}
-
-#: The flights of a trajectory, with dim flight.
-_FLIGHTS: Final[Mapping[str, Attributes]] = {
-    "takeoff": {"long_name": "plate phase at take-off, with whole periods as of the samples", "units": "rad"},
-    "takeoff_phase": {"long_name": "plate phase at take-off", "units": "rad"},
-    "flight_time": {"long_name": "flight time", "units": "rad"},
-}
-
 
 def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
     """Thresholds: dim omega, NaN unless the status is `found`."""
@@ -180,77 +144,6 @@ def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         if answer.get("tolerance") is not None:
             dataset.attrs["tolerance"] = float(answer["tolerance"])
         return dataset
-
-
-def multistability_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
-    """Attractors over a grid: dims (omega, gamma), (omega, gamma, place), (attractor) and (event)."""
-    with _reading("multistability"):
-        cells = answer["cells"]
-        plane = ("omega", "gamma")
-        counts = [[-1 if n is None else n for n in line] for line in answer["count"]]
-        about = {"long_name": "attractors of the cell", "comment": "-1: not computed", "units": "1"}
-        variables: dict[str, Any] = {"count": (plane, np.array(counts, np.int32), about)}
-        places = max(len(cell) for line in cells for cell in line)
-        _fitting(sum(map(len, cells)), places)
-        shape = (len(answer["omega"]), len(answer["gamma"]), places)
-        for name, (dtype, empty, attributes) in _PLACES.items():
-            found = [
-                [place[name] for place in cell] + [empty] * (places - len(cell))
-                for line in cells
-                for cell in line
-            ]
-            variables[name] = ((*plane, "place"), np.array(found, dtype).reshape(shape), dict(attributes))
-        if any("flight_time" in place for line in cells for cell in line for place in cell):
-            flights = _padded(
-                [
-                    times
-                    for line in cells
-                    for cell in line
-                    for times in [*(place["flight_time"] for place in cell), *[[]] * (places - len(cell))]
-                ]
-            )
-            flights = flights.reshape(*shape, flights.shape[-1])
-            variables["flight_time"] = ((*plane, "place", "flight"), flights, _attributes("flight_time"))
-        attractors, events = answer["attractors"], answer["events"]
-        labels = np.array([attractor["label"] for attractor in attractors], np.str_)
-        variables["attractor_label"] = ("attractor", labels, {"long_name": "commonest label"})
-        extents = np.array([attractor["cells"] for attractor in attractors], np.int32)
-        variables["cells"] = ("attractor", extents, {"long_name": "cells of the attractor", "units": "1"})
-        for name, (field, dtype, none) in _EVENTS.items():
-            values = [none if event[field] is None else event[field] for event in events]
-            variables[name] = ("event", np.array(values, dtype))
-        coordinates = {
-            **{axis: _variable(axis, axis, answer[axis]) for axis in plane},
-            "attractor": ("attractor", np.array([attractor["id"] for attractor in attractors], np.int32)),
-            "xi": _variable("xi", None, answer["xi"]),
-        }
-        dataset = _dataset(variables, coordinates, answer, "attractors over a grid", job_id)
-        for name in ("several", "several_by_drops"):
-            dataset.attrs[name] = float(_number(answer[name]))
-        return dataset
-
-
-def trajectory_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
-    """The motion of one cell: dims phase (samples) and flight (those that start and end within them)."""
-    with _reading("a trajectory"):
-        samples = {
-            name: ("phase", _sample(name, answer[name]), dict(attributes))
-            for name, attributes in _SAMPLES.items()
-        }
-        flights = {
-            name: ("flight", np.array(answer["flights"][name], np.float64), dict(attributes))
-            for name, attributes in _FLIGHTS.items()
-        }
-        phase = np.array(answer["phase"], np.float64)
-        coordinates = {
-            "phase": ("phase", phase, {"long_name": "plate phase, with whole periods added", "units": "rad"}),
-            **{name: ((), float(answer[name])) for name in ("gamma", "omega", "xi")},
-        }
-        balance = {
-            name: _cycle_variable(name, (), value) for name, value in (answer.get("energy") or {}).items()
-        }
-        attributes = {"rest_length": float(answer["rest_length"]), "complete": int(answer["complete"])}
-        return xarray.Dataset({**samples, **flights, **balance}, coordinates, attributes)
 
 
 def thresholds_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
@@ -445,10 +338,6 @@ def _direction(answer: Mapping[str, Any]) -> Variable:
 
 def _attributes(field: str) -> dict[str, Any]:
     return dict(_RESULTS[field][1])
-
-
-def _sample(name: str, values: Sequence[Any]) -> NDArray[Any]:
-    return np.array(values, np.bool_) if name == "in_flight" else _with_nan(values)
 
 
 def _with_nan(values: Sequence[float | None]) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from service.client.display import PartsCallback
 from service.client.errors import BounceError
 from service.client.models import JobStatus
 from service.client.transport import Transport, json_object
-from service.formats import EXPORTS, ExportLayout, MultistabilityFormat, Predict
+from service.formats import EXPORTS, ExportLayout, Predict
 from service.result_methods import ResultMethods
 
 if TYPE_CHECKING:
@@ -104,60 +104,6 @@ class Results(ResultMethods, JobStatus):
             self._path("orbits"), query, timeout=timeout, progress=progress
         )
         return words_dataset(json_object(answer), self.id)
-
-    def multistability(self, xi: float | None = None, *, omega: float | None = None) -> "xarray.Dataset":
-        """The attractors over (omega, gamma) of a job with the protocol multistability, matched over cells.
-
-        `xi` and `omega` take the nearest grid value; with `omega` only that line. Returns a Dataset with dims
-        (omega, gamma): `count`, -1 where a cell is not computed; with dims (omega, gamma, place) the
-        attractors of each cell: `id`, 0 where there is none, `label`, `fraction`, `longest_flight` (rad);
-        with dim attractor: `attractor_label`, `cells`; with dim event: `kind` (birth, death, mode),
-        `event_attractor`, `event_omega`, `gamma_below`, `gamma_above`, `below`, `above`, `leads_to`, 0 for
-        none. With `omega` also `flight_time` (rad) over (omega, gamma, place, flight). Attributes: `several`
-        and `several_by_drops`, the shares of cells with two attractors or more; `complete`. Raises
-        BadRequest, TooLarge.
-        """
-        from service.client.datasets import multistability_dataset
-
-        query = {"xi": xi, "omega": omega}
-        answer = json_object(self._transport.get(self._path("multistability"), query))
-        return multistability_dataset(answer, self.id)
-
-    def multistability_picture(
-        self,
-        format: MultistabilityFormat = "png",
-        *,
-        xi: float | None = None,
-        omega: float | None = None,
-    ) -> bytes:
-        """Attractors over a plane, or with `omega` a line, as PNG, SVG, JSON or CSV. Raises BadRequest."""
-        query = {"xi": xi, "omega": omega, "format": format}
-        return self._transport.get(self._path("multistability"), query).content
-
-    def trajectory(
-        self,
-        gamma: float | None = None,
-        omega: float | None = None,
-        xi: float | None = None,
-        *,
-        direction: str | None = None,
-        periods: int = 4,
-        samples: int = 200,
-    ) -> "xarray.Dataset":
-        """The motion of one cell as the sweep has it: settled from rest, or from where its ramp left it.
-
-        `gamma`, `omega`, `xi` take the nearest grid value; one that has only one value may be left out.
-        `direction` is up or down for a sweep ramped both ways (default: up). `periods` plate periods of
-        `samples` each. Returns a Dataset as `Client.trajectory`. Raises BadRequest, Conflict while the cell
-        is not computed, TooLarge, Busy.
-        """
-        from service.client.datasets import trajectory_dataset
-
-        query = {
-            "gamma": gamma, "omega": omega, "xi": xi, "direction": direction,
-            "periods": periods, "samples": samples,
-        }  # fmt: skip
-        return trajectory_dataset(json_object(self._transport.get(self._path("trajectory"), query)))
 
     def export(self, path: str | PathLike[str], *, layout: ExportLayout = "cells") -> Path:
         """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.

@@ -6,19 +6,10 @@ Arguments and results can be pickled. The functions raise what those of `service
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from service.formats import MultistabilityFormat
-from service.render import binary, text
-from service.render import multistability as multistability_pictures
+from service.render import binary
 from service.results import line as lines
 from service.results import mode_map
-from service.results import multistability as multistability_results
-from service.results import trajectory as trajectories
-from service.results.multistability import Multistability
 from service.results.selection import Sweep
-from service.results.trajectory import TrajectorySpec
 
 
 class Answer(NamedTuple):
@@ -100,30 +91,3 @@ def packed_plane(
     }
     arrays = {"omega": plane.omega, "gamma": plane.gamma, **plane.arrays}
     return Answer(binary.packed(attributes, arrays), plane.complete, dense=True)
-
-
-def trajectory(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> bytes:
-    """One cell in motion as JSON, from rest, on a cycle, or on from a state."""
-    return text.trajectory_json(trajectories.compute(spec, state))
-
-
-def multistability(
-    job: Multistability, xi: float | None, omega: float | None, format: MultistabilityFormat
-) -> Answer:
-    """The attractors over the plane nearest to `xi`, or over one line of it, as a table or as a picture."""
-    plane = multistability_results.plane(job, xi)
-    shown = plane if omega is None else plane.line(omega)
-    flights = None if omega is None else multistability_results.flights(job, plane.xi, omega)
-    if format == "json":
-        content = multistability_pictures.multistability_json(shown, flights)
-    elif format == "csv":
-        content = multistability_pictures.multistability_csv(shown, flights)
-    elif flights is None:
-        content = multistability_pictures.draw(shown, format, job.origin)
-    else:
-        content = multistability_pictures.draw_line(shown, flights, format, job.origin)
-    return Answer(content, plane.complete)
-
-
-def warm() -> None:
-    """Import what the others need: this module did."""

@@ -4,13 +4,16 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from kernel.branches.descent import lifetime
 from kernel.branches.energy import Energy, word_energy
 from kernel.branches.events import Events
 from kernel.branches.thresholds import Thresholds
-from service.render.text import to_json
 from service.results.orbits import EventCurves, Orbits, WordOrbits
+
+#: NaN and infinities become null.
+to_json: Final = TypeAdapter(Any).dump_json
 
 #: Fields of a branch with a number per point.
 _PER_POINT: Final = (

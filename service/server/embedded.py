@@ -26,11 +26,11 @@ from service.api.app import TITLE, create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotComputed, NotStarted
 from service.jobs.stores.adoption import open_ledger
-from service.render import answers
 from service.server.cluster import connected_cluster
 from service.server.logging import log_to_stderr, quiet_libraries
 from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings
+from service.views import registry
 from worker.executors.base import Executor
 from worker.executors.errors import ClusterLost
 from worker.kernel_cache import CacheRefused
@@ -288,4 +288,4 @@ def _computing(settings: Settings, marker: str, executor: Executor | None) -> It
 def _warm_answers(background: Processes) -> None:
     """Start the first process that computes answers, before the first request."""
     with suppress(NotComputed):  # the service was stopped meanwhile
-        background.run(answers.warm)
+        background.run(registry.warm)

@@ -5,23 +5,30 @@ A new result is a module of this package and a row here.
 
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
+from math import inf
 from typing import Any, Final
+
+from xarray import Dataset
 
 from service.errors import InvalidRequest, NotInstalled, TooLarge
 from service.formats import PICTURES
 from service.results.selection import MAX_READ, Stored
 from service.software import software
-from service.views import basins, diagram, encode, modes
+from service.views import basins, diagram, encode, modes, multistability, trajectory
 from service.views.view import Estimate, Query, View
 
 #: The results of a job, by name.
-VIEWS: Final[dict[str, View]] = {view.name: view for view in (diagram.VIEW, modes.VIEW, basins.VIEW)}
+VIEWS: Final[dict[str, View]] = {
+    module.VIEW.name: module.VIEW for module in (diagram, modes, basins, multistability, trajectory)
+}
 
 #: The results of a spring alone, in closed form.
 SPRINGS: Final[dict[str, View]] = {}
 
 
-def admit(view: View, spec: Any, query: Query, format: str, max_points: int) -> tuple[Query, Estimate]:
+def admit(
+    view: View, spec: Any, query: Query, format: str, max_points: int, max_seconds: float = inf
+) -> tuple[Query, Estimate]:
     """The query and its estimate; a picture is thinned to what can be read.
 
     Raises InvalidRequest for a study without this result, TooLarge naming the `every` that fits.
@@ -34,6 +41,10 @@ def admit(view: View, spec: Any, query: Query, format: str, max_points: int) -> 
     if format == "parquet" and find_spec("pyarrow") is None:
         raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
     estimate = view.estimate(spec, query)
+    if estimate.seconds > max_seconds:
+        raise TooLarge(
+            f"the answer takes about {estimate.seconds:.3g} s to compute; the limit is {max_seconds:g} s"
+        )
     limit = MAX_READ if format in PICTURES else max_points
     limit = limit if estimate.most is None else min(limit, estimate.most)
     if estimate.points <= limit:
@@ -62,10 +73,23 @@ def answer(
     """
     view = SPRINGS[name] if study is None else VIEWS[name]
     found = view.compute(study, view.query(**fields), *parts)
+    return _encoded(view, study, found, format), bool(found.attrs["complete"])
+
+
+def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
+    """The bytes of the motion of one cell without a job. Raises as `trajectory.motion`."""
+    return _encoded(trajectory.VIEW, None, trajectory.motion(spec), format)
+
+
+def _encoded(view: View, study: Stored[Any] | None, found: Dataset, format: str) -> bytes:
     about = {"release": software().release} if study is None else study.attributes
     found.attrs = {"Conventions": "CF-1.11", "title": view.summary, **about, **found.attrs}
-    complete = bool(found.attrs["complete"])
     if format in PICTURES:
         origin = about if study is None else study.origin
-        return encode.picture(found, view.draw, view.size, format, origin), complete
-    return encode.ENCODERS[format](found, view.rows), complete
+        return encode.picture(found, view.draw, view.size, format, origin)
+    rows = view.finer_rows if view.finer_rows in found else view.rows
+    return encode.ENCODERS[format](found, rows)
+
+
+def warm() -> None:
+    """Import what most answers need: this module did."""

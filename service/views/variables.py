@@ -25,20 +25,21 @@ def of_attractor(array: Array) -> Array:
     return array._replace(name=f"attractor_{array.name.removeprefix('attractor_')}", dims=dims)
 
 
-def _row(
+def row(
     name: str, dims: tuple[str, ...], dtype: str, long_name: str, units: str = "1", **attrs: Any
 ) -> Array:
+    """A variable over cells and the dimensions `dims`."""
     return Array(
         name, (*schema.CELL_DIMS, *dims), dtype, 0, {"long_name": long_name, "units": units, **attrs}
     )
 
 
 _DERIVED: Final = (
-    _row("attractor_of_start", ("row", "column"), "|u1", "attractor that a start reaches",
+    row("attractor_of_start", ("row", "column"), "|u1", "attractor that a start reaches",
          comment="0: undecided"),
-    _row("hysteresis", (), "|u1", "how the ramps up and down compare", flag_values=[0, 1, 2],
+    row("hysteresis", (), "|u1", "how the ramps up and down compare", flag_values=[0, 1, 2],
          flag_meanings="none other_mode other_flights"),
-    _row("attractor_label", ("attractor",), "U", "what the attractor does"),
+    row("attractor_label", ("attractor",), "U", "what the attractor does"),
     of_attractor(LIFETIME)._replace(attrs={
         "long_name": "life of aperiodic motion that was seen to end", "units": "plate periods",
         "comment": "NaN: no such motion was seen to end",
@@ -54,8 +55,7 @@ _COORDINATES: Final[Mapping[str, Mapping[str, Any]]] = {row.name: row.attrs for 
 
 def variable(dims: tuple[str, ...], values: Any, row: Array) -> xarray.Variable:
     """A variable over the cell dimensions `dims` and the further ones of its row."""
-    data = np.asarray(values, None if row.dtype == "U" else row.dtype)
-    return xarray.Variable((*dims, *row.extra_dims), data, dict(row.attrs))
+    return xarray.Variable((*dims, *row.extra_dims), np.asarray(values, row.dtype), dict(row.attrs))
 
 
 def coordinate(name: str, values: Any, **attrs: Any) -> xarray.Variable:

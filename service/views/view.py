@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
+from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import xarray
@@ -49,6 +50,7 @@ class Estimate:
     reads: tuple[str, ...] = ()  # cell dimensions whose chunks are all read
     memory: int = 0  # bytes of reading and computing, beside the answer
     most: int | None = None  # points that can be computed, if fewer than an answer may have
+    seconds: float = 0.0  # of computing during the request
     small: bool = True  # whether the computation is quick; the size of the read is judged beside it
 
     @property
@@ -80,14 +82,16 @@ class View:
 
     name: str  # of the path, the client's method and the command
     summary: str
-    study: type[Any] | None  # the class of the specifications that have this result; None: needs no job
+    study: type[Any] | UnionType | None  # the class of the specifications that have this; None: needs no job
     query: type[Query]
     compute: Callable[..., xarray.Dataset]
     estimate: Callable[[Any, Any], Estimate]  # of specification and query
     variables: tuple[Array, ...]  # those that the Dataset can have
     rows: str | None = None  # the variable whose numbers are the rows of a table
+    finer_rows: str | None = None  # the one in its place where a Dataset has it
     draw: "Callable[[xarray.Dataset, Figure], None] | None" = None
     size: tuple[float, float] = (6.8, 4.2)  # of the picture, inches
+    computes: bool = False  # during the request, for a second or more: few are computed at a time
     #: What workers compute first, as functions of `worker` with their arguments; `compute` takes the results.
     #: Without any, as for what takes less than a second, `compute` does it all.
     parts: Callable[[Any, Any], Sequence[Call]] | None = None

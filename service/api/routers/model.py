@@ -1,6 +1,6 @@
 """What the model itself answers, without a job: thresholds, cycles, one cell in motion."""
 
-from typing import Annotated, Final
+from typing import Annotated, Final, get_args
 
 from fastapi import APIRouter, Query, Response
 
@@ -8,15 +8,15 @@ from kernel.branches.curves import Parameter
 from service.api import parameters, schemas
 from service.api.capacity import costly
 from service.api.dependencies import JsonBody, ServiceDep
-from service.api.schemas import PENDING_RESPONSE, problem_responses
+from service.api.routers.views import Dataset
+from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.errors import InvalidRequest
-from service.formats import MEDIA_TYPES
-from service.render import answers
+from service.formats import MEDIA_TYPES, DatasetFormat
 from service.render import orbits as orbits_text
 from service.results import orbits
-from service.results import trajectory as trajectories
 from service.results.selection import BASE_MEMORY
-from service.results.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec
+from service.views import registry
+from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
 from worker.orbits import MAX_GRID
 
 router = APIRouter(prefix="/v1", tags=["model"])
@@ -112,18 +112,20 @@ def _plane(query: parameters.CurvesQuery) -> tuple[Parameter, float, tuple[float
 @router.post(
     "/trajectories",
     summary="Compute the motion of a cell",
-    response_model=schemas.Trajectory,
-    responses=problem_responses(400, 408, 413, 415, 422, 429),
+    response_model=Dataset,
+    responses={**content(*get_args(DatasetFormat)), **problem_responses(400, 408, 413, 415, 422, 429)},
     openapi_extra=_TRAJECTORY_BODY,
 )
 @costly(MAX_SAMPLES * BYTES_PER_SAMPLE, "trajectory")
-def compute_trajectory(service: ServiceDep, body: JsonBody) -> Response:
-    """One cell from rest, after `settle` plate periods, or from a start: plate,
-    masses and contact force, sample by sample.
+def compute_trajectory(
+    service: ServiceDep, body: JsonBody, query: Annotated[parameters.MotionQuery, Query()]
+) -> Response:
+    """One cell from rest, after `settle` plate periods, or from a start: plate, masses and contact force.
 
-    Lengths are in plate amplitudes: the paper's zω²/g divided by Γ, as its Fig. 2 draws them.
+    The answer is the result `trajectory` of a job. Lengths are in plate amplitudes: the paper's zω²/g divided
+    by Γ, as its Fig. 2 draws them.
     """
     spec = TrajectorySpec.from_json(body)
-    trajectories.check_cost(spec, service.settings.trajectory_seconds)
-    content = service.background.run(answers.trajectory, spec)
-    return Response(content, media_type=MEDIA_TYPES["json"])
+    check_cost(spec, service.settings.trajectory_seconds)
+    found = service.background.run(registry.motion, spec, query.format)
+    return Response(found, media_type=MEDIA_TYPES[query.format])

@@ -1,4 +1,4 @@
-"""What the page draws: a line of cells as points or as density, a plane of modes, one cell in motion.
+"""What the page draws: a line of cells as points or as density, a plane of modes.
 
 The arrays of `/diagram` and `/modes` in a binary form, which a slider can request many times per second.
 """
@@ -11,14 +11,11 @@ from fastapi import APIRouter, Query, Request, Response
 from service.api import dependencies, parameters
 from service.api.capacity import Cost, costly
 from service.api.dependencies import JobDep, ServiceDep
-from service.api.schemas import Trajectory, problem_responses
-from service.formats import MEDIA_TYPES
+from service.api.schemas import problem_responses
 from service.render import answers, binary
 from service.render.answers import Answer
-from service.results import trajectory as trajectories
 from service.results.mode_map import comparison_memory, plane_size
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
-from service.results.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["page"])
 
@@ -88,29 +85,6 @@ def get_plane(
     plane = (query.xi, query.direction, *window, *limits)
     sweep = dependencies.sweep(service, job)
     return _packed(service.background.run(answers.packed_plane, sweep, *plane), request)
-
-
-@router.get(
-    "/trajectory",
-    summary="Compute the motion of a cell",
-    response_model=Trajectory,
-    responses=problem_responses(404, 409, 413, 422, 429),
-)
-@costly(BASE_MEMORY + MAX_SAMPLES * BYTES_PER_SAMPLE, "trajectory")
-def get_cell_trajectory(
-    service: ServiceDep, job: JobDep, query: Annotated[parameters.CellQuery, Query()]
-) -> Response:
-    """One cell in motion: as it settles from rest, where the ramp left it, or on one of its attractors."""
-    values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
-    if query.attractor is None:
-        sweep = dependencies.sweep(service, job)
-        spec, state = trajectories.of_cell(sweep, values, query.direction, query.periods, query.samples)
-    else:
-        found = dependencies.attractors(service, job)
-        spec, state = trajectories.of_attractor(found, values, query.attractor, query.periods, query.samples)
-    trajectories.check_cost(spec, service.settings.trajectory_seconds)
-    content = service.background.run(answers.trajectory, spec, state)
-    return Response(content, media_type=MEDIA_TYPES["json"])
 
 
 def _packed(answer: Answer, request: Request) -> Response:

@@ -83,7 +83,8 @@ def _asked(service: Service, view: View, study: Stored[Any] | None, query: Any) 
     """The query without the format, thinned if it is of a picture, and its estimate."""
     plain = view.query(**query.model_dump(exclude={"format"}))
     spec = None if study is None else study.spec
-    return admit(view, spec, plain, query.format, service.settings.max_points)
+    limits = service.settings
+    return admit(view, spec, plain, query.format, limits.max_points, limits.trajectory_seconds)
 
 
 def _memory(estimate: Estimate, format: str) -> int:
@@ -115,7 +116,7 @@ def _of_job(view: View) -> Callable[..., Any]:
             return Cost(BASE_MEMORY + memory)
         return dependencies.cost_of_read(service, job, memory, *estimate.reads)
 
-    @costly(cost, "on demand" if view.parts else "read")
+    @costly(cost, "on demand" if view.parts else "trajectory" if view.computes else "read")
     def get(service: ServiceDep, job: ResultsJob, query: Annotated[model, Query()]) -> Response:
         study = dependencies.stored(service, job)
         return _answer(service, view, study, query, (job.id, job.chunks_done))

@@ -2,11 +2,12 @@
 
 from typing import Any
 
-import httpx2
 import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
-from scripted import DEADLINE, wait_for
+from scripted import wait_for
 from served import done
+
+from service.client import Client
 
 pytestmark = needs_chromium
 
@@ -23,30 +24,26 @@ def job(address: str) -> str:
     return done(address, PLANE)
 
 
-def line_of(address: str, job: str, omega: float) -> dict[str, Any]:
-    answer = httpx2.get(f"{address}/v1/jobs/{job}/multistability", params={"omega": omega}, timeout=DEADLINE)
-    return dict(answer.raise_for_status().json())
-
-
 def test_the_diagram_shows_all_attractors_and_one_of_them_moves(browser: Any, address: str, job: str):
-    line = line_of(address, job, 0.6)
+    with Client(address) as client:
+        line = client.job(job).multistability(omega=0.6)
     with opened(browser, f"{address}/#/job/{job}?omega=0.6") as page:
         wait_shown(page, omega=0.6, complete=True)
         assert page.locator(".tabs a").all_inner_texts() == ["Diagram", "Map", "Details"]
         entries = page.locator(".panel .legend li").all_inner_texts()
-        assert [entry.split(":")[0] for entry in entries] == [str(a["id"]) for a in line["attractors"]]
+        assert [entry.split(":")[0] for entry in entries] == line.attractor.astype(str).values.tolist()
         events = page.locator(".panel .events li").all_inner_texts()
-        assert len(events) == len(line["events"])
+        assert len(events) == line.sizes["event"]
         assert any("(1,1), is born" in event for event in events)
 
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
         page.keyboard.press("ArrowUp")
-        j = len(line["gamma"]) // 2 + 1
-        place = line["cells"][0][j][min(1, len(line["cells"][0][j]) - 1)]
+        cell = line.isel(omega=0, gamma=line.sizes["gamma"] // 2 + 1)
+        place = cell.isel(place=min(1, cell["count"].item() - 1))
         said = page.locator(".panel .readout").inner_text()
-        assert f"Γ = {line['gamma'][j]:g}" in said
-        assert f"attractor {place['id']}, {place['label']}" in said
+        assert f"Γ = {cell.gamma.item():g}" in said
+        assert f"attractor {place.id.item()}, {place.label.item()}" in said
         page.keyboard.press("Enter")
         page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
         assert page.locator(".trajectory h2").inner_text() == "Trajectory of an attractor"

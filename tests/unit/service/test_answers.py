@@ -91,6 +91,8 @@ QUERIES: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("basins", "trajectory", {"gamma": 1.27, "attractor": 1, "periods": 1, "samples": 8}),
     ("multistability", "multistability", {}),
     ("multistability", "multistability", {"omega": 0.6}),
+    ("multistability", "multistability", {"format": "csv"}),
+    ("multistability", "multistability", {"omega": 0.5, "format": "csv"}),
     ("soft", "diagram", {}),
     ("ball", "diagram", {}),
 )
@@ -114,6 +116,7 @@ COSTLY: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("ramp", "diagram", {"omega": 0.7, "xi": 0.05}),
     ("ramp", "diagram", {"omega": 0.7, "xi": 0.05, "every": 4, "direction": "down", "format": "csv"}),
     ("ramp", "diagram", {"omega": 0.7, "xi": 0.05, "format": "svg"}),
+    ("multistability", "multistability", {"omega": 0.5}),
     ("ramp", "threshold", {"xi": 0.05}),
     ("ramp", "modes", {"xi": 0.05}),
     ("ramp", "modes", {"xi": 0.05, "every": 2, "min_flight": 5.0}),
@@ -131,7 +134,6 @@ COSTLY: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
 READ: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("rest", "orbits", {"gamma_max": 3.0}),
     ("ramp", "threshold", {"xi": 0.05}),
-    ("multistability", "multistability", {}),
     ("orbits", "open", {}),
     ("basins", "open", {}),
     ("multistability", "open", {}),

@@ -279,8 +279,9 @@ async def never() -> Message:
 def test_every_endpoint_that_is_not_cheap_is_costly():
     """A new endpoint is one or the other: declare it `costly`, or say here why it need not be."""
     modules = [import_module(f"{routers.__name__}.{name}") for _, name, _ in iter_modules(routers.__path__)]
-    found = [router for each in modules for router in (each.routes() if each is views else [each.router])]
-    routes = [route for router in found for route in router.routes if isinstance(route, APIRoute)]
+    routers_of = [module.router for module in modules if module is not views]
+    found = (route for router in (*routers_of, *views.routes()) for route in router.routes)
+    routes = [route for route in found if isinstance(route, APIRoute)]
     costly = {route.path for route in routes if hasattr(route.endpoint, "__wrapped__")}
     assert {route.path for route in routes} == costly | CHEAP
     assert not costly & CHEAP
@@ -347,7 +348,7 @@ def test_nothing_is_computed_for_clients_that_left_before_their_turn(tmp_path: P
         b"Content-Length: %d\r\n\r\n%s" % (len(body), body)
     )
     with pytest.MonkeyPatch.context() as patch, listening(app, limited(DEADLINE, 99)) as address:
-        patch.setattr("service.results.trajectory.compute", hold)
+        patch.setattr("service.views.trajectory.motion", hold)
         capacity = app.state.service.capacity
         with contextlib.ExitStack() as connections:
             for _ in range(20):

@@ -1,19 +1,16 @@
 """What the commands print and write: tables, CSV and JSON of results that are made up here."""
 
-import json
 from typing import Any, cast
 
 import numpy as np
 import pytest
 import xarray
 
-from service.cli import orbits, results
+from service.cli import orbits
 from service.cli.output import (
     estimate_line,
     job_report,
     threshold_table,
-    trajectory_csv,
-    trajectory_json,
 )
 from service.client import Job
 from service.client.models import Estimate
@@ -120,48 +117,6 @@ def test_thresholds_stand_in_columns_with_what_explains_them_below():
     found = thresholds(complete=0)
     last = threshold_table(found, found, SWEEP).splitlines()[-1]
     assert last == "the job is not done: thresholds may be missing"
-
-
-# Cells and samples
-
-
-def test_a_motion_is_a_row_for_each_sample():
-    samples = {
-        "plate": [0.0, 1.0], "z1": [2.0, NAN], "z2": [1.0, NAN], "force": [0.5, NAN],
-        "in_flight": [True, False],
-    }  # fmt: skip
-    flights = {"takeoff": [7.0], "takeoff_phase": [0.75], "flight_time": [4.5]}
-    motion = xarray.Dataset(
-        {name: ("phase", values) for name, values in samples.items()}
-        | {name: ("flight", values) for name, values in flights.items()},
-        {"phase": [0.0, 0.1]},
-        {"complete": 1, "rest_length": 1e4},
-    )
-    assert trajectory_csv(motion).decode().splitlines() == [
-        "phase,plate,z1,z2,force,in_flight", "0.0,0.0,2.0,1.0,0.5,1.0", "0.1,1.0,nan,nan,nan,0.0"
-    ]  # fmt: skip
-    assert json.loads(trajectory_json(motion)) == {
-        "rest_length": 1e4, "complete": True, "phase": [0.0, 0.1], "plate": [0.0, 1.0], "z1": [2.0, None],
-        "z2": [1.0, None], "force": [0.5, None], "in_flight": [True, False], "flights": flights,
-    }  # fmt: skip
-
-
-def test_the_attractors_over_a_grid_are_a_line_each():
-    plane = xarray.Dataset(
-        {
-            "cells": ("attractor", [10, 2]), "attractor_label": ("attractor", ["(1,2)", "rest"]),
-            "kind": ("event", ["mode", "birth", "mode", "mode", "death", "death"]),
-        },
-        {"attractor": [1, 2]},
-        {"several": 0.25, "several_by_drops": 0.125},
-    )  # fmt: skip
-    assert results._over_a_grid(plane).splitlines() == [
-        "  ID    CELLS  MOSTLY",
-        "   1       10  (1,2)",
-        "   2        2  rest",
-        "cells with two attractors or more: 0.2500, reached by drops 0.1250",
-        "births 1, deaths 2, changes of mode 3",
-    ]
 
 
 # Cycles in closed form

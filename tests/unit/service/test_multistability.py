@@ -1,22 +1,25 @@
 """Multistability as a job: attractors matched over a plane, over HTTP, in the client and as pictures."""
 
+import io
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas
 import pytest
+import xarray
 from fastapi.testclient import TestClient
-from served import computing, get
+from served import computing
 
 from kernel.params import Outcome
-from service.api import schemas
 from service.client import BadRequest, Client, Job
 from service.errors import InvalidRequest
-from service.results import multistability
-from service.results.multistability import Event, Multistability, plane
-from service.results.trajectory import of_attractor
+from service.results.selection import Stored
+from service.views import trajectory
+from service.views.multistability import MultistabilityQuery, compute
+from service.views.trajectory import TrajectoryQuery
 from worker import store
 from worker.basins.spec import MultistabilitySpec
 from worker.studies import study_of
@@ -45,39 +48,39 @@ def job(client: Client) -> Job:
     return client.submit(SPEC).wait(progress=False)
 
 
-def test_one_attractor_has_one_id_in_all_cells(service: TestClient, job: Job):
-    answer = get(service, f"/v1/jobs/{job.id}/multistability")
-    assert set(answer) == set(schemas.MultistabilityView.model_fields)
-    assert answer["complete"]
-    assert answer["count"] == [[2] * 5] * 2
-    assert (answer["several"], answer["several_by_drops"]) == (1.0, 1.0)
-    assert [(a["id"], a["cells"]) for a in answer["attractors"]] == [(1, 10), (2, 10)]
-    assert {tuple(sorted(place["id"] for place in cell)) for line in answer["cells"] for cell in line} == {
-        (1, 2)
-    }
-    line = answer["cells"][0]
-    labels = [[next(p["label"] for p in cell if p["id"] == number) for cell in line] for number in (1, 2)]
+def test_one_attractor_has_one_id_in_all_cells(job: Job):
+    found = job.multistability()
+    assert found.attrs["complete"]
+    assert found["count"].values.tolist() == [[2] * 5] * 2
+    assert (found.attrs["several"], found.attrs["several_by_drops"]) == (1.0, 1.0)
+    assert (found.attractor.values.tolist(), found.cells.values.tolist()) == ([1, 2], [10, 10])
+    assert np.all(np.sort(found.id) == [1, 2])
+    line = found.isel(omega=0)
+    labels = [line.label.values[line.id.values == number].tolist() for number in (1, 2)]
     assert sorted(labels) == sorted(MODES)
 
 
-def test_what_is_refused(service: TestClient, client: Client, job: Job):
+def test_a_table_of_a_plane_has_a_row_for_each_attractor_and_of_a_line_for_each_flight(job: Job):
+    plane, line = (
+        pandas.read_csv(io.BytesIO(job.result_file("multistability", "csv", omega=omega)))
+        for omega in (None, 0.5)
+    )
+    assert len(plane) == 20
+    assert len(line) == int(np.isfinite(job.multistability(omega=0.5).flight_time).sum()) > 10
+
+
+def test_what_is_refused(service: TestClient, job: Job):
     with pytest.raises(BadRequest, match="xi: must be within"):
         job.multistability(0.5)
     with pytest.raises(BadRequest, match="omega: must be within"):
         job.multistability(omega=0.7)
     with pytest.raises(BadRequest, match="has no basins: the protocol of this job is multistability"):
         job.basins()
+    with pytest.raises(BadRequest, match="attractor: is required: the protocol is multistability"):
+        job.trajectory(3.6, 0.5)
     answer = service.get(f"/v1/jobs/{job.id}/threshold")
     assert answer.status_code == 422
     assert "must be a sweep; the protocol of this job is multistability" in answer.json()["detail"]
-    for query, rule in (
-        ({"along": "omega", "gamma": 3.6}, "along: must be gamma"),
-        ({"omega": 0.5, "every": 2}, "every: is not for a job of multistability"),
-        ({"along": "gamma"}, "omega: is required"),
-    ):
-        answer = service.get(f"/v1/jobs/{job.id}/diagram", params=query)
-        assert answer.status_code == 422
-        assert rule in answer.json()["detail"]
 
 
 # From a store that was written by hand
@@ -105,7 +108,7 @@ def spec_of(gamma: Any, omega: Any) -> MultistabilitySpec:
     return MultistabilitySpec(**SPEC | {"gamma": gamma, "omega": omega})
 
 
-def written(folder: Path, lines: Lines) -> Multistability:
+def written(folder: Path, lines: Lines) -> Stored[MultistabilitySpec]:
     spec = spec_of(list(GAMMA[: len(lines[0])]), list(OMEGA[: len(lines)]))
     (chunk,) = study_of(spec).plan(spec, (1, len(lines), len(lines[0])))
     layout = study_of(spec).variables(spec, chunk.shape)
@@ -132,13 +135,26 @@ def written(folder: Path, lines: Lines) -> Multistability:
     url = str(folder / "made.zarr")
     store.create(url, layout)
     store.write_chunk(url, chunk, record)
-    return Multistability(spec, url)
+    return Stored(spec, url)
+
+
+def read(job: Stored[MultistabilitySpec], **query: Any) -> xarray.Dataset:
+    return compute(job, MultistabilityQuery(**query))
 
 
 def ids(lines: Lines, folder: Path) -> list[list[list[int]]]:
-    return [
-        [[place.id for place in cell] for cell in line] for line in plane(written(folder, lines), None).cells
-    ]
+    found = read(written(folder, lines)).id.values
+    return [[cell[cell > 0].tolist() for cell in line] for line in found]
+
+
+def attractors(found: xarray.Dataset) -> list[tuple[int, str, int]]:
+    columns = (found[name].values.tolist() for name in ("attractor", "attractor_label", "cells"))
+    return list(zip(*columns, strict=True))
+
+
+def events(found: xarray.Dataset) -> list[tuple[Any, ...]]:
+    names = ("kind", "attractor", "omega", "gamma_below", "gamma_above", "below", "above", "leads_to")
+    return list(zip(*(found[f"event_{name}"].values.tolist() for name in names), strict=True))
 
 
 def test_attractors_of_neighbouring_cells_are_one_if_each_leads_to_the_other(tmp_path: Path):
@@ -179,37 +195,33 @@ def test_what_happens_between_cells_that_are_computed(tmp_path: Path):
             [Known(ONE, 3.1)],
         ]
     ]
-    found = plane(written(tmp_path / "first", line), None)
+    found = read(written(tmp_path / "first", line))
     where = [(0.5, low, high) for low, high in itertools.pairwise(GAMMA)]
-    assert found.events == (
-        Event("birth", 2, *where[0], None, "(1,1)", 1),
-        Event("death", 1, *where[1], "rest", None, None),
-        Event("mode", 2, *where[1], "(1,1)", "(2,2)", None),
-    )
-    assert [(a.id, a.label, a.cells, a.gamma, a.longest_flight) for a in found.attractors] == [
-        (1, "rest", 2, (1.0, 1.5), (0.0, 0.0)),
-        (2, "(1,1)", 2, (1.5, 2.0), (3.0, 3.2)),
-        (3, "(1,1)", 1, (3.0, 3.0), (3.1, 3.1)),
+    assert events(found) == [
+        ("birth", 2, *where[0], "", "(1,1)", 1),
+        ("death", 1, *where[1], "rest", "", 0),
+        ("mode", 2, *where[1], "(1,1)", "(2,2)", 0),
     ]
-    assert found.count.tolist() == [[1, 2, 1, -1, 1]]
-    assert (found.several, found.several_by_drops, found.complete) == (0.25, 0.0, False)
-    lost = plane(written(tmp_path / "second", [[[Known(ONE, up=1)], [Known(REST, 0.0)], [Known(TWO)]]]), None)
-    assert lost.events == (
-        Event("death", 1, *where[0], "(1,1)", None, 2),
-        Event("birth", 2, *where[0], None, "rest", None),
-        Event("death", 2, *where[1], "rest", None, None),
-        Event("birth", 3, *where[1], None, "(2,2)", None),
-    )
-    assert lost.complete
+    assert attractors(found) == [(1, "rest", 2), (2, "(1,1)", 2), (3, "(1,1)", 1)]
+    assert found["count"].values.tolist() == [[1, 2, 1, -1, 1]]
+    assert [found.attrs[name] for name in ("several", "several_by_drops", "complete")] == [0.25, 0.0, False]
+    lost = read(written(tmp_path / "second", [[[Known(ONE, up=1)], [Known(REST, 0.0)], [Known(TWO)]]]))
+    assert events(lost) == [
+        ("death", 1, *where[0], "(1,1)", "", 2),
+        ("birth", 2, *where[0], "", "rest", 0),
+        ("death", 2, *where[1], "rest", "", 0),
+        ("birth", 3, *where[1], "", "(2,2)", 0),
+    ]
+    assert lost.attrs["complete"]
 
 
 def test_before_the_first_cell_is_computed_there_is_no_attractor(tmp_path: Path):
-    queued = Multistability(spec_of([1.0, 1.5], [0.5, 0.6, 0.7]), str(tmp_path / "nothing.zarr"))
-    found = plane(queued, None)
-    assert found.count.tolist() == [[-1, -1]] * 3
-    assert found.cells == (((), ()),) * 3
-    assert (found.attractors, found.events, found.complete) == ((), (), False)
-    assert np.isnan([found.several, found.several_by_drops]).all()
-    assert multistability.flights(queued, None, 0.5).shape == (2, 0, 0)
+    queued = Stored(spec_of([1.0, 1.5], [0.5, 0.6, 0.7]), str(tmp_path / "nothing.zarr"))
+    found = read(queued)
+    assert found["count"].values.tolist() == [[-1, -1]] * 3
+    assert not found.id.any()
+    assert (attractors(found), events(found), found.attrs["complete"]) == ([], [], False)
+    assert np.isnan([found.attrs["several"], found.attrs["several_by_drops"]]).all()
+    assert np.isnan(read(queued, omega=0.5).flight_time).all()
     with pytest.raises(InvalidRequest, match="attractor: this cell has none yet"):
-        of_attractor(queued, {"gamma": 1.0, "omega": 0.5}, 1, 1, 8)
+        trajectory.compute(queued, TrajectoryQuery(gamma=1.0, omega=0.5, attractor=1))

@@ -12,8 +12,8 @@ from tables import for_each
 
 from service.api.app import create_app
 from service.api.openapi import EXAMPLES
-from service.results.trajectory import TrajectorySpec
 from service.settings import Settings
+from service.views.trajectory import TrajectorySpec
 from worker.executors.inline import Inline
 from worker.spec.window import Window
 from worker.studies import from_json

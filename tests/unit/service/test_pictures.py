@@ -25,75 +25,72 @@ from paths import GOLDEN, ROOT
 from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.client import plots
-from service.render import multistability, work_precision
+from service.render import work_precision
 from service.render.style import DPI
-from service.results.multistability import Attractor, Place, Plane
-from service.views import diagram
+from service.results.counting import LABEL
+from service.views import diagram, multistability
 from worker.analysis.work_precision import Measurement
-from worker.basins.spec import MultistabilitySpec
+from worker.spec import SweepSpec
 
 DRAWN = GOLDEN / "pictures.json"
 NAN = float("nan")
 CELL: dict[str, Any] = {"gamma": [1.1, 1.2, 1.4], "omega": [0.5, 0.6], "xi": 0.26, "model": {"kind": "rigid"}}
 
+PLANE = ("omega", "gamma")
+
 Draw = Callable[[Figure], object]
 
 
-def plane(number: int = 12, **changes: Any) -> Plane:
+def plane(number: int = 12) -> xarray.Dataset:
     """Cells of 2 frequencies, of 0 to 5 of `number` attractors; one is not computed."""
-    ids = [[(1,), (2, 1), (3, 1, 12)], [(), (9, 8, 7, 5), (12, 1, 2, 3, 4)]]
-    cells = tuple(
-        tuple(tuple(Place(n, f"({n},1)", 0.5 / n, 1.5 * n) for n in cell) for cell in line) for line in ids
-    )
-    count = np.array([[len(cell) for cell in line] for line in ids])
-    count[1, 0] = -1
-    attractors = tuple(
-        Attractor(n, f"({n},1)", 13 - n, (1.1, 1.4), (0.5, 0.6), (1.5 * n, 2.0 * n))
-        for n in range(1, number + 1)
-    )
-    fields: dict[str, Any] = {
-        "spec": MultistabilitySpec(**CELL, protocol={"kind": "multistability"}),
-        "xi": 0.26,
-        "omega": np.array([0.5, 0.6]),
-        "gamma": np.array([1.1, 1.2, 1.4]),
-        "count": count,
-        "cells": cells,
-        "attractors": attractors,
-        "events": (),
-        "complete": True,
-    }
-    return Plane(**(fields | changes))
+    ids = np.zeros((2, 3, 5), int)
+    cells = {(0, 0): (1,), (0, 1): (2, 1), (0, 2): (3, 1, 12), (1, 1): (9, 8, 7, 5), (1, 2): (12, 1, 2, 3, 4)}
+    for cell, there in cells.items():
+        ids[cell][: len(there)] = there
+    return _attractors(ids, [[1, 2, 3], [-1, 4, 5]], [1.1, 1.2, 1.4], number, 0.8)
 
 
-def line() -> Plane:
-    """The first frequency alone, the flights of its attractors, one of them at rest."""
-    return plane(omega=np.array([0.5]), count=plane().count[:1], cells=plane().cells[:1])
+def line() -> xarray.Dataset:
+    """The first frequency alone, with two flights of its attractors, very short ones of the second."""
+    times = np.full((1, 3, 5, 2), NAN)
+    times[0, :, :3] = np.arange(1.0, 19.0).reshape(3, 3, 2)
+    times[0, :, 1] = 1e-9
+    times[0, 0, 0, 1] = NAN
+    return plane().isel(omega=[0]).assign(flight_time=(("omega", "gamma", "place", "flight"), times))
 
 
-def flights() -> np.ndarray:
-    """(gamma, attractor, flight): two flights of each attractor; the second's are too short to count."""
-    times = np.arange(1.0, 19.0).reshape(3, 3, 2)
-    times[:, 1] = 1e-9
-    times[0, 0, 1] = NAN
-    return times
+def empty_plane() -> xarray.Dataset:
+    return _attractors(np.zeros((2, 1, 1), int), [[-1], [-1]], [1.1], 0, NAN)
 
 
-def empty_plane() -> Plane:
-    count = np.full((2, 1), -1)
-    return plane(0, gamma=np.array([1.1]), count=count, cells=(((),), ((),)))
+def _attractors(ids: Any, count: Any, gamma: Any, number: int, several: float) -> xarray.Dataset:
+    numbers = np.arange(1, number + 1)
+    return xarray.Dataset(
+        {"id": ((*PLANE, "place"), ids), "count": (PLANE, np.array(count)),
+         "attractor_label": ("attractor", [f"({n},1)" for n in numbers])},
+        {"omega": [0.5, 0.6], "gamma": gamma, "attractor": numbers, "xi": 0.26},
+        {"several": several, "model": "rigid"},
+    )  # fmt: skip
 
 
-def diagram_both_ways(figure: Figure) -> None:
-    """Flights over gamma, the same up and down: none, then up to three, some of them long."""
-    number = np.arange(40) % 4
-    times = 1.0 + np.arange(120.0).reshape(40, 3) % 31
+def diagrams(cells: int, directions: list[str], **attrs: Any) -> Draw:
+    """Flights over gamma: none, then up to three, some of them long."""
+    number = np.arange(cells) % 4
+    times = 1.0 + np.arange(3.0 * cells).reshape(cells, 3) % 31
     times[np.arange(3) >= number[:, None]] = NAN
+    outcome = np.array([Outcome.AT_REST, Outcome.PERIODIC, Outcome.APERIODIC, Outcome.UNRESOLVED], np.uint8)
+    labels = np.array([LABELS.index(name) for name in ("at_rest", "periodic", "chaotic", "unresolved")])
     found = xarray.Dataset(
-        {"flight_time": (("direction", "gamma", "flight"), [times, times]), "outcome": ("gamma", number + 1)},
-        {"direction": ["up", "down"], "gamma": np.linspace(0.5, 3.5, 40), "omega": 0.5, "xi": 0.26},
-        {"along": "gamma", "complete": False, "caption": "rigid contact, 10 of 40 cells unresolved"},
-    )
-    diagram.draw(found, figure)
+        {"flight_time": (("gamma", "flight"), times), "outcome": ("gamma", outcome[number]),
+         LABEL.name: ("gamma", labels[number].astype(np.uint8))},
+        {"gamma": np.linspace(0.5, 3.5, cells), "omega": 0.5, "xi": 0.26},
+        {"along": "gamma", "min_flight": 0.0, "every": 1, "complete": True, **attrs},
+    )  # fmt: skip
+    spec = SweepSpec(**CELL | {"gamma": [0.5, 3.5], "omega": 0.5})
+    both = xarray.concat([found] * len(directions), xarray.Variable("direction", directions))
+    found = both.assign_coords(found.coords) if len(directions) > 1 else both.isel(direction=0)
+    found.attrs["caption"] = diagram._caption(spec, found.attrs, found)
+    return lambda figure: diagram.draw(found, figure)
 
 
 def tradeoff(figure: Figure) -> None:
@@ -144,14 +141,15 @@ def client_thresholds(figure: Figure) -> None:
 
 #: Size in inches, and what draws.
 PICTURES: dict[str, tuple[tuple[float, float], Draw]] = {
-    "multistability": (multistability.PLANE_SIZE, lambda figure: multistability._draw(figure, plane())),
+    "multistability": (multistability.VIEW.size, lambda figure: multistability.draw(plane(), figure)),
     "multistability, not computed": (
-        multistability.PLANE_SIZE, lambda figure: multistability._draw(figure, empty_plane())
+        multistability.VIEW.size, lambda figure: multistability.draw(empty_plane(), figure)
     ),
     "multistability, a line": (
-        multistability.LINE_SIZE, lambda figure: multistability._draw_line(figure, line(), flights())
+        multistability.VIEW.size, lambda figure: multistability.draw(line(), figure)
     ),
-    "diagram": (diagram.SIZE, diagram_both_ways),
+    "diagram": (diagram.SIZE, diagrams(40, ["up", "down"], complete=False)),
+    "diagram, dense": (diagram.SIZE, diagrams(80_000, ["rest"])),
     "tradeoff": (work_precision.SIZE, tradeoff),
     "client's diagram": ((6.4, 4.8), client_diagram),
     "client's map": ((12.8, 4.8), client_map),

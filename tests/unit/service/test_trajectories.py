@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray
 from fastapi.testclient import TestClient
 from kernel_runs import Model, run_line, sample
 from scripted import Held
@@ -16,7 +17,7 @@ from tables import for_each
 from kernel.branches.starts import cycles_at
 from kernel.params import Cell
 from kernel.trajectory import Trajectory
-from service.api import schemas
+from service.client.dataset import from_json
 
 CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
 MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]
@@ -28,12 +29,10 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
         yield client
 
 
-def trajectory(client: TestClient, **changes: Any) -> dict[str, Any]:
+def trajectory(client: TestClient, **changes: Any) -> xarray.Dataset:
     answer = client.post("/v1/trajectories", json={**CELL, **changes})
     assert answer.status_code == 200, answer.text
-    document: dict[str, Any] = answer.json()
-    assert set(document) == set(schemas.Trajectory.model_fields)  # as the API document says
-    return document
+    return from_json(answer.content)
 
 
 def sampled(model: Model, restitution: float = 0.0, **sampling: Any) -> Trajectory:
@@ -53,11 +52,11 @@ def test_lengths_fit_together(client: TestClient, model: dict[str, Any]):
     flies = np.array(path["in_flight"])
     assert len(z1) == len(path["phase"]) == 4 * 50 + 1
     np.testing.assert_allclose(plate, np.cos(path["phase"]), atol=1e-12)
-    assert path["rest_length"] == pytest.approx(10.0)
+    assert path.attrs["rest_length"] == pytest.approx(10.0)
     assert np.all(z2 - plate >= (-0.02 if model["kind"] == "soft" else -1e-9))
     assert np.all(np.array(path["force"])[flies] == 0)
     assert np.any(flies)
-    assert path["complete"]
+    assert path.attrs["complete"]
 
 
 def test_a_start_on_a_cycle(client: TestClient):
@@ -72,12 +71,12 @@ def test_a_start_on_a_cycle(client: TestClient):
     ):
         answer = client.post("/v1/trajectories", json={**plain, **cell, "start": start})
         assert answer.status_code == 200, answer.text
-        document = answer.json()
-        assert document["flights"]["flight_time"] == pytest.approx([expected] * 3, abs=1e-9)
-        assert document["cycle"]["flight_time"] == pytest.approx(expected, abs=1e-12)
-        largest = max(abs(complex(*mu)) for mu in document["cycle"]["multipliers"])
-        assert document["cycle"]["stable"] == (expected == stable) == (largest < 1.0)
-        assert document["cycle"]["admissible"] == 0
+        path = from_json(answer.content)
+        assert path.flight_time.values == pytest.approx([expected] * 3, abs=1e-9)
+        assert path.cycle_flight_time.item() == pytest.approx(expected, abs=1e-12)
+        largest = max(abs(complex(*mu)) for mu in path.cycle_multipliers.values)
+        assert path.cycle_stable.item() == (expected == stable) == (largest < 1.0)
+        assert path.cycle_admissible.item() == 0
 
 
 @for_each(
@@ -118,13 +117,13 @@ def test_a_drop_falls_freely_until_it_lands(client: TestClient, model: dict[str,
     assert landed > 10
     assert np.all(flies[:landed])
     np.testing.assert_allclose(z2[:landed], fallen[:landed], atol=1e-12)
-    assert path["flights"]["takeoff"][0] > phase[landed - 1]  # the drop is no flight that took off
+    assert path.takeoff[0] > phase[landed - 1]  # the drop is no flight that took off
 
 
 @for_each("settle", [60, 3, 1])
 @for_each("model", MODELS)
 def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any], settle: int):
-    flights = trajectory(client, model=model, settle=settle)["flights"]
+    flights = trajectory(client, model=model, settle=settle)
     kind = Model[model["kind"].upper()]
     ones = np.ones(1)
     line = run_line(
@@ -185,18 +184,18 @@ def test_bad_trajectory(client: TestClient, case: str):
 
 def test_only_a_settled_cycle_of_one_bounce_without_restitution_has_its_energy(client: TestClient):
     rigid: dict[str, Any] = {"gamma": 1.5, "model": {"kind": "rigid"}, "settle": 300}
-    balance = trajectory(client, **rigid)["energy"]
-    assert balance["plate_contact"] + balance["plate_impact"] == pytest.approx(
-        balance["dashpot"] + balance["impact"], abs=1e-9
-    )
-    assert trajectory(client, **rigid, periods=3)["energy"] == pytest.approx(balance, abs=1e-6)
+    settled = trajectory(client, **rigid)
     longer = {"gamma": 3.6, "model": {"kind": "rigid"}, "settle": 0, "periods": 6}
     cycle = trajectory(client, **longer, start={"periods": 2})
-    assert cycle["cycle"]["periods"] == 2
-    balance = cycle["energy"]
-    assert balance["plate_contact"] + balance["plate_impact"] == pytest.approx(
-        balance["dashpot"] + balance["impact"], abs=1e-9
-    )
+    assert cycle.cycle_periods.item() == 2
+    for found in (settled, cycle):
+        given, taken = (
+            sum(found[f"energy_{name}"].item() for name in names)
+            for names in (("plate_contact", "plate_impact"), ("dashpot", "impact"))
+        )
+        assert given == pytest.approx(taken, abs=1e-9)
+    again = trajectory(client, **rigid, periods=3)
+    assert again.energy_dashpot.item() == pytest.approx(settled.energy_dashpot.item(), abs=1e-6)
     for changes in (
         {"settle": 0},  # from rest, not settled yet
         {"settle": 0, "periods": 100},  # but for the last flights
@@ -205,7 +204,7 @@ def test_only_a_settled_cycle_of_one_bounce_without_restitution_has_its_energy(c
         {"gamma": 2.3},  # (2,2)
         {"model": {"kind": "rigid", "restitution": 0.1}},
     ):
-        assert trajectory(client, **rigid | changes)["energy"] is None
+        assert "energy_dashpot" not in trajectory(client, **rigid | changes)
 
 
 def test_more_trajectories_at_a_time_than_allowed_are_told_to_wait(tmp_path: Path):

@@ -135,7 +135,7 @@ def test_an_answer_that_is_no_result_is_refused(body: bytes):
 def test_missing_numbers_and_texts_survive_both_forms():
     found = xarray.Dataset(
         {"a": (("x", "y"), np.array([[1.0, np.nan], [2.0, 3.0]])), "name": ("x", ["up", "down"])},
-        {"x": np.array([1, 2], np.int32)}, {"complete": 1},
+        {"x": np.array([1, 2], np.int32)}, {"complete": 1, "share": np.nan},
     )  # fmt: skip
     from service.views import encode
 

@@ -102,7 +102,7 @@ export async function requestComputed(path, options = {}) {
 }
 
 const ARRAY_TYPES = {
-  float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array,
+  float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array,
 };
 
 /** Arrays in the binary form of service/render/binary.py: {…values of the header, arrays: {name: typed array}}. */

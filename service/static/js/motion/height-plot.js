@@ -12,7 +12,7 @@ const MAX_LENGTH = 6;
  * the current phase; `at(phase)` gives the heights at a phase in rad.
  */
 export function heightsOf(trajectory) {
-  const isBall = trajectory.model.kind === "ball";
+  const isBall = trajectory.model === "ball";
   const length = isBall ? 0 : drawnLength(trajectory);
   const lower = trajectory.z2;
   const upper = trajectory.z1.map((z1, i) => (z1 === null ? null : isBall ? lower[i] : z1 - trajectory.rest_length + length));

@@ -1,6 +1,6 @@
 // The trajectory of one cell: requesting it from the service, waiting for it, and describing it in words.
 
-import { requestJson } from "../lib/api.js";
+import { requestDataset } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { duration, number, plural } from "../lib/format.js";
 import { TWO_PI } from "../lib/physics.js";
@@ -16,13 +16,22 @@ const SLOW_MS = 2500; // after which the note explains the delay
 const MIN_FLIGHT = 1e-3; // rad: shorter flights are not listed
 const MAX_LISTED = 8;
 
-/** As requestJson, with the time that compiling takes. */
-export const requestTrajectory = async (path, options = {}) => fromFirstSample(await requestJson(path, { ...options, waits: true, timeout: TIMEOUT_MS }));
+/** As requestDataset, with the time that compiling takes; the motion is an object of lists, with null after its end. */
+export const requestTrajectory = async (path, options = {}) => read(await requestDataset(path, { ...options, waits: true, timeout: TIMEOUT_MS }));
 
-/** A trajectory with its phases since the first sample: those of a drop begin at the plate's phase. */
-function fromFirstSample(trajectory) {
-  const { phase, flights } = trajectory;
-  return { ...trajectory, phase: phase.map((value) => value - phase[0]), flights: { ...flights, takeoff: flights.takeoff.map((value) => value - phase[0]) } };
+/** A trajectory from its Dataset, its phases since the first sample: those of a drop begin at the plate's phase. */
+function read({ attrs, ...found }) {
+  const list = (name) => Array.from(found[name].data, (value) => (Number.isNaN(value) ? null : value));
+  const { data: multipliers } = found.cycle_multipliers ?? {};
+  return {
+    ...attrs, phase: list("phase").map((value, i, [first]) => value - first), ...Object.fromEntries(["plate", "z1", "z2", "force", "in_flight"].map((name) => [name, list(name)])),
+    ...Object.fromEntries(["gamma", "omega", "xi"].map((name) => [name, found[name].data])),
+    flights: { flight_time: list("flight_time") },
+    cycle: multipliers && {
+      ...Object.fromEntries(["bounces", "periods", "flight_time", "stable"].map((name) => [name, found[`cycle_${name}`].data])),
+      multipliers: [[multipliers[0], multipliers[1]], [multipliers[2], multipliers[3]]],
+    },
+  };
 }
 
 /** The plate periods that a trajectory spans. */

@@ -1,7 +1,7 @@
 // Attractors over a grid: the flights of all that coexist along Γ, and the map of where several do.
 
 import { addressValue, setQuery } from "../lib/address.js";
-import { query, requestBlob, requestJson } from "../lib/api.js";
+import { query, requestBlob, requestDataset } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, plural, share } from "../lib/format.js";
 import { TWO_PI, axisLabel, clampIndex, initialValue, isClose, isLog, nearestIndex } from "../lib/physics.js";
@@ -41,7 +41,7 @@ class AttractorView extends PlotView {
   }
 
   async requestPlane(place, signal) {
-    this.plane = await requestJson(`/v1/jobs/${this.job.id}/multistability?${query(place)}`, { signal });
+    this.plane = read(await requestDataset(`/v1/jobs/${this.job.id}/multistability?${query(place)}`, { signal }));
     this.#showLegend();
     return { xi: this.plane.xi, complete: this.plane.complete };
   }
@@ -64,7 +64,7 @@ class AttractorView extends PlotView {
   }
 
   get noneComputed() {
-    return this.plane.count.every((line) => line.every((n) => n === null));
+    return this.plane.count.every((line) => line.every((n) => n < 0));
   }
 
   gammaScale() {
@@ -133,8 +133,8 @@ export class AttractorDiagram extends AttractorView {
   }
 
   #drawEvents(ctx, box) {
-    for (const { kind, attractor, gamma_below: below, gamma_above: above } of this.plane.events) {
-      if (kind !== "mode") verticalLine(ctx, box, box.x.pixel((below + above) / 2), branchColour(attractor, box.theme.dark), 1, kind === "birth" ? [5, 4] : [1, 3]);
+    for (const { kind, attractor, low, high } of this.plane.events) {
+      if (kind !== "mode") verticalLine(ctx, box, box.x.pixel((low + high) / 2), branchColour(attractor, box.theme.dark), 1, kind === "birth" ? [5, 4] : [1, 3]);
     }
   }
 
@@ -199,7 +199,7 @@ export class AttractorDiagram extends AttractorView {
   describe({ cell, k }) {
     const { gamma, cells, count } = this.plane;
     const place = cells[0][cell][k];
-    const parts = [`Γ = ${number(gamma[cell])}`, count[0][cell] === null ? "not computed yet" : plural(count[0][cell], "attractor")];
+    const parts = [`Γ = ${number(gamma[cell])}`, count[0][cell] < 0 ? "not computed yet" : plural(count[0][cell], "attractor")];
     if (!place) return parts.join(" · ");
     const times = [...new Set(place.flight_time.map((time) => number(time, 4)))];
     parts.push(this.placeText(place));
@@ -209,10 +209,10 @@ export class AttractorDiagram extends AttractorView {
 }
 
 /** "Γ 0.54 to 0.56: attractor 2, (1,1), is born; below, its place has attractor 1" */
-function eventText({ kind, attractor, gamma_below: low, gamma_above: high, below, above, leads_to: other }) {
+function eventText({ kind, attractor, low, high, below, above, other }) {
   const where = `Γ ${number(low)} to ${number(high)}: attractor ${attractor}`;
   if (kind === "mode") return `${where} changes from ${below} to ${above}`;
-  const ends = other === null ? "" : `; it leads to attractor ${other}`;
+  const ends = other ? `; it leads to attractor ${other}` : "";
   return kind === "birth" ? `${where}, ${above}, is born${ends}` : `${where}, ${below}, ends${ends}`;
 }
 
@@ -307,9 +307,30 @@ export class AttractorMap extends AttractorView {
   describe({ column, row }) {
     const { gamma, omega, cells, count } = this.plane;
     const parts = [`Γ = ${number(gamma[column])}`, `Ω = ${number(omega[row])}`];
-    if (count[row][column] === null) parts.push("not computed yet");
+    if (count[row][column] < 0) parts.push("not computed yet");
     return [...parts, ...cells[row][column].map((place) => this.placeText(place))].join(" · ");
   }
+}
+
+/** The plane from its Dataset: `cells` are the attractors of each cell, in rows of Ω, with the flights of a line. */
+function read({ attrs, ...found }) {
+  const list = (name) => Array.from(found[name].data);
+  const rows = ({ data, shape }) => Array.from({ length: shape[0] }, (_, i) => Array.from(data.slice(i * shape[1], (i + 1) * shape[1])));
+  const { id, label, fraction, longest_flight: longest, flight_time: flights } = found;
+  const [, columns, places] = id.shape;
+  const place = (i, j, k) => {
+    const at = (i * columns + j) * places + k;
+    const times = flights?.data.slice(at * flights.shape[3], (at + 1) * flights.shape[3]).filter(Number.isFinite);
+    return { id: id.data[at], label: label.data[i][j][k], fraction: fraction.data[at], longest_flight: longest.data[at], flight_time: Array.from(times ?? []) };
+  };
+  const cell = (i, j) => Array.from({ length: places }, (_, k) => place(i, j, k)).filter((each) => each.id);
+  const [kind, attractor, low, high, below, above, other] = ["kind", "attractor", "gamma_below", "gamma_above", "below", "above", "leads_to"].map((name) => list(`event_${name}`));
+  return {
+    ...attrs, xi: found.xi.data, omega: list("omega"), gamma: list("gamma"), count: rows(found.count),
+    cells: list("omega").map((_, i) => list("gamma").map((_, j) => cell(i, j))),
+    attractors: list("attractor").map((id, i) => ({ id, label: found.attractor_label.data[i], cells: found.cells.data[i] })),
+    events: kind.map((_, i) => ({ kind: kind[i], attractor: attractor[i], low: low[i], high: high[i], below: below[i], above: above[i], other: other[i] })),
+  };
 }
 
 const range = (first, end, step) => Array.from({ length: Math.ceil((end - first) / step) }, (_, i) => first + i * step);

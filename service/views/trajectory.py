@@ -1,28 +1,29 @@
 """The motion of one cell while the caller waits: plate, masses and contact force, sample by sample."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
+import xarray
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, model_validator
 
-from kernel.branches.energy import Energy, energy
-from kernel.branches.events import Branch, branch
+from kernel.branches.energy import energy
+from kernel.branches.events import branch
 from kernel.branches.starts import CycleStart, start_on_cycle, start_on_stable_cycle
+from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
 from service.results.selection import (
     Stored,
-    Sweep,
     check_kernel,
     nearest_index,
     read,
     read_stored,
     resolve_direction,
 )
+from service.views.variables import coordinate, row, variable
+from service.views.view import Estimate, Number, Query, View
 from worker import schema
 from worker.basins.spec import MAX_HEIGHT, BasinSpec, MultistabilitySpec
 from worker.basins.starts import contact_states, drop_states
@@ -171,18 +172,42 @@ def _fields() -> dict[str, tuple[str, ...]]:
     }
 
 
-@dataclass(frozen=True)
-class Motion:
-    """A sampled trajectory and the rest length the spring is drawn with, in plate amplitudes."""
+_LENGTH: Final = "plate amplitudes"
+_WORK: Final = "m A² ω²"
+_MOMENTUM: Final = "m A ω"
 
-    spec: TrajectorySpec
-    trajectory: Trajectory
-    rest_length: float
-    cycle: Branch | None = None  # of one point: the cycle that it starts on
+#: The variables by name. Those of a cycle are of a start on one, the energies of a cycle of one bounce on a
+#: rigid plate without restitution.
+_ROWS: Final = {
+    each.name: each
+    for each in (
+        row("plate", ("phase",), "<f8", "plate", _LENGTH),
+        row("z1", ("phase",), "<f8", "upper mass", _LENGTH),
+        row("z2", ("phase",), "<f8", "lower mass", _LENGTH),
+        row("force", ("phase",), "<f8", "force of the plate on the lower mass", "m A ω²"),
+        row("in_flight", ("phase",), "?", "whether the spring is off the plate"),
+        row("takeoff", ("flight",), "<f8", "phase of the plate at take-off, as `phase`", "rad"),
+        row("takeoff_phase", ("flight",), "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
+        row("flight_time", ("flight",), "<f8", "flight time", "rad"),
+        row("cycle_bounces", (), "<i4", "bounces of the cycle"),
+        row("cycle_periods", (), "<i4", "plate periods of the cycle"),
+        row("cycle_flight_time", (), "<f8", "flight time of the cycle", "rad"),
+        row("cycle_multipliers", ("multiplier", "part"), "<f8", "Floquet multipliers, real and imaginary"),
+        row("cycle_stable", (), "?", "whether both multipliers are inside the unit circle"),
+        row("cycle_admissible", (), "|u1", "0, or the sum of the conditions that fail"),
+        row("energy_plate_contact", (), "<f8", "work of the plate in contact", _WORK),
+        row("energy_plate_impact", (), "<f8", "work of the plate at the impact", _WORK),
+        row("energy_dashpot", (), "<f8", "energy that the dashpot takes", _WORK),
+        row("energy_impact", (), "<f8", "energy that the impact takes", _WORK),
+        row("energy_force", (), "<f8", "momentum that the contact force gives", _MOMENTUM),
+        row("energy_impulse", (), "<f8", "momentum that the impact gives", _MOMENTUM),
+        row("energy_weight", (), "<f8", "momentum that gravity takes", _MOMENTUM),
+    )
+}  # fmt: skip
 
 
-def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
-    """Raise TooLarge for more samples or more computing than one answer may take, SpecInvalid as `sweep`."""
+def _seconds(spec: TrajectorySpec) -> float:
+    """Estimated seconds of computing. Raises SpecInvalid as `sweep`, TooLarge for too many samples."""
     sweep = spec.sweep()
     samples = spec.periods * spec.samples + 1
     if samples > MAX_SAMPLES:
@@ -190,8 +215,12 @@ def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
             f"periods × samples: {samples:,} samples; the limit is {MAX_SAMPLES:,}, "
             f"{max((MAX_SAMPLES - 1) // spec.periods, 1):,} per period"
         )
-    periods = spec.settle + spec.periods
-    seconds = period_seconds(sweep, alone=True) * periods
+    return period_seconds(sweep, alone=True) * (spec.settle + spec.periods)
+
+
+def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
+    """Raise TooLarge for more samples or more computing than one answer may take, SpecInvalid as `sweep`."""
+    seconds, periods = _seconds(spec), spec.settle + spec.periods
     if seconds > max_seconds:
         fitting = int(periods * max_seconds / seconds)
         raise TooLarge(
@@ -200,17 +229,23 @@ def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
         )
 
 
-def compute(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> Motion:
+def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xarray.Dataset:
     """The motion after `settle` periods from rest, from the start, or from a state in the cell's units.
 
     Raises InvalidRequest where the cell has no answer to settle to, or no such cycle.
     """
     gamma, omega, xi = (np.array([value]) for value in (spec.gamma, spec.omega, spec.xi))
-    depth = penetration_of(spec.model, gamma, omega)
-    cycle = None
+    cell = Cell(spec.gamma, spec.omega, spec.xi)
+    values: dict[str, Any] = {}
     if isinstance(spec.start, CyclePoint):
-        start, cycle = _on_cycle(Cell(spec.gamma, spec.omega, spec.xi), spec.start)
+        start, cycle = _on_cycle(cell, spec.start)
         state = start.state
+        values = {
+            "cycle_bounces": cycle.bounces, "cycle_periods": cycle.periods,
+            "cycle_flight_time": cycle.flight_time[0], "cycle_stable": cycle.stable[0],
+            "cycle_multipliers": [[mu.real, mu.imag] for mu in cycle.multiplier[0]],
+            "cycle_admissible": cycle.admissible[0],
+        }  # fmt: skip
     elif isinstance(spec.start, DropStart):
         state = drop_states(np.array(spec.start.height), np.array(spec.start.phase))
     elif isinstance(spec.start, ContactStart):
@@ -218,98 +253,119 @@ def compute(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> M
         state = contact_states(spec.model, (spec.gamma, spec.omega, spec.xi), *place)
     if state is None and spec.settle:
         state = _settled(spec.sweep(), gamma, omega, xi)
-    trajectory = sample(
-        Cell(spec.gamma, spec.omega, spec.xi),
-        plate_of(spec.model, gamma, omega, xi),
-        state,
-        periods=spec.periods,
-        samples=spec.samples,
+    plate = plate_of(spec.model, gamma, omega, xi)
+    path = sample(cell, plate, state, periods=spec.periods, samples=spec.samples)
+    length = float(penetration_of(spec.model, gamma, omega)[0]) / DEPTH_OVER_LENGTH
+    z2 = path.plate + path.gap
+    values |= {
+        "plate": path.plate, "z1": z2 + length + path.elongation, "z2": z2, "force": path.force,
+        "in_flight": path.in_flight, "takeoff": path.takeoff, "takeoff_phase": path.takeoff % TWO_PI,
+        "flight_time": path.flight_time, **_energies(spec, path),
+    }  # fmt: skip
+    coords = {axis: coordinate(axis, getattr(spec, axis)) for axis in AXES}
+    about = {"long_name": "plate phase, with whole periods added", "units": "rad"}
+    return xarray.Dataset(
+        {name: variable((), values[name], each) for name, each in _ROWS.items() if name in values},
+        {"phase": coordinate("phase", path.phase, **about), **coords},
+        {"rest_length": length, "model": spec.model.kind, "complete": path.complete},
     )
-    return Motion(spec, trajectory, float(depth[0]) / DEPTH_OVER_LENGTH, cycle)
 
 
-def cycle_energy(motion: Motion) -> Energy | None:
+def _energies(spec: TrajectorySpec, path: Trajectory) -> dict[str, float]:
     """The balance of a cycle, if the samples show one of one bounce on a rigid plate without restitution.
 
-    In closed form; None for any other motion.
+    In closed form; empty for any other motion.
     """
-    spec, path = motion.spec, motion.trajectory
     model = spec.model
     if not (isinstance(model, Rigid) and model.restitution == 0.0 and len(path.takeoff) > 1):
-        return None
+        return {}
     spans, flight_time = np.diff(path.takeoff), path.flight_time[-1]
-    periods = round(float(spans[-1]) / (2.0 * np.pi))
-    if periods < 1 or np.abs(spans - 2.0 * np.pi * periods).max() > SETTLED:
-        return None
+    periods = round(float(spans[-1]) / TWO_PI)
+    if periods < 1 or np.abs(spans - TWO_PI * periods).max() > SETTLED:
+        return {}
     try:
         cycle = branch(spec.omega, spec.xi, periods, np.array([flight_time]))
         if abs(float(cycle.gamma[0]) - spec.gamma) > SETTLED * spec.gamma:
-            return None
-        return energy(spec.omega, spec.xi, periods, np.array([flight_time]))
+            return {}
+        balance = energy(spec.omega, spec.xi, periods, np.array([flight_time]))
     except KernelInputError:
-        return None
+        return {}
+    return {f"energy_{name}": x[0] for name, x in balance._asdict().items()}
 
 
-def of_cell(
-    sweep: Sweep,
-    values: Mapping[str, float | None],
-    direction: str | None,
-    periods: int,
-    samples: int,
-) -> tuple[TrajectorySpec, NDArray[np.float64] | None]:
-    """The trajectory of the grid cell nearest to `values`, and the state a ramp left the cell in.
+class TrajectoryQuery(Query):
+    """The cell of the job nearest to the given values, and how to sample its motion."""
 
-    None for a sweep from rest, whose cells settle as they did in the sweep. Raises InvalidRequest as
-    `diagram.diagram`, and for a cell of a ramp that is not computed yet, or that is unresolved or diverged:
-    its stored state is where the computation stopped, not the end of its window. Raises OutdatedJob for a
-    sweep of another kernel version.
+    gamma: Number | None = None
+    omega: Number | None = None
+    xi: Number | None = None
+    direction: Annotated[
+        str | None, Field(description="rest, up or down; default: the first direction of the sweep")
+    ] = None
+    attractor: Annotated[
+        int | None,
+        Field(ge=1, description="of a job of basins or multistability: which attractor of the cell, from 1"),
+    ] = None
+    periods: Annotated[int, Field(ge=1, le=1000, description="plate periods")] = 4
+    samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES, description="per plate period")] = 200
+
+
+_Spec = SweepSpec | BasinSpec | MultistabilitySpec
+
+
+def compute(study: Stored[_Spec], query: TrajectoryQuery) -> xarray.Dataset:
+    """The motion of one cell of a job.
+
+    As it settles from rest, where the ramp left it, or on one of its attractors. Lengths are in plate
+    amplitudes; the attribute `rest_length` is that of the spring. Flights are those that start and end within
+    the samples. Refused for a cell of a ramp that is not computed yet, or that is unresolved or diverged: its
+    stored state is where the computation stopped.
     """
-    check_kernel(sweep.kernel_version)
-    spec = sweep.spec
-    cell = {axis: nearest_index(spec, axis, values.get(axis)) for axis in AXES}
-    direction = resolve_direction(spec, direction)
+    check_kernel(study.kernel_version)
+    cell = _cell(study.spec, query)
+    at = {axis: nearest_index(study.spec, axis, getattr(query, axis)).index for axis in AXES}
     state = None
-    if spec.ramp_axis is not None:
-        state = _end_state(sweep, direction, {axis: point.index for axis, point in cell.items()})
-    trajectory = TrajectorySpec(
-        **{axis: point.value for axis, point in cell.items()},
-        model=spec.model,
-        settle=min(spec.settle, MAX_SETTLE) if state is None else 0,
-        periods=periods,
-        samples=samples,
-    )
-    return trajectory, state
+    if query.attractor is not None:
+        state = _attractor_state(study, query.attractor, at)
+    elif isinstance(study.spec, SweepSpec) and study.spec.ramp_axis is not None:
+        state = _end_state(study, resolve_direction(study.spec, query.direction), at)
+    return motion(cell, state)
 
 
-def of_attractor(
-    job: Stored[BasinSpec] | Stored[MultistabilitySpec],
-    values: Mapping[str, float | None],
-    attractor: int,
-    periods: int,
-    samples: int,
-) -> tuple[TrajectorySpec, NDArray[np.float64]]:
-    """The trajectory on an attractor of the grid cell nearest to `values`, and its stored state.
+def estimate(spec: _Spec, query: TrajectoryQuery) -> Estimate:
+    """All samples. Raises InvalidRequest for a cell or a start that the job does not have."""
+    cell = _cell(spec, query)
+    seconds, samples = _seconds(cell), cell.periods * cell.samples + 1
+    return Estimate({"phase": samples}, memory=samples * BYTES_PER_SAMPLE, seconds=seconds, small=False)
 
-    attractor: its place in the cell, from 1. Raises InvalidRequest as `selection.nearest_index`, and for an
-    attractor that is not stored. Raises OutdatedJob for a job of another kernel version.
-    """
-    check_kernel(job.kernel_version)
-    spec = job.spec
-    cell = {axis: nearest_index(spec, axis, values.get(axis)) for axis in AXES}
-    indices = {axis: point.index for axis, point in cell.items()}
+
+def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
+    """The cell of the grid and its samples. Only a cell of a sweep from rest settles again, as it did."""
+    values = {axis: nearest_index(spec, axis, getattr(query, axis)).value for axis in AXES}
+    settle = 0
+    if not isinstance(spec, SweepSpec):
+        if query.attractor is None:
+            raise InvalidRequest.of("attractor", f"is required: the protocol is {spec.protocol.kind}")
+    elif query.attractor is not None:
+        raise InvalidRequest.of("attractor", "must be left out: the job is a sweep, which stores none")
+    else:
+        resolve_direction(spec, query.direction)
+        settle = min(spec.settle, MAX_SETTLE) if spec.ramp_axis is None else 0
+    sampling = {"settle": settle, "periods": query.periods, "samples": query.samples}
+    return TrajectorySpec(**values, model=spec.model, **sampling)
+
+
+def _attractor_state(study: Stored[Any], attractor: int, indices: dict[str, int]) -> NDArray[np.float64]:
+    """The stored state of an attractor of a cell, numbered from 1."""
     names = ("attractor_outcome", "attractor_state")
-    arrays = read_stored(job, names, indices, lambda: {"attractor_outcome": np.zeros(0)})
+    arrays = read_stored(study, names, indices, lambda: {"attractor_outcome": np.zeros(0)})
     stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
-    if not 1 <= attractor <= stored:
+    if attractor > stored:
         rule = (
             f"must be from 1 to {stored}: the attractors of this cell" if stored else "this cell has none yet"
         )
         raise InvalidRequest.of("attractor", rule)
-    trajectory = TrajectorySpec(
-        **{axis: point.value for axis, point in cell.items()},
-        model=spec.model, settle=0, periods=periods, samples=samples,
-    )  # fmt: skip
-    return trajectory, np.asarray(arrays["attractor_state"][attractor - 1])
+    return np.asarray(arrays["attractor_state"][attractor - 1])
 
 
 def _on_cycle(cell: Cell, point: CyclePoint) -> CycleStart:
@@ -341,10 +397,16 @@ def _check_ended(field: str, outcome: int) -> None:
         raise InvalidRequest.of(field, f"the cell is {name} before the first sample")
 
 
-def _end_state(sweep: Sweep, direction: str, indices: dict[str, int]) -> NDArray[np.float64]:
+def _end_state(sweep: Stored[Any], direction: str, indices: dict[str, int]) -> NDArray[np.float64]:
     names = (schema.OUTCOME.name, schema.END_STATE.name)
     arrays = read(sweep, names, direction, indices)
     if arrays[schema.OUTCOME.name] == Outcome.MISSING:
         raise InvalidRequest.of("gamma", "this cell is not computed yet; a ramp computes its cells in order")
     _check_ended("gamma", int(arrays[schema.OUTCOME.name]))
     return np.asarray(arrays[schema.END_STATE.name])
+
+
+VIEW: Final = View(
+    "trajectory", "Motion of a cell", _Spec, TrajectoryQuery, compute, estimate,
+    variables=tuple(_ROWS.values()), rows="plate", computes=True,
+)  # fmt: skip

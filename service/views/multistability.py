@@ -1,0 +1,425 @@
+"""The attractors of a stored study of multistability, matched over the plane of one xi.
+
+Along gamma, two attractors of neighbouring cells are one if each leads to the other. What is one along a line
+is a branch. Two branches of neighbouring lines are near in the cells where they are of one mode with longest
+flights within NEAR, nearer than to others. Branches join to attractors, those first that are near in most
+cells, as long as no attractor is twice in a cell. Attractors are numbered from 1 by their cells, those with
+most first.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import numpy as np
+import xarray
+from numpy.typing import NDArray
+from pydantic import Field
+
+from kernel.params import Outcome
+from service.results.counting import attractor_label
+from service.results.selection import Stored, check_points, nearest_index, read_stored
+from service.views.variables import coordinate, row, variable
+from service.views.view import Estimate, Number, Query, View
+from worker.basins.multistability import MAX_ATTRACTORS
+from worker.basins.schema import OF_ATTRACTORS
+from worker.basins.spec import MultistabilitySpec
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+#: Cells of one answer, and bytes of memory of each while they are matched.
+MAX_CELLS: Final = 2**16
+_PER_CELL: Final = 4096
+
+#: Cycles of neighbouring lines may be one attractor if their longest flights differ by at most this, rad.
+NEAR: Final = 1.0
+
+_PLANE: Final = ("omega", "gamma")
+_MODE: Final = ("attractor_outcome", "bounces", "periods")
+_NAMES: Final = (
+    "outcome", "attractor_count", *_MODE, "longest_flight", "fraction", "next_up", "next_down",
+)  # fmt: skip
+_OF_PLACES: Final = ("fraction", "longest_flight", "flight_time")
+_OF_EVENTS: Final = tuple(
+    f"event_{name}"
+    for name in ("kind", "attractor", "omega", "gamma_below", "gamma_above", "below", "above", "leads_to")
+)
+
+#: The variables by name; those of a place are of an attractor of a cell.
+_ROWS: Final = {
+    each.name: each
+    for each in (
+        row("count", (), "<i4", "attractors of the cell", comment="-1: not computed"),
+        row("id", ("place",), "<i4", "attractor of the plane", comment="0: none"),
+        row("label", ("place",), "U", "what the attractor does"),
+        *(array._replace(dims=tuple("place" if dim == "id" else dim for dim in array.dims))
+          for array in OF_ATTRACTORS if array.name in _OF_PLACES),
+        row("attractor_label", ("attractor",), "U", "what the attractor does in most cells"),
+        row("cells", ("attractor",), "<i4", "cells of the attractor"),
+        row("event_kind", ("event",), "U", "birth, death or mode, with gamma growing"),
+        row("event_attractor", ("event",), "<i4", "attractor of the event"),
+        row("event_omega", ("event",), "<f8", "omega of the event"),
+        row("event_gamma_below", ("event",), "<f8", "gamma of the cell below the event"),
+        row("event_gamma_above", ("event",), "<f8", "gamma of the cell above the event"),
+        row("event_below", ("event",), "U", "label of the attractor below", comment="empty: none"),
+        row("event_above", ("event",), "U", "label of the attractor above", comment="empty: none"),
+        row("event_leads_to", ("event",), "<i4", "attractor that takes the place of one born or dying",
+            comment="0: none"),
+    )
+}  # fmt: skip
+
+_Arrays = Mapping[str, NDArray[Any]]
+
+
+class MultistabilityQuery(Query):
+    """The plane at the nearest xi, or a line of it along gamma. An axis with one value may be omitted."""
+
+    xi: Number | None = None
+    omega: Annotated[Number | None, Field(description="the nearest line along gamma alone")] = None
+
+
+def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xarray.Dataset:
+    """The attractors of every cell at one ξ.
+
+    They are matched from cell to cell, with births, deaths and changes of mode as events. One attractor has
+    one `id` in all cells; ids are numbered from 1 by the number of cells. With `omega` only the line along Γ
+    nearest to it, with the flights of every attractor. The attribute `several` is the share of cells with two
+    attractors or more, `several_by_drops` the same without attractors that no drop reaches.
+    """
+    spec, xi, rows = study.spec, nearest_index(study.spec, "xi", query.xi), slice(None)
+    if query.omega is not None:
+        at = nearest_index(spec, "omega", query.omega).index
+        rows = slice(at, at + 1)
+    arrays = _read(study, _NAMES, xi.index, slice(None))
+    ids = _ids(arrays)
+    labels, shown, there = _labels(arrays, ids), ids[rows], ids[rows] > 0
+    count = np.where(arrays["outcome"] == Outcome.MISSING, -1, arrays["attractor_count"])[rows]
+    of_places: dict[str, NDArray[Any]] = {"id": shown, "label": labels[rows]}
+    for name in ("fraction", "longest_flight"):
+        of_places[name] = np.where(there, arrays[name][rows], np.nan)
+    if query.omega is not None:
+        times = _read(study, ("flight_time",), xi.index, rows)["flight_time"]
+        of_places["flight_time"] = np.where(there[..., np.newaxis], times, np.nan)
+    places = max(1, int(np.count_nonzero(there, axis=-1).max()))
+    data = {name: variable(_PLANE, values[:, :, :places], _ROWS[name]) for name, values in of_places.items()}
+    numbers = np.unique(shown[there])
+    commonest = _commonest(ids, labels)
+    columns: dict[str, Any] = {
+        "attractor_label": [commonest[number] for number in numbers.tolist()],
+        "cells": np.bincount(ids.ravel())[numbers],
+    }
+    events = list(_events(spec, arrays, ids, labels, rows))
+    columns |= {name: [event[i] for event in events] for i, name in enumerate(_OF_EVENTS)}
+    data |= {name: variable((), values, _ROWS[name]) for name, values in columns.items()}
+    data["count"] = variable(_PLANE, count, _ROWS["count"])
+    coords = {
+        "xi": coordinate("xi", xi.value),
+        "omega": coordinate("omega", spec.axis_values("omega")[rows]),
+        "gamma": coordinate("gamma", spec.axis_values("gamma")),
+        "attractor": coordinate("attractor", numbers.astype(np.int32), long_name="attractor of the plane"),
+    }
+    reached = np.count_nonzero(of_places["fraction"] > 0.0, axis=-1)
+    attrs = {
+        "several": _several(count, count), "several_by_drops": _several(reached, count),
+        "model": spec.model.kind, "complete": study.is_complete(arrays["outcome"]),
+    }  # fmt: skip
+    return xarray.Dataset(data, coords, attrs)
+
+
+def _read(
+    study: Stored[MultistabilitySpec], names: Sequence[str], xi: int, rows: slice
+) -> dict[str, NDArray[Any]]:
+    """Arrays over omega, gamma and the attractors of a cell."""
+    _, omegas, gammas = study.spec.shape
+    extra = {"outcome": (), "attractor_count": (), "flight_time": (MAX_ATTRACTORS, study.spec.keep)}
+    shapes = {name: (len(range(omegas)[rows]), gammas, *extra.get(name, (MAX_ATTRACTORS,))) for name in names}
+    # Before there is a store, no cell has an attractor.
+    return read_stored(
+        study, names, {"xi": xi, "omega": rows}, lambda: {name: np.zeros(shapes[name]) for name in names}
+    )
+
+
+def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
+    """The plane or the line. Raises InvalidRequest as `nearest_index`, TooLarge for more than MAX_CELLS."""
+    nearest_index(spec, "xi", query.xi)
+    _, omegas, gammas = spec.shape
+    check_points(omegas * gammas, MAX_CELLS, f"{omegas:,} by {gammas:,} cells", None)
+    lengths = {"omega": omegas, "gamma": gammas, "place": MAX_ATTRACTORS}
+    if query.omega is not None:
+        nearest_index(spec, "omega", query.omega)
+        lengths |= {"omega": 1, "flight": spec.keep}
+    return Estimate(lengths, reads=_PLANE, memory=omegas * gammas * _PER_CELL)
+
+
+def _several(attractors: NDArray[Any], count: NDArray[Any]) -> float:
+    """Share of the computed cells with two attractors or more; NaN if none is computed."""
+    computed = attractors[count >= 0]
+    return float(np.mean(computed >= 2)) if computed.size else np.nan
+
+
+def _known(arrays: _Arrays, i: int, j: int) -> range:
+    """Indices of the stored attractors of a cell."""
+    return range(min(int(arrays["attractor_count"][i, j]), MAX_ATTRACTORS))
+
+
+def _ids(arrays: _Arrays) -> NDArray[np.int64]:
+    """The id of every stored attractor (omega, gamma, id); 0 where there is none."""
+    branch = _branches(arrays)
+    owner = _joined(branch, _votes(arrays, branch))
+    there = branch >= 0
+    owners, index, cells = np.unique(owner[branch[there]], return_inverse=True, return_counts=True)
+    order = np.lexsort((owners, -cells))
+    number = np.empty(len(owners), np.int64)
+    number[order] = np.arange(1, len(owners) + 1)
+    ids = np.zeros(branch.shape, np.int64)
+    ids[there] = number[index]
+    return ids
+
+
+def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> NDArray[np.int64]:
+    """Of each branch, the first branch of its attractor. Pairs join by votes, unless they share a cell."""
+    cells: list[set[int]] = [set() for _ in range(int(branch.max(initial=-1)) + 1)]
+    members = [[number] for number in range(len(cells))]
+    owner = np.arange(len(cells))
+    for at, number in enumerate(branch.ravel().tolist()):
+        if number >= 0:
+            cells[number].add(at // MAX_ATTRACTORS)
+    for pair, _ in sorted(votes.items(), key=lambda vote: (-vote[1], vote[0])):
+        first, second = sorted(int(owner[number]) for number in pair)
+        if first != second and cells[first].isdisjoint(cells[second]):
+            owner[members[second]] = first
+            members[first] += members[second]
+            cells[first] |= cells[second]
+    return owner
+
+
+def _branches(arrays: _Arrays) -> NDArray[np.int64]:
+    """The branch of every stored attractor (omega, gamma, id), numbered line by line; -1: none."""
+    branch = np.full(arrays["attractor_outcome"].shape, -1, np.int64)
+    branches = 0
+    omegas, gammas = arrays["outcome"].shape
+    for i in range(omegas):
+        for j in range(gammas):
+            for k in _known(arrays, i, j):
+                before = int(arrays["next_down"][i, j, k]) - 1 if j else -1
+                if before >= 0 and arrays["next_up"][i, j - 1, before] == k + 1:
+                    branch[i, j, k] = branch[i, j - 1, before]
+                else:
+                    branch[i, j, k] = branches
+                    branches += 1
+    return branch
+
+
+def _votes(arrays: _Arrays, branch: NDArray[np.int64]) -> Mapping[tuple[int, int], int]:
+    """In how many cells branches of neighbouring lines are nearest to each other."""
+    votes: Counter[tuple[int, int]] = Counter()
+    for i in range(1, len(branch)):
+        for j in range(branch.shape[1]):
+            for k, before in _nearest(arrays, i, j):
+                votes[int(branch[i - 1, j, before]), int(branch[i, j, k])] += 1
+    return votes
+
+
+def _nearest(arrays: _Arrays, i: int, j: int) -> Iterator[tuple[int, int]]:
+    """Pairs of attractors of the cells (i, j) and (i - 1, j): of one mode, the nearest flights first."""
+    longest = arrays["longest_flight"]
+    pairs = sorted(
+        (abs(float(longest[i, j, k] - longest[i - 1, j, before])), k, before)
+        for k in _known(arrays, i, j)
+        for before in _known(arrays, i - 1, j)
+        if _mode(arrays, i, j, k) == _mode(arrays, i - 1, j, before)
+    )
+    here, there = set[int](), set[int]()
+    for difference, k, before in pairs:
+        near = difference <= NEAR or arrays["attractor_outcome"][i, j, k] == Outcome.APERIODIC
+        if near and k not in here and before not in there:
+            here.add(k)
+            there.add(before)
+            yield k, before
+
+
+def _mode(arrays: _Arrays, i: int, j: int, k: int) -> tuple[int, int, int]:
+    outcome, bounces, periods = (int(arrays[name][i, j, k]) for name in _MODE)
+    return outcome, bounces, periods
+
+
+def _labels(arrays: _Arrays, ids: NDArray[np.int64]) -> NDArray[np.object_]:
+    """What every stored attractor does; empty where there is none."""
+    labels, there = np.full(ids.shape, "", object), ids > 0
+    modes = zip(*(arrays[name][there].tolist() for name in _MODE), strict=True)
+    labels[there] = [attractor_label(*mode) for mode in modes]
+    return labels
+
+
+def _commonest(ids: NDArray[np.int64], labels: NDArray[np.object_]) -> dict[int, str]:
+    """The commonest label of every attractor by its id."""
+    counts = Counter(zip(ids[ids > 0].tolist(), labels[ids > 0].tolist(), strict=True))
+    ranked = sorted(counts, key=lambda each: (-counts[each], each[1]))
+    return dict(reversed(ranked))
+
+
+def _events(
+    spec: MultistabilitySpec,
+    arrays: _Arrays,
+    ids: NDArray[np.int64],
+    labels: NDArray[np.object_],
+    rows: slice,
+) -> Iterator[tuple[Any, ...]]:
+    """Births, deaths and changes of mode between computed cells of some lines, as _OF_EVENTS."""
+    computed = arrays["outcome"] != Outcome.MISSING
+    omega, gamma = (spec.axis_values(axis).tolist() for axis in _PLANE)
+    omegas, gammas = computed.shape
+    for i in range(omegas)[rows]:
+        for j in range(gammas - 1):
+            if not computed[i, j] or not computed[i, j + 1]:
+                continue
+            below, above = (
+                {
+                    number: label
+                    for number, label in zip(ids[i, at].tolist(), labels[i, at], strict=True)
+                    if number
+                }
+                for at in (j, j + 1)
+            )
+            for number in sorted(below.keys() | above.keys()):
+                before, after = below.get(number, ""), above.get(number, "")
+                if before == after:
+                    continue
+                kind, leads_to = "mode", 0
+                if not before:
+                    kind = "birth"
+                    leads_to = _target(arrays["next_down"], ids, (i, j + 1), number, (i, j))
+                elif not after:
+                    kind = "death"
+                    leads_to = _target(arrays["next_up"], ids, (i, j), number, (i, j + 1))
+                yield kind, number, omega[i], gamma[j], gamma[j + 1], before, after, leads_to
+
+
+def _target(
+    leads: NDArray[np.int8], ids: NDArray[np.int64], cell: tuple[int, int], number: int, to: tuple[int, int]
+) -> int:
+    """The id of the attractor of the cell `to` that attractor `number` of `cell` leads to; 0: none."""
+    reached = int(leads[cell][ids[cell] == number][0])
+    return int(ids[to][reached - 1]) if reached > 0 else 0
+
+
+#: Colours of cells by their number of attractors: not computed, none, 1, 2, 3, 4 and more.
+COUNTS: Final = ("#ffffff", "#bbbbbb", "#e8edf2", "#56b4e9", "#d55e00", "#000000")
+_OF_COUNTS: Final = ("not computed", "undecided", "one attractor", "two", "three", "four or more")
+
+#: Colour of the attractors without one of their own.
+OTHERS: Final = "#999999"
+
+
+def draw(found: xarray.Dataset, figure: "Figure") -> None:
+    """Two maps, of the number of attractors and of the one that most drops reach; of a line its flights."""
+    if "flight_time" in found:
+        _draw_line(found, figure)
+    else:
+        _draw_plane(found, figure)
+
+
+def _draw_plane(found: xarray.Dataset, figure: "Figure") -> None:
+    from matplotlib.patches import Patch
+
+    from service.render.style import SYMBOLS, TEXT
+
+    left, right = figure.subplots(1, 2, sharey=True)
+    number = np.clip(found["count"].values + 1, 0, len(COUNTS) - 1)
+    _map(left, found, number, COUNTS)
+    _legend(left, [Patch(facecolor=COUNTS[n], edgecolor="black", linewidth=0.5, label=_OF_COUNTS[n])
+                   for n in np.unique(number).tolist()])  # fmt: skip
+    first, colours = found.id.values[:, :, 0], _colours()
+    _map(right, found, np.minimum(first, len(colours) - 1), colours)
+    _name_attractors(right, found.sel(attractor=np.intersect1d(found.attractor, first)))
+    left.set_ylabel(SYMBOLS["omega"], **TEXT)
+    several = found.attrs["several"]
+    share = "" if np.isnan(several) else f": several in {100.0 * several:.1f} %"
+    left.set_title(f"attractors of a cell{share}", fontsize=11, **TEXT)
+    right.set_title("the attractor that most drops reach", fontsize=11, **TEXT)
+    title = f"{SYMBOLS['xi']} = {found.xi.item():g}  ({found.attrs['model']})"
+    figure.suptitle(title, fontsize=11, **TEXT)
+
+
+def _colours() -> tuple[str, ...]:
+    """Colours by id: none, one of their own for those with most cells, and that of all others."""
+    from service.render.style import COLOURS, UNDECIDED
+
+    return UNDECIDED, *COLOURS[:-1], OTHERS
+
+
+def _map(axes: "Axes", found: xarray.Dataset, values: NDArray[np.int64], colours: tuple[str, ...]) -> None:
+    """Cells in the colours of their values; the grid may be uneven."""
+    from matplotlib.colors import ListedColormap
+
+    axes.pcolormesh(
+        _edges(found.gamma.values), _edges(found.omega.values), values, cmap=ListedColormap(list(colours)),
+        vmin=-0.5, vmax=len(colours) - 0.5, rasterized=True,
+    )  # fmt: skip
+    _label_gamma(axes)
+
+
+def _label_gamma(axes: "Axes") -> None:
+    from service.render.style import SYMBOLS, TEXT
+
+    axes.set_xlabel(SYMBOLS["gamma"], **TEXT)
+    for tick in (*axes.get_xticklabels(), *axes.get_yticklabels()):
+        tick.set(**TEXT)
+
+
+def _edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ends of the cells around increasing values."""
+    if len(values) == 1:
+        return np.array([values[0] - 0.5, values[0] + 0.5])
+    middle = 0.5 * (values[1:] + values[:-1])
+    return np.concatenate([[2.0 * values[0] - middle[0]], middle, [2.0 * values[-1] - middle[-1]]])
+
+
+def _draw_line(found: xarray.Dataset, figure: "Figure") -> None:
+    """The flights of each attractor in its colour, at 0 without any."""
+    from service.render.style import SYMBOLS, TEXT
+
+    axes, colours = figure.subplots(), _colours()
+    ids, times = found.id.values[0], found.flight_time.values[0].copy()
+    times[~np.isfinite(times).any(axis=-1), 0] = 0.0
+    gamma = np.broadcast_to(found.gamma.values[:, np.newaxis, np.newaxis], times.shape)
+    for number in np.unique(ids[ids > 0])[::-1].tolist():
+        shown = (ids == number)[..., np.newaxis] & np.isfinite(times)
+        colour = colours[min(number, len(colours) - 1)]
+        axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=2.5, markeredgewidth=0.0)
+    _label_gamma(axes)
+    axes.set_ylabel("flight time (rad)", **TEXT)
+    values = ", ".join(f"{SYMBOLS[axis]} = {found[axis].item():g}" for axis in ("omega", "xi"))
+    axes.set_title(f"coexisting attractors, {values}  ({found.attrs['model']})", fontsize=11, **TEXT)
+    _name_attractors(axes, found)
+
+
+def _name_attractors(axes: "Axes", found: xarray.Dataset) -> None:
+    from matplotlib.patches import Patch
+
+    colours = _colours()
+    own = found.sel(attractor=found.attractor < len(colours) - 1)
+    named = zip(own.attractor.values.tolist(), own.attractor_label.values.tolist(), strict=True)
+    entries = [Patch(color=colours[number], label=f"{number}: mostly {label}") for number, label in named]
+    others = found.sizes["attractor"] - own.sizes["attractor"]
+    if others:
+        entries.append(Patch(color=OTHERS, label=f"{others} more"))
+    _legend(axes, entries)
+
+
+def _legend(axes: "Axes", entries: "list[Patch]") -> None:
+    from service.render.style import FONT
+
+    axes.legend(
+        handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False,
+        prop={"family": FONT, "size": 10},
+    )  # fmt: skip
+
+
+VIEW: Final = View(
+    "multistability", "Attractors over a grid", MultistabilitySpec, MultistabilityQuery, compute, estimate,
+    variables=tuple(_ROWS.values()), rows="fraction", finer_rows="flight_time", draw=draw, size=(10.0, 4.2),
+)  # fmt: skip
