@@ -91,7 +91,7 @@ def test_the_same_sweep_is_the_same_job_in_every_form(client: Client, job: Job, 
 def test_a_bad_specification_names_field_and_rule(client: Client, change: dict, field: str, rule: str):
     with pytest.raises(InvalidSpecification, match=rule) as caught:
         client.submit(SPEC | change)
-    assert [name for name, _ in caught.value.fields] == [field]
+    assert [name for name, *_ in caught.value.fields] == [field]
     assert caught.value.problem.status == caught.value.status == 422
 
 

@@ -71,7 +71,7 @@ def test_a_table_has_a_row_per_flight():
     found = both(cells(), cells(flight_time=[[NAN, NAN], [4.0, NAN], [NAN, 6.0], [NAN, NAN]]))
     rows = list(csv.DictReader(io.StringIO(encode.to_csv(found, "flight_time").decode())))
     assert {name: rows[0][name] for name in ("flight_time", "outcome", "bounces", "xi")} == {
-        "flight_time": "4", "outcome": "periodic", "bounces": "1", "xi": "0.26"
+        "flight_time": "4.0", "outcome": "periodic", "bounces": "1", "xi": "0.26"
     }  # fmt: skip
     assert [(row["direction"], row["gamma"], row["flight"]) for row in rows] == [
         ("up", "1.5", "0"), ("up", "2.5", "0"), ("up", "2.5", "1"), ("down", "1.5", "0"), ("down", "2.5", "1")

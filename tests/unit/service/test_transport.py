@@ -161,7 +161,7 @@ def test_every_status_has_its_error(status: int, kind: type[Refused]):
         client._transport.post("/v1/jobs/1/cancel")  # a GET waits for a busy service
     assert type(caught.value) is kind
     assert caught.value.problem.title == "No"
-    assert caught.value.fields == (("xi", "is odd"),)
+    assert caught.value.fields == (("xi", "is odd", ""),)
     assert str(caught.value) == "because\n  xi: is odd"
 
 
