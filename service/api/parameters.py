@@ -17,6 +17,7 @@ from service.formats import (
 from service.jobs.model import JobState
 from service.jobs.search import MAX_TEXT, InvalidCursor, JobOrder, JobSearch, Position
 from service.results.trajectory import MAX_SAMPLES
+from service.views.view import Omega, Xi
 from worker.orbits import MAX_POINTS
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.studies import STUDIES
@@ -129,8 +130,6 @@ class LineQuery(Query):
     min_flight: MinFlight = None
 
 
-Omega = Annotated[Number, Field(gt=0, le=1e6)]
-Xi = Annotated[Number, Field(ge=0, le=1e6)]
 Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
 GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
 
