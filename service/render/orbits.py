@@ -5,10 +5,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.descent import lifetime
 from kernel.branches.energy import Energy, word_energy
 from kernel.branches.events import Events
-from kernel.branches.thresholds import Thresholds
 from service.render.text import to_json
 from service.results.orbits import EventCurves, Orbits, WordOrbits
 
@@ -97,24 +95,6 @@ def curves_json(curves: EventCurves) -> bytes:
                 for curve in curves.curves
             ],
             "points": _events(curves.points),
-        }
-    )
-
-
-def thresholds_json(thresholds: Thresholds, delta: float) -> bytes:
-    """The thresholds of one spring; `lifetime` is that of bouncing at Γ = down - delta."""
-    fold = thresholds.fold
-    return to_json(
-        {
-            "omega": thresholds.omega,
-            "xi": thresholds.xi,
-            "threshold": thresholds.gamma_th,
-            "jump": thresholds.jump,
-            "down": thresholds.down,
-            "cause": thresholds.cause,
-            "reason": thresholds.reason or None,
-            "lifetime": None if fold is None else {"delta": delta, "periods": lifetime(fold, delta)},
-            "energy": None if thresholds.energy is None else _only(thresholds.energy),
         }
     )
 
