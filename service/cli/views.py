@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     import xarray
 
 
+#: Digits of numbers in a table: thresholds are refined to 1e-9.
+DIGITS: Final = 10
+
+
 def command(name: str) -> click.Command:
     """The command of one result, of a job, or without an ID of a spring."""
     kinds = [methods for methods in (ResultMethods, SpringMethods) if name in methods.FORMATS]
@@ -87,12 +91,21 @@ def _option(name: str, hint: Any, default: object) -> Any:
     return click.option(option, type=choice, help=help)
 
 
+#: Attributes of every result, which a table leaves out.
+_COMMON: Final = ("Conventions", "title", "job", "kernel_version", "release", "comment", "complete")
+
+
 def table(found: "xarray.Dataset", rows: str | None) -> str:
-    """The rows of a result as columns of text, then its scalars, one line each."""
+    """The rows of a result as columns of text, then its scalars and attributes, one line each.
+
+    Leaves out what has no value: columns, scalars.
+    """
     from math import isfinite
 
     lines = []
     if rows is not None:
+        from pandas import option_context
+
         dims = {*map(str, found[rows].dims)}
         names = [str(name) for name, v in found.data_vars.items() if v.dims and dims.issuperset(v.dims)]
         frame = found[names].drop_vars([n for n, v in found.coords.items() if not v.dims]).to_dataframe()
@@ -105,14 +118,17 @@ def table(found: "xarray.Dataset", rows: str | None) -> str:
                 frame[name] = frame[name].map(meanings)
         prefixes = tuple(f"{dim}_" for dim in dims)
         frame.columns = [_without(prefixes, str(name)) for name in frame.columns]
-        lines.append(frame.reset_index().to_string(index=False, na_rep="-"))
+        frame = frame.loc[:, [not (each.isna() | (each == "")).all() for _, each in frame.items()]]
+        with option_context("display.precision", DIGITS):
+            lines.append(frame.reset_index().to_string(index=False, na_rep="-"))
     scalars = {str(name): v.values.item() for name, v in found.variables.items() if not v.dims}
+    scalars |= {name: value for name, value in found.attrs.items() if name not in _COMMON}
     lines += [
-        f"{name.replace('_', ' ')}  {value:.10g}"
+        f"{name.replace('_', ' ')}  {value:.{DIGITS}g}"
         if isinstance(value, float)
         else f"{name.replace('_', ' ')}  {value}"
         for name, value in scalars.items()
-        if not isinstance(value, float) or isfinite(value)
+        if (isfinite(value) if isinstance(value, float) else value != "")
     ]
     return "\n".join(lines)
 
