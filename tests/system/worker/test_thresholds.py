@@ -5,11 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from kernel.threshold import threshold
-from service.cli.main import main
-from service.client import BadRequest, Client, Job
+from service.client import Client, Job
 from service.server.embedded import running
 from service.settings import Settings
 from worker.executors.dask import Dask
@@ -53,24 +51,3 @@ def test_a_job_refines_its_thresholds_on_the_workers(job: Job):
         assert fine.attrs["tolerance"] == 1e-5
         assert "tolerance" not in coarse.attrs
     assert float(job.threshold(0.05, tolerance=1e-4).down[0]) == pytest.approx(0.553, abs=1e-3)
-
-
-def test_the_command_line_writes_as_many_digits_as_hold(address: str, job: Job):
-    def bounce(*arguments: str) -> str:
-        done = CliRunner().invoke(main, ["threshold", job.id, "--url", address, *arguments])
-        assert done.exit_code == 0, done.output
-        return done.output
-
-    assert bounce("--xi", "0.05", "--tolerance", "1e-5").splitlines()[:3] == [
-        "xi = 0.05, to 1e-05 in gamma",
-        "        OMEGA       EQ. 25           UP         DOWN    PREDICTED",
-        "    0.6000000    0.7818201    0.7818213    0.5531250    0.5532446",
-    ]
-    assert bounce("--xi", "0.05").startswith("xi = 0.05, on the grid of gamma\n")
-    assert '"tolerance": 0.001' in bounce("--xi", "0.05", "--tolerance", "1e-3", "--json")
-
-
-@pytest.mark.parametrize("tolerance", [0.0, -1.0, 1e-10])
-def test_a_tolerance_that_nothing_holds_is_refused(job: Job, tolerance: float):
-    with pytest.raises(BadRequest, match=r"tolerance: should be greater than or equal to 0.000000001"):
-        job.threshold(0.05, tolerance=tolerance)

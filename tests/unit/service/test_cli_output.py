@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import xarray
 
-from service.cli import orbits, results
+from service.cli import results
 from service.cli.output import (
     estimate_line,
     job_report,
     modes_csv,
-    threshold_table,
     trajectory_csv,
     trajectory_json,
 )
@@ -87,42 +86,6 @@ def test_an_estimate_is_one_line(changes: dict[str, Any], line: str):
     assert estimate_line(estimate) == line
 
 
-# Thresholds of a sweep
-
-SWEEP = {"gamma": {"start": 0.5, "stop": 2.0, "num": 4}, "omega": [0.5, 0.7], "xi": 0.26}
-
-
-def thresholds(**attributes: Any) -> xarray.Dataset:
-    columns = {
-        "analytic": [0.6123456789, np.inf], "up": [0.75, NAN], "down": [NAN, 0.5123456789012],
-        "predicted_jump": [NAN, 0.9], "predicted_down": [0.7123456789, NAN],
-        "up_status": ["found", "missing"], "down_status": ["not ramped", "found"],
-        "cause": ["fold (1,1)", "unresolved by the closed form"], "difference": ["", "another cycle"],
-    }  # fmt: skip
-    return xarray.Dataset(
-        {name: ("omega", values) for name, values in columns.items()},
-        {"omega": [0.5, 0.7], "xi": 0.26},
-        {"complete": 1, "prediction": "rigid", **attributes},
-    )
-
-
-def test_thresholds_stand_in_columns_with_what_explains_them_below():
-    found = thresholds()
-    assert threshold_table(found, found, SWEEP).splitlines() == [
-        "xi = 0.26, on the grid of gamma",
-        "       OMEGA      EQ. 25          UP        DOWN   PREDICTED",
-        "    0.500000    0.612346    0.750000           -    0.712346",
-        "    0.700000         inf           ?    0.512346  unresolved",
-        "?: the cell that decides is not computed yet",
-        "-: the sweep is not ramped down",
-        "PREDICTED: the lowest that bounces by the closed form, rigid",
-        "omega 0.7: another cycle",
-    ]
-    found = thresholds(complete=0)
-    last = threshold_table(found, found, SWEEP).splitlines()[-1]
-    assert last == "the job is not done: thresholds may be missing"
-
-
 # Cells and samples
 
 
@@ -189,29 +152,6 @@ def test_the_attractors_over_a_grid_are_a_line_each():
 
 
 # Cycles in closed form
-
-
-def spring(**changes: Any) -> xarray.Dataset:
-    values = {
-        "threshold": 0.25, "jump": NAN, "down": 0.2, "cause": "fold (1,1)", "reason": "", "lifetime": 3485.4,
-        "delta": 1e-6,
-    }  # fmt: skip
-    return xarray.Dataset({**values, **changes}, {"omega": 0.6, "xi": 0.05})
-
-
-def test_the_thresholds_of_a_spring_are_a_line_each():
-    assert orbits.threshold_text(spring()).splitlines() == [
-        "omega 0.6, xi 0.05: rigid contact without restitution",
-        "rest ends on the way up     0.250000000  Eq. 25",
-        "flights leap on the way up            -",
-        "nothing bounces below       0.200000000  fold (1,1)",
-        "1e-06 below the fold bouncing lives 3,485 periods",
-    ]
-    for cause in ("unresolved", "not searched"):
-        undecided = spring(down=NAN, lifetime=NAN, cause=cause, reason="the branch ends")
-        assert orbits.threshold_text(undecided).splitlines()[3:] == [
-            f"nothing bounces below                 -  {cause}", f"{cause}: the branch ends"
-        ]  # fmt: skip
 
 
 def branches() -> xarray.Dataset:

@@ -96,7 +96,7 @@ def test_the_done_job_is_read_as_it_was_written(folder: Path):
         assert len(line["flight_time"]) == 9
         assert line["lyapunov_error"] == [None] * 9  # that kernel did not store it
         assert get(client, f"{DONE}/modes")["complete"]
-        assert get(client, f"{DONE}/threshold")["complete"]
+        assert get(client, f"{DONE}/threshold")["attrs"]["complete"]
         opened = xarray.open_zarr(store_of(folder, "done"))
         assert opened.attrs["kernel_version"] == "1"
         wait_for(lambda: client.app.state.service.manager._is_verified(IDS["done"]))  # type: ignore[attr-defined]

@@ -69,7 +69,7 @@ def test_what_is_refused(service: TestClient, client: Client, job: Job):
         job.basins()
     answer = service.get(f"/v1/jobs/{job.id}/threshold")
     assert answer.status_code == 422
-    assert "must be a sweep; the protocol of this job is multistability" in answer.json()["detail"]
+    assert "has no threshold: the protocol of this job is multistability" in answer.json()["detail"]
     for query, rule in (
         ({"along": "omega", "gamma": 3.6}, "along: must be gamma"),
         ({"omega": 0.5, "every": 2}, "every: is not for a job of multistability"),
