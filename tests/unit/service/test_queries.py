@@ -10,7 +10,6 @@ from scripted import small as spec
 from tables import for_each
 
 from kernel.params import Outcome
-from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
 from service.results import diagram as diagrams
 from service.results import line as lines
@@ -18,8 +17,6 @@ from service.results import mode_map, selection
 from service.results.counting import MODE_ARRAYS
 from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis, compare
 from service.results.selection import Sweep
-from service.views import threshold as thresholds
-from service.views.threshold import ThresholdQuery
 from worker import schema, store
 from worker.plan import make_plan
 from worker.schema import layout
@@ -147,8 +144,6 @@ def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
     assert (line.complete, line.missing, line.flight_time.shape) == (False, 10, (10, 8))
     assert np.isnan(line.flight_time).all()
     assert line.arrays["flights"].dtype == np.int32
-    missing = thresholds.compute(queued, ThresholdQuery(tolerance=1e-3))
-    assert (missing.up_status.values.tolist(), missing.attrs["complete"]) == (["missing"], False)
     missing = mode_map.modes(queued, None, None, 1000)
     assert (missing.arrays["bounces"].shape, missing.complete) == ((1, 10), False)
 
@@ -238,7 +233,7 @@ def test_an_empty_window_is_refused(edges: Any, log: bool, rule: str):
         lines.window_of(TWO_FLIGHTS, *edges, log=log)
 
 
-# Planes and thresholds
+# Planes
 
 
 @for_each(
@@ -253,23 +248,6 @@ def test_a_window_of_a_plane_has_the_cells_inside(
     assert window.omega.tolist() == [0.7, 1.0]
     assert window.arrays["outcome"].shape == (2, len(inside))
     assert window.every == 1
-
-
-def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):
-    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05, settle_until=2_000))
-    result = thresholds.compute(fine, ThresholdQuery())
-    gamma = fine.spec.axis_values("gamma")
-    expected = [gamma[gamma > onset][0] for onset in threshold([0.5, 0.7, 1.0], 0.05)]
-    np.testing.assert_allclose(result.up, expected)
-    np.testing.assert_array_equal(result.analytic, threshold([0.5, 0.7, 1.0], 0.05))
-    assert np.isnan(result.down).all()
-    assert result.attrs["complete"]
-
-
-def test_a_ramp_along_another_axis_has_no_threshold_in_gamma():
-    along = spec(protocol={"kind": "ramp", "axis": "omega", "direction": "up"})
-    with pytest.raises(InvalidRequest, match=r"protocol\.axis: is omega"):
-        thresholds.estimate(along, ThresholdQuery(xi=0.05))
 
 
 #: Around the fold of Omega = 0.6 and, at larger Gamma, the flights that leap on the way up.

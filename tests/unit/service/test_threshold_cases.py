@@ -7,6 +7,7 @@ tested in tests/unit/worker/test_thresholds.py.
 """
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,7 +17,10 @@ from served import computing, finished, get
 from tables import for_each
 
 from kernel.params import Outcome
+from service.errors import InvalidRequest
+from service.results.selection import Stored
 from service.settings import Settings
+from service.views.threshold import ThresholdQuery, compute, estimate
 from worker import schema, store
 from worker.analysis.thresholds import Status, endless_rest, on_grid
 from worker.plan import make_plan
@@ -151,6 +155,20 @@ def test_the_service_answers_it(case: Case, client: TestClient):
     for name, expected in (("up", case.up), ("down", case.down)):
         assert list(zip(found[name], found[f"{name}_status"], strict=True)) == list(expected)
     assert answer["attrs"]["complete"] == all("." not in row for rows in case.rows.values() for row in rows)
+
+
+def test_of_a_job_not_begun_they_are_missing(tmp_path: Path):
+    found = compute(Stored(spec_of(CASES[0]), str(tmp_path / "none.zarr")), ThresholdQuery(tolerance=1e-3))
+    assert (found.up_status.item(), found.down_status.item()) == ("missing", "not ramped")
+    assert np.isnan(found.up.item())
+    assert not found.attrs["complete"]
+
+
+def test_a_ramp_along_another_axis_has_none():
+    protocol = {"kind": "ramp", "axis": "omega", "direction": "up"}
+    along = SweepSpec.parse(spec_of(CASES[0]).as_submitted() | {"protocol": protocol})
+    with pytest.raises(InvalidRequest, match=r"protocol\.axis: is omega"):
+        estimate(along, ThresholdQuery())
 
 
 def test_refining_more_than_one_answer_may_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch):
