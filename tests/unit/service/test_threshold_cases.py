@@ -166,7 +166,7 @@ def test_of_a_job_not_begun_they_are_missing(tmp_path: Path):
 
 def test_a_ramp_along_another_axis_has_none():
     protocol = {"kind": "ramp", "axis": "omega", "direction": "up"}
-    along = SweepSpec.parse(spec_of(CASES[0]).as_submitted() | {"protocol": protocol})
+    along = SweepSpec.parse(spec_of(CASES[0]).as_submitted() | {"omega": [0.5, 0.6], "protocol": protocol})
     with pytest.raises(InvalidRequest, match=r"protocol\.axis: is omega"):
         estimate(along, ThresholdQuery())
 
