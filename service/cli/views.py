@@ -52,7 +52,8 @@ def command(name: str) -> click.Command:
         if job is not None:
             warn_unless_done(job, "the result may be incomplete")
 
-    text = "\n\n".join(cleandoc(getattr(of, name).__doc__).partition("\nParameters\n")[0] for of in kinds)
+    texts = (cleandoc(getattr(of, name).__doc__).partition("\nParameters\n")[0] for of in kinds)
+    text = "\n\nWithout ID:\n\n".join(texts).replace("\n\n- ", "\n\n\b\n- ")  # lists keep their lines
     parameters = {each: about for of in reversed(kinds) for each, about in _parameters(of, name).items()}
     options = [_option(each, about.annotation, about.default) for each, about in parameters.items()]
     formats = dict.fromkeys(format for of in kinds for format in of.FORMATS[name])
@@ -81,7 +82,9 @@ def _is_missing(about: Parameter, query: dict[str, Any]) -> bool:
 
 def _option(name: str, hint: Any, default: object) -> Any:
     """The service checks bounds, and has the defaults."""
-    hint, help = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
+    hint, help = get_args(hint) if get_origin(hint) is Annotated else (hint, "")
+    if default not in (None, True, False, Parameter.empty):
+        help += f"  [default: {default}]"
     kinds = (hint,) if get_origin(hint) is Literal else (get_args(hint) or (hint,))
     option = f"--{name.replace('_', '-')}"
     if kinds[0] is bool:

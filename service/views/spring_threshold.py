@@ -49,13 +49,13 @@ def predicted(omega: float, xi: float) -> Thresholds:
 
 
 def compute(study: None, query: ThresholdQuery, *computed: Thresholds) -> xarray.Dataset:
-    """Of one spring: the Γ at which rest ends, at which flights leap on the way up, and bouncing ends.
+    """Where one spring begins and ceases to bounce.
 
     In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which anything bounces
     for ever, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
     `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
-    is on ends. At a fold bouncing lives for `lifetime` at Γ = down - delta, and the cycle has an energy
-    balance. A worker computes what takes longer than a second.
+    is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
+    fold. A worker computes what takes longer than a second.
     """
     found = computed[0] if computed else predicted(query.omega, query.xi)
     data: dict[str, Any] = {

@@ -78,14 +78,19 @@ class ThresholdQuery(Query):
 
 
 def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> xarray.Dataset:
-    """Per Ω at one ξ: Eq. 25, the Γ where the sweep's cells begin and cease to bounce, and the closed form.
+    """Where bouncing begins and ends, per Ω.
 
-    `up` and `down` are values of the grid, or with a `tolerance` refined by workers. They are NaN unless
-    their status is `found`. `below the grid`: the lowest Γ bounces already. `above the grid`: every cell is
-    at rest. `never bounces`: of `up`, every cell is at rest and Eq. 25 is above every Γ that a specification
-    may have; of `down`, no cell of the ramp bounces. `not ramped`: the sweep does not have this direction.
-    `not refined`: the grid holds the change, and refinement reached its limit. `missing`, `unresolved`,
-    `diverged`, `settling`: the outcome of the cell that decides, the lowest that is not at rest.
+    At one ξ: as the sweep's cells show it, beside Eq. 25 and the closed form. `up` and `down` are values of
+    the grid, or with a `tolerance` refined by workers. They are NaN unless their status is `found`:
+
+    - `below the grid`: the lowest Γ bounces already
+    - `above the grid`: every cell is at rest
+    - `never bounces`: of `up`, every cell is at rest and Eq. 25 is above every Γ that a specification may
+      have; of `down`, no cell of the ramp bounces
+    - `not ramped`: the sweep does not have this direction
+    - `not refined`: the grid holds the change, and refinement reached its limit
+    - `missing`, `unresolved`, `diverged`, `settling`: the outcome of the cell that decides, the lowest that
+      is not at rest
 
     `predicted_down` is the lowest Γ at which anything bounces for ever on the contact that the attribute
     `prediction` names; a descent ends there or earlier, on another cycle. Workers predict what takes longer
