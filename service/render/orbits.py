@@ -1,4 +1,4 @@
-"""Closed-form cycles as JSON: branches, events, curves, thresholds. Null stands for a number there is not."""
+"""Closed-form cycles as JSON: branches, events, curves. Null stands for a number there is not."""
 
 from typing import Any, Final
 
@@ -118,8 +118,3 @@ def _multipliers(multiplier: NDArray[np.complex128]) -> list[Any]:
 def _lists(energy: Energy) -> dict[str, list[float]]:
     """The balances of the cycles of a branch."""
     return {name: values.tolist() for name, values in energy._asdict().items()}
-
-
-def _only(energy: Energy) -> dict[str, float]:
-    """The balance of a single cycle."""
-    return {name: float(values[0]) for name, values in energy._asdict().items()}

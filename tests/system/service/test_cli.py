@@ -136,7 +136,7 @@ def test_a_threshold_outside_the_grid_has_its_status(url: str):
         job = client.submit({**RAMPED, "gamma": [0.1, 0.2]}).wait(progress=False)
     heading, row, *_ = bounce("threshold", job.id, url=url).stdout.splitlines()
     assert not {"up", "down"} & {*heading.split()}  # without a value
-    assert "above the grid  never bounces" in row
+    assert "above the grid never bounces" in row
 
 
 # Diagrams
