@@ -149,7 +149,7 @@ def test_queries_never_return_damaged_bytes_and_repair_them(tmp_path: Path):
             for answer, right in zip(service.answers(here, spec), expected, strict=True):
                 if answer.status_code == 503:
                     assert "chunk" in answer.json()["detail"]
-                elif answer.json()["complete"]:  # an incomplete one is marked so
+                elif answer.json()["attrs"]["complete"]:  # an incomplete one is marked so
                     assert answer.json() == right, address
             service.wait(here)
             assert len(service.executor.tried) - before <= 1, address
@@ -232,7 +232,8 @@ def test_files_that_are_not_the_jobs_own_are_never_answered(tmp_path: Path):
             harm = harms[number % len(harms)]
             harm(ours, theirs, chance)
             for answer, right in zip(service.answers(here, SWEEP), expected, strict=True):
-                assert answer.status_code == 503 or not answer.json()["complete"] or answer.content == right
+                complete = answer.status_code != 503 and answer.json()["attrs"]["complete"]
+                assert answer.content == right or not complete
             for key in keys:
                 stored = service.client.get(f"{here}/zarr/{key}")
                 assert stored.status_code in (404, 503) or stored.content == intact[key], (harm, key)
@@ -256,7 +257,7 @@ def test_until_damage_is_repaired_no_answer_is_complete(tmp_path: Path):
     with running(tmp_path) as service:
         here = service.submit(SWEEP)
         right = [answer.json() for answer in service.answers(here, SWEEP)]
-        assert all(answer["complete"] for answer in right)
+        assert all(answer["attrs"]["complete"] for answer in right)
         service.executor.before = lambda: repair.wait(60)
         address = stored.key("flight_time", 5, (0, 0, 0, 0))
         (service.store(here) / address).unlink()
@@ -266,7 +267,7 @@ def test_until_damage_is_repaired_no_answer_is_complete(tmp_path: Path):
         assert (view["state"], view["repairing"], view["finished"]) == ("running", True, None)
         answers = service.answers(here, SWEEP)
         assert [answer.status_code for answer in answers] == [200] * len(answers)
-        assert not any(answer.json()["complete"] for answer in answers)
+        assert not any(answer.json()["attrs"]["complete"] for answer in answers)
         for query in ({"format": "png"}, {"format": "csv"}):
             drawn = service.client.get(f"{here}/diagram", params={"omega": 0.7, "xi": 0.26, **query})
             assert (drawn.status_code, drawn.headers["Bounce-Complete"]) == (200, "false")
