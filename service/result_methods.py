@@ -3,6 +3,8 @@
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import xarray
 
 
@@ -13,6 +15,7 @@ class ResultMethods:
     FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {
         "diagram": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
         "modes": ("json", "bin", "nc", "csv", "parquet"),
+        "threshold": ("json", "bin", "nc", "csv", "parquet"),
         "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
         "multistability": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
         "trajectory": ("json", "bin", "nc", "csv", "parquet"),
@@ -20,6 +23,7 @@ class ResultMethods:
     ROWS: ClassVar[dict[str, str | None]] = {
         "diagram": "flight_time",
         "modes": "outcome",
+        "threshold": "up_status",
         "basins": "attractor_fraction",
         "multistability": "fraction",
         "trajectory": "plate",
@@ -133,6 +137,70 @@ class ResultMethods:
             Names what fits.
         """
         return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis)
+
+    def threshold(
+        self,
+        xi: float | None = None,
+        tolerance: Annotated[float | None, "in Γ: refine the thresholds beyond the grid, from the sweep's stored states"] = None,
+        predict: Annotated[Literal["none", "some", "all", "words"], "thresholds in closed form: of no Ω, of up to 200, of all by the workers, or of all with words continued from the sweep's cells where it is unresolved"] = "some",
+        timeout: float = 300.0,
+        progress: "bool | Callable[[int, int], None]" = True,
+    ) -> "xarray.Dataset":
+        """Where bouncing begins and ends, per Ω.
+
+        At one ξ: as the sweep's cells show it, beside Eq. 25 and the closed form. `up` and `down` are values of
+        the grid, or with a `tolerance` refined by workers. They are NaN unless their status is `found`:
+
+        - `below the grid`: the lowest Γ bounces already
+        - `above the grid`: every cell is at rest
+        - `never bounces`: of `up`, every cell is at rest and Eq. 25 is above every Γ that a specification may
+          have; of `down`, no cell of the ramp bounces
+        - `not ramped`: the sweep does not have this direction
+        - `not refined`: the grid holds the change, and refinement reached its limit
+        - `missing`, `unresolved`, `diverged`, `settling`: the outcome of the cell that decides, the lowest that
+          is not at rest
+
+        `predicted_down` is the lowest Γ at which anything bounces for ever on the contact that the attribute
+        `prediction` names; a descent ends there or earlier, on another cycle. Workers predict what takes longer
+        than a second.
+
+        Parameters
+        ----------
+        xi : float | None
+        tolerance : float | None
+            in Γ: refine the thresholds beyond the grid, from the sweep's stored states
+        predict : Literal["none", "some", "all", "words"]
+            thresholds in closed form: of no Ω, of up to 200, of all by the workers, or of all with words
+              continued from the sweep's cells where it is unresolved
+        timeout : float
+            Seconds to wait for the workers.
+        progress : bool or callable
+            Shows the parts done, or is called with their number and all.
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `analytic`: threshold Γ from rest by Eq. 25
+            - `up`: lowest Γ that bounces, ascending or from rest
+            - `down`: lowest Γ that bounces, descending
+            - `predicted_jump`: Γ of the fold at which flights leap
+            - `predicted_down`: lowest Γ at which anything bounces for ever, predicted
+            - `up_status`: why up is a number or NaN
+            - `down_status`: why down is a number or NaN
+            - `cause`: what ends bouncing at predicted_down, or why that is NaN
+            - `difference`: why down and predicted_down differ
+            - `up_computed`: of an adaptive map: whether both cells beside up were computed
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("threshold", xi=xi, tolerance=tolerance, predict=predict, timeout=timeout, progress=progress)
 
     def basins(
         self,
@@ -304,10 +372,68 @@ class SpringMethods:
 
     #: The formats of each result, and the variable whose numbers are the rows of a table.
     FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {
+        "threshold": ("json", "bin", "nc"),
     }
     ROWS: ClassVar[dict[str, str | None]] = {
+        "threshold": None,
     }
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
         raise NotImplementedError
+
+    def threshold(
+        self,
+        omega: float,
+        xi: float,
+        delta: Annotated[float, "Γ below `down` for which the lifetime is told"] = 1e-06,
+        timeout: float = 300.0,
+        progress: "bool | Callable[[int, int], None]" = True,
+    ) -> "xarray.Dataset":
+        """Where one spring begins and ceases to bounce.
+
+        In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which anything bounces
+        for ever, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
+        `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
+        is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
+        fold. A worker computes what takes longer than a second.
+
+        Parameters
+        ----------
+        omega : float
+        xi : float
+        delta : float
+            Γ below `down` for which the lifetime is told
+        timeout : float
+            Seconds to wait for the workers.
+        progress : bool or callable
+            Shows the parts done, or is called with their number and all.
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `threshold`: Γ at which rest ends, Eq. 25
+            - `jump`: Γ of the fold at which flights leap on the way up
+            - `down`: lowest Γ at which anything bounces for ever
+            - `cause`: what ends bouncing at down
+            - `reason`: why down is not decided
+            - `lifetime` (plate periods): life of bouncing at Γ = down - delta
+            - `delta`: Γ below down
+            - `plate_contact` (m A² ω²): work of the plate in contact
+            - `plate_impact` (m A² ω²): work of the plate at the impact
+            - `dashpot` (m A² ω²): energy that the dashpot takes
+            - `impact` (m A² ω²): energy that the impact takes
+            - `force` (m A ω): momentum that the contact force gives
+            - `impulse` (m A ω): momentum that the impact gives
+            - `weight` (m A ω): momentum that gravity takes, 4π periods/Γ
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("threshold", omega=omega, xi=xi, delta=delta, timeout=timeout, progress=progress)

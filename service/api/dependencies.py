@@ -87,8 +87,9 @@ def stored(service: Service, job: JobRecord) -> Stored[Any]:
     kind = Sweep if isinstance(prepared.spec, SweepSpec) else Stored
     done = job.state is JobState.DONE
     return kind(
-        prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, prepared.forms
-    )
+        prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, job.chunks_done,
+        prepared.forms,
+    )  # fmt: skip
 
 
 def sweep(service: Service, job: JobRecord) -> Sweep:

@@ -12,10 +12,10 @@ from service.formats import (
     DatasetFormat,
     ExportFormat,
     ExportLayout,
-    Predict,
 )
 from service.jobs.model import JobState
 from service.jobs.search import MAX_TEXT, InvalidCursor, JobOrder, JobSearch, Position
+from service.views.view import Omega, Xi
 from worker.orbits import MAX_POINTS
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.studies import STUDIES
@@ -134,20 +134,8 @@ class LineQuery(Query):
     min_flight: MinFlight = None
 
 
-Omega = Annotated[Number, Field(gt=0, le=1e6)]
-Xi = Annotated[Number, Field(ge=0, le=1e6)]
 Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
 GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
-
-
-class ThresholdQuery(Query):
-    """A spring, and how far below the fold it bounces."""
-
-    omega: Omega
-    xi: Xi
-    delta: Annotated[
-        Number, Field(ge=1e-15, le=0.1, description="Γ below `down` for which the lifetime is told")
-    ] = 1e-6
 
 
 class OrbitsQuery(Query):
@@ -175,20 +163,6 @@ class CurvesQuery(Query):
         str, Field(max_length=200, description="fold, flip, neimark-sacker, immediate-takeoff; default: all")
     ] = ",".join(CURVES)
     gamma_max: GammaMax = 8.0
-
-
-class JobThresholdQuery(Query):
-    """Plane of the grid at the nearest value of ξ, which may be left out if the sweep has only one."""
-
-    xi: Number | None = None
-    tolerance: Annotated[Number, Field(ge=1e-9, le=1e3)] | None = Field(
-        None, description="in Γ: refine the thresholds beyond the grid, from the sweep's stored states"
-    )
-    predict: Predict = Field(
-        "some",
-        description="thresholds in closed form: of no Ω, of up to 200, of all by the workers, or of all with "
-        "words continued from the sweep's cells where it is unresolved",
-    )
 
 
 class PlaneQuery(Query):

@@ -125,32 +125,6 @@ class EnergyView(BaseModel):
     weight: float = Field(description="4π periods/Γ, the impulse of gravity")
 
 
-class Lifetime(BaseModel):
-    """How long bouncing lives just below the fold at which it ends."""
-
-    delta: float = Field(description="Γ below `down`")
-    periods: float = Field(description="plate periods, (π/|λ'|)√(2Γ''/delta) cycles")
-
-
-class Threshold(BaseModel):
-    """The thresholds of one spring, of the rigid contact without restitution."""
-
-    omega: float
-    xi: float
-    threshold: float | None = Field(description="Γ_th of Eq. 25: rest ends; null if it never does")
-    jump: float | None = Field(description="the fold at which flights leap on the way up; null if none does")
-    down: float | None = Field(
-        description="the lowest Γ at which anything bounces for ever; null unless the rule decides"
-    )
-    cause: str = Field(
-        description="of `down`: Eq. 25, fold (1,k), fold of word zs (2,2) and the like; or unresolved, "
-        "not searched"
-    )
-    reason: str | None = Field(description="why the rule does not decide")
-    lifetime: Lifetime | None = Field(description="null unless the cause is a fold")
-    energy: EnergyView | None = Field(description="of the cycle at the fold")
-
-
 #: Real and imaginary part; null where numbers are too far apart for it to be known.
 Multiplier = tuple[float | None, float | None]
 
@@ -371,7 +345,6 @@ _PARTS: Final = (
     "pin",
     "unpin",
     "events",
-    "threshold",
     "orbits",
     "export",
     "zarr",

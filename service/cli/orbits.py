@@ -127,22 +127,6 @@ def curves(
 COMMANDS: Final = (orbits, curves)
 
 
-def threshold_text(found: "xarray.Dataset") -> str:
-    """The thresholds of one spring, one per line."""
-    values = {name: found[name].item() for name in ("omega", "xi", "threshold", "jump", "down")}
-    lines = [f"omega {values['omega']:g}, xi {values['xi']:g}: rigid contact without restitution"]
-    lines.append(f"rest ends on the way up    {_gamma(values['threshold'])}  Eq. 25")
-    lines.append(f"flights leap on the way up {_gamma(values['jump'])}")
-    cause, reason = found.cause.item(), found.reason.item()
-    lines.append(f"nothing bounces below      {_gamma(values['down'])}  {cause}")
-    if reason:
-        lines.append(f"{cause}: {reason}")
-    lifetime = found.lifetime.item()
-    if isfinite(lifetime):
-        lines.append(f"{found.delta.item():g} below the fold bouncing lives {lifetime:,.0f} periods")
-    return "\n".join(lines)
-
-
 def plain(found: "xarray.Dataset") -> dict[str, Any]:
     """A Dataset as plain values by name, null for what is not finite, complex numbers as their two parts."""
     names = [*found.coords, *found.data_vars]

@@ -1,4 +1,4 @@
-"""The commands on results that the service's views do not make: threshold, export, trajectory."""
+"""The commands on results that the service's views do not make: export, trajectory."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
@@ -8,9 +8,7 @@ import click
 from service.cli.options import (
     format_option,
     job_argument,
-    json_option,
     open_client,
-    optional_job_argument,
     output_format,
     output_option,
     service_options,
@@ -20,72 +18,12 @@ from service.formats import (
     EXPORTS,
     DatasetFormat,
     ExportLayout,
-    Predict,
 )
 
 if TYPE_CHECKING:
     from service.client import Job
 
 _MOTIONS: Final = get_args(DatasetFormat)
-
-
-@click.command()
-@optional_job_argument
-@click.option("--omega", type=float, help="Ω, without ID.")
-@click.option("--xi", type=float, help="ξ; of a job, the nearest grid value is used.")
-@click.option(
-    "--delta",
-    type=float,
-    default=1e-6,
-    show_default=True,
-    help="Without ID: Γ below the fold for which the lifetime of bouncing is told.",
-)
-@click.option("--tolerance", type=float, help="Refine to this tolerance in Γ, from the stored states.")
-@click.option(
-    "--predict",
-    type=click.Choice(get_args(Predict)),
-    default="some",
-    show_default=True,
-    help="Of a job, the Ω predicted: some are up to 200; words are continued from its cells.",
-)
-@json_option
-@service_options
-def threshold(
-    job_id: str | None,
-    omega: float | None,
-    xi: float | None,
-    delta: float,
-    tolerance: float | None,
-    predict: Predict,
-    as_json: bool,
-    url: str,
-    token: str | None,
-) -> None:
-    """Print the bouncing thresholds of a job or a spring.
-
-    Of a job per Ω; of one spring in closed form.
-
-    With the ID of a sweep from rest or ramped along gamma, the lowest Γ that bounces, on the way up (or from
-    rest) and on the way down, beside the predictions. Without ID, the predictions at one Ω and ξ:
-
-      bounce threshold --omega 0.6 --xi 0.05
-    """
-    if job_id is None:
-        _spring(omega, xi, delta, as_json, url, token)
-        return
-    if omega is not None:
-        raise click.UsageError("--omega is for one spring, without ID; a job's thresholds are of all its Ω")
-    from service.cli import output
-
-    with open_client(url, token) as client:
-        job = client.job(job_id)
-        thresholds = job.threshold(xi, tolerance=tolerance, predict=predict)
-        warn_unless_done(job, "thresholds may be missing")
-        if as_json:
-            click.echo(output.as_json(output.threshold_view(thresholds)))
-            return
-        on_grid = thresholds if tolerance is None else job.threshold(xi)
-    click.echo(output.threshold_table(thresholds, on_grid, job.spec))
 
 
 @click.command()
@@ -157,20 +95,7 @@ def trajectory(
         write_file(output, client.trajectory_file(_without_none(cell), format))
 
 
-def _spring(
-    omega: float | None, xi: float | None, delta: float, as_json: bool, url: str, token: str | None
-) -> None:
-    """Print the thresholds of one spring."""
-    from service.cli import orbits, output
-
-    if omega is None or xi is None:
-        raise click.UsageError("give --omega and --xi, or the ID of a sweep")
-    with open_client(url, token) as client:
-        found = client.threshold(omega, xi, delta=delta)
-    click.echo(output.as_json(orbits.plain(found)) if as_json else orbits.threshold_text(found))
-
-
-COMMANDS: Final = (threshold, export, trajectory)
+COMMANDS: Final = (export, trajectory)
 
 
 def warn_unless_done(job: "Job", consequence: str) -> None:

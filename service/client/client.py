@@ -204,31 +204,6 @@ class Client(SpringMethods):
             job = submitted.popleft()
             yield next(as_completed([job]))
 
-    def threshold(
-        self,
-        omega: float,
-        xi: float,
-        *,
-        delta: float = 1e-6,
-        timeout: float = 300.0,
-        progress: bool | PartsCallback = True,
-    ) -> "xarray.Dataset":
-        """The thresholds of one spring in closed form, as scalars.
-
-        `threshold`: Γ_th of Eq. 25, above which a spring at rest begins to bounce, infinite if it never does;
-        `jump`: the fold at which flights leap on the way up; `down`: the lowest Γ at which anything bounces
-        for ever; `cause` of `down`: "Eq. 25", "fold (1,k)" and the like, or with a `reason` "unresolved" or,
-        at low damping, "not searched"; `lifetime`: the plate periods that bouncing lives at Γ = down - delta,
-        below a fold; `plate_contact` and so on: the energy
-        balance of the cycle at the fold. NaN where there is none. Of the rigid contact without restitution.
-        Waits for what a worker computes as `curves` does. Raises BadRequest, NotComputedYet, Busy.
-        """
-        from service.client.datasets import thresholds_dataset
-
-        query = {"omega": omega, "xi": xi, "delta": delta}
-        answer = self._transport.get_when_computed("/v1/threshold", query, timeout=timeout, progress=progress)
-        return thresholds_dataset(json_object(answer))
-
     def orbits(
         self,
         omega: float,

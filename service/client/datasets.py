@@ -61,18 +61,8 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
         np.float64,
         {"long_name": "standard error of the largest Lyapunov exponent", "units": "1"},
     ),
-    "analytic": (np.float64, {"long_name": "threshold Γ from rest by Eq. 25", "units": "1"}),
-    "up": (np.float64, {"long_name": "lowest Γ that bounces, ascending or from rest", "units": "1"}),
-    "down": (np.float64, {"long_name": "lowest Γ that bounces, descending", "units": "1"}),
-    "predicted_jump": (np.float64, {"long_name": "Γ of the fold at which flights leap", "units": "1"}),
-    "predicted_down": (np.float64, {"long_name": "Γ at which bouncing ends, predicted", "units": "1"}),
-    "cause": (np.str_, {"long_name": "what ends bouncing on the way down"}),
-    "difference": (np.str_, {"long_name": "why down and predicted_down differ"}),
-    "up_computed": (np.bool_, {"long_name": "whether both cells beside up were computed"}),
     "computed": (np.uint8, {"long_name": "1: computed, 0: taken from its block"}),
     "hysteresis": (np.uint8, {"long_name": "how the ramps up and down compare", **_HYSTERESIS}),
-    "up_status": (np.str_, {"long_name": "why up is a number or NaN"}),
-    "down_status": (np.str_, {"long_name": "why down is a number or NaN"}),
 }
 
 _LENGTH: Final = {"units": "plate amplitudes"}
@@ -99,12 +89,7 @@ _ENERGY: Final = ("plate_contact", "plate_impact", "dashpot", "impact", "force",
 
 #: dtype and attributes of the variables of cycles in closed form, beside those of _RESULTS.
 _CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
-    "threshold": (np.float64, {"long_name": "Γ at which rest ends, Eq. 25", "units": "1"}),
-    "jump": (np.float64, {"long_name": "Γ of the fold at which flights leap on the way up", "units": "1"}),
-    "down": (np.float64, {"long_name": "lowest Γ at which anything bounces for ever", "units": "1"}),
     "reason": (np.str_, {"long_name": "why there is none"}),
-    "lifetime": (np.float64, {"long_name": "life of bouncing at Γ = down - delta", "units": "plate periods"}),
-    "delta": (np.float64, {"long_name": "Γ below down", "units": "1"}),
     "elongation": (np.float64, {"long_name": "elongation of the spring at take-off", **_LENGTH}),
     "elongation_velocity": (np.float64, {"long_name": "velocity of the elongation at take-off", **_SPEED}),
     "impact_velocity": (np.float64, {"long_name": "velocity of the gap before landing", **_SPEED}),
@@ -124,43 +109,6 @@ _CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
     "impulse": (np.float64, {"long_name": "momentum that the impact gives", "units": "m A ω"}),
     "weight": (np.float64, {"long_name": "momentum that gravity takes, 4π periods/Γ", "units": "m A ω"}),
 }
-
-
-def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
-    """Thresholds: dim omega, NaN unless the status is `found`."""
-    with _reading("a list of thresholds"):
-        variables = {
-            field: _variable(field, "omega", _with_nan(answer[field]))
-            for field in ("analytic", "up", "down", "predicted_jump", "predicted_down")
-        }
-        for field in ("up_status", "down_status", "cause", "difference"):
-            variables[field] = _variable(field, "omega", answer[field])
-        if answer.get("up_computed") is not None:
-            variables["up_computed"] = _variable("up_computed", "omega", answer["up_computed"])
-        coordinates = {"omega": _variable("omega", "omega", answer["omega"])}
-        coordinates["xi"] = _variable("xi", None, answer["xi"])
-        dataset = _dataset(variables, coordinates, answer, "bouncing threshold", job_id)
-        dataset.attrs["prediction"] = str(answer["prediction"])
-        if answer.get("tolerance") is not None:
-            dataset.attrs["tolerance"] = float(answer["tolerance"])
-        return dataset
-
-
-def thresholds_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
-    """The thresholds of one spring as scalars, NaN where there is none; `threshold` is infinite then."""
-    with _reading("the thresholds of a spring"):
-        number = {name: answer[name] for name in ("threshold", "jump", "down")}
-        number["threshold"] = np.inf if number["threshold"] is None else number["threshold"]
-        lifetime = answer["lifetime"] or {"delta": None, "periods": None}
-        number |= {"lifetime": lifetime["periods"], "delta": lifetime["delta"]}
-        variables = {name: _cycle_variable(name, (), _number(value)) for name, value in number.items()}
-        variables |= {
-            name: _cycle_variable(name, (), str(answer[name] or "")) for name in ("cause", "reason")
-        }
-        for name in _ENERGY:
-            variables[name] = _cycle_variable(name, (), _number((answer["energy"] or {}).get(name)))
-        coordinates = {name: _variable(name, None, answer[name]) for name in ("omega", "xi")}
-        return xarray.Dataset(variables, coordinates, _closed_form("thresholds of a spring"))
 
 
 def orbits_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:

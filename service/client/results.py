@@ -8,7 +8,7 @@ from service.client.display import PartsCallback
 from service.client.errors import BounceError
 from service.client.models import JobStatus
 from service.client.transport import Transport, json_object
-from service.formats import EXPORTS, ExportLayout, Predict
+from service.formats import EXPORTS, ExportLayout
 from service.result_methods import ResultMethods
 
 if TYPE_CHECKING:
@@ -35,40 +35,6 @@ class Results(ResultMethods, JobStatus):
         `timeout` and `progress` in `query` are those of `Transport.get_result`. Raises as `result`.
         """
         return self._transport.get_result(self._path(name), format, **query)
-
-    def threshold(
-        self,
-        xi: float | None = None,
-        *,
-        tolerance: float | None = None,
-        predict: Predict = "some",
-        timeout: float = 300.0,
-        progress: bool | PartsCallback = True,
-    ) -> "xarray.Dataset":
-        """The bouncing threshold per Ω: `analytic` by Eq. 25, `up` and `down` as computed.
-
-        `up_status` and `down_status` tell what the sweep says: "found", or why `up` or `down` is NaN: "below
-        the grid" (the lowest Γ bounces already), "above the grid", "never bounces", "not ramped", "not
-        refined", or the outcome of the cell that decides: "missing", "unresolved", "diverged", "settling".
-
-        Without `tolerance`, `up` and `down` are values of the Γ grid. With a `tolerance` (in Γ) workers
-        refine them from the stored states; this waits up to `timeout` seconds, with `progress` as in
-        `Client.curves`.
-
-        `predicted_jump`, `predicted_down` and `cause` are those of the closed form for up to 200 values of Ω.
-        With `predict` "all" workers predict every Ω; with "words" they also follow the cycles of the lowest
-        settled cells where the closed form alone is unresolved. `predicted_down` is the lowest Γ at which
-        anything bounces for ever, `down` where the descent of this sweep ends: there or above.
-
-        Raises BadRequest, as for a ξ outside the grid, TooLarge, NotComputedYet, Busy.
-        """
-        from service.client.datasets import threshold_dataset
-
-        query = {"xi": xi, "tolerance": tolerance, "predict": predict}
-        answer = self._transport.get_when_computed(
-            self._path("threshold"), query, timeout=timeout, progress=progress
-        )
-        return threshold_dataset(json_object(answer), self.id)
 
     def orbits(
         self,

@@ -1,4 +1,4 @@
-"""Closed-form cycles as JSON: branches, events, curves, thresholds. Null stands for a number there is not."""
+"""Closed-form cycles as JSON: branches, events, curves. Null stands for a number there is not."""
 
 from typing import Any, Final
 
@@ -6,10 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from kernel.branches.descent import lifetime
 from kernel.branches.energy import Energy, word_energy
 from kernel.branches.events import Events
-from kernel.branches.thresholds import Thresholds
 from service.results.orbits import EventCurves, Orbits, WordOrbits
 
 #: NaN and infinities become null.
@@ -104,24 +102,6 @@ def curves_json(curves: EventCurves) -> bytes:
     )
 
 
-def thresholds_json(thresholds: Thresholds, delta: float) -> bytes:
-    """The thresholds of one spring; `lifetime` is that of bouncing at Γ = down - delta."""
-    fold = thresholds.fold
-    return to_json(
-        {
-            "omega": thresholds.omega,
-            "xi": thresholds.xi,
-            "threshold": thresholds.gamma_th,
-            "jump": thresholds.jump,
-            "down": thresholds.down,
-            "cause": thresholds.cause,
-            "reason": thresholds.reason or None,
-            "lifetime": None if fold is None else {"delta": delta, "periods": lifetime(fold, delta)},
-            "energy": None if thresholds.energy is None else _only(thresholds.energy),
-        }
-    )
-
-
 def _events(events: Events) -> list[dict[str, Any]]:
     """An object per event."""
     columns = {
@@ -141,8 +121,3 @@ def _multipliers(multiplier: NDArray[np.complex128]) -> list[Any]:
 def _lists(energy: Energy) -> dict[str, list[float]]:
     """The balances of the cycles of a branch."""
     return {name: values.tolist() for name, values in energy._asdict().items()}
-
-
-def _only(energy: Energy) -> dict[str, float]:
-    """The balance of a single cycle."""
-    return {name: float(values[0]) for name, values in energy._asdict().items()}

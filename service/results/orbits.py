@@ -17,21 +17,19 @@ from kernel.branches.curves import CURVES, Curve, Parameter, curves
 from kernel.branches.curves import Curves as KernelCurves
 from kernel.branches.energy import Energy, energy
 from kernel.branches.events import Branch, Events, Kind, branch_and_events, flight_times, join_events
-from kernel.branches.thresholds import Thresholds
 from kernel.params import KernelInputError
 from service.background import Background
 from service.errors import InvalidRequest
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import Caller, OnDemandCache
 from service.results.selection import Sweep, check_metadata, nearest_index, resolve_direction
-from worker.analysis.prediction import branch_seconds, predict, prediction_seconds
+from worker.analysis.prediction import branch_seconds
 from worker.analysis.words import Words, continue_words
 from worker.orbits import MAX_GRID, Mode, check_modes, read_mode
 from worker.spec.errors import BrokenRuleError, one_of
 
 #: Answers kept: the least recently used one makes room.
 KEPT: Final = 32
-THRESHOLDS_KEPT: Final = 4096
 
 #: Core-seconds that are computed while the caller waits, and that one answer of curves may take.
 AT_ONCE_SECONDS: Final = 1.0
@@ -94,27 +92,6 @@ def parse_kinds(text: str) -> tuple[Kind, ...]:
     if unknown:
         raise InvalidRequest.of("kinds", f"must be among {one_of(CURVES)}, not {unknown[0][:40]!a}")
     return tuple(kind for kind in CURVES if kind in parts)
-
-
-@lru_cache(THRESHOLDS_KEPT)
-def thresholds(omega: float, xi: float) -> Thresholds:
-    """The thresholds of one spring; `unresolved` or `not searched` where the rule does not decide."""
-    return predict(omega, xi)
-
-
-def thresholds_of_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
-    """Those of several springs."""
-    return [thresholds(value, xi) for value in omega]
-
-
-def thresholds_of(on_demand: OnDemandCache, background: Background, omega: float, xi: float) -> Thresholds:
-    """`thresholds`, computed by a worker if that takes long. Raises as `OnDemandCache.get`."""
-    if prediction_seconds(omega, xi) <= AT_ONCE_SECONDS:
-        return background.run(thresholds, omega, xi)
-    found: list[Thresholds] = on_demand.get(
-        ("threshold", omega, xi), lambda workers: [workers.call(predict, omega, xi)]
-    )
-    return found[0]
 
 
 @lru_cache(KEPT)

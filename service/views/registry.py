@@ -14,16 +14,26 @@ from service.errors import InvalidRequest, NotInstalled, TooLarge
 from service.formats import PICTURES
 from service.results.selection import MAX_READ, Stored
 from service.software import software
-from service.views import basins, diagram, encode, modes, multistability, trajectory
+from service.views import (
+    basins,
+    diagram,
+    encode,
+    modes,
+    multistability,
+    spring_threshold,
+    threshold,
+    trajectory,
+)
 from service.views.view import Estimate, Query, View
 
 #: The results of a job, by name.
 VIEWS: Final[dict[str, View]] = {
-    module.VIEW.name: module.VIEW for module in (diagram, modes, basins, multistability, trajectory)
+    module.VIEW.name: module.VIEW
+    for module in (diagram, modes, threshold, basins, multistability, trajectory)
 }
 
 #: The results of a spring alone, in closed form.
-SPRINGS: Final[dict[str, View]] = {}
+SPRINGS: Final[dict[str, View]] = {view.name: view for view in (spring_threshold.VIEW,)}
 
 
 def admit(

@@ -46,6 +46,17 @@ _DERIVED: Final = (
     }),
 )  # fmt: skip
 
+#: The energy balance of a cycle.
+ENERGY: Final = (
+    row("plate_contact", (), "<f8", "work of the plate in contact", "m A² ω²"),
+    row("plate_impact", (), "<f8", "work of the plate at the impact", "m A² ω²"),
+    row("dashpot", (), "<f8", "energy that the dashpot takes", "m A² ω²"),
+    row("impact", (), "<f8", "energy that the impact takes", "m A² ω²"),
+    row("force", (), "<f8", "momentum that the contact force gives", "m A ω"),
+    row("impulse", (), "<f8", "momentum that the impact gives", "m A ω"),
+    row("weight", (), "<f8", "momentum that gravity takes, 4π periods/Γ", "m A ω"),
+)
+
 #: Every variable by name.
 VARIABLES: Final[Mapping[str, Array]] = {
     array.name: array for array in (*map(of_attractor, OF_ATTRACTORS), *_DERIVED)

@@ -1,4 +1,4 @@
-"""What the model itself answers, without a job: thresholds, cycles, one cell in motion."""
+"""What the model itself answers, without a job: cycles, one cell in motion."""
 
 from typing import Annotated, Final, get_args
 
@@ -31,25 +31,6 @@ _TRAJECTORY_BODY: Final = {
         "content": {"application/json": {"schema": {"$ref": "#/components/schemas/TrajectorySpec"}}},
     }
 }
-
-
-@router.get(
-    "/threshold",
-    summary="Compute the thresholds of a spring",
-    response_model=schemas.Threshold,
-    responses={**PENDING_RESPONSE, **problem_responses(422, 429, 503)},
-)
-@costly(BASE_MEMORY, "trajectory")
-def get_threshold(service: ServiceDep, query: Annotated[parameters.ThresholdQuery, Query()]) -> Response:
-    """Γ_th of Eq. 25, above which a spring at rest begins to bounce; where flights leap, and bouncing ends.
-
-    In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which anything bounces
-    for ever, by a rule that no search contradicts at its damping: `not searched` below that. A slow descent
-    ends there or earlier, where the cycle that it is on ends.
-    A worker computes what takes longer than a second; until then 202.
-    """
-    found = orbits.thresholds_of(service.on_demand, service.background, query.omega, query.xi)
-    return Response(orbits_text.thresholds_json(found, query.delta), media_type=MEDIA_TYPES["json"])
 
 
 def _orbits_memory(service: ServiceDep, query: parameters.OrbitsQuery) -> int:

@@ -19,10 +19,9 @@ from service.errors import NotInStore, OutOfRange
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
 from service.render import orbits as orbits_text
-from service.results import orbits, thresholds
+from service.results import orbits
 from service.results.provenance import attributes_of
-from service.results.selection import BASE_MEMORY, MAX_READ
-from service.results.thresholds import Thresholds
+from service.results.selection import BASE_MEMORY
 from service.views.files import export as export_files
 from service.views.files.blocks import GROUP_BYTES
 from worker.store import ROOT
@@ -33,46 +32,8 @@ router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tag
 _WORDS_MEMORY: Final = 16 * 2**20
 
 
-#: Bytes of memory per flight of a diagram, and per cell of a map, with its numbers as text or as dots.
-_PER_FLIGHT: Final[Mapping[str, int]] = {"json": 100, "csv": 300, "png": 80, "svg": 80, "pdf": 80}
-_PER_CELL: Final = 64
 #: How often a chunk is in memory while a file is made of it: read, as rows, encoded.
 _CHUNK_COPIES: Final = 12
-#: Bytes of memory per Ω of the thresholds, with their numbers and statuses as text.
-_PER_OMEGA: Final = 1_000
-
-
-def _threshold_cost(service: ServiceDep, job: JobRecord, query: parameters.JobThresholdQuery) -> Cost:
-    sweep = dependencies.sweep(service, job)
-    omegas = len(sweep.spec.axis_values("omega"))
-    memory = min(omegas, service.settings.max_points) * _PER_OMEGA
-    cost = dependencies.cost_of_read(service, job, memory, "omega", "gamma")
-    small = cost.small and query.tolerance is None and thresholds.is_brief(sweep, query.xi, query.predict)
-    return Cost(cost.memory + MAX_READ, small)
-
-
-@router.get(
-    "/threshold",
-    summary="Read or refine the thresholds",
-    response_model=Thresholds,
-    responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 409, 413, 422, 429, 503)},
-)
-@costly(_threshold_cost, "on demand")
-def get_job_threshold(
-    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobThresholdQuery, Query()]
-) -> Response:
-    """Per Ω at one ξ: Eq. 25 beside the Γ where the sweep's cells begin and cease to bounce.
-
-    To the spacing of the grid, or refined to a tolerance: then null where the grid does not enclose the
-    threshold, and 202 with the progress until the workers have refined them all. So with predictions that
-    take longer than a second, until all are there.
-    """
-    sweep = dependencies.sweep(service, job)
-    result = service.background.run(thresholds.on_grid, sweep, query.xi, service.settings.max_points)
-    if query.tolerance is not None:
-        result = thresholds.refined(service.on_demand, job, sweep, result, query.tolerance)
-    result = thresholds.predicted(service.on_demand, service.background, job, sweep, result, query.predict)
-    return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
 
 
 @router.get(

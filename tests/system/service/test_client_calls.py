@@ -257,10 +257,9 @@ def test_pinned_jobs_are_listed_apart(idle: Running):
 
 def test_the_thresholds_of_a_spring_are_printed(running: Running):
     text = output_of(running, "threshold", "--omega", "0.6", "--xi", "0.05")
-    assert "0.553244593  fold (1,1)" in text
-    assert "1e-06 below the fold bouncing lives 3,485 periods" in text
-    plain = json.loads(output_of(running, "threshold", "--omega", "0.46", "--xi", "0.05", "--json"))
-    assert (plain["down"], plain["cause"]) == (None, "unresolved")
+    assert "down  0.5532445932\ncause  fold (1,1)\nlifetime  3485.4" in text
+    refused = bounce(running, "threshold", "--omega", "0.6")
+    assert "give --xi or the ID of a job" in refused.stderr
 
 
 def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):

@@ -133,7 +133,6 @@ COSTLY: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
 #: What the client makes of them.
 READ: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("rest", "orbits", {"gamma_max": 3.0}),
-    ("ramp", "threshold", {"xi": 0.05}),
     ("orbits", "open", {}),
     ("basins", "open", {}),
     ("multistability", "open", {}),
@@ -202,7 +201,7 @@ class Answers:
 
 
 def _read(job: Job, method: str, arguments: Mapping[str, Any]) -> xarray.Dataset:
-    quiet = {"progress": False} if method in ("threshold", "orbits") else {}
+    quiet = {"progress": False} if method == "orbits" else {}
     found = getattr(job, method)(**arguments, **quiet)
     assert isinstance(found, xarray.Dataset)
     return found.load()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import xarray
 
-from service.cli import orbits
 from service.cli.output import (
     estimate_line,
     job_report,
@@ -120,29 +119,6 @@ def test_thresholds_stand_in_columns_with_what_explains_them_below():
 
 
 # Cycles in closed form
-
-
-def spring(**changes: Any) -> xarray.Dataset:
-    values = {
-        "threshold": 0.25, "jump": NAN, "down": 0.2, "cause": "fold (1,1)", "reason": "", "lifetime": 3485.4,
-        "delta": 1e-6,
-    }  # fmt: skip
-    return xarray.Dataset({**values, **changes}, {"omega": 0.6, "xi": 0.05})
-
-
-def test_the_thresholds_of_a_spring_are_a_line_each():
-    assert orbits.threshold_text(spring()).splitlines() == [
-        "omega 0.6, xi 0.05: rigid contact without restitution",
-        "rest ends on the way up     0.250000000  Eq. 25",
-        "flights leap on the way up            -",
-        "nothing bounces below       0.200000000  fold (1,1)",
-        "1e-06 below the fold bouncing lives 3,485 periods",
-    ]
-    for cause in ("unresolved", "not searched"):
-        undecided = spring(down=NAN, lifetime=NAN, cause=cause, reason="the branch ends")
-        assert orbits.threshold_text(undecided).splitlines()[3:] == [
-            f"nothing bounces below                 -  {cause}", f"{cause}: the branch ends"
-        ]  # fmt: skip
 
 
 def branches() -> xarray.Dataset:

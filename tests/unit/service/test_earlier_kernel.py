@@ -95,7 +95,7 @@ def test_the_done_job_is_read_as_it_was_written(folder: Path):
         assert line.sizes["gamma"] == 9
         assert line.lyapunov_error.isnull().all()  # that kernel did not store it
         assert read(client, f"{DONE}/modes").attrs["complete"]
-        assert get(client, f"{DONE}/threshold")["complete"]
+        assert read(client, f"{DONE}/threshold").attrs["complete"]
         opened = xarray.open_zarr(store_of(folder, "done"))
         assert opened.attrs["kernel_version"] == "1"
         wait_for(lambda: client.app.state.service.manager._is_verified(IDS["done"]))  # type: ignore[attr-defined]

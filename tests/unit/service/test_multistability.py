@@ -80,7 +80,7 @@ def test_what_is_refused(service: TestClient, job: Job):
         job.trajectory(3.6, 0.5)
     answer = service.get(f"/v1/jobs/{job.id}/threshold")
     assert answer.status_code == 422
-    assert "must be a sweep; the protocol of this job is multistability" in answer.json()["detail"]
+    assert "has no threshold: the protocol of this job is multistability" in answer.json()["detail"]
 
 
 # From a store that was written by hand

@@ -18,10 +18,10 @@ from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
 from service.api import schemas
-from service.cli.output import threshold_table
 from service.client import Client
 from service.client.plots import draw_thresholds
-from service.results import orbits, thresholds
+from service.results import orbits
+from service.views import threshold
 
 FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
@@ -44,19 +44,16 @@ def refused(service: TestClient, path: str, status: int, **query: Any) -> str:
     return str(answer.json()["detail"])
 
 
-def test_the_thresholds_of_a_spring(service: TestClient):
-    answer = get(service, "/v1/threshold", **SPRING, delta=1e-5)
-    assert set(answer) == set(schemas.Threshold.model_fields)
-    assert answer["down"] == pytest.approx(FOLD_060, abs=1e-9)
-    assert answer["jump"] == pytest.approx(JUMP_060, abs=1e-6)
-    assert answer["threshold"] == pytest.approx(0.7818, abs=1e-4)
-    assert (answer["cause"], answer["reason"]) == ("fold (1,1)", None)
-    assert answer["lifetime"]["delta"] == 1e-5
-    assert answer["lifetime"]["periods"] == pytest.approx(1102, abs=1)
-    balance = answer["energy"]
-    assert balance["plate_contact"] + balance["plate_impact"] == pytest.approx(
-        balance["dashpot"] + balance["impact"], abs=1e-9
-    )
+def test_the_thresholds_of_a_spring(client: Client):
+    answer = client.threshold(**SPRING, delta=1e-5)
+    assert float(answer.down) == pytest.approx(FOLD_060, abs=1e-9)
+    assert float(answer.jump) == pytest.approx(JUMP_060, abs=1e-6)
+    assert float(answer.threshold) == pytest.approx(0.7818, abs=1e-4)
+    assert (answer.cause.item(), answer.reason.item(), answer.delta.item()) == ("fold (1,1)", "", 1e-5)
+    assert float(answer.lifetime) == pytest.approx(1102, abs=1)
+    assert float(
+        answer.plate_contact + answer.plate_impact - answer.dashpot - answer.impact
+    ) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_branches_are_those_of_the_kernel(service: TestClient):
@@ -211,21 +208,19 @@ def test_thresholds_of_a_sweep_stand_beside_the_predictions(client: Client):
         assert (str(difference) == "") == (agrees or not np.isfinite(down - predicted))
 
 
-def test_a_damping_that_was_not_searched_is_said_to_be(service: TestClient, client: Client):
-    """In the answer of a spring, and in the table, the picture and the answer of a sweep, with words too."""
-    spring = get(service, "/v1/threshold", omega=0.52, xi=0.02)
-    assert (spring["down"], spring["cause"]) == (None, "not searched")
-    assert (spring["lifetime"], spring["energy"]) == (None, None)
-    assert "from xi = 0.04 on" in spring["reason"]
-    assert "Eq. 25, Gamma = 0.843762" in spring["reason"]
+def test_a_damping_that_was_not_searched_is_said_to_be(client: Client):
+    """In the answer of a spring, and in the picture and the answer of a sweep, with words too."""
+    spring = client.threshold(0.52, 0.02)
+    assert spring.cause.item() == "not searched"
+    assert np.isnan([spring.down, spring.lifetime, spring.impact]).all()
+    assert "from xi = 0.04 on" in spring.reason.item()
+    assert "Eq. 25, Gamma = 0.843762" in spring.reason.item()
     weak = RAMP | {"gamma": [0.7, 0.9], "omega": [0.3191, 0.52], "xi": 0.02}
     job = client.submit(weak).wait(progress=False)
     for predict in ("some", "all", "words"):
         found = job.threshold(predict=predict, progress=False)
         assert found.cause.values.tolist() == ["not searched"] * 2
         assert np.isnan(found.predicted_down.values).all()
-    lines = threshold_table(found, found, weak).splitlines()
-    assert [line.endswith("  not searched") for line in lines[2:4]] == [True, True]
     ax = Figure().subplots()
     draw_thresholds(ax, found)
     assert "closed form, not searched: 2 of 2" in [str(line.get_label()) for line in ax.lines]
@@ -234,7 +229,7 @@ def test_a_damping_that_was_not_searched_is_said_to_be(service: TestClient, clie
 def test_every_omega_is_predicted_when_asked_for(
     service: TestClient, client: Client, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(thresholds, "MAX_PREDICTED", 20)
+    monkeypatch.setattr(threshold, "MAX_PREDICTED", 20)
     many = RAMP | {"gamma": [0.5, 0.6], "omega": {"start": 0.6, "stop": 0.65, "num": 21}}
     job = client.submit(many).wait(progress=False)
     some, all_ = job.threshold(), job.threshold(predict="all", progress=False)
@@ -262,8 +257,8 @@ def test_closed_forms_that_take_long_are_left_to_workers(tmp_path: Path, monkeyp
         for path in (f"{here}/threshold", "/v1/threshold?omega=1e-6&xi=10"):
             answer = held.get(path)
             assert (answer.status_code, answer.headers["Retry-After"]) == (202, "1"), path
-        left_out = get(held, f"{large}/threshold")
-        assert left_out["cause"][0].startswith("not predicted: 200 values of omega take about")
+        left_out = get(held, f"{large}/threshold")["data_vars"]["cause"]["data"]
+        assert left_out[0].startswith("not predicted: 200 values of omega take about")
         rule = refused(held, f"{large}/threshold", 422, predict="all")
         assert "the limit for one answer is 200: enough for" in rule
         assert time.process_time() - began < 2.0  # none of the springs was computed here: 150 s

@@ -11,10 +11,9 @@ from scripted import small as spec
 from tables import for_each
 
 from kernel.params import Outcome
-from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
 from service.results import line as lines
-from service.results import mode_map, selection, thresholds
+from service.results import mode_map, selection
 from service.results.counting import MODE_ARRAYS
 from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis, compare
 from service.results.selection import Sweep
@@ -168,7 +167,6 @@ def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
     assert not line.outcome.any()
     assert line.flight_time.isnull().all()
     assert (line.flight_time.shape, line.flights.dtype) == ((10, 8), np.int32)
-    assert not thresholds.on_grid(queued, None, 1000).complete
     missing = modes(queued)
     assert (missing.bounces.shape, missing.attrs["complete"]) == ((1, 10), False)
 
@@ -253,7 +251,7 @@ def test_an_empty_window_is_refused(edges: Any, log: bool, rule: str):
         lines.window_of(TWO_FLIGHTS, *edges, log=log)
 
 
-# Planes and thresholds
+# Planes
 
 
 @for_each(
@@ -268,41 +266,6 @@ def test_a_window_of_a_plane_has_the_cells_inside(
     assert window.omega.tolist() == [0.7, 1.0]
     assert window.arrays["outcome"].shape == (2, len(inside))
     assert window.every == 1
-
-
-def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):
-    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05, settle_until=2_000))
-    result = thresholds.on_grid(fine, None, 1000)
-    gamma = fine.spec.axis_values("gamma")
-    expected = [gamma[gamma > onset][0] for onset in threshold([0.5, 0.7, 1.0], 0.05)]
-    np.testing.assert_allclose(result.up, expected)
-    np.testing.assert_array_equal(result.analytic, threshold([0.5, 0.7, 1.0], 0.05))
-    assert np.isnan(result.down).all()
-    assert result.complete
-
-
-def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
-    both = spec(
-        omega=[0.5, 0.7, 1.0], xi=0.05, protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}
-    )
-    outcomes = np.full(both.shape, Outcome.AT_REST)
-    outcomes[0, 0, 0, 4:] = Outcome.PERIODIC
-    outcomes[1, 0, 0, 2:] = Outcome.APERIODIC
-    outcomes[:, 0, 1, 3:] = Outcome.UNRESOLVED  # not known to bounce
-    outcomes[1, 0, 2, 0] = Outcome.PERIODIC
-    result = thresholds.on_grid(handmade(tmp_path, outcomes, both), 0.05, 1000)
-    gamma = both.axis_values("gamma")
-    np.testing.assert_array_equal(result.up, [gamma[4], np.nan, np.nan])
-    np.testing.assert_array_equal(result.down, [gamma[2], np.nan, np.nan])
-    assert result.up_status == ["found", "unresolved", "above the grid"]
-    assert result.down_status == ["found", "unresolved", "below the grid"]
-    assert result.complete
-
-
-def test_a_ramp_along_another_axis_has_no_threshold_in_gamma(tmp_path: Path):
-    along = spec(protocol={"kind": "ramp", "axis": "omega", "direction": "up"})
-    with pytest.raises(InvalidRequest, match=r"protocol\.axis: is omega"):
-        thresholds.on_grid(Sweep(along, str(tmp_path)), 0.05, 1000)
 
 
 #: Around the fold of Omega = 0.6 and, at larger Gamma, the flights that leap on the way up.

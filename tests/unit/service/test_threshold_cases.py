@@ -146,15 +146,16 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
 @for_each("case", CASES[::6])
 def test_the_service_answers_it(case: Case, client: TestClient):
     here = submitted(client, case)
-    answer = get(client, f"{here}/threshold")
+    answer = get(client, f"{here}/threshold", predict="none")
+    found = {name: about["data"] for name, about in answer["data_vars"].items()}
     for name, expected in (("up", case.up), ("down", case.down)):
-        assert list(zip(answer[name], answer[f"{name}_status"], strict=True)) == list(expected)
-    assert answer["complete"] == all("." not in row for rows in case.rows.values() for row in rows)
+        assert list(zip(found[name], found[f"{name}_status"], strict=True)) == list(expected)
+    assert answer["attrs"]["complete"] == all("." not in row for rows in case.rows.values() for row in rows)
 
 
 def test_refining_more_than_one_answer_may_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch):
     here = submitted(client, CASES[0])
-    monkeypatch.setattr("service.results.thresholds.MAX_SECONDS", 0.0)
+    monkeypatch.setattr("service.views.threshold.MAX_SECONDS", 0.0)
     answer = client.get(f"{here}/threshold", params={"tolerance": 1e-3})
     assert answer.status_code == 422
     assert "tolerance: refining 1 values of omega" in answer.json()["detail"]

@@ -1,7 +1,7 @@
 // One spring, explored without a sweep: Γ, Ω and ξ by sliders; thresholds and cycles in closed form, motion, return map.
 
 import { currentQuery, link, setQuery } from "../lib/address.js";
-import { isHandledElsewhere, query, requestComputed } from "../lib/api.js";
+import { isHandledElsewhere, query, requestDataset } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { SYMBOL, axisLabel, isClose, meaningOf, threshold } from "../lib/physics.js";
@@ -123,7 +123,7 @@ export class Explore {
     try {
       const [branches, thresholds] = await Promise.all([
         requestBranches({ omega, xi }, RANGES.gamma.max, { signal }),
-        requestComputed(`/v1/threshold?${query({ omega, xi })}`, { signal }),
+        requestDataset(`/v1/threshold?${query({ omega, xi })}`, { signal }),
       ]);
       if (this.closed) return;
       this.#showError(null);
@@ -166,7 +166,7 @@ export class Explore {
     const lowest = threshold(omega, xi);
     const parts = [`Rest ends at Γ = ${number(lowest, 4)} (Eq. 25): at Γ = ${number(gamma)} a spring at rest ${gamma > lowest ? "takes off" : "stays on the plate"}.`];
     if (this.closedForm) {
-      const { jump, down, cause, reason } = this.closedForm;
+      const [jump, down, cause, reason] = ["jump", "down", "cause", "reason"].map((name) => this.closedForm[name].data);
       if (jump !== null) parts.push(`On the way up, flights leap at Γ = ${number(jump, 4)}.`);
       if (down === null) parts.push(`The lowest Γ that bounces is ${cause}${reason ? `: ${reason}` : ""}.`);
       else parts.push(`Nothing bounces for ever below Γ = ${number(down, 4)} (${cause}).`);

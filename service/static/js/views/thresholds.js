@@ -1,7 +1,7 @@
 // Thresholds in Γ against Ω: where bouncing begins on the ramp up and ends on the ramp down, with Eq. 25.
 
 import { addressValue, setQuery } from "../lib/address.js";
-import { query, requestComputed } from "../lib/api.js";
+import { query, requestDataset } from "../lib/api.js";
 import { hasCycles } from "../lib/cycles.js";
 import { h } from "../lib/dom.js";
 import { csv } from "../lib/downloads.js";
@@ -30,6 +30,8 @@ const REASONS = {
   diverged: () => "the cell that decides diverged",
   settling: () => "the cell that decides was still settling: give it more time",
 };
+/** What is read of each frequency; numbers that are not there are null. */
+const COLUMNS = ["omega", "analytic", "up", "up_status", "down", "down_status", "predicted_jump", "predicted_down", "cause", "difference"];
 const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where an arrow points, in pixels down
 const UNDECIDED = new Set(["unresolved", "diverged", "settling"]);
 
@@ -56,7 +58,9 @@ export class Thresholds extends PlotView {
   }
 
   async request(signal) {
-    this.thresholds = await requestComputed(`/v1/jobs/${this.job.id}/threshold?${query({ xi: this.xi })}`, { signal });
+    const found = await requestDataset(`/v1/jobs/${this.job.id}/threshold?${query({ xi: this.xi })}`, { signal });
+    const columns = COLUMNS.map((name) => [name, Array.from(found[name].data, (value) => (Number.isNaN(value) ? null : value))]);
+    this.thresholds = { xi: found.xi.data, complete: found.attrs.complete, ...Object.fromEntries(columns) };
     await this.#loadFolds(signal);
     return { xi: this.thresholds.xi, folds: Boolean(this.folds) };
   }

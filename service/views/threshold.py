@@ -1,0 +1,345 @@
+"""The thresholds of a sweep per omega: on its grid, refined beyond it by workers, and in closed form."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Annotated, Any, Final
+
+import numpy as np
+import xarray
+from numpy.typing import NDArray
+from pydantic import Field
+
+from kernel.branches.descent import Fold, lifetime
+from kernel.branches.thresholds import Thresholds
+from kernel.threshold import threshold
+from service.errors import InvalidRequest
+from service.formats import Predict
+from service.results.mode_map import plane
+from service.results.selection import MAX_READ, ROUNDING, Stored, check_kernel, nearest_index
+from service.views.spring_threshold import CONTACT, predicted
+from service.views.variables import coordinate, row, variable
+from service.views.view import AT_ONCE_SECONDS, Call, Estimate, Number, Query, View
+from worker.analysis.prediction import predict_each, predict_from_cells, prediction_seconds
+from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, on_grid, refine
+from worker.cost import cell_seconds
+from worker.schema import COMPUTED
+from worker.spec import SweepSpec
+from worker.spec.contact_models import Rigid
+
+#: Values of omega that one worker call refines: small enough to share out, large enough to be worth a call.
+BLOCK: Final = 16
+
+#: Values of omega predicted unless all are asked for.
+MAX_PREDICTED: Final = 200
+
+#: Core-seconds that following the words of one omega takes, typically, of three cells.
+WORDS_SECONDS: Final = 0.48
+
+#: Values of omega, and core-seconds, of predictions that are computed with a small read.
+MAX_BRIEF: Final = 4
+BRIEF_SECONDS: Final = 0.2
+
+#: Core-seconds of the predictions that one worker call computes.
+CALL_SECONDS: Final = 1.0
+
+#: Core-seconds that one answer may take.
+MAX_SECONDS: Final = 60.0
+MAX_PREDICTION_SECONDS: Final = 200.0
+
+#: Bytes of an omega in an answer, with its statuses as text.
+_PER_OMEGA: Final = 1_000
+
+_ROWS: Final = (
+    row("analytic", (), "<f8", "threshold Γ from rest by Eq. 25", comment="NaN: rest never ends"),
+    row("up", (), "<f8", "lowest Γ that bounces, ascending or from rest"),
+    row("down", (), "<f8", "lowest Γ that bounces, descending"),
+    row("predicted_jump", (), "<f8", "Γ of the fold at which flights leap"),
+    row("predicted_down", (), "<f8", "lowest Γ at which anything bounces for ever, predicted"),
+    row("up_status", (), "U", "why up is a number or NaN"),
+    row("down_status", (), "U", "why down is a number or NaN"),
+    row("cause", (), "U", "what ends bouncing at predicted_down, or why that is NaN"),
+    row("difference", (), "U", "why down and predicted_down differ"),
+    row("up_computed", (), "|b1", "of an adaptive map: whether both cells beside up were computed"),
+)
+
+
+class ThresholdQuery(Query):
+    """The plane of the grid at the nearest value of xi, and what is computed beyond the grid."""
+
+    xi: Number | None = None
+    tolerance: Annotated[Number, Field(ge=1e-9, le=1e3)] | None = Field(
+        None, description="in Γ: refine the thresholds beyond the grid, from the sweep's stored states"
+    )
+    predict: Predict = Field(
+        "some",
+        description="thresholds in closed form: of no Ω, of up to 200, of all by the workers, or of all with "
+        "words continued from the sweep's cells where it is unresolved",
+    )
+
+
+def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> xarray.Dataset:
+    """Where bouncing begins and ends, per Ω.
+
+    At one ξ: as the sweep's cells show it, beside Eq. 25 and the closed form. `up` and `down` are values of
+    the grid, or with a `tolerance` refined by workers. They are NaN unless their status is `found`:
+
+    - `below the grid`: the lowest Γ bounces already
+    - `above the grid`: every cell is at rest
+    - `never bounces`: of `up`, every cell is at rest and Eq. 25 is above every Γ that a specification may
+      have; of `down`, no cell of the ramp bounces
+    - `not ramped`: the sweep does not have this direction
+    - `not refined`: the grid holds the change, and refinement reached its limit
+    - `missing`, `unresolved`, `diverged`, `settling`: the outcome of the cell that decides, the lowest that
+      is not at rest
+
+    `predicted_down` is the lowest Γ at which anything bounces for ever on the contact that the attribute
+    `prediction` names; a descent ends there or earlier, on another cycle. Workers predict what takes longer
+    than a second.
+    """
+    spec, xi = study.spec, nearest_index(study.spec, "xi", query.xi).value
+    omega = spec.axis_values("omega")
+    data, complete = _on_grid(study, xi)
+    refined = [part for part in computed if isinstance(part, Refined)]
+    if query.tolerance is not None:
+        data |= _refined(data, refined)
+    each = [prediction for part in computed[len(refined) :] for prediction in part]
+    why_not = _left_out(spec, xi, query.predict)
+    if not (each or why_not):
+        each = [predicted(value, xi) for value in omega.tolist()]
+    data |= _compared(study, query, data["down"], each) if each else _not_predicted(len(omega), why_not)
+    analytic = threshold(omega, xi)
+    data["analytic"] = np.where(np.isfinite(analytic), analytic, np.nan)
+    attrs: dict[str, Any] = {
+        "prediction": _contact(study, query), "model": spec.model.kind, "complete": complete,
+    }  # fmt: skip
+    if query.tolerance is not None:
+        attrs["tolerance"] = query.tolerance
+    return xarray.Dataset(
+        {row.name: variable(("omega",), data[row.name], row) for row in _ROWS if row.name in data},
+        {"omega": coordinate("omega", omega), "xi": coordinate("xi", xi)},
+        attrs,
+    )
+
+
+def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
+    """Every omega, the outcomes of the plane, and what is computed.
+
+    Raises InvalidRequest for a sweep ramped along another axis than gamma, for words of another contact than
+    the closed form's, and for more computing than one answer may take.
+    """
+    if spec.ramp_axis not in (None, "gamma"):
+        rule = f"is {spec.ramp_axis}; thresholds in gamma need a sweep from rest or ramped along gamma"
+        raise InvalidRequest.of("protocol.axis", rule)
+    xi = nearest_index(spec, "xi", query.xi).value
+    omegas, gammas = (len(spec.axis_values(axis)) for axis in ("omega", "gamma"))
+    if query.tolerance is not None:
+        _check_cost(spec, omegas)
+    brief = bool(_left_out(spec, xi, query.predict)) or (
+        query.predict == "some" and omegas <= MAX_BRIEF and _seconds(spec, xi, 0.0)[-1] <= BRIEF_SECONDS
+    )
+    return Estimate(
+        {"omega": omegas}, reads=("omega", "gamma"), small=brief and query.tolerance is None,
+        memory=omegas * _PER_OMEGA + min(omegas * gammas, MAX_READ),
+    )  # fmt: skip
+
+
+def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
+    """Refinements, and the predictions that take long. Nothing is refined of a job that has not begun.
+
+    Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue.
+    """
+    spec, at = study.spec, nearest_index(study.spec, "xi", query.xi)
+    omega = spec.axis_values("omega").tolist()
+    calls: list[Call] = []
+    if query.tolerance is not None:
+        check_kernel(study.kernel_version)
+    if query.tolerance is not None and study.chunks_done:
+        blocks = (tuple(range(low, min(low + BLOCK, len(omega)))) for low in range(0, len(omega), BLOCK))
+        calls += [(refine, spec, study.url, at.index, block, query.tolerance) for block in blocks]
+    if _left_out(spec, at.value, query.predict):
+        return calls
+    words = _with_words(study, query)
+    seconds = _seconds(spec, at.value, WORDS_SECONDS if words else 0.0)
+    if query.predict == "some" and seconds[-1] <= AT_ONCE_SECONDS:
+        return calls
+    call = (seconds // CALL_SECONDS).astype(int)
+    for block in (tuple(np.flatnonzero(call == number).tolist()) for number in np.unique(call)):
+        if words:
+            calls.append((predict_from_cells, spec, study.url, at.index, block, study.complete))
+        else:
+            calls.append((predict_each, tuple(omega[i] for i in block), at.value))
+    return calls
+
+
+def _on_grid(study: Stored[SweepSpec], xi: float) -> tuple[dict[str, NDArray[Any]], bool]:
+    """The thresholds to the grid in gamma and their statuses, and whether every cell is done."""
+    spec = study.spec
+    omegas = len(spec.axis_values("omega"))
+    data: dict[str, NDArray[Any]] = {}
+    for name in ("up", "down"):
+        data |= {name: np.full(omegas, np.nan), f"{name}_status": np.full(omegas, Status.NOT_RAMPED.value)}
+    complete = True
+    for direction in spec.directions:
+        found, done = _in_direction(study, xi, direction)
+        data |= found
+        complete = complete and done
+    return data, complete
+
+
+def _in_direction(
+    study: Stored[SweepSpec], xi: float, direction: str
+) -> tuple[dict[str, NDArray[Any]], bool]:
+    """As `_on_grid`; of an adaptive map whether both cells beside each threshold were computed."""
+    spec, down = study.spec, direction == "down"
+    gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
+    endless = endless_rest(spec, omega, xi)
+    names = ("outcome",) if spec.refine is None else ("outcome", COMPUTED.name)
+    lowest, statuses, complete = np.full(len(omega), np.nan), [], True
+    both_computed = np.zeros(len(omega), bool)
+    rows = max(1, MAX_READ // len(gamma))
+    for low in range(0, len(omega), rows):
+        part = plane(study, xi, direction, names, slice(low, low + rows))
+        complete = complete and part.complete
+        for i, outcome in enumerate(part.arrays["outcome"], low):
+            found = on_grid(outcome, down, bool(endless[i]))
+            statuses.append(found.status.value)
+            if found.status is Status.FOUND and found.bouncing is not None:
+                lowest[i] = gamma[found.bouncing]
+                if spec.refine is not None:
+                    beside = part.arrays[COMPUTED.name][i - low, found.bouncing - 1 : found.bouncing + 1]
+                    both_computed[i] = bool(beside.all())
+    name = "down" if down else "up"
+    data = {name: lowest, f"{name}_status": np.array(statuses)}
+    return data | ({} if spec.refine is None else {"up_computed": both_computed}), complete
+
+
+def _refined(data: dict[str, NDArray[Any]], found: Sequence[Refined]) -> dict[str, NDArray[Any]]:
+    """What workers found instead of the grid; of a job that had not begun, all that they would have found."""
+    changed: dict[str, NDArray[Any]] = {}
+    if found:
+        changed = {name: np.concatenate([getattr(part, name) for part in found]) for name in Refined._fields}
+    else:
+        for name in ("up", "down"):
+            status = data[f"{name}_status"]
+            changed[name] = np.full(len(status), np.nan)
+            changed[f"{name}_status"] = np.where(status == Status.FOUND, Status.MISSING, status)
+    if "up_computed" in data:  # refinement computes the cells that decide
+        changed["up_computed"] = changed["up_status"] == Status.FOUND
+    return changed
+
+
+def _check_cost(spec: SweepSpec, omegas: int) -> None:
+    seconds = TYPICAL_CELLS * cell_seconds(spec, alone=True) * len(spec.directions)  # per omega
+    if omegas * seconds > MAX_SECONDS:
+        rule = (
+            f"refining {omegas:,} values of omega takes about {omegas * seconds:.3g} core-seconds, the limit "
+            f"for one answer is {MAX_SECONDS:g}: enough for {int(MAX_SECONDS / seconds):,} values"
+        )
+        raise InvalidRequest.of("tolerance", rule)
+
+
+def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
+    """Why nothing is predicted; empty if every omega is. Raises InvalidRequest as `estimate`."""
+    if predict == "words" and not _is_ideal(spec):
+        rule = f"words are of rigid cells with restitution 0; the sweep's contact is {spec.model.kind}"
+        raise InvalidRequest.of("predict", rule)
+    if predict == "none":
+        return "not predicted"
+    omegas = len(spec.axis_values("omega"))
+    if predict == "some" and omegas > MAX_PREDICTED:
+        return f"not predicted: ask for all above {MAX_PREDICTED} values of omega"
+    seconds = _seconds(spec, xi, WORDS_SECONDS if predict == "words" else 0.0)
+    if seconds[-1] <= MAX_PREDICTION_SECONDS:
+        return ""
+    rule = (
+        f"{omegas:,} values of omega take about {seconds[-1]:,.0f} core-seconds, the limit for one "
+        f"answer is {MAX_PREDICTION_SECONDS:g}: enough for "
+        f"{np.searchsorted(seconds, MAX_PREDICTION_SECONDS, 'right'):,} values"
+    )
+    if predict == "some":
+        return f"not predicted: {rule}"
+    raise InvalidRequest.of("predict", f"{rule}; none leaves predictions out")
+
+
+@lru_cache(8)  # one answer takes it several times
+def _seconds(spec: SweepSpec, xi: float, words: float) -> NDArray[np.float64]:
+    """Core-seconds of the predictions up to each omega, with `words` for the words of each."""
+    return np.cumsum([words + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
+
+
+def _with_words(study: Stored[SweepSpec], query: ThresholdQuery) -> bool:
+    """Whether words of the cells are followed: before the first chunk there are none."""
+    return query.predict == "words" and study.chunks_done > 0
+
+
+def _is_ideal(spec: SweepSpec) -> bool:
+    """Whether a sweep's contact is that of the closed form."""
+    return isinstance(spec.model, Rigid) and spec.model.restitution == 0.0
+
+
+def _contact(study: Stored[SweepSpec], query: ThresholdQuery) -> str:
+    """What is predicted, and whether that is the sweep's contact."""
+    text = f"{CONTACT}: the contact of the sweep"
+    if not _is_ideal(study.spec):
+        text = f"{CONTACT}: not the contact of the sweep, which is {study.spec.model.kind}"
+    words = "; words continued from its cells: others may reach lower"
+    return text + words if _with_words(study, query) else text
+
+
+def _not_predicted(omegas: int, why: str) -> dict[str, Any]:
+    none = np.full(omegas, np.nan)
+    texts = {"cause": np.full(omegas, why), "difference": np.full(omegas, "")}
+    return {"predicted_jump": none, "predicted_down": none, **texts}
+
+
+def _compared(
+    study: Stored[SweepSpec], query: ThresholdQuery, down: NDArray[np.float64], each: Sequence[Thresholds]
+) -> dict[str, Any]:
+    """The predictions, one per omega, and the reasons why what the sweep found differs from them."""
+    pairs = zip(down.tolist(), each, strict=True)
+    return {
+        "predicted_jump": [prediction.jump for prediction in each],
+        "predicted_down": [prediction.down for prediction in each],
+        "cause": [prediction.cause for prediction in each],
+        "difference": [_difference(study.spec, query.tolerance, *pair) for pair in pairs],
+    }
+
+
+def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction: Thresholds) -> str:
+    """Why `down` and the prediction differ at one omega; empty where they agree or one is missing.
+
+    spacing: of `down` in gamma; None: that of the grid.
+    """
+    if not np.isfinite(down - prediction.down):
+        return ""
+    if spacing is None:
+        gamma = spec.axis_values("gamma")
+        at = int(np.searchsorted(gamma, down))
+        spacing = float(gamma[at] - gamma[at - 1]) if at else 0.0
+    above, slack = down - prediction.down, ROUNDING * prediction.down
+    if -slack <= above <= spacing + slack:
+        return ""
+    if above < 0.0:
+        return _below(prediction.fold, -above, spec.settle + spec.observe)
+    if prediction.fold is not None:
+        return (
+            f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the "
+            "spring; take smaller ones, or start on the cycle"
+        )
+    return f"the sweep stops bouncing {above:.3g} above Eq. 25: it still settles, or its window is short"
+
+
+def _below(fold: Fold | None, delta: float, window: int) -> str:
+    """Why a sweep bounces below the prediction by delta."""
+    if fold is not None and (periods := lifetime(fold, delta)) > window:
+        return (
+            f"bouncing lives about {periods:,.0f} plate periods {delta:.3g} below the fold, longer than the "
+            f"window of {window:,}"
+        )
+    return f"another cycle than those of one bounce lives {delta:.3g} below the prediction"
+
+
+VIEW: Final = View(
+    "threshold", "Thresholds of a sweep", SweepSpec, ThresholdQuery, compute, estimate, variables=_ROWS,
+    rows="up_status", parts=parts,
+)  # fmt: skip
