@@ -1,6 +1,7 @@
-"""`bounce NAME ID` for every result of a job. Its options are the parameters of the client's method."""
+"""`bounce NAME` for every result. Its options are the parameters of the client's method."""
 
-from inspect import cleandoc, signature
+from collections.abc import Mapping, Sequence
+from inspect import Parameter, cleandoc, signature
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin
 
 import click
@@ -9,81 +10,106 @@ from service.cli.options import (
     format_option,
     job_argument,
     open_client,
+    optional_job_argument,
     output_format,
     service_options,
     write_file,
 )
 from service.cli.results import warn_unless_done
-from service.client.result_methods import ResultMethods
+from service.client.result_methods import ResultMethods, SpringMethods
 
 if TYPE_CHECKING:
     import xarray
 
 
-def command(name: str, formats: tuple[str, ...], rows: str | None) -> click.Command:
-    """The command of one result."""
+def command(name: str) -> click.Command:
+    """The command of one result: of a job, of a spring, or with an optional ID of either."""
+    kinds = [kind for kind in (SpringMethods, ResultMethods) if name in kind.FORMATS]
+    formats, printed = kinds[0].FORMATS[name], kinds[0].PRINTED[name]
+    parameters = {kind: _parameters(getattr(kind, name)) for kind in kinds}
+    every = {key: about for own in parameters.values() for key, about in own.items()}
 
     def run(
-        job_id: str, output: str | None, format: str | None, url: str, token: str | None, **query: Any
+        output: str | None,
+        format: str | None,
+        url: str,
+        token: str | None,
+        job_id: str | None = None,
+        **options: Any,
     ) -> None:
+        query = _query(parameters, SpringMethods if job_id is None else ResultMethods, options)
         file_format = None if output is None else output_format(output, formats, format)
         with open_client(url, token) as client:
-            job = client.job(job_id)
+            source = client if job_id is None else client.job(job_id)
             if output is None:
-                click.echo(table(job.result(name, **query), rows))
+                click.echo(table(source.result(name, **query), printed))
             else:
-                write_file(output, job.result_file(name, str(file_format), **query))
-        warn_unless_done(job, "the result may be incomplete")
+                write_file(output, source.result_file(name, str(file_format), **query))
+        if isinstance(source, ResultMethods):
+            warn_unless_done(source, "the result may be incomplete")
 
-    method = getattr(ResultMethods, name)
-    text = cleandoc(method.__doc__).partition("\nParameters\n")[0]
-    options = [
-        _option(parameter, about.annotation, about.default)
-        for parameter, about in signature(method).parameters.items()
-        if parameter != "self"
-    ]
+    texts = [cleandoc(getattr(kind, name).__doc__).partition("\nParameters\n")[0] for kind in kinds]
+    options = [_option(key, about.annotation, about.default) for key, about in every.items()]
     output = click.option(
         "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
         help="File to write; - is standard output.  [default: print a table]",
     )  # fmt: skip
-    decorators = [job_argument, *options, format_option(*formats), output, service_options]
+    argument = optional_job_argument if SpringMethods in kinds else job_argument
+    arguments = [argument] if ResultMethods in kinds else []
     decorated: Any = run
-    for decorator in reversed(decorators):
+    for decorator in reversed([*arguments, *options, format_option(*formats), output, service_options]):
         decorated = decorator(decorated)
-    return click.command(name, help=text)(decorated)
+    return click.command(name, help="\nWith the ID of a job:\n\n".join(texts))(decorated)
+
+
+def _parameters(method: Any) -> dict[str, Parameter]:
+    """What a method asks the service for; it waits as long as it does by default."""
+    others = ("self", "timeout", "progress")
+    return {key: about for key, about in signature(method).parameters.items() if key not in others}
+
+
+def _query(
+    kinds: Mapping[Any, Mapping[str, Parameter]], kind: Any, options: dict[str, Any]
+) -> dict[str, Any]:
+    """The options of this kind of result. Raises click.UsageError for others, and for missing ones."""
+    own = kinds[kind]
+    others = {
+        key: about for parameters in kinds.values() for key, about in parameters.items() if key not in own
+    }
+    for key, about in others.items():
+        if options[key] not in (None, about.default):
+            other = "spring: leave out the ID" if kind is ResultMethods else "job: give its ID"
+            raise click.UsageError(f"{_flag(key)} is for a {other}")
+    missing = [
+        _flag(key) for key, about in own.items() if about.default is about.empty and options[key] is None
+    ]
+    if missing:
+        hint = ", or the ID of a job" if len(kinds) > 1 else ""
+        raise click.UsageError(f"give {' and '.join(missing)}{hint}")
+    return {key: options[key] for key in own}
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _option(name: str, hint: Any, default: object) -> Any:
     """The service checks bounds."""
     hint, help = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
     kinds = (hint,) if get_origin(hint) is Literal else (get_args(hint) or (hint,))
-    option = f"--{name.replace('_', '-')}"
+    option = _flag(name)
     if kinds[0] is bool:
-        flag = f"{option}/--no-{name.replace('_', '-')}" if default is True else option
+        flag = f"{option}/--no{option[1:]}" if default is True else option
         return click.option(flag, default=default, help=help)
     choice = click.Choice(get_args(kinds[0])) if get_origin(kinds[0]) is Literal else kinds[0]
     return click.option(option, type=choice, help=help)
 
 
-def table(found: "xarray.Dataset", rows: str | None) -> str:
-    """The rows of a result as columns of text, then its scalars, one line each."""
+def table(found: "xarray.Dataset", rows: Sequence[str]) -> str:
+    """A table for each variable of `rows`, then the scalars, one line each."""
     from math import isfinite
 
-    lines = []
-    if rows is not None:
-        dims = {*map(str, found[rows].dims)}
-        names = [str(name) for name, v in found.data_vars.items() if v.dims and dims.issuperset(v.dims)]
-        frame = found[names].drop_vars([n for n, v in found.coords.items() if not v.dims]).to_dataframe()
-        for name in names:
-            attrs = found[name].attrs
-            if "flag_meanings" in attrs:
-                meanings = dict(
-                    zip(attrs["flag_values"].tolist(), attrs["flag_meanings"].split(), strict=True)
-                )
-                frame[name] = frame[name].map(meanings)
-        prefixes = tuple(f"{dim}_" for dim in dims)
-        frame.columns = [_without(prefixes, str(name)) for name in frame.columns]
-        lines.append(frame.reset_index().to_string(index=False, na_rep="-"))
+    lines = [_rows(found, name) for name in rows]
     scalars = {str(name): v.values.item() for name, v in found.variables.items() if not v.dims}
     lines += [
         f"{name.replace('_', ' ')}  {value:.10g}"
@@ -95,10 +121,24 @@ def table(found: "xarray.Dataset", rows: str | None) -> str:
     return "\n".join(lines)
 
 
+def _rows(found: "xarray.Dataset", rows: str) -> str:
+    """The variables over dimensions of the variable `rows`."""
+    dims = {*map(str, found[rows].dims)}
+    names = [str(name) for name, v in found.data_vars.items() if v.dims and dims.issuperset(v.dims)]
+    frame = found[names].drop_vars([n for n, v in found.coords.items() if not v.dims]).to_dataframe()
+    for name in names:
+        attrs = found[name].attrs
+        if "flag_values" in attrs:
+            meanings = dict(zip(attrs["flag_values"].tolist(), attrs["flag_meanings"].split(), strict=True))
+            frame[name] = frame[name].map(meanings)
+    prefixes = tuple(f"{dim}_" for dim in dims)
+    frame.columns = [_without(prefixes, str(name)) for name in frame.columns]
+    frame = frame.reset_index()
+    return frame.to_string(index=False, na_rep="-") if len(frame) else "  ".join(frame.columns)
+
+
 def _without(prefixes: tuple[str, ...], name: str) -> str:
     return next((name.removeprefix(prefix) for prefix in prefixes if name.startswith(prefix)), name)
 
 
-COMMANDS: Final = tuple(
-    command(name, formats, ResultMethods.ROWS[name]) for name, formats in ResultMethods.FORMATS.items()
-)
+COMMANDS: Final = tuple(map(command, {**ResultMethods.FORMATS, **SpringMethods.FORMATS}))

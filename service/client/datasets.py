@@ -80,20 +80,6 @@ _LENGTH: Final = {"units": "plate amplitudes"}
 #: Values of one variable; an answer of the service has a million flights.
 MAX_VALUES: Final = 100_000_000
 
-#: `admissible` of a point beyond the end of its branch or curve.
-MISSING_POINT: Final = 255
-
-_REASONS: Final = {
-    "flag_masks": np.array([1, 2, 4], np.uint8),
-    "flag_meanings": "gap_negative_in_flight force_negative_in_contact no_takeoff",
-    "comment": f"0: admissible; {MISSING_POINT}: no point",
-}
-_SPEED: Final = {"units": "plate amplitudes per rad"}
-
-#: Variables of a cycle with a value per point of a branch.
-_PER_POINT: Final = (
-    "gamma", "flight_time", "takeoff_phase", "elongation", "elongation_velocity", "impact_velocity",
-)  # fmt: skip
 #: The energy balance of a cycle.
 _ENERGY: Final = ("plate_contact", "plate_impact", "dashpot", "impact", "force", "impulse", "weight")
 
@@ -105,17 +91,6 @@ _CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
     "reason": (np.str_, {"long_name": "why there is none"}),
     "lifetime": (np.float64, {"long_name": "life of bouncing at Γ = down - delta", "units": "plate periods"}),
     "delta": (np.float64, {"long_name": "Γ below down", "units": "1"}),
-    "elongation": (np.float64, {"long_name": "elongation of the spring at take-off", **_LENGTH}),
-    "elongation_velocity": (np.float64, {"long_name": "velocity of the elongation at take-off", **_SPEED}),
-    "impact_velocity": (np.float64, {"long_name": "velocity of the gap before landing", **_SPEED}),
-    "multiplier": (np.complex128, {"long_name": "Floquet multiplier, the larger in modulus", "units": "1"}),
-    "other_multiplier": (np.complex128, {"long_name": "the other Floquet multiplier", "units": "1"}),
-    "stable": (np.bool_, {"long_name": "whether both multipliers are inside the unit circle"}),
-    "admissible": (np.uint8, {"long_name": "why the cycle is not one of the spring", **_REASONS}),
-    "points": (np.int32, {"long_name": "points of the branch", "units": "1"}),
-    "kind": (np.str_, {"long_name": "kind of event"}),
-    "event_branch": (np.int32, {"long_name": "index of the branch that the event is on", "units": "1"}),
-    "word": (np.str_, {"long_name": "landings of the cycle: s sticks, z takes off again at once"}),
     "plate_contact": (np.float64, {"long_name": "work of the plate in contact", "units": "m A² ω²"}),
     "plate_impact": (np.float64, {"long_name": "work of the plate at the impact", "units": "m A² ω²"}),
     "dashpot": (np.float64, {"long_name": "energy that the dashpot takes", "units": "m A² ω²"}),
@@ -268,123 +243,6 @@ def thresholds_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
             variables[name] = _cycle_variable(name, (), _number((answer["energy"] or {}).get(name)))
         coordinates = {name: _variable(name, None, answer[name]) for name in ("omega", "xi")}
         return xarray.Dataset(variables, coordinates, _closed_form("thresholds of a spring"))
-
-
-def orbits_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
-    """Branches of one spring: dims (branch, point), NaN after the last point of a branch, and (event)."""
-    with _reading("a list of branches"):
-        branches = answer["branches"]
-        grid = ("branch", "point")
-        variables: dict[str, Any] = {
-            name: _cycle_variable(name, grid, _padded([branch[name] for branch in branches]))
-            for name in _PER_POINT
-        }
-        variables |= _stability(branches)
-        variables |= _events(answer["events"])
-        coordinates = {
-            "omega": _variable("omega", None, answer["omega"]),
-            "xi": _variable("xi", None, answer["xi"]),
-            **{
-                name: _variable(name, "branch", [branch[name] for branch in branches])
-                for name in ("bounces", "periods")
-            },
-        }
-        return xarray.Dataset(variables, coordinates, _closed_form("branches of a spring"))
-
-
-def words_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
-    """Branches of words: dims (branch, point, flight), NaN beyond their ends, and (event), (cell)."""
-    with _reading("a list of branches of words"):
-        branches, events, skipped = answer["branches"], answer["events"], answer["skipped"]
-        variables: dict[str, Any] = {
-            "gamma": _cycle_variable(
-                "gamma", ("branch", "point"), _padded([branch["gamma"] for branch in branches])
-            )
-        }
-        points = max((len(branch["gamma"]) for branch in branches), default=0)
-        flights = max((branch["bounces"] for branch in branches), default=0)
-        for name in ("flight_time", "takeoff_phase", "impact_velocity"):
-            values = np.full(_fitting(len(branches), points, flights), np.nan)
-            for row, branch in zip(values, branches, strict=True):
-                row[: len(branch["gamma"]), : branch["bounces"]] = branch[name]
-            variables[name] = _cycle_variable(name, ("branch", "point", "flight"), values)
-        variables |= _stability(branches) | _events(events)
-        variables["event_branch"] = _cycle_variable(
-            "event_branch", ("event",), [event["branch"] for event in events]
-        )
-        for name in ("gamma", "bounces", "periods", "reason"):
-            column = [cell[name] for cell in skipped]
-            variables[f"skipped_{name}"] = _cycle_variable(name, ("cell",), column)
-        coordinates = {
-            "omega": _variable("omega", None, answer["omega"]),
-            "xi": _variable("xi", None, answer["xi"]),
-            "direction": _direction(answer),
-            "word": _cycle_variable("word", ("branch",), [branch["word"] for branch in branches]),
-            **{
-                name: _variable(name, "branch", [branch[name] for branch in branches])
-                for name in ("bounces", "periods")
-            },
-        }
-        attributes = {**_closed_form("branches of words"), "job": job_id, "complete": int(answer["complete"])}
-        return xarray.Dataset(variables, coordinates, attributes)
-
-
-def curves_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
-    """Curves of events: dims (curve, point), NaN after the last point of a curve, and (event)."""
-    with _reading("a list of curves"):
-        along, curves = str(answer["along"]), answer["curves"]
-        fixed = "xi" if along == "omega" else "omega"
-        grid = ("curve", "point")
-        variables: dict[str, Any] = {
-            name: _cycle_variable(name, grid, _padded([curve[name] for curve in curves]))
-            for name in (along, "gamma", "flight_time")
-        }
-        padded = _padded([curve["admissible"] for curve in curves])
-        admissible = np.where(np.isnan(padded), MISSING_POINT, padded)
-        variables["admissible"] = _cycle_variable("admissible", grid, admissible)
-        variables |= _events(answer["points"])
-        coordinates = {
-            fixed: _variable(fixed, None, answer[fixed]),
-            "kind": _cycle_variable("kind", ("curve",), [curve["kind"] for curve in curves]),
-            **{
-                name: _variable(name, "curve", [curve[name] for curve in curves])
-                for name in ("bounces", "periods")
-            },
-        }
-        return xarray.Dataset(variables, coordinates, _closed_form("bifurcation curves"))
-
-
-def _stability(branches: Sequence[Mapping[str, Any]]) -> dict[str, Variable]:
-    """What branches of all kinds have with dims (branch, point), and the points of each."""
-    grid = ("branch", "point")
-    counts = np.array([len(branch["gamma"]) for branch in branches], np.intp)
-    shape = _fitting(len(branches), int(counts.max(initial=0)), 2)
-    multipliers = np.full(shape, np.nan, np.complex128)
-    for row, branch in zip(multipliers, branches, strict=True):
-        if branch["multipliers"]:
-            parts = np.array(branch["multipliers"], np.float64)
-            row[: len(parts)] = parts[..., 0] + 1j * parts[..., 1]
-    variables = {"points": _cycle_variable("points", ("branch",), counts)}
-    for i, name in enumerate(("multiplier", "other_multiplier")):
-        variables[name] = _cycle_variable(name, grid, multipliers[..., i])
-    for name, fill in (("stable", 0), ("admissible", MISSING_POINT)):
-        padded = _padded([branch[name] for branch in branches])
-        variables[name] = _cycle_variable(name, grid, np.where(np.isnan(padded), fill, padded))
-    if branches and branches[0].get("energy") is not None:
-        for name in _ENERGY:
-            rows = _padded([branch["energy"][name] for branch in branches])
-            variables[name] = _cycle_variable(name, grid, rows)
-    return variables
-
-
-def _events(events: Sequence[Mapping[str, Any]]) -> dict[str, Variable]:
-    """Variables `event_gamma`, `event_kind` and so on, with dim event."""
-    return {
-        f"event_{name}": _cycle_variable(name, ("event",), [event[name] for event in events])
-        for name in (
-            "kind", "gamma", "omega", "xi", "bounces", "periods", "flight_time", "admissible",
-        )
-    }  # fmt: skip
 
 
 def _cycle_variable(name: str, dims: tuple[str, ...], values: object) -> Variable:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 #: Rows of a table converted at a time.
 ROWS: Final = 2**16
-#: The longest further dimension, such as the exponents', that CSV spreads over columns. It omits longer ones.
+#: The most numbers along further dimensions, such as exponents, that CSV spreads over columns. It omits more.
 COLUMNS: Final = 8
 #: Arrays begin at a multiple of this many bytes, as typed arrays of a browser require.
 ALIGNMENT: Final = 8
@@ -194,9 +194,11 @@ def _columns(
             continue
         elif lists:
             yield name, _list_column(part, variable, extra, dims, kept)
-        elif len(extra) == 1 and part.sizes[extra[0]] <= COLUMNS:
-            for i in range(part.sizes[extra[0]]):
-                yield f"{name}_{i + 1}", _column(part, variable.isel({extra[0]: i}), dims, kept, nan=False)
+        elif prod(sizes := [part.sizes[dim] for dim in extra]) <= COLUMNS:
+            for place in np.ndindex(*sizes):
+                numbers = "_".join(str(i + 1) for i in place)
+                at = variable.isel(dict(zip(extra, place, strict=True)))
+                yield f"{name}_{numbers}", _column(part, at, dims, kept, nan=False)
 
 
 def _column(
@@ -204,7 +206,7 @@ def _column(
 ) -> pa.Array:
     """One value per row; without `nan`, NaN becomes null. Texts are stored once and taken by position."""
     values, names = variable.values, None
-    if "flag_meanings" in variable.attrs:
+    if "flag_values" in variable.attrs:
         meanings = dict(
             zip(variable.attrs["flag_values"], variable.attrs["flag_meanings"].split(), strict=True)
         )

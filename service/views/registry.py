@@ -10,14 +10,16 @@ from service.errors import InvalidRequest, TooLarge
 from service.formats import PICTURES
 from service.results.selection import MAX_READ, Stored
 from service.software import software
-from service.views import basins, diagram, encode, modes
+from service.views import basins, curves, diagram, encode, modes, orbits, words
 from service.views.view import Estimate, Query, View
 
 #: The results of a job, by name.
-VIEWS: Final[dict[str, View]] = {view.name: view for view in (diagram.VIEW, modes.VIEW, basins.VIEW)}
+VIEWS: Final[dict[str, View]] = {
+    view.name: view for view in (diagram.VIEW, modes.VIEW, basins.VIEW, words.VIEW)
+}
 
 #: The results of a spring alone, in closed form.
-SPRINGS: Final[dict[str, View]] = {}
+SPRINGS: Final[dict[str, View]] = {view.name: view for view in (orbits.VIEW, curves.VIEW)}
 
 
 def admit(view: View, spec: Any, query: Query, format: str, max_points: int) -> tuple[Query, Estimate]:

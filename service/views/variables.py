@@ -54,7 +54,7 @@ _COORDINATES: Final[Mapping[str, Mapping[str, Any]]] = {row.name: row.attrs for 
 
 def variable(dims: tuple[str, ...], values: Any, row: Array) -> xarray.Variable:
     """A variable over the cell dimensions `dims` and the further ones of its row."""
-    data = np.asarray(values, None if row.dtype == "U" else row.dtype)
+    data = np.asarray(values, np.str_ if row.dtype == "U" else row.dtype)
     return xarray.Variable((*dims, *row.extra_dims), data, dict(row.attrs))
 
 

@@ -86,6 +86,7 @@ class View:
     estimate: Callable[[Any, Any], Estimate]  # of specification and query
     variables: tuple[Array, ...]  # those that the Dataset can have
     rows: str | None = None  # the variable whose numbers are the rows of a table
+    printed: tuple[str, ...] = ()  # those of the tables that the command prints; default: `rows`
     draw: "Callable[[xarray.Dataset, Figure], None] | None" = None
     size: tuple[float, float] = (6.8, 4.2)  # of the picture, inches
     #: What workers compute first, as functions of `worker` with their arguments; `compute` takes the results.

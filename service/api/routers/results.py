@@ -10,7 +10,7 @@ from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from service.api import dependencies, parameters, schemas
+from service.api import dependencies, parameters
 from service.api.capacity import SMALL_ANSWER, Cost, costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import JobDep, ServiceDep
@@ -19,19 +19,14 @@ from service.errors import NotInStore, OutOfRange
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
 from service.render import export as export_files
-from service.render import orbits as orbits_text
 from service.render.blocks import GROUP_BYTES
-from service.results import orbits, thresholds
+from service.results import thresholds
 from service.results.provenance import attributes_of
 from service.results.selection import BASE_MEMORY, MAX_READ
 from service.results.thresholds import Thresholds
 from worker.store import ROOT
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
-
-#: Bytes of an answer with the branches of words.
-_WORDS_MEMORY: Final = 16 * 2**20
-
 
 #: Bytes of memory per flight of a diagram, and per cell of a map, with its numbers as text or as dots.
 _PER_FLIGHT: Final[Mapping[str, int]] = {"json": 100, "csv": 300, "png": 80, "svg": 80, "pdf": 80}
@@ -73,28 +68,6 @@ def get_job_threshold(
         result = thresholds.refined(service.on_demand, job, sweep, result, query.tolerance)
     result = thresholds.predicted(service.on_demand, service.background, job, sweep, result, query.predict)
     return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
-
-
-@router.get(
-    "/orbits",
-    summary="Continue the cycles of a sweep's cells",
-    response_model=schemas.WordOrbitsView,
-    responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 422, 429, 503)},
-)
-@costly(_WORDS_MEMORY, "on demand")
-def get_job_orbits(
-    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobOrbitsQuery, Query()]
-) -> Response:
-    """Branches of the cycles that the cells along Γ settled to, stable and unstable, with their events.
-
-    A worker follows them, some tenths of a second for each; until then 202. Of the rigid contact without
-    restitution: cells of another contact are a guess from which its cycles are looked for.
-    """
-    found = orbits.words(
-        service.on_demand, job, dependencies.sweep(service, job),
-        query.omega, query.xi, query.direction, query.gamma_max,
-    )  # fmt: skip
-    return Response(orbits_text.words_json(found, query.energy), media_type=MEDIA_TYPES["json"])
 
 
 class _OpenFile(StreamingResponse):

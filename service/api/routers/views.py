@@ -7,11 +7,13 @@ from typing import Annotated, Any, Final, Literal
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, JsonValue, create_model
 
+from kernel.params import KernelInputError
 from service.api import dependencies
 from service.api.capacity import Cost, costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import Service, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, content, problem_responses
+from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES
 from service.jobs.model import JobRecord
 from service.results.selection import BASE_MEMORY, Stored
@@ -97,9 +99,12 @@ def _answer(
     calls = view.parts(study, plain) if view.parts is not None else ()
     parts: Sequence[Any] = ()
     if calls:
-        parts = service.on_demand.get(
-            (view.name, *key, plain), lambda workers: [workers.call(*call) for call in calls]
-        )
+        try:
+            parts = service.on_demand.get(
+                (view.name, *key, plain), lambda workers: [workers.call(*call) for call in calls]
+            )
+        except KernelInputError as error:
+            raise InvalidRequest.of(error.argument, error.rule) from error
     body, complete = service.background.run(answer, view.name, study, plain.model_dump(), query.format, parts)
     headers = {"Bounce-Complete": "true" if complete else "false"}
     return Response(body, media_type=MEDIA_TYPES[query.format], headers=headers)
