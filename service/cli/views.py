@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def command(name: str) -> click.Command:
     """The command of one result: of a job, of a spring, or with an optional ID of either."""
     kinds = [kind for kind in (SpringMethods, ResultMethods) if name in kind.FORMATS]
-    formats, printed = kinds[0].FORMATS[name], kinds[0].PRINTED[name]
+    formats = kinds[0].FORMATS[name]
     parameters = {kind: _parameters(getattr(kind, name)) for kind in kinds}
     every = {key: about for own in parameters.values() for key, about in own.items()}
 
@@ -37,12 +37,13 @@ def command(name: str) -> click.Command:
         job_id: str | None = None,
         **options: Any,
     ) -> None:
-        query = _query(parameters, SpringMethods if job_id is None else ResultMethods, options)
+        kind = SpringMethods if job_id is None else ResultMethods
+        query = _query(parameters, kind, options)
         file_format = None if output is None else output_format(output, formats, format)
         with open_client(url, token) as client:
             source = client if job_id is None else client.job(job_id)
             if output is None:
-                click.echo(table(source.result(name, **query), printed))
+                click.echo(table(source.result(name, **query), kind.PRINTED[name]))
             else:
                 write_file(output, source.result_file(name, str(file_format), **query))
         if isinstance(source, ResultMethods):
@@ -100,7 +101,7 @@ def _option(name: str, hint: Any, default: object) -> Any:
     option = _flag(name)
     if kinds[0] is bool:
         flag = f"{option}/--no{option[1:]}" if default is True else option
-        return click.option(flag, default=default, help=help)
+        return click.option(flag, is_flag=True, default=default, help=help)
     choice = click.Choice(get_args(kinds[0])) if get_origin(kinds[0]) is Literal else kinds[0]
     return click.option(option, type=choice, help=help)
 
@@ -134,7 +135,9 @@ def _rows(found: "xarray.Dataset", rows: str) -> str:
     prefixes = tuple(f"{dim}_" for dim in dims)
     frame.columns = [_without(prefixes, str(name)) for name in frame.columns]
     frame = frame.reset_index()
-    return frame.to_string(index=False, na_rep="-") if len(frame) else "  ".join(frame.columns)
+    if not len(frame):
+        return "  ".join(frame.columns)
+    return frame.to_string(index=False, na_rep="-", float_format="{:.10g}".format)
 
 
 def _without(prefixes: tuple[str, ...], name: str) -> str:

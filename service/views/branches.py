@@ -4,6 +4,7 @@ A branch or curve is a row along the first dimension, padded beyond its last poi
 """
 
 from collections.abc import Mapping, Sequence
+from math import prod
 from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
@@ -15,7 +16,8 @@ from kernel.branches.curves import Curve
 from kernel.branches.events import Branch, Events, flight_times
 from kernel.branches.words import WordBranch
 from kernel.params import KernelInputError
-from service.errors import InvalidRequest
+from service.errors import InvalidRequest, TooLarge
+from service.results.selection import MAX_READ
 from service.views.variables import variable
 from service.views.view import Number
 from worker import orbits, schema
@@ -119,6 +121,11 @@ def _padded(row: Array, values: Sequence[NDArray[Any]], dims: tuple[str, ...]) -
     lengths = [
         max((each.shape[i] for each in values), default=_PARTS.get(dim, 0)) for i, dim in enumerate(dims[1:])
     ]
+    if (size := prod((len(values), *lengths))) > MAX_READ:
+        raise TooLarge(
+            f"{len(values):,} of them, as long as the longest, hold {size:,} numbers; the limit is "
+            f"{MAX_READ:,}: take a shorter range, or fewer kinds or modes"
+        )
     table = np.full((len(values), *lengths), np.nan if row.dtype == "<f8" else row.fill, row.dtype)
     for line, each in zip(table, values, strict=True):
         line[tuple(map(slice, each.shape))] = each

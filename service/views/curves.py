@@ -23,7 +23,7 @@ MAX_SECONDS: Final = 60.0
 _SECONDS: Final = 0.01
 
 #: Bytes of an answer, and its points as an estimate: how long curves are, shows once they are followed.
-_MEMORY: Final = 16 * 2**20
+_MEMORY: Final = 64 * 2**20
 _POINTS: Final = 4_000
 
 Span = tuple[float, float]

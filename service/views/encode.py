@@ -226,8 +226,9 @@ def _list_column(
 ) -> pa.Array:
     """The numbers of each row along the other dimensions, without the NaN at the end."""
     along = [dim for dim in dims if dim in variable.dims]
-    flat = variable.transpose(*along, *extra).values.reshape(*(part.sizes[dim] for dim in along), -1)
-    numbers = _repeated(part, flat, (*along, ""), dims).reshape(-1, flat.shape[-1])[kept]
+    width = prod(part.sizes[dim] for dim in extra)
+    flat = variable.transpose(*along, *extra).values.reshape(*(part.sizes[dim] for dim in along), width)
+    numbers = _repeated(part, flat, (*along, ""), dims)[kept]
     there = np.ones(numbers.shape, bool)
     if numbers.dtype.kind == "f":
         there = np.logical_or.accumulate(~np.isnan(numbers[:, ::-1]), axis=1)[:, ::-1]
