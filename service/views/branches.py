@@ -93,16 +93,8 @@ ROWS: Final[Mapping[str, Array]] = _STORED | {
     )
 }  # fmt: skip
 _EVENT: Final = (
-    "kind",
-    "gamma",
-    "omega",
-    "xi",
-    "bounces",
-    "periods",
-    "flight_time",
-    "admissible",
-    "multipliers",
-)
+    "kind", "gamma", "omega", "xi", "bounces", "periods", "flight_time", "admissible", "multipliers",
+)  # fmt: skip
 EVENTS: Final = tuple(ROWS[f"event_{name}"] for name in _EVENT)
 
 

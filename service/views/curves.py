@@ -45,14 +45,12 @@ class CurvesQuery(Query):
 
 def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:
     """The parameter that varies, the value of the other one, and the range. Raises InvalidRequest."""
-    over_omega, over_xi = (
-        (query.xi, query.omega_start, query.omega_stop),
-        (query.omega, query.xi_start, query.xi_stop),
-    )
-    match (*over_omega, *over_xi):
-        case (float(fixed), float(low), float(high), None, None, None):
+    over_omega = (query.xi, query.omega_start, query.omega_stop)
+    over_xi = (query.omega, query.xi_start, query.xi_stop)
+    match over_omega, over_xi:
+        case (float(fixed), float(low), float(high)), (None, None, None):
             along = Parameter.OMEGA
-        case (None, None, None, float(fixed), float(low), float(high)):
+        case (None, None, None), (float(fixed), float(low), float(high)):
             along = Parameter.XI
         case _:
             rule = "give xi, omega_start and omega_stop, or omega, xi_start and xi_stop"

@@ -91,18 +91,21 @@ export async function requestJson(path, options) {
 
 const POLL_MS = 1000;
 
-/** As requestJson, for an answer that workers compute first: it is requested again while the service answers 202. */
-export async function requestComputed(path, options = {}) {
+/** As requestJson, for an answer that workers compute first. */
+export const requestComputed = async (path, options) => read(await computed(path, options), "json", options?.signal);
+
+/** The response, requested again while the service answers 202. */
+async function computed(path, options = {}) {
   for (;;) {
     const response = await request(path, options);
-    if (response.status !== 202) return read(response, "json", options.signal);
+    if (response.status !== 202) return response;
     await new Promise((resolve) => setTimeout(resolve, POLL_MS));
     options.signal?.throwIfAborted();
   }
 }
 
 const ARRAY_TYPES = {
-  float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array,
+  float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array,
 };
 
 /** Arrays in the binary form of service/render/binary.py: {…values of the header, arrays: {name: typed array}}. */
@@ -118,10 +121,11 @@ export async function requestArrays(path, options) {
 
 /**
  * A result in the binary form of service/views/encode.py: {attrs, dims, …}, and by name every coordinate and variable
- * as {data, dims, shape, attrs}; `data` is a flat typed array, or of scalars and texts the value or list.
+ * as {data, dims, shape, attrs}; `data` is a flat typed array, or of scalars and texts the value or list. What workers
+ * compute first is waited for.
  */
 export async function requestDataset(path, options) {
-  const buffer = await read(await request(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options), "arrayBuffer", options?.signal);
+  const buffer = await read(await computed(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options), "arrayBuffer", options?.signal);
   const end = new Uint8Array(buffer).indexOf(10); // the header is one line of JSON
   const { coords, data_vars, ...result } = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 0, end)));
   for (const [name, variable] of Object.entries({ ...coords, ...data_vars })) {
