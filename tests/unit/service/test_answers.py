@@ -133,7 +133,6 @@ COSTLY: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
 #: What the client makes of them.
 READ: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("rest", "diagram", {}),
-    ("rest", "orbits", {"gamma_max": 3.0}),
     ("ramp", "diagram", {"omega": 0.7, "xi": 0.05, "direction": "down"}),
     ("ramp", "threshold", {"xi": 0.05}),
     ("ramp", "modes", {"xi": 0.05, "direction": "down"}),
@@ -207,7 +206,7 @@ class Answers:
 
 
 def _read(job: Job, method: str, arguments: Mapping[str, Any]) -> xarray.Dataset:
-    quiet = {"progress": False} if method in ("threshold", "orbits") else {}
+    quiet = {"progress": False} if method == "threshold" else {}
     found = getattr(job, method)(**arguments, **quiet)
     assert isinstance(found, xarray.Dataset)
     return found.load()

@@ -72,8 +72,7 @@ def test_a_new_result_has_a_command(
     namespace: dict[str, Any] = {}
     exec(client_methods.source(), namespace)
     monkeypatch.setattr(commands, "ResultMethods", namespace["ResultMethods"])
-    methods = namespace["ResultMethods"]
-    command = commands.command(TOY, methods.FORMATS[TOY], methods.ROWS[TOY])
+    command = commands.command(TOY)
     shown = CliRunner().invoke(command, [job.id])
     assert (shown.exit_code, len(shown.stdout.splitlines())) == (0, 5 * 7 + 2), shown.output
     path = tmp_path / "outcomes.csv"
