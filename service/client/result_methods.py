@@ -289,7 +289,7 @@ class SpringMethods:
         timeout: float = 300.0,
         progress: "bool | PartsCallback" = True,
     ) -> "xarray.Dataset":
-        """Cycles of one bounce in k plate periods, stable and unstable, and where their branches turn or end.
+        """Branches of cycles of one bounce, stable and unstable, and their events.
 
         In closed form, of the rigid contact without restitution. A branch that leaves `gamma_max` and comes
         back is several pieces.
@@ -368,10 +368,10 @@ class SpringMethods:
         timeout: float = 300.0,
         progress: "bool | PartsCallback" = True,
     ) -> "xarray.Dataset":
-        """Curves of folds, flips and other events over Ω at one ξ, or over ξ at one Ω, and where they meet.
+        """Curves of folds, flips and other events over Ω at one ξ, or over ξ at one Ω.
 
         Events are the cusps, Bogdanov-Takens and fold-flip points at which curves meet or turn. Workers
-        compute them, some seconds for each mode.
+        compute the curves, some seconds for each mode.
 
         Parameters
         ----------

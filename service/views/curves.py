@@ -79,10 +79,10 @@ def parts(study: None, query: CurvesQuery) -> Sequence[Call]:
 
 
 def compute(study: None, query: CurvesQuery, *found: Curves) -> xarray.Dataset:
-    """Curves of folds, flips and other events over Ω at one ξ, or over ξ at one Ω, and where they meet.
+    """Curves of folds, flips and other events over Ω at one ξ, or over ξ at one Ω.
 
     Events are the cusps, Bogdanov-Takens and fold-flip points at which curves meet or turn. Workers
-    compute them, some seconds for each mode.
+    compute the curves, some seconds for each mode.
     """
     along, fixed, _ = _plane(query)
     top = query.gamma_max

@@ -53,7 +53,7 @@ def _grids(query: OrbitsQuery) -> list[tuple[float, float, int, int]]:
 
 
 def compute(study: None, query: OrbitsQuery, *found: tuple[Branch, Events]) -> xarray.Dataset:
-    """Cycles of one bounce in k plate periods, stable and unstable, and where their branches turn or end.
+    """Branches of cycles of one bounce, stable and unstable, and their events.
 
     In closed form, of the rigid contact without restitution. A branch that leaves `gamma_max` and comes
     back is several pieces.
