@@ -289,10 +289,10 @@ class SpringMethods:
         timeout: float = 300.0,
         progress: "bool | PartsCallback" = True,
     ) -> "xarray.Dataset":
-        """Branches of cycles of one bounce, stable and unstable, and their events.
+        """Branches of cycles of one bounce, and their events.
 
-        In closed form, of the rigid contact without restitution. A branch that leaves `gamma_max` and comes
-        back is several pieces.
+        Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
+        `gamma_max` and comes back is several pieces.
 
         Parameters
         ----------
@@ -368,10 +368,10 @@ class SpringMethods:
         timeout: float = 300.0,
         progress: "bool | PartsCallback" = True,
     ) -> "xarray.Dataset":
-        """Curves of folds, flips and other events over Ω at one ξ, or over ξ at one Ω.
+        """Curves of folds, flips and other events over Ω or ξ.
 
-        Events are the cusps, Bogdanov-Takens and fold-flip points at which curves meet or turn. Workers
-        compute the curves, some seconds for each mode.
+        Over a range of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
+        fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
 
         Parameters
         ----------

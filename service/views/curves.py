@@ -79,10 +79,10 @@ def parts(study: None, query: CurvesQuery) -> Sequence[Call]:
 
 
 def compute(study: None, query: CurvesQuery, *found: Curves) -> xarray.Dataset:
-    """Curves of folds, flips and other events over Ω at one ξ, or over ξ at one Ω.
+    """Curves of folds, flips and other events over Ω or ξ.
 
-    Events are the cusps, Bogdanov-Takens and fold-flip points at which curves meet or turn. Workers
-    compute the curves, some seconds for each mode.
+    Over a range of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
+    fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
     """
     along, fixed, _ = _plane(query)
     top = query.gamma_max

@@ -53,10 +53,10 @@ def _grids(query: OrbitsQuery) -> list[tuple[float, float, int, int]]:
 
 
 def compute(study: None, query: OrbitsQuery, *found: tuple[Branch, Events]) -> xarray.Dataset:
-    """Branches of cycles of one bounce, stable and unstable, and their events.
+    """Branches of cycles of one bounce, and their events.
 
-    In closed form, of the rigid contact without restitution. A branch that leaves `gamma_max` and comes
-    back is several pieces.
+    Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
+    `gamma_max` and comes back is several pieces.
     """
     found = found or tuple(_branch(*grid) for grid in _grids(query))
     pieces = [piece for branch, _ in found for piece in branches.below(branch, query.gamma_max)]
