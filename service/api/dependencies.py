@@ -91,8 +91,9 @@ def stored(service: Service, job: JobRecord) -> Stored[Specification]:
     kind = next((kind for spec, kind in _STORED.items() if isinstance(prepared.spec, spec)), Stored)
     done = job.state is JobState.DONE
     return kind(
-        prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, prepared.forms
-    )
+        prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, job.chunks_done,
+        prepared.forms,
+    )  # fmt: skip
 
 
 _STORED: Final[Mapping[type, type[Stored[Any]]]] = {

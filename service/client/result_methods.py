@@ -192,11 +192,11 @@ class ResultMethods:
         timeout: float = 300.0,
         progress: "bool | PartsCallback" = True,
     ) -> "xarray.Dataset":
-        """Branches of the cycles that the cells along Γ settled to, stable and unstable, with their events.
+        """Branches of the cycles that cells along Γ settled to.
 
-        A worker follows them, some tenths of a second for each. Of the rigid contact without restitution: cells
-        of another contact are a guess from which its cycles are looked for. `skipped` are the periodic cells
-        from which no branch was followed.
+        Stable and unstable ones, with their events, of the rigid contact without restitution: cells of another
+        contact are a guess from which its cycles are looked for. A worker follows a branch in some tenths of a
+        second. `skipped` are the periodic cells from which no branch was followed.
 
         Parameters
         ----------
@@ -219,7 +219,7 @@ class ResultMethods:
             With the attribute `complete` and these variables:
 
             - `gamma`: plate acceleration over gravity
-            - `multipliers`: Floquet multipliers, the larger in modulus first
+            - `multipliers`: Floquet multipliers, the larger first
             - `stable`: whether both multipliers are inside the unit circle
             - `admissible`: why the cycle is not one of the spring
             - `flight_time` (rad): flight time
@@ -322,7 +322,7 @@ class SpringMethods:
             - `elongation` (plate amplitudes): elongation of the spring at take-off
             - `elongation_velocity` (plate amplitudes per rad): velocity of the elongation at take-off
             - `impact_velocity` (plate amplitudes per rad): velocity of the gap before landing
-            - `multipliers`: Floquet multipliers, the larger in modulus first
+            - `multipliers`: Floquet multipliers, the larger first
             - `stable`: whether both multipliers are inside the unit circle
             - `admissible`: why the cycle is not one of the spring
             - `plate_contact` (m A² ω²): work of the plate in contact

@@ -48,6 +48,7 @@ class Stored(Generic[_Spec_co]):
     kernel_version: str = KERNEL_VERSION  # that computed it
     repairing: bool = False  # damage was found: no answer is complete until the job is done again
     job: str | None = None  # its id
+    chunks_done: int = 0
     #: How its arrays are stored; None of another kernel version, whose store alone knows.
     forms: Mapping[str, store.ArrayForm] | None = None
 

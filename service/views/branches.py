@@ -18,15 +18,13 @@ from kernel.branches.words import WordBranch
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.results.selection import MAX_READ
-from service.views.variables import variable
+from service.views.variables import ENERGY, row, variable
 from service.views.view import Number
 from worker import orbits, schema
 from worker.orbits import MAX_GRID, Mode, check_modes, read_mode
 from worker.schema import Array
 from worker.spec.errors import BrokenRuleError
 
-Omega = Annotated[Number, Field(gt=0, le=1e6)]
-Xi = Annotated[Number, Field(ge=0, le=1e6)]
 Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
 GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
 WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
@@ -39,57 +37,45 @@ MODEL: Final = "rigid, restitution 0"
 MISSING_POINT: Final = 255
 #: Of each branch, and the energy balance of a cycle.
 BRANCH: Final = ("branch_bounces", "branch_periods", "points")
-ENERGY: Final = ("plate_contact", "plate_impact", "dashpot", "impact", "force", "impulse", "weight")
+BALANCE: Final = tuple(each.name for each in ENERGY)
 
 #: Real and imaginary part of both multipliers.
 _PARTS: Final = {"multiplier": 2, "part": 2}
 
 
-def _row(name: str, dims: tuple[str, ...], dtype: str, long_name: str, units: str = "1") -> Array:
-    return Array(name, dims, dtype, 0, {"long_name": long_name, "units": units})
-
-
 def _of_cycle(thing: str, what: str) -> tuple[Array, Array]:
     return (
-        _row(f"{thing}_bounces", (thing,), "<i4", f"bounces of the {what}"),
-        _row(f"{thing}_periods", (thing,), "<i4", f"plate periods of the {what}"),
+        row(f"{thing}_bounces", (thing,), "<i4", f"bounces of the {what}"),
+        row(f"{thing}_periods", (thing,), "<i4", f"plate periods of the {what}"),
     )
 
 
-_POINT: Final = ("branch", "point")
-_WORK, _MOMENTUM = "m A² ω²", "m A ω"
-_STORED: Final = {row.name: row for row in orbits.ARRAYS}
-_AXES: Final = {row.name: row.attrs for row in schema.COORDINATES}
+_STORED: Final = {each.name: each for each in orbits.ARRAYS}
+_AXES: Final = {each.name: each.attrs for each in schema.COORDINATES}
 
 #: The variables by name: those that the study `orbits` stores, and others.
 ROWS: Final[Mapping[str, Array]] = _STORED | {
-    row.name: row
-    for row in (
+    each.name: each
+    for each in (
         _STORED["gamma"]._replace(attrs=_AXES["gamma"] | {"comment": "NaN: no point"}),
         _STORED["admissible"]._replace(fill=MISSING_POINT, attrs=_STORED["admissible"].attrs | {
             "comment": f"0: a cycle of the spring; {MISSING_POINT}: no point",
         }),
-        _row("multipliers", (*_POINT, *_PARTS), "<f8", "Floquet multipliers, the larger in modulus first"),
-        _row("plate_contact", _POINT, "<f8", "work of the plate in contact", _WORK),
-        _row("plate_impact", _POINT, "<f8", "work of the plate at the impact", _WORK),
-        _row("dashpot", _POINT, "<f8", "energy that the dashpot takes", _WORK),
-        _row("impact", _POINT, "<f8", "energy that the impact takes", _WORK),
-        _row("force", _POINT, "<f8", "momentum that the contact force gives", _MOMENTUM),
-        _row("impulse", _POINT, "<f8", "momentum that the impact gives", _MOMENTUM),
-        _row("weight", _POINT, "<f8", "momentum that gravity takes, 4π periods/Γ", _MOMENTUM),
+        row("multipliers", ("branch", "point", *_PARTS), "<f8", "Floquet multipliers, the larger first"),
+        *ENERGY,
         *_of_cycle("branch", "cycles"),
-        _row("points", ("branch",), "<i4", "points of the branch"),
-        _row("word", ("branch",), "U", "landings of the cycle: s sticks, z takes off again at once"),
-        _row("curve_kind", ("curve",), "U", "kind of event"),
+        row("points", ("branch",), "<i4", "points of the branch"),
+        row("word", ("branch",), "U", "landings of the cycle: s sticks, z takes off again at once"),
+        row("curve_kind", ("curve",), "U", "kind of event"),
         *_of_cycle("curve", "cycles"),
         *(Array(axis, ("curve", "point"), "<f8", 0, _AXES[axis]) for axis in ("omega", "xi")),
-        _row("event_kind", ("event",), "U", "kind of event"),
+        row("event_kind", ("event",), "U", "kind of event"),
         *(Array(f"event_{axis}", ("event",), "<f8", 0, _AXES[axis]) for axis in ("gamma", "omega", "xi")),
-        _row("event_multipliers", ("event", *_PARTS), "<f8", "Floquet multipliers"),
-        _row("event_branch", ("event",), "<i4", "index of the branch that the event is on"),
+        row("event_multipliers", ("event", *_PARTS), "<f8", "Floquet multipliers"),
+        row("event_branch", ("event",), "<i4", "index of the branch that the event is on"),
         Array("skipped_gamma", ("skipped",), "<f8", 0, _AXES["gamma"]),
         *_of_cycle("skipped", "cell from which no branch was followed"),
-        _row("skipped_reason", ("skipped",), "U", "why no branch was followed from the cell"),
+        row("skipped_reason", ("skipped",), "U", "why no branch was followed from the cell"),
     )
 }  # fmt: skip
 _EVENT: Final = (
@@ -109,7 +95,7 @@ def padded(
     }  # fmt: skip
 
 
-def _padded(row: Array, values: Sequence[NDArray[Any]], dims: tuple[str, ...]) -> xarray.Variable:
+def _padded(about: Array, values: Sequence[NDArray[Any]], dims: tuple[str, ...]) -> xarray.Variable:
     lengths = [
         max((each.shape[i] for each in values), default=_PARTS.get(dim, 0)) for i, dim in enumerate(dims[1:])
     ]
@@ -118,16 +104,16 @@ def _padded(row: Array, values: Sequence[NDArray[Any]], dims: tuple[str, ...]) -
             f"{len(values):,} of them, as long as the longest, hold {size:,} numbers; the limit is "
             f"{MAX_READ:,}: take a shorter range, or fewer kinds or modes"
         )
-    table = np.full((len(values), *lengths), np.nan if row.dtype == "<f8" else row.fill, row.dtype)
+    table = np.full((len(values), *lengths), np.nan if about.dtype == "<f8" else about.fill, about.dtype)
     for line, each in zip(table, values, strict=True):
         line[tuple(map(slice, each.shape))] = each
-    return xarray.Variable(dims, table, dict(row.attrs))
+    return xarray.Variable(dims, table, dict(about.attrs))
 
 
 def columns(thing: str, fields: Mapping[str, Any]) -> dict[str, xarray.Variable]:
     """The fields of a list of events, branches, curves or cells."""
-    rows = {name: ROWS[f"{thing}_{name}"] for name in fields}
-    return {row.name: variable((), fields[name], row) for name, row in rows.items()}
+    names = {field: f"{thing}_{field}" for field in fields}
+    return {name: variable((), fields[field], ROWS[name]) for field, name in names.items()}
 
 
 def event_columns(events: Events) -> dict[str, xarray.Variable]:

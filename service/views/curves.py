@@ -13,7 +13,7 @@ from service.errors import InvalidRequest
 from service.views import branches
 from service.views.branches import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
 from service.views.variables import coordinate
-from service.views.view import Call, Estimate, Query, View
+from service.views.view import Call, Estimate, Omega, Query, View, Xi
 from worker.orbits import Mode
 from worker.spec.errors import one_of
 
@@ -32,12 +32,12 @@ Span = tuple[float, float]
 class CurvesQuery(Query):
     """A range of Ω at one ξ, or of ξ at one Ω."""
 
-    omega: branches.Omega | None = None
-    xi: branches.Xi | None = None
-    omega_start: branches.Omega | None = None
-    omega_stop: branches.Omega | None = None
-    xi_start: branches.Xi | None = None
-    xi_stop: branches.Xi | None = None
+    omega: Omega | None = None
+    xi: Xi | None = None
+    omega_start: Omega | None = None
+    omega_stop: Omega | None = None
+    xi_start: Xi | None = None
+    xi_stop: Xi | None = None
     modes: branches.Modes = "1-1,1-2"
     kinds: Annotated[str | None, Field(max_length=200, description="such as fold,flip; default: all")] = None
     gamma_max: branches.GammaMax = 8.0

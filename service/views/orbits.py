@@ -9,11 +9,10 @@ from pydantic import Field
 
 from kernel.branches.energy import energy
 from kernel.branches.events import Branch, Events, branch_and_events, join_events
-from service.results.orbits import AT_ONCE_SECONDS
 from service.views import branches
-from service.views.branches import BRANCH, ENERGY, EVENTS, ROWS, event_columns, padded, parse_modes
+from service.views.branches import BALANCE, BRANCH, EVENTS, ROWS, event_columns, padded, parse_modes
 from service.views.variables import coordinate
-from service.views.view import Call, Estimate, Query, View
+from service.views.view import AT_ONCE_SECONDS, Call, Estimate, Omega, Query, View, Xi
 from worker.analysis.prediction import branch_seconds
 from worker.orbits import MAX_POINTS
 
@@ -32,8 +31,8 @@ _POINT: Final = (
 class OrbitsQuery(Query):
     """A spring, and which of its branches to compute."""
 
-    omega: branches.Omega
-    xi: branches.Xi
+    omega: Omega
+    xi: Xi
     modes: branches.Modes = "1-1,1-2"
     gamma_max: branches.GammaMax = 8.0
     points: Annotated[int, Field(ge=10, le=MAX_POINTS, description="of each branch, at least")] = 400
@@ -62,7 +61,7 @@ def compute(study: None, query: OrbitsQuery, *found: tuple[Branch, Events]) -> x
     pieces = [piece for branch, _ in found for piece in branches.below(branch, query.gamma_max)]
     data = padded(_POINT, pieces)
     if query.energy:
-        data |= padded(ENERGY, [energy(x.omega, x.xi, x.periods, x.flight_time) for x in pieces])
+        data |= padded(BALANCE, [energy(x.omega, x.xi, x.periods, x.flight_time) for x in pieces])
     data |= event_columns(join_events([branches.rows_of(e, e.gamma <= query.gamma_max) for _, e in found]))
     coords = branches.of_branches(pieces)
     coords |= {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")}
@@ -81,6 +80,6 @@ def estimate(spec: None, query: OrbitsQuery) -> Estimate:
 
 VIEW: Final = View(
     "orbits", "Branches of a spring", None, OrbitsQuery, compute, estimate,
-    variables=tuple(ROWS[name] for name in (*_POINT, *ENERGY, *BRANCH)) + EVENTS,
+    variables=tuple(ROWS[name] for name in (*_POINT, *BALANCE, *BRANCH)) + EVENTS,
     rows="gamma", printed=("event_gamma",), parts=parts,
 )  # fmt: skip

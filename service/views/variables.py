@@ -25,25 +25,37 @@ def of_attractor(array: Array) -> Array:
     return array._replace(name=f"attractor_{array.name.removeprefix('attractor_')}", dims=dims)
 
 
-def _row(
+def row(
     name: str, dims: tuple[str, ...], dtype: str, long_name: str, units: str = "1", **attrs: Any
 ) -> Array:
+    """A variable over `dims` beside those of the cell."""
     return Array(
         name, (*schema.CELL_DIMS, *dims), dtype, 0, {"long_name": long_name, "units": units, **attrs}
     )
 
 
 _DERIVED: Final = (
-    _row("attractor_of_start", ("row", "column"), "|u1", "attractor that a start reaches",
+    row("attractor_of_start", ("row", "column"), "|u1", "attractor that a start reaches",
          comment="0: undecided"),
-    _row("hysteresis", (), "|u1", "how the ramps up and down compare", flag_values=[0, 1, 2],
+    row("hysteresis", (), "|u1", "how the ramps up and down compare", flag_values=[0, 1, 2],
          flag_meanings="none other_mode other_flights"),
-    _row("attractor_label", ("attractor",), "U", "what the attractor does"),
+    row("attractor_label", ("attractor",), "U", "what the attractor does"),
     of_attractor(LIFETIME)._replace(attrs={
         "long_name": "life of aperiodic motion that was seen to end", "units": "plate periods",
         "comment": "NaN: no such motion was seen to end",
     }),
 )  # fmt: skip
+
+#: The energy balance of a cycle.
+ENERGY: Final = (
+    row("plate_contact", (), "<f8", "work of the plate in contact", "m A² ω²"),
+    row("plate_impact", (), "<f8", "work of the plate at the impact", "m A² ω²"),
+    row("dashpot", (), "<f8", "energy that the dashpot takes", "m A² ω²"),
+    row("impact", (), "<f8", "energy that the impact takes", "m A² ω²"),
+    row("force", (), "<f8", "momentum that the contact force gives", "m A ω"),
+    row("impulse", (), "<f8", "momentum that the impact gives", "m A ω"),
+    row("weight", (), "<f8", "momentum that gravity takes, 4π periods/Γ", "m A ω"),
+)
 
 #: Every variable by name.
 VARIABLES: Final[Mapping[str, Array]] = {

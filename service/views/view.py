@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import xarray
 from pydantic import BaseModel, ConfigDict, Field
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="return every n-th value only")]
 
+Omega = Annotated[Number, Field(gt=0, le=1e6)]
+Xi = Annotated[Number, Field(ge=0, le=1e6)]
+
 Direction = Annotated[
     str | None, Field(description="rest, up or down; default: all that the sweep has, a dimension if two")
 ]
@@ -29,7 +32,10 @@ MinFlight = Annotated[
     ),
 ]
 
-#: A function of `worker` and its arguments.
+#: Core-seconds of closed forms that are computed while the caller waits.
+AT_ONCE_SECONDS: Final = 1.0
+
+#: A function of `worker` and its arguments, which can be hashed.
 Call = tuple[Any, ...]
 
 
@@ -89,8 +95,9 @@ class View:
     printed: tuple[str, ...] = ()  # those of the tables that the command prints; default: `rows`
     draw: "Callable[[xarray.Dataset, Figure], None] | None" = None
     size: tuple[float, float] = (6.8, 4.2)  # of the picture, inches
-    #: What workers compute first, as functions of `worker` with their arguments; `compute` takes the results.
-    #: Without any, as for what takes less than a second, `compute` does it all.
+    #: What workers compute first, as functions of `worker` with their arguments; `compute` takes the results
+    #: in this order. Without any, as for what takes less than AT_ONCE_SECONDS, `compute` does it all. Calls
+    #: of one function stand together; calls that read the store of a job have its address as an argument.
     parts: Callable[[Any, Any], Sequence[Call]] | None = None
 
     @property

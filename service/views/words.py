@@ -11,7 +11,7 @@ from kernel.branches.energy import word_energy
 from kernel.branches.events import join_events
 from service.results.selection import GridValue, Stored, check_metadata, nearest_index, resolve_direction
 from service.views import branches
-from service.views.branches import BRANCH, ENERGY, EVENTS, ROWS, columns, event_columns, padded
+from service.views.branches import BALANCE, BRANCH, EVENTS, ROWS, columns, event_columns, padded
 from service.views.variables import coordinate, variable
 from service.views.view import Call, Estimate, Number, Query, View
 from worker import store
@@ -59,16 +59,16 @@ def parts(study: Stored[SweepSpec], query: WordsQuery) -> Sequence[Call]:
 
 
 def compute(study: Stored[SweepSpec], query: WordsQuery, found: Words = _NONE) -> xarray.Dataset:
-    """Branches of the cycles that the cells along Γ settled to, stable and unstable, with their events.
+    """Branches of the cycles that cells along Γ settled to.
 
-    A worker follows them, some tenths of a second for each. Of the rigid contact without restitution: cells
-    of another contact are a guess from which its cycles are looked for. `skipped` are the periodic cells
-    from which no branch was followed.
+    Stable and unstable ones, with their events, of the rigid contact without restitution: cells of another
+    contact are a guess from which its cycles are looked for. A worker follows a branch in some tenths of a
+    second. `skipped` are the periodic cells from which no branch was followed.
     """
     direction, spring = _line(study.spec, query)
     data = padded(_POINT, found.branches) | padded(_FLIGHT, found.branches, ("branch", "point", "flight"))
     if query.energy:
-        data |= padded(ENERGY, [word_energy(branch) for branch in found.branches])
+        data |= padded(BALANCE, [word_energy(branch) for branch in found.branches])
     data |= event_columns(join_events(found.events))
     on = np.repeat(np.arange(len(found.events)), [len(events.gamma) for events in found.events])
     data |= columns("event", {"branch": on})
@@ -90,7 +90,7 @@ def estimate(spec: SweepSpec, query: WordsQuery) -> Estimate:
 VIEW: Final = View(
     "orbits", "Branches of a sweep's cycles", SweepSpec, WordsQuery, compute, estimate,
     variables=(
-        *(ROWS[name] for name in (*_POINT, *_FLIGHT, *ENERGY, *BRANCH, "word")),
+        *(ROWS[name] for name in (*_POINT, *_FLIGHT, *BALANCE, *BRANCH, "word")),
         *EVENTS, ROWS["event_branch"], *(ROWS[f"skipped_{name}"] for name in Skipped._fields),
     ),
     rows="flight_time", printed=("event_gamma", "skipped_gamma"), parts=parts,

@@ -1,7 +1,11 @@
 """GET /v1/jobs/{job_id}/NAME for every result of a job, GET /v1/NAME for every one of a spring."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from functools import partial
 from inspect import cleandoc
+from itertools import groupby
+from operator import itemgetter
 from typing import Annotated, Any, Final, Literal
 
 from fastapi import APIRouter, Query, Response
@@ -16,9 +20,10 @@ from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES
 from service.jobs.model import JobRecord
+from service.jobs.on_demand import Caller
 from service.results.selection import BASE_MEMORY, Stored
 from service.views.registry import SPRINGS, VIEWS, admit, answer
-from service.views.view import Estimate, View
+from service.views.view import Call, Estimate, View
 
 #: Bytes of memory per number of an answer.
 _PER_POINT: Final = {
@@ -92,22 +97,33 @@ def _memory(estimate: Estimate, format: str) -> int:
     return estimate.memory + estimate.points * _PER_POINT[format]
 
 
-def _answer(
-    service: Service, view: View, study: Stored[Any] | None, query: Any, key: tuple[Any, ...]
-) -> Response:
+def _answer(service: Service, view: View, study: Stored[Any] | None, query: Any) -> Response:
     plain, _ = _asked(service, view, study, query)
-    calls = view.parts(study, plain) if view.parts is not None else ()
-    parts: Sequence[Any] = ()
-    if calls:
-        try:
-            parts = service.on_demand.get(
-                (view.name, *key, plain), lambda workers: [workers.call(*call) for call in calls]
-            )
-        except KernelInputError as error:
-            raise InvalidRequest.of(error.argument, error.rule) from error
+    parts = _computed(service, study, view.parts(study, plain)) if view.parts is not None else []
     body, complete = service.background.run(answer, view.name, study, plain.model_dump(), query.format, parts)
     headers = {"Bounce-Complete": "true" if complete else "false"}
     return Response(body, media_type=MEDIA_TYPES[query.format], headers=headers)
+
+
+def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]) -> list[Any]:
+    """The results of these calls. Those of one function are kept together, for every query that has them.
+
+    Calls that read the store of a job have other results once more chunks are done.
+    """
+    results = []
+    for _, same in groupby(calls, itemgetter(0)):
+        step = tuple(same)
+        reads = study is not None and any(study.url in call for call in step)
+        key = (step, study.chunks_done if study is not None and reads else 0)
+        try:
+            results += service.on_demand.get(key, partial(_submitted, step))
+        except KernelInputError as error:
+            raise InvalidRequest.of(error.argument, error.rule) from error
+    return results
+
+
+def _submitted(calls: Sequence[Call], workers: Caller) -> list["Future[Any]"]:
+    return [workers.call(*call) for call in calls]
 
 
 def _of_job(view: View) -> Callable[..., Any]:
@@ -123,7 +139,7 @@ def _of_job(view: View) -> Callable[..., Any]:
     @costly(cost, "on demand" if view.parts else "read")
     def get(service: ServiceDep, job: ResultsJob, query: Annotated[model, Query()]) -> Response:
         study = dependencies.stored(service, job)
-        return _answer(service, view, study, query, (job.id, job.chunks_done))
+        return _answer(service, view, study, query)
 
     return get
 
@@ -137,6 +153,6 @@ def _of_spring(view: View) -> Callable[..., Any]:
 
     @costly(cost, "trajectory")
     def get(service: ServiceDep, query: Annotated[model, Query()]) -> Response:
-        return _answer(service, view, None, query, ())
+        return _answer(service, view, None, query)
 
     return get

@@ -294,7 +294,7 @@ def test_orbits_of_a_job_are_printed_and_written(running: Running, tmp_path: Pat
     words = ("orbits", running.job.id, "--omega", "0.5", "--direction", "up")
     found = running.job.orbits(0.5, direction="up", progress=False)
     lines = output_of(running, *words).splitlines()
-    assert len(lines) == 5 + found.sizes["event"] + found.sizes["skipped"]
+    assert len(lines) == 7 + found.sizes["event"] + found.sizes["skipped"]
     assert bounce(running, *words, "-o", str(tmp_path / "words.csv")).exit_code == 0
     frame = pandas.read_csv(tmp_path / "words.csv")
     assert len(frame) == int(found.flight_time.count()) > 0

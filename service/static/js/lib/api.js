@@ -91,11 +91,8 @@ export async function requestJson(path, options) {
 
 const POLL_MS = 1000;
 
-/** As requestJson, for an answer that workers compute first. */
-export const requestComputed = async (path, options) => read(await computed(path, options), "json", options?.signal);
-
-/** The response, requested again while the service answers 202. */
-async function computed(path, options = {}) {
+/** The response to a request that workers may compute first: it is repeated while the service answers 202. */
+async function whenComputed(path, options = {}) {
   for (;;) {
     const response = await request(path, options);
     if (response.status !== 202) return response;
@@ -104,8 +101,11 @@ async function computed(path, options = {}) {
   }
 }
 
+/** As requestJson, for an answer that workers compute first. */
+export const requestComputed = async (path, options) => read(await whenComputed(path, options), "json", options?.signal);
+
 const ARRAY_TYPES = {
-  float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array,
+  bool: Uint8Array, float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array,
 };
 
 /** Arrays in the binary form of service/render/binary.py: {…values of the header, arrays: {name: typed array}}. */
@@ -125,7 +125,7 @@ export async function requestArrays(path, options) {
  * compute first is waited for.
  */
 export async function requestDataset(path, options) {
-  const buffer = await read(await computed(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options), "arrayBuffer", options?.signal);
+  const buffer = await read(await whenComputed(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options), "arrayBuffer", options?.signal);
   const end = new Uint8Array(buffer).indexOf(10); // the header is one line of JSON
   const { coords, data_vars, ...result } = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 0, end)));
   for (const [name, variable] of Object.entries({ ...coords, ...data_vars })) {
