@@ -297,10 +297,6 @@ def _variable(field: str, dim: str | tuple[str, ...] | None, values: object) -> 
     return (() if dim is None else dim), np.asarray(values, dtype), _attributes(field)
 
 
-def _direction(answer: Mapping[str, Any]) -> Variable:
-    return (), np.array(str(answer["direction"])), {"long_name": "direction of the ramp"}
-
-
 def _attributes(field: str) -> dict[str, Any]:
     return dict(_RESULTS[field][1])
 

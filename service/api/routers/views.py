@@ -151,7 +151,7 @@ def _of_spring(view: View) -> Callable[..., Any]:
         _, estimate = _asked(service, view, None, query)
         return BASE_MEMORY + _memory(estimate, query.format)
 
-    @costly(cost, "trajectory")
+    @costly(cost, "on demand" if view.parts else "trajectory")
     def get(service: ServiceDep, query: Annotated[model, Query()]) -> Response:
         return _answer(service, view, None, query)
 

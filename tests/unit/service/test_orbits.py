@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import served
+import xarray
 from fastapi.testclient import TestClient
 from matplotlib.figure import Figure
 from scripted import Held, wait_for
@@ -23,6 +24,7 @@ from service.client import Client
 from service.client.plots import draw_thresholds
 from service.results import thresholds
 from service.views import curves as curves_view
+from service.views import orbits as orbits_view
 from service.views.registry import SPRINGS
 
 FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
@@ -61,7 +63,7 @@ def test_the_thresholds_of_a_spring(service: TestClient):
     )
 
 
-def test_branches_are_those_of_the_kernel(client: Client):
+def test_branches_are_those_of_the_kernel(client: Client, monkeypatch: pytest.MonkeyPatch):
     answer = client.orbits(**SPRING, gamma_max=1e6, energy=True)
     assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
         row.name for row in SPRINGS["orbits"].variables
@@ -82,6 +84,9 @@ def test_branches_are_those_of_the_kernel(client: Client):
     assert list(zip(answer.event_kind.values, answer.event_gamma.values, strict=True)) == events
     folds = answer.event_gamma[(answer.event_kind == "fold") & (answer.event_periods == 1)]
     assert float(folds.min()) == pytest.approx(FOLD_060, abs=1e-9)
+    monkeypatch.setattr(orbits_view, "AT_ONCE_SECONDS", 0.0)  # by the workers
+    again = client.orbits(**SPRING, gamma_max=1e6, energy=True, progress=False)
+    xarray.testing.assert_identical(again, answer)
 
 
 def test_long_branches_are_refused_before_they_are_computed(service: TestClient):
