@@ -11,22 +11,24 @@ if TYPE_CHECKING:
 class ResultMethods:
     """A method for each result of a job."""
 
-    #: The formats of each result, and the variable whose numbers are the rows of a table.
+    #: The formats of each result, and the variables whose numbers are the rows of printed tables.
     FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {
         "diagram": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
         "modes": ("json", "bin", "nc", "csv", "parquet"),
         "threshold": ("json", "bin", "nc", "csv", "parquet"),
+        "orbits": ("json", "bin", "nc", "csv", "parquet"),
         "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
         "multistability": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
         "trajectory": ("json", "bin", "nc", "csv", "parquet"),
     }
-    ROWS: ClassVar[dict[str, str | None]] = {
-        "diagram": "flight_time",
-        "modes": "outcome",
-        "threshold": "up_status",
-        "basins": "attractor_fraction",
-        "multistability": "fraction",
-        "trajectory": "plate",
+    PRINTED: ClassVar[dict[str, tuple[str, ...]]] = {
+        "diagram": ("flight_time",),
+        "modes": ("outcome",),
+        "threshold": ("up_status",),
+        "orbits": ("event_gamma", "skipped_gamma"),
+        "basins": ("attractor_fraction",),
+        "multistability": ("fraction",),
+        "trajectory": ("plate",),
     }
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
@@ -202,6 +204,84 @@ class ResultMethods:
         """
         return self.result("threshold", xi=xi, tolerance=tolerance, predict=predict, timeout=timeout, progress=progress)
 
+    def orbits(
+        self,
+        omega: float | None = None,
+        xi: float | None = None,
+        direction: Annotated[str | None, "rest, up or down; default: the first direction of the sweep"] = None,
+        gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
+        energy: Annotated[bool, "the energy balance of every point as well"] = False,
+        timeout: float = 300.0,
+        progress: "bool | Callable[[int, int], None]" = True,
+    ) -> "xarray.Dataset":
+        """Branches of the cycles that cells along Γ settled to.
+
+        Stable and unstable ones, with their events, of the rigid contact without restitution: cells of another
+        contact are a guess from which its cycles are looked for. A worker follows a branch in some tenths of a
+        second. `skipped` are the periodic cells from which no branch was followed.
+
+        Parameters
+        ----------
+        omega : float | None
+        xi : float | None
+        direction : str | None
+            rest, up or down; default: the first direction of the sweep
+        gamma_max : float
+            branches and curves are cut above this Γ
+        energy : bool
+            the energy balance of every point as well
+        timeout : float
+            Seconds to wait for the workers.
+        progress : bool or callable
+            Shows the parts done, or is called with their number and all.
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `gamma`: plate acceleration over gravity
+            - `multipliers`: Floquet multipliers, the larger first
+            - `stable`: whether both multipliers are inside the unit circle
+            - `admissible`: why the cycle is not one of the spring
+            - `flight_time` (rad): flight time
+            - `takeoff_phase` (rad): plate phase at take-off, modulo 2 pi
+            - `impact_velocity` (plate amplitudes per rad): velocity of the gap before landing
+            - `plate_contact` (m A² ω²): work of the plate in contact
+            - `plate_impact` (m A² ω²): work of the plate at the impact
+            - `dashpot` (m A² ω²): energy that the dashpot takes
+            - `impact` (m A² ω²): energy that the impact takes
+            - `force` (m A ω): momentum that the contact force gives
+            - `impulse` (m A ω): momentum that the impact gives
+            - `weight` (m A ω): momentum that gravity takes, 4π periods/Γ
+            - `branch_bounces`: bounces of the cycles
+            - `branch_periods`: plate periods of the cycles
+            - `points`: points of the branch
+            - `word`: landings of the cycle: s sticks, z takes off again at once
+            - `event_kind`: kind of event
+            - `event_gamma`: plate acceleration over gravity
+            - `event_omega`: plate frequency over the spring's natural frequency
+            - `event_xi`: damping ratio of the spring
+            - `event_bounces`: bounces of the cycle
+            - `event_periods`: plate periods of the cycle
+            - `event_flight_time` (rad): flight time
+            - `event_admissible`: why the cycle is not one of the spring
+            - `event_multipliers`: Floquet multipliers
+            - `event_branch`: index of the branch that the event is on
+            - `skipped_gamma`: plate acceleration over gravity
+            - `skipped_bounces`: bounces of the cell from which no branch was followed
+            - `skipped_periods`: plate periods of the cell from which no branch was followed
+            - `skipped_reason`: why no branch was followed from the cell
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("orbits", omega=omega, xi=xi, direction=direction, gamma_max=gamma_max, energy=energy, timeout=timeout, progress=progress)
+
     def basins(
         self,
         gamma: float | None = None,
@@ -370,12 +450,16 @@ class ResultMethods:
 class SpringMethods:
     """A method for each result of a spring."""
 
-    #: The formats of each result, and the variable whose numbers are the rows of a table.
+    #: The formats of each result, and the variables whose numbers are the rows of printed tables.
     FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {
         "threshold": ("json", "bin", "nc"),
+        "orbits": ("json", "bin", "nc", "csv", "parquet"),
+        "curves": ("json", "bin", "nc", "csv", "parquet"),
     }
-    ROWS: ClassVar[dict[str, str | None]] = {
-        "threshold": None,
+    PRINTED: ClassVar[dict[str, tuple[str, ...]]] = {
+        "threshold": (),
+        "orbits": ("event_gamma",),
+        "curves": ("event_gamma",),
     }
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
@@ -437,3 +521,149 @@ class SpringMethods:
             Names what fits.
         """
         return self.result("threshold", omega=omega, xi=xi, delta=delta, timeout=timeout, progress=progress)
+
+    def orbits(
+        self,
+        omega: float,
+        xi: float,
+        modes: Annotated[str, "bounces-periods, as 1-1,1-2; cycles of one bounce"] = "1-1,1-2",
+        gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
+        points: Annotated[int, "of each branch, at least"] = 400,
+        energy: Annotated[bool, "the energy balance of every point as well"] = False,
+        timeout: float = 300.0,
+        progress: "bool | Callable[[int, int], None]" = True,
+    ) -> "xarray.Dataset":
+        """Branches of cycles of one bounce, and their events.
+
+        Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
+        `gamma_max` and comes back is several pieces.
+
+        Parameters
+        ----------
+        omega : float
+        xi : float
+        modes : str
+            bounces-periods, as 1-1,1-2; cycles of one bounce
+        gamma_max : float
+            branches and curves are cut above this Γ
+        points : int
+            of each branch, at least
+        energy : bool
+            the energy balance of every point as well
+        timeout : float
+            Seconds to wait for the workers.
+        progress : bool or callable
+            Shows the parts done, or is called with their number and all.
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `gamma`: plate acceleration over gravity
+            - `flight_time` (rad): flight time
+            - `takeoff_phase` (rad): plate phase at take-off, modulo 2 pi
+            - `elongation` (plate amplitudes): elongation of the spring at take-off
+            - `elongation_velocity` (plate amplitudes per rad): velocity of the elongation at take-off
+            - `impact_velocity` (plate amplitudes per rad): velocity of the gap before landing
+            - `multipliers`: Floquet multipliers, the larger first
+            - `stable`: whether both multipliers are inside the unit circle
+            - `admissible`: why the cycle is not one of the spring
+            - `plate_contact` (m A² ω²): work of the plate in contact
+            - `plate_impact` (m A² ω²): work of the plate at the impact
+            - `dashpot` (m A² ω²): energy that the dashpot takes
+            - `impact` (m A² ω²): energy that the impact takes
+            - `force` (m A ω): momentum that the contact force gives
+            - `impulse` (m A ω): momentum that the impact gives
+            - `weight` (m A ω): momentum that gravity takes, 4π periods/Γ
+            - `branch_bounces`: bounces of the cycles
+            - `branch_periods`: plate periods of the cycles
+            - `points`: points of the branch
+            - `event_kind`: kind of event
+            - `event_gamma`: plate acceleration over gravity
+            - `event_omega`: plate frequency over the spring's natural frequency
+            - `event_xi`: damping ratio of the spring
+            - `event_bounces`: bounces of the cycle
+            - `event_periods`: plate periods of the cycle
+            - `event_flight_time` (rad): flight time
+            - `event_admissible`: why the cycle is not one of the spring
+            - `event_multipliers`: Floquet multipliers
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, energy=energy, timeout=timeout, progress=progress)
+
+    def curves(
+        self,
+        omega: float | None = None,
+        xi: float | None = None,
+        omega_start: float | None = None,
+        omega_stop: float | None = None,
+        xi_start: float | None = None,
+        xi_stop: float | None = None,
+        modes: Annotated[str, "bounces-periods, as 1-1,1-2; cycles of one bounce"] = "1-1,1-2",
+        kinds: Annotated[str | None, "such as fold,flip; default: all"] = None,
+        gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
+        timeout: float = 300.0,
+        progress: "bool | Callable[[int, int], None]" = True,
+    ) -> "xarray.Dataset":
+        """Curves of folds, flips and other events over Ω or ξ.
+
+        Over a range of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
+        fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
+
+        Parameters
+        ----------
+        omega : float | None
+        xi : float | None
+        omega_start : float | None
+        omega_stop : float | None
+        xi_start : float | None
+        xi_stop : float | None
+        modes : str
+            bounces-periods, as 1-1,1-2; cycles of one bounce
+        kinds : str | None
+            such as fold,flip; default: all
+        gamma_max : float
+            branches and curves are cut above this Γ
+        timeout : float
+            Seconds to wait for the workers.
+        progress : bool or callable
+            Shows the parts done, or is called with their number and all.
+
+        Returns
+        -------
+        xarray.Dataset
+            With the attribute `complete` and these variables:
+
+            - `omega`: plate frequency over the spring's natural frequency
+            - `xi`: damping ratio of the spring
+            - `gamma`: plate acceleration over gravity
+            - `flight_time` (rad): flight time
+            - `admissible`: why the cycle is not one of the spring
+            - `curve_kind`: kind of event
+            - `curve_bounces`: bounces of the cycles
+            - `curve_periods`: plate periods of the cycles
+            - `event_kind`: kind of event
+            - `event_gamma`: plate acceleration over gravity
+            - `event_omega`: plate frequency over the spring's natural frequency
+            - `event_xi`: damping ratio of the spring
+            - `event_bounces`: bounces of the cycle
+            - `event_periods`: plate periods of the cycle
+            - `event_flight_time` (rad): flight time
+            - `event_admissible`: why the cycle is not one of the spring
+            - `event_multipliers`: Floquet multipliers
+
+        Raises
+        ------
+        BadRequest
+            Names the parameter.
+        TooLarge
+            Names what fits.
+        """
+        return self.result("curves", omega=omega, xi=xi, omega_start=omega_start, omega_stop=omega_stop, xi_start=xi_start, xi_stop=xi_stop, modes=modes, kinds=kinds, gamma_max=gamma_max, timeout=timeout, progress=progress)

@@ -227,7 +227,7 @@ def curves(
     KernelInputError, also for curves of more than _ALL_POINTS points together.
     """
     if not low < high:
-        raise KernelInputError("high", f"must be > low, got {high} and {low}")
+        raise KernelInputError(f"{parameter}_stop", f"must be > {low}, got {high}")
     for kind in kinds:
         if kind not in CURVES:
             raise KernelInputError("kinds", f"must be among {', '.join(CURVES)}, got {kind}")
@@ -248,7 +248,7 @@ def curves(
                 rule = (
                     f"the curves up to {high:g} have more than {_ALL_POINTS:,} points: take a shorter range"
                 )
-                raise KernelInputError("high", rule)
+                raise KernelInputError(f"{parameter}_stop", rule)
     points = [point for kind, line in found for point in _codimension_2(plane, kind, line)]
     return Curves(
         tuple(c for kind, line in found for c in _pieces(plane, kind, line)), _unique(plane, points)

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from kernel.branches.curves import CURVES
 from service.errors import InvalidRequest
 from service.formats import (
     DatasetFormat,
@@ -15,8 +14,6 @@ from service.formats import (
 )
 from service.jobs.model import JobState
 from service.jobs.search import MAX_TEXT, InvalidCursor, JobOrder, JobSearch, Position
-from service.views.view import Omega, Xi
-from worker.orbits import MAX_POINTS
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.studies import STUDIES
 
@@ -134,37 +131,6 @@ class LineQuery(Query):
     min_flight: MinFlight = None
 
 
-Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
-GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
-
-
-class OrbitsQuery(Query):
-    """A spring, and which of its branches to compute."""
-
-    omega: Omega
-    xi: Xi
-    modes: Modes = "1-1,1-2"
-    gamma_max: GammaMax = 8.0
-    points: Annotated[int, Field(ge=10, le=MAX_POINTS, description="of each branch, at least")] = 400
-    energy: bool = Field(False, description="the energy balance of every point as well")
-
-
-class CurvesQuery(Query):
-    """A range of Ω at one ξ, or of ξ at one Ω."""
-
-    omega: Omega | None = None
-    xi: Xi | None = None
-    omega_start: Omega | None = None
-    omega_stop: Omega | None = None
-    xi_start: Xi | None = None
-    xi_stop: Xi | None = None
-    modes: Modes = "1-1,1-2"
-    kinds: Annotated[
-        str, Field(max_length=200, description="fold, flip, neimark-sacker, immediate-takeoff; default: all")
-    ] = ",".join(CURVES)
-    gamma_max: GammaMax = 8.0
-
-
 class PlaneQuery(Query):
     """Plane of the grid at the nearest value of ξ, in one direction."""
 
@@ -174,16 +140,6 @@ class PlaneQuery(Query):
     hysteresis: bool = Field(
         False, description="of a sweep ramped both ways: where its directions differ as well"
     )
-
-
-class JobOrbitsQuery(Query):
-    """The spring of the sweep nearest to the given values, and the direction whose cells are continued."""
-
-    omega: Number | None = None
-    xi: Number | None = None
-    direction: Direction = None
-    gamma_max: GammaMax = 8.0
-    energy: bool = Field(False, description="the energy balance of every point as well")
 
 
 class ExportQuery(Query):

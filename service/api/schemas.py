@@ -8,7 +8,6 @@ from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-from kernel.branches.events import Kind
 from kernel.params import Outcome
 from service.formats import MEDIA_TYPES
 from service.jobs.model import Failure, JobRecord, JobState
@@ -129,122 +128,6 @@ class EnergyView(BaseModel):
 Multiplier = tuple[float | None, float | None]
 
 
-class BranchView(BaseModel):
-    """A connected piece of the branch of one mode, in the order of its flight times.
-
-    Lengths in plate amplitudes, phases and times in rad.
-    """
-
-    bounces: int
-    periods: int
-    gamma: list[float]
-    flight_time: list[float]
-    takeoff_phase: list[float]
-    elongation: list[float] = Field(description="at take-off")
-    elongation_velocity: list[float] = Field(description="at take-off")
-    impact_velocity: list[float] = Field(description="of the gap before landing, < 0")
-    stable: list[bool] = Field(description="both multipliers are inside the unit circle")
-    admissible: list[int] = Field(
-        description="0, or the sum of 1 (gap < 0 in flight), 2 (force < 0 in contact), "
-        "4 (no take-off where one should be)"
-    )
-    multipliers: list[list[Multiplier]] = Field(
-        description="of every cycle both, the larger in modulus first: real and imaginary part"
-    )
-    energy: dict[str, list[float]] | None = Field(None, description="if asked for: see EnergyView")
-
-
-class EventView(BaseModel):
-    """A cycle at which a branch turns, loses stability or ends."""
-
-    kind: Kind
-    gamma: float
-    omega: float
-    xi: float
-    bounces: int
-    periods: int
-    flight_time: float = Field(description="rad")
-    admissible: int = Field(description="as of a branch; a cycle that grazes is admissible")
-    multipliers: list[Multiplier]
-
-
-class OrbitsView(BaseModel):
-    """Branches of one spring with all their events."""
-
-    omega: float
-    xi: float
-    gamma_max: float
-    branches: list[BranchView]
-    events: list[EventView]
-
-
-class WordView(BaseModel):
-    """The branch of a cycle of several flights, in order along it; lists of flights in the word's order."""
-
-    word: str = Field(description="per landing: s, it sticks; z, it takes off again at once")
-    bounces: int
-    periods: int
-    gamma: list[float]
-    flight_time: list[list[float]]
-    takeoff_phase: list[list[float]]
-    impact_velocity: list[list[float]]
-    stable: list[bool]
-    admissible: list[int] = Field(description="as of other branches")
-    multipliers: list[list[Multiplier]]
-    energy: dict[str, list[float]] | None = Field(None, description="if asked for: see EnergyView")
-
-
-class WordEventView(EventView):
-    """An event of the branch with this index; `flight_time` is that of the first flight."""
-
-    branch: int
-
-
-class SkippedView(BaseModel):
-    """A periodic cell from which no branch was followed."""
-
-    gamma: float
-    bounces: int
-    periods: int
-    reason: str
-
-
-class WordOrbitsView(BaseModel):
-    """Branches of the cycles that the cells of a sweep settled to, of the rigid contact."""
-
-    omega: float
-    xi: float
-    direction: str
-    gamma_max: float
-    branches: list[WordView]
-    events: list[WordEventView]
-    skipped: list[SkippedView]
-    complete: bool
-
-
-class CurveView(BaseModel):
-    """A connected piece of a curve of events; `omega` or `xi` is the parameter that varies."""
-
-    kind: Kind
-    bounces: int
-    periods: int
-    omega: list[float] | None = None
-    xi: list[float] | None = None
-    gamma: list[float]
-    flight_time: list[float] = Field(description="rad")
-    admissible: list[int]
-
-
-class CurvesView(BaseModel):
-    """Curves of events over Ω at one ξ, or over ξ at one Ω."""
-
-    omega: float | None = None
-    xi: float | None = None
-    along: Literal["omega", "xi"]
-    curves: list[CurveView]
-    points: list[EventView] = Field(description="cusps, Bogdanov-Takens and fold-flip points")
-
-
 class BrokenRule(BaseModel):
     """A field and the rule that it breaks."""
 
@@ -345,7 +228,6 @@ _PARTS: Final = (
     "pin",
     "unpin",
     "events",
-    "orbits",
     "export",
     "zarr",
 )

@@ -8,7 +8,7 @@ from typing import Final
 
 import click
 
-from service.cli import data, jobs, orbits, results, views
+from service.cli import data, jobs, results, views
 from service.cli.figure import figure
 from service.cli.options import CommandGroup, data_option, open_client, service_options
 from service.cli.tradeoff import tradeoff
@@ -135,7 +135,6 @@ for command in (
     *views.COMMANDS,
     *jobs.COMMANDS,
     *results.COMMANDS,  # after those of its views: one of a spring or a cell replaces that of a job
-    *orbits.COMMANDS,
     *data.COMMANDS,
     figure,
     tradeoff,

@@ -3,6 +3,7 @@
 Their options are the parameters of the client's methods.
 """
 
+from collections.abc import Sequence
 from inspect import Parameter, cleandoc, signature
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin
 
@@ -22,10 +23,6 @@ from service.result_methods import ResultMethods, SpringMethods
 
 if TYPE_CHECKING:
     import xarray
-
-
-#: What is printed instead of the rows of a file: of a plane its attractors, not those of every cell.
-_PRINTED: Final = {"multistability": "cells"}
 
 
 #: Digits of numbers in a table: thresholds are refined to 1e-9.
@@ -50,7 +47,7 @@ def command(name: str) -> click.Command:
             job = None if job_id is None else client.job(job_id)
             source = client if job is None else job
             if output is None:
-                click.echo(table(source.result(name, **query), _PRINTED.get(name, of.ROWS[name])))
+                click.echo(table(source.result(name, **query), of.PRINTED[name]))
             else:
                 write_file(output, source.result_file(name, str(file_format), **query))
         if job is not None:
@@ -102,32 +99,14 @@ def _option(name: str, hint: Any, default: object) -> Any:
 _COMMON: Final = ("Conventions", "title", "job", "kernel_version", "release", "comment", "complete")
 
 
-def table(found: "xarray.Dataset", rows: str | None) -> str:
-    """The rows of a result as columns of text, then its scalars and attributes, one line each.
+def table(found: "xarray.Dataset", rows: Sequence[str]) -> str:
+    """A table for each variable of `rows`, then the scalars and attributes, one line each.
 
     Leaves out what has no value: columns, scalars.
     """
     from math import isfinite
 
-    lines = []
-    if rows is not None:
-        from pandas import option_context
-
-        dims = {*map(str, found[rows].dims)}
-        names = [str(name) for name, v in found.data_vars.items() if v.dims and dims.issuperset(v.dims)]
-        frame = found[names].drop_vars([n for n, v in found.coords.items() if not v.dims]).to_dataframe()
-        for name in names:
-            attrs = found[name].attrs
-            if "flag_meanings" in attrs:
-                meanings = dict(
-                    zip(attrs["flag_values"].tolist(), attrs["flag_meanings"].split(), strict=True)
-                )
-                frame[name] = frame[name].map(meanings)
-        prefixes = tuple(f"{dim}_" for dim in dims)
-        frame.columns = [_without(prefixes, str(name)) for name in frame.columns]
-        frame = frame.loc[:, [not (each.isna() | (each == "")).all() for _, each in frame.items()]]
-        with option_context("display.precision", DIGITS):
-            lines.append(frame.reset_index().to_string(index=False, na_rep="-"))
+    lines = [_rows(found, name) for name in rows]
     scalars = {str(name): v.values.item() for name, v in found.variables.items() if not v.dims}
     scalars |= {name: value for name, value in found.attrs.items() if name not in _COMMON}
     lines += [
@@ -138,6 +117,27 @@ def table(found: "xarray.Dataset", rows: str | None) -> str:
         if (isfinite(value) if isinstance(value, float) else value != "")
     ]
     return "\n".join(lines)
+
+
+def _rows(found: "xarray.Dataset", rows: str) -> str:
+    """The variables over dimensions of the variable `rows`."""
+    from pandas import option_context
+
+    dims = {*map(str, found[rows].dims)}
+    names = [str(name) for name, v in found.data_vars.items() if v.dims and dims.issuperset(v.dims)]
+    frame = found[names].drop_vars([n for n, v in found.coords.items() if not v.dims]).to_dataframe()
+    for name in names:
+        attrs = found[name].attrs
+        if "flag_values" in attrs:
+            meanings = dict(zip(attrs["flag_values"].tolist(), attrs["flag_meanings"].split(), strict=True))
+            frame[name] = frame[name].map(meanings)
+    prefixes = tuple(f"{dim}_" for dim in dims)
+    frame.columns = [_without(prefixes, str(name)) for name in frame.columns]
+    if frame.empty:
+        return "  ".join([*map(str, frame.index.names), *frame.columns])
+    frame = frame.loc[:, [not (each.isna() | (each == "")).all() for _, each in frame.items()]]
+    with option_context("display.precision", DIGITS):
+        return frame.reset_index().to_string(index=False, na_rep="-")
 
 
 def _without(prefixes: tuple[str, ...], name: str) -> str:

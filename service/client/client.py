@@ -204,68 +204,6 @@ class Client(SpringMethods):
             job = submitted.popleft()
             yield next(as_completed([job]))
 
-    def orbits(
-        self,
-        omega: float,
-        xi: float,
-        modes: str = "1-1,1-2",
-        *,
-        gamma_max: float | None = None,
-        points: int | None = None,
-        energy: bool = False,
-        timeout: float = 300.0,
-        progress: bool | PartsCallback = True,
-    ) -> "xarray.Dataset":
-        """Branches of cycles of one spring in closed form, stable and unstable, and their events.
-
-        `modes` as bounces-periods, of one bounce; the branches are cut above `gamma_max` (default 8) and have
-        at least `points` points (default 400) before that. Returns a Dataset with dims (branch, point):
-        `gamma`, `flight_time`, `takeoff_phase`, `elongation`, `elongation_velocity`, `impact_velocity`,
-        `multiplier`, `other_multiplier`, `stable`, `admissible`, with `energy` the energy balance; NaN beyond
-        a branch's `points`; coordinates `bounces`, `periods`. With dim event: `event_kind`, `event_gamma` and
-        so on. Of the rigid contact without restitution. Waits for what workers compute as `curves` does.
-        Raises BadRequest, NotComputedYet, Busy.
-        """
-        from service.client.datasets import orbits_dataset
-
-        query: dict[str, str | float | None] = {
-            "omega": omega, "xi": xi, "modes": modes, "gamma_max": gamma_max, "points": points,
-            "energy": "true" if energy else None,
-        }  # fmt: skip
-        answer = self._transport.get_when_computed("/v1/orbits", query, timeout=timeout, progress=progress)
-        return orbits_dataset(json_object(answer))
-
-    def curves(
-        self,
-        *,
-        omega: "float | tuple[float, float]",
-        xi: "float | tuple[float, float]",
-        modes: str = "1-1,1-2",
-        kinds: str | None = None,
-        gamma_max: float | None = None,
-        timeout: float = 300.0,
-        progress: bool | PartsCallback = True,
-    ) -> "xarray.Dataset":
-        """Curves of folds, flips and other events, over a range of Ω at one ξ or of ξ at one Ω.
-
-        One of `omega` and `xi` is a pair, the ends of the range. `kinds` such as "fold,flip" (default: all).
-        The service's workers compute them; this waits up to `timeout` seconds. `progress`: True writes lines
-        to standard error; a function is called with the numbers of parts computed and of all parts. Returns
-        a Dataset with dims (curve, point): `omega` or `xi`, `gamma`, `flight_time`, `admissible`, NaN beyond
-        the end of a curve; coordinates `kind`, `bounces`, `periods`. With dim event the points at which
-        curves meet or turn: `event_kind`, `event_gamma` and so on. Raises BadRequest, NotComputedYet, Busy.
-        """
-        from service.client.datasets import curves_dataset
-
-        query: dict[str, str | float | None] = {"modes": modes, "kinds": kinds, "gamma_max": gamma_max}
-        for name, value in (("omega", omega), ("xi", xi)):
-            if isinstance(value, tuple):
-                query |= {f"{name}_start": value[0], f"{name}_stop": value[1]}
-            else:
-                query[name] = value
-        answer = self._transport.get_when_computed("/v1/curves", query, timeout=timeout, progress=progress)
-        return curves_dataset(json_object(answer))
-
     def trajectory(self, cell: "Mapping[str, Any]") -> "xarray.Dataset":
         """The motion of one cell, computed during the request.
 

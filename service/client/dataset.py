@@ -55,7 +55,10 @@ def _read(header: bytes, values: Callable[[Mapping[str, Any]], NDArray[Any]]) ->
     try:
         document = json.loads(header)
         data, coords = (
-            {str(name): _variable(about, values(about)) for name, about in document[kind].items()}
+            {
+                str(name): _variable(about, values(about), document["dims"])
+                for name, about in document[kind].items()
+            }
             for kind in ("data_vars", "coords")
         )
         # NetCDF has neither booleans nor null: the Dataset can be written as it is.
@@ -70,7 +73,9 @@ def _read(header: bytes, values: Callable[[Mapping[str, Any]], NDArray[Any]]) ->
         ) from error
 
 
-def _variable(about: Mapping[str, Any], values: NDArray[Any]) -> xarray.Variable:
+def _variable(about: Mapping[str, Any], values: NDArray[Any], sizes: Mapping[str, int]) -> xarray.Variable:
+    if not values.size:  # JSON tells the length of the first dimension only
+        values = values.reshape([sizes[dim] for dim in about["dims"]])
     attrs = {
         name: np.array(x, values.dtype) if isinstance(x, list) else x for name, x in about["attrs"].items()
     }

@@ -4,10 +4,9 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from service.client.display import PartsCallback
 from service.client.errors import BounceError
 from service.client.models import JobStatus
-from service.client.transport import Transport, json_object
+from service.client.transport import Transport
 from service.formats import EXPORTS, ExportLayout
 from service.result_methods import ResultMethods
 
@@ -35,41 +34,6 @@ class Results(ResultMethods, JobStatus):
         `timeout` and `progress` in `query` are those of `Transport.get_result`. Raises as `result`.
         """
         return self._transport.get_result(self._path(name), format, **query)
-
-    def orbits(
-        self,
-        omega: float | None = None,
-        xi: float | None = None,
-        direction: str | None = None,
-        *,
-        gamma_max: float | None = None,
-        energy: bool = False,
-        timeout: float = 300.0,
-        progress: bool | PartsCallback = True,
-    ) -> "xarray.Dataset":
-        """Branches of the cycles that the cells along Γ settled to, stable and unstable, with their events.
-
-        `omega` and `xi` take the nearest grid value; `direction` is up or down for a sweep ramped both ways.
-        A worker follows the branches up to `gamma_max` (default 8); this waits up to `timeout` seconds, with
-        `progress` as in `Client.curves`. Of the rigid contact without restitution.
-
-        Returns a Dataset with dims (branch, point): `gamma`, `multiplier`, `other_multiplier`, `stable`,
-        `admissible`, with `energy` the energy balance, `plate_contact` and so on; with dims (branch, point,
-        flight): `flight_time`, `takeoff_phase`, `impact_velocity`; coordinates `word`, `bounces`, `periods`;
-        NaN beyond the ends. With dim event: `event_branch`, `event_kind`, `event_gamma` and so on; with dim
-        cell the periodic cells left out: `skipped_gamma`, `skipped_reason`. Raises BadRequest,
-        NotComputedYet, Busy.
-        """
-        from service.client.datasets import words_dataset
-
-        query: dict[str, str | float | None] = {
-            "omega": omega, "xi": xi, "direction": direction, "gamma_max": gamma_max,
-            "energy": "true" if energy else None,
-        }  # fmt: skip
-        answer = self._transport.get_when_computed(
-            self._path("orbits"), query, timeout=timeout, progress=progress
-        )
-        return words_dataset(json_object(answer), self.id)
 
     def export(self, path: str | PathLike[str], *, layout: ExportLayout = "cells") -> Path:
         """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.

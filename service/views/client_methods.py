@@ -32,9 +32,9 @@ _CLASS: Final = '''
 class {name}:
     """A method for each result of {of}."""
 
-    #: The formats of each result, and the variable whose numbers are the rows of a table.
+    #: The formats of each result, and the variables whose numbers are the rows of printed tables.
     FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {formats}
-    ROWS: ClassVar[dict[str, str | None]] = {rows}
+    PRINTED: ClassVar[dict[str, tuple[str, ...]]] = {printed}
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
@@ -53,8 +53,9 @@ def source() -> str:
 
 def _class(name: str, of: str, views: dict[str, View]) -> str:
     formats = _mapping({name: view.formats for name, view in views.items()})
-    rows = _mapping({name: view.rows for name, view in views.items()})
-    head = _CLASS.format(name=name, of=of, formats=formats, rows=rows)
+    rows = {name: () if view.rows is None else (view.rows,) for name, view in views.items()}
+    printed = _mapping({name: view.printed or rows[name] for name, view in views.items()})
+    head = _CLASS.format(name=name, of=of, formats=formats, printed=printed)
     return head + "".join(map(_method, views.values()))
 
 
@@ -65,7 +66,7 @@ def _mapping(values: dict[str, Any]) -> str:
 
 def _literal(value: Any) -> str:
     if isinstance(value, tuple):
-        return f"({', '.join(map(_literal, value))})"
+        return f"({', '.join(map(_literal, value))}{',' if len(value) == 1 else ''})"
     return _quoted(value) if isinstance(value, str) else repr(value)
 
 

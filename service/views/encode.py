@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 #: Rows of a table converted at a time.
 ROWS: Final = 2**16
-#: The longest further dimension, such as the exponents', that CSV spreads over columns. It omits longer ones.
+#: The most numbers along further dimensions, such as exponents, that CSV spreads over columns. It omits more.
 COLUMNS: Final = 8
 #: Arrays begin at a multiple of this many bytes, as typed arrays of a browser require.
 ALIGNMENT: Final = 8
@@ -232,14 +232,16 @@ def _columns(
             continue
         elif lists:
             yield name, _list_column(part, variable, extra, dims, kept)
-        elif len(extra) == 1 and part.sizes[extra[0]] <= COLUMNS:
-            for i in range(part.sizes[extra[0]]):
-                yield f"{name}_{i + 1}", _column(part, variable.isel({extra[0]: i}), dims, kept)
+        elif prod(sizes := [part.sizes[dim] for dim in extra]) <= COLUMNS:
+            for place in np.ndindex(*sizes):
+                numbers = "_".join(str(i + 1) for i in place)
+                at = variable.isel(dict(zip(extra, place, strict=True)))
+                yield f"{name}_{numbers}", _column(part, at, dims, kept)
 
 
 def _column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows) -> Column:
     values, names = variable.values, None
-    if "flag_meanings" in variable.attrs:
+    if "flag_values" in variable.attrs:
         codes = [int(code) for code in variable.attrs["flag_values"]]
         meanings = dict(zip(codes, variable.attrs["flag_meanings"].split(), strict=True))
         names = [meanings.get(code, "") for code in range(max(codes) + 1)]
@@ -257,8 +259,9 @@ def _list_column(
 ) -> Column:
     """The numbers of each row along the other dimensions; of flights without the NaN at the end."""
     along = [dim for dim in dims if dim in variable.dims]
-    flat = variable.transpose(*along, *extra).values.reshape(*(part.sizes[dim] for dim in along), -1)
-    numbers = _repeated(part, flat, (*along, ""), dims).reshape(-1, flat.shape[-1])[kept]
+    width = prod(part.sizes[dim] for dim in extra)
+    flat = variable.transpose(*along, *extra).values.reshape(*(part.sizes[dim] for dim in along), width)
+    numbers = _repeated(part, flat, (*along, ""), dims)[kept]
     there = np.ones(numbers.shape, bool)
     if extra[-1] == "flight" and numbers.dtype.kind == "f":
         finite = ~np.isnan(numbers)

@@ -16,24 +16,29 @@ from service.results.selection import MAX_READ, Stored
 from service.software import software
 from service.views import (
     basins,
+    curves,
     diagram,
     encode,
     modes,
     multistability,
+    orbits,
     spring_threshold,
     threshold,
     trajectory,
+    words,
 )
 from service.views.view import Estimate, Query, View
 
 #: The results of a job, by name.
 VIEWS: Final[dict[str, View]] = {
     module.VIEW.name: module.VIEW
-    for module in (diagram, modes, threshold, basins, multistability, trajectory)
+    for module in (diagram, modes, threshold, words, basins, multistability, trajectory)
 }
 
 #: The results of a spring alone, in closed form.
-SPRINGS: Final[dict[str, View]] = {view.name: view for view in (spring_threshold.VIEW,)}
+SPRINGS: Final[dict[str, View]] = {
+    module.VIEW.name: module.VIEW for module in (spring_threshold, orbits, curves)
+}
 
 
 def admit(

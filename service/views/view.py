@@ -95,6 +95,7 @@ class View:
     variables: tuple[Array, ...]  # those that the Dataset can have
     rows: str | None = None  # the variable whose numbers are the rows of a table
     finer_rows: str | None = None  # the one in its place where a Dataset has it
+    printed: tuple[str, ...] = ()  # those of the tables that the command prints; default: `rows`
     draw: "Callable[[xarray.Dataset, Figure], None] | None" = None
     size: tuple[float, float] = (6.8, 4.2)  # of the picture, inches
     computes: bool = False  # during the request, for a second or more: few are computed at a time

@@ -10,16 +10,14 @@ from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from service.api import dependencies, parameters, schemas
+from service.api import dependencies, parameters
 from service.api.capacity import SMALL_ANSWER, Cost, costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import JobDep, ServiceDep
-from service.api.schemas import PENDING_RESPONSE, content, problem_responses
+from service.api.schemas import content, problem_responses
 from service.errors import NotInStore, OutOfRange
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
-from service.render import orbits as orbits_text
-from service.results import orbits
 from service.results.provenance import attributes_of
 from service.results.selection import BASE_MEMORY
 from service.views.files import export as export_files
@@ -28,34 +26,8 @@ from worker.store import ROOT
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
 
-#: Bytes of an answer with the branches of words.
-_WORDS_MEMORY: Final = 16 * 2**20
-
-
 #: How often a chunk is in memory while a file is made of it: read, as rows, encoded.
 _CHUNK_COPIES: Final = 12
-
-
-@router.get(
-    "/orbits",
-    summary="Continue the cycles of a sweep's cells",
-    response_model=schemas.WordOrbitsView,
-    responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 422, 429, 503)},
-)
-@costly(_WORDS_MEMORY, "on demand")
-def get_job_orbits(
-    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobOrbitsQuery, Query()]
-) -> Response:
-    """Branches of the cycles that the cells along Γ settled to, stable and unstable, with their events.
-
-    A worker follows them, some tenths of a second for each; until then 202. Of the rigid contact without
-    restitution: cells of another contact are a guess from which its cycles are looked for.
-    """
-    found = orbits.words(
-        service.on_demand, job, dependencies.sweep(service, job),
-        query.omega, query.xi, query.direction, query.gamma_max,
-    )  # fmt: skip
-    return Response(orbits_text.words_json(found, query.energy), media_type=MEDIA_TYPES["json"])
 
 
 class _OpenFile(StreamingResponse):

@@ -11,11 +11,13 @@ from typing import Annotated, Any, Final, Literal
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, JsonValue, create_model
 
+from kernel.params import KernelInputError
 from service.api import dependencies
 from service.api.capacity import Cost, costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import Service, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, content, problem_responses
+from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import Caller
@@ -114,7 +116,10 @@ def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]
         step = tuple(same)
         reads = study is not None and any(study.url in call for call in step)
         key = (step, study.chunks_done if study is not None and reads else 0)
-        results += service.on_demand.get(key, partial(_submitted, step))
+        try:
+            results += service.on_demand.get(key, partial(_submitted, step))
+        except KernelInputError as error:
+            raise InvalidRequest.of(error.argument, error.rule) from error
     return results
 
 
@@ -147,7 +152,7 @@ def _of_spring(view: View) -> Callable[..., Any]:
         _, estimate = _asked(service, view, None, query)
         return BASE_MEMORY + _memory(estimate, query.format)
 
-    @costly(cost, "trajectory")
+    @costly(cost, "on demand" if view.parts else "trajectory")
     def get(service: ServiceDep, query: Annotated[model, Query()]) -> Response:
         return _answer(service, view, None, query)
 

@@ -24,7 +24,7 @@ def loaded_by(code: str) -> set[str]:
     ("code", "forbidden"),
     [
         ("import service.client", SERVER | COMPUTING | SLOW),
-        ("import service.client.datasets", SERVER | COMPUTING),
+        ("import service.client.dataset", SERVER | COMPUTING),
         ("from service.client.specification import body; import worker.spec.parsing", SERVER | COMPUTING),
         ("import service.cli.main", SERVER | COMPUTING | SLOW | {"httpx2"}),
         ("import service.figures.catalogue", SERVER | COMPUTING | SLOW),

@@ -132,7 +132,6 @@ COSTLY: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
 )
 #: What the client makes of them.
 READ: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
-    ("rest", "orbits", {"gamma_max": 3.0}),
     ("orbits", "open", {}),
     ("basins", "open", {}),
     ("multistability", "open", {}),
@@ -201,8 +200,7 @@ class Answers:
 
 
 def _read(job: Job, method: str, arguments: Mapping[str, Any]) -> xarray.Dataset:
-    quiet = {"progress": False} if method == "orbits" else {}
-    found = getattr(job, method)(**arguments, **quiet)
+    found = getattr(job, method)(**arguments)
     assert isinstance(found, xarray.Dataset)
     return found.load()
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import served
+import xarray
 from fastapi.testclient import TestClient
 from matplotlib.figure import Figure
 from scripted import Held, wait_for
@@ -17,11 +18,12 @@ from served import service as begun
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
-from service.api import schemas
 from service.client import Client
 from service.client.plots import draw_thresholds
-from service.results import orbits
+from service.views import curves as curves_view
+from service.views import orbits as orbits_view
 from service.views import threshold
+from service.views.registry import SPRINGS
 
 FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
@@ -56,24 +58,30 @@ def test_the_thresholds_of_a_spring(client: Client):
     ) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_branches_are_those_of_the_kernel(service: TestClient):
-    answer = get(service, "/v1/orbits", **SPRING, modes="1-1,1-2", gamma_max=1e6, energy="true")
-    assert set(answer) == set(schemas.OrbitsView.model_fields)
+def test_branches_are_those_of_the_kernel(client: Client, monkeypatch: pytest.MonkeyPatch):
+    answer = client.orbits(**SPRING, gamma_max=1e6, energy=True)
+    assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
+        row.name for row in SPRINGS["orbits"].variables
+    }
     events = []
-    for periods, view in zip((1, 2), answer["branches"], strict=True):
+    for i, periods in enumerate((1, 2)):
         branch, found = branch_and_events(0.6, 0.05, periods)
-        assert set(view) == set(schemas.BranchView.model_fields)
-        assert (view["bounces"], view["periods"]) == (1, periods)
+        view = answer.isel(branch=i)
+        assert (view.branch_bounces, view.branch_periods, view.points) == (1, periods, len(branch.gamma))
+        assert (view.admissible.values[len(branch.gamma) :] == 255).all()
+        view = view.isel(point=slice(int(view.points)))
         for name in ("gamma", "flight_time", "takeoff_phase", "elongation", "impact_velocity", "stable"):
-            assert view[name] == getattr(branch, name).tolist()
-        assert view["multipliers"][3] == [[m.real, m.imag] for m in branch.multiplier[3].tolist()]
-        balance = energy(0.6, 0.05, periods, branch.flight_time)
-        assert view["energy"]["impact"] == balance.impact.tolist()
+            assert view[name].values.tolist() == getattr(branch, name).tolist()
+        parts = np.stack([branch.multiplier.real, branch.multiplier.imag], axis=-1)
+        assert view.multipliers.values.tolist() == parts.tolist()
+        assert view.impact.values.tolist() == energy(0.6, 0.05, periods, branch.flight_time).impact.tolist()
         events += list(zip(found.kind.tolist(), found.gamma.tolist(), strict=True))
-    assert [(event["kind"], event["gamma"]) for event in answer["events"]] == events
-    folds = [event for event in answer["events"] if event["kind"] == "fold" and event["periods"] == 1]
-    assert min(event["gamma"] for event in folds) == pytest.approx(FOLD_060, abs=1e-9)
-    assert set(folds[0]) == set(schemas.EventView.model_fields)
+    assert list(zip(answer.event_kind.values, answer.event_gamma.values, strict=True)) == events
+    folds = answer.event_gamma[(answer.event_kind == "fold") & (answer.event_periods == 1)]
+    assert float(folds.min()) == pytest.approx(FOLD_060, abs=1e-9)
+    monkeypatch.setattr(orbits_view, "AT_ONCE_SECONDS", 0.0)  # by the workers
+    again = client.orbits(**SPRING, gamma_max=1e6, energy=True, progress=False)
+    xarray.testing.assert_identical(again, answer)
 
 
 def test_long_branches_are_refused_before_they_are_computed(service: TestClient):
@@ -87,7 +95,7 @@ def test_long_branches_are_refused_before_they_are_computed(service: TestClient)
 def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.MonkeyPatch):
     """By their estimate before they are computed, by their points while they are."""
     query = {"xi": 0.05, "omega_start": 0.1, "omega_stop": 0.12, "modes": "1-1,1-2"}
-    monkeypatch.setattr(orbits, "MAX_CURVES_SECONDS", 10.0)
+    monkeypatch.setattr(curves_view, "MAX_SECONDS", 10.0)
     rule = refused(service, "/v1/curves", 422, **query)
     assert rule.startswith("modes: their curves from omega 0.1 on take about 24 core-seconds, the limit for")
     assert rule.endswith("is 10: ask for the first 1, or take a larger omega")
@@ -98,32 +106,19 @@ def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.Mon
     assert "omega_stop: the curves up to 0.68 have more" in refused(service, "/v1/curves", 422, **query)
 
 
-def _curves(service: TestClient, **query: Any) -> Any:
-    """The answer, once the workers have it."""
-    wait_for(lambda: service.get("/v1/curves", params=query).status_code != 202)
-    return get(service, "/v1/curves", **query)
-
-
-def test_curves_over_omega_have_their_codimension_2_points(service: TestClient, client: Client):
-    query = {"xi": 0.05, "omega_start": 0.6, "omega_stop": 0.68, "modes": "1-1", "kinds": "fold"}
-    answer = _curves(service, **query)
-    assert (answer["xi"], answer["along"]) == (0.05, "omega")
+def test_curves_over_omega_have_their_codimension_2_points(client: Client):
+    query: dict[str, Any] = {"xi": 0.05, "omega_start": 0.6, "omega_stop": 0.68, "modes": "1-1"}
+    found = client.curves(**query, kinds="fold", progress=False)
     known = curves(Parameter.OMEGA, 0.05, 0.6, 0.68, 1, ("fold",))  # type: ignore[arg-type]
     below = [curve for curve in known.curves if curve.gamma.max() <= 8.0]
-    assert len(below) == len(known.curves) == len(answer["curves"]) > 0
-    for view, curve in zip(answer["curves"], known.curves, strict=True):
-        assert view["kind"] == "fold"
-        assert view["omega"] == curve.omega.tolist()
-        assert view["gamma"] == curve.gamma.tolist()
-    assert [point["kind"] for point in answer["points"]] == known.points.kind.tolist()
-
-    dataset = client.curves(omega=(0.6, 0.68), xi=0.05, modes="1-1", kinds="fold", progress=False)
-    assert dataset.gamma.dims == ("curve", "point")
-    assert float(dataset.xi) == 0.05
-    assert dataset.kind.values.tolist() == ["fold"] * len(known.curves)
-    for row, curve in zip(dataset.omega.values, known.curves, strict=True):
-        assert row[: len(curve.omega)].tolist() == curve.omega.tolist()
-        assert np.isnan(row[len(curve.omega) :]).all()
+    assert len(below) == len(known.curves) == found.sizes["curve"] > 0
+    assert (float(found.xi), found.attrs["along"], found.gamma.dims) == (0.05, "omega", ("curve", "point"))
+    assert found.curve_kind.values.tolist() == ["fold"] * len(known.curves)
+    for name in ("omega", "gamma"):
+        for row, curve in zip(found[name].values, known.curves, strict=True):
+            assert row[: len(curve.gamma)].tolist() == getattr(curve, name).tolist()
+            assert np.isnan(row[len(curve.gamma) :]).all()
+    assert found.event_kind.values.tolist() == known.points.kind.tolist()
 
 
 # Words continued from the cells of a sweep
@@ -141,10 +136,10 @@ def _job_orbits(client: Client, spec: dict[str, Any], **query: Any) -> Any:
 
 def test_words_are_continued_from_settled_cells(client: Client):
     job, found = _job_orbits(client, FIGURE_2, energy=True)
-    assert found.sizes["cell"] == 0  # every cell lies on a branch that was followed
+    assert found.sizes["skipped"] == 0  # every cell lies on a branch that was followed
     assert sorted(found.word.values.tolist()) == ["s", "ss", "ssss"]
     double = found.isel(branch=found.word.values.tolist().index("ss"))
-    assert (int(double.bounces), int(double.periods)) == (2, 2)
+    assert (int(double.branch_bounces), int(double.branch_periods)) == (2, 2)
     on_it = (found.event_branch == found.word.values.tolist().index("ss")) & (found.event_kind == "flip")
     flips = found.event_gamma.values[on_it.values]
     assert sorted(flips) == pytest.approx([2.5045676620, 3.6325483800], abs=1e-9)
@@ -177,12 +172,8 @@ def test_the_orbits_of_a_job_name_the_grid(service: TestClient, client: Client):
     here = f"/v1/jobs/{job.id}/orbits"
     assert "omega: is required: the sweep has 2 values" in refused(service, here, 422)
     assert "direction: must be 'rest'" in refused(service, here, 422, omega=0.5, direction="up")
-    wait_for(lambda: service.get(here, params={"omega": 0.507}).status_code != 202)
-    answer = get(service, here, omega=0.507)
-    assert set(answer) == set(schemas.WordOrbitsView.model_fields)
-    assert (answer["omega"], answer["complete"]) == (0.51, True)
-    assert set(answer["branches"][0]) == set(schemas.WordView.model_fields) - {"energy"}
-    assert set(answer["events"][0]) == set(schemas.WordEventView.model_fields)
+    found = job.orbits(0.507, progress=False)
+    assert (float(found.omega), found.attrs["complete"]) == (0.51, 1)
 
 
 # Predictions beside the thresholds of a sweep

@@ -121,7 +121,8 @@ export async function requestArrays(path, options) {
 
 /**
  * A result in the binary form of service/views/encode.py: {attrs, dims, …}, and by name every coordinate and variable
- * as {data, dims, shape, attrs}; `data` is a flat typed array, or of scalars and texts the value or list.
+ * as {data, dims, shape, attrs}; `data` is a flat typed array, or of scalars and texts the value or list. What workers
+ * compute first is waited for.
  */
 export async function requestDataset(path, options) {
   const buffer = await read(await whenComputed(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options), "arrayBuffer", options?.signal);

@@ -1,6 +1,6 @@
 // Cycles in closed form over the diagram: branches, solid where stable and dashed where not, and their events.
 
-import { query, requestComputed } from "../lib/api.js";
+import { query, requestDataset } from "../lib/api.js";
 import { cycleText } from "../lib/cycles.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
@@ -41,13 +41,30 @@ export class ClosedFormBox {
   }
 }
 
-/** The branches and events of a spring up to `gammaMax`. */
-export const requestBranches = ({ omega, xi }, gammaMax, options) =>
-  requestComputed(`/v1/orbits?${query({ omega, xi, modes: MODES, gamma_max: gammaMax, points: POINTS })}`, options);
+const OF_EVENT = ["kind", "gamma", "omega", "bounces", "periods", "flight_time", "admissible"].map((name) => [name, `event_${name}`]);
+const OF_BRANCH = [["bounces", "branch_bounces"], ["periods", "branch_periods"], ...["gamma", "flight_time", "stable", "admissible", "multipliers"].map((name) => [name, name])];
+const OF_CURVE = ["omega", "gamma", "admissible"].map((name) => [name, name]);
+
+/** The things along the first dimension of some variables: for each an object of its value or its part of each array. */
+function things(result, dim, fields) {
+  return Array.from({ length: result.dims[dim] }, (_, i) => Object.fromEntries(fields.map(([field, name]) => {
+    const { data, shape = [data.length] } = result[name];
+    const size = data.length / shape[0];
+    return [field, shape.length === 1 ? data[i] : data.subarray(i * size, (i + 1) * size)];
+  })));
+}
+
+/** The branches and events of a spring up to `gammaMax`. Beyond the end of a branch nothing is admissible. */
+export async function requestBranches({ omega, xi }, gammaMax, options) {
+  const result = await requestDataset(`/v1/orbits?${query({ omega, xi, modes: MODES, gamma_max: gammaMax, points: POINTS })}`, options);
+  return { branches: things(result, "branch", OF_BRANCH), events: things(result, "event", OF_EVENT) };
+}
 
 /** The curves of folds over Ω, and the points at which they meet. */
-export const requestFolds = (xi, [low, high], gammaMax, options) =>
-  requestComputed(`/v1/curves?${query({ xi, omega_start: low, omega_stop: high, modes: FOLD_MODES, kinds: "fold", gamma_max: gammaMax })}`, options);
+export async function requestFolds(xi, [low, high], gammaMax, options) {
+  const result = await requestDataset(`/v1/curves?${query({ xi, omega_start: low, omega_stop: high, modes: FOLD_MODES, kinds: "fold", gamma_max: gammaMax })}`, options);
+  return { xi: result.xi.data, curves: things(result, "curve", OF_CURVE), points: things(result, "event", OF_EVENT) };
+}
 
 /** Draw the folds of cycles that the spring has, and mark cusps and the like. */
 export function drawFolds(ctx, box, { curves, points }) {
@@ -144,8 +161,9 @@ export function drawCycle(ctx, box, { branch, point }) {
 
 /** A cycle in words, with its multipliers. */
 export function describeCycle({ branch, point }) {
-  const at = Object.fromEntries(["gamma", "flight_time", "stable", "multipliers"].map((name) => [name, branch[name][point]]));
-  return `${SYMBOL.gamma} = ${number(at.gamma, 5)} · ${cycleText({ ...branch, ...at })}`;
+  const at = Object.fromEntries(["gamma", "flight_time", "stable"].map((name) => [name, branch[name][point]]));
+  const [re, im, otherRe, otherIm] = branch.multipliers.subarray(4 * point);
+  return `${SYMBOL.gamma} = ${number(at.gamma, 5)} · ${cycleText({ ...branch, ...at, multipliers: [[re, im], [otherRe, otherIm]] })}`;
 }
 
 /** The legend of branches in a Plot. */

@@ -1,0 +1,131 @@
+"""Curves of the events of a spring's cycles over one of its parameters, in closed form."""
+
+from collections.abc import Sequence
+from typing import Annotated, Final
+
+import numpy as np
+import xarray
+from pydantic import Field
+
+from kernel.branches.curves import CURVES, Curves, Parameter, curves
+from kernel.branches.events import Kind, join_events
+from service.errors import InvalidRequest
+from service.views import branches
+from service.views.branches import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
+from service.views.variables import coordinate
+from service.views.view import Call, Estimate, Omega, Query, View, Xi
+from worker.orbits import Mode
+from worker.spec.errors import one_of
+
+#: Core-seconds that one answer may take, and those of one mode over the flight times of its branch at the
+#: range's smaller omega.
+MAX_SECONDS: Final = 60.0
+_SECONDS: Final = 0.01
+
+#: Bytes of an answer, and its points as an estimate: how long curves are, shows once they are followed.
+_MEMORY: Final = 64 * 2**20
+_POINTS: Final = 4_000
+
+Span = tuple[float, float]
+
+
+class CurvesQuery(Query):
+    """A range of Ω at one ξ, or of ξ at one Ω."""
+
+    omega: Omega | None = None
+    xi: Xi | None = None
+    omega_start: Omega | None = None
+    omega_stop: Omega | None = None
+    xi_start: Xi | None = None
+    xi_stop: Xi | None = None
+    modes: branches.Modes = "1-1,1-2"
+    kinds: Annotated[str | None, Field(max_length=200, description="such as fold,flip; default: all")] = None
+    gamma_max: branches.GammaMax = 8.0
+
+
+def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:
+    """The parameter that varies, the value of the other one, and the range. Raises InvalidRequest."""
+    over_omega = (query.xi, query.omega_start, query.omega_stop)
+    over_xi = (query.omega, query.xi_start, query.xi_stop)
+    match over_omega, over_xi:
+        case (float(fixed), float(low), float(high)), (None, None, None):
+            along = Parameter.OMEGA
+        case (None, None, None), (float(fixed), float(low), float(high)):
+            along = Parameter.XI
+        case _:
+            rule = "give xi, omega_start and omega_stop, or omega, xi_start and xi_stop"
+            raise InvalidRequest.of("xi" if query.omega is None else "omega", rule)
+    if not low < high:
+        raise InvalidRequest.of(f"{along}_stop", f"must be above {along}_start, {low!r}")
+    return along, fixed, (low, high)
+
+
+def _kinds(text: str | None) -> tuple[Kind, ...]:
+    """Kinds of curves, written as `fold,flip`. Raises InvalidRequest."""
+    if text is None:
+        return CURVES
+    names = [name.strip() for name in text.split(",")]
+    unknown = [name for name in names if name not in CURVES]
+    if unknown:
+        raise InvalidRequest.of("kinds", f"must be among {one_of(CURVES)}, not {unknown[0][:40]!a}")
+    return tuple(kind for kind in CURVES if kind in names)
+
+
+def parts(study: None, query: CurvesQuery) -> Sequence[Call]:
+    """The curves of each mode."""
+    along, fixed, span = _plane(query)
+    kinds = _kinds(query.kinds)
+    return [(curves, along, fixed, *span, mode.periods, kinds) for mode in parse_modes(query.modes)]
+
+
+def compute(study: None, query: CurvesQuery, *found: Curves) -> xarray.Dataset:
+    """Curves of folds, flips and other events over Ω or ξ.
+
+    Over a range of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
+    fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
+    """
+    along, fixed, _ = _plane(query)
+    top = query.gamma_max
+    pieces = [piece for part in found for curve in part.curves for piece in branches.below(curve, top)]
+    data = padded((along, "gamma", "flight_time", "admissible"), pieces, ("curve", "point"))
+    data |= event_columns(join_events([branches.rows_of(x.points, x.points.gamma <= top) for x in found]))
+    names = ("kind", "bounces", "periods")
+    coords = columns("curve", {name: [getattr(piece, name) for piece in pieces] for name in names})
+    other = "xi" if along is Parameter.OMEGA else "omega"
+    coords |= {other: coordinate(other, fixed)}
+    return branches.dataset(data, coords, along=str(along), gamma_max=top)
+
+
+def estimate(spec: None, query: CurvesQuery) -> Estimate:
+    """An estimate. Raises InvalidRequest for a query without a plane, and above MAX_SECONDS."""
+    along, fixed, span = _plane(query)
+    _kinds(query.kinds)
+    modes = parse_modes(query.modes)
+    springs = [(value, fixed) if along is Parameter.OMEGA else (fixed, value) for value in span]
+    for _, periods in modes:
+        for spring in springs:
+            grid_length(*spring, periods)
+    _check_seconds(*springs[0], modes)
+    return Estimate({"curve": len(modes), "point": _POINTS}, memory=_MEMORY)
+
+
+def _check_seconds(omega: float, xi: float, modes: Sequence[Mode]) -> None:
+    """Raise InvalidRequest for curves that take more than MAX_SECONDS from this spring on."""
+    seconds = np.cumsum([_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes])
+    if seconds[-1] > MAX_SECONDS:
+        fitting = int(np.searchsorted(seconds, MAX_SECONDS, "right"))
+        rule = (
+            f"their curves from omega {omega:g} on take about {seconds[-1]:.0f} core-seconds, the limit for "
+            f"one answer is {MAX_SECONDS:g}: ask for the first {fitting}, or take a larger omega"
+        )
+        raise InvalidRequest.of("modes", rule)
+
+
+VIEW: Final = View(
+    "curves", "Bifurcation curves", None, CurvesQuery, compute, estimate,
+    variables=(
+        *(ROWS[name] for name in ("omega", "xi", "gamma", "flight_time", "admissible")),
+        *(ROWS[f"curve_{name}"] for name in ("kind", "bounces", "periods")), *EVENTS,
+    ),
+    rows="gamma", printed=("event_gamma",), parts=parts,
+)  # fmt: skip
