@@ -1,4 +1,4 @@
-"""Diagrams, mode maps and trajectories as JSON, diagrams as CSV."""
+"""Trajectories as JSON."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
