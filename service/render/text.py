@@ -1,4 +1,4 @@
-"""Trajectories as JSON."""
+"""Diagrams, mode maps and trajectories as JSON, diagrams as CSV."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final

@@ -260,9 +260,9 @@ def of_cell(
     """The trajectory of the grid cell nearest to `values`, and the state a ramp left the cell in.
 
     None for a sweep from rest, whose cells settle as they did in the sweep. Raises InvalidRequest as
-    `selection.nearest_index`, and for a cell of a ramp that is not computed yet, or that is unresolved or
-    diverged: its stored state is where the computation stopped, not the end of its window. Raises
-    OutdatedJob for a sweep of another kernel version.
+    `diagram.diagram`, and for a cell of a ramp that is not computed yet, or that is unresolved or diverged:
+    its stored state is where the computation stopped, not the end of its window. Raises OutdatedJob for a
+    sweep of another kernel version.
     """
     check_kernel(sweep.kernel_version)
     spec = sweep.spec
