@@ -70,7 +70,7 @@ REACHABLE = {
     "worker.spec": SPECIFICATION,
     "worker.plan": SPECIFICATION | {"worker.plan", "worker.cost", "worker.schema"},
     "service.client": SPECIFICATION
-    | {"kernel.labels", "service.client", "service.formats", "service.tokens"},
+    | {"kernel.labels", "service.client", "service.formats", "service.result_methods", "service.tokens"},
 }
 
 #: Packages whose face is their __init__; all others are empty.
