@@ -207,7 +207,7 @@ def test_run_computes_a_sweep_without_a_service(tmp_path: Path):
     for every, cells in (((), [1.2, 1.3, 1.4]), (("--every", 2), [1.2, 1.4])):
         result = bounce("run", "-", "-o", line, "--omega", 0.5, *every, input=json.dumps(small))
         assert (result.exit_code, result.stdout) == (0, "")
-        assert json.loads(line.read_text())["values"] == cells
+        assert json.loads(line.read_text())["coords"]["gamma"]["data"] == cells
 
 
 def test_a_hangup_that_is_ignored_ends_nothing():
