@@ -69,10 +69,6 @@ def test_a_mode_map_counts_no_flights_anew(client: TestClient, adaptive: str):
     assert client.get(f"{adaptive}/modes?min_flight=0.05").status_code == 200
 
 
-def variables(client: TestClient, path: str) -> dict[str, Any]:
-    return {name: about["data"] for name, about in read(client, path)["data_vars"].items()}
-
-
 def test_thresholds_tell_where_they_lie_between_computed_cells(client: TestClient, full: str, adaptive: str):
     whole, part = (read(client, f"{job}/threshold") for job in (full, adaptive))
     assert "up_computed" not in whole
@@ -85,15 +81,15 @@ def test_thresholds_tell_where_they_lie_between_computed_cells(client: TestClien
 
 
 def test_refined_thresholds_are_those_of_the_full_grid(client: TestClient, full: str, adaptive: str):
-    def refined(job: str) -> dict[str, Any]:
+    def refined(job: str) -> xarray.Dataset:
         path = f"{job}/threshold?tolerance=0.001"
         wait_for(lambda: client.get(path).status_code == 200)
         return read(client, path)
 
     whole, part = refined(full), refined(adaptive)
-    assert part["up_status"] == whole["up_status"]
-    assert part["up"] == whole["up"]
-    assert all(part["up_computed"][i] for i, status in enumerate(part["up_status"]) if status == "found")
+    np.testing.assert_array_equal(part.up_status, whole.up_status)
+    np.testing.assert_array_equal(part.up, whole.up)
+    assert part.up_computed.values[part.up_status.values == "found"].all()
 
 
 def test_files_hold_which_cells_were_computed(client: TestClient, adaptive: str, tmp_path: Path):

@@ -4,12 +4,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-import xarray
 
 from service.cli.output import (
     estimate_line,
     job_report,
-    threshold_table,
 )
 from service.client import Job
 from service.client.models import Estimate
@@ -80,63 +78,3 @@ def test_an_estimate_is_one_line(changes: dict[str, Any], line: str):
     }
     estimate = Estimate(**{**fields, "longest_core_seconds": None, **changes})
     assert estimate_line(estimate) == line
-
-
-# Thresholds of a sweep
-
-SWEEP = {"gamma": {"start": 0.5, "stop": 2.0, "num": 4}, "omega": [0.5, 0.7], "xi": 0.26}
-
-
-def thresholds(**attributes: Any) -> xarray.Dataset:
-    columns = {
-        "analytic": [0.6123456789, np.inf], "up": [0.75, NAN], "down": [NAN, 0.5123456789012],
-        "predicted_jump": [NAN, 0.9], "predicted_down": [0.7123456789, NAN],
-        "up_status": ["found", "missing"], "down_status": ["not ramped", "found"],
-        "cause": ["fold (1,1)", "unresolved by the closed form"], "difference": ["", "another cycle"],
-    }  # fmt: skip
-    return xarray.Dataset(
-        {name: ("omega", values) for name, values in columns.items()},
-        {"omega": [0.5, 0.7], "xi": 0.26},
-        {"complete": 1, "prediction": "rigid", **attributes},
-    )
-
-
-def test_thresholds_stand_in_columns_with_what_explains_them_below():
-    found = thresholds()
-    assert threshold_table(found, found, SWEEP).splitlines() == [
-        "xi = 0.26, on the grid of gamma",
-        "       OMEGA      EQ. 25          UP        DOWN   PREDICTED",
-        "    0.500000    0.612346    0.750000           -    0.712346",
-        "    0.700000         inf           ?    0.512346  unresolved",
-        "?: the cell that decides is not computed yet",
-        "-: the sweep is not ramped down",
-        "PREDICTED: the lowest that bounces by the closed form, rigid",
-        "omega 0.7: another cycle",
-    ]
-    found = thresholds(complete=0)
-    last = threshold_table(found, found, SWEEP).splitlines()[-1]
-    assert last == "the job is not done: thresholds may be missing"
-
-
-# Cycles in closed form
-
-
-def branches() -> xarray.Dataset:
-    """Two branches of two flights, of which the second has one point."""
-    return xarray.Dataset(
-        {
-            "gamma": (("branch", "point"), [[1.0, 1.5], [2.0, NAN]]),
-            "flight_time": (("branch", "point", "flight"), [[[4.0, 5.0], [4.5, 5.5]],
-                                                            [[6.0, NAN], [NAN, NAN]]]),
-            "multiplier": (("branch", "point"), [[0.5 + 0.25j, -1.0 + 0j], [2j, NAN]]),
-            "event_kind": ("event", ["fold", "neimark-sacker"]),
-            "event_bounces": ("event", [1, 2]), "event_periods": ("event", [1, 10]),
-            "event_gamma": ("event", [0.5532445929, 12.0]), "event_omega": ("event", [0.6, 0.6]),
-            "event_xi": ("event", [0.05, 0.05]), "event_flight_time": ("event", [4.5, 10.25]),
-            "event_admissible": ("event", [0, 2]),
-        },
-        {"word": ("branch", ["s", "ss"]), "omega": 0.6},
-    )  # fmt: skip
-
-
-# Cost and accuracy
