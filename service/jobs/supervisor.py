@@ -31,7 +31,7 @@ from worker.executors.base import ClusterState, Executor
 from worker.executors.errors import ReportMismatch
 from worker.store import StoreConflict
 from worker.studies import Chunk
-from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport, Terms
+from worker.tasks import SLICE_SECONDS, ChunkOptions, ChunkPaused, ChunkReport
 
 log = logging.getLogger(__name__)
 
@@ -587,7 +587,7 @@ class Supervisor:
                 run.prepared.store_url,
                 seconds=seconds,
                 priority=priority,
-                terms=Terms(self._rotation.slice_seconds, begins=run.begins(chunk.index)),
+                options=ChunkOptions(self._rotation.slice_seconds, begins=run.begins(chunk.index)),
             )
         except Exception as error:  # noqa: BLE001 - whatever it is, the retry policy decides what follows
             log.warning("the executor refused a chunk, retrying at the next sync: %s", error)

@@ -15,7 +15,7 @@ from service.settings import Settings
 from worker.executors.admission import Probe
 from worker.executors.connection import SCHEDULER_SETTINGS
 from worker.executors.dask import Dask
-from worker.executors.targets import Made
+from worker.executors.targets import CreatedCluster
 
 
 @contextmanager
@@ -26,7 +26,7 @@ def connected_cluster(settings: Settings, marker: str) -> Iterator[Dask]:
     """
     name = settings.cluster
     cluster = Dask(
-        settings.scheduler if name is None else Made(partial(_create, name), name),
+        settings.scheduler if name is None else CreatedCluster(partial(_create, name), name),
         scheduler_file=settings.scheduler_file,
         security=_tls(settings),
         workers=settings.workers,
