@@ -1,4 +1,4 @@
-"""The Dask cluster of the settings: embedded, an existing one, or one that a user's function creates."""
+"""The Dask cluster of the settings: embedded, an existing one, or created by a user's function."""
 
 import importlib
 import sys
@@ -22,7 +22,7 @@ from worker.executors.targets import CreatedCluster
 def connected_cluster(settings: Settings, marker: str) -> Iterator[Dask]:
     """A connection to the cluster during the block; closes a cluster created for it. Raises ClusterLost.
 
-    marker: what marks the stores, by which workers prove that they see them.
+    marker: the mark of the stores, by which workers prove their access.
     """
     name = settings.cluster
     cluster = Dask(
@@ -40,9 +40,9 @@ def connected_cluster(settings: Settings, marker: str) -> Iterator[Dask]:
 
 
 def _create(name: str) -> Any:
-    """The cluster that the function `module:function` returns. Raises whatever it raises."""
+    """The cluster returned by the function `module:function`. Raises its errors."""
     module, _, function = name.partition(":")
-    # Counts for a scheduler in this process; a remote one must be started with these settings.
+    # For a scheduler in this process; a remote one must be started with these settings.
     dask.config.set(SCHEDULER_SETTINGS)
     with _current_folder_last():
         imported = importlib.import_module(module)
@@ -51,9 +51,9 @@ def _create(name: str) -> Any:
 
 @contextmanager
 def _current_folder_last() -> Iterator[None]:
-    """Look for modules in the current folder too, after all other places, and only during the block.
+    """Look for modules in the current folder too, after all other places, during the block.
 
-    Whoever can write to that folder could otherwise name a file like a library that is imported later.
+    Anyone who can write to that folder could otherwise name a file like a library that is imported later.
     """
     here = str(Path.cwd())
     sys.path.append(here)

@@ -87,7 +87,7 @@ def continue_words(
         if any(_lies_on(cycle, branch) for branch in branches):
             continue
         if len(branches) == MAX_WORDS:
-            skipped.append(_skip(cycle, f"{MAX_WORDS} branches were followed before it, which is the limit"))
+            skipped.append(_skip(cycle, f"{MAX_WORDS} branches were followed before it, the limit"))
             continue
         try:
             word = _word(cycle, at_omega, at_xi)
