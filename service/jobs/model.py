@@ -115,9 +115,7 @@ class JobRecord(NewJob):
     choice: str | None  # `auto` sweeps: JSON of worker.analysis.model_selection.ModelChoice, once chosen
     replaced_by: str | None  # outdated jobs: id of the job that computes the same study anew
     pinned: bool = False  # marked by a user
-    core_seconds: float = (
-        0.0  # of its chunks, repetitions included; unknown for adopted chunks
-    )
+    core_seconds: float = 0.0  # of its chunks, repetitions included; unknown for adopted chunks
     runs: str = "[]"  # JSON: the software that computed it, see service.software.with_this_run
     cells_timed: int = 0  # cells of these chunks
     verified: float | None = None  # when all its stored chunks had been verified
