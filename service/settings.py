@@ -141,7 +141,7 @@ class Settings(BaseSettings):
     )
     longest_chunk_seconds: Positive = Field(
         LONGEST_SECONDS,
-        description="Longest chunk, in estimated core-seconds, in jobs of more than 15,000 chunks.",
+        description="Longest chunk, in estimated core-seconds, in jobs above 15,000 chunks of 0.75 s.",
     )
     chunk_tries: Count = Field(3, description="Tries of a chunk before it is given up.")
     chunk_seconds: Positive = Field(
@@ -171,12 +171,12 @@ class Settings(BaseSettings):
     def _split_origins(cls, value: Any) -> Any:
         """Split a text at its commas. Raises ValueError for an origin that no browser sends."""
         origins = value.split(",") if isinstance(value, str) else value
-        found = frozenset(str(origin).strip().lower().rstrip("/") for origin in origins) - {""}
-        for origin in found:
+        accepted = frozenset(str(origin).strip().lower().rstrip("/") for origin in origins) - {""}
+        for origin in accepted:
             parts = urlsplit(origin)
             if f"{parts.scheme}://{parts.netloc}" != origin or parts.scheme not in ("http", "https"):
                 raise ValueError(f"{origin[:80]}: an origin is http(s)://HOST or http(s)://HOST:PORT")
-        return found
+        return accepted
 
     @field_validator("scheduler")
     @classmethod
@@ -249,16 +249,16 @@ class Settings(BaseSettings):
         """
         if self.makes_token:
             raise NotStarted("token: auto is not replaced by a token")
-        found: dict[str, str | None] = {}
+        accepted: dict[str, str | None] = {}
         if self.token_file is not None:
             try:
                 named = tokens.read_tokens(self.token_file, private=self.private)
             except tokens.TokenFileUnusable as error:
                 raise NotStarted(f"token_file: {error}") from error
-            found |= {token: name for name, token in named.items()}
+            accepted |= {token: name for name, token in named.items()}
         if self.token is not None:
-            found.setdefault(self.token.get_secret_value(), None)
-        return found
+            accepted.setdefault(self.token.get_secret_value(), None)
+        return accepted
 
     @property
     def hosts(self) -> frozenset[str]:

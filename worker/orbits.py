@@ -287,19 +287,19 @@ def _empty_record(spec: OrbitsSpec, chunk: Block) -> dict[str, NDArray[Any]]:
 
 def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[Any]]) -> None:
     """Fill in one cell: arrays (1, ...) of a record."""
-    found: list[Events] = []
+    events_of_branches: list[Events] = []
     try:
         for row, mode in enumerate(spec.cycles):
             branch, events = branch_and_events(omega, xi, mode.periods, max(GRID, spec.points))
             _put_branch(branch, row, spec, cell)
-            found.append(events)
+            events_of_branches.append(events)
     except KernelInputError:  # an undamped spring at resonance
         cell["outcome"][0] = Outcome.UNRESOLVED
         return
-    inside = [events.gamma <= spec.gamma_max for events in found]
+    inside = [events.gamma <= spec.gamma_max for events in events_of_branches]
     cell["event_count"][0] = sum(int(rows.sum()) for rows in inside)
     at = 0
-    for events, rows in zip(found, inside, strict=True):
+    for events, rows in zip(events_of_branches, inside, strict=True):
         for i in np.flatnonzero(rows)[: spec.events - at]:
             cell["event_kind"][0, at] = 1 + _KINDS.index(Kind(events.kind[i]))
             for name in ("gamma", "bounces", "periods", "flight_time", "admissible"):

@@ -30,7 +30,7 @@ TARGET_SECONDS: Final = 0.75
 #: SMALLEST_SECONDS each.
 SMALLEST_SECONDS: Final = 0.0125
 FEWEST_CHUNKS: Final = 8
-#: A sweep with more chunks has longer ones instead, of LONGEST_SECONDS at most: 15,000 chunks of
+#: A sweep that would have more chunks has longer ones instead, of LONGEST_SECONDS at most: 15,000 chunks of
 #: six arrays are 90,000 files. Like any long chunk, they pause in between.
 MANY_CHUNKS: Final = 15_000
 LONGEST_SECONDS: Final = 30.0

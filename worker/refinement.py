@@ -175,8 +175,8 @@ class Refinement:
         for size, which in _by_size(self._blocks):
             row, column = np.ogrid[: size[0] + 1, : size[1] + 1]
             cells = self._blocks[which, 0, None, None] + row, self._blocks[which, 2, None, None] + column
-            found = kinds[cells]
-            differs[which] = np.any((found != found[:, :1, :1]) & self._computed[cells], axis=(1, 2))
+            classes = kinds[cells]
+            differs[which] = np.any((classes != classes[:, :1, :1]) & self._computed[cells], axis=(1, 2))
         return differs
 
     def _with_neighbours(self, splits: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -22,8 +22,8 @@ def job_headers(
     job: JobRecord, failures: int = 0, notice: str | None = None, compiling: Compiling | None = None
 ) -> dict[str, str]:
     """ETag and Cache-Control of a job's view; the tag is weak, because it ignores the estimated time left."""
-    told = [fact for fact in (notice, compiling and round(compiling.seconds)) if fact is not None]
-    return _headers(f"W/{_tag(failures, *job.revision, *told)}")
+    shown = [fact for fact in (notice, compiling and round(compiling.seconds)) if fact is not None]
+    return _headers(f"W/{_tag(failures, *job.revision, *shown)}")
 
 
 def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:

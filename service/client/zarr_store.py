@@ -112,7 +112,7 @@ class HTTPStore(Store):
             root = sync(store.get(_METADATA, default_buffer_prototype()))
         except Exception:  # noqa: BLE001 - another machine's folder, no obstore, no key of the bucket
             return None
-        return store if root is not None and root.to_bytes() == self._read(_METADATA) else None
+        return store if root is not None and root.to_bytes() == self._fetch(_METADATA) else None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, HTTPStore) and (self._transport, self._path) == (
@@ -132,7 +132,7 @@ class HTTPStore(Store):
         """The value of a key, or a part of it; None if there is none."""
         if self._direct is not None and not key.endswith((_METADATA, *_VERSION_2)):
             return await self._direct.get(key, prototype, byte_range)
-        content = await asyncio.to_thread(self._read, key, byte_range)
+        content = await asyncio.to_thread(self._fetch, key, byte_range)
         return None if content is None else prototype.buffer.from_bytes(content)
 
     async def get_partial_values(
@@ -143,9 +143,9 @@ class HTTPStore(Store):
 
     async def exists(self, key: str) -> bool:
         """Whether the key has a value."""
-        return await asyncio.to_thread(self._read, key) is not None
+        return await asyncio.to_thread(self._fetch, key) is not None
 
-    def _read(self, key: str, byte_range: ByteRequest | None = None) -> bytes | None:
+    def _fetch(self, key: str, byte_range: ByteRequest | None = None) -> bytes | None:
         if key.endswith(_VERSION_2):
             return None
         try:

@@ -187,13 +187,13 @@ def file_system(path: Path, mounts: Path = Path("/proc/self/mountinfo")) -> str 
         lines = mounts.read_text().splitlines()
     except OSError:
         return None
-    path, found = path.absolute(), (-1, "")
+    path, deepest = path.absolute(), (-1, "")
     for line in lines:
         fields, _, rest = line.partition(" - ")
         point = Path(fields.split()[4].replace("\\040", " "))
         if path.is_relative_to(point):
-            found = max(found, (len(point.parts), rest.split()[0]), key=lambda mount: mount[0])
-    return found[1] or None
+            deepest = max(deepest, (len(point.parts), rest.split()[0]), key=lambda mount: mount[0])
+    return deepest[1] or None
 
 
 def _inode(path: Path) -> _Inode | None:

@@ -14,7 +14,7 @@ from service.jobs.ledger import NOT_LOCAL, Ledger
 from service.jobs.ledger_files import network_file_system
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer, first_cells
-from service.jobs.retry import Tally
+from service.jobs.retry import ChunkCounts
 from service.jobs.stores.deletion import Deleter
 from service.jobs.stores.repair import Repairer
 from service.jobs.stores.scrub import Scrubber
@@ -71,7 +71,7 @@ class JobManager:
         return self._executor.compiling(self._settings.store_of(job.id))
 
     @property
-    def tally(self) -> Tally:
+    def tally(self) -> ChunkCounts:
         """Counts of returned chunks since the start."""
         return self._supervisor.tally
 
@@ -269,33 +269,33 @@ class JobManager:
     def _is_repeated(self, ledger: WriteTransaction, job: NewJob, key: str | None) -> bool:
         """Whether this request was made before with this key."""
         ledger.forget_keys(time.time() - self._settings.key_seconds)
-        known = ledger.key(key) if key is not None else None
-        if known is not None and known.body != _fingerprint(job):
+        used = ledger.key(key) if key is not None else None
+        if used is not None and used.body != _fingerprint(job):
             raise KeyReused(
                 "the Idempotency-Key was used for another specification less than "
                 f"{self._settings.key_seconds:g} s ago: take a new key"
             )
-        return known is not None
+        return used is not None
 
     def _accept(self, ledger: WriteTransaction, job: NewJob) -> bool:
         """Insert or resume a job, or revoke its cancel request; whether anything changed.
 
         Raises QueueFull.
         """
-        known = ledger.find(job.id)
-        if known is None or known.state in RESUMABLE:
+        existing = ledger.find(job.id)
+        if existing is None or existing.state in RESUMABLE:
             self._check_queue(ledger, job.owner)
         return self._admit(ledger, job)
 
     def _admit(self, ledger: WriteTransaction, job: NewJob) -> bool:
         """As `_accept`, but without the limit on queued jobs."""
-        known = ledger.find(job.id)
-        if known is None:
+        existing = ledger.find(job.id)
+        if existing is None:
             ledger.insert(job, time.time())
-        elif known.state in RESUMABLE:
-            ledger.queue(known, job.owner)
-        elif known.cancel_requested:
-            ledger.set_cancel_requested(known, False)
+        elif existing.state in RESUMABLE:
+            ledger.queue(existing, job.owner)
+        elif existing.cancel_requested:
+            ledger.set_cancel_requested(existing, False)
         else:
             return False
         return True

@@ -117,7 +117,7 @@ class RetryPolicy:
         return Action.GIVE_UP if last else Action.RETRY
 
 
-class Tally:
+class ChunkCounts:
     """Counts of returned chunks since the start, for metrics. Written by one thread, read by any."""
 
     def __init__(self) -> None:

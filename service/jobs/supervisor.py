@@ -22,7 +22,7 @@ from service.jobs.model import UNFINISHED, JobRecord, JobState
 from service.jobs.model_selection import ModelSelector
 from service.jobs.prepare import JobPreparer
 from service.jobs.ready_queue import Rotation
-from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy, Tally
+from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
 from service.jobs.run import JobRun, text_of
 from service.jobs.transactions import Unfinished
 from service.settings import Settings
@@ -108,7 +108,7 @@ class Supervisor:
         self._preparer = preparer
         self._after_writing = after_writing
         self._policy = RetryPolicy(settings.chunk_tries, settings.failed_chunks)
-        self.tally = Tally()
+        self.tally = ChunkCounts()
         self.cluster = ClusterState(connected=True, workers=1)  # as the last sync found it
         self.remaining_seconds = 0.0  # core-seconds of unfinished jobs, by the cost table
         self._selector = ModelSelector(ledger, executor, preparer, self.wake)
@@ -278,8 +278,8 @@ class Supervisor:
         if error is None:
             seconds = min(finished.future.result().seconds, self._rotation.slice_seconds)
         else:
-            most = self._rotation.slice_seconds
-            seconds = most if isinstance(error, ChunkPaused) else min(run.chunk_seconds, most)
+            longest = self._rotation.slice_seconds
+            seconds = longest if isinstance(error, ChunkPaused) else min(run.chunk_seconds, longest)
         if finished.chunk in run.turns:
             self._rotation.end_turn(run.chunk_seconds, seconds)
         else:
@@ -362,8 +362,8 @@ class Supervisor:
 
     def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
         """Sort the jobs that may start, and update the rotation."""
-        known = self._core_seconds
-        self._core_seconds = {job.id: known.get(job.id) or self._estimate(job.id) for job in unfinished}
+        estimates = self._core_seconds
+        self._core_seconds = {job.id: estimates.get(job.id) or self._estimate(job.id) for job in unfinished}
         waiting = []
         for job in unfinished:
             if job.id not in self._runs:
@@ -492,8 +492,8 @@ class Supervisor:
     def _next_in_turn(self) -> JobRun | None:
         """The job whose turn is due. Turns take at most half of the workers."""
         turns = sum(len(run.turns) for run in self._runs.values())
-        most = max(self._slots // (2 * self._settings.window), 1)
-        if turns >= most or len(self._rotation) == 1 or not self._rotation.is_due(0.0):
+        turn_limit = max(self._slots // (2 * self._settings.window), 1)
+        if turns >= turn_limit or len(self._rotation) == 1 or not self._rotation.is_due(0.0):
             return None
         for job_id in self._rotation:
             run, job = self._runs.get(job_id), self._waiting.get(job_id)

@@ -55,12 +55,12 @@ def _current_folder_last() -> Iterator[None]:
 
     Anyone who can write to that folder could otherwise name a file like a library that is imported later.
     """
-    here = str(Path.cwd())
-    sys.path.append(here)
+    folder = str(Path.cwd())
+    sys.path.append(folder)
     try:
         yield
     finally:
-        sys.path.remove(here)
+        sys.path.remove(folder)
 
 
 def _tls(settings: Settings) -> Any:

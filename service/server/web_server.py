@@ -125,12 +125,12 @@ class Limited(H11Protocol):
 
     Closes a connection unless the head of a request is complete within `timeout` seconds from its first byte,
     or from the opening of the connection. `api.middleware.body_limit` limits the body. A connection above
-    `most` is answered with 503: without a limit, connections could take all files of the process.
+    `limit` is answered with 503: without a limit, connections could take all files of the process.
     A client that reads nothing for `stall` seconds is disconnected, because its answer is in memory.
     """
 
     timeout = 10.0
-    most = OTHER_FILES
+    limit = OTHER_FILES
     stall = 60.0
     _stalled: asyncio.TimerHandle | None = None
     _timer: asyncio.TimerHandle | None = None
@@ -138,7 +138,7 @@ class Limited(H11Protocol):
     def connection_made(self, transport: Any) -> None:
         """Called by the event loop."""
         super().connection_made(transport)
-        if len(self.connections) > self.most:
+        if len(self.connections) > self.limit:
             transport.write(_FULL_RESPONSE)
             transport.close()
         else:
@@ -200,9 +200,9 @@ class Limited(H11Protocol):
             self.transport.close()
 
 
-def limited(timeout: float, most: int, stall: float = Limited.stall) -> type[H11Protocol]:
+def limited(timeout: float, limit: int, stall: float = Limited.stall) -> type[H11Protocol]:
     """The protocol class for uvicorn's `http` option, with these limits."""
-    return type("Limited", (Limited,), {"timeout": timeout, "most": most, "stall": stall})
+    return type("Limited", (Limited,), {"timeout": timeout, "limit": limit, "stall": stall})
 
 
 def raise_file_limit() -> None:

@@ -71,7 +71,7 @@ class ModelChoice(Strict):
     table: tuple[ModelComparison, ...]
 
     def reproducible(self) -> dict[str, Any]:
-        """Plain JSON values of everything but the timings: the same for every choice."""
+        """Plain JSON values of everything but the timings, which is reproducible."""
         return self.model_dump(mode="json", exclude={"table": {"__all__": {"measured"}}})
 
 

@@ -91,12 +91,12 @@ def continue_words(
             continue
         try:
             word = _word(cycle, at_omega, at_xi)
-            branch, found = follow(word, points=POINTS, gamma=(0.0, gamma_max))
+            branch, branch_events = follow(word, points=POINTS, gamma=(0.0, gamma_max))
         except KernelInputError as error:
             skipped.append(_skip(cycle, str(error)))
             continue
         branches.append(_up_to_shorter(branch, cycle))
-        events.append(_once(found))
+        events.append(_once(branch_events))
     return Words(tuple(branches), tuple(events), tuple(skipped))
 
 

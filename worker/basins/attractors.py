@@ -300,8 +300,8 @@ class _Search:
     def _assign_aperiodic(self, which: NDArray[np.intp], taken: int, rate: float) -> None:
         """Assign starts without a cycle to attractors, which differ in the distribution of flights."""
         settling = which[self._ends.outcome[which] == Outcome.SETTLING]
-        for number, known in enumerate(self._attractors):
-            self._owner[settling[_near(self._ends.time[settling], known.flights)]] = number
+        for number, attractor in enumerate(self._attractors):
+            self._owner[settling[_near(self._ends.time[settling], attractor.flights)]] = number
         left = which[(self._owner[which] < 0) & (self._ends.outcome[which] != Outcome.APERIODIC)]
         which = which[self._ends.outcome[which] == Outcome.APERIODIC]
         samples: list[_Sample] = []
@@ -368,8 +368,8 @@ class _Search:
         counts = np.bincount(self._owner[self._owner >= 0], minlength=len(self._attractors))
         order = sorted(np.flatnonzero(counts).tolist(), key=lambda i: (-counts[i], *self._attractors[i].key))
         ids = np.zeros(len(self._attractors) + 1, np.uint16)  # the last one for starts without an owner
-        for place, number in enumerate(order):
-            ids[number] = place + 1
+        for rank, number in enumerate(order):
+            ids[number] = rank + 1
             self._attractors[number].fraction = float(counts[number] / len(self._owner))
         attractors = tuple(self._attractors[i] for i in order)
         if attractors:

@@ -61,13 +61,13 @@ class Requirements:
 
     def _differences(self, threads: int) -> list[str]:
         try:
-            here = facts()
+            own = facts()
         except Exception as error:  # noqa: BLE001 - a missing or broken library
             return [f"it cannot load the kernel: {_one_line(error)}"]
         wrong = [
-            f"its {name} is {here.get(name)}, the service's {expected}"
+            f"its {name} is {own.get(name)}, the service's {expected}"
             for name, expected in self.facts.items()
-            if here.get(name) != expected
+            if own.get(name) != expected
         ]
         if threads != 1:
             wrong.append(f"it has {threads} threads: start it with --nthreads 1")

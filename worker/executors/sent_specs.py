@@ -39,8 +39,8 @@ class SpecReferences:
 
     def sent(self, spec: Spec, url: str) -> Spec | Reference:
         """The specification itself, or a reference if it is long."""
-        known, sent = self._sent.get(url, (None, spec))
-        if known is not spec:
+        last_spec, sent = self._sent.get(url, (None, spec))
+        if last_spec is not spec:
             sent = self._reference(spec, url) if len(pickle.dumps(spec)) > LONG_BYTES else spec
             self._sent[url] = spec, sent
             if len(self._sent) > REMEMBERED:
