@@ -28,15 +28,15 @@ from worker.spec.errors import BrokenRuleError, describe
 from worker.spec.specification import Specification
 from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport, report_of
 
-#: Most modes of a specification or an answer, and most plate periods of a mode.
+#: Maximum modes of a specification or an answer, and maximum plate periods of a mode.
 MAX_MODES: Final = 6
 MAX_PERIODS: Final = 12
 
-#: Most flight times per branch. Below Omega = 0.04 or so a branch of one period needs more, and the cost
+#: Maximum flight times per branch. Below Omega = 0.04 or so a branch of one period needs more, and the cost
 #: grows with their square, to 0.4 s at this limit.
 MAX_GRID: Final = 2_000
 
-#: Most stored points of a branch and most stored events of a cell.
+#: Maximum stored points of a branch and maximum stored events of a cell.
 MAX_POINTS: Final = 1_000
 MAX_EVENTS: Final = 1_000
 

@@ -235,7 +235,7 @@ def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
 
 
 def _lines_at_once(spec: SweepSpec) -> int:
-    """Fewest lines of a ramp in a chunk: all lanes, or one vector of them if there are few lines."""
+    """Minimum lines of a ramp in a chunk: all lanes, or one vector of them if there are few lines."""
     at_once = cells_at_once(spec)
     return at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
 

@@ -28,11 +28,11 @@ CODECS: Final = frozenset({"bytes", "crc32c", "sharding_indexed", "vlen-utf8", "
 _METADATA: Final = "zarr.json"
 _VERSION_2: Final = (".zarray", ".zgroup", ".zattrs", ".zmetadata")
 
-#: Most arrays of a store; ours have about twenty.
+#: Maximum arrays of a store; ours have about twenty.
 MAX_ARRAYS: Final = 1_000
-#: Most values of an array with at most one dimension, read when the store is opened; an axis has 100,000.
+#: Maximum values of an array with at most one dimension, read when the store is opened; an axis has 100,000.
 MAX_COORDINATE: Final = 1_000_000
-#: Most values of a chunk, which is decoded whole; ours have up to 96 MiB.
+#: Maximum values of a chunk, which is decoded whole; ours have up to 96 MiB.
 MAX_CHUNK: Final = 256 * 2**20
 
 #: A bucket that does not answer soon is not read directly.

@@ -13,11 +13,11 @@ from worker.cost import Cost
 from worker.spec.errors import SpecError
 from worker.studies import Plan, Study, study_of
 
-#: Number of recent jobs whose speed counts, and most characters of their specifications.
+#: Number of recent jobs whose speed counts, and maximum characters of their specifications.
 RECENT_JOBS: Final = 20
 MAX_SPEC_CHARS: Final = 20_000
 
-#: Fewest core-seconds that measure a contact model: in less, starting up dominates.
+#: Minimum core-seconds that measure a contact model: in less, starting up dominates.
 MIN_SECONDS: Final = 0.05
 
 

@@ -22,7 +22,7 @@ from worker.refinement import first_round
 from worker.schema import Layout
 from worker.studies import Chunk, Plan, Study, from_json, parse, study_of
 
-#: Prepared jobs kept, the last used, and the most characters of their specifications together.
+#: Prepared jobs kept, the last used, and the maximum characters of their specifications together.
 MAX_JOBS: Final = 128
 MAX_SPEC_CHARS: Final = 8_000_000
 

@@ -17,7 +17,7 @@ from worker.executors.errors import ExecutorError
 from worker.studies import Chunk, Plan
 from worker.tasks import ChunkReport
 
-#: Most characters of a traceback kept, from its end.
+#: Maximum characters of a traceback kept, from its end.
 MAX_TRACEBACK: Final = 8_000
 
 

@@ -35,7 +35,7 @@ from worker.tasks import SLICE_SECONDS, ChunkOptions, ChunkPaused, ChunkReport
 
 log = logging.getLogger(__name__)
 
-#: Most chunks in flight, however small, of one job and those with less left to compute.
+#: Maximum chunks in flight, however small, of one job and those with less left to compute.
 MAX_IN_FLIGHT: Final = 64
 #: Limit on chunks in flight over all jobs, in multiples of one job's window.
 MAX_TIMES_IN_FLIGHT: Final = 4

@@ -26,7 +26,7 @@ OTHER_FILES: Final = 256
 ACCEPTED_AT_A_TIME: Final = 16
 #: Connections waiting to be accepted.
 BACKLOG: Final = 2048
-#: Most open files requested, although some systems allow a thousand million.
+#: Maximum open files requested, although some systems allow a thousand million.
 MOST_FILES: Final = 65_536
 
 _FULL_RESPONSE: Final = (

@@ -27,7 +27,7 @@ from worker.spec import LARGEST, SMALLEST, SweepSpec
 from worker.spec.sweep import MAX_PERIODS
 from worker.tasks import run_cells
 
-#: Most cells computed for one threshold on a ramp; beyond it the threshold is not refined.
+#: Maximum cells computed for one threshold on a ramp; beyond it the threshold is not refined.
 MAX_CELLS: Final = 2_000
 
 #: Typical number of cells per threshold, to estimate the cost of a request.

@@ -47,7 +47,7 @@ START_FLIGHTS: Final = 64
 CYCLE_REPRESENTATIVES: Final = 4
 REPRESENTATIVES: Final = 32
 
-#: Plate periods, and most flights, for the distribution of an aperiodic representative.
+#: Plate periods, and maximum flights, for the distribution of an aperiodic representative.
 LONG_WINDOW: Final = 2000
 LONG_FLIGHTS: Final = 2048
 

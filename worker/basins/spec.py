@@ -25,14 +25,14 @@ from worker.spec.sweep import (
     Xi,
 )
 
-#: Most starts, rows or columns of a cell: its starts are computed and stored together.
+#: Maximum starts, rows or columns of a cell: its starts are computed and stored together.
 MAX_STARTS: Final = 512 * 512
 MAX_SIDE: Final = 4096
 MAX_HEIGHT: Final = 1e6
-#: Most drops of a cell in a multistability study.
+#: Maximum drops of a cell in a multistability study.
 MAX_DROPS: Final = 1024
 
-#: Most plate periods of a start if `settle_until` is null, in multiples of the window.
+#: Maximum plate periods of a start if `settle_until` is null, in multiples of the window.
 UNTIL: Final = 10
 
 
@@ -156,7 +156,7 @@ class GridSpec(Specification):
 
     @property
     def until(self) -> int:
-        """Most plate periods of a start."""
+        """Maximum plate periods of a start."""
         return self.settle_until or UNTIL * (self.settle + self.observe)
 
     def sweep(self) -> SweepSpec:

@@ -68,7 +68,7 @@ class ContactFields(Strict):
 
     @property
     def exponents(self) -> int:
-        """Most Lyapunov exponents that can be computed with this contact; 0: none."""
+        """Maximum Lyapunov exponents that can be computed with this contact; 0: none."""
         return 0
 
 

@@ -23,7 +23,7 @@ class Rest(Strict):
     kind: Literal["rest"] = "rest"
 
 
-#: Most plate periods of a cycle on which a ramp starts.
+#: Maximum plate periods of a cycle on which a ramp starts.
 MAX_START_PERIODS: Final = 12
 
 

@@ -42,7 +42,7 @@ LARGEST: Final = 1e6
 MAX_PERIODS: Final = 10_000_000
 MAX_KEEP: Final = 10_000
 
-#: Most lines of a ramp that starts on cycles; each cycle is sought on submission (5 ms).
+#: Maximum lines of a ramp that starts on cycles; each cycle is sought on submission (5 ms).
 MAX_STARTS: Final = 1_000
 
 #: Contact models that can start on a cycle of the spring.
@@ -73,7 +73,7 @@ MicroFlight = Annotated[
 SettleUntil = Annotated[
     Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None,
     Field(
-        description="Most plate periods of a cell, if it has not settled by then; null: no extension, "
+        description="Maximum plate periods of a cell, if it has not settled by then; null: no extension, "
         f"or {SETTLE_UNTIL:,} for an adaptive map."
     ),
 ]

@@ -13,7 +13,7 @@ from worker.spec.protocols import Rest
 from worker.spec.refine import Refine
 from worker.spec.sweep import SweepSpec
 
-#: Fewest values of a window along an axis.
+#: Minimum values of a window along an axis.
 FEWEST_VALUES: Final = 129
 
 #: Finest grid of a window, in multiples of the map's.

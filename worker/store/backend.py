@@ -39,7 +39,7 @@ ROOT: Final = "zarr.json"
 #: The folder, in a store, of files that are being written.
 PARTIAL: Final = ".partial"
 
-#: Most bytes of a file in a store; chunks have up to 96 MiB before compression.
+#: Maximum bytes of a file in a store; chunks have up to 96 MiB before compression.
 MAX_FILE_BYTES: Final = 2**30
 #: Errors of opening something that is no file: nothing, a link, a socket.
 _NO_FILE: Final = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENXIO)
