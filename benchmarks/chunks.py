@@ -65,7 +65,7 @@ def created(spec: SweepSpec, url: str) -> Plan:
 def compute(name: str, url: str, chunks: int) -> None:
     """Compute the first chunks of a sweep: what `files` traces."""
     spec = SweepSpec(**SWEEPS[name])
-    with tasks.on_terms(tasks.Terms(3600.0)):  # the first one compiles
+    with tasks.with_options(tasks.ChunkOptions(3600.0)):  # the first one compiles
         for chunk in list(created(spec, url))[:chunks]:
             run_task(spec, chunk, url)
 
@@ -152,12 +152,12 @@ def s3() -> None:
         for name, fields in SWEEPS.items():
             spec, url = SweepSpec(**fields), f"s3://results/{name.replace(' ', '-')}.zarr"
             plan = created(spec, url)
-            with tasks.on_terms(tasks.Terms(3600.0)):  # compiles
+            with tasks.with_options(tasks.ChunkOptions(3600.0)):  # compiles
                 run_task(spec, plan[0], url)
             counts, trips, kinds = [], [], Counter[str]()
             for chunk in list(plan)[1:9]:
                 before, began = len(counting.requests), time.perf_counter()
-                with tasks.on_terms(tasks.Terms(begins=True)):
+                with tasks.with_options(tasks.ChunkOptions(begins=True)):
                     run_task(spec, chunk, url)
                 trips.append((time.perf_counter() - began) / latency)
                 made = counting.requests[before:]

@@ -1,7 +1,7 @@
-"""Where the service of a data folder answers: a file in it, which commands of the same user read.
+"""The address of a data folder's service, in a file that commands of the same user read.
 
-The service holds a lock on the file: one that a killed service left says nothing. Imports the standard
-library only, because every command may look for a service.
+The service holds a lock on the file, so one left by a killed service does not count. Imports only the
+standard library, because every command may look for a service.
 """
 
 import fcntl
@@ -17,16 +17,16 @@ from service.tokens import opened_private, write_private
 #: The file of the data folder that holds the address of the service that runs on it.
 FILE_NAME: Final = "service.json"
 
-#: Addresses that mean every interface, and where such a service answers on its own machine.
+#: Addresses that mean every interface, and the local address of such a service.
 _EVERY: Final = {"http://0.0.0.0:": "http://127.0.0.1:", "http://[::]:": "http://[::1]:"}
 _MAX_BYTES: Final = 10_000
 
 
 @contextmanager
 def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
-    """A function that records the address of this process's service on `folder`; forgotten after the block.
+    """A function that records the address of this process's service on `folder`; removed after the block.
 
-    What cannot be written is left out: commands then do not find the service.
+    If it cannot be written, commands do not find the service.
     """
     with ExitStack() as recorded:
 
@@ -39,9 +39,9 @@ def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _recorded(path: Path, url: str) -> Iterator[None]:
-    for every, here in _EVERY.items():
-        if url.startswith(every):
-            url = here + url.removeprefix(every)
+    for wildcard, local in _EVERY.items():
+        if url.startswith(wildcard):
+            url = local + url.removeprefix(wildcard)
     held: list[IO[str]] = []
     write_private(path, json.dumps({"url": url}), before_replace=lambda file: held.append(_locked(file)))
     with held[0] as file:
@@ -61,7 +61,7 @@ def _locked(file: Path) -> IO[str]:
 
 
 def find(folder: Path) -> str | None:
-    """Where the service of this user on `folder` answers; None if none has recorded it that still runs."""
+    """The address of this user's running service on `folder`; None if there is none."""
     with suppress(OSError, ValueError, KeyError, TypeError), opened_private(folder / FILE_NAME) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

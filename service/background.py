@@ -1,4 +1,4 @@
-"""Processes that compute answers at a lower priority, beside a service that goes on answering requests.
+"""Processes that compute answers at a lower priority, while the service keeps answering requests.
 
 In the service's own process an answer that takes a second of Python would delay every other request, because
 one thread runs at a time, and it would take as much of the processors as a worker.
@@ -26,17 +26,17 @@ Result = TypeVar("Result")
 
 #: Added to the niceness of these processes: two of them take a tenth of two busy processors.
 NICER: Final = 10
-#: A process that holds more bytes after an answer ends, and gives back what the C library would keep. What
-#: answers of all kinds import and load takes 350 MB, and seconds of a processor in each new process.
+#: A process that uses more memory than this after an answer exits, returning the memory to the system. The
+#: imports and loads of all kinds of answers take 350 MB, and seconds of a processor in each new process.
 MOST_KEPT: Final = 448 * 2**20
-#: Bytes more than before after which a process tells the C library to return memory.
+#: Growth in bytes after which a process tells the C library to return memory.
 MUCH: Final = 16 * 2**20
-#: Seconds without work after which all processes end but one.
+#: Seconds without work after which all processes but one end.
 IDLE_SECONDS: Final = 20.0
 
 
 class Asker:
-    """Who waits for an answer. When it has left, the process that computes for it ends."""
+    """The client of an answer. When it has left, the process that computes for it ends."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -44,7 +44,7 @@ class Asker:
         self.left = False
 
     def run(self, work: Callable[[], Result]) -> Result:
-        """Run `work`, all of whose answers from `Processes` are for this asker."""
+        """Run `work`, whose answers from `Processes` are all for this client."""
         token = _ASKER.set(self)
         try:
             return work()
@@ -52,7 +52,7 @@ class Asker:
             _ASKER.reset(token)
 
     def leave(self) -> None:
-        """End what is being computed, and begin nothing more."""
+        """End the current computation, and begin no other."""
         with self._lock:
             self.left = True
             if self._process is not None:
@@ -60,7 +60,7 @@ class Asker:
 
     @contextmanager
     def waits_for(self, process: "_Process") -> Iterator[None]:
-        """During the block the process computes for this asker. Raises OSError if it has left."""
+        """During the block the process computes for this client. Raises OSError if it has left."""
         with self._lock:
             if self.left:
                 raise OSError("nobody waits for the answer")
@@ -76,17 +76,17 @@ _ASKER: Final[ContextVar[Asker | None]] = ContextVar("asker", default=None)
 
 
 class Background(Protocol):
-    """Where answers are computed. May be used from any thread."""
+    """Computes answers. May be used from any thread."""
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
-        """`function(*arguments)`, all of which can be pickled. Raises what it raises, and NotComputed."""
+        """`function(*arguments)`, which must be picklable. Raises its errors, and NotComputed."""
 
     def close(self) -> None:
-        """End what is being computed."""
+        """End all computations."""
 
 
 class InThisProcess:
-    """Computes in the thread of the caller: for tests, and for services of a single user."""
+    """Computes in the caller's thread: for tests, and for services of a single user."""
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         return function(*arguments)
@@ -97,15 +97,15 @@ class InThisProcess:
 class Processes:
     """At most `count` processes, each started when all others are busy; they end with this process.
 
-    One that holds more than `most_kept` bytes after an answer ends, and so do those that have had no work for
-    `idle_seconds`, all but one: the next answer need not wait for a process to start.
+    A process ends if it holds more than `most_kept` bytes after an answer, or, except for the last one, after
+    `idle_seconds` without work: the next answer need not wait for a process to start.
     """
 
     def __init__(self, count: int, *, most_kept: int = MOST_KEPT, idle_seconds: float = IDLE_SECONDS) -> None:
         self._most_kept, self._idle_seconds = most_kept, idle_seconds
         self._changed = threading.Condition()
         self._may_start = count
-        self._idle: list[tuple[float, _Process]] = []  # since when, the latest last
+        self._idle: list[tuple[float, _Process]] = []  # idle since, the latest last
         self._started: set[_Process] = set()
         self._closed = False
 
@@ -135,7 +135,7 @@ class Processes:
             process.end()
 
     def _take(self) -> "_Process":
-        """A process that is idle, or a new one. Raises OSError if none can be started."""
+        """An idle process or a new one. Raises OSError if none can be started."""
         with self._changed:
             self._changed.wait_for(lambda: self._idle or self._may_start or self._closed)
             if self._closed:
@@ -149,7 +149,7 @@ class Processes:
         return process
 
     def _put_back(self, process: "_Process | None", kept: int) -> None:
-        """Make the process, or the place of one that could not be started, free for others."""
+        """Free the process, or the place of one that could not be started."""
         with self._changed:
             if process is not None and kept <= self._most_kept and not self._closed:
                 self._idle.append((time.monotonic(), process))
@@ -194,17 +194,17 @@ class _Process:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_compute, args=(theirs,), name="bounce-answers", daemon=True)
-        # Ctrl-C is for the service; a process inherits what the thread blocks that starts it.
-        resource_tracker.ensure_running()  # which at its start would unblock it again
+        # Ctrl-C is for the service; a process inherits the signals blocked in the thread that starts it.
+        resource_tracker.ensure_running()  # starting it later would unblock Ctrl-C
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             self._process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-        theirs.close()  # so that either side notices when the other dies
+        theirs.close()  # so that each side notices the other's death
 
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any, int]:
-        """Whether it succeeded, the result or the exception, and the bytes that the process holds after it.
+        """Whether it succeeded, the result or the exception, and the memory of the process in bytes.
 
         Raises EOFError or OSError if it died.
         """
@@ -213,18 +213,18 @@ class _Process:
         return succeeded, value, self._connection.recv()
 
     def stop(self) -> None:
-        """Have it end soon; a thread that waits in `call` notices."""
+        """End it soon; a thread that waits in `call` notices."""
         self._process.terminate()
 
     def end(self) -> None:
-        with self._ending:  # two threads that close a connection may close a file of somebody else's
+        with self._ending:  # two threads closing a connection may close a foreign file
             self._process.terminate()
             self._process.join()
             self._connection.close()
 
 
 def _compute(connection: Connection) -> None:
-    """Compute what comes until the service ends."""
+    """Answer calls until the service ends."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.nice(NICER)
     if hasattr(os, "SCHED_BATCH"):  # Linux: they do not interrupt a worker that runs
@@ -239,7 +239,7 @@ def _compute(connection: Connection) -> None:
             os._exit(0)
         try:
             answer = (True, function(*arguments))
-        except Exception as error:  # noqa: BLE001 - raised again where it was called
+        except Exception as error:  # noqa: BLE001 - raised again in the caller
             answer = (False, error)
         try:
             connection.send(answer)
@@ -254,9 +254,9 @@ def _compute(connection: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process, whatever it computes, once the service has ended.
+    """End this process, whatever it computes, when the service has ended.
 
-    At once: on a busy machine a process of low priority would take many seconds to free what it has loaded.
+    At once: on a busy machine a process of low priority would take many seconds to free its memory.
     """
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -265,7 +265,7 @@ def _end_with_parent() -> None:
 
 
 def _bytes_held() -> int:
-    """Bytes of memory that this process holds; 0 where the system does not tell."""
+    """Memory of this process in bytes; 0 if the system does not report it."""
     try:
         resident = Path("/proc/self/statm").read_text().split()[1]
     except OSError:
@@ -274,7 +274,7 @@ def _bytes_held() -> int:
 
 
 def return_memory() -> None:
-    """Give what the C library keeps for later allocations back to the system, where it can."""
+    """Return the memory that the C library keeps for later allocations to the system, if possible."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

@@ -10,7 +10,7 @@
     ├── CrossOriginRefused     a web page of another origin sent the request
     ├── UnknownJob             no job has this id
     ├── NotInStore             a job's store has nothing under this key
-    ├── OutOfRange             the bytes that Range asks for are not there
+        ├── OutOfRange             the Range begins beyond the end
     ├── KeyReused              an Idempotency-Key was used before with another body
     ├── IllegalTransition      the job's state does not allow this
     ├── OutdatedJob            another kernel version computed it: this would mix two versions
@@ -19,11 +19,11 @@
     ├── TooManyListeners       too many event streams
     ├── NotComputed            no worker could compute the response
     ├── RunFailed              a study without a service could not be computed
-    ├── NotInstalled           what is asked for needs an extra of the package
+        ├── NotInstalled           an extra of the package is missing
     ├── NoSpace                no disk space for an export
     ├── ExportFailed           the process that writes an export has died
     ├── LedgerUnavailable      the ledger cannot be read or written at the moment
-    ├── NotAdoptable           a store cannot be taken in as a job
+        ├── NotAdoptable           a store cannot be adopted as a job
     └── NotStarted             the service cannot start; the text says why
         ├── DataFolderBusy     another service uses the data folder
         └── LedgerUnusable     a newer version wrote the ledger, or the file is no ledger
@@ -91,10 +91,10 @@ class NotInStore(ServiceError):
 
 
 class OutOfRange(ServiceError):
-    """What is under a key is shorter than the Range that was asked for; `size`: its bytes."""
+    """The Range begins beyond the end of the bytes under a key; `size`: their number."""
 
     def __init__(self, size: int) -> None:
-        super().__init__(f"the Range begins behind the {size} bytes that are there")
+        super().__init__(f"the range starts beyond the end ({size} bytes)")
         self.size = size
 
 
@@ -131,7 +131,7 @@ class RunFailed(ServiceError):
 
 
 class NotInstalled(ServiceError):
-    """What is asked for needs an extra of the package; the text says which, and how to install it."""
+    """An extra of the package is missing; the text names it and how to install it."""
 
 
 class NoSpace(ServiceError):
@@ -147,7 +147,7 @@ class LedgerUnavailable(ServiceError):
 
 
 class NotAdoptable(ServiceError):
-    """A store cannot be taken in as a job."""
+    """A store cannot be adopted as a job."""
 
 
 class NotStarted(ServiceError):

@@ -5,9 +5,9 @@
     sweep = run({"gamma": {"start": 0.5, "stop": 6, "num": 111}, "omega": 0.5, "xi": 0.26})
     sweep = run("sweep.toml", store="sweep.zarr")
 
-The jobs of the service compute it, in a data folder of their own and on threads of this process: kernels run
-without the interpreter's lock. So what is interrupted goes on where it stopped, and the stored bytes are
-those that a service would store.
+The service's jobs compute it, in their own data folder and on threads of this process: kernels run without
+the interpreter's lock. So an interrupted run continues where it stopped, and a service would store the same
+bytes.
 """
 
 import errno
@@ -40,15 +40,15 @@ if TYPE_CHECKING:
     from service.settings import Settings
     from service.views.view import Query
 
-#: Seconds between two looks at the job's progress.
+#: Seconds between two checks of the job's progress.
 LOOK_SECONDS: Final = 0.05
-#: Seconds that an interrupted run waits for its chunks to see that it was cancelled.
+#: Seconds that an interrupted run waits for its chunks to notice the cancel.
 CANCEL_SECONDS: Final = 0.8
 
-#: Seconds of compiling after which it is told.
+#: Announce compilation after this many seconds.
 MESSAGE_SECONDS: Final = 1.0
 
-#: Called with the job after every look at it.
+#: Called with the job after every check.
 ProgressCallback = Callable[[JobStatus], None]
 
 
@@ -59,17 +59,38 @@ def run(
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
 ) -> "xarray.Dataset":
-    """Compute a study and return its results: dims, coordinates and arrays of docs/specification.md.
+    """Compute a study and return its results.
 
-    `spec`: a mapping, a `worker.spec.SweepSpec`, or the path of a .json, .toml or .yaml file. `store`: a
-    folder to be made, the study's zarr store; the Dataset then reads values where they are used. Without one,
-    the results are held in memory. `workers`: threads that compute, by default one per core. `progress` as of
-    `Job.wait`.
+    An interrupted run leaves `STORE.partial`, where the same call continues.
 
-    An interrupted run leaves `STORE.partial`; the same call goes on there. A store of the same study that is
-    there already is returned: it appears once it is complete. Raises SpecError naming field and rule,
-    FileExistsError for a store of anything else, RunFailed if a chunk could not be computed, DataFolderBusy
-    while another process computes the same store.
+    Parameters
+    ----------
+    spec
+        A mapping, a `worker.spec.SweepSpec`, or the path of a .json, .toml or .yaml file.
+    store
+        Folder for the study's zarr store, which appears once complete; the Dataset then reads values when
+        they are used. A complete store of the same study is returned. Without a store, the results are held
+        in memory.
+    workers
+        Computing threads, by default one per core.
+    progress
+        As in `Job.wait`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Dims, coordinates and arrays of docs/specification.md.
+
+    Raises
+    ------
+    SpecError
+        Names field and rule.
+    FileExistsError
+        `store` exists and is not the store of this study.
+    RunFailed
+        A chunk could not be computed.
+    DataFolderBusy
+        Another process computes the same store.
     """
     import xarray
 
@@ -104,12 +125,35 @@ def run_to_file(
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
 ) -> JobStatus:
-    """Compute a sweep and write it to a file, which appears once it is complete; returns its job.
+    """Compute a study and write it to a file, which appears once complete.
 
-    `format`: one of `service.formats.EXPORTS` for all of it, or of a diagram's formats for every `every`-th
-    cell of a `line` of the grid: `along`, the values of the other axes, `direction` and `min_flight`, as of
-    `Job.diagram`. An interrupted run goes on as of `run`. Raises as `run`, and InvalidRequest for a line that
-    the sweep does not have, TooLarge, NoSpace.
+    An interrupted run continues as in `run`.
+
+    Parameters
+    ----------
+    spec, workers, progress
+        As in `run`.
+    output
+        Path of the file.
+    format
+        One of `service.formats.EXPORTS` for the whole study, or of a diagram's formats for a line of a sweep.
+    line
+        The diagram's line: `along`, the values of the other axes, `direction` and `min_flight`, as in
+        `Job.diagram`.
+    every
+        Write every n-th cell of the line.
+
+    Returns
+    -------
+    JobStatus
+        The job that computed the study.
+
+    Raises
+    ------
+    InvalidRequest
+        The sweep does not have the line.
+    TooLarge, NoSpace
+        Also raises the errors of `run`.
     """
     claim_kernels()
     from worker.spec import SweepSpec
@@ -151,7 +195,7 @@ def run_to_file(
 
 
 def _query(model: "type[Query]", fields: Mapping[str, Any]) -> "Query":
-    """The query with these parameters. Raises InvalidRequest naming the first that is wrong."""
+    """The query with these parameters. Raises InvalidRequest naming the first wrong one."""
     from pydantic import ValidationError
 
     try:
@@ -162,7 +206,7 @@ def _query(model: "type[Query]", fields: Mapping[str, Any]) -> "Query":
 
 
 def partial_of(output: Path) -> Path:
-    """The folder in which the study of an output is computed: results move from there once complete."""
+    """The folder that computes an output's study; complete results are moved from there."""
     return output.with_name(f"{output.name}.partial")
 
 
@@ -170,7 +214,7 @@ def partial_of(output: Path) -> Path:
 def computed(
     spec: Specification, folder: Path, *, workers: int | None = None, progress: bool | ProgressCallback = True
 ) -> "Iterator[tuple[JobRecord, PreparedJob]]":
-    """The job of a study, done, in the data folder `folder`, which is made and kept. Raises as `run`."""
+    """A study's done job, in the data folder `folder`, which is created and kept. Raises as `run`."""
     claim_kernels()
     from service.jobs.manager import JobManager
     from service.jobs.stores.adoption import open_ledger
@@ -196,7 +240,7 @@ def computed(
 
 
 def _check_folder(ledger: "Ledger", spec: Any, folder: Path) -> None:
-    """Raise FileExistsError if another study was begun in the folder: its results would be removed."""
+    """Raise FileExistsError for a folder with another study, whose results would be removed."""
     with ledger.reading() as reading:
         others = [job for job in reading.newest(None, 2) if json.loads(job.spec) != spec.as_submitted()]
     if others:
@@ -206,12 +250,12 @@ def _check_folder(ledger: "Ledger", spec: Any, folder: Path) -> None:
 
 
 def cores() -> int:
-    """The cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _settings(folder: Path) -> "Settings":
-    """Of a data folder that no service listens for, whatever BOUNCE_* variables say."""
+    """The default settings for a data folder, ignoring BOUNCE_* variables."""
     from service.settings import Settings
 
     fields = {
@@ -232,7 +276,7 @@ def claim_kernels() -> None:
 
 
 def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
-    """Compile in one thread, rather than in all workers at once; this one can be interrupted meanwhile."""
+    """Compile in one interruptible thread rather than in all workers at once."""
     from worker.spec import SweepSpec
     from worker.tasks import compile_for
 
@@ -246,7 +290,7 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
         except BaseException as error:  # noqa: BLE001 - raised again below
             failures.append(error)
 
-    # In a thread: the compiler does not return to Python for seconds, and an exception may be lost in it.
+    # In a thread: the compiler blocks Python for seconds, and may lose an exception.
     thread = threading.Thread(target=compile_it, name="compile", daemon=True)
     shown = display_elapsed(_compiling, after=MESSAGE_SECONDS) if progress is True else nullcontext()
     with shown:
@@ -257,7 +301,7 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
 
 
 def _compiling() -> str:
-    """What is compiled at present."""
+    """A message about the current compilation."""
     from kernel.numerics.compilation import compilations
 
     kernel = next((compilation.kernel for compilation in compilations()), "the last one")
@@ -265,7 +309,7 @@ def _compiling() -> str:
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:
-    """Whether `target` is the store of the study: it appears there once it is complete.
+    """Whether `target` is the study's store, which appears there once complete.
 
     Raises FileExistsError if it is anything else.
     """
@@ -326,7 +370,7 @@ def _status(record: "JobRecord") -> JobStatus:
 def _cancelled_on_error(
     manager: "JobManager", find: "Callable[[str], JobRecord | None]", job_id: str
 ) -> Iterator[None]:
-    """Cancel the job if the block is interrupted, so that its chunks stop; what is stored stays."""
+    """Cancel the job if the block is interrupted, so that its chunks stop; stored results stay."""
     from service.errors import IllegalTransition, UnknownJob
     from service.jobs.model import UNFINISHED
 

@@ -20,7 +20,7 @@ from worker.cost import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, DEFAULT_MAX_CORE_S
 from worker.plan import LONGEST_SECONDS
 
 Port = Annotated[int, Field(ge=0, le=65535)]
-#: The upper limits are what the system's clocks and SQLite can represent.
+#: The upper limits are those of the system's clocks and SQLite.
 Positive = Annotated[float, Field(gt=0, le=1e9)]
 Count = Annotated[int, Field(ge=1, le=2**62)]
 
@@ -137,17 +137,17 @@ class Settings(BaseSettings):
     window: Count = Field(2, description="Chunks in flight per worker; chunks of larger jobs do not count.")
     window_seconds: Annotated[float, Field(ge=0, le=1e9)] = Field(
         0.5,
-        description="Core-seconds in flight per worker, where that is more chunks than `window`.",
+        description="Core-seconds in flight per worker, if that is more chunks than `window`.",
     )
     longest_chunk_seconds: Positive = Field(
         LONGEST_SECONDS,
-        description="Longest chunk, in estimated core-seconds, of jobs with more than 15,000 of 0.75 s.",
+        description="Longest chunk, in estimated core-seconds, in jobs above 15,000 chunks of 0.75 s.",
     )
     chunk_tries: Count = Field(3, description="Tries of a chunk before it is given up.")
     chunk_seconds: Positive = Field(
         60.0, description="Seconds that any chunk may take before its worker is replaced."
     )
-    # One cell may cost 150 times what the table of costs says.
+    # One cell may cost 150 times its value in the table of costs.
     chunk_slack: Positive = Field(
         300.0,
         description="Limit on a chunk's time in multiples of its longest estimate, if that is above "
@@ -162,21 +162,21 @@ class Settings(BaseSettings):
     @field_validator("allowed_hosts", mode="before")
     @classmethod
     def _split_hosts(cls, value: Any) -> Any:
-        """Split a text at its commas, as an environment variable gives it."""
+        """Split an environment variable's text at its commas."""
         names = value.split(",") if isinstance(value, str) else value
         return frozenset(str(name).strip().lower() for name in names) - {""}
 
     @field_validator("cors_origins", mode="before")
     @classmethod
     def _split_origins(cls, value: Any) -> Any:
-        """Split a text at its commas. Raises ValueError for what no browser sends as an origin."""
+        """Split a text at its commas. Raises ValueError for an origin that no browser sends."""
         origins = value.split(",") if isinstance(value, str) else value
-        found = frozenset(str(origin).strip().lower().rstrip("/") for origin in origins) - {""}
-        for origin in found:
+        accepted = frozenset(str(origin).strip().lower().rstrip("/") for origin in origins) - {""}
+        for origin in accepted:
             parts = urlsplit(origin)
             if f"{parts.scheme}://{parts.netloc}" != origin or parts.scheme not in ("http", "https"):
                 raise ValueError(f"{origin[:80]}: an origin is http(s)://HOST or http(s)://HOST:PORT")
-        return found
+        return accepted
 
     @field_validator("scheduler")
     @classmethod
@@ -239,26 +239,26 @@ class Settings(BaseSettings):
 
     @property
     def makes_token(self) -> bool:
-        """Whether the service makes its token itself."""
+        """Whether the service creates its token itself."""
         return self.token is not None and self.token.get_secret_value() == tokens.AUTO
 
     def access_tokens(self) -> dict[str, str | None]:
-        """The names of all tokens that callers may send, by token; empty if none is required.
+        """The names of all accepted tokens, by token; empty if none is required.
 
-        Reads `token_file`. `auto` must have been replaced by the token that was made. Raises NotStarted.
+        Reads `token_file`. `auto` must have been replaced by the created token. Raises NotStarted.
         """
         if self.makes_token:
             raise NotStarted("token: auto is not replaced by a token")
-        found: dict[str, str | None] = {}
+        accepted: dict[str, str | None] = {}
         if self.token_file is not None:
             try:
                 named = tokens.read_tokens(self.token_file, private=self.private)
             except tokens.TokenFileUnusable as error:
                 raise NotStarted(f"token_file: {error}") from error
-            found |= {token: name for name, token in named.items()}
+            accepted |= {token: name for name, token in named.items()}
         if self.token is not None:
-            found.setdefault(self.token.get_secret_value(), None)
-        return found
+            accepted.setdefault(self.token.get_secret_value(), None)
+        return accepted
 
     @property
     def hosts(self) -> frozenset[str]:
@@ -278,14 +278,14 @@ class Settings(BaseSettings):
 
     @property
     def folders(self) -> tuple[Path, ...]:
-        """The folders of this machine that hold data: of the ledger, and of the stores."""
+        """Folders on this machine that hold data: of the ledger, and of the stores."""
         stores = self.data / "stores" if self.stores is None else Path(self.stores)
         in_bucket = self.stores is not None and store.in_bucket(self.stores)
         return (self.data,) if in_bucket else (self.data, stores)
 
     @property
     def stores_url(self) -> str:
-        """The folder of the stores, as an absolute path, or the prefix of their bucket."""
+        """The folder of the stores, as an absolute path, or their bucket prefix."""
         if self.stores is not None and store.in_bucket(self.stores):
             return self.stores.rstrip("/")
         folder = self.data / "stores" if self.stores is None else Path(self.stores)
@@ -297,7 +297,7 @@ class Settings(BaseSettings):
 
 
 def is_loopback(host: str) -> bool:
-    """Whether `host` is an address that only this machine can reach."""
+    """Whether only this machine can reach the address `host`."""
     try:
         return ip_address(host).is_loopback
     except ValueError:

@@ -1,7 +1,7 @@
-"""Access tokens: their rule, files of named ones, and the token that a service makes for its own user.
+"""Access tokens: their rule, files of named ones, and the token that a service creates for its own user.
 
 A service with `token=auto` keeps its token in a file of the data folder, where clients of the same user find
-it. Imports the standard library only, because clients do.
+it. Imports only the standard library, because clients do.
 """
 
 import errno
@@ -16,14 +16,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Final, NamedTuple
 
-#: In place of a token: the service makes one, its clients look for it.
+#: Replaces a token: the service creates one, its clients look for it.
 AUTO: Final = "auto"
 
 #: Characters of an access token; a shorter one could be guessed.
 MIN_LENGTH: Final = 16
 RULE: Final = f"must be at least {MIN_LENGTH} ASCII characters without spaces"
 
-#: The file of the data folder that holds a token which the service has made.
+#: The file of the data folder with the token that the service has created.
 FILE_NAME: Final = "token.json"
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
@@ -36,19 +36,19 @@ class TokenFileUnusable(Exception):
 
 
 class OwnToken(NamedTuple):
-    """A token that a service made, and the port on which the service listens; None while it does not run."""
+    """A token created by a service, and the service's port; None while it does not run."""
 
     token: str
     port: int | None
 
 
 def is_valid(token: str) -> bool:
-    """Whether a text keeps the rule of access tokens."""
+    """Whether a text follows the rule of access tokens."""
     return len(token) >= MIN_LENGTH and token.isascii() and token.isprintable() and " " not in token
 
 
 def read_tokens(path: Path, *, private: bool) -> dict[str, str]:
-    """The tokens of a file by name. Each line is `NAME: TOKEN`; empty lines and `#` comments do not count.
+    """The tokens of a file by name. Each line is `NAME: TOKEN`; empty lines and `#` comments are ignored.
 
     `private`: the file must be closed to other users. Raises TokenFileUnusable.
     """
@@ -79,7 +79,7 @@ def read_tokens(path: Path, *, private: bool) -> dict[str, str]:
 
 
 def _problem(name: str, token: str, tokens: dict[str, str]) -> str | None:
-    """The rule that a line breaks. Names the name, which is no secret, unless it may be a token."""
+    """The rule that a line breaks. Quotes the name, which is no secret, unless it may be a token."""
     if not token:
         return "must be NAME: TOKEN"
     if not _NAME.fullmatch(name):
@@ -94,9 +94,9 @@ def _problem(name: str, token: str, tokens: dict[str, str]) -> str | None:
 
 
 def own_token(folder: Path, port: int | None) -> str:
-    """The token that the service of this data folder has made, or a new one; records the service's `port`.
+    """The token that this data folder's service has created, or a new one; records the service's `port`.
 
-    The file is for this user alone. Raises OSError.
+    Only this user can read the file. Raises OSError.
     """
     kept = _read_own(folder)
     token = secrets.token_urlsafe(32) if kept is None else kept.token
@@ -108,14 +108,14 @@ def find_token(port: int, folder: Path | None = None) -> str | None:
     """The token of this user's own service on `port` of this machine; None if there is no such service.
 
     Looks in the data folder, by default BOUNCE_DATA or ./bounce-data. A token is sent to no other service,
-    and a file of another user does not count.
+    and another user's file is ignored.
     """
     found = _read_own(folder or data_folder())
     return found.token if found is not None and found.port == port else None
 
 
 def data_folder() -> Path:
-    """Where clients look for a token: BOUNCE_DATA, by default ./bounce-data."""
+    """The folder where clients look for a token: BOUNCE_DATA, by default ./bounce-data."""
     return Path(os.environ.get("BOUNCE_DATA") or "bounce-data")
 
 
@@ -139,8 +139,8 @@ def write_private(
 
 @contextmanager
 def opened_private(path: Path) -> Iterator[IO[str]]:
-    """A file that `write_private` wrote, to read it. Raises OSError, also if others could have written it."""
-    # Not blocked by a pipe that somebody has put in its place.
+    """Open a file that `write_private` wrote. Raises OSError, also if others could have written it."""
+    # Do not block on a pipe in its place.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
     with open(descriptor, encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
         status = os.fstat(descriptor)
@@ -150,7 +150,7 @@ def opened_private(path: Path) -> Iterator[IO[str]]:
 
 
 def _read_own(folder: Path) -> OwnToken | None:
-    """What the file of the folder holds; None if there is none that a service of this user wrote."""
+    """The contents of the folder's file; None if no service of this user has written one."""
     with suppress(OSError, ValueError, KeyError, TypeError), opened_private(folder / FILE_NAME) as file:
         content = json.loads(file.read(_MAX_BYTES))
         token, port = content["token"], content["port"]

@@ -14,19 +14,19 @@ from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import Problem, SpecTooLarge
 from worker.spec.refine import Refine
 
-#: Limits on one sweep where the settings of a service set no others.
+#: Limits on one sweep; the settings of a service may set others.
 DEFAULT_MAX_CELLS: Final = 20_000_000
 DEFAULT_MAX_BYTES: Final = 32 * 2**30
-#: Six days of two cores. All cells that a sweep may have, at the default window, take a hundredth of it.
+#: Six days of two cores. The largest sweep allowed, at the default window, takes a hundredth of it.
 DEFAULT_MAX_CORE_SECONDS: Final = 1e6
 
-#: Share of the cells that still settle at the end of their window, and of those the share that still do each
-#: time the periods have been doubled: of 24,000 random cells 5.3% after 300 periods, 1.9% after 600, 0.7%
+#: Share of the cells that still settle at the end of their window, and the share of those that still do after
+#: each doubling of the periods: of 24,000 random cells 5.3% after 300 periods, 1.9% after 600, 0.7%
 #: after 1,200, 0.2% after 2,400 (`python -m benchmarks.settling`).
 SETTLING_SHARE: Final = 0.053
 STILL_SETTLING_SHARE: Final = 0.35
 
-#: Share of the cells whose window shows no mode, and which are followed beyond it: of 24,000 random ones.
+#: Share of the cells whose window shows no mode and which are followed beyond it, of 24,000 random cells.
 FOLLOWED_SHARE: Final = 0.25
 
 #: Cost of a cell with Lyapunov exponents relative to one without, both computed one by one, at most
@@ -34,18 +34,18 @@ FOLLOWED_SHARE: Final = 0.25
 WITH_EXPONENTS: Final = 1.5
 
 
-#: Shares of an adaptive map's cells that are computed, at least and at most, where it has REFINED_SIDE rows
-#: and columns: measured 0.2% to 0.9% by bouncing and 15% to 26% by mode at three xi (`python -m
+#: Least and largest share of an adaptive map's cells that are computed, for REFINED_SIDE rows and columns:
+#: measured 0.2% to 0.9% by bouncing and 15% to 26% by mode at three xi (`python -m
 #: benchmarks.adaptive`). Windows on their finest parts have more.
 REFINED_SHARE: Final = {"bouncing": (0.001, 0.03), "mode": (0.02, 0.30)}
 REFINED_SIDE: Final = 1025
-#: Finer grids compute a smaller share: as the reciprocal of the rows to this power, by the dimension of the
-#: boundaries, 1 of that of bouncing, about 1.3 of those of modes.
+#: The share falls with the number of rows as its reciprocal to this power, which follows from the dimension
+#: of the boundaries: 1 for bouncing, about 1.3 for modes.
 REFINED_POWER: Final = {"bouncing": 1.0, "mode": 0.7}
-#: With a margin, this many times the cells at most.
+#: With a margin, at most this many times the cells.
 REFINED_MARGIN: Final = 2.0
-#: A refined cell takes this many times as long as one of a full grid, at most: boundaries are where cells
-#: settle slowly, and settling and chaotic cells are computed rather than filled in.
+#: A refined cell takes at most this many times as long as one of a full grid: cells settle slowly near
+#: boundaries, and settling and chaotic cells are computed rather than filled in.
 REFINED_SECONDS: Final = 3.0
 #: Core-seconds that storing a tile takes, however few of its cells are computed.
 TILE_SECONDS: Final = 0.03
@@ -56,23 +56,23 @@ class Cost(Strict):
 
     cells: int
     chunks: int
-    bytes: int = Field(description="of stored arrays before compression; of an adaptive map at most")
-    core_seconds: float = Field(description="of an adaptive map at most")
+    bytes: int = Field(description="of stored arrays before compression; an upper limit for an adaptive map")
+    core_seconds: float = Field(description="an upper limit for an adaptive map")
     computed_cells: tuple[int, int] | None = Field(
-        None, description="of an adaptive map, as a rule: cells that are computed, at least and at most"
+        None, description="adaptive maps: range of the cells usually computed"
     )
-    least_core_seconds: float | None = Field(None, description="of an adaptive map at least; null of others")
+    least_core_seconds: float | None = Field(None, description="adaptive maps: lower limit; null for others")
     longest_core_seconds: float | None = Field(
-        None, description="if every cell settled until settle_until; null without it"
+        None, description="if every cell settles until settle_until; null without it"
     )
     basis: Literal["measured", "table"] = Field(
-        "table", description="measured: by the speed of this service's last jobs with the same contact model"
+        "table", description="measured: from this service's last jobs with the same contact model"
     )
-    workers: int = Field(0, description="tasks that the service's workers run at once, now")
+    workers: int = Field(0, description="tasks that the service's workers can run at once now")
 
 
 def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
-    """Core-seconds per cell of a sweep, from the table of contact models, on average.
+    """Mean core-seconds per cell of a sweep, from the table of contact models.
 
     alone: as in `period_seconds`.
     """
@@ -85,15 +85,15 @@ def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
 
 
 def longest_cell_seconds(spec: SweepSpec) -> float:
-    """Core-seconds of a cell of a sweep that settles until settle_until, from the table of contact models."""
+    """Core-seconds of a cell that settles until settle_until, from the table of contact models."""
     windows = [spec.settle + spec.observe, *_extensions(spec)]
     return period_seconds(spec) * sum(added + periods_followed(spec.observe) for added in windows)
 
 
 def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
-    """Core-seconds per cell of a sweep and plate period that is computed, from the table of contact models.
+    """Core-seconds per cell and computed plate period of a sweep, from the table of contact models.
 
-    alone: of a cell that is computed by itself, as those of a refinement.
+    alone: for a cell computed by itself, as in a refinement.
     """
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     model = CONTACT_MODELS[spec.model.kind]
@@ -120,7 +120,7 @@ def lines_of(spec: SweepSpec) -> int:
 
 
 def _extensions(spec: SweepSpec) -> Iterator[int]:
-    """The plate periods that a cell still settling adds each time, as in `kernel.cell.extend`."""
+    """Plate periods of each extension of a cell that is still settling, as in `kernel.cell.extend`."""
     taken = spec.settle + spec.observe
     while (added := min(taken, (spec.settle_until or 0) - taken)) >= spec.observe:
         yield added
@@ -128,9 +128,9 @@ def _extensions(spec: SweepSpec) -> Iterator[int]:
 
 
 def estimate(spec: SweepSpec, chunks: int) -> Cost:
-    """Cost of a sweep that is cut into `chunks` chunks, from the table of contact models.
+    """Cost of a sweep cut into `chunks` chunks, from the table of contact models.
 
-    Of an adaptive map, which turns out only as it is computed, the most that such maps take as a rule.
+    An adaptive map is known only once computed: its cost is the most that such maps usually take.
     """
     if spec.refine is not None:
         return _estimate_map(spec, spec.refine, chunks)
@@ -160,7 +160,7 @@ def _estimate_map(spec: SweepSpec, refine: Refine, chunks: int) -> Cost:
 
 
 def computed_shares(spec: SweepSpec, refine: Refine) -> tuple[float, float]:
-    """Shares of an adaptive map's cells that are computed as a rule, at least and at most."""
+    """Least and largest share of an adaptive map's cells that are usually computed."""
     _, _, omegas, gammas = spec.shape
     side = math.sqrt(omegas * gammas)
     finer = (REFINED_SIDE / side) ** REFINED_POWER[refine.by]
@@ -178,7 +178,7 @@ def check_size(
 ) -> None:
     """Raise `SpecTooLarge` for more cells, stored bytes before compression, or core-seconds than these.
 
-    Of an adaptive map the cells that are computed count, and of each range the upper end.
+    An adaptive map is counted by its computed cells, a range by its upper end.
     """
     cells, computed = (
         (cost.cells, "") if cost.computed_cells is None else (cost.computed_cells[1], "computed ")

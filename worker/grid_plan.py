@@ -1,4 +1,4 @@
-"""Division of a grid of cells into chunks that do not wait for one another, for studies other than sweeps."""
+"""Division of a grid of cells into independent chunks, for studies other than sweeps."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -11,7 +11,7 @@ from worker.plan import Span
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A block of cells: half-open index spans along each cell dimension. None waits for another."""
+    """A block of cells: half-open index spans along each cell dimension. Blocks are independent."""
 
     index: int
     spans: tuple[Span, ...]
@@ -81,7 +81,7 @@ class GridPlan(Sequence[Block]):
         return Block(index, tuple(reversed(spans)))
 
     def number(self, *coords: int) -> int:
-        """Index of the chunk at these coordinates of the grid of chunks."""
+        """Index of the chunk at these coordinates in the grid of chunks."""
         index = 0
         for coord, count in zip(coords, self.counts, strict=True):
             index = index * count + coord

@@ -1,8 +1,8 @@
 """Where compiled kernels are kept: ROOT/DIGEST, shared by all processes of this user.
 
 DIGEST identifies the kernel's sources and the compiler. ROOT is the argument of `use_cache`, else
-`NUMBA_CACHE_DIR`, else `bouncing-spring` in the user's cache folder. Whoever can write to ROOT decides what
-code runs here, so it is made for this user alone, and one that others own or can write to is refused.
+`NUMBA_CACHE_DIR`, else `bouncing-spring` in the user's cache folder. Anyone who can write to ROOT decides
+what code runs here, so it is created for this user alone and refused if others own it or can write to it.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ _OLD_SECONDS: Final = 14 * 24 * 3600
 
 
 class CacheRefused(Exception):
-    """Other users could have written the compiled kernels; the text says where, and what to do."""
+    """Other users could have written the compiled kernels; the text says where and what to do."""
 
 
 #: The folder that this process uses.
@@ -33,12 +33,12 @@ _chosen: list[Path] = []
 
 
 def use_cache(root: str | Path | None = None) -> Path:
-    """Have this process read compiled kernels from the cache and add to it; returns the folder.
+    """Make this process use the cache of compiled kernels; returns the folder.
 
     Called again, returns the same folder. Raises CacheRefused, or ModuleNotFoundError if there is no kernel.
     """
     if not _chosen:
-        folder = _made(Path(root) if root else default_root())
+        folder = _cache_folder(Path(root) if root else default_root())
         from kernel.numerics.compilation import set_cache  # noqa: PLC0415 - imports numba
 
         set_cache(folder)
@@ -47,7 +47,7 @@ def use_cache(root: str | Path | None = None) -> Path:
 
 
 def default_root() -> Path:
-    """The folder of all caches if the caller names none."""
+    """The folder of all caches by default."""
     if configured := os.environ.get(_VARIABLE):
         return Path(configured)
     return Path(os.environ.get("XDG_CACHE_HOME") or _home() / ".cache") / "bouncing-spring"
@@ -56,11 +56,11 @@ def default_root() -> Path:
 def _home() -> Path:
     try:
         return Path.home()
-    except RuntimeError:  # a user without an entry in the password database, as in containers
+    except RuntimeError:  # in a container the user may have no entry in the password database
         return Path(tempfile.mkdtemp(prefix="bouncing-spring-"))
 
 
-def _made(root: Path) -> Path:
+def _cache_folder(root: Path) -> Path:
     """The folder of this kernel's cache in `root`, or in a temporary folder where that cannot be written."""
     digest = _digest()
     try:
@@ -88,16 +88,16 @@ def _check(root: Path) -> None:
 
 
 def _make(folder: Path) -> None:
-    """Make a folder, and those above it that are missing, for this user alone."""
+    """Create a folder and its missing parents, for this user alone."""
     if not folder.parent.exists():
         _make(folder.parent)
     folder.mkdir(PRIVATE_FOLDER, exist_ok=True)
 
 
 def _remove_old(root: Path, keep: Path) -> None:
-    """Remove the caches of other kernel sources that were last used two weeks ago or earlier."""
+    """Remove the caches of other kernel sources unused for two weeks."""
     for used in root.glob(f"*/{_USED}"):
-        with suppress(OSError):  # another process removes it
+        with suppress(OSError):  # another process may remove it
             if used.parent != keep and time.time() - used.stat().st_mtime > _OLD_SECONDS:
                 shutil.rmtree(used.parent, ignore_errors=True)
 

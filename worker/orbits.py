@@ -1,7 +1,7 @@
-"""The study `orbits`: cycles in closed form on a whole grid of springs, and the events on their branches.
+"""The study `orbits`: cycles in closed form on a grid of springs, and the events on their branches.
 
-Of the rigid contact without restitution. A cell is a spring, one (xi, omega). Its branches are the modes that
-the specification names, each on a number of points that is the same for all cells.
+For the rigid contact without restitution. A cell is a spring, one (xi, omega). Its branches are the modes in
+the specification, each with the same number of points in all cells.
 """
 
 import math
@@ -28,15 +28,15 @@ from worker.spec.errors import BrokenRuleError, describe
 from worker.spec.specification import Specification
 from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport, report_of
 
-#: Modes of one specification or answer, and plate periods of one mode.
+#: Maximum modes of a specification or an answer, and maximum plate periods of a mode.
 MAX_MODES: Final = 6
 MAX_PERIODS: Final = 12
 
-#: Flight times on which a branch is looked at, at most: below Omega = 0.04 or so a branch of one period needs
-#: more, and the cost grows with their square, to 0.4 s at this limit.
+#: Maximum flight times per branch. Below Omega = 0.04 or so a branch of one period needs more, and the cost
+#: grows with their square, to 0.4 s at this limit.
 MAX_GRID: Final = 2_000
 
-#: Points of a branch and events of a cell that are stored, at most.
+#: Maximum stored points of a branch and maximum stored events of a cell.
 MAX_POINTS: Final = 1_000
 MAX_EVENTS: Final = 1_000
 
@@ -58,13 +58,13 @@ class Mode(NamedTuple):
 
 
 def read_mode(text: str) -> Mode:
-    """A mode of one bounce. Raises BrokenRuleError."""
+    """Parse a mode of one bounce. Raises BrokenRuleError."""
     match = _MODE.fullmatch(text)
     if match is None:
         raise BrokenRuleError("", f"must be like 1-2 (bounces-periods), not {describe(text)}")
     mode = Mode(int(match[1]), int(match[2]))
     if mode.bounces != 1:
-        rule = "must be of one bounce, as 1-1 and 1-2: others follow from the cells of a sweep"
+        rule = "must have one bounce, as 1-1 or 1-2: other modes are found from the cells of a sweep"
         raise BrokenRuleError("", f"{rule}, not {mode}")
     if mode.periods > MAX_PERIODS:
         raise BrokenRuleError("", f"must have at most {MAX_PERIODS} periods, not {mode.periods}")
@@ -72,7 +72,7 @@ def read_mode(text: str) -> Mode:
 
 
 def check_modes(modes: Sequence[Mode]) -> None:
-    """Raise BrokenRuleError for too many modes, or one twice."""
+    """Raise BrokenRuleError for too many or repeated modes."""
     if len(set(modes)) < len(modes):
         raise BrokenRuleError("", "must not name a mode twice")
     if not 1 <= len(modes) <= MAX_MODES:
@@ -80,9 +80,9 @@ def check_modes(modes: Sequence[Mode]) -> None:
 
 
 def grid_points(omega: NDArray[np.float64], periods: int, points: int) -> NDArray[np.float64]:
-    """About how many flight times a branch takes at omega (n,), where the spring is not damped.
+    """Approximate number of flight times of a branch at each omega (n,), for an undamped spring.
 
-    As `kernel.branches.events.flight_times`: fewer with damping, but for those near both ends.
+    See `kernel.branches.events.flight_times`; fewer with damping, except near both ends.
     """
     rate = 1.0 + (1.0 + math.sqrt(2.0)) / omega
     return np.maximum(2.0 * math.pi * periods * rate / 0.2, points)
@@ -107,13 +107,13 @@ Modes = Annotated[
 
 
 class Orbits(Strict):
-    """The protocol, whose kind chooses the study."""
+    """The protocol; its kind selects the study."""
 
     kind: Literal["orbits"]
 
 
 class OrbitsSpec(Specification):
-    """A grid of springs, the modes whose branches are computed, and the length of the records.
+    """A grid of springs, the modes of the branches, and the length of the records.
 
     `OrbitsSpec(omega=..., xi=..., protocol=...)` raises `SpecInvalid`, which names each field and rule.
     """
@@ -151,7 +151,7 @@ class OrbitsSpec(Specification):
 
 
 def make_plan(spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
-    """Chunks of `chunk_shape` cells along (xi, omega), or of about a second of work: rows of omega.
+    """Chunks of `chunk_shape` cells along (xi, omega); by default rows of omega, about a second of work.
 
     Raises ValueError for a size below 1.
     """
@@ -287,19 +287,19 @@ def _empty_record(spec: OrbitsSpec, chunk: Block) -> dict[str, NDArray[Any]]:
 
 def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[Any]]) -> None:
     """Fill in one cell: arrays (1, ...) of a record."""
-    found: list[Events] = []
+    events_of_branches: list[Events] = []
     try:
         for row, mode in enumerate(spec.cycles):
             branch, events = branch_and_events(omega, xi, mode.periods, max(GRID, spec.points))
             _put_branch(branch, row, spec, cell)
-            found.append(events)
+            events_of_branches.append(events)
     except KernelInputError:  # an undamped spring at resonance
         cell["outcome"][0] = Outcome.UNRESOLVED
         return
-    inside = [events.gamma <= spec.gamma_max for events in found]
+    inside = [events.gamma <= spec.gamma_max for events in events_of_branches]
     cell["event_count"][0] = sum(int(rows.sum()) for rows in inside)
     at = 0
-    for events, rows in zip(found, inside, strict=True):
+    for events, rows in zip(events_of_branches, inside, strict=True):
         for i in np.flatnonzero(rows)[: spec.events - at]:
             cell["event_kind"][0, at] = 1 + _KINDS.index(Kind(events.kind[i]))
             for name in ("gamma", "bounces", "periods", "flight_time", "admissible"):
@@ -309,8 +309,8 @@ def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[
 
 
 def _put_branch(branch: Branch, row: int, spec: OrbitsSpec, cell: dict[str, NDArray[Any]]) -> None:
-    """Fill in one branch, thinned to the points there are room for."""
-    kept = _kept(branch.gamma <= spec.gamma_max, spec.points)
+    """Fill in one branch, thinned to the available points."""
+    kept = _stored_rows(branch.gamma <= spec.gamma_max, spec.points)
     to = np.flatnonzero(kept >= 0)
     rows = kept[to]
     for name in ("gamma", "flight_time", "takeoff_phase", "elongation", "elongation_velocity",
@@ -320,10 +320,10 @@ def _put_branch(branch: Branch, row: int, spec: OrbitsSpec, cell: dict[str, NDAr
         cell[name][0, row, to] = branch.multiplier[rows, i]
 
 
-def _kept(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
-    """Which rows of a branch are stored: indices (m,), m <= points, with -1 between its parts.
+def _stored_rows(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
+    """Rows of a branch to store: indices (m,), m <= points, with -1 between its parts.
 
-    The first and the last row are, and both ends of every part if all rows fit.
+    Includes the first and last row, and both ends of every part if they fit.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]))).reshape(-1, 2)
     parts: list[NDArray[np.intp]] = []
@@ -335,7 +335,7 @@ def _kept(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
     gaps = np.flatnonzero(order < 0)
     even = np.unique(np.concatenate([gaps, np.linspace(0, len(order) - 1, points).round().astype(np.intp)]))
     surplus = len(even) - points
-    if surplus > 0:  # gaps come on top: rows give way
+    if surplus > 0:  # gaps take the place of rows
         rows = np.flatnonzero(order[even] >= 0)[1:-1]
         even = np.delete(even, rows[np.linspace(0, len(rows) - 1, surplus).round().astype(np.intp)])
     return np.asarray(order[even])

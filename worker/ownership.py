@@ -11,7 +11,7 @@ from typing import Final
 
 log = logging.getLogger(__name__)
 
-#: Permissions of group and others, and of these the one to write.
+#: Permissions of group and others, and their permission to write.
 _OTHERS: Final = 0o077
 _OTHERS_WRITE: Final = 0o022
 #: The permissions of a folder, and of a file, for one user alone.
@@ -20,25 +20,25 @@ PRIVATE_FILE: Final = 0o600
 
 
 class NotOurs(Exception):
-    """Another user owns a file or folder, or can write to it; the text names it and says what to do."""
+    """Another user owns a file or folder, or can write to it; the text names it and the remedy."""
 
 
 def make_private(folder: Path) -> None:
-    """Make a folder that only this user can enter, or close one that exists, with a warning.
+    """Create a folder that only this user can enter; an existing one is closed, with a warning.
 
-    Raises NotOurs if another user owns it or has put something into it, OSError.
+    Raises NotOurs if another user owns it or something in it, and OSError.
     """
     folder.mkdir(PRIVATE_FOLDER, parents=True, exist_ok=True)
     status = folder.stat()
     if not _is_ours(status):
-        raise NotOurs(f"{folder} belongs to another user, who could change what is in it")
+        raise NotOurs(f"{folder} belongs to another user, who could change its contents")
     mode = stat.S_IMODE(status.st_mode)
     if not mode & _OTHERS:
         return
     try:
         folder.chmod(mode & ~_OTHERS)
         log.warning("%s was open to other users of this machine (mode %04o); it is closed now", folder, mode)
-    except PermissionError:  # root's, as the volume of a container can be
+    except PermissionError:  # owned by root, as a container's volume can be
         log.warning("%s is open to other users of this machine (mode %04o)", folder, mode)
     if mode & _OTHERS_WRITE:
         for path in folder.iterdir():
@@ -47,10 +47,10 @@ def make_private(folder: Path) -> None:
 
 
 def check_unshared(root: Path) -> None:
-    """Raise NotOurs unless all that is in `root` can only have been written by this user, or by root.
+    """Raise NotOurs unless only this user or root can have written everything in `root`.
 
-    A folder that does not exist passes. Inside a folder that only this user can enter, permissions of
-    others do not matter, owners do: it may have been open before.
+    A missing folder passes. Inside a folder that only this user can enter, owners matter but permissions do
+    not: it may have been open before.
     """
     try:
         status = root.stat()
@@ -67,19 +67,19 @@ def check_unshared(root: Path) -> None:
 def _check_inside(folder: Path, forbidden: int) -> None:
     try:
         entries = [(path, path.lstat()) for path in folder.iterdir()] if folder.is_dir() else []
-    except FileNotFoundError:  # another process has just put a file in its place, or moved the folder
+    except FileNotFoundError:  # another process has just replaced or moved it
         _check_inside(folder, forbidden)
         return
     for path, status in entries:
         if stat.S_ISLNK(status.st_mode):
-            raise NotOurs(f"{path} is a link: what it points to may be another user's")
+            raise NotOurs(f"{path} is a link: its target may belong to another user")
         _check(path, status, forbidden)
         if stat.S_ISDIR(status.st_mode):
             _check_inside(path, forbidden & _reachable(status))
 
 
 def _reachable(status: os.stat_result) -> int:
-    """The permissions that must not be set inside a folder: none if others cannot enter it."""
+    """Permissions that are forbidden inside a folder: none if others cannot enter it."""
     return _OTHERS_WRITE if status.st_mode & _OTHERS else 0
 
 

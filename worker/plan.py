@@ -2,7 +2,7 @@
 
 A plan is pure and computes each chunk when it is indexed, so a plan of a million chunks costs nothing.
 
-Chunks form a regular grid and are numbered in an order in which they can run. From rest that is the order of
+Chunks form a regular grid and are numbered in an order in which they can run. From rest this is the order of
 the grid. On a ramp, the first chunks of all lines precede the second ones, and "down" follows "up": a chunk
 depends only on lower numbers, and consecutive numbers rarely depend on each other.
 
@@ -31,20 +31,20 @@ TARGET_SECONDS: Final = 0.75
 SMALLEST_SECONDS: Final = 0.0125
 FEWEST_CHUNKS: Final = 8
 #: A sweep that would have more chunks has longer ones instead, of LONGEST_SECONDS at most: 15,000 chunks of
-#: six arrays are 90,000 files. They pause in between like any chunk that takes long.
+#: six arrays are 90,000 files. Like any long chunk, they pause in between.
 MANY_CHUNKS: Final = 15_000
 LONGEST_SECONDS: Final = 30.0
-#: Lines of a ramp from which on chunks fill all lanes. With fewer, twice as many chunks of half the lanes
-#: keep more workers busy.
+#: From this many lines of a ramp on, chunks fill all lanes. With fewer, twice as many chunks of half the
+#: lanes keep more workers busy.
 LINES_TO_FILL: Final = 4 * LANES
 #: Before compression; reading one cell reads its whole chunk.
 MAX_CHUNK_BYTES: Final = 16 * 2**20
-#: The same of the chunks of a sweep with many: larger ones are shards, of which a reader takes parts.
+#: The same for sweeps with many chunks: larger chunks are shards, whose parts a reader can read alone.
 MAX_SHARD_BYTES: Final = 96 * 2**20
 
-#: An adaptive map is cut into tiles of about so many rows and columns, each one chunk, which is refined by
-#: itself (with a margin, together with the blocks just beyond its border). Large enough that lanes are full
-#: in most rounds, small enough that a map of 513 rows and columns has some for every worker.
+#: Rows and columns of an adaptive map's tiles. Each tile is a chunk, refined by itself (with a margin,
+#: together with the blocks just beyond its border). Large enough to fill the lanes in most rounds, small
+#: enough that a map of 513 rows and columns has some for every worker.
 TILE_SIDE: Final = 128
 MAX_TILE_BYTES: Final = 20 * 2**20
 
@@ -53,7 +53,7 @@ Span = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A block of cells: half-open index spans of the grid. `after` is the chunk that must be done before."""
+    """A block of cells: half-open index spans of the grid. `after` is the chunk that must be done first."""
 
     index: int
     direction: int  # index into the specification's directions
@@ -74,7 +74,7 @@ class Chunk:
 
     @property
     def slices(self) -> tuple[slice, slice, slice, slice]:
-        """Its cells along (direction, xi, omega, gamma) in an array of the store."""
+        """The chunk's cells along (direction, xi, omega, gamma) in a stored array."""
         direction = slice(self.direction, self.direction + 1)
         return direction, slice(*self.xi), slice(*self.omega), slice(*self.gamma)
 
@@ -104,7 +104,7 @@ class Plan(Sequence[Chunk]):
 
     @cached_property
     def lines(self) -> int:
-        """Chunks without a predecessor: one per line of chunks along a ramp; from rest, all."""
+        """Chunks without a predecessor: from rest all, else one per line of chunks along a ramp."""
         return math.prod(self._counts_beside_ramp)
 
     def __len__(self) -> int:
@@ -137,7 +137,7 @@ class Plan(Sequence[Chunk]):
         return Chunk(index, direction, xi, omega_span, gamma_span, index - self.lines if wave else None)
 
     def number(self, *coords: int) -> int:
-        """Index of the chunk at `coords` = (direction, xi, omega, gamma) of the grid of chunks."""
+        """Index of the chunk at `coords` = (direction, xi, omega, gamma) in the grid of chunks."""
         direction, *block = coords
         wave = 0
         if self.ramp_axis is not None:
@@ -169,8 +169,8 @@ def make_plan(
 ) -> Plan:
     """Divide a sweep into chunks of about `chunk_cells` cells, or of `chunk_shape` cells (xi, omega, gamma).
 
-    By default a chunk costs about TARGET_SECONDS, or up to `longest` where there are many. The division does
-    not affect the stored numbers, but for an adaptive map, whose chunks are the tiles of `tile_shape` unless
+    By default a chunk costs about TARGET_SECONDS, or up to `longest` if there are many. The division does
+    not affect the stored numbers, except for an adaptive map: its chunks are the tiles of `tile_shape` unless
     `chunk_shape` is given. Raises ValueError for a size below 1.
     """
     _, *grid = spec.shape
@@ -194,8 +194,8 @@ def make_plan(
 def tile_shape(spec: SweepSpec, coarsest: int) -> tuple[int, int, int]:
     """Cells of an adaptive map's tiles along (xi, omega, gamma).
 
-    As many blocks of `coarsest` as fit into TILE_SIDE, and one more row and column: those of the blocks' last
-    corners. The specification alone decides, not what it costs or who computes it.
+    As many blocks of `coarsest` as fit into TILE_SIDE, plus the row and column of the blocks' last corners.
+    Depends on the specification alone, not on its cost or the workers.
     """
     most = math.isqrt(MAX_TILE_BYTES // bytes_per_cell(spec))
     side = min(max(TILE_SIDE // coarsest, 1), max((most - 1) // coarsest, 1)) * coarsest + 1
@@ -213,7 +213,7 @@ def _cells_per_chunk(spec: SweepSpec, longest: float) -> int:
 
 
 def _halvable(size: int, cells: int) -> int:
-    """The length of a shard along an axis of so many cells: one that can be halved a few times."""
+    """The length of a shard along an axis of `size` cells: a length that can be halved a few times."""
     if size >= cells:
         return cells
     return size - size % next(unit for unit in (8, 4, 2, 1) if size >= unit * unit or unit == 1)
@@ -235,13 +235,13 @@ def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
 
 
 def _lines_at_once(spec: SweepSpec) -> int:
-    """Lines of a ramp in a chunk at least: all lanes, or where there are few lines, one vector of them."""
+    """Minimum lines of a ramp in a chunk: all lanes, or one vector of them if there are few lines."""
     at_once = cells_at_once(spec)
     return at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
 
 
 def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:
-    """Chunk sizes that divide every axis of `grid` into about as many parts, of at most `cells` cells."""
+    """Chunk sizes of at most `cells` cells that divide every axis of `grid` into about as many parts."""
 
     def cut(parts: int) -> dict[str, int]:
         return {axis: -(-n // min(n, parts)) for axis, n in grid.items()}

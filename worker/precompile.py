@@ -1,4 +1,4 @@
-"""Compiles every kernel into the cache: for the image, and beside a worker that has nothing to do.
+"""Compiles every kernel into the cache, for the image and beside an idle worker.
 
 python -m worker.precompile
 """
@@ -19,7 +19,7 @@ _NICENESS: Final = 19
 
 
 class Precompiling:
-    """A process of the lowest priority that compiles every kernel until `stop`; it ends with this one."""
+    """A process of the lowest priority that compiles every kernel until `stop` or until this process ends."""
 
     def __init__(self, root: str | None) -> None:
         command = [sys.executable, "-m", "worker.precompile", _BESIDE, *([root] if root else [])]
@@ -28,13 +28,13 @@ class Precompiling:
         )
 
     def stop(self) -> None:
-        """End the process; what it has finished stays in the cache."""
+        """End the process; finished kernels stay in the cache."""
         self._process.kill()
         self._process.communicate()
 
 
 def main(arguments: list[str]) -> None:
-    """Compile what the cache lacks."""
+    """Compile the kernels that the cache lacks."""
     beside = _BESIDE in arguments
     roots = [argument for argument in arguments if argument != _BESIDE]
     if beside:
@@ -47,7 +47,7 @@ def main(arguments: list[str]) -> None:
     with (Path(folder) / _LOCK).open("a") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:  # another worker's does it
+        except OSError:  # another worker is compiling
             return
         _compile()
 

@@ -1,17 +1,17 @@
-"""Adaptive maps: which cells of a tile are computed, round by round, and whose values the others take.
+"""Adaptive maps: the cells of a tile to compute, round by round, and the values of the others.
 
 A tile is a block of cells over (omega, gamma). It is cut into blocks whose corners are cells; neighbouring
-blocks share them. The corners and the centre of a block are computed. A block of which two computed cells
-are of different classes is split at its centre; the corners of a smaller neighbour on its edge count, so
-that a thin tongue is followed from block to block. Of the smallest blocks, 3 x 3 cells, the cell between two
-corners is computed only if these and the centre are not of one class.
+blocks share them. The corners and the centre of a block are computed. A block with computed cells of
+different classes is split at its centre; corners of smaller neighbours on its edge count, so that a thin
+tongue is followed from block to block. In the smallest blocks, 3 x 3 cells, the cell between two corners is
+computed only if these and the centre are of different classes.
 
-Chaotic regions are full of islands, which five samples miss. So of a block without a mode the middles of its
+Chaotic regions are full of islands, which five samples miss. So in a block without a mode the middles of the
 edges are computed too, and the block is split unless all nine agree.
 
 With a margin, the neighbours of a larger block that differs are split too, and the smallest blocks that
-differ are computed whole. So that this holds at a tile's border as well, the blocks beyond it that touch the
-tile are refined with it, as far as that can split blocks of the tile. Their cells are not stored.
+differ are computed whole. For this to hold at a tile's border, the adjacent blocks beyond it are refined too,
+as far as they can split blocks of the tile. Their cells are not stored.
 
 A cell that is not computed takes the values of the nearest corner, or the centre, of its block.
 """
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from kernel.params import Outcome
 from worker.spec.refine import MAX_MODE_PERIODS, Refine
 
-#: Blocks: first and last row, first and last column, which are those of the corners.
+#: Blocks: rows and columns of the first and last corner.
 _Blocks = NDArray[np.int64]  # (n, 4)
 #: Rows above and below, columns left and right of a tile.
 Beyond = tuple[int, int, int, int]
@@ -39,12 +39,12 @@ _Points = tuple[NDArray[np.int64], NDArray[np.int64]]
 #: Rows and columns from the first to the last corner of the smallest blocks that are split.
 _SMALLEST: Final = 2
 
-#: Rows and columns of blocks above which a margin splits neighbours, or half the coarsest if that is less. It
-#: finds what the coarsest blocks pass over. With a margin 15 to 30 % fewer cells are wrong at three xi on 513
-#: rows and columns, for a tenth more to compute (`python -m benchmarks.adaptive`).
+#: Rows and columns of blocks above which a margin splits neighbours, or half the coarsest if that is less.
+#: Neighbours show what the coarsest blocks miss. With a margin 15 to 30 % fewer cells are wrong at three xi
+#: on 513 rows and columns, for a tenth more to compute (`python -m benchmarks.adaptive`).
 _MARGIN_ABOVE: Final = 8
 
-#: The corners of these blocks in pairs, and the cell between: (row, column) from the first corner.
+#: Pairs of corners of these blocks, and the cell between: (row, column) from the first corner.
 _EDGES: Final = (
     ((0, 0), (0, 1), (0, 2)),
     ((0, 0), (1, 0), (2, 0)),
@@ -52,7 +52,8 @@ _EDGES: Final = (
     ((0, 2), (1, 2), (2, 2)),
 )
 
-#: Classes of cells: by bouncing some outcomes are one, by mode each is one, and each short mode.
+#: Classes of cells. By bouncing, several outcomes are one class; by mode, each outcome and each short mode
+#: is.
 _BOUNCES: Final = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING)
 _WITHOUT_MODE: Final = (Outcome.APERIODIC, Outcome.SETTLING)
 _MODES: Final = len(Outcome)
@@ -63,9 +64,8 @@ def classes(
 ) -> NDArray[np.int64]:
     """The class of each cell, in the arrays' shape.
 
-    By bouncing: at rest, unresolved, diverged, any other. By mode these others are told apart further: each
-    mode of up to MAX_MODE_PERIODS plate periods is a class, all longer ones are one, aperiodic and settling
-    cells are two.
+    By bouncing: at rest, unresolved, diverged, any other. By mode the last is divided: each mode of up to
+    MAX_MODE_PERIODS plate periods is a class, all longer ones are one, aperiodic and settling cells are two.
     """
     kinds = outcome.astype(np.int64)
     if refine.by == "bouncing":
@@ -75,7 +75,7 @@ def classes(
 
 
 def first_round(shape: Sequence[int], tile: Sequence[int], refine: Refine) -> int:
-    """Cells of the first rounds of all tiles of a map, which are needed whatever they turn out to be.
+    """Cells of the first rounds of all tiles of a map, which any map needs.
 
     shape: cells along (xi, omega, gamma), cut into tiles of `tile` cells.
     """
@@ -94,9 +94,9 @@ def first_round(shape: Sequence[int], tile: Sequence[int], refine: Refine) -> in
 class Refinement:
     """The rounds of one tile of `shape` = (rows, columns) cells; they depend on these cells alone.
 
-    beyond: rows above and below and columns left and right of the tile that are cells of the map, of which
-    those within the margin are looked at; `surroundings` says where. Without a margin they do not count.
-    `cells`: those to compute next, flat indices in the order of the surroundings; none at the end.
+    beyond: rows above and below and columns left and right of the tile within the map. Those within the
+    margin are used (see `surroundings`); none without a margin. `cells`: flat indices of the next cells to
+    compute, in the order of the surroundings; none at the end.
     """
 
     def __init__(self, shape: tuple[int, int], refine: Refine, beyond: Beyond = NOTHING) -> None:
@@ -104,7 +104,7 @@ class Refinement:
         self._margin_above = max(min(_MARGIN_ABOVE, refine.coarsest // 2), _SMALLEST)
         self.surroundings = surroundings(refine, beyond)
         above, below, left, right = self.surroundings
-        #: First and last row and column of the tile among its surroundings.
+        #: First and last row and column of the tile within its surroundings.
         self._tile = (above, above + shape[0] - 1, left, left + shape[1] - 1)
         self._shape = (above + shape[0] + below, left + shape[1] + right)
         self._computed: NDArray[np.bool_] = np.zeros(self._shape, np.bool_)
@@ -114,7 +114,7 @@ class Refinement:
 
     @property
     def inside(self) -> tuple[slice, slice]:
-        """The tile among its surroundings."""
+        """The tile within its surroundings."""
         top, bottom, left, right = self._tile
         return slice(top, bottom + 1), slice(left, right + 1)
 
@@ -124,7 +124,7 @@ class Refinement:
         return np.flatnonzero(self._wanted & ~self._computed)
 
     def split(self, outcome: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any]) -> None:
-        """Take what the round's cells turned out to be, and split blocks; arrays over the surroundings."""
+        """Take the results of the round's cells and split blocks; arrays over the surroundings."""
         self._computed |= self._wanted
         kinds = classes(self._refine, outcome, bounces, periods)
         splits = self._differing(kinds)
@@ -142,13 +142,13 @@ class Refinement:
         self._want_middles(kinds)
 
     def sources(self) -> NDArray[np.int64]:
-        """For each cell of the tile, flat, the index of the cell whose values it has: its own if computed."""
+        """For each cell of the tile, flat, the index of the cell to copy (its own if computed)."""
         rows, columns = self._computed[self.inside].shape
         source = np.arange(rows * columns).reshape(rows, columns)
         first = np.repeat(self._tile[::2], 2)
         blocks = self._blocks[self._within(self._blocks)] - first
-        # A row or column that two blocks share belongs to the later one. At the tile's ends there is none:
-        # so each block first takes all that it spans, then what belongs to it.
+        # A row or column shared by two blocks belongs to the later one. At the tile's ends there is none:
+        # so each block first takes its whole span, then its own part.
         for ends in (1, 0):
             for size, same in _by_size(blocks):
                 row, column = np.ogrid[: size[0] + ends, : size[1] + ends]
@@ -158,29 +158,29 @@ class Refinement:
         return np.where(self._computed[self.inside].ravel(), np.arange(rows * columns), source.ravel())
 
     def _within(self, blocks: _Blocks) -> NDArray[np.bool_]:
-        """(n,) which blocks are of the tile itself."""
+        """(n,) the blocks inside the tile."""
         top, bottom, left, right = self._tile
         inside = (blocks[:, 0] >= top) & (blocks[:, 1] <= bottom) & (blocks[:, 2] >= left)
         return np.asarray(inside & (blocks[:, 3] <= right))
 
     def _touching(self, blocks: _Blocks) -> NDArray[np.bool_]:
-        """(n,) which blocks have a cell of the tile: those beyond it that do not matter no more."""
+        """(n,) the blocks with a cell of the tile; the others beyond it no longer matter."""
         top, bottom, left, right = self._tile
         touching = (blocks[:, 0] <= bottom) & (blocks[:, 1] >= top) & (blocks[:, 2] <= right)
         return np.asarray(touching & (blocks[:, 3] >= left))
 
     def _differing(self, kinds: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """(n,) the blocks of which two computed cells are of different classes."""
+        """(n,) the blocks with computed cells of different classes."""
         differs = np.zeros(len(self._blocks), np.bool_)
         for size, which in _by_size(self._blocks):
             row, column = np.ogrid[: size[0] + 1, : size[1] + 1]
             cells = self._blocks[which, 0, None, None] + row, self._blocks[which, 2, None, None] + column
-            found = kinds[cells]
-            differs[which] = np.any((found != found[:, :1, :1]) & self._computed[cells], axis=(1, 2))
+            classes = kinds[cells]
+            differs[which] = np.any((classes != classes[:, :1, :1]) & self._computed[cells], axis=(1, 2))
         return differs
 
     def _with_neighbours(self, splits: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """With the blocks of equal size that share a corner, of the larger ones."""
+        """Add the neighbours of the larger blocks: blocks of equal size that share a corner."""
         result = splits.copy()
         for size, which in _by_size(self._blocks):
             if max(size) <= self._margin_above:
@@ -193,7 +193,7 @@ class Refinement:
         return result
 
     def _want_between(self, kinds: NDArray[np.int64], blocks: _Blocks) -> None:
-        """Want the cells on the edges of the smallest blocks, where the corners or the centre differ."""
+        """Request the cells on the edges of the smallest blocks, where the corners or the centre differ."""
         top, left = blocks[:, 0], blocks[:, 2]
         centre = kinds[top + 1, left + 1]
         for first, between, last in _EDGES:
@@ -206,7 +206,7 @@ class Refinement:
             self._wanted[point] = True
 
     def _want_middles(self, kinds: NDArray[np.int64]) -> None:
-        """Want the middles of the edges of the blocks of which a corner, or the centre, has no mode."""
+        """Request the middles of the edges of blocks with a corner or centre without a mode."""
         if self._refine.by == "bouncing":
             return
         points = _vertices(self._blocks)
@@ -218,7 +218,7 @@ class Refinement:
 
 
 def surroundings(refine: Refine, beyond: Beyond) -> Beyond:
-    """The rows above and below and columns left and right of a tile that are looked at for its margin."""
+    """Rows above and below and columns left and right of a tile that its margin uses."""
     if not refine.margin:
         return NOTHING
     above, below, left, right = (min(cells, refine.coarsest) for cells in beyond)
@@ -226,10 +226,10 @@ def surroundings(refine: Refine, beyond: Beyond) -> Beyond:
 
 
 def _coarsest(tile: _Span, shape: tuple[int, int], width: int) -> _Blocks:
-    """The blocks that a tile begins with, of `width` rows and columns; the last ones may be narrower.
+    """The first blocks of a tile, of `width` rows and columns; the last ones may be narrower.
 
-    tile: its first and last row and column among its surroundings of `shape`. A block beyond each border
-    spans what there is.
+    tile: its first and last row and column within its surroundings of `shape`. One block beyond each border
+    spans the rest of the surroundings.
     """
     top, bottom, left, right = tile
     rows, columns = (
@@ -239,7 +239,7 @@ def _coarsest(tile: _Span, shape: tuple[int, int], width: int) -> _Blocks:
 
 
 def _cuts(first: int, last: int, n: int, width: int) -> list[tuple[int, int]]:
-    """Spans of `width` cells from the first to the last; before and after them what there is of n cells."""
+    """Spans of `width` cells from the first to the last, and the rest of the n cells before and after."""
     inner = [(low, min(low + width, last)) for low in range(first, max(last, first + 1), width)]
     before = [(0, first)] if first else []
     return [*before, *inner, *([(last, n - 1)] if last < n - 1 else [])]
@@ -267,7 +267,7 @@ def _sizes(blocks: _Blocks) -> NDArray[np.int64]:
 
 
 def _by_size(blocks: _Blocks) -> Iterator[tuple[tuple[int, int], NDArray[np.int64]]]:
-    """Every size of block, with the indices of its blocks."""
+    """Each size of block, with the indices of its blocks."""
     sizes = _sizes(blocks)
     for rows, columns in np.unique(sizes, axis=0).tolist():
         yield (rows, columns), np.flatnonzero((sizes[:, 0] == rows) & (sizes[:, 1] == columns))
@@ -289,9 +289,9 @@ def _children(blocks: _Blocks) -> _Blocks:
 
 
 def _nearest(size: tuple[int, int], row: NDArray[Any], column: NDArray[Any]) -> _Points:
-    """The corner, or the centre, nearest to each (row, column) of a block; the first of equally near ones.
+    """The corner or centre nearest to each (row, column) of a block; the first among equals.
 
-    All are counted from the block's first corner; `size` is where the last one is.
+    All are counted from the block's first corner; `size` is the position of the last one.
     """
     points = np.array(_vertices(np.array([[0, size[0], 0, size[1]]])))[:, :, 0]
     distance = [(row - at_row) ** 2 + (column - at_column) ** 2 for at_row, at_column in points]

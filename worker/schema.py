@@ -23,19 +23,19 @@ from worker.spec.time_steps import corners, stated
 #: The dimensions that identify a cell of a sweep, slowest first.
 CELL_DIMS: Final = ("direction", "xi", "omega", "gamma")
 
-#: Whose model it is.
+#: Reference of the model.
 REFERENCE: Final = (
     "Hubert, Ludewig, Dorbolo and Vandewalle, Bouncing dynamics of a spring, Physica D 272 (2014)"
 )
 
-#: Attributes of a store that are JSON text, because attributes of files are texts and numbers.
+#: Store attributes written as JSON text, because attributes of files are texts and numbers.
 _STRUCTURED: Final = ("spec", "choice", "time_steps", "chunk_shape")
 
 _METADATA_KEY: Final = "zarr.json"
 _CHUNK_KEY: Final = re.compile(r"c/0|c(?:\.(?:0|[1-9][0-9]{0,8})){1,8}")  # of a coordinate, of an array
 
-#: Chunks of more bytes, before compression and of all arrays together, are shards, of inner chunks of
-#: INNER_BYTES at most: reading a cell reads its inner chunk.
+#: Chunks larger than this, in bytes of all arrays before compression, are shards of inner chunks of at most
+#: INNER_BYTES: reading a cell reads its inner chunk.
 SHARD_BYTES: Final = 17 * 2**20
 INNER_BYTES: Final = 4 * 2**20
 
@@ -63,7 +63,7 @@ class Coordinate(NamedTuple):
 
 
 class Code(NamedTuple):
-    """The names along a dimension as numbers, with CF flags: not every reader of zarr knows text."""
+    """The names along a dimension as numbers, with CF flags: some readers of zarr have no text."""
 
     dim: str
     values: NDArray[np.uint8]  # (n,)
@@ -75,7 +75,7 @@ class Layout:
     """Dimensions, coordinates, chunks, arrays and attributes of a store.
 
     Every array has the cell dimensions first; a chunk spans the others whole. The last array is `outcome`,
-    over the cell dimensions alone: it is written last, and a cell without an outcome is missing.
+    over the cell dimensions alone: it is written last, and a cell without it is missing.
     """
 
     chunk_sizes: Mapping[str, int]  # cells of a chunk along each cell dimension, slowest first
@@ -94,7 +94,7 @@ class Layout:
 
     @cached_property
     def codes(self) -> Mapping[str, Code]:
-        """The coordinates that are text, once more as numbers."""
+        """The text coordinates as numbers."""
         return {
             f"{name}_code": _code(name, values, self.coordinate_attrs.get(name, {}))
             for name, values in self.coordinates.items()
@@ -123,7 +123,7 @@ class Layout:
     def inner_sizes(self) -> Mapping[str, int] | None:
         """Cells along each cell dimension of the inner chunks of a shard; None if chunks are no shards.
 
-        Halves of halves of a chunk, until they have INNER_BYTES at most; sizes that are odd stay as they are.
+        Chunks are halved repeatedly to at most INNER_BYTES; odd sizes stay as they are.
         """
         sizes, size = dict(self.chunk_sizes), self.chunk_bytes
         if size <= SHARD_BYTES:
@@ -148,7 +148,7 @@ class Layout:
         )
 
     def coords(self, slices: Sequence[slice]) -> tuple[int, ...]:
-        """Coordinates in the grid of chunks of the chunk that spans these cells."""
+        """Coordinates of the chunk that spans these cells, in the grid of chunks."""
         return tuple(span.start // size for span, size in zip(slices, self.chunk_sizes.values(), strict=True))
 
     def describe(self, slices: Sequence[slice]) -> str:
@@ -178,7 +178,7 @@ def _code(name: str, values: NDArray[Any], attrs: Mapping[str, Any]) -> Code:
 
 
 def flat_attributes(attrs: Mapping[str, Any]) -> dict[str, str | int | float]:
-    """Attributes as every format has them: texts and numbers; values with parts as JSON text."""
+    """Attributes as texts and numbers, which every format can hold; other values as JSON text."""
     return {
         name: value if isinstance(value, str | int | float) else json.dumps(value, ensure_ascii=False)
         for name, value in attrs.items()
@@ -186,7 +186,7 @@ def flat_attributes(attrs: Mapping[str, Any]) -> dict[str, str | int | float]:
 
 
 def structured_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """The attributes of a store with their parts."""
+    """The attributes of a store with their JSON texts parsed."""
     return {
         name: _parts(value) if name in _STRUCTURED and isinstance(value, str) else value
         for name, value in attrs.items()
@@ -202,7 +202,7 @@ def _parts(text: str) -> Any:
 
 
 def common_attributes(spec: Any, title: str, model: str) -> dict[str, Any]:
-    """The attributes of any study's store; they depend on its specification alone."""
+    """Attributes of every study's store; they depend on its specification alone."""
     return {
         "Conventions": "CF-1.11",
         "title": spec.name or title,
@@ -278,9 +278,9 @@ COMPUTED: Final = _array(
         "comment": "0: outcome and mode are those of the nearest computed corner or centre of its block",
     },
 )  # fmt: skip
-#: What a cell that is not computed takes from its block.
+#: Values that a cell which is not computed takes from its block.
 MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
-#: Written last: a cell that has an outcome has every other value too.
+#: Written last: a cell with an outcome has all its values.
 OUTCOME: Final = _array(
     "outcome", "|u1", "what became of the cell",
     {
@@ -300,7 +300,7 @@ COORDINATES: Final = (
 
 
 def arrays(spec: SweepSpec) -> Iterator[Array]:
-    """The arrays of a sweep in the order they are written; `end_state` only of ramps."""
+    """The arrays of a sweep in the order they are written; `end_state` only for ramps."""
     yield from RECORD
     if spec.exponents:
         yield LYAPUNOV
@@ -331,7 +331,7 @@ def bytes_per_cell(spec: SweepSpec) -> int:
 
 
 def bytes_of_map(spec: SweepSpec) -> int:
-    """Stored bytes before compression of a cell that is not computed: those that hold no fill value."""
+    """Stored bytes before compression of a cell filled in from its block, fill values left out."""
     return sum(np.dtype(array.dtype).itemsize for array in arrays(spec) if not array.extra_dims)
 
 

@@ -1,8 +1,8 @@
 """Kinds of study: the protocol of what a job computes, and its implementation for sweeps.
 
 A study parses its specification, plans its chunks, declares its stored variables, estimates its cost, and
-computes one chunk. The ledger, queue, executors, store, progress, cancelling and repair use these five
-methods and no others.
+computes one chunk. Ledger, queue, executors, store, progress, cancelling and repair use only these five
+methods.
 
 Another kind of study is a package of its own and a row of STUDIES; its queries and routes are in the service
 (see docs/architecture.md).
@@ -51,7 +51,7 @@ class Chunk(Protocol):
 
     @property
     def after(self) -> int | None:
-        """Index of the chunk that must be done before, which is lower; None without one."""
+        """Index of the chunk that must be done first, which is lower; None without one."""
 
     @property
     def cells(self) -> int: ...
@@ -70,7 +70,7 @@ class Plan(Protocol):
 
     @property
     def chunk_shape(self) -> tuple[int, ...]:
-        """Cells of a chunk along each dimension; the ledger keeps it, to make the same plan again."""
+        """Cells of a chunk along each dimension; the ledger keeps it to repeat the plan."""
 
     @property
     def cells(self) -> int: ...
@@ -86,7 +86,7 @@ class Plan(Protocol):
     def __iter__(self) -> Iterator[Chunk]: ...
 
     def number(self, *coords: int) -> int:
-        """Index of the chunk at these coordinates of the store's grid of chunks."""
+        """Index of the chunk at these coordinates in the store's grid of chunks."""
 
 
 class Study(Protocol):
@@ -100,7 +100,7 @@ class Study(Protocol):
     ) -> Any:
         """The chunks, of `chunk_shape` or of a shape that the study chooses.
 
-        If there are many, they may be longer, but not than about `longest` core-seconds.
+        Many chunks may be longer, up to about `longest` core-seconds each.
         """
 
     def variables(self, spec: Any, chunk_shape: tuple[int, ...]) -> Layout:
@@ -112,8 +112,8 @@ class Study(Protocol):
     def task(self, spec: Any, chunk: Any, store_url: str) -> ChunkReport:
         """Compute one chunk and store it, in a worker process; repeated, it writes the same bytes.
 
-        Raises a `tasks.TaskError` or a `store.StoreError`. A task that takes longer than
-        the slice of `tasks.TERMS` should keep what it has and raise `tasks.ChunkPaused`: it is called again.
+        Raises a `tasks.TaskError` or a `store.StoreError`. A task that takes longer than the slice of
+        `tasks.OPTIONS` should store its progress and raise `tasks.ChunkPaused`: it is called again.
         """
 
 
@@ -135,7 +135,7 @@ class SweepStudy:
         return estimate(spec, len(plan))
 
     def task(self, spec: SweepSpec, chunk: SweepChunk, store_url: str) -> ChunkReport:
-        return tasks.run_chunk(spec, chunk, store_url, tasks.TERMS.get().slice_seconds)
+        return tasks.run_chunk(spec, chunk, store_url, tasks.OPTIONS.get().slice_seconds)
 
 
 SWEEP: Final = SweepStudy()

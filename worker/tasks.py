@@ -1,12 +1,12 @@
 """Tasks: computes a chunk of a sweep, stores it, and returns a report. Tasks are idempotent.
 
-A chunk that takes longer than a time slice pauses: what has been computed is kept in a checkpoint, and the
-next task of the same chunk goes on from there. So no chunk, however long its cells are, keeps a worker from
-others for longer than a slice.
+A chunk that takes longer than a time slice pauses: its progress is kept in a checkpoint, from which the next
+task of the same chunk continues. So no chunk, however long its cells are, keeps a worker from others for
+longer than a slice.
 
 TaskError               why a chunk was not computed
 ├── ChunkCancelled      the cancel flag of the store is set
-├── ChunkPaused         its time slice is over; the next task goes on
+├── ChunkPaused         its time slice is over; the next task continues
 └── PredecessorMissing  the previous chunk of the ramp is not stored
 """
 
@@ -42,27 +42,27 @@ from worker.spec.sweep import start_of
 
 log = logging.getLogger(__name__)
 
-#: Core-seconds that a task computes before it pauses: the longest that another job's chunk waits for a worker
-#: with a core of its own. Twice the target of a chunk, so that few pause that are harder than their estimate.
-#: By the core's clock: on a busy machine, pauses would otherwise take what time a worker gets.
+#: Core-seconds that a task computes before it pauses: the longest wait of another job's chunk for a worker
+#: with its own core. Twice the target of a chunk, so that few chunks harder than estimated pause. Measured in
+#: core time: on a busy machine, pauses would otherwise use up the worker's share.
 SLICE_SECONDS: Final = 1.5
 
-#: A task computes at least a second for so many bytes of its record, which a pause has to keep.
+#: A task computes at least a second per this many bytes of its record, which a pause has to write.
 KEPT_BYTES: Final = 16 * 2**20
 
 
 @dataclass(frozen=True)
-class Terms:
-    """How a chunk is computed, which changes no result."""
+class ChunkOptions:
+    """How a chunk is computed; changes no result."""
 
     slice_seconds: float = SLICE_SECONDS
-    begins: bool = False  # nothing of it was computed before: no checkpoint is looked for
+    begins: bool = False  # the chunk's first task: no checkpoint to look for
 
 
-_USUAL: Final = Terms()
+_USUAL: Final = ChunkOptions()
 
-#: Of the chunk that this thread computes.
-TERMS: Final[ContextVar[Terms]] = ContextVar("terms", default=_USUAL)
+#: For the chunk that this thread computes.
+OPTIONS: Final[ContextVar[ChunkOptions]] = ContextVar("options", default=_USUAL)
 
 #: Set in a worker process that was told to leave: its chunks pause at once, so that nothing is lost.
 LEAVING: Final = threading.Event()
@@ -70,16 +70,16 @@ LEAVING: Final = threading.Event()
 #: Seconds between two checks of the cancel flag, which may be in a distant bucket.
 CANCEL_SECONDS: Final = 0.25
 
-#: Contacts and flights between two looks at the clock, at first, and the seconds that they may take: the
-#: number is doubled or halved until they do. A cell takes about two for each plate period.
+#: Contacts and flights between two looks at the clock, at first, and the seconds that they should take: the
+#: number is doubled or halved accordingly. A cell takes about two for each plate period.
 FIRST_STEPS: Final = 4096
 MOST_STEPS: Final = 2**40
 LOOK_SECONDS: Final = (0.02, 0.1)
 
-#: Why a checkpoint may not be written, which is no reason to fail.
+#: Errors of writing a checkpoint, which do not fail the chunk.
 _UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 
-#: The names of a checkpoint's arrays; before those of the line under way and of the record, prefixes.
+#: Names of a checkpoint's arrays; then the prefixes of the line under way and of the record.
 _DONE: Final = "lines_done"
 _SECONDS: Final = "seconds"
 _LINE: Final = "line/"
@@ -87,13 +87,13 @@ _RECORD: Final = "record/"
 
 
 @contextmanager
-def on_terms(terms: Terms) -> Iterator[None]:
-    """Have the tasks of this thread computed so for as long as the block lasts."""
-    token = TERMS.set(terms)
+def with_options(options: ChunkOptions) -> Iterator[None]:
+    """Options for the tasks of this thread within the block."""
+    token = OPTIONS.set(options)
     try:
         yield
     finally:
-        TERMS.reset(token)
+        OPTIONS.reset(token)
 
 
 class TaskError(Exception):
@@ -105,7 +105,7 @@ class ChunkCancelled(TaskError):
 
 
 class ChunkPaused(TaskError):
-    """The chunk's time slice is over; the next task goes on from its checkpoint."""
+    """The chunk's time slice is over; the next task continues from its checkpoint."""
 
 
 class PredecessorMissing(TaskError):
@@ -114,23 +114,23 @@ class PredecessorMissing(TaskError):
 
 @dataclass(frozen=True, slots=True)
 class ChunkReport:
-    """Report of a computed chunk."""
+    """What a task reports of its chunk."""
 
     index: int
     cells: int
     seconds: float  # wall time, storing included
-    kernel_seconds: float  # of which in the kernel
-    checksum: str  # of the stored bytes, see store.find_corrupt
+    kernel_seconds: float  # the part spent in the kernel
+    checksum: str  # of the stored bytes; see store.find_corrupt
     outcomes: tuple[int, ...]  # number of cells by kernel.params.Outcome
-    computed: int | None = None  # of an adaptive map: its cells that were not taken from their block
-    bytes: int | None = None  # stored, of all arrays; None if it is not known
+    computed: int | None = None  # adaptive maps: cells not filled in from their block
+    bytes: int | None = None  # stored, of all arrays; None if unknown
 
 
 def report_of(
     chunk: Chunk | Block, record: Mapping[str, NDArray[Any]], stored: store.Stored,
     seconds: tuple[float, float], computed: int | None = None,
 ) -> ChunkReport:  # fmt: skip
-    """The report of a chunk that is stored. `seconds`: in all, and of these in the kernel."""
+    """The report of a stored chunk. `seconds`: in all, and in the kernel."""
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
     return ChunkReport(
         chunk.index, chunk.cells, *seconds, stored.checksum, tuple(outcomes.tolist()), computed, stored.bytes
@@ -145,8 +145,8 @@ _Arrays = dict[str, NDArray[Any]]
 def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: float = math.inf) -> ChunkReport:
     """Compute every cell of `chunk` and store it; the store must exist.
 
-    Goes on from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` once
-    `slice_seconds` core-seconds are over, `PredecessorMissing`, or a `store.StoreError`. In each case the
+    Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
+    `slice_seconds` core-seconds, `PredecessorMissing`, or a `store.StoreError`. In each case the
     chunk's cells stay missing and the chunk can be run again.
     """
     began = time.perf_counter()
@@ -187,7 +187,7 @@ def _compute_lines(
 
 
 def _groups(spec: SweepSpec, indices: list[_LineIndex]) -> list[list[_LineIndex]]:
-    """The lines of a chunk, those together that are computed side by side, as one line of the checkpoint."""
+    """The lines of a chunk in groups computed side by side; a group is a line of the checkpoint."""
     return [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
 
 
@@ -196,8 +196,8 @@ def _refine_tile(
 ) -> _Arrays:
     """Compute the cells that a tile needs, each round of the refinement as one line, and fill in the others.
 
-    record: of the tile and what of its surroundings is looked at; returns that of the tile alone. A round
-    that a task before this one has computed is in the record; the refinement is repeated from there.
+    record: of the tile and its surroundings; returns the tile's alone. Rounds that an earlier task computed
+    are in the record; the refinement repeats them from there.
     """
     around = _surrounded(spec, chunk)
     flat = {name: array.reshape(around.cells, *array.shape[3:]) for name, array in record.items()}
@@ -230,7 +230,7 @@ def _beyond(spec: SweepSpec, chunk: Chunk) -> Beyond:
 
 
 def _surrounded(spec: SweepSpec, chunk: Chunk) -> Chunk:
-    """A chunk of an adaptive map with the cells around it that are looked at; any other as it is."""
+    """A chunk of an adaptive map with its surroundings; any other chunk unchanged."""
     if spec.refine is None:
         return chunk
     (top, bottom), (first, last) = chunk.omega, chunk.gamma
@@ -239,21 +239,21 @@ def _surrounded(spec: SweepSpec, chunk: Chunk) -> Chunk:
 
 
 class Work:
-    """The computing of a chunk's lines: looks at the clock and the cancel flag between parts of a line.
+    """Computes a chunk's lines and looks at the clock and the cancel flag between parts of a line.
 
-    The parts do not affect the results. A kind of study says in `_kept` what of the chunk is done, and takes
-    it back in `_restore`.
+    The parts do not affect the results. A kind of study returns its finished arrays from `_save` and takes
+    them back in `_restore`.
     """
 
     def __init__(self, store_url: str, chunk: int, began: float, slice_seconds: float) -> None:
         self._url, self._chunk = store_url, chunk
         self._began, self._slice_seconds = began, slice_seconds
         self._slice_began = time.thread_time()
-        self._next_check = -math.inf  # of the cancel flag
+        self._next_check = -math.inf  # next check of the cancel flag
         self._steps, self._kernel_seconds = FIRST_STEPS, 0.0
-        self._before = np.zeros(2)  # seconds of the slices before this one, as `seconds`
-        self._under_way: _Arrays = {}  # of the line at which the chunk was paused
-        saved = None if TERMS.get().begins else store.read_checkpoint(store_url, chunk)
+        self._before = np.zeros(2)  # `seconds` of earlier slices
+        self._under_way: _Arrays = {}  # the line at which the chunk paused
+        saved = None if OPTIONS.get().begins else store.read_checkpoint(store_url, chunk)
         self._has_checkpoint = saved is not None
         if saved is not None:
             with self._discarding_checkpoint():
@@ -263,17 +263,17 @@ class Work:
                 name.removeprefix(_LINE): saved[name] for name in saved if name.startswith(_LINE)
             }
 
-    def _kept(self) -> _Arrays:
-        """The arrays of what is done of the chunk, by names that do not begin with `line/`."""
+    def _save(self) -> _Arrays:
+        """The finished arrays of the chunk; their names do not begin with `line/`."""
         raise NotImplementedError
 
     def _restore(self, saved: _Arrays) -> None:
-        """Take back what `_kept` gave. Raises KeyError or ValueError for anything else."""
+        """Take back the arrays of `_save`. Raises KeyError or ValueError for any others."""
         raise NotImplementedError
 
     @property
     def seconds(self) -> tuple[float, float]:
-        """Seconds since the chunk began, pauses left out, and those in the kernel."""
+        """Seconds since the chunk began, without pauses, and the part in the kernel."""
         return time.perf_counter() - self._began + self._before[0], self._kernel_seconds + self._before[1]
 
     def compute(self, run: LineRun) -> Line:
@@ -287,7 +287,7 @@ class Work:
         return run.line
 
     def write(self, chunk: Chunk | Block, record: _Arrays, computed: int | None = None) -> ChunkReport:
-        """Store the arrays of the chunk, which needs no checkpoint then."""
+        """Store the chunk's arrays and remove its checkpoint."""
         stored = store.write_chunk(self._url, chunk, record)
         self.remove_checkpoint()
         return report_of(chunk, record, stored, self.seconds, computed)
@@ -298,7 +298,7 @@ class Work:
             store.remove_checkpoint(self._url, self._chunk)
 
     def _advance(self, run: LineRun) -> bool:
-        """Compute a part; whether the line is done."""
+        """Compute a part of a line; whether the line is done."""
         if time.perf_counter() > self._next_check:
             if store.is_cancelled(self._url):
                 raise ChunkCancelled(f"cancelled: {self._url}")
@@ -315,12 +315,12 @@ class Work:
     def pause_if_due(self, under_way: _Arrays) -> None:
         """Write a checkpoint and raise ChunkPaused if the slice is over, or the worker is leaving.
 
-        `under_way`: of a line, or empty.
-        Where a checkpoint cannot be written, as on a full disk, the chunk goes on.
+        `under_way`: the arrays of a line, or empty.
+        Where a checkpoint cannot be written, e.g. on a full disk, the chunk continues.
         """
         if not LEAVING.is_set() and time.thread_time() - self._slice_began <= self._slice_seconds:
             return
-        arrays = {_SECONDS: np.array(self.seconds)} | self._kept()
+        arrays = {_SECONDS: np.array(self.seconds)} | self._save()
         arrays |= {_LINE + name: array for name, array in under_way.items()}
         try:
             store.write_checkpoint(self._url, self._chunk, arrays)
@@ -332,7 +332,7 @@ class Work:
 
     @contextmanager
     def _discarding_checkpoint(self) -> Iterator[None]:
-        """Have the chunk begin anew if its checkpoint is not of this release: it holds other arrays."""
+        """Restart the chunk if its checkpoint is from another release, with other arrays."""
         try:
             yield
         except (KeyError, ValueError) as error:
@@ -341,7 +341,7 @@ class Work:
 
 
 class _SweepWork(Work):
-    """Of a sweep. `record`: the chunk's arrays, in which lines that are done are."""
+    """The work of a sweep's chunk. `record`: the chunk's arrays, with the lines that are done."""
 
     def __init__(
         self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
@@ -350,12 +350,12 @@ class _SweepWork(Work):
         super().__init__(store_url, chunk, began, slice_seconds)
 
     def finish_line(self, *, last: bool = False) -> None:
-        """The line is in the record now. Raises ChunkPaused, unless it is known to be the last."""
+        """Note that the line is in the record. Raises ChunkPaused, unless it was the last."""
         self.lines_done += 1
         if not last:
             self.pause_if_due({})
 
-    def _kept(self) -> _Arrays:
+    def _save(self) -> _Arrays:
         arrays: _Arrays = {_DONE: np.array(self.lines_done)}
         if self.lines_done:
             arrays |= {_RECORD + name: array for name, array in self._record.items()}
@@ -370,7 +370,7 @@ class _SweepWork(Work):
 
 @contextmanager
 def _noting_cells(**axes: NDArray[np.float64]) -> Iterator[None]:
-    """Add a note with the cells to any error."""
+    """Add the cells to any error as a note."""
     try:
         yield
     except Exception as error:
@@ -432,7 +432,7 @@ def plate_of(
 
 
 def _start(state: NDArray[np.float64], outcome: int, cell: Cell) -> Start | None:
-    """The start of the next cell on a ramp; None after a diverged cell: the next one starts from rest."""
+    """The start of the next cell on a ramp; None after a diverged cell, to start from rest."""
     return None if outcome == Outcome.DIVERGED else Start(np.ascontiguousarray(state), cell)
 
 
@@ -453,7 +453,7 @@ def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, S
 
 
 def _starts_on_cycles(spec: SweepSpec, chunk: Chunk) -> dict[_LineIndex, Start | None]:
-    """The start of each line of the first chunk of a ramp, on a cycle if the specification asks for it."""
+    """The start of each line in the first chunk of a ramp, on a cycle if the specification says so."""
     on = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
     if on is None:
         return {}
@@ -512,7 +512,7 @@ def _in_visiting_order(spec: SweepSpec, chunk: Chunk, array: NDArray[Any]) -> ND
 
 
 def compile_kernels() -> None:
-    """Compile everything that some job or answer needs, or load it: models, exponents, trajectories."""
+    """Compile or load the kernels of all jobs and answers: models, exponents, trajectories."""
     axis = np.ones(1)
     for kind, model in CONTACT_MODELS.items():
         contact: Any = model.fields(kind=kind)
@@ -525,9 +525,9 @@ def compile_kernels() -> None:
 
 
 def compile_for(spec: SweepSpec) -> None:
-    """Compile what computes the sweep, or load it.
+    """Compile or load the kernels of the sweep.
 
-    Once compiled, it takes a fraction of a millisecond: one plate period of the first cell.
+    Once compiled, this takes a fraction of a millisecond: one plate period of the first cell.
     """
     gamma, omega, xi = (spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi"))
     LineRun(

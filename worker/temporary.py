@@ -1,4 +1,4 @@
-"""Temporary folders of this process: removed at the end of their block, or when the process ends at once.
+"""Temporary folders of this process: removed at the end of their block, or when the process ends early.
 
 Imports the standard library only.
 """
@@ -21,7 +21,7 @@ def make(prefix: str) -> Path:
 
 
 def remove(folder: Path) -> None:
-    """Remove a folder with all that is in it."""
+    """Remove a folder and its contents."""
     shutil.rmtree(folder, ignore_errors=True)
     _folders.discard(folder)
 
@@ -37,6 +37,6 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
 
 
 def remove_all() -> None:
-    """Remove all folders that are in use, because the process ends at once."""
+    """Remove all folders in use, because the process ends at once."""
     for folder in list(_folders):
         remove(folder)

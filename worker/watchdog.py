@@ -25,12 +25,12 @@ from worker.spec import SweepSpec
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import (
     ChunkCancelled,
+    ChunkOptions,
     ChunkPaused,
     ChunkReport,
     TaskError,
-    Terms,
     compile_for,
-    on_terms,
+    with_options,
 )
 
 #: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the
@@ -41,28 +41,28 @@ TOPIC: Final = "bouncing-spring"
 #: The interval of the checks, and that of the cancel flag, which may be in a distant bucket.
 CHECK_SECONDS: Final = 0.1
 FLAG_SECONDS: Final = 0.5
-#: A chunk checks the cancel flag itself, four times a second; one that runs so long after the flag was seen
-#: ignores it. With the two above it ends within 2 s.
+#: A chunk checks the cancel flag itself, four times a second; one still running this long after the flag was
+#: seen ignores it. With the two above it ends within 2 s.
 CANCEL_GRACE_SECONDS: Final = 1.0
-#: The share of its memory limit that a worker may use. At 0.95 its nanny kills it without giving a reason.
+#: The share of its memory limit that a worker may use. At 0.95 its nanny kills it without a reason.
 MEMORY_SHARE: Final = 0.9
-#: Time for the last event to reach the scheduler before the process ends.
+#: Seconds for the last event to reach the scheduler before the process ends.
 REPORT_SECONDS: Final = 0.2
-#: If the watchdog itself cannot run, the process ends so long after the chunk's time limit.
+#: If the watchdog itself cannot run, the process ends this long after the chunk's time limit.
 HARD_LIMIT_SECONDS: Final = 5.0
-#: The longest timer that faulthandler is given.
+#: The longest timer that faulthandler accepts.
 LONGEST_SECONDS: Final = 1e6
-_USUAL: Final = Terms()
+_USUAL: Final = ChunkOptions()
 
 
 def run_watched(
-    spec: Spec, chunk: Chunk, store_url: str, seconds: float, terms: Terms = _USUAL
+    spec: Spec, chunk: Chunk, store_url: str, seconds: float, options: ChunkOptions = _USUAL
 ) -> ChunkReport | TaskError:
     """`studies.run_task` under a watchdog.
 
     Ends the process if the chunk takes longer than `seconds`, exceeds the worker's memory limit, or ignores
-    the cancel flag. Returns ChunkCancelled and ChunkPaused instead of raising them: distributed logs what a
-    task raises as an error.
+    the cancel flag. Returns ChunkCancelled and ChunkPaused instead of raising them, because distributed logs
+    what a task raises as an error.
     """
     worker = get_worker()
     event = {"key": worker.get_current_task(), "worker": worker.address}
@@ -80,7 +80,7 @@ def run_watched(
         except ChunkCancelled as cancelled:
             return cancelled
     hard_limit = _hard_limit(seconds + HARD_LIMIT_SECONDS)
-    with hard_limit, Watchdog(worker, store_url, seconds, terminate), on_terms(terms):
+    with hard_limit, Watchdog(worker, store_url, seconds, terminate), with_options(options):
         try:
             return run_task(spec, chunk, store_url)
         except (ChunkCancelled, ChunkPaused) as stopped:
@@ -88,17 +88,17 @@ def run_watched(
 
 
 def _compile(sweep: SweepSpec, store_url: str, log_event: Callable[[dict[str, Any]], None]) -> None:
-    """Compile what computes the sweep, or load it. Raises ChunkCancelled if its job is cancelled meanwhile.
+    """Compile or load the kernels of the sweep. Raises ChunkCancelled if its job is cancelled meanwhile.
 
-    Compilation can take a minute and cannot be interrupted. It goes on in its thread after a cancel, for the
-    chunks that follow. Meanwhile events tell what is compiled, for which store.
+    Compilation can take a minute and cannot be interrupted: after a cancel its thread continues, for later
+    chunks. Events report the kernel being compiled and the store.
     """
     compiled: Future[None] = Future()
 
     def compile_in_thread() -> None:
         try:
             compile_for(sweep)
-        except BaseException as error:  # noqa: BLE001 - raised again by the thread that waits
+        except BaseException as error:  # noqa: BLE001 - the waiting thread raises it again
             compiled.set_exception(error)
         else:
             compiled.set_result(None)
@@ -114,7 +114,7 @@ def _compile(sweep: SweepSpec, store_url: str, log_event: Callable[[dict[str, An
 
 
 class Watchdog:
-    """A thread that checks a worker for as long as the block lasts and calls `terminate` with the reason."""
+    """A thread that checks a worker within the block and calls `terminate` with a reason."""
 
     def __init__(self, worker: Any, store_url: str, seconds: float, terminate: Callable[[str], None]) -> None:
         self._worker, self._url, self._seconds, self._terminate = worker, store_url, seconds, terminate
@@ -154,14 +154,14 @@ class Watchdog:
         """Whether the cancel flag has been set for longer than a chunk needs to see it."""
         if now - self._flag_checked > FLAG_SECONDS:
             self._flag_checked = now
-            with contextlib.suppress(Exception):  # a bucket out of reach, a removed folder: no reason to end
+            with contextlib.suppress(Exception):  # e.g. a bucket out of reach: no reason to end
                 self._flag_seen = (self._flag_seen or now) if store.is_cancelled(self._url) else None
         return self._flag_seen is not None and now - self._flag_seen > CANCEL_GRACE_SECONDS
 
 
 @contextmanager
 def _hard_limit(seconds: float) -> Iterator[None]:
-    """End the process after `seconds`, even if none of its threads can run Python any more."""
+    """End the process after `seconds`, even if its threads can no longer run Python."""
     with contextlib.suppress(AttributeError, RuntimeError, UnsupportedOperation, ValueError):  # no stderr
         faulthandler.dump_traceback_later(min(seconds, LONGEST_SECONDS), exit=True)
     try:

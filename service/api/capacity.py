@@ -1,11 +1,11 @@
 """Limits on requests that hold resources for long: threads and memory of costly answers, event streams.
 
-An endpoint that reads much, computes or draws is declared `costly`. It then waits its turn without a thread,
-runs in threads that only costly requests use, and its answer counts as memory until the
-client has read it. All other requests keep the threads of the event loop's pool for themselves.
+An endpoint that reads much, computes or draws is declared `costly`. It then waits for its turn without a
+thread, runs in threads that only costly requests use, and its answer counts as memory until the client has
+read it. All other requests keep the threads of the event loop's pool for themselves.
 
-A read that is small by its `Cost` has threads and memory of its own, and is computed in this process: neither
-costly requests nor jobs can make it wait. What is computed for a client that leaves is ended.
+A read that is small by its `Cost` has its own threads and memory, and is computed in this process: neither
+costly requests nor jobs delay it. Computing stops for a client that leaves.
 """
 
 import asyncio
@@ -25,10 +25,10 @@ from starlette.types import Receive, Scope, Send
 from service.background import Asker, return_memory
 from service.errors import Busy, NotComputed, TooManyListeners
 
-#: What costly requests do; each has threads of its own, so that long exports do not keep diagrams waiting.
+#: Activities of costly requests; each has its own threads, so that long exports do not delay diagrams.
 Activity = Literal["read", "store", "export", "trajectory", "on demand"]
 
-#: What the error calls them.
+#: Names of activities in errors.
 _PLURALS: Final[Mapping[Activity, str]] = {
     "read": "diagrams, maps and tables",
     "store": "chunks of stores",
@@ -40,26 +40,26 @@ _PLURALS: Final[Mapping[Activity, str]] = {
 #: Bytes sent at a time; the next ones wait until the client has taken these.
 PIECE: Final = 256 * 1024
 
-#: The status in the log of a request whose client has left; the client never sees it.
+#: The logged status of a request whose client has left; the client never sees it.
 CLIENT_GONE: Final = 499
 
-#: Bytes of answers after which the C library is told to return memory when none is left.
+#: After this many bytes of answers, return memory to the system once no answer is left.
 MUCH: Final = 64 * 2**20
 
 
-#: Seconds for which an answer is still computed after its client has left: most are there by then, and to end
+#: Seconds that computing continues after the client has left: most answers finish by then, and ending
 #: one costs the process that computes it.
 GRACE: Final = 1.0
 
-#: A small read: bytes of its answer, of the chunks that it decodes, and how many these are. It takes some
-#: hundredths of a second.
+#: Limits of a small read: bytes of its answer, bytes of the chunks that it decodes, and their number. It
+#: takes some hundredths of a second.
 SMALL_ANSWER: Final = 2 * 2**20
 SMALL_CHUNKS: Final = 8 * 2**20
 FEW_CHUNKS: Final = 16
 
 
 class Cost(NamedTuple):
-    """What an answer takes."""
+    """The resources of an answer."""
 
     memory: int  # bytes, from the start of its computation until it is sent
     small: bool = False
@@ -73,9 +73,9 @@ class _Waiter(NamedTuple):
 class Capacity:
     """The threads and the memory of costly requests; used in one event loop only.
 
-    `slots`: threads of each activity; `memory`: bytes that all answers may take together, from the start of
+    `slots`: threads of each activity; `memory`: bytes of all answers together, from the start of
     their computation until they are sent. A request beyond either waits up to `timeout` s, first come first
-    served; `max_waiting` may wait for each activity.
+    served; at most `max_waiting` wait for each activity.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Capacity:
     ) -> None:
         self._slots, self._free = dict(slots), dict(slots)
         self._memory, self._timeout, self._max_waiting = memory, timeout, max_waiting
-        self._used = self._most_used = 0  # bytes, now and since the C library last returned memory
+        self._used = self._most_used = 0  # bytes, now and at most since memory was last returned
         self._waiting: dict[Activity, deque[_Waiter]] = {activity: deque() for activity in slots}
         self._threads = {
             activity: ThreadPoolExecutor(count, thread_name_prefix=f"costly-{activity}")
@@ -96,12 +96,12 @@ class Capacity:
         return self._used
 
     def close(self) -> None:
-        """End the threads, each after what it is computing."""
+        """End the threads, each after its current work."""
         for threads in self._threads.values():
             threads.shutdown(wait=False, cancel_futures=True)
 
     async def acquire(self, activity: Activity, memory: int) -> "Lease":
-        """A thread for `activity` and so many bytes; more than there are count as all. Raises Busy."""
+        """A thread for `activity` and `memory` bytes, capped at the total. Raises Busy."""
         memory, queue = min(memory, self._memory), self._waiting[activity]
         if queue or not self._fits(activity, memory):
             if len(queue) >= self._max_waiting:
@@ -121,11 +121,11 @@ class Capacity:
         return Lease(self, activity, memory)
 
     async def run(self, activity: Activity, work: Callable[[], Response]) -> Response:
-        """Run `work` in a thread of the activity, of which the caller holds a lease."""
+        """Run `work` in a thread of the activity, whose lease the caller holds."""
         return await asyncio.get_running_loop().run_in_executor(self._threads[activity], work)
 
     def give_back(self, activity: Activity | None, memory: int) -> None:
-        """Free a thread of `activity`, if it is given, and so many bytes."""
+        """Free a thread of `activity`, if given, and `memory` bytes."""
         self._used -= memory
         if activity is not None:
             self._free[activity] += 1
@@ -151,7 +151,7 @@ class Capacity:
                     waiter.admitted.set_result(None)
 
     def _withdraw(self, activity: Activity, waiter: _Waiter) -> None:
-        """Take back a request that waits no longer, perhaps admitted in the same moment."""
+        """Remove a request that no longer waits, perhaps admitted in the same moment."""
         if waiter.admitted.done() and not waiter.admitted.cancelled():
             self.give_back(activity, waiter.memory)
         elif waiter in self._waiting[activity]:
@@ -174,7 +174,7 @@ class Lease:
         self._thread: Activity | None = activity
 
     async def run(self, work: Callable[[], Response]) -> Response:
-        """The answer of `work`, whose body is all that the lease holds then; released if `work` raises."""
+        """The answer of `work`; the lease then holds only its body, and nothing if `work` raises."""
         try:
             response = await self._capacity.run(self._activity, work)
         except BaseException:
@@ -185,7 +185,7 @@ class Lease:
         return _Leased(response, self)
 
     def release(self) -> None:
-        """Give everything back; may be called again."""
+        """Free thread and memory; may be called again."""
         self._give_back(self._memory)
 
     def _give_back(self, memory: int) -> None:
@@ -223,9 +223,9 @@ def costly(
 ) -> Callable[[Callable[..., Response]], Callable[..., Coroutine[Any, Any, Response]]]:
     """Declare an endpoint costly; it must have a parameter `service: ServiceDep`.
 
-    `cost`: bytes that an answer takes at most, or a function that estimates them or the `Cost`; it is called
-    with the endpoint's arguments. A request that finds no thread or no memory within `turn_seconds` gets 429.
-    Nothing is computed for a client that has left before its turn, nor GRACE seconds after it has left.
+    `cost`: most bytes of an answer, or a function of the endpoint's arguments that estimates them or the
+    `Cost`. A request that finds no thread or no memory within `turn_seconds` gets 429.
+    Nothing is computed for a client that left before its turn; computing stops GRACE seconds after it leaves.
     """
 
     def declare(endpoint: Callable[..., Response]) -> Callable[..., Coroutine[Any, Any, Response]]:
@@ -255,7 +255,7 @@ def costly(
 
 
 async def _unless_gone(request: Request, acquiring: Coroutine[Any, Any, Lease]) -> Lease | None:
-    """The lease when it is acquired; None, and nothing held, if the client has closed its connection."""
+    """The acquired lease; None, with nothing held, if the client has closed its connection."""
     acquired, gone = asyncio.ensure_future(acquiring), asyncio.ensure_future(_gone(request))
     try:
         await asyncio.wait({acquired, gone}, return_when=asyncio.FIRST_COMPLETED)
@@ -270,7 +270,7 @@ async def _unless_gone(request: Request, acquiring: Coroutine[Any, Any, Lease]) 
 
 
 async def _answer(request: Request, lease: Lease, work: Callable[[], Response]) -> Response:
-    """The answer of `work`; ends what is computed for it if the client closes its connection meanwhile."""
+    """The answer of `work`; stops computing if the client closes its connection."""
     asker = Asker()
     computed = asyncio.ensure_future(lease.run(functools.partial(asker.run, work)))
     gone = asyncio.ensure_future(_gone(request))

@@ -1,4 +1,4 @@
-"""Conditional requests: ETags of jobs and of their results, and 304 for callers who have them."""
+"""Conditional requests: ETags of jobs and of their results, and 304 for clients that have them."""
 
 import hashlib
 from collections.abc import Callable, Coroutine, Mapping
@@ -22,8 +22,8 @@ def job_headers(
     job: JobRecord, failures: int = 0, notice: str | None = None, compiling: Compiling | None = None
 ) -> dict[str, str]:
     """ETag and Cache-Control of a job's view; the tag is weak, because it ignores the estimated time left."""
-    told = [fact for fact in (notice, compiling and round(compiling.seconds)) if fact is not None]
-    return _headers(f"W/{_tag(failures, *job.revision, *told)}")
+    shown = [fact for fact in (notice, compiling and round(compiling.seconds)) if fact is not None]
+    return _headers(f"W/{_tag(failures, *job.revision, *shown)}")
 
 
 def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:
@@ -61,14 +61,15 @@ class _NotModified(Exception):
 async def _results_job(job: JobDep, request: Request) -> JobRecord:
     """The job, with the tag of its results in `request.state` if they are final."""
     if job.state is JobState.DONE:
-        # An accepted job gives the same bytes under one URL, for as long as this version of the service runs.
+        # An accepted job gives the same bytes under one URL while this version of the service runs.
         request.state.tag = _tag(job.id, job.seq, job.created, request.app.version)
         if _matches(request.headers.get("if-none-match", ""), request.state.tag):
             raise _NotModified
     return job
 
 
-#: The job whose results a `ConditionalRoute` returns; a caller who has them gets 304 before anything is read.
+#: The job whose results a `ConditionalRoute` returns; a client that has them gets 304 before anything is
+#: read.
 ResultsJob = Annotated[JobRecord, Depends(_results_job)]
 
 

@@ -1,4 +1,4 @@
-"""What operators monitor: readiness, and metrics for Prometheus."""
+"""Monitoring for operators: readiness, and metrics for Prometheus."""
 
 import math
 import threading
@@ -23,14 +23,14 @@ from service.jobs.manager import JobManager
 from service.jobs.model import JobState
 from worker.executors.base import Executor
 
-#: Methods with a label of their own; the rest share one, so that callers cannot create labels.
+#: Methods with their own label; the rest share one, so that callers cannot create labels.
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "OPTIONS", "PUT", "PATCH"})
 
 
 class Readiness:
-    """Whether the ledger can be used, the scheduler answers and there are workers; thread-safe.
+    """Whether the ledger is usable, the scheduler answers and there are workers; thread-safe.
 
-    Caches the executor's answer for `max_age` seconds. `ledger_fault` says why the ledger cannot be used.
+    Caches the executor's answer for `max_age` seconds. `ledger_fault` says why the ledger is unusable.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Readiness:
         self._fault: str | None = None
 
     def fault(self) -> str | None:
-        """Why no jobs are accepted or computed; None if they are."""
+        """Why jobs are not accepted or computed; None if they are."""
         if (fault := self._ledger_fault()) is not None:
             return fault
         with self._lock:
@@ -60,7 +60,7 @@ class Readiness:
 
 
 class Metrics:
-    """Metrics of one service, in a registry of their own."""
+    """Metrics of one service, in their own registry."""
 
     def __init__(self) -> None:
         self._registry = CollectorRegistry()
@@ -79,11 +79,11 @@ class Metrics:
         )
 
     def add_jobs(self, ledger: Ledger, readiness: Readiness, manager: JobManager) -> None:
-        """Report the ledger's jobs, their chunks and the scheduler's readiness too."""
+        """Also report the ledger's jobs, their chunks and the scheduler's readiness."""
         self._registry.register(_JobsCollector(ledger, readiness, manager))
 
     def add_cluster(self, executor: Executor) -> None:
-        """Report the workers too."""
+        """Also report the workers."""
         self._registry.register(_ClusterCollector(executor))
 
     def count_request(self, method: str, route: str, status: int, seconds: float) -> None:
@@ -128,7 +128,7 @@ class _JobsCollector(Collector):
         )
         returned = CounterMetricFamily(
             "bounce_chunks_returned",
-            "Chunks that came back without a result, by what followed and the kind of error.",
+            "Chunks that came back without a result, by action and kind of error.",
             labels=["action", "error"],
         )
         for (action, error), number in tally.returned.items():

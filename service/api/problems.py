@@ -90,7 +90,7 @@ PENDING_RETRY_AFTER: Final = 1
 
 
 class ProblemResponse(Response):
-    """A problem document (see `schemas.ProblemDocument`) with the headers that belong to its status."""
+    """A problem document (see `schemas.ProblemDocument`) with the headers of its status."""
 
     media_type = "application/problem+json"
 
@@ -113,7 +113,7 @@ class ProblemResponse(Response):
 
 
 def install(app: FastAPI) -> None:
-    """Register the handlers of all errors but defects, which `middleware.access_log` answers."""
+    """Register the handlers of all errors except defects, which `middleware.access_log` answers."""
     for error_class in STATUS:
         app.add_exception_handler(error_class, _refused)
     app.add_exception_handler(StoreDamaged, _damaged)
@@ -139,7 +139,7 @@ def problem_response(error: Exception) -> ProblemResponse:
 
 
 def internal_error(request_id: str) -> ProblemResponse:
-    """The response to a defect of the service, whose traceback is in the log under the request's id."""
+    """The response to a defect of the service; the log has the traceback under the request's id."""
     return ProblemResponse(
         HTTPStatus.INTERNAL_SERVER_ERROR, f"internal error; see the service log (request {request_id})"
     )
@@ -150,12 +150,12 @@ def _refused(_: Request, error: Exception) -> Response:
 
 
 def _damaged(request: Request, error: Exception) -> Response:
-    """Start the repair of damaged results; 503 naming the chunks, or 500 for what cannot be repaired."""
+    """Start the repair of damaged results; 503 with the chunks, or 500 if they cannot be repaired."""
     repairer = request.app.state.service.manager.repairer
     chunks = cast(StoreDamaged, error).chunks
     try:
         detail, lasting = repairer.report(request.path_params.get("job_id", ""), chunks)
-    except LedgerUnavailable as unavailable:  # such as stores that are not there
+    except LedgerUnavailable as unavailable:  # for example missing stores
         return problem_response(unavailable)
     status = HTTPStatus.INTERNAL_SERVER_ERROR if lasting else HTTPStatus.SERVICE_UNAVAILABLE
     return ProblemResponse(status, detail)
@@ -183,7 +183,7 @@ def _name(location: Sequence[str | int]) -> str:
     return ".".join(str(part) for part in location[1:]) or str(location[0])
 
 
-#: Rules in words, of parameters that Pydantic checks by a pattern.
+#: Rules in words for parameters that Pydantic checks by a pattern.
 _PATTERN_RULES: Final = {
     "cursor": "should be `next` of the page before",
     "idempotency-key": "should be made of ASCII characters, without spaces",
@@ -215,7 +215,7 @@ def _http(request: Request, error: Exception) -> Response:
 
 
 def _allowed(request: Request, named: str) -> list[str]:
-    """The methods of every route with this path; Starlette's Allow header names those of one route."""
+    """The methods of all routes with this path; Starlette's Allow header names only one route's."""
     routes = [route for route in request.app.routes if not isinstance(route, Mount)]
     methods = {
         method

@@ -28,7 +28,7 @@ DEFAULT_URL: Final = "http://127.0.0.1:8000"
 #: Jobs in one request for a list of jobs.
 PAGE_SIZE: Final = 1000
 
-#: Hex digits of an id, and the fewest of its first ones that select a job. No other text becomes a part of an
+#: Hex digits of an id, and the fewest leading ones that select a job. No other text becomes part of an
 #: address.
 _ID_LENGTH: Final = 32
 _SHORTEST_ID: Final = 4
@@ -41,12 +41,21 @@ class Client(SpringMethods):
             job = client.submit({"gamma": {"start": 1, "stop": 6, "num": 1001}, "omega": 0.5, "xi": 0.26})
             diagram = job.wait().diagram()
 
-    `url` is the address of the service; `token` is its access token, which it requires unless it listens on
-    loopback only. Without one, the client looks for the token that a service of the same user has made
-    (`bounce serve --token auto`) in the data folder BOUNCE_DATA, by default ./bounce-data. `timeout` is the
-    time limit of one request in seconds. `http` sends the requests instead of a connection of the client's
-    own (for proxies, certificates, or an application in this process); closing the client does not close it.
     Every exception raised on purpose is a `BounceError`.
+
+    Parameters
+    ----------
+    url
+        Address of the service.
+    token
+        Access token, required unless the service listens on loopback only. By default the client looks for
+        the token that a service of the same user has created (`bounce serve --token auto`) in the data
+        folder BOUNCE_DATA, by default ./bounce-data.
+    timeout
+        Time limit of one request in seconds.
+    http
+        Sends the requests instead of the client's own connection (for proxies, certificates, or an
+        application in this process); closing the client does not close it.
     """
 
     def __init__(
@@ -66,17 +75,35 @@ class Client(SpringMethods):
 
     @property
     def page(self) -> str:
-        """The address of the service's page, with the access token, if there is one, in its fragment."""
+        """The address of the service's page, with the access token, if any, in its fragment."""
         token = self._transport.token
         return f"{self.url}/" if token is None else f"{self.url}/#token={quote(token, safe='')}"
 
     def submit(self, spec: Specification, *, key: str | None = None) -> Job:
-        """Submit a sweep: a mapping, a `worker.spec.SweepSpec`, or the path of a .json, .toml or .yaml file.
+        """Submit a sweep.
 
-        The same sweep is always the same job: submitted again, a job that is done is returned as it is, and
-        one that failed or was cancelled continues. With an idempotency `key`, a repeated request changes
-        nothing, whatever happened to the job since. Raises InvalidSpecification naming field and rule,
-        TooLarge, Busy, or Conflict if the key was used for another specification.
+        The same sweep is always the same job: submitted again, a done job is returned as it is, and a failed
+        or cancelled one continues.
+
+        Parameters
+        ----------
+        spec
+            A mapping, a `worker.spec.SweepSpec`, or the path of a .json, .toml or .yaml file.
+        key
+            Idempotency key: a repeated request changes nothing, whatever happened to the job since.
+
+        Returns
+        -------
+        Job
+            The accepted or existing job.
+
+        Raises
+        ------
+        InvalidSpecification
+            A field breaks a rule; the error names both.
+        Conflict
+            The key was used for another specification.
+        TooLarge, Busy
         """
         headers = {"Idempotency-Key": header_value("an idempotency key", key)} if key is not None else None
         response = self._transport.post("/v1/jobs", body(spec), headers=headers, idempotent=True)
@@ -92,9 +119,21 @@ class Client(SpringMethods):
             raise UnexpectedAnswer(f"the answer is not an estimate: {error!r}") from error
 
     def job(self, id: str) -> Job:
-        """The job with this id, or the only one whose id begins with it: four hex digits or more.
+        """Find a job.
 
-        Raises NotFound, also where several ids begin so.
+        Parameters
+        ----------
+        id
+            The whole id, or enough of its beginning to select one job: at least four hex digits.
+
+        Returns
+        -------
+        Job
+
+        Raises
+        ------
+        NotFound
+            No job, or several, have an id that begins so.
         """
         if not re.fullmatch(f"[0-9a-f]{{{_SHORTEST_ID},{_ID_LENGTH}}}", id):
             raise _not_found(
@@ -106,7 +145,7 @@ class Client(SpringMethods):
         return Job(self._transport, self._transport.get(f"/v1/jobs/{id}"))
 
     def _whole_id(self, beginning: str) -> str:
-        """The only id that begins so."""
+        """The only id with this beginning."""
         found = [job.id for job in self.jobs(search=beginning) if job.id.startswith(beginning)]
         if not found:
             raise _not_found(f"no job has an id that begins with {beginning}")
@@ -116,7 +155,7 @@ class Client(SpringMethods):
         return found[0]
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
-        """The result of a spring alone, as the method of that name returns it. Raises BadRequest."""
+        """The result of a spring alone, as returned by the method of that name. Raises BadRequest."""
         from service.client.dataset import from_binary
 
         return from_binary(self.result_file(name, "bin", **query))
@@ -137,11 +176,26 @@ class Client(SpringMethods):
         created_before: datetime | str | None = None,
         order: str | None = None,
     ) -> Iterator[Job]:
-        """All jobs, or those that every argument allows; requested page by page.
+        """List the jobs that match every argument; by default all. Requests them page by page.
 
-        `search` is part of the name or the beginning of the id; `model` and `protocol` are kinds, such as
-        "rigid" and "ramp"; times are in UTC if they name no zone; `order` is "newest" (the default),
-        "oldest", "finished", "name" or "largest".
+        Parameters
+        ----------
+        state
+            State of the jobs.
+        search
+            Part of the name or beginning of the id.
+        model, protocol
+            Kinds, such as "rigid" and "ramp".
+        pinned
+            Whether the jobs are pinned.
+        created_from, created_before
+            Limits on the time of creation, in UTC if they name no zone.
+        order
+            "newest" (default), "oldest", "finished", "name" or "largest".
+
+        Returns
+        -------
+        Iterator[Job]
         """
         query: dict[str, Any] = {
             "state": state,
@@ -165,30 +219,75 @@ class Client(SpringMethods):
             query["cursor"] = page["next"]
 
     def as_completed(self, jobs: "Iterable[Job]", timeout: float | None = None) -> Iterator[Job]:
-        """The jobs as they end: done, failed or cancelled; see `Job.state`.
+        """Yield the jobs as they end: done, failed or cancelled; see `Job.state`.
 
-        `timeout` is in seconds for all of them. Raises WaitTimeout, with one of the jobs that continue, and
-        ServiceUnreachable as `Job.wait`.
+        Parameters
+        ----------
+        jobs
+            The jobs to wait for.
+        timeout
+            Seconds for all of them together.
+
+        Returns
+        -------
+        Iterator[Job]
+
+        Raises
+        ------
+        WaitTimeout
+            Has one of the jobs that continue.
+        ServiceUnreachable
+            As for `Job.wait`.
         """
         return as_completed(jobs, timeout)
 
     def wait_all(
         self, jobs: "Iterable[Job]", timeout: float | None = None, progress: bool | PartsCallback = True
     ) -> list[Job]:
-        """Wait until all jobs have ended, and return them in their order.
+        """Wait until all jobs have ended.
 
-        `progress`: True writes how many have ended to standard error; a function is called with their number
-        and that of all. Raises JobFailed or JobCancelled for the first that is not done, WaitTimeout, and
-        ServiceUnreachable as `Job.wait`.
+        Parameters
+        ----------
+        jobs
+            The jobs to wait for.
+        timeout
+            Seconds for all of them together.
+        progress
+            True writes to standard error how many have ended; a function is called with that number and the
+            total.
+
+        Returns
+        -------
+        list[Job]
+            The jobs in the order given.
+
+        Raises
+        ------
+        JobFailed, JobCancelled
+            For the first job that is not done.
+        WaitTimeout, ServiceUnreachable
+            As for `Job.wait`.
         """
         return wait_all(jobs, timeout, progress)
 
     def map(self, specs: "Iterable[Specification]", *, at_once: int = 16) -> Iterator[Job]:
-        """Submit specifications and return their jobs in order, each once it has ended.
+        """Submit specifications and yield their jobs in order, each once it has ended.
 
-        At most `at_once` jobs that are not returned yet are at the service, so that a long list neither fills
-        its queue nor needs to be known in advance. Raises as `submit` does when the specification's turn
-        comes, ValueError for `at_once` below 1.
+        Parameters
+        ----------
+        specs
+            As for `submit`. A long list neither fills the service's queue nor needs to be known in advance.
+        at_once
+            Most jobs at the service that are not yet returned.
+
+        Returns
+        -------
+        Iterator[Job]
+
+        Raises
+        ------
+        ValueError
+            `at_once` is below 1. A specification raises as in `submit` when its turn comes.
         """
         if at_once < 1:
             raise ValueError(f"at_once: must be at least 1, not {at_once}")

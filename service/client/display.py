@@ -18,14 +18,14 @@ AnyJob = TypeVar("AnyJob", bound=JobStatus)
 #: Called with the number of parts computed and the number of all parts.
 PartsCallback: TypeAlias = Callable[[int, int], None]
 
-#: A plain line is written every so many percent, and every so many seconds in between.
+#: A plain line is written after this many percent, and after this many seconds.
 LINE_PERCENT: Final = 10.0
 LINE_SECONDS: Final = 10.0
 
 
 @contextmanager
 def display_job(progress: bool | Callable[[AnyJob], None]) -> Iterator[Callable[[AnyJob], None]]:
-    """A function that shows a job: `progress` itself if it is a function, one that does nothing if False."""
+    """A function that shows a job: `progress` itself if it is a function, one without effect if False."""
     if callable(progress):
         yield progress
     elif not progress:
@@ -41,7 +41,7 @@ def display_job(progress: bool | Callable[[AnyJob], None]) -> Iterator[Callable[
 
 @contextmanager
 def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterator[None]:
-    """Write what takes long, from `after` seconds on, with the seconds that it has taken.
+    """Report a long operation from `after` seconds on, with the elapsed seconds.
 
     On a terminal the seconds are counted in place; elsewhere a line is written now and then.
     """
@@ -78,7 +78,7 @@ def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterat
 def display_parts(
     progress: bool | PartsCallback, verb: str = "computed", parts: str = "parts"
 ) -> PartsCallback:
-    """The same for an answer computed in parts, or for several jobs; writes plain lines if True."""
+    """The same for an answer in parts, or for several jobs; writes plain lines if True."""
     if callable(progress):
         return progress
     return PartsLines(sys.stderr, verb, parts) if progress else lambda done, total: None
@@ -92,7 +92,7 @@ class PartsLines:
         self._last: int | None = None
 
     def __call__(self, done: int, total: int) -> None:
-        """Report that `done` of `total` are."""
+        """Report `done` of `total`."""
         if self._last is None or (done - self._last) * 100.0 >= LINE_PERCENT * total:
             self._last = done
             print(f"{self._verb} {done} of {total} {self._parts}", file=self._out, flush=True)
@@ -133,7 +133,7 @@ def summary(job: JobStatus) -> str:
 
 
 def computed_note(job: JobStatus) -> str:
-    """How many cells of an adaptive map were computed, and how many at least will be; else empty."""
+    """Computed cells of an adaptive map, and how many it needs at least; else empty."""
     progress = job.progress
     if progress.cells_computed is None:
         return ""
@@ -142,7 +142,7 @@ def computed_note(job: JobStatus) -> str:
 
 
 def settling_note(job: JobStatus) -> str:
-    """How many cells were still settling, and what to do; an empty string if none was."""
+    """Number of cells still settling, and the remedy; empty if there are none."""
     settling = job.progress.cells_settling
     if not settling:
         return ""
@@ -245,7 +245,7 @@ def _progress_bar() -> Iterator[Callable[[JobStatus], None]]:
 
 
 def _in_notebook() -> Callable[[JobStatus], None]:
-    """A function that shows a job as HTML below the cell of a notebook, and from then on in that place."""
+    """A function that shows a job as HTML below the cell of a notebook, then updates it in place."""
     from IPython.display import HTML, DisplayHandle
 
     handle = DisplayHandle()

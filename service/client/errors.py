@@ -2,7 +2,7 @@
 
     BounceError
     ├── ServiceUnreachable          nothing answered at the address
-    │   └── Unanswered              a service is there, but its answer did not come
+        │   └── Unanswered              the service took the request but did not answer
     ├── UnexpectedAnswer            something answered, but not this service
     ├── Refused                     the service answered with a problem document
     │   ├── BadRequest              400, 422: a field breaks a rule; `fields` names both
@@ -28,7 +28,7 @@ from service.client.models import FieldProblem, JobStatus, Problem
 
 
 class BounceError(Exception):
-    """Root of every exception that the client raises on purpose; the message is fit for users."""
+    """Root of the exceptions that the client raises on purpose; the message is fit for users."""
 
 
 class ServiceUnreachable(BounceError):
@@ -40,7 +40,7 @@ class ServiceUnreachable(BounceError):
 
 
 class Unanswered(ServiceUnreachable):
-    """The service at `url` took the request, and its answer did not come: it may be busy."""
+    """The service at `url` took the request but did not answer: it may be busy."""
 
     def __init__(self, url: str, reason: str) -> None:
         BounceError.__init__(self, f"the service at {url} did not answer: {reason}")
@@ -66,7 +66,7 @@ class Refused(BounceError):
 
     @property
     def fields(self) -> tuple[FieldProblem, ...]:
-        """The fields at fault, in the order of the problem document; empty if it names none."""
+        """The fields at fault, in the order of the problem document; empty if there are none."""
         return self.problem.fields
 
 
@@ -100,7 +100,7 @@ class TooLarge(Refused):
 
 
 class Busy(Refused):
-    """The service cannot take the request now; `retry_after` is in seconds, None if it gave none."""
+    """The service cannot take the request now; `retry_after` is in seconds, None if not given."""
 
 
 class ServiceError(Refused):
@@ -141,7 +141,7 @@ class NotComputedYet(BounceError, TimeoutError):
 
     def __init__(self, done: int, total: int, seconds: float) -> None:
         super().__init__(
-            f"{done} of {total} parts computed after {seconds:g} s; the computation goes on for a minute: "
+            f"{done} of {total} parts computed after {seconds:g} s; the computation continues for a minute: "
             "repeat the request until then"
         )
 

@@ -42,7 +42,7 @@ MAX_OUTAGE: Final = 30.0
 
 
 class Job(Results):
-    """One sweep computed by the service, as last described by it; `refresh()` updates the description."""
+    """A sweep at the service, as the service last described it; `refresh()` updates the description."""
 
     def __init__(self, transport: Transport, response: "httpx2.Response") -> None:
         self._transport = transport
@@ -82,21 +82,21 @@ class Job(Results):
         return self
 
     def cancel(self) -> "Job":
-        """Request that the job stops; repeating the request is harmless. Raises Conflict if it is done."""
+        """Request the job to stop; repeating the request is harmless. Raises Conflict if it is done."""
         return self._post("cancel")
 
     def pin(self) -> "Job":
-        """Mark the job, to find it again with `Client.jobs(pinned=True)` and on top of the page's list."""
+        """Pin the job, for `Client.jobs(pinned=True)` and the top of the page's list."""
         return self._post("pin")
 
     def unpin(self) -> "Job":
-        """Take the mark away."""
+        """Unpin the job."""
         return self._post("unpin")
 
     def resume(self) -> "Job":
         """Continue a failed or cancelled job where it stopped. Raises Conflict if it is done.
 
-        A job of another kernel version starts anew as another job: this object is that job from then on,
+        A job of another kernel version starts anew as another job: this object then becomes that job,
         with its `id`, and `notice` says so.
         """
         return self._post("resume")
@@ -111,12 +111,31 @@ class Job(Results):
         by: str = "mode",
         margin: bool = False,
     ) -> "Job":
-        """Submit an adaptive sweep of a window of this sweep's map, on a grid `finer` times as fine.
+        """Submit an adaptive sweep of a window of this sweep's map.
 
-        `gamma`, `omega`: the window's ends, None for the whole axis; `xi` takes the nearest grid value, None
-        if there is only one. `by` is mode or bouncing, `margin` computes the neighbours of blocks that change
-        as well. The new job's `spec["parent"]` is this job's id. Raises InvalidSpecification naming the
-        field, TooLarge, Busy.
+        Parameters
+        ----------
+        gamma, omega
+            Ends of the window; None for the whole axis.
+        xi
+            Selects the nearest grid value; None if there is only one.
+        finer
+            How many times as fine as the map's grid.
+        by
+            "mode" or "bouncing".
+        margin
+            Also compute the neighbours of blocks that change.
+
+        Returns
+        -------
+        Job
+            The new job, whose `spec["parent"]` is this job's id.
+
+        Raises
+        ------
+        InvalidSpecification
+            Names the field.
+        TooLarge, Busy
         """
         fields = {"gamma": gamma, "omega": omega, "xi": xi, "finer": finer, "by": by, "margin": margin}
         response = self._transport.post(self._path("refine"), body(fields), idempotent=True)
@@ -132,22 +151,45 @@ class Job(Results):
         self._transport.delete(self._path())
 
     def follow(self) -> "Iterator[Job]":
-        """This job, now and after every change, until it is finished; the service pushes the changes.
+        """Yield this job now and after every change until it is finished; the service pushes the changes.
 
-        Raises Busy if the service has too many listeners, ServiceUnreachable if the connection breaks.
+        Raises
+        ------
+        Busy
+            The service has too many listeners.
+        ServiceUnreachable
+            The connection broke.
         """
         for view in self._transport.events(self._path("events")):
             self._update_from({**view, "spec": view.get("spec") or self.view.get("spec")}, None)
             yield self
 
     def wait(self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None) -> "Job":
-        """Wait until the job is done, polling at the interval that the service asks for (Retry-After).
+        """Wait until the job is done, polling at the service's interval (Retry-After).
 
-        `progress`: True shows a bar on a terminal and plain lines elsewhere, on standard error; a function
-        is called with the job after every request. `timeout` is in seconds. If a service of another kernel
-        version replaces the job by another, the wait is for that one, and this object is that job from then
-        on. Raises JobFailed, JobCancelled, WaitTimeout (the job continues), or ServiceUnreachable after
-        `MAX_OUTAGE` seconds without an answer.
+        If a service of another kernel version replaces the job, this object becomes the new job and waits
+        for that.
+
+        Parameters
+        ----------
+        progress
+            True shows a bar on a terminal and plain lines elsewhere, on standard error; a function is called
+            with the job after every request.
+        timeout
+            In seconds.
+
+        Returns
+        -------
+        Job
+            This job.
+
+        Raises
+        ------
+        JobFailed, JobCancelled
+        WaitTimeout
+            The job continues.
+        ServiceUnreachable
+            No answer for `MAX_OUTAGE` seconds.
         """
         deadline = time.monotonic() + (float("inf") if timeout is None else timeout)
         with display_job(progress) as show:
@@ -169,14 +211,29 @@ class Job(Results):
         branches: "xarray.Dataset | None" = None,
         **selection: Any,
     ) -> "Axes":
-        """Plot the results with matplotlib and return the axes.
+        """Plot the results with matplotlib.
 
-        `kind`: "diagram", the flights along one axis; "modes", the map over (Γ, Ω); "threshold", over Ω; by
-        default the map where Γ and Ω both have several values, else the diagram. `selection`: the arguments
-        of `diagram`, `modes` or `threshold`; maps of sweeps ramped both ways are hatched where the directions
-        differ, unless `hysteresis` is False. `branches`, as `Client.orbits` returns them, are drawn over a
-        diagram: solid where stable. `ax`: default the current axes of pyplot if it is in use, else those of a
-        new figure. Raises BounceError for an unknown kind, and as these methods.
+        Parameters
+        ----------
+        kind
+            "diagram", the flights along one axis; "modes", the map over (Γ, Ω); "threshold", over Ω. By
+            default the map if Γ and Ω both have several values, else the diagram.
+        ax
+            By default the current axes of pyplot if it is in use, else those of a new figure.
+        branches
+            From `Client.orbits`, drawn over a diagram: solid where stable.
+        **selection
+            Arguments of `diagram`, `modes` or `threshold`. Maps of sweeps ramped both ways are hatched where
+            the directions differ, unless `hysteresis` is False.
+
+        Returns
+        -------
+        Axes
+
+        Raises
+        ------
+        BounceError
+            The kind is unknown, or the result's method raises it.
         """
         from service.client import plots
 
@@ -204,11 +261,11 @@ class Job(Results):
         return ax
 
     def pause(self, otherwise: float) -> float:
-        """Seconds until the service wants to be asked again, or `otherwise`."""
+        """Seconds that the service asks to wait (Retry-After), or `otherwise`."""
         return otherwise if self._retry_after is None else min(self._retry_after, LONGEST_DELAY)
 
     def has_ended(self) -> bool:
-        """Whether the job is finished; becomes the job that replaces it first, if there is one."""
+        """Whether the job is finished; first becomes the job that replaces it, if any."""
         while self.finished and self.state != "done" and self.replaced_by is not None:
             self.id, self._etag = self.replaced_by, None
             self.refresh_through_outage()
@@ -234,7 +291,7 @@ class Job(Results):
 
 
 def _length(axis: object) -> int:
-    """How many values an axis of a specification has."""
+    """Number of values of a specification's axis."""
     if isinstance(axis, Mapping):
         return int(axis["num"])
     return len(axis) if isinstance(axis, list) else 1
@@ -264,7 +321,7 @@ def as_completed(jobs: Iterable[Job], timeout: float | None = None) -> Iterator[
         elif time.monotonic() >= deadline:
             raise WaitTimeout(job, timeout or 0.0)
         else:
-            # Many jobs share the rate of requests that one of them would have.
+            # Many jobs share the request rate of one.
             pause = max(job.pause(delay), REQUEST_DELAY * len(waiting))
             entry = (time.monotonic() + pause, number, min(delay * 1.15, MAX_DELAY), job)
             heapq.heappush(waiting, entry)

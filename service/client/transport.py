@@ -1,4 +1,4 @@
-"""HTTP requests to one service: retries what is safe to repeat, turns problem documents into exceptions."""
+"""HTTP requests to one service: retries safe requests, turns problem documents into exceptions."""
 
 import json
 import re
@@ -37,13 +37,13 @@ CONNECT_SECONDS: Final = 5.0
 #: Seconds before the second and the third attempt at an idempotent request.
 RETRY_DELAYS: Final = (0.1, 0.4)
 
-#: Seconds between two requests to a busy service that names none, and at least.
+#: Default and shortest seconds between two requests to a busy service.
 BUSY_DELAY: Final = 1.0
 SHORTEST_DELAY: Final = 0.1
-#: Seconds of waiting for a busy service after which it is shown.
+#: Seconds of waiting for a busy service before it is reported.
 SHOWN_AFTER: Final = 2.0
 
-#: The longest Retry-After that is believed, s.
+#: The longest accepted Retry-After, s.
 LONGEST_RETRY: Final = 86_400.0
 
 #: Seconds without data before a stream of events counts as lost; the service sends a comment every 15 s.
@@ -58,7 +58,7 @@ MAX_ANSWER_BYTES: Final = 256 * 2**20
 #: Bytes of one event of a stream, which describes a job's progress.
 MAX_EVENT_BYTES: Final = 2**20
 
-#: The connection broke: the request, or its answer, did not arrive.
+#: The connection broke: the request or its answer did not arrive.
 _CONNECTION_LOST: Final = (httpx2.NetworkError, httpx2.RemoteProtocolError)
 
 Query: TypeAlias = Mapping[str, str | float | None]
@@ -67,7 +67,7 @@ Query: TypeAlias = Mapping[str, str | float | None]
 class Transport:
     """Sends requests to the service at `url`, with `http` if given, which its owner closes.
 
-    Every method raises the exceptions of `service.client.errors`; a parameter that is None is left out of
+    Every method raises the exceptions of `service.client.errors`. Parameters that are None are omitted from
     the query.
     """
 
@@ -93,7 +93,7 @@ class Transport:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        """For pickle: everything, the token included, but the connections, which are made anew."""
+        """For pickle: everything, including the token, except the connections, which are opened again."""
         return {name: value for name, value in vars(self).items() if name not in ("_http", "_owns_http")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -109,7 +109,7 @@ class Transport:
     def get(
         self, path: str, query: Query | None = None, headers: Mapping[str, str] | None = None
     ) -> httpx2.Response:
-        """GET `path`; a 304 is returned like a success. Waits for a busy service, as `_when_free` does."""
+        """GET `path`; a 304 is returned like a success. Waits for a busy service like `_when_free`."""
         return self._when_free(partial(self._get, path, query, headers), self._timeout)
 
     def _get(
@@ -148,8 +148,8 @@ class Transport:
     ) -> bytes:
         """The body of a result in this format, waiting up to `timeout` seconds while workers compute it.
 
-        `progress`: True writes the parts done to standard error; a function is called with their number and
-        that of all.
+        `progress`: True writes the finished parts to standard error; a function is called with their number
+        and the total.
         """
         plain = {key: str(x).lower() if isinstance(x, bool) else x for key, x in query.items()}
         query = {**plain, "format": format}
@@ -158,9 +158,9 @@ class Transport:
     def _when_free(
         self, send: Callable[[], httpx2.Response], seconds: float, *, shown: bool = True
     ) -> httpx2.Response:
-        """The response of `send`, repeated for up to `seconds` while the service is too busy for it (429).
+        """The response of `send`, repeated for up to `seconds` while the service is too busy (429).
 
-        Raises Busy after that. What takes longer than SHOWN_AFTER is shown on standard error.
+        Raises Busy after that. Waits longer than SHOWN_AFTER are shown on standard error.
         """
         deadline = time.monotonic() + seconds
         try:
@@ -191,7 +191,7 @@ class Transport:
     ) -> httpx2.Response:
         """POST `body` (JSON); `idempotent` if a repeated request has the effect of a single one.
 
-        waits: for a busy service, as `get` does.
+        waits: for a busy service, like `get`.
         """
         content_type = {"Content-Type": "application/json"} if body is not None else {}
         headers = {**content_type, **(headers or {})}
@@ -201,7 +201,7 @@ class Transport:
         return self._when_free(send, self._timeout) if waits else send()
 
     def delete(self, path: str) -> None:
-        """DELETE `path`; not retried, because a second request would answer that nothing is there."""
+        """DELETE `path`; not retried, because a second request would find nothing."""
         self._request("DELETE", path, idempotent=False)
 
     def events(self, path: str) -> Iterator[dict[str, Any]]:
@@ -214,7 +214,7 @@ class Transport:
     def download(self, path: str, query: Query, target: Path) -> None:
         """GET into the file `target`, which is replaced once the download is complete.
 
-        Waits for a busy service, as `get` does.
+        Waits for a busy service like `get`.
         """
         with ExitStack() as opened:
 
@@ -228,7 +228,7 @@ class Transport:
 
     @contextmanager
     def _stream(self, path: str, query: Query | None, seconds: float) -> Iterator[httpx2.Response]:
-        """A response whose body is read as it arrives, at most `seconds` between two pieces."""
+        """A response whose body is read as it arrives, with at most `seconds` between two pieces."""
         timeout = httpx2.Timeout(seconds, connect=CONNECT_SECONDS)
         request = self._built("GET", path, query, {}, timeout=timeout)
         try:
@@ -238,7 +238,7 @@ class Transport:
             raise self._failure(error, seconds) from None
 
     def _failure(self, error: httpx2.RequestError, seconds: float) -> BounceError:
-        """The error of a request that got no answer within `seconds`, in one sentence."""
+        """The error of a request without an answer within `seconds`, in one sentence."""
         if isinstance(error, (httpx2.ConnectError, httpx2.ConnectTimeout)):
             return ServiceUnreachable(self.url, _reason(error))
         if isinstance(error, httpx2.TimeoutException):
@@ -316,7 +316,7 @@ def _whole(response: httpx2.Response) -> httpx2.Response:
 
 
 def _lines(response: httpx2.Response) -> Iterator[bytes]:
-    """The lines of a body as they arrive. Raises UnexpectedAnswer for one above MAX_EVENT_BYTES."""
+    """The lines of a body as they arrive. Raises UnexpectedAnswer above MAX_EVENT_BYTES."""
     last = b""
     for block in response.iter_bytes():
         *lines, last = (last + block).split(b"\n")
@@ -359,19 +359,19 @@ def retry_after(response: httpx2.Response) -> float | None:
 
 
 def _pause(asked: float | None, left: float) -> float:
-    """Seconds until the next request, where the service asked for `asked` and the caller has `left`."""
+    """Seconds until the next request: the service asked for `asked`, the caller has `left`."""
     return max(min(max(asked or BUSY_DELAY, SHORTEST_DELAY), left), 0.0)
 
 
 def header_value(name: str, text: str) -> str:
-    """`text` if a header can carry it. Raises BounceError, which does not quote `text`: it may be secret."""
+    """`text` if a header can carry it. Raises BounceError without quoting `text`, which may be secret."""
     if not re.fullmatch("[!-~]+", text):
         raise BounceError(f"{name} must consist of ASCII characters without spaces")
     return text
 
 
 def _parts_computed(response: httpx2.Response) -> tuple[int, int]:
-    """The number of parts that are computed, and of all parts."""
+    """The numbers of computed parts and of all parts."""
     try:
         progress = json_object(response)["progress"]
         return int(progress["parts_done"]), int(progress["parts_total"])
@@ -408,14 +408,14 @@ def _valid_url(url: str) -> str:
 
 
 def _why_invalid(url: str, error: Exception) -> str:
-    """The reason, unless it may quote a part of a password, as the port of `http://me:pass/word@host`."""
+    """The reason, unless it may quote part of a password, like the port of `http://me:pass/word@host`."""
     if "@" in url:
         return "not an address; write / ? # and @ of a password as %2F %3F %23 and %40"
     return f"not an address: {error}"
 
 
 def _split_credentials(url: str) -> tuple[str, str]:
-    """The address without user and password, which then appear in no message, and `user:password` or ""."""
+    """The address without user and password, to keep them out of messages, and `user:password` or ""."""
     userinfo = httpx2.URL(url).userinfo.decode()
     return _hide_credentials(url), unquote(userinfo)
 
@@ -425,7 +425,7 @@ def _hide_credentials(url: str) -> str:
 
 
 def _hide_all_before_at(text: str) -> str:
-    """A text that is no address, without what may be a password in it."""
+    """An invalid address without any part that may be a password."""
     _, at, after = text.rpartition("@")
     return f"...@{after}" if at else text
 
@@ -439,7 +439,7 @@ def _is_loopback(url: str) -> bool:
 
 
 def _own_token(url: str) -> str | None:
-    """The token of this user's service at a loopback address, if it has made one."""
+    """The token that this user's service at a loopback address has created, if any."""
     port = httpx2.URL(url).port
     return find_token(port) if port is not None and _is_loopback(url) else None
 

@@ -1,4 +1,4 @@
-"""Reads a job's zarr store over HTTP, through the connection and with the token of the client."""
+"""Reads a job's zarr store over HTTP, through the client's connection and with its token."""
 
 import asyncio
 import json
@@ -22,17 +22,17 @@ from service.client import accessor  # noqa: F401 - registers `dataset.bounce`
 from service.client.errors import NotFound, Refused, StoreUnreachable, UnexpectedAnswer
 from service.client.transport import Transport
 
-#: The codecs of the stores that the service writes. Others can do more than decode: one of them unpickles.
+#: The codecs of the service's stores. Others can do more than decode: one of them unpickles.
 CODECS: Final = frozenset({"bytes", "crc32c", "sharding_indexed", "vlen-utf8", "zstd"})
-#: The documents that describe groups and arrays; of zarr's version 2 there is none in our stores.
+#: The documents that describe groups and arrays; our stores have none of zarr's version 2.
 _METADATA: Final = "zarr.json"
 _VERSION_2: Final = (".zarray", ".zgroup", ".zattrs", ".zmetadata")
 
-#: Arrays of a store; ours have about twenty.
+#: Maximum arrays of a store; ours have about twenty.
 MAX_ARRAYS: Final = 1_000
-#: Values of an array with at most one dimension, which is read when the store is opened; an axis has 100,000.
+#: Maximum values of an array with at most one dimension, read when the store is opened; an axis has 100,000.
 MAX_COORDINATE: Final = 1_000_000
-#: Values of a chunk, each of which is decoded whole; ours have up to 96 MiB.
+#: Maximum values of a chunk, which is decoded whole; ours have up to 96 MiB.
 MAX_CHUNK: Final = 256 * 2**20
 
 #: A bucket that does not answer soon is not read directly.
@@ -43,10 +43,10 @@ _READ_ONLY: Final = "a job's store is read only"
 def open_store(
     transport: Transport, path: str, job_id: str, *, chunks: Any = None, direct: bool = False
 ) -> xarray.Dataset:
-    """The store at `path` as a lazy Dataset: values are read where they are used. Raises StoreUnreachable.
+    """The store at `path` as a lazy Dataset: values are read when used. Raises StoreUnreachable.
 
-    chunks: as `xarray.open_zarr` takes it. direct: read chunks at the store's own address, if that can be
-    read from here. Raises UnexpectedAnswer for a store that the service cannot have written.
+    chunks: as in `xarray.open_zarr`. direct: read chunks at the store's own address, if this machine can.
+    Raises UnexpectedAnswer for a store that the service cannot have written.
     """
     address = store_url(transport, path, job_id) if direct else None
     try:
@@ -54,7 +54,7 @@ def open_store(
         dataset: xarray.Dataset = xarray.open_zarr(store, consolidated=True, chunks=chunks)
     except (FileNotFoundError, ValueError) as error:
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
-    # Texts of any length, which not every xarray writes to a file: of one length, which all write.
+    # Not every xarray writes texts of any length to a file; all write those of fixed length.
     texts = {
         name: (coord.dims, np.array(coord.values.tolist(), np.str_), coord.attrs)
         for name, coord in dataset.coords.items()
@@ -64,23 +64,23 @@ def open_store(
 
 
 def store_url(transport: Transport, path: str, job_id: str) -> str:
-    """Where the service has the store at `path`. Raises StoreUnreachable, UnexpectedAnswer."""
+    """The address of the store at `path`. Raises StoreUnreachable, UnexpectedAnswer."""
     try:
         response = transport.get(f"{path}/{_METADATA}")
     except NotFound as error:
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
     address = response.headers.get("Bounce-Store")
     if not address:
-        raise UnexpectedAnswer(f"{transport.url} does not tell where it has its stores")
+        raise UnexpectedAnswer(f"{transport.url} does not give the address of its stores")
     return unquote(address)
 
 
 class HTTPStore(Store):
     """A read-only zarr store: a key is a path below one address of the service.
 
-    address: where the service has the store; chunks are read there, if the same store is there as seen from
-    this machine. What describes the arrays always comes from the service: it says how chunks are decoded.
-    Pickled, it has the service's address and the token.
+    address: the service's address of the store; chunks are read there if this machine finds the same store.
+    The arrays' metadata always come from the service, as they determine how chunks are decoded.
+    Pickled, it contains the service's address and the token.
     """
 
     def __init__(self, transport: Transport, path: str, address: str | None = None) -> None:
@@ -107,12 +107,12 @@ class HTTPStore(Store):
                 )
             else:
                 if not Path(address, _METADATA).is_file():
-                    return None  # another machine's folder; a pipe would be waited for
+                    return None  # another machine's folder; zarr would wait for a pipe
                 store = LocalStore(address, read_only=True)
             root = sync(store.get(_METADATA, default_buffer_prototype()))
         except Exception:  # noqa: BLE001 - another machine's folder, no obstore, no key of the bucket
             return None
-        return store if root is not None and root.to_bytes() == self._read(_METADATA) else None
+        return store if root is not None and root.to_bytes() == self._fetch(_METADATA) else None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, HTTPStore) and (self._transport, self._path) == (
@@ -132,7 +132,7 @@ class HTTPStore(Store):
         """The value of a key, or a part of it; None if there is none."""
         if self._direct is not None and not key.endswith((_METADATA, *_VERSION_2)):
             return await self._direct.get(key, prototype, byte_range)
-        content = await asyncio.to_thread(self._read, key, byte_range)
+        content = await asyncio.to_thread(self._fetch, key, byte_range)
         return None if content is None else prototype.buffer.from_bytes(content)
 
     async def get_partial_values(
@@ -143,9 +143,9 @@ class HTTPStore(Store):
 
     async def exists(self, key: str) -> bool:
         """Whether the key has a value."""
-        return await asyncio.to_thread(self._read, key) is not None
+        return await asyncio.to_thread(self._fetch, key) is not None
 
-    def _read(self, key: str, byte_range: ByteRequest | None = None) -> bytes | None:
+    def _fetch(self, key: str, byte_range: ByteRequest | None = None) -> bytes | None:
         if key.endswith(_VERSION_2):
             return None
         try:
@@ -162,7 +162,7 @@ class HTTPStore(Store):
         return response.content if response.status_code == 206 else _slice(response.content, byte_range)
 
     def _check(self, key: str, content: bytes) -> None:
-        """Raise UnexpectedAnswer unless the arrays in a metadata document have sizes and codecs of ours."""
+        """Raise UnexpectedAnswer unless the arrays in a metadata document have our sizes and codecs."""
         try:
             arrays = list(islice(_arrays(json.loads(content)), MAX_ARRAYS + 1))
             too_large = _too_large(arrays)
@@ -204,7 +204,7 @@ class HTTPStore(Store):
 
 
 def _arrays(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """The metadata of the arrays in a document: its own, or those that a group keeps together."""
+    """The metadata of the arrays in a document: its own, or a group's."""
     if document["zarr_format"] != 3:
         raise ValueError("not of zarr's version 3")
     if document["node_type"] == "array":
@@ -216,7 +216,7 @@ def _arrays(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _too_large(arrays: list[dict[str, Any]]) -> str:
-    """What would take more time or memory than a store of the service; empty if nothing."""
+    """What would take more time or memory than the service's stores; empty if nothing."""
     if len(arrays) > MAX_ARRAYS:
         return f"more than {MAX_ARRAYS:,} arrays"
     for array in arrays:
@@ -230,7 +230,7 @@ def _too_large(arrays: list[dict[str, Any]]) -> str:
 
 
 def _names(codecs: list[dict[str, Any]]) -> Iterator[str]:
-    """The names of codecs, and of those inside shards."""
+    """The names of codecs, including those inside shards."""
     for codec in codecs:
         yield codec["name"]
         for inner in ("codecs", "index_codecs"):

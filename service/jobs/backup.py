@@ -1,4 +1,4 @@
-"""Backups of the ledger: copied while the service runs, checked, and put in place of one that is lost."""
+"""Backups of the ledger: copied while the service runs, checked, and restored in place of a lost one."""
 
 import os
 import shutil
@@ -19,21 +19,21 @@ SQLITE_VERSION: Final = sqlite3.sqlite_version
 
 
 class Contents(NamedTuple):
-    """What a ledger holds."""
+    """What a ledger contains."""
 
     jobs: int
     chunks: int  # marked done
 
 
 class Restored(NamedTuple):
-    """A ledger that was put in place, and where the one before is now."""
+    """A restored ledger, and the new path of the previous one."""
 
     contents: Contents
     replaced: Path | None
 
 
 def backup(ledger: Path, file: Path) -> Contents:
-    """Copy a ledger to `file`, as it is at one moment, whole or not at all; a service may be using it.
+    """Copy a ledger at one moment to `file`, whole or not at all; a service may be using it.
 
     Raises LedgerUnavailable if it cannot be read or written, LedgerUnusable if it is damaged.
     """
@@ -52,9 +52,9 @@ def backup(ledger: Path, file: Path) -> Contents:
 
 
 def restore(ledger: Path, file: Path) -> Restored:
-    """Put a backup in place of a ledger that no service uses; the one that was there is kept beside it.
+    """Put a backup in place of a ledger that no service uses; the previous one is kept beside it.
 
-    Deletions that the backup has are forgotten: what they name may have been computed again since. Raises
+    Deletions in the backup are forgotten, as their jobs may have been computed again since. Raises
     DataFolderBusy while a service uses the folder, LedgerUnusable if `file` is no whole ledger.
     """
     if not file.is_file():
@@ -82,7 +82,7 @@ def restore(ledger: Path, file: Path) -> Restored:
 
 
 def inspect(file: Path) -> Contents:
-    """Check a ledger and count what it holds; a service may be using it. Raises LedgerUnusable."""
+    """Check a ledger and count its contents; a service may be using it. Raises LedgerUnusable."""
     try:
         with _opened(file) as connection:
             check(connection, file)
@@ -95,7 +95,7 @@ def inspect(file: Path) -> Contents:
 
 
 def known_ids(file: Path) -> set[str]:
-    """The ids of a ledger's jobs, and of those whose results are being removed. Raises LedgerUnusable."""
+    """The ids of a ledger's jobs, and of jobs whose results are being removed. Raises LedgerUnusable."""
     try:
         with _opened(file) as connection:
             rows = connection.execute("SELECT id FROM jobs UNION SELECT job FROM deletions")
@@ -105,7 +105,7 @@ def known_ids(file: Path) -> set[str]:
 
 
 def marker_of(file: Path) -> str | None:
-    """What marks a ledger's stores; None if it has not marked any. Raises LedgerUnusable."""
+    """The mark of a ledger's stores; None if it has not marked any. Raises LedgerUnusable."""
     try:
         with _opened(file) as connection:
             found = connection.execute("SELECT id FROM marker WHERE made").fetchone()
@@ -116,14 +116,14 @@ def marker_of(file: Path) -> str | None:
 
 @contextmanager
 def _opened(file: Path) -> Iterator[sqlite3.Connection]:
-    """A connection that changes nothing, not even by applying a log: it may be another copy's."""
+    """A connection that changes nothing and applies no log, which may be another copy's."""
     mode = "mode=ro" if wal_of(file).exists() else "mode=ro&immutable=1"
     with closing(sqlite3.connect(f"file:{quote(str(file.absolute()))}?{mode}", uri=True)) as connection:
         yield connection
 
 
 def _why(file: Path, error: sqlite3.Error) -> str:
-    """Why a file could not be written: the system says it more clearly, if it refuses every file."""
+    """Why a file could not be written; the system's reason, if it refuses every file."""
     try:
         with tempfile.TemporaryFile(dir=file.parent):
             return str(error)
@@ -136,7 +136,7 @@ def _tables(connection: sqlite3.Connection) -> set[str]:
 
 
 def _set_aside(ledger: Path) -> Path | None:
-    """Rename a ledger with its log, which belongs to it; None if there is none."""
+    """Rename a ledger and its log; None if there is none."""
     if not ledger.exists():
         for path in (wal_of(ledger), shm_of(ledger)):
             path.unlink(missing_ok=True)

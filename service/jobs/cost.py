@@ -1,7 +1,7 @@
-"""The estimated cost of a sweep, before anything of it is computed.
+"""The estimated cost of a sweep, before it is computed.
 
-Core-seconds come from the speed measured here: what the done chunks of recent jobs with the same contact
-model took, relative to the cost table. Where there are none, from the table alone.
+Core-seconds come from the speed of recent jobs with the same contact model, relative to the cost table, or
+from the table alone if there are none.
 """
 
 from collections.abc import Sequence
@@ -13,16 +13,16 @@ from worker.cost import Cost
 from worker.spec.errors import SpecError
 from worker.studies import Plan, Study, study_of
 
-#: The recent jobs whose speed counts, and the longest specification parsed for it.
+#: Number of recent jobs whose speed counts, and maximum characters of their specifications.
 RECENT_JOBS: Final = 20
 MAX_SPEC_CHARS: Final = 20_000
 
-#: Core-seconds of a contact model that make a measurement: of less, starting up is the larger part.
+#: Minimum core-seconds that measure a contact model: in less, starting up dominates.
 MIN_SECONDS: Final = 0.05
 
 
 def cost(spec: Any, plan: Plan, paces: Sequence[Pace], preparer: JobPreparer) -> Cost:
-    """The cost of a study, by the speed of the jobs in `paces`."""
+    """The cost of a study, from the speed of the jobs in `paces`."""
     by_table = study_of(spec).estimate(spec, plan)
     ratio = _measured_to_table(_kind(spec), paces, preparer)
     if ratio is None:
@@ -36,21 +36,21 @@ def cost(spec: Any, plan: Plan, paces: Sequence[Pace], preparer: JobPreparer) ->
 
 
 def _kind(spec: Any) -> tuple[Study, str | None]:
-    """What has a speed of its own: a kind of study, and its contact model if it has one."""
+    """The kinds with separate speeds: a kind of study, and its contact model if it has one."""
     return study_of(spec), getattr(getattr(spec, "model", None), "kind", None)
 
 
 def _measured_to_table(
     kind: tuple[Study, str | None], paces: Sequence[Pace], preparer: JobPreparer
 ) -> float | None:
-    """Seconds taken over seconds by the table; None where too little of the kind has been computed."""
+    """Measured seconds over those of the table; None if too little of the kind has been computed."""
     taken = expected = 0.0
     for pace in paces:
         try:
             job = preparer.prepare(pace.job)
         except SpecError:  # an older version accepted it
             continue
-        # Of an adaptive map the cells done are not those computed: it says nothing of the speed.
+        # An adaptive map's done cells are not all computed: they do not show the speed.
         if _kind(job.submitted) == kind and getattr(job.submitted, "refine", None) is None:
             taken += pace.seconds
             by_table = job.study.estimate(job.submitted, job.plan)

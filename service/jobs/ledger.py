@@ -1,9 +1,9 @@
 """The ledger: jobs and their done chunks in one SQLite file, the authority on what is done.
 
-With WAL and synchronous=FULL, what a transaction has changed is on the disk when it returns.
+With WAL and synchronous=FULL, a transaction's changes are on the disk when it returns.
 One connection writes and one reads, each behind its lock, so that a poll never waits for a commit.
 
-Nothing is written to a file that is damaged, or that is no longer the one at its path: see `ledger_files`.
+Nothing is written to a damaged file, or to one that is no longer at its path: see `ledger_files`.
 """
 
 import fcntl
@@ -35,13 +35,13 @@ from service.jobs.transactions import ReadTransaction, WriteTransaction
 
 log = logging.getLogger(__name__)
 
-#: Rows of the chunks table read at once: other readers wait for no more than this.
+#: Rows of the chunks table read at once, which limits the wait of other readers.
 PAGE: Final = 50_000
-#: Free bytes inside the ledger's files, so that it can record what happened when the disk is full.
+#: Free bytes inside the ledger's files, for records when the disk is full.
 RESERVE: Final = 1 << 18
-#: Seconds that a transaction waits for one of this process, and as long again for one of another.
+#: Seconds that a transaction waits for another of this process, and again for one of another process.
 BUSY_SECONDS: Final = 10.0
-#: Seconds that the check of the file may take at the start; what a larger file holds is met when it is read.
+#: Seconds for checking the file at the start; damage in the rest of a larger file shows when it is read.
 CHECK_SECONDS: Final = 10.0
 
 
@@ -50,7 +50,7 @@ class Ledger:
 
     `has_stores` says whether results are stored beside it: a file of 0 bytes is then no new ledger.
     Raises DataFolderBusy if another process has it open, LedgerUnusable if a newer version wrote it, or if
-    the file is damaged or no ledger; the data folder is unlocked then.
+    the file is damaged or no ledger; then the data folder is unlocked.
     """
 
     def __init__(self, path: Path, has_stores: Callable[[], bool] = lambda: False) -> None:
@@ -60,7 +60,7 @@ class Ledger:
         self._damage: str | None = None  # why nothing is written until the next start
         self._refused: str | None = None  # why the last transaction could not begin
         self._check_stores: Callable[[], None] = lambda: None
-        self._stores_fault: str | None = None  # what is wrong about the stores, as found last
+        self._stores_fault: str | None = None  # what was last wrong about the stores
         self._closed = False
         with ExitStack() as opened:
             opened.enter_context(locked(path))
@@ -107,7 +107,7 @@ class Ledger:
 
     @contextmanager
     def writing(self) -> Iterator[WriteTransaction]:
-        """Change the ledger, all or nothing; the changes are on the disk when the block has ended.
+        """Change the ledger, all or nothing; the changes are on the disk after the block.
 
         Raises LedgerUnavailable, also as `check` does.
         """
@@ -124,8 +124,7 @@ class Ledger:
                 self._files.note_written()
 
     def check(self) -> None:
-        """Raise LedgerUnavailable while nothing must be written: the file is damaged, or another one, or the
-        stores are not there.
+        """Raise LedgerUnavailable while the file is damaged or replaced, or the stores are missing.
 
         Called at every heartbeat, and before anything is stored.
         """
@@ -141,13 +140,13 @@ class Ledger:
                 self._writer.execute("ROLLBACK")
 
     def guard(self, check_stores: Callable[[], None]) -> None:
-        """Have `check` call this too, which raises LedgerUnavailable while nothing may be stored."""
+        """Make `check` call this too, which raises LedgerUnavailable while nothing may be stored."""
         self._check_stores = check_stores
 
     def fault(self) -> str | None:
-        """Why the ledger could not be read or written when it was last tried; waits for no writer.
+        """Why the ledger could not be read or written last; waits for no writer.
 
-        It names no path: whoever asks for the service's readiness gets it.
+        Names no path: anyone who asks for the service's readiness gets it.
         """
         try:
             if self._damage is None:
@@ -163,7 +162,7 @@ class Ledger:
         return self._refused
 
     def _begin(self) -> None:
-        """Begin to write; keeps the reason if that is refused, as by a lock of another program."""
+        """Begin to write; keeps the reason of a refusal, such as another program's lock."""
         try:
             self._writer.execute("BEGIN IMMEDIATE")
         except sqlite3.Error as error:
@@ -181,7 +180,7 @@ class Ledger:
             self._write_lock.release()
 
     def _check_open(self) -> None:
-        """Raises LedgerUnavailable: a thread that outlives the service's end does nothing more."""
+        """Raise LedgerUnavailable when closed: threads that outlive the service write nothing."""
         if self._closed:
             raise LedgerUnavailable("the ledger is closed: the service ends")
 
@@ -205,19 +204,19 @@ class Ledger:
             self._reopen()
 
     def _rescue(self) -> None:
-        """Copy what the open file has, once, if its folder is there: the file itself may be unlinked."""
+        """Copy the contents of the open file once, if its folder exists: the file itself may be unlinked."""
         copy = self._files.rescue_path()
         if copy is None:
             return
         try:
             copy_to(self._writer, copy)
         except (sqlite3.Error, OSError) as error:
-            log.error("what the ledger held cannot be copied to %s: %s", copy, error)
+            log.error("the ledger's contents cannot be copied to %s: %s", copy, error)
         else:
-            log.error("%s was removed or replaced; what it held is in %s", self.path, copy)
+            log.error("%s was removed or replaced; its contents are in %s", self.path, copy)
 
     def _reopen(self) -> None:
-        """Move what the write-ahead log holds to the main file, and begin with another log."""
+        """Move the contents of the write-ahead log to the main file, and begin another log."""
         log.error("%s was removed or replaced: its contents go to %s now", wal_of(self.path), self.path)
         with self._read_lock:
             self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
@@ -233,22 +232,23 @@ class Ledger:
         if self._writer.in_transaction:
             self._writer.execute("ROLLBACK")
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
-            # The log is as long as the disk lets it be. Once its contents are in the main file, it is
-            # written from its beginning again.
+            # The log is as long as the disk allows. Once its contents are in the main file, it is written
+            # from its beginning again.
             with suppress(sqlite3.Error):
                 self._writer.execute("PRAGMA wal_checkpoint(PASSIVE)")
 
     def keep_reserve(self) -> None:
         """Keep free pages in the main file and room in its log, if the disk has space.
 
-        Nothing else can take them when the disk is full, as others could take the space of a file removed.
+        When the disk is full nothing else can take them, whereas others could take the space of a removed
+        file.
         """
         with suppress(LedgerUnavailable, sqlite3.Error), self._exclusive():
             self._check_files()
             try:
                 pages, size = (self._number(f"PRAGMA {name}") for name in ("freelist_count", "page_size"))
                 if pages * size < RESERVE or size_of(wal_of(self.path)) < RESERVE:
-                    # Two transactions: pages that are freed in the one that made them are never written.
+                    # Two transactions: pages freed in the one that made them are never written.
                     self._writer.executescript(
                         "BEGIN IMMEDIATE; DROP TABLE IF EXISTS reserve; CREATE TABLE reserve (content BLOB);"
                         f"INSERT INTO reserve VALUES (zeroblob({RESERVE + (1 << 16)})); COMMIT;"
@@ -260,7 +260,7 @@ class Ledger:
                 self._files.note_written()
 
     def shrink(self, pages: int) -> bool:
-        """Give so many free pages at most back to the file system, not those of the reserve.
+        """Return at most `pages` free pages to the file system, but not those of the reserve.
 
         Whether there are more. Raises LedgerUnavailable.
         """
@@ -284,7 +284,7 @@ class Ledger:
             return ledger.find(job_id)
 
     def done_mask(self, job: JobRecord) -> NDArray[np.bool_]:
-        """(chunks_total,) which chunks are done; read in pages, between which others can read."""
+        """(chunks_total,) which chunks are done; read in pages, so that others can read in between."""
         mask = np.zeros(job.chunks_total, np.bool_)
         for first in range(0, job.chunks_total, PAGE):
             with self.reading() as ledger:
@@ -293,7 +293,7 @@ class Ledger:
 
     @contextmanager
     def _available(self) -> Iterator[None]:
-        """Turn SQLite's errors about the file into LedgerUnavailable, and remember that it is damaged."""
+        """Turn SQLite's errors about the file into LedgerUnavailable, and remember damage."""
         try:
             yield
         except sqlite3.OperationalError as error:
@@ -309,7 +309,7 @@ class Ledger:
         return LedgerUnavailable(self._refused)
 
 
-#: What an operator can do about a ledger that cannot be used.
+#: What an operator can do about an unusable ledger.
 MEND: Final = "restore a backup with bounce restore, or move it away and run bounce adopt --all"
 
 NOT_LOCAL: Final = (
@@ -320,7 +320,7 @@ NOT_LOCAL: Final = (
 #: SQLite's number of `PRAGMA auto_vacuum = INCREMENTAL`.
 _INCREMENTAL: Final = 2
 
-#: SQLite's codes of a file whose contents are not what SQLite wrote.
+#: SQLite's codes for a file with foreign contents.
 _DAMAGE: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 
 
@@ -348,7 +348,7 @@ def check(connection: sqlite3.Connection, path: Path, seconds: float = CHECK_SEC
             raise LedgerUnusable(
                 f"the ledger is of version {version}, from before release 0.2.0: move the data folder away"
             )
-        # Not `quick_check`: with a log of another copy, indices can name rows that the tables do not have.
+        # Not `quick_check`: with a log of another copy, indices can name rows missing from the tables.
         [first, *_] = connection.execute("PRAGMA integrity_check(1)").fetchone()
         if first != "ok":
             raise LedgerUnusable(f"{path} is damaged ({' '.join(first.split())}): {MEND}")
@@ -374,10 +374,10 @@ _CONTRADICTION: Final = """
 
 
 def _make_tables(connection: sqlite3.Connection) -> None:
-    """Make the tables of a new ledger, whole or not at all."""
+    """Create the tables of a new ledger, whole or not at all."""
     if connection.execute("PRAGMA user_version").fetchone()[0] == VERSION:
         return
-    # Before there is any table: the file gets smaller when jobs are deleted.
+    # Before any table exists: the file shrinks when jobs are deleted.
     connection.execute(f"PRAGMA auto_vacuum = {_INCREMENTAL}")
     connection.execute("VACUUM")
     connection.executescript(f"BEGIN IMMEDIATE; {TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
@@ -408,7 +408,7 @@ def copy_to(source: sqlite3.Connection, path: Path) -> None:
 
 
 def _check_not_emptied(path: Path, has_stores: Callable[[], bool]) -> None:
-    """Raise LedgerUnusable where a new ledger would take the place of one that is lost."""
+    """Raise LedgerUnusable if a new ledger would replace a lost one."""
     if not path.exists() and (copies := copies_of(path)):
         raise LedgerUnusable(f"{path} is missing: restore {copies[-1]} with bounce restore, or move it away")
     if path.exists() and not size_of(path) and (size_of(wal_of(path)) or has_stores()):

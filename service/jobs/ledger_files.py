@@ -1,7 +1,7 @@
-"""The files of an open ledger: whether they are still those at their paths.
+"""Watches whether the files of an open ledger are still at their paths.
 
 Files can be moved, replaced and overwritten under a running service, by a restore, a synchronised folder or a
-mistake. SQLite does not notice: it would go on writing to a file that nobody finds again, or mix two ledgers.
+mistake. SQLite does not notice: it would keep writing to a file that nobody finds again, or mix two ledgers.
 """
 
 import logging
@@ -16,7 +16,7 @@ from service.errors import LedgerUnusable
 
 log = logging.getLogger(__name__)
 
-#: File systems shared between machines: SQLite's WAL mode needs memory that all users of the file share.
+#: File systems shared between machines: SQLite's WAL mode needs memory shared by all users of the file.
 NETWORK: Final = frozenset(
     (
         "9p", "afs", "beegfs", "ceph", "cifs", "fuse.glusterfs", "fuse.s3fs", "fuse.sshfs", "glusterfs",
@@ -24,7 +24,7 @@ NETWORK: Final = frozenset(
     )
 )  # fmt: skip
 
-#: Why a copy of a ledger is beside it, in its name.
+#: Reasons for a copy of a ledger beside it, in the copy's name.
 COPIES: Final = ("as-found", "rescued", "replaced")
 
 _Inode = tuple[int, int]
@@ -41,12 +41,12 @@ def shm_of(path: Path) -> Path:
 
 
 def lock_of(path: Path) -> Path:
-    """The file that the user of a ledger holds a lock on."""
+    """The file that the user of a ledger locks."""
     return path.with_suffix(".lock")
 
 
 def aside(path: Path, why: str) -> Path:
-    """A free path beside a ledger for another copy of it, with the time in its name."""
+    """A free path beside a ledger for another copy, with the time in its name."""
     stamp = time.strftime("%Y%m%dT%H%M%S")
     candidate, number = path.with_name(f"{path.stem}-{why}-{stamp}{path.suffix}"), 1
     while candidate.exists():
@@ -56,7 +56,7 @@ def aside(path: Path, why: str) -> Path:
 
 
 class OpenFiles:
-    """What a ledger has open, as it was when this was made: after the files were opened and written to."""
+    """The open files of a ledger, as of creation: after the files were opened and written to."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -66,18 +66,18 @@ class OpenFiles:
         self._rescued = False
 
     def note_written(self) -> None:
-        """The caller has written to the ledger, whose file may have been moved away meanwhile."""
+        """Note that the caller has written to the ledger, whose file may have been moved meanwhile."""
         self._written = self._state()
 
     def changed_from_outside(self) -> bool:
-        """Whether the main file, still the same, was written by somebody else."""
+        """Whether another program has written to the main file, which is still the same."""
         state = self._state()
         if self._written is None:  # it was away when the caller had written to it
             self._written = state
         return state is not None and state != self._written
 
     def replaced(self) -> str | None:
-        """Which of folder, lock and main file is not the one that is open, and what to do; None if none."""
+        """Which of folder, lock and main file is no longer the open one, and what to do; None if none."""
         for file, opened in self._inodes.items():
             now = _inode(file)
             if now != opened:
@@ -94,17 +94,17 @@ class OpenFiles:
         return None
 
     def lost_wal(self) -> bool:
-        """Whether the write-ahead log, or its index, is not the one that is open."""
+        """Whether the write-ahead log or its index is no longer the open one."""
         return any(_inode(file) != opened for file, opened in self._logs.items())
 
     def set_logs_aside(self) -> None:
-        """Move away what is at the paths of the log and its index, and was never part of this ledger."""
+        """Move away foreign files at the paths of the log and its index."""
         for file, opened in self._logs.items():
             if _inode(file) not in (None, opened):
                 file.rename(aside(file, "foreign"))
 
     def rescue_path(self) -> Path | None:
-        """Where to copy the open ledger to, once, if only the main file was removed or replaced."""
+        """Where to copy the open ledger once, if only the main file was removed or replaced."""
         others = (file for file in self._inodes if file != self._path)
         if self._rescued or any(_inode(file) != self._inodes[file] for file in others):
             return None
@@ -123,10 +123,10 @@ class OpenFiles:
 
 @contextmanager
 def as_found(path: Path) -> Iterator[None]:
-    """Keep a ledger with an unfinished write-ahead log as it was found, if the block finds it unusable.
+    """Keep a ledger with an unfinished write-ahead log as found, if the block finds it unusable.
 
     Opening and closing it moves the log's contents to the main file, which cannot be undone if the log
-    belongs to another copy. The error names the copies that are beside the ledger.
+    belongs to another copy. The error names the copies beside the ledger.
     """
     copy = _copy_with_log(path) if path.exists() and size_of(wal_of(path)) else None
     try:
@@ -142,7 +142,7 @@ def as_found(path: Path) -> Iterator[None]:
 
 
 def copies_of(path: Path) -> list[Path]:
-    """The copies of a ledger that this module and a restore have made beside it, the last ones last."""
+    """The copies of a ledger made beside it by this module and by restores, the newest last."""
     return sorted(
         (copy for why in COPIES for copy in path.parent.glob(f"{path.stem}-{why}-*{path.suffix}")),
         key=lambda copy: copy.stat().st_mtime,
@@ -176,24 +176,24 @@ def size_of(path: Path) -> int:
 
 
 def network_file_system(path: Path, mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
-    """The type of the file system that holds `path`, if other machines share it; None if not, or unknown."""
+    """The type of `path`'s file system if other machines share it; None if not, or unknown."""
     kind = file_system(path, mounts)
     return kind if kind in NETWORK else None
 
 
 def file_system(path: Path, mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
-    """The type of the file system that holds `path`, as the system's table of mounts has it."""
+    """The type of `path`'s file system, from the system's table of mounts."""
     try:
         lines = mounts.read_text().splitlines()
     except OSError:
         return None
-    path, found = path.absolute(), (-1, "")
+    path, deepest = path.absolute(), (-1, "")
     for line in lines:
         fields, _, rest = line.partition(" - ")
         point = Path(fields.split()[4].replace("\\040", " "))
         if path.is_relative_to(point):
-            found = max(found, (len(point.parts), rest.split()[0]), key=lambda mount: mount[0])
-    return found[1] or None
+            deepest = max(deepest, (len(point.parts), rest.split()[0]), key=lambda mount: mount[0])
+    return deepest[1] or None
 
 
 def _inode(path: Path) -> _Inode | None:

@@ -14,7 +14,7 @@ from service.jobs.ledger import NOT_LOCAL, Ledger
 from service.jobs.ledger_files import network_file_system
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer, first_cells
-from service.jobs.retry import Tally
+from service.jobs.retry import ChunkCounts
 from service.jobs.stores.deletion import Deleter
 from service.jobs.stores.repair import Repairer
 from service.jobs.stores.scrub import Scrubber
@@ -28,7 +28,7 @@ from worker.studies import Plan, from_json, study_of
 
 log = logging.getLogger(__name__)
 
-#: Seconds that the threads may take to end: a bucket that does not answer must not hold up the exit.
+#: Seconds for the threads to end: an unresponsive bucket must not delay the exit.
 STOP_SECONDS: Final = 4.0
 
 
@@ -56,42 +56,42 @@ class JobManager:
 
     @property
     def chunks_in_flight(self) -> int:
-        """Chunks of jobs that workers compute, or that wait for one."""
+        """Chunks of jobs that workers compute or that wait for one."""
         return self._supervisor.in_flight()
 
     @property
     def cluster_fault(self) -> str | None:
-        """Why no chunk is computed, as found last; None if chunks are. Returns at once."""
+        """Why no chunk was computed when last checked; None if chunks are. Does not block."""
         return self._supervisor.cluster.explanation
 
     def compiling(self, job: JobRecord) -> Compiling | None:
-        """The kernel that a worker compiles for a job before its first chunk. Returns at once."""
+        """The kernel that a worker compiles for a job before its first chunk. Does not block."""
         if job.state is not JobState.RUNNING or job.chunks_done == job.chunks_total:
             return None
         return self._executor.compiling(self._settings.store_of(job.id))
 
     @property
-    def tally(self) -> Tally:
-        """How chunks came back since the start."""
+    def tally(self) -> ChunkCounts:
+        """Counts of returned chunks since the start."""
         return self._supervisor.tally
 
     @property
     def remaining_seconds(self) -> float:
-        """Core-seconds that the unfinished jobs will take, by the cost table, as found last."""
+        """Core-seconds that the unfinished jobs will take, by the cost table, as last estimated."""
         return self._supervisor.remaining_seconds
 
     @property
     def scrubbed(self) -> tuple[int, int]:
-        """Stored chunks that were verified since the start, and those found damaged."""
+        """Stored chunks verified since the start, and those found damaged."""
         return self._scrubber.verified_chunks, self._scrubber.damaged_chunks
 
     def start(self) -> None:
         """Continue every job that was queued or running when the service last stopped.
 
-        Those that another kernel version began end, each replaced by a job that computes its study anew.
+        Jobs begun by another kernel version end and are replaced by jobs that compute them anew.
         """
         self._replace_outdated()
-        self._deleter.start()  # before the others notice that stores are not there, and nothing is written
+        self._deleter.start()  # before the others notice missing stores and nothing is written
         self._scrubber.start()
         self._supervisor.start()
 
@@ -104,7 +104,7 @@ class JobManager:
 
     @property
     def unknown_stores(self) -> list[str]:
-        """Addresses of stores that the ledger does not know, as found at the start."""
+        """Addresses of stores unknown to the ledger, as found at the start."""
         return sorted({*self._scrubber.unknown_stores, *self._deleter.kept})
 
     def notices(self) -> list[str]:
@@ -128,10 +128,10 @@ class JobManager:
         self._supervisor.wake()
 
     def submit(self, spec: Any, key: str | None = None, owner: str | None = None) -> Submission:
-        """Accept a study, or return the job that it already is; a failed or cancelled one is resumed.
+        """Accept a study, or return its existing job; a failed or cancelled one is resumed.
 
-        `key`: an idempotency key; a repeated request with the same key changes nothing, whatever has
-        become of the job since. `owner`: the name of the caller's access token, if it has one.
+        `key`: an idempotency key; a repeated request with the same key changes nothing, whatever happened to
+        the job since. `owner`: the name of the caller's access token, if it has one.
         Raises SpecTooLarge, QueueFull, KeyReused.
         """
         plan = self.check(spec)
@@ -152,7 +152,7 @@ class JobManager:
         return Submission(record, accepted)
 
     def check(self, spec: Any) -> Plan:
-        """The plan of a study. Raises SpecTooLarge for one that would not be accepted."""
+        """The plan of a study. Raises SpecTooLarge if it would not be accepted."""
         study = study_of(spec)
         plan = self.preparer.plan(spec)
         cost = study.estimate(spec, plan)
@@ -170,7 +170,7 @@ class JobManager:
         return self._executor.workers()
 
     def cancel(self, job_id: str) -> JobRecord:
-        """Stop a job: at once if it is queued; if it is running, as soon as no worker writes any more.
+        """Stop a job: at once if it is queued, else as soon as workers have stopped writing.
 
         Cancelling a cancelled job changes nothing. Raises UnknownJob, and IllegalTransition if the job is
         done or failed.
@@ -184,8 +184,8 @@ class JobManager:
     def resume(self, job_id: str, owner: str | None = None) -> Submission:
         """Continue a failed or cancelled job where it stopped; an unfinished one stays as it is.
 
-        One of another kernel version starts anew as another job, which is the job returned.
-        Raises UnknownJob, QueueFull, and IllegalTransition if the job is done; for one that starts anew also
+        A job of another kernel version starts anew as another job, which is returned.
+        Raises UnknownJob, QueueFull, and IllegalTransition if the job is done; for a new job also
         as `submit`, and SpecError if this release does not accept its specification.
         """
         with self._ledger.writing() as ledger:
@@ -209,7 +209,7 @@ class JobManager:
             return _existing(ledger.find(job_id), job_id)
 
     def delete(self, job_id: str) -> None:
-        """Remove a job; its results are removed in the background, if need be after the next start.
+        """Remove a job; its results are removed in the background, if necessary after the next start.
 
         Raises UnknownJob, and IllegalTransition while workers may write: cancel the job first.
         """
@@ -223,7 +223,7 @@ class JobManager:
         self._deleter.wake()
 
     def _replace_outdated(self) -> None:
-        """End the unfinished jobs of other kernel versions, and accept their studies as jobs of this one."""
+        """End the unfinished jobs of other kernel versions, and accept their studies as new jobs."""
         with self._ledger.reading() as ledger:
             outdated = ledger.outdated_unfinished()
         for job in outdated:
@@ -231,7 +231,7 @@ class JobManager:
                 self._retire(ledger, job)
 
     def _retire(self, ledger: WriteTransaction, job: JobRecord) -> None:
-        """End one of them. A cancel that was requested is carried out; nothing replaces the job then."""
+        """End an outdated job. A requested cancel is carried out; then nothing replaces the job."""
         if job.cancel_requested:
             ledger.finish(job, JobState.CANCELLED, time.time())
             return
@@ -252,7 +252,7 @@ class JobManager:
         owner: str | None,
         accept: Callable[[WriteTransaction, NewJob], bool],
     ) -> Submission:
-        """The job of this kernel version for an outdated job's study, inserted or resumed by `accept`.
+        """The current version's job for an outdated job's study, inserted or resumed by `accept`.
 
         Raises as `accept`, and SpecTooLarge.
         """
@@ -269,33 +269,33 @@ class JobManager:
     def _is_repeated(self, ledger: WriteTransaction, job: NewJob, key: str | None) -> bool:
         """Whether this request was made before with this key."""
         ledger.forget_keys(time.time() - self._settings.key_seconds)
-        known = ledger.key(key) if key is not None else None
-        if known is not None and known.body != _fingerprint(job):
+        used = ledger.key(key) if key is not None else None
+        if used is not None and used.body != _fingerprint(job):
             raise KeyReused(
                 "the Idempotency-Key was used for another specification less than "
                 f"{self._settings.key_seconds:g} s ago: take a new key"
             )
-        return known is not None
+        return used is not None
 
     def _accept(self, ledger: WriteTransaction, job: NewJob) -> bool:
-        """Insert or resume a job, or revoke its cancel request; whether there was anything to do.
+        """Insert or resume a job, or revoke its cancel request; whether anything changed.
 
         Raises QueueFull.
         """
-        known = ledger.find(job.id)
-        if known is None or known.state in RESUMABLE:
+        existing = ledger.find(job.id)
+        if existing is None or existing.state in RESUMABLE:
             self._check_queue(ledger, job.owner)
         return self._admit(ledger, job)
 
     def _admit(self, ledger: WriteTransaction, job: NewJob) -> bool:
-        """The same, however many jobs are queued."""
-        known = ledger.find(job.id)
-        if known is None:
+        """As `_accept`, but without the limit on queued jobs."""
+        existing = ledger.find(job.id)
+        if existing is None:
             ledger.insert(job, time.time())
-        elif known.state in RESUMABLE:
-            ledger.queue(known, job.owner)
-        elif known.cancel_requested:
-            ledger.set_cancel_requested(known, False)
+        elif existing.state in RESUMABLE:
+            ledger.queue(existing, job.owner)
+        elif existing.cancel_requested:
+            ledger.set_cancel_requested(existing, False)
         else:
             return False
         return True
@@ -330,7 +330,7 @@ def _existing(job: JobRecord | None, job_id: str) -> JobRecord:
 
 
 def _fingerprint(job: NewJob) -> str:
-    """Of what was submitted, its name included, however the JSON was laid out."""
+    """Digest of a submission, its name included, independent of the JSON's layout."""
     return hashlib.sha256(job.spec.encode()).hexdigest()
 
 

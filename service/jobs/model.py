@@ -12,8 +12,8 @@ from service.errors import IllegalTransition
 class JobState(StrEnum):
     """The state of a job."""
 
-    QUEUED = "queued"  # accepted or resumed, no chunk submitted to a worker since
-    RUNNING = "running"  # workers may be computing its chunks, also while it is being cancelled
+    QUEUED = "queued"  # accepted or resumed, without chunks at workers since
+    RUNNING = "running"  # workers may be computing its chunks, also during a cancel
     DONE = "done"  # every chunk is stored and marked
     FAILED = "failed"  # a chunk was given up; `error` has the reason; submitting it again resumes it
     CANCELLED = "cancelled"  # stopped by a user, and no worker writes; submitting it again resumes it
@@ -25,7 +25,7 @@ LEGAL: Final[Mapping[JobState, frozenset[JobState]]] = {
     JobState.QUEUED: frozenset({JobState.RUNNING, JobState.FAILED, JobState.CANCELLED}),
     # all chunks done | a chunk given up | cancelled, and no worker writes
     JobState.RUNNING: frozenset({JobState.DONE, JobState.FAILED, JobState.CANCELLED}),
-    # stored bytes were damaged or lost: their chunks are computed again | of an outdated job: they cannot be
+    # stored bytes were damaged or lost: chunks are computed again | outdated job: they cannot be
     JobState.DONE: frozenset({JobState.RUNNING, JobState.FAILED}),
     # resumed: done chunks are kept
     JobState.FAILED: frozenset({JobState.QUEUED}),
@@ -49,8 +49,8 @@ def check_transition(old: JobState, new: JobState) -> None:
 class Progress:
     """The progress of a job.
 
-    `run_seconds` and `run_cells` count from when the job last started or continued, so that time in which
-    it was stopped does not slow the estimate of the remaining time.
+    `run_seconds` and `run_cells` count from the job's last start, so that stopped time does not slow the
+    estimate of the remaining time.
     """
 
     chunks_done: int
@@ -60,8 +60,8 @@ class Progress:
     run_seconds: float = 0.0
     run_cells: int = 0
     cells_settling: int = 0  # of those done
-    #: Of an adaptive map, else None: of the cells done those computed, and those known to be needed so far,
-    #: which are more once the first rounds of the remaining chunks are known.
+    #: Adaptive maps, else None: computed cells among those done, and cells known to be needed, which grow
+    #: with the first rounds of the remaining chunks.
     cells_computed: int | None = None
     cells_needed: int | None = None
 
@@ -86,18 +86,18 @@ class NewJob:
     name: str
     spec: str  # JSON, as `SweepSpec.as_submitted` gives it
     kernel_version: str
-    chunk_shape: tuple[int, ...]  # how the study is cut; of a sweep, cells of a chunk along xi, omega, gamma
+    chunk_shape: tuple[int, ...]  # cells of a chunk along each dimension; for a sweep xi, omega, gamma
     chunks_total: int
     cells_total: int
-    #: Of an adaptive map, the cells of the first rounds of all its chunks; 0 of any other study.
+    #: Adaptive maps: cells of the first rounds of all chunks; 0 for other studies.
     first_cells: int = field(default=0, kw_only=True)
-    #: Name of the access token with which it was submitted, or last resumed; None if that has no name.
+    #: Name of the access token that submitted it, or last resumed it; None if that has no name.
     owner: str | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
 class JobRecord(NewJob):
-    """A job as the ledger has it; times in seconds since 1970."""
+    """A job in the ledger; times in seconds since 1970."""
 
     seq: int  # numbers jobs in the order they were accepted; never used twice
     state: JobState
@@ -105,34 +105,32 @@ class JobRecord(NewJob):
     error: str | None
     created: float
     started: float | None
-    finished: float | None  # of a job that is being repaired: when it was done before
+    finished: float | None  # during a repair: when it was done before
     run_started: float | None  # when it last started or continued
     run_cells: int  # cells done at that time
     chunks_done: int
     cells_done: int
-    cells_settling: int  # of those done: their outcome is `settling`
-    cells_computed: int  # of those done, of an adaptive map
-    choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.ModelChoice, once chosen
-    replaced_by: str | None  # of an outdated job: id of the job that computes the same study anew
-    pinned: bool = False  # a user marked it, to find it again
-    core_seconds: float = (
-        0.0  # that its chunks took, those computed again included; of adopted ones not known
-    )
-    runs: str = "[]"  # JSON: what computed it, see service.software.with_this_run
-    cells_timed: int = 0  # the cells of these
+    cells_settling: int  # done cells whose outcome is `settling`
+    cells_computed: int  # done cells that were computed, in an adaptive map
+    choice: str | None  # `auto` sweeps: JSON of worker.analysis.model_selection.ModelChoice, once chosen
+    replaced_by: str | None  # outdated jobs: id of the job that computes the same study anew
+    pinned: bool = False  # marked by a user
+    core_seconds: float = 0.0  # of its chunks, repetitions included; unknown for adopted chunks
+    runs: str = "[]"  # JSON: the software that computed it, see service.software.with_this_run
+    cells_timed: int = 0  # cells of these chunks
     verified: float | None = None  # when all its stored chunks had been verified
 
     @property
     def outdated(self) -> bool:
-        """Whether another kernel version than this release's computed it.
+        """Whether another kernel version computed it.
 
-        Its results can be read. Nothing that this release computes is added to them: the numbers may differ.
+        Its results can be read, but this release adds nothing to them: the numbers may differ.
         """
         return self.kernel_version != KERNEL_VERSION
 
     @property
     def notice(self) -> str | None:
-        """What the readers of an outdated job's results must know; None of any other job."""
+        """What readers of an outdated job's results must know; None for other jobs."""
         if not self.outdated:
             return None
         again = "" if self.replaced_by is None else f", as job {self.replaced_by}"
@@ -143,12 +141,12 @@ class JobRecord(NewJob):
 
     @property
     def repairing(self) -> bool:
-        """Whether it was done before, and computes chunks again that were damaged in the store."""
+        """Whether it was done before, and computes damaged chunks again."""
         return self.state is JobState.RUNNING and self.finished is not None
 
     @property
     def revision(self) -> tuple[object, ...]:
-        """Changes whenever what the job shows changes, except the estimated time left."""
+        """Changes whenever the job's description changes, except for the estimated time left."""
         facts = (self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
         return (self.id, *facts, self.notice, self.owner, self.pinned)
 
@@ -169,7 +167,7 @@ class JobRecord(NewJob):
 
     @property
     def _cells_needed(self) -> int:
-        """Those computed, and the share of the first rounds that falls to the chunks to come."""
+        """Computed cells, and the first rounds' share of the remaining chunks."""
         to_come = self.chunks_total - self.chunks_done
         return self.cells_computed + -(-self.first_cells * to_come // max(self.chunks_total, 1))
 

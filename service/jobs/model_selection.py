@@ -1,7 +1,7 @@
 """Jobs whose model is `auto`: a worker chooses the model, and the ledger keeps the choice.
 
-The choice is made before the first chunk is submitted and never again, so that one model computes the
-whole job. A choice that is lost with its worker is made again, with the same result.
+The choice is made once, before the first chunk is submitted, so that one model computes the
+whole job. A choice lost with its worker is repeated, with the same result.
 """
 
 import logging
@@ -19,12 +19,12 @@ from worker.executors.errors import ExecutorError, WorkerDied
 
 log = logging.getLogger(__name__)
 
-#: Workers that may die while choosing one model, before the job fails.
+#: Workers that may die while choosing one model before the job fails.
 MAX_WORKER_DEATHS: Final = 3
 
 
 class ModelSelector:
-    """Chooses models on the executor; used by the supervisor's thread alone.
+    """Chooses models on the executor; used only by the supervisor's thread.
 
     `wake` is called, in any thread, when a worker has made a choice.
     """
@@ -42,9 +42,9 @@ class ModelSelector:
         return len(self._pending)
 
     def select(self, job: JobRecord) -> JobRecord | None:
-        """The job, its model chosen; None until a worker has chosen one.
+        """The job with its model chosen; None until a worker has chosen one.
 
-        Raises what choosing raised.
+        Raises the errors of choosing.
         """
         if job.choice is not None or not is_open(self._preparer.prepare(job).submitted):
             return job
@@ -68,7 +68,7 @@ class ModelSelector:
         future.add_done_callback(lambda _: self._wake())
 
     def _result(self, job: JobRecord, future: "Future[ModelChoice]") -> ModelChoice | None:
-        """The choice; None if it has to be made again."""
+        """The choice; None if it must be repeated."""
         try:
             return future.result()
         except (ExecutorError, CancelledError) as error:

@@ -1,9 +1,9 @@
-"""Results that workers compute while a request waits, kept for the requests that follow.
+"""Results that workers compute while a request waits, kept for later requests.
 
 A request that waits longer than a short time-out raises Pending, which the API answers with 202; the work
-continues, and a later request for the same result gets it. What nobody has asked for in ABANDONED_SECONDS is
-not computed on. Jobs keep at least half of the workers, or of the time of a single one, and in the long run
-fifteen sixteenths of the workers' time.
+continues, and a later request for the same result gets it. Work that nobody has requested for
+ABANDONED_SECONDS is dropped. Jobs keep at least half of the workers, or of a single one's time, and in the
+long run fifteen sixteenths of the workers' time.
 """
 
 import threading
@@ -19,26 +19,26 @@ from service.errors import Busy, NotComputed
 from worker.executors.base import Executor, Result
 from worker.executors.errors import ExecutorError
 
-#: Results kept, those requested last.
+#: Number of results kept, the last requested.
 MAX_RESULTS: Final = 64
 
 #: Results computed at a time.
 MAX_PENDING: Final = 4
 
-#: Seconds after which a result that nobody asks for any more is given up: longer than the minute between two
-#: requests of a page in a hidden tab.
+#: Seconds without a request after which a result is dropped: longer than the minute between two requests of a
+#: page in a hidden tab.
 ABANDONED_SECONDS: Final = 75.0
 
-#: Of the workers' time, what calls get in the long run while chunks of jobs are computed.
+#: Long-run share of the workers' time for calls while chunks of jobs are computed.
 SHARE: Final = 1 / 16
-#: Core-seconds of calls that are computed beside jobs before they have to keep to their share.
+#: Core-seconds of calls computed beside jobs before the share applies.
 CREDIT_SECONDS: Final = 5.0
-#: Seconds after which calls that have used up their share are looked at again.
+#: Seconds until calls that have used up their share are checked again.
 LOOK_SECONDS: Final = 0.2
 
 
 class Caller(Protocol):
-    """Runs functions on workers: an executor, or what `OnDemandCache` puts before it."""
+    """Runs functions on workers: an executor, or the wrapper of one in `OnDemandCache`."""
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
         """Run `function(*arguments)` on a worker."""
@@ -49,7 +49,7 @@ Submit = Callable[[Caller], Sequence["Future[Any]"]]
 
 
 class Pending(Exception):
-    """Workers are computing the result; `done` of `total` parts are there."""
+    """Workers are computing the result; `done` of `total` parts are finished."""
 
     def __init__(self, done: int, total: int) -> None:
         super().__init__(done, total)
@@ -60,8 +60,8 @@ class OnDemandCache:
     """Results computed by workers on request. Its methods may be called from any thread.
 
     `max_pending`: results that may be computed at a time; `timeout`: seconds that a request waits;
-    `jobs_compute`: whether chunks of jobs want the workers; `abandoned`: seconds without a request after
-    which what has not begun of a result is withdrawn.
+    `jobs_compute`: whether jobs have chunks to compute; `abandoned`: seconds without a request after
+    which the parts of a result that have not begun are withdrawn.
     """
 
     def __init__(
@@ -81,10 +81,10 @@ class OnDemandCache:
         self._lock = threading.Lock()
 
     def get(self, key: Hashable, submit: Submit) -> list[Any]:
-        """The parts of a result; `submit` is called if none is kept under `key`.
+        """The parts of a result; calls `submit` if none is kept under `key`.
 
         Raises Pending after the time-out, Busy if too many results are being computed, NotComputed if there
-        are no workers or they were lost, and what the work itself raised.
+        are no workers or they were lost, and the errors of the work itself.
         """
         parts = self._parts(key, submit)
         done, left = wait(parts, timeout=self._timeout)
@@ -102,7 +102,7 @@ class OnDemandCache:
             raise
 
     def close(self) -> None:
-        """Cancel what is still being computed."""
+        """Cancel results still being computed."""
         with self._lock:
             self._closed = True
             if self._looks is not None:
@@ -123,7 +123,7 @@ class OnDemandCache:
             self._looks.start()
 
     def _look(self) -> None:
-        """Withdraw what nobody has asked for lately."""
+        """Withdraw results that nobody has requested lately."""
         withdrawn: list[Future[Any]] = []
         with self._lock:
             self._looks = None
@@ -154,7 +154,7 @@ class OnDemandCache:
             return parts
 
     def _forget(self, key: Hashable, parts: Sequence["Future[Any]"]) -> None:
-        """Forget a failed result, unless another request has already had it computed again."""
+        """Forget a failed result, unless another request has restarted it."""
         with self._lock:
             if self._results.get(key) is parts:
                 del self._results[key]
@@ -167,10 +167,10 @@ class _Call(NamedTuple):
 
 
 class _ShareOfTheWorkers:
-    """Has as many calls computed at a time as half of the workers, at least one; the others wait here.
+    """Limits concurrent calls to half of the workers, at least one; the others wait here.
 
-    An executor begins calls before the chunks of jobs. All calls at once would stop every job, and calls
-    without end would keep half of the workers. So beside jobs calls use up a credit of CREDIT_SECONDS, which
+    An executor begins calls before the chunks of jobs. All calls at once would stop every job, and endless
+    calls would keep half of the workers. So beside jobs calls use up a credit of CREDIT_SECONDS, which
     grows by SHARE of the workers' time; without credit the next one waits.
     """
 
@@ -184,9 +184,9 @@ class _ShareOfTheWorkers:
         self._later: threading.Timer | None = None
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
-        """Run `function(*arguments)` on a worker as soon as it is its turn; may be called from any thread.
+        """Run `function(*arguments)` on a worker in its turn; may be called from any thread.
 
-        Raises ExecutorError if it is its turn and there is no cluster.
+        Raises ExecutorError if its turn has come and there is no cluster.
         """
         self._workers_count = self._executor.workers()
         self._limit = max(1, self._workers_count // 2)
@@ -203,7 +203,7 @@ class _ShareOfTheWorkers:
             began = time.monotonic()
             try:
                 computed = self._executor.call(call.function, *call.arguments)
-            except Exception as error:  # noqa: BLE001 - whatever it is, who asked is told
+            except Exception as error:  # noqa: BLE001 - the caller gets the error
                 self._end(began, call.future.set_exception, error)
                 continue
             call.future.add_done_callback(partial(_cancel_too, computed))
@@ -222,7 +222,7 @@ class _ShareOfTheWorkers:
             return None
 
     def _may_begin(self) -> bool:
-        """Whether jobs leave a call its turn now; if not, look again later."""
+        """Whether jobs leave a call its turn now; if not, check again later."""
         now = time.monotonic()
         earned = SHARE * self._workers_count * (now - self._credited)
         self._credit, self._credited = min(self._credit + earned, CREDIT_SECONDS), now

@@ -1,8 +1,7 @@
 """A job prepared to run or to be read: its specification parsed, its plan made, once per job.
 
-The supervisor, the scrubber, the repairer and every request that reads results need the same four values
-of a job. `JobPreparer` makes them once and keeps them; a submission hands it the specification and the
-plan that it has made already.
+Supervisor, scrubber, repairer and every request for results need the same four values of a job.
+`JobPreparer` creates them once and keeps them; a submission passes in its specification and plan.
 """
 
 import json
@@ -23,42 +22,42 @@ from worker.refinement import first_round
 from worker.schema import Layout
 from worker.studies import Chunk, Plan, Study, from_json, parse, study_of
 
-#: Prepared jobs kept, those used last; and characters of their specifications, which may hold long axes.
+#: Prepared jobs kept, the last used, and the maximum characters of their specifications together.
 MAX_JOBS: Final = 128
 MAX_SPEC_CHARS: Final = 8_000_000
 
-#: Fields of a sweep with stricter rules today than under kernel version 1; no reader of results uses them.
+#: Fields of a sweep with stricter rules than under kernel version 1; no reader of results uses them.
 BOUNDED_SINCE: Final = ("settle_tolerance", "name")
 
-#: What a prepared job depends on. `seq` tells a job from a deleted one of the same id; the chunk shape and
-#: the choice change when the model of an `auto` sweep is chosen.
+#: What a prepared job depends on. `seq` distinguishes a job from a deleted one with the same id; the chunk
+#: shape and the choice change when the model of an `auto` sweep is chosen.
 _Key = tuple[str, int, tuple[int, ...], str | None]
 
 
 @dataclass(frozen=True)
 class PreparedJob:
-    """A job's specification and plan, and where its results are."""
+    """A job's specification and plan, and the location of its results."""
 
     job_id: str
-    submitted: Any  # the study's specification: the job's identity, and what the store records
-    spec: Any  # what is computed: `submitted`, in a sweep with the chosen model in place of `auto`
+    submitted: Any  # the study's specification: the job's identity, recorded in the store
+    spec: Any  # `submitted` with the chosen model in place of `auto`
     plan: Plan
     store_url: str
     attributes: Mapping[str, Any]  # of the store: the chosen model, the same for the same sweep
-    outdated: bool = False  # computed by another kernel version, which may have stored otherwise
+    outdated: bool = False  # computed by another kernel version, whose store may differ
 
     @property
     def study(self) -> Study:
-        """The kind of study that the job is of."""
+        """The job's kind of study."""
         return study_of(self.submitted)
 
     @cached_property
     def layout(self) -> Layout:
-        """What is stored, and how it is cut."""
+        """The layout of the store."""
         today = self.study.variables(self.submitted, self.plan.chunk_shape)
         if not self.outdated:
             return today
-        try:  # without the variables that were added since: what is not there is not damaged
+        try:  # without variables added since: their absence is no damage
             there = store.stored_forms(self.store_url, None)
         except store.StoreError:
             return today
@@ -66,27 +65,27 @@ class PreparedJob:
 
     @cached_property
     def forms(self) -> Mapping[str, store.ArrayForm] | None:
-        """How the arrays are stored; None of an outdated job, whose store alone knows."""
+        """The forms of the arrays; None for an outdated job, whose store alone knows."""
         return None if self.outdated else store.forms_in(self.layout)
 
     @cached_property
     def metadata(self) -> Mapping[str, bytes] | None:
-        """Metadata and coordinates of the store by key; None of an outdated job."""
+        """Metadata and coordinates of the store by key; None for an outdated job."""
         return None if self.outdated else store.metadata_of(self.layout, self.attributes)
 
     @property
     def core_seconds(self) -> float:
-        """Core-seconds that the whole job takes, by the cost table."""
+        """Core-seconds of the whole job, by the cost table."""
         return self._cost.core_seconds
 
     @cached_property
     def cell_seconds(self) -> float:
-        """Core-seconds that a cell takes on average, by the cost table."""
+        """Mean core-seconds of a cell, by the cost table."""
         return self._cost.core_seconds / self._cost.cells
 
     @cached_property
     def longest_cell_seconds(self) -> float:
-        """Core-seconds that a cell takes that settles for as long as it may, by the cost table."""
+        """Core-seconds of a cell that settles for as long as allowed, by the cost table."""
         return (self._cost.longest_core_seconds or self._cost.core_seconds) / self._cost.cells
 
     @cached_property
@@ -94,7 +93,7 @@ class PreparedJob:
         return self.study.estimate(self.spec, self.plan)
 
     def read_file(self, key: str) -> bytes | None:
-        """What the store has under a key, if that is what the job stores there; None if it has nothing.
+        """The store's bytes under a key, if they are what the job stores there; None without any.
 
         Raises StoreDamaged.
         """
@@ -114,13 +113,13 @@ class PreparedJob:
 
 
 def first_cells(spec: Any, plan: Plan) -> int:
-    """Of an adaptive map, the cells of the first rounds of all its chunks; 0 of any other study."""
+    """Adaptive maps: the cells of the first rounds of all chunks; 0 for other studies."""
     refine = getattr(spec, "refine", None)
     return 0 if refine is None else first_round(spec.shape[1:], plan.chunk_shape, refine)
 
 
 class JobPreparer:
-    """Prepares jobs and keeps the last ones. Its methods may be called from any thread."""
+    """Prepares jobs and keeps the last used. Its methods may be called from any thread."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -129,12 +128,12 @@ class JobPreparer:
         self._chars = 0
 
     def plan(self, spec: Any) -> Plan:
-        """The plan of a study that is new."""
+        """The plan of a new study."""
         plan: Plan = study_of(spec).plan(spec, longest=self._settings.longest_chunk_seconds)
         return plan
 
     def prepare(self, job: JobRecord) -> PreparedJob:
-        """The job, prepared; made anew after it was accepted again or its model was chosen.
+        """The job, prepared; again after it was accepted again or its model was chosen.
 
         Raises SpecError for a specification that this version does not accept.
         """
@@ -146,9 +145,9 @@ class JobPreparer:
             return self._keep(job, parse_stored(job.spec, job.kernel_version), None)
 
     def seed(self, job: JobRecord, submitted: Any, plan: Plan) -> None:
-        """Keep what the caller has made of the job already.
+        """Keep what the caller has already prepared of the job.
 
-        `submitted`: what `job.spec` holds; `plan`: cut in chunks of `job.chunk_shape`.
+        `submitted`: the parsed `job.spec`; `plan`: in chunks of `job.chunk_shape`.
         """
         with self._lock:
             self._keep(job, submitted, plan)
@@ -174,7 +173,7 @@ class JobPreparer:
 
 
 def choice_of(job: JobRecord) -> ModelChoice | None:
-    """The model chosen for a job; None for one that names its model, and until the choice is made."""
+    """The model chosen for a job; None if it names its model, and until the choice is made."""
     return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
 
 
@@ -183,7 +182,7 @@ def _key(job: JobRecord) -> _Key:
 
 
 def parse_stored(text: str, kernel_version: str) -> Any:
-    """A job's specification; of an outdated job by the rules of its time: its results are to be read.
+    """A job's specification; for an outdated job by the rules of its time, so that it can be read.
 
     Raises SpecError.
     """

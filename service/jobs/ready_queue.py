@@ -1,4 +1,4 @@
-"""What is computed next: of one job, which chunk; of all jobs, which one. Pure.
+"""What to compute next: which chunk of a job, and which job. Pure.
 
 A `ReadyQueue` holds a few numbers per chunk, so that a job of a million chunks fits in memory.
 """
@@ -10,18 +10,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-#: The predecessor of a chunk that depends on no other.
+#: The predecessor of a chunk without one.
 NONE: Final = -1
 
-#: The share of the workers' time that goes to all jobs in turn; the rest goes to the job with the least left.
+#: The share of the workers' time for all jobs in turn; the rest goes to the job with the least left.
 ROTATION_SHARE: Final = 0.25
 
 
 class ReadyQueue:
-    """The chunks of one job that are not done, in the order they can be computed.
+    """The chunks of one job that are not done, in an order in which they can be computed.
 
     `predecessors`: (n,) integers, the chunk that each chunk depends on, or NONE.
-    `done`: (n,) which chunks are done already.
+    `done`: (n,) which chunks are already done.
     """
 
     def __init__(self, predecessors: NDArray[np.int64], done: NDArray[np.bool_]) -> None:
@@ -50,7 +50,7 @@ class ReadyQueue:
 
     @property
     def ready(self) -> int:
-        """How many chunks can be popped."""
+        """Number of chunks that can be popped."""
         return len(self._initial) - self._initial_popped + len(self._first) + len(self._later)
 
     def pop(self) -> int:
@@ -75,7 +75,7 @@ class ReadyQueue:
             (self._first if first else self._later).append(chunk)
 
     def complete(self, chunks: Iterable[int]) -> None:
-        """Popped chunks are done; their successors become ready."""
+        """Mark popped chunks as done; their successors become ready."""
         for chunk in chunks:
             self._popped.discard(chunk)
             if not self._done[chunk]:
@@ -84,7 +84,7 @@ class ReadyQueue:
                 self._later.extend(self._pending_successors(chunk))
 
     def invalidate(self, chunks: Iterable[int]) -> None:
-        """Chunks that were done are queued again; their successors wait for them again."""
+        """Queue done chunks again; their successors wait for them again."""
         undone = [chunk for chunk in dict.fromkeys(chunks) if self._done[chunk]]
         if not undone:
             return
@@ -111,11 +111,11 @@ class ReadyQueue:
 class Rotation:
     """The unfinished jobs in the order of their turns, and when the next turn is due.
 
-    The owners of jobs come in turn, and each owner's jobs among themselves. A turn is one chunk, or one time
-    slice of a long one. Whatever else is computed, `ROTATION_SHARE` of the workers' time goes to turns, so
-    that every job goes on, however many smaller ones follow it.
+    Owners take turns, and so do each owner's jobs. A turn is one chunk, or one time slice of a long one. In
+    any case `ROTATION_SHARE` of the workers' time goes to turns, so that every job advances, however many
+    smaller ones follow it.
 
-    `slice_seconds`: what a turn costs at most.
+    `slice_seconds`: the highest cost of a turn.
     """
 
     def __init__(self, slice_seconds: float) -> None:
@@ -125,7 +125,7 @@ class Rotation:
         self._credit = 0.0  # core-seconds that turns may take now
 
     def update(self, owners: Mapping[str, str | None]) -> None:
-        """Forget jobs that have ended and add new ones at the end. `owners`: of all jobs, as accepted."""
+        """Forget ended jobs and add new ones at the end. `owners`: by job, in order of acceptance."""
         for job_id in self._owners.keys() - owners.keys():
             self._remove(job_id)
         for job_id, owner in owners.items():
@@ -136,16 +136,16 @@ class Rotation:
         return len(self._owners)
 
     def __iter__(self) -> Iterator[str]:
-        """Job ids, the one whose turn it is first."""
+        """Job ids, the next turn first."""
         for jobs in self._jobs.values():
             yield from jobs
 
     def is_due(self, seconds: float) -> bool:
-        """Whether the workers have time for a turn of about so many core-seconds."""
+        """Whether the workers have time for a turn of about `seconds` core-seconds."""
         return self._credit >= min(seconds, self.slice_seconds)
 
     def begin_turn(self, job_id: str, seconds: float) -> None:
-        """A job has its turn, of about so many core-seconds; the next one is after all other jobs'."""
+        """Give a job a turn of about `seconds` core-seconds; its next turn follows all other jobs'."""
         self._credit -= min(seconds, self.slice_seconds)
         owner = self._owners[job_id]
         self._remove(job_id)
@@ -153,13 +153,13 @@ class Rotation:
         self._jobs[owner] = self._jobs.pop(owner)
 
     def end_turn(self, estimate: float, taken: float) -> None:
-        """A turn has taken so many core-seconds, in place of its estimate."""
+        """Replace a turn's estimate by the core-seconds it has taken."""
         self._credit += min(estimate, self.slice_seconds) - taken
 
     def earn(self, seconds: float) -> None:
-        """Chunks outside the rotation have taken so many core-seconds.
+        """Add the core-seconds of chunks outside the rotation.
 
-        The credit is at most one turn's: turns that could not be taken are not made up for.
+        The credit is at most one turn's: missed turns are not made up for.
         """
         earned = seconds * ROTATION_SHARE / (1.0 - ROTATION_SHARE)
         self._credit = min(self._credit + earned, self.slice_seconds)

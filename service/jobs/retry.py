@@ -1,11 +1,11 @@
-"""What follows a chunk that came back without a report. The only module that classifies errors.
+"""What to do with a chunk that came back without a report. The only module that classifies errors.
 
 A chunk can come back for five reasons, which count differently:
 
-- its time slice is over: it goes on before others of its job begin, and nothing is counted;
-- it was cancelled, the cluster or the bucket was lost, its worker was told to leave, or may not compute: the
+- its time slice is over: it continues before other chunks of its job begin, and nothing is counted;
+- it was cancelled, the cluster or the bucket was lost, its worker was told to leave or was not admitted: the
   chunk is requeued and nothing is counted;
-- its worker died while computing another chunk: a collateral loss, counted on its own;
+- its worker died while computing another chunk: a collateral loss, counted separately;
 - it failed, or its worker died of it: a failed try, of which each chunk has a limited number;
 - no chunk of the job can be stored, as on a full disk: the job stops at once. A disk may be read-only on one
   machine alone; then the chunk's tries are used up before.
@@ -27,15 +27,15 @@ from worker.executors.errors import ClusterLost, WorkerLeft, WorkerLost, WorkerR
 from worker.store import StoreDamaged
 from worker.tasks import ChunkCancelled, ChunkPaused, PredecessorMissing
 
-#: A worker's death often takes innocent chunks with it. After this many such losses a chunk is a suspect
-#: itself, and each further one counts as a failed try.
+#: A worker's death often affects innocent chunks. After this many such losses a chunk is itself suspect, and
+#: each further loss counts as a failed try.
 MAX_COLLATERAL_LOSSES: Final = 10
 
-#: Limits of the counts of chunks by what they took.
+#: Bucket limits for the seconds of chunks.
 BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 
-#: Operating-system errors that every other chunk of the job would meet too: disk full, quota used up,
-#: file size limit; and a read-only file system, if the chunk met it at its last try too.
+#: Operating-system errors that would affect every chunk of the job: disk full, quota used up, file size
+#: limit; and a read-only file system, if the chunk met it at its last try too.
 FATAL_ERRNOS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 FATAL_AT_LAST: Final = FATAL_ERRNOS | {errno.EROFS}
 
@@ -55,7 +55,7 @@ class Action(Enum):
 #: The actions that record a failed try.
 FAILED_TRIES: Final = frozenset({Action.RETRY, Action.GIVE_UP, Action.FATAL})
 
-#: Why a chunk comes back through no fault of its own, and what follows.
+#: Why a chunk comes back through no fault of its own, and the action.
 UNCOUNTED: Final[Mapping[type[BaseException], Action]] = {
     ChunkCancelled: Action.REQUEUE,
     CancelledError: Action.REQUEUE,
@@ -68,14 +68,14 @@ UNCOUNTED: Final[Mapping[type[BaseException], Action]] = {
 
 
 class Decision(NamedTuple):
-    """What follows a chunk that came back without a report."""
+    """What to do with a chunk that came back without a report."""
 
     action: Action
     recompute_predecessor: bool = False  # its stored end states are missing or damaged
 
 
 class History(NamedTuple):
-    """What is known of a chunk, and of its job, before the error."""
+    """The history of a chunk and its job before the error."""
 
     tries: int = 0  # failed ones of this chunk
     collateral_losses: int = 0  # of this chunk
@@ -89,10 +89,10 @@ class RetryPolicy:
     """Decides after an error whether a chunk is tried again, and when a job stops trying."""
 
     chunk_tries: int  # for a chunk that fails, or whose worker dies of it
-    failed_chunks: int  # a job with so many given up submits no more
+    failed_chunks: int  # after this many a job submits no more
 
     def decide(self, error: BaseException, history: History) -> Decision:
-        """What follows `error` for a chunk with this history."""
+        """What to do after `error` with a chunk of this history."""
         for kind, action in UNCOUNTED.items():
             if isinstance(error, kind):
                 return Decision(action)
@@ -106,7 +106,7 @@ class RetryPolicy:
         return Decision(self._after_failed_try(error, history), recompute_predecessor=damaged)
 
     def stops_job(self, given_up: int, fatal: bool) -> bool:
-        """Whether a job with so many chunks given up submits no further ones."""
+        """Whether a job with this many chunks given up submits no more."""
         return fatal or given_up >= self.failed_chunks
 
     def _after_failed_try(self, error: BaseException, history: History) -> Action:
@@ -117,8 +117,8 @@ class RetryPolicy:
         return Action.GIVE_UP if last else Action.RETRY
 
 
-class Tally:
-    """How chunks came back since the service started, for its metrics. Written by one thread, read by any."""
+class ChunkCounts:
+    """Counts of returned chunks since the start, for metrics. Written by one thread, read by any."""
 
     def __init__(self) -> None:
         self.computed = 0
@@ -127,21 +127,21 @@ class Tally:
         self._returned: Counter[tuple[str, str]] = Counter()
 
     def add_computed(self, seconds: float) -> None:
-        """A chunk came back with a report."""
+        """Count a chunk that came back with a report."""
         self.computed += 1
         self.seconds += seconds
         self._by_seconds[bisect_left(BUCKET_SECONDS, seconds)] += 1
 
     def add_returned(self, action: Action, error: BaseException) -> None:
-        """A chunk came back without a report."""
+        """Count a chunk that came back without a report."""
         self._returned[action.value, type(error).__name__] += 1
 
     @property
     def by_seconds(self) -> list[tuple[float, int]]:
-        """How many of them took so many seconds at most, for each of BUCKET_SECONDS, and in all."""
+        """Number of computed chunks up to each of BUCKET_SECONDS, and of all."""
         return list(zip((*BUCKET_SECONDS, math.inf), accumulate(self._by_seconds), strict=True))
 
     @property
     def returned(self) -> dict[tuple[str, str], int]:
-        """Chunks that came back without a report, by what followed and the kind of error."""
+        """Chunks that came back without a report, by action and kind of error."""
         return dict(self._returned)

@@ -1,4 +1,4 @@
-"""One job while it runs: chunks in flight, reports to record, tries counted. Knows no ledger and no store."""
+"""A running job: chunks in flight, reports to record, tries counted. Knows neither ledger nor store."""
 
 import traceback
 from collections import Counter
@@ -17,14 +17,14 @@ from worker.executors.errors import ExecutorError
 from worker.studies import Chunk, Plan
 from worker.tasks import ChunkReport
 
-#: Characters of a traceback that are kept, its end.
+#: Maximum characters of a traceback kept, from its end.
 MAX_TRACEBACK: Final = 8_000
 
 
 class JobRun:
-    """The state of a running job; used by the supervisor's thread alone.
+    """The state of a running job; used only by the supervisor's thread.
 
-    `done`: (chunks,) which chunks the ledger has marked. `paused`: those with a checkpoint.
+    `done`: (chunks,) which chunks the ledger has marked. `paused`: chunks with a checkpoint.
     """
 
     def __init__(
@@ -61,18 +61,18 @@ class JobRun:
     def may_submit(self) -> bool:
         """Whether a chunk of this job may be submitted now.
 
-        Not while the ledger cannot be written: what is computed then may be lost.
+        Not while the ledger cannot be written, as results may be lost.
         """
         return self._has_ready and not self.refused and not self.has_unsaved
 
     @property
     def stopped(self) -> bool:
-        """Whether no further chunk is submitted: it is being cancelled, or has failed."""
+        """Whether no further chunk is submitted: the job is being cancelled, or has failed."""
         return self.stopping or self._policy.stops_job(len(self._failures), self._fatal)
 
     @property
     def _has_ready(self) -> bool:
-        """Whether there is a chunk to submit, now or later."""
+        """Whether there is a chunk to submit now or later."""
         return not self.stopped and self._ready_queue.ready > 0
 
     def pop(self) -> Chunk:
@@ -80,38 +80,38 @@ class JobRun:
         return self.prepared.plan[self._ready_queue.pop()]
 
     def begins(self, chunk: int) -> bool:
-        """Whether a chunk was never submitted before, by this run or any other."""
+        """Whether no run has submitted the chunk before."""
         return chunk not in self._begun
 
     def add_in_flight(self, chunk: Chunk, future: "Future[ChunkReport]") -> None:
-        """The executor has taken a chunk."""
+        """Note that the executor has taken a chunk."""
         self.in_flight[chunk.index] = future
         self._begun.add(chunk.index)
         self._cells_in_flight += chunk.cells
 
     def remove_in_flight(self, chunk: int) -> None:
-        """A chunk has come back from the executor, with or without a report."""
+        """Note that a chunk has come back from the executor, with or without a report."""
         del self.in_flight[chunk]
         self.turns.discard(chunk)
         self._cells_in_flight -= self.prepared.plan[chunk].cells
 
     def longest_seconds(self, chunk: Chunk) -> float:
-        """Core-seconds that a chunk takes if all cells settle for as long as they may, by the cost table."""
+        """Core-seconds of a chunk if all cells settle for as long as allowed, by the cost table."""
         return chunk.cells * self.prepared.longest_cell_seconds
 
     @property
     def remaining_seconds(self) -> float:
-        """Core-seconds of the chunks that are not done, by the cost table."""
+        """Core-seconds of the remaining chunks, by the cost table."""
         return self._ready_queue.remaining * self.chunk_seconds
 
     @property
     def at_once(self) -> int:
-        """Chunks that could be computed at once now."""
+        """Number of chunks that could be computed at once now."""
         return len(self.in_flight) + (self._ready_queue.ready if self._has_ready else 0)
 
     @property
     def is_idle(self) -> bool:
-        """Whether the run can be made again from the ledger without a loss: it has nothing in memory."""
+        """Whether the run has nothing in memory and can be rebuilt from the ledger without loss."""
         counted = any(self._tries.values()) or any(self._collateral_losses.values())
         return not (self.in_flight or self.has_unsaved or self.stopping or self._failures or counted)
 
@@ -123,7 +123,7 @@ class JobRun:
     # Chunks that came back without a report
 
     def history(self, chunk: int) -> History:
-        """What the retry policy needs to know of a chunk."""
+        """The history of a chunk for the retry policy."""
         return History(
             tries=self._tries[chunk],
             collateral_losses=self._collateral_losses[chunk],
@@ -137,7 +137,7 @@ class JobRun:
     ) -> None:
         """Carry out the policy's decision on a chunk: count it, then requeue the chunk or record its failure.
 
-        A chunk that is given up keeps those that depend on it from being tried; the others go on.
+        Chunks that depend on a given-up chunk are not tried; the others continue.
         """
         predecessor = self.prepared.plan[chunk].after
         if recompute_predecessor and predecessor is not None:
@@ -149,27 +149,27 @@ class JobRun:
             cells = self.prepared.describe(self.prepared.plan[chunk])
             self._failures.append(_failure(chunk, cells, error, self._tries[chunk]))
         else:
-            # a refused chunk goes first too, so that its tries, and not those of every chunk, are used up
+            # a refused chunk goes first too, so that it uses up its own tries and not those of every chunk
             self._ready_queue.requeue(chunk, first=action is Action.CONTINUE or self.refused)
 
     def invalidate(self, chunks: Iterable[int]) -> None:
-        """Chunks that were done are computed again."""
+        """Compute done chunks again."""
         self._ready_queue.invalidate(chunks)
 
     # Saving to the ledger
 
     @property
     def has_unsaved(self) -> bool:
-        """Whether there are reports, failures or damaged chunks that the ledger does not have."""
+        """Whether there are reports, failures or damaged chunks missing from the ledger."""
         return bool(self.unsaved_reports or self.unsaved_failures or self.unsaved_damage)
 
     @property
     def unsaved_failures(self) -> list[Failure]:
-        """Failures that the ledger does not have."""
+        """Failures missing from the ledger."""
         return self._failures[self._saved_failures :]
 
     def mark_saved(self) -> None:
-        """All reports, failures and damaged chunks are in the ledger now."""
+        """Note that all reports, failures and damaged chunks are in the ledger."""
         self._ready_queue.complete(report.index for report in self.unsaved_reports)
         self._begun.difference_update(report.index for report in self.unsaved_reports)
         self.unsaved_reports.clear()
@@ -180,7 +180,7 @@ class JobRun:
 
     @property
     def final_state(self) -> JobState | None:
-        """The state the job ends in; None while chunks are in flight, unsaved or ready."""
+        """The state in which the job ends; None while chunks are in flight, unsaved or ready."""
         if self.in_flight or self.has_unsaved or self._has_ready:
             return None
         if self._ready_queue.finished:
@@ -189,7 +189,7 @@ class JobRun:
 
     @property
     def error(self) -> str | None:
-        """The first failure, and how many followed."""
+        """The first failure and the number of others."""
         return summary_of(self._failures)
 
 
@@ -201,7 +201,7 @@ def text_of(error: BaseException) -> str:
 
 
 def _failure(chunk: int, cells: str, error: BaseException, tries: int) -> Failure:
-    """The record of an error. A worker's death has no traceback: it would be the executor's own."""
+    """The record of an error. A worker's death has no traceback, as it would be the executor's own."""
     if isinstance(error, ExecutorError):
         return Failure(chunk, cells, text_of(error), None, tries)
     trace = "".join(traceback.format_exception(error))[-MAX_TRACEBACK:]
@@ -209,5 +209,5 @@ def _failure(chunk: int, cells: str, error: BaseException, tries: int) -> Failur
 
 
 def predecessors(plan: Plan) -> NDArray[np.int64]:
-    """(n,) the chunk that each depends on, or NONE: what `Chunk.after` holds, without making the chunks."""
+    """(n,) the predecessor of each chunk, or NONE: `Chunk.after` without creating the chunks."""
     return np.maximum(np.arange(len(plan)) - plan.lines, NONE)

@@ -1,4 +1,4 @@
-"""Which jobs a list holds and in which order, as conditions of SQL, and where its next page begins. Pure."""
+"""Searches of jobs: conditions and order in SQL, and the cursor of the next page. Pure."""
 
 import base64
 import json
@@ -12,12 +12,12 @@ from service.jobs.model import JobRecord, JobState
 MAX_TEXT: Final = 200
 
 
-#: Above all numbers of a cursor, and within SQLite's.
+#: Above all numbers of a cursor, and within SQLite's range.
 _MAX: Final = 1 << 62
 
 
 class InvalidCursor(ValueError):
-    """A text that stands for no place of a list in this order."""
+    """A text that is no cursor of a list in this order."""
 
 
 class JobOrder(StrEnum):
@@ -31,7 +31,7 @@ class JobOrder(StrEnum):
 
 
 class Position(NamedTuple):
-    """A place in a list: behind the job `seq`, whose value of the order's column is `value`."""
+    """Cursor position: after job `seq`, whose sort key is `value`."""
 
     value: str | float
     seq: int
@@ -39,7 +39,7 @@ class Position(NamedTuple):
 
 class _Column(NamedTuple):
     sql: str
-    descending: bool  # `seq` too, which orders jobs of the same value
+    descending: bool  # `seq` too, which orders equal jobs
 
 
 _COLUMNS: Final = {
@@ -53,7 +53,7 @@ _COLUMNS: Final = {
 
 @dataclass(frozen=True)
 class JobSearch:
-    """Which jobs to find; None: any.
+    """Conditions on jobs; None: any.
 
     `text` is contained in the name (ASCII letters in either case), or begins the id. Times are in seconds
     since 1970; `created_from` is included, `created_before` is not.
@@ -69,7 +69,7 @@ class JobSearch:
     order: JobOrder = JobOrder.NEWEST
 
     def where(self, after: Position | None = None) -> tuple[str, list[str | float]]:
-        """The WHERE clause of a query of `jobs`, and the values of its parameters; jobs behind `after`."""
+        """The WHERE clause of a query of `jobs` for jobs behind `after`, and its parameters."""
         conditions: list[tuple[str, list[str | float]]] = []
         if self.text:
             contained = f"%{_escaped(self.text)}%"
@@ -105,7 +105,7 @@ class JobSearch:
         return f"({column.sql}, seq) {sign} (?, ?)", [after.value, after.seq]
 
     def cursor(self, job: JobRecord) -> str:
-        """The text that stands for the place behind a job; opaque to clients."""
+        """The cursor after a job; opaque to clients."""
         values: dict[JobOrder, str | float] = {
             JobOrder.NAME: job.name,
             JobOrder.FINISHED: job.finished or 0.0,
@@ -117,7 +117,7 @@ class JobSearch:
         return base64.urlsafe_b64encode(text.encode()).decode().rstrip("=")
 
     def read_cursor(self, text: str) -> Position:
-        """The place that a cursor of a list in this order stands for. Raises InvalidCursor for another."""
+        """The position of a cursor in this order. Raises InvalidCursor for other texts."""
         if _COLUMNS[self.order].sql == "seq":
             if not (text.isascii() and text.isdecimal() and len(text) <= 18):
                 raise InvalidCursor(text)

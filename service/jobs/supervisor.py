@@ -1,7 +1,7 @@
-"""The thread that advances jobs: starts them, keeps workers supplied with chunks, marks what is stored.
+"""The thread that advances jobs: starts them, keeps workers supplied with chunks, marks stored chunks.
 
-It sleeps until it is woken (a submission, a cancel, a chunk that came back) or a heartbeat has passed.
-Whatever it holds in memory can be rebuilt from the ledger.
+It sleeps until it is woken (by a submission, a cancel, a returned chunk) or a heartbeat has passed.
+Everything that it holds in memory can be rebuilt from the ledger.
 """
 
 import logging
@@ -22,7 +22,7 @@ from service.jobs.model import UNFINISHED, JobRecord, JobState
 from service.jobs.model_selection import ModelSelector
 from service.jobs.prepare import JobPreparer
 from service.jobs.ready_queue import Rotation
-from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy, Tally
+from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
 from service.jobs.run import JobRun, text_of
 from service.jobs.transactions import Unfinished
 from service.settings import Settings
@@ -31,30 +31,29 @@ from worker.executors.base import ClusterState, Executor
 from worker.executors.errors import ReportMismatch
 from worker.store import StoreConflict
 from worker.studies import Chunk
-from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport, Terms
+from worker.tasks import SLICE_SECONDS, ChunkOptions, ChunkPaused, ChunkReport
 
 log = logging.getLogger(__name__)
 
-#: Chunks in flight, however small they are, of one job and those with less left to compute.
+#: Maximum chunks in flight, however small, of one job and those with less left to compute.
 MAX_IN_FLIGHT: Final = 64
-#: Times the chunks that are enough for one job, of all jobs together.
+#: Limit on chunks in flight over all jobs, in multiples of one job's window.
 MAX_TIMES_IN_FLIGHT: Final = 4
-#: Chunks pause less often with more workers than this, in proportion: another job's chunk waits as long.
+#: With more workers than this, chunks pause less often in proportion: other jobs' chunks wait equally long.
 WORKERS_TO_WAIT: Final = 4
 #: The priority of a job's turn: above that of all other chunks, which is negative.
 TURN_PRIORITY: Final = 0.0
-#: Seconds for which a chunk that waits at the executor is passed by later ones of smaller jobs; less if its
-#: own job has less than a core-second left.
+#: Seconds for which later chunks of smaller jobs overtake a chunk waiting at the executor; less if its own
+#: job has less than a core-second left.
 PASSED_SECONDS: Final = 10.0
-#: Runs of one job that may be given up after an unforeseen error, before the job fails.
+#: Runs of a job abandoned after unforeseen errors before the job fails.
 MAX_BROKEN_RUNS: Final = 3
-#: Without workers the ledger is synced after this share of a heartbeat, so that those that connect get
-#: chunks soon.
+#: Without workers the ledger is synced after this share of a heartbeat, so that new workers get chunks soon.
 IDLE_SHARE: Final = 0.25
 
 
 class ChunkFinished(NamedTuple):
-    """A chunk's future is done, with a report, an error or a cancellation."""
+    """A chunk's future has ended, with a report, an error or a cancellation."""
 
     job_id: str
     chunk: int
@@ -76,7 +75,7 @@ Message = ChunkFinished | ChunksInvalidated | Sync
 
 
 class Waiting(NamedTuple):
-    """An unfinished job that is not in memory; ordered by what is left of it."""
+    """An unfinished job that is not in memory; ordered by its remaining work."""
 
     remaining_seconds: float  # core-seconds, by the cost table
     seq: int
@@ -88,15 +87,13 @@ class Supervisor:
     """Computes the ledger's unfinished jobs on an executor until it is stopped.
 
     The job with the least left to compute comes first, and a share of the workers' time goes to all jobs in
-    turn (`Rotation`). What is in flight is bounded, not counting the chunks of jobs with more left: those
-    wait at the executor behind a smaller job's chunks, so that a small job overtakes huge ones at once; but
-    not for ever, since such a chunk is not passed any more after PASSED_SECONDS.
-    At most `active_jobs` jobs are in memory. One that has nothing in flight gives its place to another.
-    A job whose address still has results of a deleted job waits for it to be free. `after_writing` removes
-    the store of a job that was deleted while the store was created.
+    turn (`Rotation`). Limits the chunks in flight. Chunks of larger jobs do not count: a smaller job
+    overtakes them, but only for PASSED_SECONDS. At most `active_jobs` jobs are in memory. An idle job gives
+    its place to another. A job whose address still has results of a deleted job waits until it is free.
+    `after_writing` removes the store of a job that was deleted while the store was created.
 
     `start`, `in_flight`, `tally`, `cluster`, `wake`, `invalidating` and `stop` may be used from any thread;
-    all else runs in its own.
+    the rest runs in its own.
     """
 
     def __init__(
@@ -111,20 +108,20 @@ class Supervisor:
         self._preparer = preparer
         self._after_writing = after_writing
         self._policy = RetryPolicy(settings.chunk_tries, settings.failed_chunks)
-        self.tally = Tally()
+        self.tally = ChunkCounts()
         self.cluster = ClusterState(connected=True, workers=1)  # as the last sync found it
         self.remaining_seconds = 0.0  # core-seconds of unfinished jobs, by the cost table
         self._selector = ModelSelector(ledger, executor, preparer, self.wake)
         self._inbox: SimpleQueue[Message] = SimpleQueue()
-        self._messages: deque[Message] = deque()  # received, and not yet taken in
+        self._messages: deque[Message] = deque()  # received but not processed
         self._runs: dict[str, JobRun] = {}
-        self._broken: Counter[str] = Counter()  # runs given up after an error of this module, by job
+        self._broken: Counter[str] = Counter()  # runs abandoned after an unforeseen error, by job
         self._waiting: dict[str, Waiting] = {}  # by job id, in order, as the last sync found them
         self._core_seconds: dict[str, float] = {}  # of each unfinished job as a whole, by the cost table
         self._rotation = Rotation(SLICE_SECONDS)
         self._invalidating: Counter[str] = Counter()  # callers of `invalidating`, by job
         self._invalidating_lock = threading.Lock()
-        self._slots = 0  # chunks that may be in flight
+        self._slots = 0  # limit on chunks in flight
         self._next_sync = time.monotonic()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="supervisor", daemon=True)
@@ -135,11 +132,11 @@ class Supervisor:
         self._thread.start()
 
     def in_flight(self) -> int:
-        """Chunks of jobs that are at the executor."""
+        """Number of jobs' chunks at the executor."""
         return sum(len(run.in_flight) for run in list(self._runs.values()))
 
     def wake(self) -> None:
-        """Have the ledger synced now. Call it after a change of the ledger."""
+        """Sync with the ledger now. Call it after changing the ledger."""
         self._inbox.put(Sync())
 
     @contextmanager
@@ -147,8 +144,8 @@ class Supervisor:
         """Have chunks computed again: the caller unmarks them in the ledger, adds them to the list, and
         removes their bytes.
 
-        No run of the job begins meanwhile. It would find them unmarked, and what it had stored of them would
-        be removed after them.
+        No run of the job begins meanwhile. It would find them unmarked, and its new results would be removed
+        with the old ones.
         """
         chunks: list[int] = []
         with self._invalidating_lock:
@@ -164,7 +161,7 @@ class Supervisor:
             self.wake()
 
     def stop(self, seconds: float) -> None:
-        """Abandon what is in flight and end the thread, within `seconds`; unfinished jobs stay unfinished."""
+        """Abandon chunks in flight and end the thread within `seconds`; unfinished jobs stay unfinished."""
         self._stop.set()
         self.wake()
         if self._thread.is_alive():
@@ -174,9 +171,9 @@ class Supervisor:
         while not self._stop.is_set():
             try:
                 self._messages.extend(self._receive())
-                self._ledger.check()  # nothing is stored either while the ledger is not the one it was
+                self._ledger.check()  # nothing is stored either while the ledger is replaced
                 self._step()
-            except LedgerUnavailable as error:  # the next step writes what this one could not
+            except LedgerUnavailable as error:  # the next step writes the rest
                 pause = self._settings.heartbeat_seconds
                 log.error("supervisor step failed; retrying in %g s: %s", pause, error)
                 self._stop.wait(pause)
@@ -189,7 +186,7 @@ class Supervisor:
             self._abandon(run)
 
     def _receive(self) -> list[Message]:
-        """All messages that have arrived; waits for the first, or until the next sync is due."""
+        """All received messages; waits for the first, or until the next sync is due."""
         try:
             messages = [self._inbox.get(timeout=max(self._next_sync - time.monotonic(), 0))]
         except Empty:
@@ -199,9 +196,9 @@ class Supervisor:
         return messages if time.monotonic() < self._next_sync else [*messages, Sync()]
 
     def _step(self) -> None:
-        """Messages change what is in memory; then the ledger gets it, now or in a later step.
+        """Apply messages to the state in memory, then save it to the ledger, now or in a later step.
 
-        Raises LedgerUnavailable. Any other error concerns the job alone that it is of.
+        Raises LedgerUnavailable. Any other error concerns only its own job.
         """
         sync = False
         while self._messages:
@@ -224,7 +221,7 @@ class Supervisor:
 
     @contextmanager
     def _contained(self, run: JobRun) -> Iterator[None]:
-        """Let an error end one job's run only. The next sync makes the run anew, from the ledger.
+        """Let an error end only one job's run. The next sync rebuilds the run from the ledger.
 
         Raises LedgerUnavailable, which is no job's fault.
         """
@@ -246,11 +243,11 @@ class Supervisor:
     def _take(self, run: JobRun, message: ChunkFinished | ChunksInvalidated) -> None:
         if isinstance(message, ChunksInvalidated):
             run.invalidate(message.chunks)
-        elif run.in_flight.get(message.chunk) is message.future:  # not one of a run that was given up
+        elif run.in_flight.get(message.chunk) is message.future:  # not from an abandoned run
             self._on_finished(run, message)
 
     def _on_finished(self, run: JobRun, finished: ChunkFinished) -> None:
-        """Keep a chunk's report, or see to its error."""
+        """Keep a chunk's report, or handle its error."""
         chunk = finished.chunk
         error = _error_of(finished.future) or _mismatch(run.prepared.plan[chunk], finished.future.result())
         self._account(run, finished, error)
@@ -262,12 +259,12 @@ class Supervisor:
             return
         if isinstance(error, store.StoreDamaged):
             prepared = run.prepared
-            with suppress(OSError, *store.UNREACHABLE):  # the next try says what is wrong
+            with suppress(OSError, *store.UNREACHABLE):  # the next try reports the error
                 store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes)
         self._on_error(run, chunk, error)
 
     def _on_error(self, run: JobRun, chunk: int, error: BaseException) -> None:
-        """Carry out what the retry policy decides about a chunk that has no report."""
+        """Carry out the retry policy's decision on a chunk without a report."""
         action, recompute_predecessor = self._policy.decide(error, run.history(chunk))
         self.tally.add_returned(action, error)
         if action in FAILED_TRIES:
@@ -277,21 +274,21 @@ class Supervisor:
         run.apply(chunk, action, error, recompute_predecessor)
 
     def _account(self, run: JobRun, finished: ChunkFinished, error: BaseException | None) -> None:
-        """Tell the rotation how long a chunk took since it was submitted: a slice at most."""
+        """Report a chunk's time since submission to the rotation: at most a slice."""
         if error is None:
             seconds = min(finished.future.result().seconds, self._rotation.slice_seconds)
         else:
-            most = self._rotation.slice_seconds
-            seconds = most if isinstance(error, ChunkPaused) else min(run.chunk_seconds, most)
+            longest = self._rotation.slice_seconds
+            seconds = longest if isinstance(error, ChunkPaused) else min(run.chunk_seconds, longest)
         if finished.chunk in run.turns:
             self._rotation.end_turn(run.chunk_seconds, seconds)
         else:
             self._rotation.earn(seconds)
 
     def _save(self, run: JobRun) -> None:
-        """Write what has happened to a job's chunks to the ledger, in one transaction.
+        """Write the changes of a job's chunks to the ledger, in one transaction.
 
-        The run keeps it until the transaction has succeeded, so that a later step can write it.
+        The run keeps them until the transaction has succeeded, so that a later step can write them.
         """
         if run.has_unsaved:
             if run.unsaved_reports:
@@ -304,7 +301,7 @@ class Supervisor:
             run.invalidate(unmarked)
 
     def _abandon(self, run: JobRun) -> None:
-        """Cancel chunks that wait and make workers stop those they compute; the next start computes them."""
+        """Cancel waiting chunks and make workers stop the others; the next start computes them."""
         for future in list(run.in_flight.values()):
             future.cancel()
         if run.in_flight:
@@ -319,9 +316,9 @@ class Supervisor:
         """Sync with the ledger: start queued jobs, apply or revoke cancel requests."""
         self._ledger.keep_reserve()
         cluster = self.cluster = self._executor.state()
-        # Without workers as for one: what waits at the scheduler has a cluster that can grow start some.
+        # Without workers as for one: a cluster that can grow starts some for waiting chunks.
         self._slots = self._settings.window * max(cluster.workers, 1) if cluster.connected else 0
-        # Of many workers one is free soon, however long each is busy.
+        # Among many workers one is free soon, however long each is busy.
         self._rotation.slice_seconds = max(SLICE_SECONDS, cluster.workers * SLICE_SECONDS / WORKERS_TO_WAIT)
         pause = self._settings.heartbeat_seconds * (1.0 if cluster.workers else IDLE_SHARE)
         self._next_sync = time.monotonic() + pause
@@ -340,21 +337,21 @@ class Supervisor:
                 elif job.cancel_requested:
                     self._start_job(job.id)  # it ends at once
         except store.UNREACHABLE as error:
-            # The others' stores are in the same bucket: each would wait as long. The next sync tries again.
+            # The other stores are in the same bucket and would wait too. The next sync tries again.
             log.warning("the bucket of the stores does not answer: %s", error)
         self._update_waiting(unfinished)
         self._withdraw_stopped(cluster)
         self._ask_for_workers()
 
     def _withdraw_stopped(self, cluster: ClusterState) -> None:
-        """Without workers, take back the chunks of jobs that are stopped: none will begin."""
+        """Without workers, take back the chunks of stopped jobs: none will begin."""
         if cluster.connected and not cluster.workers:
             for run in self._runs.values():
                 for future in list(run.in_flight.values()) if run.stopped else ():
                     future.cancel()
 
     def _ask_for_workers(self) -> None:
-        """Tell the executor what is left to compute, in two digits: at each sync a little less is left."""
+        """Report the remaining work, rounded to two digits so that it rarely changes."""
         runs = [run for run in self._runs.values() if run.at_once]
         waiting = self._waiting.values()
         self.remaining_seconds = sum(run.remaining_seconds for run in self._runs.values())
@@ -364,9 +361,9 @@ class Supervisor:
         self._executor.ask_for(_two_digits(seconds), int(_two_digits(at_once)))
 
     def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
-        """Put the jobs that may start in order, and all of them in the rotation."""
-        known = self._core_seconds
-        self._core_seconds = {job.id: known.get(job.id) or self._estimate(job.id) for job in unfinished}
+        """Sort the jobs that may start, and update the rotation."""
+        estimates = self._core_seconds
+        self._core_seconds = {job.id: estimates.get(job.id) or self._estimate(job.id) for job in unfinished}
         waiting = []
         for job in unfinished:
             if job.id not in self._runs:
@@ -377,22 +374,22 @@ class Supervisor:
         self._rotation.update({job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)})
 
     def _estimate(self, job_id: str) -> float:
-        """Core-seconds of a job as a whole; 0 for one that cannot be prepared, whose start will say why."""
+        """Core-seconds of a whole job; 0 if it cannot be prepared, which its start will report."""
         job = self._ledger.find(job_id)
         try:
             return 0.0 if job is None else self._preparer.prepare(job).core_seconds
-        except Exception:  # noqa: BLE001 - whatever it is, it concerns this job alone
+        except Exception:  # noqa: BLE001 - it concerns this job alone
             return 0.0
 
     def _start_job(self, job_id: str) -> None:
-        """Create a job's store and add the job to those that run; a job that cannot start fails.
+        """Create a job's store and add the job to the running ones; a job that cannot start fails.
 
-        One of which chunks are being invalidated starts later. Raises one of `store.UNREACHABLE`.
+        A job whose chunks are being invalidated starts later. Raises one of `store.UNREACHABLE`.
         """
         with self._ledger.reading() as ledger:
             job = ledger.find(job_id)
             if job is None or ledger.is_occupied(job_id):
-                return  # deleted meanwhile, or deleted before and not removed yet
+                return  # deleted meanwhile, or an earlier deletion is not complete
         try:
             selected = self._selector.select(job)
             if selected is None:
@@ -402,21 +399,21 @@ class Supervisor:
             log.warning("job %s cannot start yet, its bucket does not answer: %s", job_id, error)
             raise
         except LedgerUnavailable:
-            raise  # no fault of the job: the step is retried
+            raise  # not the job's fault: the step is retried
         except Exception as error:
             log.exception("job %s cannot start", job_id)
             hint = "; bounce adopt takes in what is stored there" if isinstance(error, StoreConflict) else ""
             reason = f"the job cannot start: {type(error).__name__}: {error}{hint}"
             self._finish(job, JobState.FAILED, reason)
             return
-        if job_id in self._invalidating:  # looked at after the run has read which chunks are marked
+        if job_id in self._invalidating:  # checked after the run has read the marked chunks
             return
         if self._mark_running(job):
             self._runs[job_id] = run
             log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
 
     def _open(self, job: JobRecord) -> JobRun:
-        """A job whose model is chosen, its store created, nothing in flight.
+        """The run of a job with a chosen model: its store created, nothing in flight.
 
         Raises SpecError, StoreError, OSError, or one of `store.UNREACHABLE`.
         """
@@ -428,7 +425,7 @@ class Supervisor:
         return JobRun(job, prepared, self._ledger.done_mask(job), self._policy, paused)
 
     def _mark_running(self, job: JobRecord) -> bool:
-        """Whether the job may run: it may have been cancelled, or deleted, since its store was created."""
+        """Whether the job may run: it may have been cancelled or deleted since its store was created."""
         with self._ledger.writing() as ledger:
             current = ledger.find(job.id)
             if current is not None and current.seq == job.seq and current.state in UNFINISHED:
@@ -438,10 +435,10 @@ class Supervisor:
         return False
 
     def _apply_cancel(self, run: JobRun, requested: bool) -> None:
-        """Apply or revoke a cancel request, by the flag at the store that workers look at.
+        """Apply or revoke a cancel request, by the flag at the store that workers check.
 
-        The job ends when every chunk in flight has come back: only then can nothing write any more. Where
-        the flag cannot be set they are computed to their end; where it cannot be removed the job waits.
+        The job ends when every chunk in flight has come back, so that nothing can write. If the flag cannot
+        be set, they are computed to their end; if it cannot be removed, the job waits.
         Raises one of `store.UNREACHABLE`.
         """
         if run.flagged == run.stopping == requested:
@@ -454,17 +451,17 @@ class Supervisor:
         run.flagged = run.stopping = requested
 
     def _end(self, run: JobRun) -> None:
-        """End a job that has nothing in flight, nothing unsaved and nothing to submit."""
+        """End a job with nothing in flight, unsaved, or to submit."""
         state = run.final_state
         if state is None:
             return
-        with suppress(OSError):  # else what killed workers left goes when the service starts again
+        with suppress(OSError):  # else leftovers of killed workers are removed at the next start
             store.sweep_leftovers(run.prepared.store_url)
         if self._finish(run.job, state, run.error if state is JobState.FAILED else None):
             del self._runs[run.job.id]
             self._broken.pop(run.job.id, None)
             log.info("job %s is %s", run.job.id, state)
-        self.wake()  # a queued job may start, or a job whose cancel was revoked continue
+        self.wake()  # a queued job may start, or one whose cancel was revoked may continue
 
     def _finish(self, job: JobRecord, state: JobState, error: str | None) -> bool:
         """Write a job's final state to the ledger; False if the job continues after all."""
@@ -493,10 +490,10 @@ class Supervisor:
                 self._send(run, is_turn)
 
     def _next_in_turn(self) -> JobRun | None:
-        """The job whose turn it is, if it is due. Turns take half of the workers at most."""
+        """The job whose turn is due. Turns take at most half of the workers."""
         turns = sum(len(run.turns) for run in self._runs.values())
-        most = max(self._slots // (2 * self._settings.window), 1)
-        if turns >= most or len(self._rotation) == 1 or not self._rotation.is_due(0.0):
+        turn_limit = max(self._slots // (2 * self._settings.window), 1)
+        if turns >= turn_limit or len(self._rotation) == 1 or not self._rotation.is_due(0.0):
             return None
         for job_id in self._rotation:
             run, job = self._runs.get(job_id), self._waiting.get(job_id)
@@ -511,7 +508,7 @@ class Supervisor:
         return None
 
     def _next_smallest(self) -> JobRun | None:
-        """Of the jobs that may submit a chunk, the one with the least left to compute."""
+        """The job with the least left to compute among those that may submit a chunk."""
         runs = self._runs.values()
         all_count, all_seconds = (
             sum(len(run.in_flight) for run in runs),
@@ -519,7 +516,7 @@ class Supervisor:
         )
         if self._is_full(all_count / MAX_TIMES_IN_FLIGHT, all_seconds / MAX_TIMES_IN_FLIGHT):
             return None
-        count, seconds = 0, 0.0  # in flight of jobs with less left
+        count, seconds = 0, 0.0  # in flight for jobs with less left
         for run in [*sorted(self._runs.values(), key=_order), None]:
             while self._waiting and not (
                 run is not None and _order(run) < next(iter(self._waiting.values()))
@@ -540,7 +537,7 @@ class Supervisor:
         return None
 
     def _make_room(self, remaining_seconds: float) -> bool:
-        """Whether a job with so much left may be in memory; one with more left that is idle leaves it."""
+        """Make room in memory for a job with this much left; an idle job with more left leaves."""
         if len(self._runs) + self._selector.pending < self._settings.active_jobs:
             return True
         idle = [run for run in self._runs.values() if run.is_idle and run.may_submit]
@@ -552,20 +549,20 @@ class Supervisor:
         return True
 
     def _start_waiting(self, job: Waiting) -> JobRun | None:
-        """Start a job that waits; None if it cannot submit a chunk before the next sync."""
+        """Start a waiting job; None if it cannot submit a chunk before the next sync."""
         del self._waiting[job.id]
         try:
             self._start_job(job.id)
         except store.UNREACHABLE:
-            self._waiting.clear()  # the others' stores are in the same bucket: until the next sync
+            self._waiting.clear()  # the other stores are in the same bucket: wait for the next sync
             return None
         run = self._runs.get(job.id)
         return run if run is not None and run.may_submit else None
 
     def _is_full(self, count: float, seconds: float) -> bool:
-        """Whether so many chunks, of so many core-seconds, are enough in flight.
+        """Whether `count` chunks of `seconds` core-seconds in all are enough in flight.
 
-        Of short chunks there are more, up to `window_seconds` of work, so that workers do not wait for them.
+        More short chunks are sent, up to `window_seconds` of work, so that workers do not wait for them.
         """
         enough = self._settings.window_seconds * self._slots / self._settings.window
         return count >= self._slots and (seconds >= enough or count >= MAX_IN_FLIGHT)
@@ -574,7 +571,7 @@ class Supervisor:
         """Submit a job's next chunk to the executor.
 
         Without a cluster nothing is submitted until the next sync. Any other error is a failed try of the
-        chunk, and its job submits nothing until the next sync; the others do.
+        chunk, and its job, but no other, submits nothing until the next sync.
         """
         waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
         priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
@@ -587,9 +584,9 @@ class Supervisor:
                 run.prepared.store_url,
                 seconds=seconds,
                 priority=priority,
-                terms=Terms(self._rotation.slice_seconds, begins=run.begins(chunk.index)),
+                options=ChunkOptions(self._rotation.slice_seconds, begins=run.begins(chunk.index)),
             )
-        except Exception as error:  # noqa: BLE001 - whatever it is, the retry policy decides what follows
+        except Exception as error:  # noqa: BLE001 - the retry policy decides
             log.warning("the executor refused a chunk, retrying at the next sync: %s", error)
             run.refused = True
             self._on_error(run, chunk.index, error)
@@ -601,7 +598,7 @@ class Supervisor:
         future.add_done_callback(partial(self._post_finished, run.job.id, chunk.index))
 
     def _time_limit(self, run: JobRun, chunk: Chunk) -> float:
-        """Seconds that a chunk may take from when it starts, before its worker is replaced."""
+        """Seconds that a chunk may take from its start before its worker is replaced."""
         return max(self._settings.chunk_seconds, self._settings.chunk_slack * run.longest_seconds(chunk))
 
     def _post_finished(self, job_id: str, chunk: int, future: "Future[ChunkReport]") -> None:
@@ -609,12 +606,12 @@ class Supervisor:
 
 
 def _order(run: JobRun) -> tuple[float, int]:
-    """The order of jobs in memory, as that of those that wait: by what is left of them."""
+    """The order of jobs in memory, like that of waiting jobs: by their remaining work."""
     return run.remaining_seconds, run.job.seq
 
 
 def _two_digits(value: float) -> float:
-    """Rounded up to two significant digits."""
+    """The value rounded up to two significant digits."""
     if value <= 0.0:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
@@ -622,12 +619,12 @@ def _two_digits(value: float) -> float:
 
 
 def _error_of(future: "Future[ChunkReport]") -> BaseException | None:
-    """Why a future that is done has no report; None if it has one."""
+    """Why an ended future has no report; None if it has one."""
     return CancelledError() if future.cancelled() else future.exception()
 
 
 def _mismatch(chunk: Chunk, report: ChunkReport) -> ReportMismatch | None:
-    """What is wrong about a report, if it is not one of this chunk."""
+    """The error of a report that is not this chunk's."""
     if (report.index, report.cells, sum(report.outcomes)) == (chunk.index, chunk.cells, chunk.cells):
         return None
     return ReportMismatch(

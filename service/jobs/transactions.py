@@ -1,6 +1,6 @@
-"""What can be read from the ledger and changed in it, within one transaction.
+"""Reads and changes of the ledger within one transaction.
 
-Only chunks that are done have a row; a chunk without one is to be computed.
+Only done chunks have a row; a chunk without one is to be computed.
 """
 
 import json
@@ -34,7 +34,7 @@ Column = str | float | bool | None
 
 
 class Unfinished(NamedTuple):
-    """What the supervisor reads of an unfinished job at every sync."""
+    """What the supervisor reads about an unfinished job at every sync."""
 
     id: str
     cancel_requested: bool
@@ -45,15 +45,15 @@ class Unfinished(NamedTuple):
 
 
 class DeletionStep(IntEnum):
-    """How far a deletion is."""
+    """Progress of a deletion."""
 
-    RECORDED = 0  # the job is forgotten, its results are where they were
-    FREED = 1  # nothing of it is left at the job's address: the same study may be stored there again
+    RECORDED = 0  # the job is forgotten, its results are in place
+    FREED = 1  # the job's address is free: the same study may be stored there again
     COMPLETE = 2  # all is removed; kept until the next start of the service
 
 
 class Deletion(NamedTuple):
-    """A job that was deleted, and whose stored results are not all removed yet."""
+    """A deleted job whose stored results are not all removed."""
 
     job_id: str
     seq: int  # the job's
@@ -62,22 +62,22 @@ class Deletion(NamedTuple):
 
 
 class Key(NamedTuple):
-    """What an idempotency key was used for."""
+    """The use of an idempotency key."""
 
     body: str  # the body's fingerprint
     job_id: str
 
 
 class StoredChunk(NamedTuple):
-    """What the ledger knows of a done chunk's stored bytes."""
+    """The ledger's record of a done chunk's stored bytes."""
 
     number: int
     checksum: str
-    size: int | None  # of all arrays, in bytes; None of adopted ones
+    size: int | None  # of all arrays, in bytes; None for adopted chunks
 
 
 class Pace(NamedTuple):
-    """How long the done chunks of a job took."""
+    """Time taken by the done chunks of a job."""
 
     job: JobRecord
     seconds: float
@@ -103,7 +103,7 @@ class ReadTransaction:
         return self.search(JobSearch(state=state), limit, after)
 
     def search(self, search: JobSearch, limit: int, after: Position | None = None) -> list[JobRecord]:
-        """The first `limit` jobs that a search finds behind a position, in its order."""
+        """The first `limit` jobs of a search behind a position, in its order."""
         where, values = search.where(after)
         rows = self._sql.execute(f"SELECT * FROM jobs {where} {search.order_by} LIMIT ?", [*values, limit])
         return [_record(row) for row in rows]
@@ -157,9 +157,9 @@ class ReadTransaction:
         return int(row[0]) if row else 0
 
     def key(self, key: str) -> Key | None:
-        """What an idempotency key was used for, if it is remembered.
+        """The use of an idempotency key, if it is remembered.
 
-        Not one of an outdated job: the same request makes another job now.
+        Keys of outdated jobs do not count: the same request now makes another job.
         """
         row = self._sql.execute(
             "SELECT keys.body, jobs.id FROM keys JOIN jobs ON keys.job = jobs.seq"
@@ -169,10 +169,10 @@ class ReadTransaction:
         return Key(row["body"], row["id"]) if row else None
 
     def paces(self, jobs: int, max_spec_chars: int) -> list[Pace]:
-        """How long done chunks took, for each of the last `jobs` with a specification of limited length.
+        """Times of done chunks, for each of the last `jobs` with a specification of limited length.
 
-        Of this release's kernel alone: another version's speed says nothing of it. Of adopted chunks it is
-        not known.
+        Only for this release's kernel, as versions differ in speed. Times of adopted chunks are
+        unknown.
         """
         rows = self._sql.execute(
             "SELECT * FROM jobs WHERE chunks_done > 0 AND length(spec) <= ? AND kernel_version = ?"
@@ -184,7 +184,7 @@ class ReadTransaction:
         ]
 
     def marker(self) -> tuple[str, bool]:
-        """What marks this ledger's stores, and whether they were marked."""
+        """The mark of this ledger's stores, and whether they were marked."""
         row = self._sql.execute("SELECT id, made FROM marker").fetchone()
         return str(row["id"]), bool(row["made"])
 
@@ -203,7 +203,7 @@ class ReadTransaction:
         return [Deletion(row["job"], row["seq"], row["created"], DeletionStep(row["step"])) for row in rows]
 
     def orphans(self) -> list[int]:
-        """Numbers of jobs that the ledger does not know, and chunks of which it has."""
+        """Numbers of jobs with chunks in the ledger but no row."""
         numbers: list[int] = []
         last = -1
         while True:
@@ -214,7 +214,7 @@ class ReadTransaction:
                 numbers.append(last)
 
     def is_occupied(self, job_id: str) -> bool:
-        """Whether results of a deleted job are still to be removed from this job's address."""
+        """Whether a deleted job's results must still be removed from this job's address."""
         row = self._sql.execute(
             "SELECT 1 FROM deletions WHERE job = ? AND step = ?", (job_id, DeletionStep.RECORDED)
         ).fetchone()
@@ -230,7 +230,7 @@ class ReadTransaction:
         return [row[0] for row in rows]
 
     def stored_chunks(self, job: JobRecord, first: int, last: int) -> list[StoredChunk]:
-        """Done chunks with first <= index < last, in order, and what is stored of each."""
+        """Done chunks with first <= index < last, in order, and the stored bytes of each."""
         rows = self._sql.execute(
             "SELECT chunk, checksum, bytes FROM chunks WHERE job = ? AND chunk >= ? AND chunk < ?"
             " ORDER BY chunk",
@@ -248,7 +248,7 @@ class ReadTransaction:
         return np.unpackbits(np.frombuffer(row[0], np.uint8)).astype(np.bool_)
 
     def failures(self, job: JobRecord) -> list[Failure]:
-        """Chunks that were given up since the job was last accepted or resumed."""
+        """Chunks given up since the job was last accepted or resumed."""
         rows = self._sql.execute(
             "SELECT chunk, place, error, traceback, tries FROM failures WHERE job = ? ORDER BY chunk",
             (job.seq,),
@@ -273,12 +273,12 @@ class WriteTransaction(ReadTransaction):
         )  # fmt: skip
 
     def queue(self, job: JobRecord, owner: str | None) -> None:
-        """Resume a failed or cancelled job, which is `owner`'s from then on; its done chunks are kept."""
+        """Resume a failed or cancelled job, which then belongs to `owner`; its done chunks are kept."""
         self._move(job, JobState.QUEUED, error=None, finished=None, cancel_requested=False, owner=owner)
         self._sql.execute("DELETE FROM failures WHERE job = ?", (job.seq,))
 
     def run(self, job: JobRecord, now: float) -> None:
-        """The supervisor starts the job, or continues it after a restart of the service."""
+        """Start the job, or continue it after a restart of the service."""
         if job.state is not JobState.RUNNING:
             check_transition(job.state, JobState.RUNNING)
         self._update(
@@ -299,7 +299,7 @@ class WriteTransaction(ReadTransaction):
         self._update(job, choice=choice, chunk_shape=json.dumps(chunk_shape), chunks_total=chunks_total)
 
     def set_cancel_requested(self, job: JobRecord, cancel_requested: bool) -> None:
-        """Request that a running job stops, or revoke the request."""
+        """Request a running job to stop, or revoke the request."""
         self._update(job, cancel_requested=cancel_requested)
 
     def pin(self, job: JobRecord, pinned: bool) -> None:
@@ -313,7 +313,7 @@ class WriteTransaction(ReadTransaction):
     def adopt(
         self, job: NewJob, reports: Sequence[ChunkReport], choice: str | None, now: float, error: str
     ) -> None:
-        """Insert a job whose results are stored already: done if `reports` has every chunk, else failed."""
+        """Insert a job with stored results: done if `reports` has every chunk, else failed."""
         self.insert(job, now)
         complete = len(reports) == job.chunks_total
         self._sql.execute(
@@ -328,7 +328,7 @@ class WriteTransaction(ReadTransaction):
             self.mark_done(record, reports)
 
     def delete(self, job: JobRecord, now: float) -> None:
-        """Forget a job, its keys, and that it replaces others; record that its store is to go.
+        """Forget a job, its keys, and its role as a replacement; record that its store must be removed.
 
         Its chunks are forgotten later, see `forget_chunks`: there may be a million.
         """
@@ -339,7 +339,7 @@ class WriteTransaction(ReadTransaction):
         )
 
     def repeat_deletion(self, job: JobRecord, now: float) -> bool:
-        """Have a deleted job's results removed once more; False if no deletion of this job is recorded."""
+        """Remove a deleted job's results once more; False if no deletion of this job is recorded."""
         updated = self._sql.execute(
             "UPDATE deletions SET created = ?, step = ? WHERE job = ? AND seq = ?",
             (now, DeletionStep.RECORDED, job.id, job.seq),
@@ -347,18 +347,18 @@ class WriteTransaction(ReadTransaction):
         return updated.rowcount == 1
 
     def advance_deletion(self, deletion: Deletion, step: DeletionStep) -> None:
-        """Record how far a deletion is, unless it was repeated meanwhile."""
+        """Record the progress of a deletion, unless it was repeated meanwhile."""
         self._sql.execute(
             "UPDATE deletions SET step = ? WHERE job = ? AND seq = ? AND created = ?",
             (step, deletion.job_id, deletion.seq, deletion.created),
         )
 
     def forget_deletions(self, step: DeletionStep = DeletionStep.RECORDED) -> int:
-        """Forget the deletions that have come as far as `step`, by default all; returns their number."""
+        """Forget the deletions that have reached `step`, by default all; returns their number."""
         return self._sql.execute("DELETE FROM deletions WHERE step >= ?", (step,)).rowcount
 
     def forget_chunks(self, seq: int, limit: int) -> int:
-        """Forget so many chunks at most of a deleted job; returns their number, 0 if none was left."""
+        """Forget at most `limit` chunks of a deleted job; returns their number, 0 if none was left."""
         forgotten = self._sql.execute(
             "DELETE FROM chunks WHERE job = ? AND chunk IN (SELECT chunk FROM chunks WHERE job = ? LIMIT ?)",
             (seq, seq, limit),
@@ -368,15 +368,15 @@ class WriteTransaction(ReadTransaction):
         return forgotten
 
     def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
-        """Remember what an idempotency key was used for."""
+        """Record the use of an idempotency key."""
         self._sql.execute("INSERT OR REPLACE INTO keys VALUES (?, ?, ?, ?)", (key, body, job.seq, now))
 
     def note_marked(self) -> None:
-        """The stores are marked as this ledger's."""
+        """Record that the stores are marked as this ledger's."""
         self._sql.execute("UPDATE marker SET made = 1")
 
     def forget_keys(self, before: float) -> None:
-        """Forget the keys that were used before that time, in seconds since 1970."""
+        """Forget the keys used before that time, in seconds since 1970."""
         self._sql.execute("DELETE FROM keys WHERE created < ?", (before,))
 
     def _move(self, job: JobRecord, state: JobState, **columns: Column) -> None:
@@ -390,7 +390,7 @@ class WriteTransaction(ReadTransaction):
     # Chunks
 
     def mark_done(self, job: JobRecord, reports: Iterable[ChunkReport]) -> None:
-        """Mark stored chunks as done; one that is marked already stays as it is."""
+        """Mark stored chunks as done; marked ones stay as they are."""
         marked = [report for report in reports if self._insert_chunk(job, report)]
         self._sql.execute(
             "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ?,"
@@ -408,14 +408,14 @@ class WriteTransaction(ReadTransaction):
         )
 
     def unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
-        """Have chunks computed again; a job that was done runs again. Returns those that were marked."""
+        """Unmark chunks to compute them again; a done job runs again. Returns those that were marked."""
         unmarked = self._unmark(job, chunks)
         if unmarked and job.state is JobState.DONE:
-            self._move(job, JobState.RUNNING)  # `finished` tells that it is being repaired
+            self._move(job, JobState.RUNNING)  # `finished` shows that it is being repaired
         return unmarked
 
     def lose(self, job: JobRecord, failures: Sequence[Failure]) -> list[int]:
-        """Give up damaged chunks of an outdated job, which are never computed again; a job done before fails.
+        """Give up damaged chunks of an outdated job, never to be computed again; a done job becomes failed.
 
         Returns those that were marked.
         """
@@ -427,18 +427,18 @@ class WriteTransaction(ReadTransaction):
         return lost
 
     def note_verified(self, job: JobRecord, page: int, verified: NDArray[np.bool_]) -> None:
-        """Record which chunks of a page were verified. `verified`: as `verified_chunks` gives it."""
+        """Record which chunks of a page were verified. `verified`: as from `verified_chunks`."""
         self._sql.execute(
             "INSERT OR REPLACE INTO verified VALUES (?, ?, ?)",
             (job.seq, page, np.packbits(verified).tobytes()),
         )
 
     def finish_verification(self, job: JobRecord, now: float) -> None:
-        """All chunks of a job have been verified."""
+        """Record that all chunks of a job have been verified."""
         self._update(job, verified=now)
 
     def forget_verification(self, job: JobRecord) -> None:
-        """Have all chunks of a job verified again."""
+        """Mark all chunks of a job as unverified."""
         self._sql.execute("DELETE FROM verified WHERE job = ?", (job.seq,))
         self._update(job, verified=None)
 
@@ -450,7 +450,7 @@ class WriteTransaction(ReadTransaction):
             )
 
     def _insert_chunk(self, job: JobRecord, report: ChunkReport) -> bool:
-        """Whether the chunk was not marked before."""
+        """Insert a chunk; whether it was not marked before."""
         outcomes = json.dumps(list(report.outcomes), separators=(",", ":"))
         inserted = self._sql.execute(
             "INSERT OR IGNORE INTO chunks VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
@@ -462,7 +462,7 @@ class WriteTransaction(ReadTransaction):
         return inserted.rowcount == 1
 
     def _unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
-        """Chunks of these that were marked, unmarked now."""
+        """Unmark chunks; returns those that were marked."""
         unmarked = [row for chunk in chunks for row in self._delete_chunk(job, chunk)]
         self._sql.execute(
             "UPDATE jobs SET chunks_done = chunks_done - ?, cells_done = cells_done - ?,"
@@ -478,7 +478,7 @@ class WriteTransaction(ReadTransaction):
         return [row["chunk"] for row in unmarked]
 
     def _delete_chunk(self, job: JobRecord, chunk: int) -> list[sqlite3.Row]:
-        """The chunk, with its cells and their outcomes, if it was marked; it counts as not verified."""
+        """Remove a chunk, also from the verified ones; returns its cells and outcomes if it was marked."""
         self._sql.execute(
             "DELETE FROM verified WHERE job = ? AND page = ?", (job.seq, chunk // VERIFIED_PAGE)
         )
@@ -489,7 +489,7 @@ class WriteTransaction(ReadTransaction):
 
 
 def _settling(outcomes: Sequence[int]) -> int:
-    """How many of the cells counted by outcome are settling; another kernel may know fewer outcomes."""
+    """Number of settling cells among those counted by outcome; another kernel may know fewer outcomes."""
     return outcomes[Outcome.SETTLING] if len(outcomes) > Outcome.SETTLING else 0
 
 

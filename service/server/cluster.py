@@ -1,4 +1,4 @@
-"""The Dask cluster of the settings: embedded, an existing one, or one that a user's function creates."""
+"""The Dask cluster of the settings: embedded, an existing one, or created by a user's function."""
 
 import importlib
 import sys
@@ -15,18 +15,18 @@ from service.settings import Settings
 from worker.executors.admission import Probe
 from worker.executors.connection import SCHEDULER_SETTINGS
 from worker.executors.dask import Dask
-from worker.executors.targets import Made
+from worker.executors.targets import CreatedCluster
 
 
 @contextmanager
 def connected_cluster(settings: Settings, marker: str) -> Iterator[Dask]:
     """A connection to the cluster during the block; closes a cluster created for it. Raises ClusterLost.
 
-    marker: what marks the stores, by which workers prove that they see them.
+    marker: the mark of the stores, by which workers prove their access.
     """
     name = settings.cluster
     cluster = Dask(
-        settings.scheduler if name is None else Made(partial(_create, name), name),
+        settings.scheduler if name is None else CreatedCluster(partial(_create, name), name),
         scheduler_file=settings.scheduler_file,
         security=_tls(settings),
         workers=settings.workers,
@@ -40,9 +40,9 @@ def connected_cluster(settings: Settings, marker: str) -> Iterator[Dask]:
 
 
 def _create(name: str) -> Any:
-    """The cluster that the function `module:function` returns. Raises whatever it raises."""
+    """The cluster returned by the function `module:function`. Raises its errors."""
     module, _, function = name.partition(":")
-    # Counts for a scheduler in this process; a remote one must be started with these settings.
+    # For a scheduler in this process; a remote one must be started with these settings.
     dask.config.set(SCHEDULER_SETTINGS)
     with _current_folder_last():
         imported = importlib.import_module(module)
@@ -51,16 +51,16 @@ def _create(name: str) -> Any:
 
 @contextmanager
 def _current_folder_last() -> Iterator[None]:
-    """Look for modules in the current folder too, after all other places, and only during the block.
+    """Look for modules in the current folder too, after all other places, during the block.
 
-    Whoever can write to that folder could otherwise name a file like a library that is imported later.
+    Anyone who can write to that folder could otherwise name a file like a library that is imported later.
     """
-    here = str(Path.cwd())
-    sys.path.append(here)
+    folder = str(Path.cwd())
+    sys.path.append(folder)
     try:
         yield
     finally:
-        sys.path.remove(here)
+        sys.path.remove(folder)
 
 
 def _tls(settings: Settings) -> Any:

@@ -1,6 +1,6 @@
 """A whole service in this process: web server, application and cluster.
 
-`bounce serve` runs one until it is stopped by a signal; `bounce figure` and the tests run one during a
+`bounce serve` runs one until a signal stops it; `bounce figure` and the tests run one during a
 block.
 """
 
@@ -36,20 +36,20 @@ from worker.executors.errors import ClusterLost
 from worker.kernel_cache import CacheRefused
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
 
-#: Seconds after which a thread that computes lets another one run: requests wait for it.
+#: Seconds after which a computing thread lets another one run: requests wait for it.
 _SWITCH_SECONDS: Final = 0.001
 
-#: The permissions that files of a private service lack: all of group and others.
+#: Permissions that the files of a private service lack: all of group and others.
 _PRIVATE_UMASK: Final = 0o077
 _TOKEN_VARIABLE: Final = "BOUNCE_TOKEN"
 
-#: What is waited for and read of whoever has the port already: seconds for each piece, bytes of an answer.
+#: Limits on asking the program that has the port: seconds for each piece, bytes of its answer.
 _ANSWER_SECONDS: Final = 2.0
 _MOST_BYTES: Final = 4_000_000
 
 
 def settings(**overrides: Any) -> Settings:
-    """Settings from `BOUNCE_*` variables; overrides that are not None take precedence.
+    """Settings from `BOUNCE_*` variables, overridden by arguments that are not None.
 
     Raises NotStarted naming the setting and the rule.
     """
@@ -119,14 +119,14 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         server.serve_until_stopped()
         with _startup_errors():
             server.wait_until_started()
-    gc.freeze()  # the process ends: collecting the objects of compiled kernels would take seconds
+    gc.freeze()  # collecting the objects of compiled kernels at exit would take seconds
 
 
 @contextmanager
 def _umask(settings: Settings) -> Iterator[None]:
-    """During the block, what this process and its workers write is for this user alone.
+    """During the block, create files for this user alone, in this process and its workers.
 
-    Only for a process that is a service: the umask counts for all threads.
+    Only for the process of a service: the umask applies to all threads.
     """
     if not settings.private:
         yield
@@ -139,7 +139,7 @@ def _umask(settings: Settings) -> Iterator[None]:
 
 
 class _Stopped(BaseException):
-    """SIGINT or SIGTERM came. Like KeyboardInterrupt, no handler of Exception catches it."""
+    """SIGINT or SIGTERM arrived. Like KeyboardInterrupt, no handler of Exception catches it."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -147,7 +147,7 @@ class _Stopped(BaseException):
 
 @contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """SIGINT and SIGTERM end the block, also during startup; while it serves, uvicorn handles them.
+    """SIGINT and SIGTERM end the block, also during startup; while serving, uvicorn handles them.
 
     After SIGINT, raises KeyboardInterrupt.
     """
@@ -169,7 +169,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def _startup_errors() -> Iterator[None]:
-    """Turn errors of data folder, ledger and kernel cache into NotStarted; defects stay what they are."""
+    """Turn errors of data folder, ledger and kernel cache into NotStarted; defects stay as they are."""
     try:
         yield
     except (LedgerUnavailable, CacheRefused) as error:
@@ -187,7 +187,7 @@ def _summary(settings: Settings) -> str:
 
 @contextmanager
 def _listening(settings: Settings) -> Iterator[tuple[socket.socket, str]]:
-    """A socket bound to the address of the settings, and what marks the stores.
+    """A socket bound to the address of the settings, and the mark of the stores.
 
     Checks port and data folder before the slow startup.
     """
@@ -200,7 +200,7 @@ def _listening(settings: Settings) -> Iterator[tuple[socket.socket, str]]:
         if error.errno == errno.EADDRINUSE:
             reason = f"{_who_answers(host, port, settings.data)} has it; take another one with --port"
         raise NotStarted(f"cannot listen on {host} port {port}: {reason}") from error
-    # Connections inherit it; without, the client's delayed acknowledgement holds each response up by 40 ms.
+    # Connections inherit it; without it, delayed acknowledgements slow each response by 40 ms.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     with listener:
         with _startup_errors():
@@ -215,7 +215,7 @@ def _listening(settings: Settings) -> Iterator[tuple[socket.socket, str]]:
 
 
 def _who_answers(host: str, port: int, data: Path) -> str:
-    """What listens on a port of this machine: a service, with its release and data folder, or not one."""
+    """What listens on a local port: a service, with its release and data folder, or another program."""
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
     token = tokens.find_token(port, data) or tokens.find_token(port)
     try:
@@ -224,7 +224,7 @@ def _who_answers(host: str, port: int, data: Path) -> str:
             if info["title"] != TITLE:
                 return "another program"
             folder = _answer(connection, "/v1/software", token).get("data")
-            where = f"data in {folder}" if folder else "data in a folder that it tells to owners of its token"
+            where = f"data in {folder}" if folder else "data in a folder shown to owners of its token"
             return f"a bouncing-spring service (release {info['version']}, {where})"
     except OSError:
         return "a program that does not answer"
@@ -233,13 +233,13 @@ def _who_answers(host: str, port: int, data: Path) -> str:
 
 
 def _answer(connection: http.client.HTTPConnection, path: str, token: str | None) -> Any:
-    """The JSON that a port of this machine answers with. Raises OSError, HTTPException, ValueError."""
+    """The JSON answer of a port of this machine. Raises OSError, HTTPException, ValueError."""
     connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
     return json.loads(connection.getresponse().read(_MOST_BYTES))
 
 
 def _make_private(folders: Iterable[Path]) -> None:
-    """Make the folders of the data, or close them to other users. Raises NotStarted."""
+    """Create the data folders, or close them to other users. Raises NotStarted."""
     for folder in folders:
         try:
             make_private(folder)
@@ -249,9 +249,9 @@ def _make_private(folders: Iterable[Path]) -> None:
 
 @contextmanager
 def _with_own_token(settings: Settings, listener: socket.socket) -> Iterator[Settings]:
-    """The settings with the token that the service makes, if it shall; clients find it during the block.
+    """The settings, with the service's own token if it makes one; clients find it during the block.
 
-    No process that is started meanwhile inherits a token: workers need none. Raises NotStarted.
+    Processes started meanwhile do not inherit a token: workers need none. Raises NotStarted.
     """
     inherited = os.environ.pop(_TOKEN_VARIABLE, None)
     try:
@@ -286,6 +286,6 @@ def _computing(settings: Settings, marker: str, executor: Executor | None) -> It
 
 
 def _warm_answers(background: Processes) -> None:
-    """Start the first process that computes answers, before the first request."""
+    """Start the first process for answers before the first request."""
     with suppress(NotComputed):  # the service was stopped meanwhile
         background.run(registry.warm)

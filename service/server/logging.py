@@ -16,7 +16,7 @@ _OWN: Final = ("service", "worker")
 #: Libraries that configure their own handlers; their warnings go through the root logger instead.
 _LIBRARIES: Final = ("distributed", "tornado", "bokeh", "uvicorn", "asyncio")
 
-#: Different messages of libraries that are remembered.
+#: Number of different library messages remembered.
 _MESSAGES: Final = 1_000
 
 
@@ -38,9 +38,9 @@ class JsonLines(logging.Formatter):
 
 
 class OncePerSecond(logging.Filter):
-    """Passes each message of a library at most once a second, with the number of those left out before it.
+    """Passes each message of a library at most once a second, with the number of suppressed ones.
 
-    Whoever reaches a port can cause them, as often as he likes: by connections, or bytes that are no TLS.
+    Anyone who can reach a port can trigger these, by connections or by bytes that are no TLS.
     """
 
     def __init__(self) -> None:
@@ -67,7 +67,7 @@ class OncePerSecond(logging.Filter):
 
 
 def quiet_libraries() -> None:
-    """Drop from now on what libraries say of connections that end, because the process does."""
+    """Drop libraries' messages about connections that end because the process does."""
     for name in list(logging.root.manager.loggerDict):
         if name.split(".")[0] in _LIBRARIES:
             logging.getLogger(name).disabled = True
@@ -75,7 +75,7 @@ def quiet_libraries() -> None:
 
 @contextmanager
 def log_to_stderr(level: str) -> Iterator[None]:
-    """Write the log to standard error during the block; `level` is that of the project's loggers."""
+    """Write the log to standard error during the block; `level` applies to the project's loggers."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines())
     handler.addFilter(OncePerSecond())

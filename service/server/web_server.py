@@ -1,4 +1,4 @@
-"""uvicorn, extended by startup errors as exceptions, limits on connections, and prompt shutdown."""
+"""uvicorn with startup errors as exceptions, limits on connections, and prompt shutdown."""
 
 import asyncio
 import logging
@@ -17,16 +17,16 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from service.errors import NotStarted
 from service.settings import Settings
 
-#: uvicorn's log: silent during startup, because a startup error is raised instead.
+#: uvicorn's log is silent during startup, because startup errors are raised instead.
 _LOG: Final = logging.getLogger("uvicorn.error")
 
-#: Of the files that a process may have open, those kept for ledger, stores and workers.
+#: Files of the process reserved for ledger, stores and workers.
 OTHER_FILES: Final = 256
-#: Connections accepted at a time. Each takes a file until it is refused, which happens a little later.
+#: Connections accepted at a time. Each takes a file until it is refused, a little later.
 ACCEPTED_AT_A_TIME: Final = 16
-#: Connections that wait to be accepted.
+#: Connections waiting to be accepted.
 BACKLOG: Final = 2048
-#: More files at a time are not asked for, although some systems allow a thousand million.
+#: Maximum open files requested, although some systems allow a thousand million.
 MOST_FILES: Final = 65_536
 
 _FULL_RESPONSE: Final = (
@@ -36,7 +36,7 @@ _TIMEOUT_RESPONSE: Final = b"HTTP/1.1 408 Request Timeout\r\nContent-Length: 0\r
 
 
 class WebServer(uvicorn.Server):
-    """Serves an application on a socket that is bound already; run it in one thread, wait in any."""
+    """Serves an application on a bound socket; run it in one thread, wait in any."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class WebServer(uvicorn.Server):
             self._started_or_failed.set()
 
     def wait_until_started(self) -> str:
-        """Wait for the end of the startup; returns the URL, or raises the error that the startup raised.
+        """Wait for the end of the startup; returns the URL, or raises the startup's error.
 
         Raises NotStarted if the server was stopped before it had started.
         """
@@ -93,7 +93,7 @@ class WebServer(uvicorn.Server):
         self._started_or_failed.set()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Called by uvicorn; ends event streams first, which would otherwise last as long as their jobs."""
+        """Called by uvicorn; first ends event streams, which would otherwise last as long as their jobs."""
         self._on_stop()
         self._app.close_streams()
         await super().shutdown(sockets)
@@ -121,16 +121,16 @@ class _Application:
 
 
 class Limited(H11Protocol):
-    """Request-header timeout, time-out of clients that do not read, and limit of connections.
+    """Request-header timeout, timeout of clients that do not read, and limit of connections.
 
     Closes a connection unless the head of a request is complete within `timeout` seconds from its first byte,
     or from the opening of the connection. `api.middleware.body_limit` limits the body. A connection above
-    `most` is answered with 503: without a limit, connections could take all files that the process may open.
-    A client that takes nothing of its answer for `stall` seconds is disconnected: the answer is in memory.
+    `limit` is answered with 503: without a limit, connections could take all files of the process.
+    A client that reads nothing for `stall` seconds is disconnected, because its answer is in memory.
     """
 
     timeout = 10.0
-    most = OTHER_FILES
+    limit = OTHER_FILES
     stall = 60.0
     _stalled: asyncio.TimerHandle | None = None
     _timer: asyncio.TimerHandle | None = None
@@ -138,7 +138,7 @@ class Limited(H11Protocol):
     def connection_made(self, transport: Any) -> None:
         """Called by the event loop."""
         super().connection_made(transport)
-        if len(self.connections) > self.most:
+        if len(self.connections) > self.limit:
             transport.write(_FULL_RESPONSE)
             transport.close()
         else:
@@ -161,7 +161,7 @@ class Limited(H11Protocol):
         super().resume_writing()
 
     def _watch_reader(self, before: int) -> None:
-        """Disconnect a client for which as many bytes are waiting as `stall` seconds ago."""
+        """Disconnect a client with as many waiting bytes as `stall` seconds ago."""
         waiting = self.transport.get_write_buffer_size()
         if waiting == before:
             self.transport.abort()
@@ -200,13 +200,13 @@ class Limited(H11Protocol):
             self.transport.close()
 
 
-def limited(timeout: float, most: int, stall: float = Limited.stall) -> type[H11Protocol]:
+def limited(timeout: float, limit: int, stall: float = Limited.stall) -> type[H11Protocol]:
     """The protocol class for uvicorn's `http` option, with these limits."""
-    return type("Limited", (Limited,), {"timeout": timeout, "most": most, "stall": stall})
+    return type("Limited", (Limited,), {"timeout": timeout, "limit": limit, "stall": stall})
 
 
 def raise_file_limit() -> None:
-    """Let this process open as many files as the system allows, up to MOST_FILES."""
+    """Raise the limit on open files to what the system allows, up to MOST_FILES."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     allowed = MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, MOST_FILES)
     if soft != resource.RLIM_INFINITY and soft < allowed:
@@ -214,7 +214,7 @@ def raise_file_limit() -> None:
 
 
 def connections_allowed() -> int:
-    """How many connections leave enough of the process's files for all else."""
+    """Number of connections that leaves enough of the process's files for the rest."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     files = MOST_FILES if soft == resource.RLIM_INFINITY else min(soft, MOST_FILES)
     return max(files - OTHER_FILES, files // 2)

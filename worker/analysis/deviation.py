@@ -11,18 +11,18 @@ from kernel.params import Line, Outcome
 #: Longest common cycle, in plate periods, over which two periodic cells are compared flight by flight.
 LONGEST_CYCLE: Final = 128
 
-#: Quantiles by which the distributions of flights are compared where they do not repeat.
+#: Quantiles that compare the distributions of flights that do not repeat.
 QUANTILES: Final = np.linspace(0.05, 0.95, 19)
 
-#: A difference of distributions counts beyond so many times their scatter. Two windows of one chaotic cell
+#: A difference of distributions counts beyond this many times their scatter. Two windows of one chaotic cell
 #: differ by their scatter: of 1,128 such cells 94.2% agree with their own next window with a factor of 2,
 #: fewer than a model must hold (`model_selection.REQUIRED_PERCENT`), and 97.5% with 2.5, which misses one in
-#: ten differences between `rigid` and `ball`. This one misses 4 in 100.
+#: ten differences between `rigid` and `ball`. This value misses 4 in 100.
 SCATTERS: Final = 2.25
-#: Parts of a window from whose differences its scatter is estimated.
+#: Parts of a window whose differences give its scatter.
 PARTS: Final = 4
 
-#: Outcomes without flights to compare. Cells still settling are compared as aperiodic ones are.
+#: Outcomes without flights to compare. Cells still settling are compared like aperiodic ones.
 FAILED: Final = (Outcome.UNRESOLVED, Outcome.DIVERGED)
 
 _Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ def deviations(exact: Line, other: Line, micro_flight: float) -> _Array:
 
 
 def percentile(values: _Array, percent: float) -> float | None:
-    """The percentile of values (n,), always one of them; None if it is not finite or there are no values."""
+    """The percentile of values (n,), always one of them; None without values or if it is not finite."""
     if not len(values):
         return None
     value = float(np.percentile(values, percent, method="higher"))
@@ -85,7 +85,7 @@ def _between_distributions(exact: _Array, other: _Array) -> float:
 
 
 def _scatter(flights: _Array) -> float:
-    """Expected distance of the quantiles of two windows of this length, from those of its parts."""
+    """Expected distance between the quantiles of two windows of this length, estimated from its parts."""
     if len(flights) < 4 * PARTS:
         return 0.0
     parts = [_quantiles(part) for part in np.array_split(flights, PARTS)]

@@ -36,12 +36,12 @@ CELLS_ALONG: Final = 12
 #: point. The multipliers are coprime to 48, 12 and 4; among such they maximise the smallest distance.
 LATTICE: Final = {"gamma": 1, "omega": 13, "xi": 43}
 
-#: Upper limits on the plate periods and flights of a sample's cells.
+#: Limits on the plate periods and flights of a sample's cells.
 MAX_SETTLE: Final = 2_000
 MAX_OBSERVE: Final = 1_000
 MAX_FLIGHTS: Final = 4_096
 
-#: Flights shorter than the tolerance are ignored in the comparison, if they are shorter than this, rad.
+#: Flights shorter than the tolerance and than this are ignored in the comparison, rad.
 MAX_MICRO_FLIGHT: Final = 0.1
 
 #: Percentage of the cells that must be within the tolerance.
@@ -54,16 +54,16 @@ class ModelComparison(Strict):
     """One model compared with the exact contact, over a sample of the sweep's cells; deviations in rad."""
 
     model: str
-    cost: float = Field(description="core-µs per cell per plate period, by the table that decides")
+    cost: float = Field(description="core-µs per cell per plate period, by the cost table, which decides")
     measured: float | None = Field(description="core-µs per cell per plate period, measured while choosing")
     median: float | None = Field(description="deviation of flight times; null where some cell has none")
     percentile_95: float | None
     cells: int
-    resting: int = Field(0, description="cells at rest on the plate throughout, which a closed form answers")
+    resting: int = Field(0, description="cells at rest on the plate throughout, computed in closed form")
 
 
 class ModelChoice(Strict):
-    """The model that was chosen for a sweep whose own is `auto`."""
+    """The model chosen for a sweep whose own is `auto`."""
 
     model: str
     reason: str
@@ -71,7 +71,7 @@ class ModelChoice(Strict):
     table: tuple[ModelComparison, ...]
 
     def reproducible(self) -> dict[str, Any]:
-        """Plain JSON values of everything but the timings: the same whenever the choice is made."""
+        """Plain JSON values of everything but the timings, which is reproducible."""
         return self.model_dump(mode="json", exclude={"table": {"__all__": {"measured"}}})
 
 
@@ -124,7 +124,7 @@ def sample(spec: SweepSpec) -> Iterator[Line]:
 
 
 def _along(spec: SweepSpec, values: _Array) -> _Array:
-    """Up to CELLS_ALONG values of a ramp for each direction, in the order in which they are computed."""
+    """Up to CELLS_ALONG values of a ramp for each direction, in the order of computing."""
     n = min(len(values), CELLS_ALONG)
     chosen = values[[_middle(k, n, len(values)) for k in range(n)]]
     runs = {"up": chosen, "down": chosen[::-1]}
@@ -157,7 +157,7 @@ def _auto(spec: SweepSpec) -> Auto:
 
 
 def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball, settle_tolerance: float) -> SweepSpec:
-    """The sweep with another model, its windows limited to those of the comparison."""
+    """The sweep with another model and the windows of the comparison."""
     observe = min(spec.observe, MAX_OBSERVE)
     micro_flight = max(spec.micro_flight, min(_auto(spec).tolerance, MAX_MICRO_FLIGHT))
     return spec.model_copy(

@@ -1,4 +1,4 @@
-"""Thresholds in closed form, of the rigid plate without restitution: what a sweep is compared with."""
+"""Thresholds in closed form, of the rigid plate without restitution, for comparison with a sweep."""
 
 import math
 from typing import Final
@@ -14,18 +14,18 @@ from worker.analysis.words import lowest_words
 from worker.orbits import MAX_GRID, SECONDS
 from worker.spec import SweepSpec
 
-#: Core-seconds of one prediction and of one branch beside those of its grid, and of a branch that rounding
-#: makes graze all along: each graze is pursued to its end.
+#: Core-seconds of one prediction, of one branch beside those of its grid, and of a branch that grazes along
+#: its whole length by rounding: each graze is followed to its end.
 _SECONDS: Final = 0.005
 _BRANCH_SECONDS: Final = 3e-3
 _GRAZING_SECONDS: Final = 0.25
 
-#: Above this, xi + xi/omega, the dashpot is so strong that branches graze by rounding.
+#: If xi + xi/omega is larger, the dashpot is so strong that branches graze by rounding.
 _STIFF: Final = 300.0
 
 
 def prediction_seconds(omega: float, xi: float) -> float:
-    """Core-seconds that `predict` takes, about; as a rule too many rather than too few."""
+    """Approximate core-seconds of `predict`, usually too many rather than too few."""
     if _why_not(omega, xi) is not None:
         return 0.0
     first = branch_seconds(omega, xi, 1)
@@ -43,7 +43,7 @@ def _grazes(omega: float, xi: float) -> bool:
 
 
 def _why_not(omega: float, xi: float) -> str | None:
-    """Why the branches of a spring are not looked at; None if they are."""
+    """Why the branches of a spring are not searched; None if they are."""
     try:
         points = len(flight_times(omega, xi, 1, most=MAX_GRID))
     except KernelInputError as error:
@@ -54,7 +54,7 @@ def _why_not(omega: float, xi: float) -> str | None:
 
 
 def predict(omega: float, xi: float) -> Thresholds:
-    """As `thresholds`, omega > 0 and xi >= 0; `unresolved` also where the branches are not looked at."""
+    """As `thresholds`, omega > 0 and xi >= 0; `unresolved` also where the branches are not searched."""
     if (reason := _why_not(omega, xi)) is not None:
         return _undecided(omega, xi, reason)
     try:
@@ -72,10 +72,10 @@ def predict_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
 def predict_from_cells(
     spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], complete: bool
 ) -> list[Thresholds]:
-    """`predict` at these indices, and words of the sweep's own cells where that is unresolved: for workers.
+    """`predict` at these indices, with words of the sweep's cells where it is unresolved; runs on workers.
 
     The words are those of the settled cells of lowest Gamma, on the way down if the sweep goes down. The end
-    of the lowest one is the answer unless a cell bounces below it, or a fold below it stays open. Raises a
+    of the lowest word is the answer, unless a cell bounces below it or a lower fold stays open. Raises a
     `store.StoreError`.
     """
     direction = spec.directions.index("down") if "down" in spec.directions else 0

@@ -1,12 +1,12 @@
-"""Thresholds of bouncing: what a sweep's grid says of them, and refinement beyond the grid.
+"""Thresholds of bouncing: read from a sweep's grid, and refined beyond the grid.
 
-A threshold lies in a grid if its cells are at rest up to some gamma and the next cell bounces. Where another
-cell decides, or where all cells are at rest or none is, there is no number, and a `Status` says why.
+A grid has a threshold if its cells are at rest up to some gamma and the next cell bounces. If another cell
+decides, or all or no cells are at rest, there is no number, and a `Status` says why.
 
 Refinement on a ramp continues from the stored state of the last grid cell before the change, in smaller
 steps. A step whose cell is beyond the change is halved and repeated from the cell before: the step itself
-excites the spring, the more so the less it is damped, and may have caused the change. This ends when neither
-the step, nor the sum of the last accepted steps of its size, is larger than half the tolerance.
+excites the spring, more so with less damping, and may have caused the change. This ends when neither
+the step, nor the sum of the last accepted steps of its size, exceeds half the tolerance.
 
 From rest there are no steps in gamma to excite the spring: the threshold is found by bisection, with every
 cell started from rest.
@@ -27,38 +27,38 @@ from worker.spec import LARGEST, SMALLEST, SweepSpec
 from worker.spec.sweep import MAX_PERIODS
 from worker.tasks import run_cells
 
-#: Limit on the cells computed for one threshold on a ramp; beyond it the threshold is not refined.
+#: Maximum cells computed for one threshold on a ramp; beyond it the threshold is not refined.
 MAX_CELLS: Final = 2_000
 
 #: Typical number of cells per threshold, to estimate the cost of a request.
 TYPICAL_CELLS: Final = 40
 
-#: A cell of a refinement that is still settling after its window goes on to this many times its length.
-#: Near a threshold settling is slow, and a cell that has not settled decides nothing.
+#: A cell of a refinement still settling after its window continues to this many times the window's length.
+#: Settling is slow near a threshold, and an unsettled cell decides nothing.
 PATIENCE: Final = 16
 
 BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC)
 
 
 class Status(StrEnum):
-    """What a sweep says of one threshold."""
+    """The result for one threshold of a sweep."""
 
     FOUND = "found"
     BELOW = "below the grid"  # the lowest gamma bounces already
     ABOVE = "above the grid"  # every cell is at rest, also at the highest gamma
-    #: Of up: every cell is at rest, and by Eq. 25 would be at every gamma that a specification may have. Of
-    #: down: no cell of the ramp bounces, so that no bouncing ends.
+    #: Up: every cell is at rest, and by Eq. 25 would be at every gamma that a specification may have.
+    #: Down: no cell of the ramp bounces, so that no bouncing ends.
     NEVER = "never bounces"
     NOT_RAMPED = "not ramped"  # the sweep does not have this direction
     NOT_REFINED = "not refined"  # the grid holds the change, refinement reached its limit
-    # The cell that decides does not tell whether it bounces: the name of its outcome.
+    # The deciding cell is neither at rest nor bouncing: the name of its outcome.
     MISSING = "missing"
     UNRESOLVED = "unresolved"
     DIVERGED = "diverged"
     SETTLING = "settling"
 
 
-#: The status by the outcome of the lowest cell that is not at rest.
+#: The status by the outcome of the lowest cell not at rest.
 _BY_OUTCOME: Final[dict[int, Status]] = {
     Outcome.PERIODIC: Status.FOUND,
     Outcome.APERIODIC: Status.FOUND,
@@ -70,11 +70,11 @@ _BY_OUTCOME: Final[dict[int, Status]] = {
 
 
 class OnGrid(NamedTuple):
-    """What one line of cells along gamma says of its threshold.
+    """The threshold on one line of cells along gamma.
 
     The threshold is between the cells `resting` and `bouncing`, indices along gamma; None where no two cells
-    bracket it. They are neighbours if it was found; otherwise the cells between them do not tell whether they
-    bounce, and refinement may.
+    bracket it. They are neighbours if it was found; otherwise the cells between them are undecided, and
+    refinement may decide them.
     """
 
     status: Status
@@ -114,7 +114,7 @@ def on_grid(outcome: NDArray[np.uint8], down: bool, endless: bool) -> OnGrid:
 def endless_rest(spec: SweepSpec, omega: NDArray[np.float64], xi: float) -> NDArray[np.bool_]:
     """(n,) whether a spring at rest bounces at no gamma that a specification may have, by Eq. 25.
 
-    So it is without damping at sqrt(2). A ball bounces everywhere above 1.
+    This holds without damping at sqrt(2). A ball bounces everywhere above 1.
     """
     if spec.model.kind == "ball":
         return np.zeros(len(omega), np.bool_)
@@ -148,9 +148,9 @@ def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], toleranc
 
 
 def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, endless: bool) -> OnGrid:
-    """What the line of cells at indices (direction, xi, omega) says of its threshold.
+    """The threshold on the line of cells at indices (direction, xi, omega).
 
-    Of an adaptive map, cells that decide and were taken from their block are computed first.
+    In an adaptive map, deciding cells that were filled in from their block are computed first.
     """
     names = ("outcome",) if spec.refine is None else ("outcome", COMPUTED.name)
     direction, xi, omega = line
@@ -171,7 +171,7 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
 
 
 def _patient(spec: SweepSpec) -> SweepSpec:
-    """The specification of a refinement's cells: only the outcome counts, and settling may take long."""
+    """The specification of a refinement's cells: only the outcome counts, and settling may take longer."""
     window = spec.settle + spec.observe
     until = max(spec.settle_until or window, min(PATIENCE * window, MAX_PERIODS))
     return spec.model_copy(update={"keep": 1, "exponents": 0, "settle_until": until})
@@ -197,7 +197,7 @@ def _refine_line(
 
 
 def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> tuple[float, Status]:
-    """From rest: the threshold between `cell`, which is at rest, and the higher gamma `bouncing`."""
+    """From rest: the threshold between `cell`, at rest, and the higher gamma `bouncing`."""
     resting = cell.gamma
     while bouncing - resting > tolerance:
         middle = 0.5 * (resting + bouncing)
@@ -231,7 +231,7 @@ def _ramp_on(
         if outcome in same:
             start, advance = Start(end, cell), advance + abs(step)
             continue
-        # A cell that does not tell whether it bounces is not carried on from: a smaller step may tell.
+        # An undecided cell starts no further cell: a smaller step may decide.
         if max(abs(step), advance) <= 0.5 * tolerance:
             if outcome not in changed:
                 return math.nan, _BY_OUTCOME[outcome]

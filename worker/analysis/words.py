@@ -1,7 +1,7 @@
-"""Words continued from the cells of a sweep: the branches of the cycles that its cells settled to.
+"""Words continued from the cells of a sweep: the branches of the cycles to which its cells settled.
 
-Of the rigid contact without restitution: the flights of a cell of another contact are a guess, from which
-there may be no way to a cycle of the rigid one.
+For the rigid contact without restitution: the flights of a cell with another contact are a guess, which may
+not lead to a cycle of the rigid one.
 """
 
 import math
@@ -24,23 +24,23 @@ from worker.spec import SweepSpec
 
 Floats = NDArray[np.float64]
 
-#: Branches followed for one line of cells, and points of each, each way; 0.3 s for each.
+#: Branches followed per line of cells, and points per branch and direction; 0.3 s for each.
 MAX_WORDS: Final = 12
 POINTS: Final = 400
 
-#: Settled cells of a line whose words are followed to where they end, those of lowest Gamma.
+#: Settled cells of lowest Gamma in a line whose words are followed to their ends.
 LOWEST: Final = 3
 
-#: Flights of two rounds of a cycle agree to this, rad, where a cell has settled.
+#: In a settled cell, flights of two rounds of a cycle agree within this, rad.
 _REPEATS: Final = 1e-3
 
-#: A cell lies on a branch if its flights are this near to those between two points of it, rad.
+#: A cell lies on a branch if its flights are this close to those between two points of it, rad.
 _NEAR: Final = 0.02
 
-#: Flights of neighbouring points of a branch differ by less than this, rad.
+#: Flights of neighbouring points on a branch differ by less than this, rad.
 _STEP: Final = 0.3
 
-#: Events of one kind nearer than this in Gamma are one.
+#: Events of one kind closer than this in Gamma are one.
 _SAME: Final = 1e-9
 
 
@@ -76,7 +76,7 @@ def continue_words(
 ) -> Words:
     """Follow the cycles of the periodic cells along gamma at these indices of the grid.
 
-    A cell whose cycle lies on a branch followed already is not followed again. Raises a `store.StoreError`.
+    A cell whose cycle lies on an earlier branch is not followed again. Raises a `store.StoreError`.
     """
     arrays = _read_line(spec, url, (direction, xi, omega), complete)
     at_omega, at_xi = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
@@ -91,12 +91,12 @@ def continue_words(
             continue
         try:
             word = _word(cycle, at_omega, at_xi)
-            branch, found = follow(word, points=POINTS, gamma=(0.0, gamma_max))
+            branch, branch_events = follow(word, points=POINTS, gamma=(0.0, gamma_max))
         except KernelInputError as error:
             skipped.append(_skip(cycle, str(error)))
             continue
         branches.append(_up_to_shorter(branch, cycle))
-        events.append(_once(found))
+        events.append(_once(branch_events))
     return Words(tuple(branches), tuple(events), tuple(skipped))
 
 
@@ -105,7 +105,7 @@ def lowest_words(
 ) -> tuple[list[Word], float]:
     """Words of settled cells at these indices, up to LOWEST, and the lowest Gamma that bounces.
 
-    Those of lowest Gamma; cells from which there is no way to a word are left out. Gamma is infinite if no
+    Uses the cells of lowest Gamma and omits those that lead to no word. Gamma is infinite if no
     cell bounces. Raises a `store.StoreError`.
     """
     arrays = _read_line(spec, url, (direction, xi, omega), complete)
@@ -122,7 +122,7 @@ def lowest_words(
 def _read_line(
     spec: SweepSpec, url: str, line: tuple[int, int, int], complete: bool
 ) -> dict[str, NDArray[Any]]:
-    """What is stored of the cycles along gamma at indices (direction, xi, omega)."""
+    """The stored cycles along gamma at indices (direction, xi, omega)."""
     names = ["flight_time", "takeoff_phase", "flights", "bounces", "periods", "outcome"]
     names += [] if spec.refine is None else [COMPUTED.name]
     direction, xi, omega = line
@@ -132,9 +132,9 @@ def _read_line(
 def _cycles(
     gamma: Floats, arrays: dict[str, NDArray[np.generic]], skipped: list[Skipped]
 ) -> Iterator[_Cycle]:
-    """The cycles of the periodic cells; cells that do not hold two rounds of theirs are skipped.
+    """The cycles of the periodic cells; skips cells that store less than two rounds.
 
-    Of an adaptive map, of those that were computed: the others have no flights.
+    Skips cells of an adaptive map that were not computed: they have no flights.
     """
     settled = arrays["outcome"] == Outcome.PERIODIC
     for i in np.flatnonzero(settled & (arrays.get(COMPUTED.name, settled) != 0)):
@@ -153,7 +153,7 @@ def _cycles(
 
 
 def _round(times: Floats, phases: Floats, bounces: int) -> int:
-    """Flights of one round with all that are too short to count: at least `bounces`; 0 if none repeats."""
+    """Flights of one round, those too short to count included: at least `bounces`; 0 if none repeats."""
     for n in range(max(bounces, 1), len(times) // 2 + 1):
         turned = np.abs(np.mod(phases[-n:] - phases[-2 * n : -n] + np.pi, 2.0 * np.pi) - np.pi)
         if np.abs(times[-n:] - times[-2 * n : -n]).max() < _REPEATS and turned.max() < _REPEATS:
@@ -181,9 +181,9 @@ def _lies_on(cycle: _Cycle, branch: WordBranch) -> bool:
 
 
 def _up_to_shorter(branch: WordBranch, cycle: _Cycle) -> WordBranch:
-    """The part of a branch with the cycle on it, up to where it is a shorter cycle gone through repeatedly.
+    """The part of a branch with the cycle on it, up to where it becomes a repeated shorter cycle.
 
-    There it began by a flip; beyond, it comes back with its flights in another order.
+    There the branch began by a flip; beyond, it returns with its flights in another order.
     """
     flights = len(branch.word)
     away = np.abs(np.sort(branch.flight_time, axis=1) - np.sort(cycle.flight_time)).max(axis=1)
@@ -203,9 +203,9 @@ def _up_to_shorter(branch: WordBranch, cycle: _Cycle) -> WordBranch:
 
 
 def _once(events: Events) -> Events:
-    """The events, of those found again with the flights in another order the first along the branch.
+    """The events without repetitions with the flights in another order; keeps the first along the branch.
 
-    Their Gammas differ in the last digits, by which nothing is decided: these depend on the processor.
+    Repetitions differ in the last digits of Gamma, which depend on the processor and decide nothing.
     """
     if not len(events.gamma):
         return events

@@ -2,14 +2,14 @@
 
 The cells are ten lines of eight values of gamma, from those of the paper's figures to extremes: a plate 20
 times slower or faster than the spring, no damping, a dashpot that locks, gamma = 100. Each is computed from
-rest with a model and with the exact soft contact that is the reference of the purpose:
+rest with a model and with the purpose's reference, an exact soft contact:
 
     "adhesive"     this contact itself, d = 1e-3, e = 0.01, which may pull
     "nonadhesive"  the same under the law that never pulls
     "plate"        a hard plate without rebound: nonadhesive, d = 1e-7, e = 1e-6
 
 Errors are those of worker.analysis.deviation in the cells whose reference is periodic. Aperiodic cells have
-no flights to compare one by one and count for the agreement of modes only.
+no flights to compare one by one and count only for the agreement of modes.
 """
 
 import math
@@ -35,7 +35,7 @@ KEEP: Final = 1_024
 #: Shorter flights are ignored, rad: with rebound a landing ends in infinitely many ever smaller hops.
 MICRO_FLIGHT: Final = 1e-2
 
-#: Timings are repeated for so many core-seconds: single runs are too short for the clock.
+#: Timings are repeated for this many core-seconds: single runs are too short for the clock.
 MIN_SECONDS: Final = 0.05
 
 _SQRT_HALF: Final = float(np.sqrt(0.5))
@@ -104,7 +104,7 @@ REFERENCES: Final[dict[Purpose, Setup]] = {
 }  # fmt: skip
 
 
-#: Steps per contact that are measured: the paper's rule (Eq. 13) names 20 to 100.
+#: Measured steps per contact: the paper's rule (Eq. 13) names 20 to 100.
 STEPS: Final = (20, 50, 100)
 SCHEMES: Final = ("verlet", "euler")
 
@@ -132,9 +132,9 @@ def _of_contact(purpose: Purpose, *, adhesive: bool) -> tuple[Setup, ...]:
     )
 
 
-#: Everything that is measured, in the order of the table. `stepped` has fewer settings under the nonadhesive
-#: law, and for a hard plate more rebound: such a contact is six times shorter than an adhesive one at
-#: e = 0.01, and as e goes to 0 its steps would cost a hundred times as much.
+#: All setups, in the order of the table. `stepped` has fewer settings under the nonadhesive law, and more
+#: rebound for a hard plate: that contact is six times shorter than an adhesive one at e = 0.01, and as e goes
+#: to 0 its steps would cost a hundred times as much.
 SETUPS: Final = (
     *_of_contact("adhesive", adhesive=True),
     *_of_contact("nonadhesive", adhesive=False),
@@ -202,7 +202,7 @@ def _is_stable(setup: Setup, cells: _Cells) -> bool:
 def _timed(setup: Setup, cells: _Cells) -> tuple[Line, float]:
     """The record, and core-microseconds per cell per plate period.
 
-    The time is the minimum of several runs, which other processes of the machine affect least.
+    The time is the minimum of several runs, which is the least affected by other processes.
     """
     _run(setup, _Cells(*(axis[:1] for axis in cells)), observe=1)  # compiles
     shortest, total = math.inf, 0.0

@@ -1,19 +1,21 @@
-"""The attractors that many starts of one cell reach, told apart (docs/basins.md).
+"""Finds and distinguishes the attractors that many starts of one cell reach (docs/basins.md).
 
-A search is a pure function of its starts. It asks for runs and gets their records, so that whoever computes
-them may pause between runs and answer from what is kept.
+A search is a pure function of its starts. It requests runs and gets their records, so that the caller may
+pause between runs and answer from stored records.
 
-1. Every start is run as the cells of a sweep are.
-2. Starts of one mode and alike flights are a group. Representatives of each group run on until `until`; the
-   group belongs to the cycle that they reach, if they reach the same one. So cycles that had not settled to
-   1e-4, and slow passages beside unstable cycles, make no attractors of their own.
-3. Starts that still settle go on, their periods doubled, and are grouped again. Of the aperiodic ones,
-   representatives run on until `until`: if some end on a cycle or at rest, the motion is transient, and all
-   aperiodic starts go on as well. At `until`, what is left is an attractor with a lifetime.
-4. Aperiodic representatives are of one attractor if the distributions of their flights agree, directly or by
-   way of others, within what two halves of a run differ by. The other aperiodic starts belong to the
-   attractor with the nearest distribution; those farthest from all are representatives as well, until these
-   find no further attractor.
+1. Every start is run like the cells of a sweep.
+2. Starts of one mode and similar flights are a group. Representatives of each group run on until `until`; the
+   group belongs to the cycle that they all reach, if any. So cycles not settled to 1e-4, and slow passages
+   beside unstable cycles, make no attractors of their own.
+3. Starts still settling continue, with doubled periods, and are grouped again. Representatives of the
+aperiodic
+   starts run on until `until`: if some end on a cycle or at rest, the motion is transient, and all
+   aperiodic starts continue as well. At `until`, the rest is an attractor with a lifetime.
+4. Aperiodic representatives share an attractor if the distributions of their flights agree, directly or
+through
+   others, within the difference of two halves of a run. The other aperiodic starts belong to the attractor
+   with the nearest distribution; the farthest of them become representatives as well, until these find no
+   further attractor.
 """
 
 import math
@@ -29,53 +31,53 @@ from kernel.params import STATE_FIELDS, Line, Outcome
 
 APERIODIC: Final = int(Outcome.APERIODIC)
 
-#: Flights of two cycles of one mode are the same if they differ by at most this, rad, when sorted.
+#: Sorted flights of two cycles of one mode are equal within this, rad.
 SAME_CYCLE: Final = 1e-4
 
-#: Starts run at a time, so that little is lost and little memory taken. A multiple of `kernel.params.LANES`.
+#: Starts per run, few enough to lose little and use little memory. A multiple of `kernel.params.LANES`.
 BLOCK: Final = 2048
 
-#: Flights of a window from which a cycle is read: the kernel finds cycles of up to a third as many.
+#: Flights of a window in which a cycle is sought: the kernel finds cycles of up to a third as many.
 CYCLE_FLIGHTS: Final = 256
 
-#: Flights of a start without a cycle, from which its distribution is estimated.
+#: Flights of a start without a cycle that estimate its distribution.
 START_FLIGHTS: Final = 64
 
 #: Representatives of a group of starts on a cycle, and of starts without one.
 CYCLE_REPRESENTATIVES: Final = 4
 REPRESENTATIVES: Final = 32
 
-#: Plate periods, and flights at most, from which the distribution of an aperiodic representative is taken.
+#: Plate periods, and maximum flights, for the distribution of an aperiodic representative.
 LONG_WINDOW: Final = 2000
 LONG_FLIGHTS: Final = 2048
 
-#: Plate periods over which exponents are measured.
+#: Plate periods for measuring exponents.
 EXPONENT_WINDOW: Final = 1000
 
-#: Distributions agree within this distance (Kolmogorov and Smirnov), or within HALVES times the distance of
-#: the two halves of one run, where that is more. A torus fills its distribution as the inverse of the
-#: flights, chaos as the inverse of their root.
+#: Distributions agree within this distance (Kolmogorov and Smirnov), or within HALVES times the distance
+#: between the two halves of one run, whichever is larger. A torus fills its distribution as the inverse of
+#: the flights, chaos as the inverse of their root.
 SAME_DISTRIBUTION: Final = 0.05
 HALVES: Final = 1.5
 
-#: Flights of a cycle from which on it is of an aperiodic attractor whose distribution it has: a torus that
-#: all but closes after so many flights seems to be on such a cycle for longer than a window.
+#: From this many flights on, a cycle belongs to an aperiodic attractor with the same distribution: a torus
+#: that almost closes after this many flights seems to be on such a cycle for longer than a window.
 LONG_CYCLE: Final = 20
 
-#: Share of all starts to which motion that ends is followed, where that takes at most so many times what all
-#: starts up to `until` take.
+#: Transient motion is followed down to this share of all starts, if that takes at most this many times the
+#: periods of all starts up to `until`.
 LEFT: Final = 0.001
 WORTH: Final = 4.0
 
-#: Searches for further aperiodic attractors among the starts farthest from those known.
+#: Searches for further aperiodic attractors among the starts farthest from the known ones.
 SEARCHES: Final = 4
 
-#: A start that still settles belongs to a cycle if all its flights are this near, rad, to one of the cycle's.
+#: A start still settling belongs to a cycle if each of its flights is this close, rad, to one of the cycle's.
 NEAR_CYCLE: Final = 0.02
 
 
 class Request(NamedTuple):
-    """A run that a search asks for: n states of one cell, followed for settle + observe plate periods."""
+    """A run requested by a search: n states of one cell, followed for settle + observe plate periods."""
 
     states: NDArray[np.float64]  # (n, len(STATE_FIELDS))
     settle: int
@@ -84,12 +86,12 @@ class Request(NamedTuple):
     exponents: int = 0
 
 
-#: Answers a request with what a function makes of its record: that is what needs to be kept of it.
+#: Answers a request with what a function keeps of its record.
 Run = Callable[[Request, Callable[[Line], dict[str, NDArray[Any]]]], dict[str, NDArray[Any]]]
 
 
 class Rules(NamedTuple):
-    """What a specification says of the runs of a search."""
+    """The rules of a specification for the runs of a search."""
 
     settle: int  # plate periods
     observe: int
@@ -97,7 +99,7 @@ class Rules(NamedTuple):
     keep: int  # flights recorded of each attractor
     micro_flight: float  # rad; shorter flights do not count, unless all are
     exponents: int
-    extends: bool = False  # whether motion that is known to end may go on beyond `until`, once
+    extends: bool = False  # whether transient motion may once continue beyond `until`
 
 
 @dataclass
@@ -123,12 +125,12 @@ class Attractor:
 
     @property
     def key(self) -> tuple[float, ...]:
-        """What attractors of equal fractions are ordered by."""
+        """The order of attractors with equal fractions."""
         return (self.outcome, self.bounces, self.periods, *self.flights[::-1][:16].tolist())
 
 
 class Found(NamedTuple):
-    """Where the starts of a cell lead."""
+    """The attractors of a cell, and the one that each start reaches."""
 
     ids: NDArray[np.uint16]  # (n,) index into `attractors` from 1; 0: undecided
     attractors: tuple[Attractor, ...]  # by fraction, the largest first
@@ -158,7 +160,7 @@ class _Ends:
 def find(starts: NDArray[np.float64], rules: Rules, run: Run) -> Found:
     """The attractors that `starts` (n, len(STATE_FIELDS)) of one cell reach.
 
-    `run` answers requests. The result depends on nothing but the arguments.
+    `run` answers requests. The result depends only on the arguments.
     """
     return _Search(starts, rules, run).found()
 
@@ -201,7 +203,7 @@ class _Search:
     def _advance(
         self, which: NDArray[np.intp], states: NDArray[np.float64], settle: int, observe: int
     ) -> None:
-        """Run starts on from `states` and put down where they end."""
+        """Run starts on from `states` and record their ends."""
         for first in range(0, len(which), BLOCK):
             part = slice(first, first + BLOCK)
             request = Request(states[part], settle, observe, CYCLE_FLIGHTS)
@@ -217,19 +219,19 @@ class _Search:
         without = which[answer["outcome"] != Outcome.PERIODIC]
         ends.time[without], ends.phase[without] = answer["time"], answer["phase"]
 
-    def _line(self, request: Request) -> Line:
+    def _record(self, request: Request) -> Line:
         """The whole record of a request."""
         return Line(**self._run(request, lambda line: line._asdict()))
 
     def _run_on(self, which: NDArray[np.intp], taken: int, observe: int, keep: int) -> Line:
-        """Representatives, run on until `until`, or for another window."""
+        """Run representatives on until `until`, or for another window."""
         settle = max(self._until - taken - observe, self._rules.observe)
-        return self._line(Request(self._ends.state[which], settle, observe, keep))
+        return self._record(Request(self._ends.state[which], settle, observe, keep))
 
     def _assign_cycles(self, which: NDArray[np.intp], taken: int, observe: int) -> NDArray[np.intp]:
-        """Assign starts at rest or on cycles to attractors; returns those that still have none.
+        """Assign starts at rest or on cycles to attractors; returns the starts without one.
 
-        observe: the window that their cycles were found in. A shorter one may not show them again.
+        observe: the window that showed their cycles. A shorter one may not show them again.
         """
         outcome = self._ends.outcome[which]
         undecided = [which[np.isin(outcome, (Outcome.APERIODIC, Outcome.SETTLING))]]
@@ -249,11 +251,11 @@ class _Search:
         return np.sort(np.concatenate(undecided))
 
     def _cycle_of(self, line: Line, i: int) -> int | None:
-        """The attractor on which run i of a record ends: a known one or a new one; None without a cycle."""
+        """The attractor on which run i of a record ends, known or new; None without a cycle."""
         if line.outcome[i] not in (Outcome.PERIODIC, Outcome.AT_REST):
             return None
         flights = self._cycle_flights(line, i)
-        known = self._known(line, i)
+        known = self._known_attractor(line, i)
         if known is not None:
             return known
         mode = int(line.outcome[i]), int(line.bounces[i]), int(line.periods[i])
@@ -263,8 +265,8 @@ class _Search:
         time, _ = counted(line, i, self._rules.micro_flight)
         return np.sort(time[len(time) - line.bounces[i] :])
 
-    def _known(self, line: Line, i: int) -> int | None:
-        """The attractor known already on which run i of a record ends; None if it ends on none of them."""
+    def _known_attractor(self, line: Line, i: int) -> int | None:
+        """The known attractor on which run i of a record ends; None if there is none."""
         mode, flights = (line.outcome[i], line.bounces[i], line.periods[i]), self._cycle_flights(line, i)
         for number, known in enumerate(self._attractors):
             same = (known.outcome, known.bounces, known.periods) == mode and known.outcome != APERIODIC
@@ -277,7 +279,7 @@ class _Search:
         return len(self._attractors) - 1
 
     def _rate_of_leaving(self, which: NDArray[np.intp], taken: int) -> float:
-        """How often aperiodic motion ends on a cycle or at rest, per plate period, by representatives."""
+        """Rate of aperiodic motion ending on a cycle or at rest, per plate period, from representatives."""
         if len(which) == 0:
             return 0.0
         some = _spread(which, REPRESENTATIVES)
@@ -287,7 +289,7 @@ class _Search:
         return left / (followed * (len(some) - 0.5 * left))
 
     def _worth(self, starts: int, rate: float) -> int:
-        """Plate periods after which LEFT of all starts should be left of so many that leave at this rate.
+        """Plate periods until only LEFT of all starts remain, if `starts` of them leave at this rate.
 
         0 if that costs more than WORTH times all starts up to `until`.
         """
@@ -296,10 +298,10 @@ class _Search:
         return math.ceil(periods) if share * periods <= WORTH * self._rules.until else 0
 
     def _assign_aperiodic(self, which: NDArray[np.intp], taken: int, rate: float) -> None:
-        """Assign starts without a cycle to attractors that are told apart by the distribution of flights."""
+        """Assign starts without a cycle to attractors, which differ in the distribution of flights."""
         settling = which[self._ends.outcome[which] == Outcome.SETTLING]
-        for number, known in enumerate(self._attractors):
-            self._owner[settling[_near(self._ends.time[settling], known.flights)]] = number
+        for number, attractor in enumerate(self._attractors):
+            self._owner[settling[_near(self._ends.time[settling], attractor.flights)]] = number
         left = which[(self._owner[which] < 0) & (self._ends.outcome[which] != Outcome.APERIODIC)]
         which = which[self._ends.outcome[which] == Outcome.APERIODIC]
         samples: list[_Sample] = []
@@ -329,7 +331,7 @@ class _Search:
             self._owner[left[alike]] = numbers[nearest[alike]]
 
     def _join_long_cycles(self, numbers: Sequence[int]) -> None:
-        """Give an aperiodic attractor the starts of long cycles that have its distribution."""
+        """Add the starts of long cycles to the aperiodic attractor with their distribution."""
         for number, known in enumerate(self._attractors[: numbers[0]]):
             if known.bounces < LONG_CYCLE:
                 continue
@@ -341,7 +343,7 @@ class _Search:
         return self._ends.time[which], self._ends.phase[which]
 
     def _last_flights(self, which: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Flights of one more window of starts, whatever their outcome: times and phases."""
+        """Flights of one more window of starts with any outcome: times and phases."""
         parts = []
         for first in range(0, len(which), BLOCK):
             states = self._ends.state[which[first : first + BLOCK]]
@@ -352,12 +354,12 @@ class _Search:
         return time, phase
 
     def _samples(self, line: Line) -> list["_Sample"]:
-        """The runs of a record that end on no attractor known already: aperiodic, or on long cycles."""
+        """The runs of a record that end on no known attractor: aperiodic, or on long cycles."""
         samples = []
         for i in range(len(line.outcome)):
             time, phase = counted(line, i, self._rules.micro_flight)
             ended = line.outcome[i] not in (Outcome.DIVERGED, Outcome.UNRESOLVED)
-            if ended and len(time) > 1 and self._known(line, i) is None:
+            if ended and len(time) > 1 and self._known_attractor(line, i) is None:
                 mode = int(line.bounces[i]), int(line.periods[i])
                 samples.append(_Sample(time, phase, line.end_state[i].copy(), mode))
         return samples
@@ -365,9 +367,9 @@ class _Search:
     def _numbered(self) -> Found:
         counts = np.bincount(self._owner[self._owner >= 0], minlength=len(self._attractors))
         order = sorted(np.flatnonzero(counts).tolist(), key=lambda i: (-counts[i], *self._attractors[i].key))
-        ids = np.zeros(len(self._attractors) + 1, np.uint16)  # the last one: of starts without an owner
-        for place, number in enumerate(order):
-            ids[number] = place + 1
+        ids = np.zeros(len(self._attractors) + 1, np.uint16)  # the last one for starts without an owner
+        for rank, number in enumerate(order):
+            ids[number] = rank + 1
             self._attractors[number].fraction = float(counts[number] / len(self._owner))
         attractors = tuple(self._attractors[i] for i in order)
         if attractors:
@@ -378,12 +380,12 @@ class _Search:
         """Record a window of each attractor, and its exponents."""
         rules = self._rules
         states = np.stack([attractor.state for attractor in attractors])
-        line = self._line(Request(states, 0, rules.observe, rules.keep))
+        line = self._record(Request(states, 0, rules.observe, rules.keep))
         for i, attractor in enumerate(attractors):
             attractor.flight_time, attractor.takeoff_phase = line.flight_time[i], line.takeoff_phase[i]
         if rules.exponents:
             window = EXPONENT_WINDOW
-            line = self._line(Request(states, 2 * window, window, 1, rules.exponents))
+            line = self._record(Request(states, 2 * window, window, 1, rules.exponents))
             for i, attractor in enumerate(attractors):
                 attractor.lyapunov = line.lyapunov[i]
 
@@ -402,7 +404,7 @@ class _Sample(NamedTuple):
 
 
 def counted(line: Line, i: int, micro_flight: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times and take-off phases of the stored flights of run i that count: those longer, or all."""
+    """Times and take-off phases of run i's stored flights that count: the longer ones, or all."""
     stored = np.isfinite(line.flight_time[i])
     longer = stored & (line.flight_time[i] > micro_flight)
     rows = longer if longer.any() else stored
@@ -410,7 +412,7 @@ def counted(line: Line, i: int, micro_flight: float) -> tuple[NDArray[np.float64
 
 
 def _reduced(line: Line, micro_flight: float) -> dict[str, NDArray[Any]]:
-    """What of a record of n runs is kept: `_Ends`, with flights of those runs only that have no cycle."""
+    """The kept part of a record of n runs: `_Ends`, with flights only of the runs without a cycle."""
     cycle = np.zeros((len(line.outcome), 4))
     for i in np.flatnonzero(line.outcome == Outcome.PERIODIC).tolist():
         last = counted(line, i, micro_flight)[0][-line.bounces[i] :]
@@ -424,7 +426,7 @@ def _reduced(line: Line, micro_flight: float) -> dict[str, NDArray[Any]]:
 def _ends_of_flights(
     line: Line, micro_flight: float, which: NDArray[np.bool_] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Times and phases of the last START_FLIGHTS flights of runs that count, NaN beyond; of some, or all."""
+    """Times and phases of the last START_FLIGHTS flights of some or all runs, NaN beyond."""
     rows: dict[str, list[NDArray[np.float64]]] = {"time": [], "phase": []}
     for i in range(len(line.outcome)) if which is None else np.flatnonzero(which).tolist():
         for values, flights in zip(rows.values(), counted(line, i, micro_flight), strict=True):
@@ -434,7 +436,7 @@ def _ends_of_flights(
 
 
 def _alike(ends: _Ends, which: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Groups of starts that end at rest, or on cycles of one mode whose flights differ by little steps."""
+    """Groups of starts that end at rest, or on cycles of one mode with nearly equal flights."""
     rest = which[ends.outcome[which] == Outcome.AT_REST]
     cycles = which[ends.outcome[which] == Outcome.PERIODIC]
     groups = [rest] if len(rest) else []
@@ -453,12 +455,12 @@ def _alike(ends: _Ends, which: NDArray[np.intp]) -> list[NDArray[np.intp]]:
 
 
 def _spread(which: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    """At most `count` of them, evenly spaced."""
+    """At most `count` of the starts, evenly spaced."""
     return which[np.unique(np.linspace(0, len(which) - 1, min(count, len(which))).round().astype(np.intp))]
 
 
 def _near(time: NDArray[np.float32], flights: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(n,) whether all flights of a row of `time` (n, m) are near to one of the sorted `flights`."""
+    """(n,) whether each flight in a row of `time` (n, m) is close to one of the sorted `flights`."""
     if len(flights) == 0:
         return np.zeros(len(time), np.bool_)
     at = np.searchsorted(flights, time)
@@ -469,12 +471,12 @@ def _near(time: NDArray[np.float32], flights: NDArray[np.float64]) -> NDArray[np
 
 
 def _features(time: NDArray[np.float64], phase: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """What is compared of flights: their times, and sine and cosine of their take-off phases."""
+    """Features of flights to compare: their times, and sine and cosine of their take-off phases."""
     return time, np.sin(phase), np.cos(phase)
 
 
 def ks_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """The two-sample statistic of Kolmogorov and Smirnov: of equal distributions 0, of separate ones 1."""
+    """The two-sample statistic of Kolmogorov and Smirnov: 0 for equal, 1 for separate distributions."""
     both = np.sort(np.concatenate([a, b]))
     return float(
         np.abs(
@@ -490,7 +492,7 @@ def _distance_of_rows(
     pool_time: NDArray[np.float64],
     pool_phase: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """(n,) the distance of each row (n, m) of flights from a pool of them; NaN is no flight."""
+    """(n,) the distance of each row (n, m) of flights from a pool of flights; NaN is no flight."""
     distance = np.zeros(len(time))
     pools = _features(pool_time, pool_phase)
     for pool, rows in zip(pools, _features(time.astype(float), phase.astype(float)), strict=True):
@@ -511,7 +513,7 @@ def _distances(
     samples: Sequence[_Sample],
     groups: Sequence[Sequence[int]],
 ) -> NDArray[np.float64]:
-    """(n, groups) of the flights of starts, (n, m), from the flights of groups of representatives."""
+    """(n, groups) distances of the flights of starts, (n, m), from those of groups of representatives."""
     columns = []
     for group in groups:
         time = np.concatenate([samples[i].time for i in group])
@@ -521,7 +523,7 @@ def _distances(
 
 
 def _linked(samples: Sequence[_Sample]) -> list[list[int]]:
-    """Groups of samples whose distributions agree, directly or by way of others."""
+    """Groups of samples whose distributions agree, directly or through others."""
     features = [sample.features for sample in samples]
     noise = [max(ks_distance(x[: len(x) // 2], x[len(x) // 2 :]) for x in feature) for feature in features]
     groups: list[list[int]] = []

@@ -2,15 +2,17 @@
 
 A task computes whole lines along gamma.
 
-1. In every cell a fixed plane of drops is run. Drops on one cycle are one attractor, and so is rest. The
-   first drop of each cycle runs on for as long again, and so does every aperiodic one: cycles that were still
-   approached become one, and motion that was transient gets its cycle. What is aperiodic in a cell then
-   counts as one attractor; the study `basin` tells aperiodic attractors apart.
-2. From each attractor the next cell is started, first towards larger gamma and then towards smaller. A start
-   that leads to an attractor that no drop has found adds it, and it is followed in its turn.
+1. In every cell a fixed plane of drops is run. Drops on one cycle share an attractor, as do drops at rest.
+The
+   first drop of each cycle and every aperiodic drop run on for the same time again: cycles still being
+   approached become one, and transient motion finds its cycle. The rest of the aperiodic motion in a cell
+   counts as one attractor; the study `basin` distinguishes aperiodic attractors.
+2. Each attractor starts the next cell, first towards larger gamma and then towards smaller. A start that
+reaches
+   an attractor found by no drop adds it, and it is followed in its turn.
 
-Where starts lead is stored for both directions: two attractors of neighbouring cells are the same if each
-leads to the other.
+The destinations of starts are stored for both directions: two attractors of neighbouring cells are the same
+if each leads to the other.
 """
 
 import math
@@ -43,29 +45,29 @@ from worker.grid_plan import Block, GridPlan
 from worker.plan import LONGEST_SECONDS, TARGET_SECONDS
 from worker.schema import Layout
 from worker.spec import AXES
-from worker.tasks import TERMS, ChunkReport
+from worker.tasks import OPTIONS, ChunkReport
 
-#: Attractors of a cell that are stored: those that most drops reach, then those found by following others.
+#: Stored attractors of a cell: first those that most drops reach, then those found by following others.
 MAX_ATTRACTORS: Final = 8
 
-#: Starts run at a time: whole cells, so that little is lost and little memory taken.
+#: Starts per run, in whole cells, few enough to lose little and use little memory.
 BLOCK: Final = 2048
 
-#: Flights by which cycles of one mode are told apart, the longest of each.
+#: Longest flights by which cycles of one mode are distinguished.
 CYCLE: Final = 32
 
-#: Times that lines are followed in both directions: what is found on the way down is followed up again.
+#: Passes of lines in both directions: attractors found on the way down are followed up again.
 ROUNDS: Final = 3
 
-#: Runs of a cell on average, for the cost: of each drop with those that run on, and of followed attractors.
+#: Average runs of a cell, for the cost: of each drop with its continuation, and of followed attractors.
 RUN_ON: Final = 1.5
 FOLLOWED: Final = 12
 
-#: In `next_up` and `next_down`: not started; started, and no attractor reached.
+#: Values of `next_up` and `next_down`: not started; started, and no attractor reached.
 NOT_STARTED: Final = -1
 NOWHERE: Final = 0
 
-#: The stored names of the fields of `Reached` that have others.
+#: Stored names of the fields of `Reached` that differ.
 _STORED: Final = {"outcome": "attractor_outcome", "state": "attractor_state"}
 
 _Arrays = dict[str, NDArray[Any]]
@@ -83,7 +85,7 @@ _ARRAYS: Final = (
 
 
 class Reached(NamedTuple):
-    """What a run ends on."""
+    """The end of a run."""
 
     outcome: int  # an Outcome
     bounces: int  # 0 without a cycle
@@ -106,7 +108,7 @@ class Reached(NamedTuple):
 
 
 def _reduced(line: Line, micro_flight: float, keep: int) -> _Arrays:
-    """What of a record of n runs is kept: the fields of `Reached`, n times."""
+    """The kept part of a record of n runs: the fields of `Reached`, n times."""
     n = len(line.outcome)
     answer = {
         "outcome": line.outcome.astype(np.int64), "bounces": np.zeros(n, np.int64),
@@ -136,13 +138,13 @@ def _reached(answer: _Arrays) -> list[Reached]:
 
 
 class _Cells:
-    """The attractors known so far in the cells of a chunk: its record, with the lines as first dimension."""
+    """The known attractors in the cells of a chunk: its record, with the lines as first dimension."""
 
     def __init__(self, record: _Arrays) -> None:
         self.of = {name: array.reshape(-1, *array.shape[2:]) for name, array in record.items()}
 
     def known(self, line: int, j: int) -> list[Reached]:
-        """The attractors of a cell that are stored."""
+        """The stored attractors of a cell."""
         stored = min(int(self.of["attractor_count"][line, j]), MAX_ATTRACTORS)
         return [
             Reached(*(self.of[_STORED.get(name, name)][line, j, k] for name in Reached._fields))
@@ -150,7 +152,7 @@ class _Cells:
         ]
 
     def add(self, line: int, j: int, reached: Reached, fraction: float) -> int:
-        """Store a further attractor of a cell; its id, or NOWHERE if there is no room."""
+        """Store a further attractor of a cell; returns its id, or NOWHERE if there is no room."""
         k = int(self.of["attractor_count"][line, j])
         self.of["attractor_count"][line, j] += 1
         if k >= MAX_ATTRACTORS:
@@ -162,14 +164,14 @@ class _Cells:
         return k + 1
 
     def waiting(self, name: str, j: int) -> list[tuple[int, int]]:
-        """The attractors (line, index) of the cells `j` that are not followed yet, towards `name`."""
+        """The attractors (line, index) of the cells `j` not yet followed towards `name`."""
         count = np.minimum(self.of["attractor_count"][:, j], MAX_ATTRACTORS)
         waits = (self.of[name][:, j] == NOT_STARTED) & (np.arange(MAX_ATTRACTORS) < count[:, None])
         return [(int(line), int(k)) for line, k in np.argwhere(waits)]
 
 
 class _Search:
-    """The runs that tell the attractors of a chunk."""
+    """The runs that find the attractors of a chunk."""
 
     def __init__(self, spec: MultistabilitySpec, chunk: Block, cells: _Cells, work: Steps) -> None:
         self._spec, self._cells, self._work = spec, cells, work
@@ -235,7 +237,7 @@ class _Search:
         for state in states:
             rescale(state, self._gamma[j], 1.0, self._gamma[neighbour], 1.0)
         ends = self._run([(line, neighbour) for line, _ in waiting], states)
-        # What no drop has found may not have settled yet.
+        # An attractor that no drop has found may not have settled yet.
         unknown = [
             i
             for i, ((line, _), end) in enumerate(zip(waiting, ends, strict=True))
@@ -267,7 +269,7 @@ def _further(ends: Sequence[Reached]) -> list[int]:
 
 
 def _run_on(ends: list[Reached], later: Mapping[int, Reached]) -> None:
-    """Replace the ends of the starts that ran on, and with them those on the same cycle."""
+    """Replace the ends of the starts that ran on, and of the starts on the same cycle."""
     for group in _groups(ends):
         end = later.get(group[0])
         if end is not None and ends[group[0]].outcome == Outcome.PERIODIC and end.decided:
@@ -294,7 +296,7 @@ def _groups(ends: Sequence[Reached]) -> list[list[int]]:
 
 
 def _order(end: Reached) -> tuple[float, ...]:
-    """What attractors that as many drops reach are ordered by."""
+    """The order of attractors that equally many drops reach."""
     return (end.outcome, end.bounces, end.periods, -end.longest_flight)
 
 
@@ -307,19 +309,19 @@ def layout(spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:
 
 
 def _runs(spec: MultistabilitySpec) -> float:
-    """Runs of a cell on average, each of settle + observe plate periods."""
+    """Average runs of a cell, each of settle + observe plate periods."""
     return RUN_ON * spec.protocol.rows * spec.protocol.columns + FOLLOWED
 
 
 def cell_cost(spec: MultistabilitySpec) -> float:
-    """Core-seconds per cell, on average."""
+    """Mean core-seconds per cell."""
     return _runs(spec) * cell_seconds(spec.sweep())
 
 
 def make_plan(spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
     """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
 
-    Raises ValueError for sizes below 1, or lines that are cut.
+    Raises ValueError for sizes below 1, or for parts of lines.
     """
     _, omegas, gammas = spec.shape
     if chunk_shape is None:
@@ -336,8 +338,8 @@ def run_chunk(
 ) -> ChunkReport:
     """Compute the lines of `chunk` and store them; the store must exist.
 
-    Goes on from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` once
-    `slice_seconds` core-seconds are over, or a `store.StoreError`.
+    Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
+    `slice_seconds` core-seconds, or a `store.StoreError`.
     """
     began = time.perf_counter()
     store.check_chunk(store_url, chunk, _ARRAYS)
@@ -382,7 +384,7 @@ class MultistabilityStudy:
         )
 
     def task(self, spec: MultistabilitySpec, chunk: Block, store_url: str) -> ChunkReport:
-        return run_chunk(spec, chunk, store_url, TERMS.get().slice_seconds)
+        return run_chunk(spec, chunk, store_url, OPTIONS.get().slice_seconds)
 
 
 MULTISTABILITY: Final = MultistabilityStudy()

@@ -64,7 +64,7 @@ def bytes_per_cell(arrays: tuple[Array, ...], sizes: Mapping[str, int]) -> int:
 def empty_record(
     chunk: Block, arrays: tuple[Array, ...], sizes: Mapping[str, int]
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of a chunk, filled with what stands for cells that are not computed."""
+    """The arrays of a chunk, filled with the values of cells that are not computed."""
     return {
         a.name: np.full((*chunk.shape, *(sizes[dim] for dim in a.extra_dims)), a.fill, a.dtype)
         for a in arrays
@@ -81,7 +81,7 @@ def grid_layout(
 ) -> Layout:
     """Layout of the store with chunks of `chunk_shape` cells along (xi, omega, gamma).
 
-    `coordinates`: values and attributes of the other dimensions that have them.
+    `coordinates`: values and attributes of the other dimensions with coordinates.
     """
     attrs: dict[str, Any] = {row.name: row.attrs for row in COORDINATES if row.name in AXES}
     values: dict[str, NDArray[Any]] = {axis: spec.axis_values(axis).astype("<f8") for axis in AXES}

@@ -25,21 +25,21 @@ from worker.spec.sweep import (
     Xi,
 )
 
-#: Starts of one cell at most, and rows or columns: a cell's starts are computed and stored together.
+#: Maximum starts, rows or columns of a cell: its starts are computed and stored together.
 MAX_STARTS: Final = 512 * 512
 MAX_SIDE: Final = 4096
 MAX_HEIGHT: Final = 1e6
-#: Drops of one cell at most where attractors are followed through a grid.
+#: Maximum drops of a cell in a multistability study.
 MAX_DROPS: Final = 1024
 
-#: Plate periods that a start may take in all where `settle_until` is null, over those of the window.
+#: Maximum plate periods of a start if `settle_until` is null, in multiples of the window.
 UNTIL: Final = 10
 
 
 class Plane(Strict):
-    """A plane of starts; the `kind` of a protocol that has one chooses the study.
+    """A plane of starts; the protocol's `kind` selects the study.
 
-    drop: rows are heights above the plate, columns the plate's phases at which the spring is let go, relaxed
+    drop: rows are heights above the plate, columns the plate's phases at release, relaxed
     and at rest in the laboratory. contact: the states of a spring that sticks at phase 0; rows are its
     elongation beyond the static one, columns the velocity of the elongation times omega, each up to `height`
     in both directions.
@@ -55,8 +55,8 @@ class Plane(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _known(cls, data: object) -> object:
-        """Unknown fields named with those of this object."""
+    def _check_fields(cls, data: object) -> object:
+        """Refuse unknown fields with the names of this object's fields."""
         for name in data if isinstance(data, dict) else ():
             if name not in cls.model_fields:
                 fields = tuple(cls.model_fields)
@@ -111,7 +111,7 @@ class Multistability(Plane):
 
 
 class GridSpec(Specification):
-    """A grid of cells, the plane of starts, and the window of each start. Fields as of a `SweepSpec`."""
+    """A grid of cells, the plane of starts, and the window of each start. Fields as in a `SweepSpec`."""
 
     AXES: ClassVar = AXES
 
@@ -145,7 +145,7 @@ class GridSpec(Specification):
 
     @classmethod
     def objects(cls) -> Mapping[str, tuple[str, ...]]:
-        """As of every specification, with the contact models."""
+        """As for every specification, with the contact models."""
         return {**super().objects(), **model_fields()}
 
     @property
@@ -156,7 +156,7 @@ class GridSpec(Specification):
 
     @property
     def until(self) -> int:
-        """Plate periods that a start may take in all."""
+        """Maximum plate periods of a start."""
         return self.settle_until or UNTIL * (self.settle + self.observe)
 
     def sweep(self) -> SweepSpec:

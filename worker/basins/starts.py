@@ -1,4 +1,4 @@
-"""The states that starts of a plane have: drops, and contacts at phase 0 (docs/basins.md, "Planes")."""
+"""The states of a plane's starts: drops, and contacts at phase 0 (docs/basins.md, "Planes")."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ def starts_of(spec: GridSpec, gamma: float, omega: float, xi: float) -> NDArray[
 
 
 def drop_states(height: NDArray[np.float64], phase: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The states (…, 6) of a relaxed spring at rest in the laboratory, let go at a phase of the plate, rad.
+    """The states (…, 6) of a relaxed spring at rest in the laboratory, released at a plate phase, rad.
 
     height (…): of the lower mass above the plate, plate amplitudes.
     """

@@ -1,4 +1,4 @@
-"""A chunk that is computed in steps, each of one or more runs of many starts."""
+"""A chunk computed in steps, each of one or more runs of many starts."""
 
 from collections.abc import Callable
 from typing import Any, Final
@@ -19,7 +19,7 @@ _Arrays = dict[str, NDArray[Any]]
 
 
 class Steps(Work):
-    """The record of a chunk, the steps that are done, and the answers that the step under way has had."""
+    """The record of a chunk, its finished steps, and the answers of the step under way."""
 
     def __init__(
         self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
@@ -30,7 +30,7 @@ class Steps(Work):
         super().__init__(store_url, chunk, began, slice_seconds)
 
     def answer(self, run: Callable[[], LineRun], reduce: Callable[[Line], _Arrays]) -> _Arrays:
-        """What `reduce` makes of the record of the step's next run, which is computed or kept already.
+        """The part that `reduce` keeps of the step's next run, computed now or before.
 
         Raises ChunkCancelled, ChunkPaused.
         """
@@ -41,11 +41,11 @@ class Steps(Work):
         return self._answers[self._answered - 1]
 
     def finish_step(self) -> None:
-        """The step's results are in the record now."""
+        """Note that the step's results are in the record."""
         self.steps_done += 1
         self._answers, self._answered = [], 0
 
-    def _kept(self) -> _Arrays:
+    def _save(self) -> _Arrays:
         arrays: _Arrays = {_STEPS: np.array(self.steps_done)}
         arrays |= {_RECORD + name: array for name, array in self._record.items()}
         for number, answer in enumerate(self._answers):
@@ -70,6 +70,6 @@ def line_run(
     states: NDArray[np.float64],
     **window: Any,
 ) -> LineRun:
-    """A run of starts (n, 6), each in its cell: gamma, omega, xi (n,). `window`: as of `LineRun`."""
+    """A run of starts (n, 6), each in its cell: gamma, omega, xi (n,). `window`: as in `LineRun`."""
     plate = plate_of(spec.model, *cells)
     return LineRun(*cells, plate=plate, carry=False, micro_flight=spec.micro_flight, states=states, **window)

@@ -1,6 +1,6 @@
 """The study `basin`: which attractor each start of a plane reaches, in every cell of a grid (docs/basins.md).
 
-A task computes whole cells, since attractors are told apart among all starts of a cell.
+A task computes whole cells, since attractors are distinguished among all starts of a cell.
 """
 
 import math
@@ -32,12 +32,12 @@ from worker.grid_plan import Block, GridPlan
 from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS
 from worker.schema import Array, Layout
 from worker.spec import AXES, SweepSpec
-from worker.tasks import TERMS, ChunkReport
+from worker.tasks import OPTIONS, ChunkReport
 
-#: Attractors of a cell that are stored, the largest basins first. Starts of others count as undecided.
+#: Stored attractors of a cell, the largest basins first. Starts of others count as undecided.
 MAX_ATTRACTORS: Final = 32
 
-#: Starts along a side of the boxes of which the entropies are means.
+#: Side of the boxes for the entropies, in starts.
 BOX: Final = 8
 
 _Arrays = dict[str, NDArray[Any]]
@@ -99,17 +99,17 @@ def layout(spec: BasinSpec, chunk_shape: tuple[int, ...]) -> Layout:
 
 
 def _of_starts(spec: BasinSpec) -> SweepSpec:
-    """The sweep whose cells cost what starts do: no exponents are computed of them."""
+    """The sweep whose cells cost as much as starts: without exponents."""
     return spec.sweep().model_copy(update={"exponents": 0})
 
 
 def start_seconds(spec: BasinSpec) -> float:
-    """Core-seconds per start, on average."""
+    """Mean core-seconds per start."""
     return cell_seconds(_of_starts(spec))
 
 
 def make_plan(spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
-    """Chunks of `chunk_shape` cells along (xi, omega, gamma), or of about a second: rows of gamma.
+    """Chunks of `chunk_shape` cells along (xi, omega, gamma); by default rows of gamma, about a second.
 
     Raises ValueError for a size below 1.
     """
@@ -126,8 +126,8 @@ def make_plan(spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None) -> Gr
 def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: float = math.inf) -> ChunkReport:
     """Compute every cell of `chunk` and store it; the store must exist.
 
-    Goes on from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` once
-    `slice_seconds` core-seconds are over, or a `store.StoreError`.
+    Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
+    `slice_seconds` core-seconds, or a `store.StoreError`.
     """
     began = time.perf_counter()
     store.check_chunk(store_url, chunk, arrays(spec))
@@ -148,7 +148,7 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
 
 
 def rules_of(spec: BasinSpec) -> Rules:
-    """What a specification says of the runs of a search."""
+    """The rules of a specification for the runs of a search."""
     window = (spec.settle, spec.observe, spec.until, spec.keep, spec.micro_flight, spec.exponents)
     return Rules(*window, extends=spec.settle_until is None)
 
@@ -156,7 +156,7 @@ def rules_of(spec: BasinSpec) -> Rules:
 def _runner(
     spec: BasinSpec, gamma: float, omega: float, xi: float, work: Steps
 ) -> Callable[[Request, Callable[[Line], _Arrays]], _Arrays]:
-    """Answers the requests of a search, at first from what is kept of an earlier slice."""
+    """Answers the requests of a search, first from the answers of earlier slices."""
 
     def run(request: Request, reduce: Callable[[Line], _Arrays]) -> _Arrays:
         gammas, omegas, xis = (np.full(len(request.states), value) for value in (gamma, omega, xi))
@@ -168,7 +168,7 @@ def _runner(
 
 
 def _fill_in(spec: BasinSpec, found: Found, cell: _Arrays) -> None:
-    """Fill in the arrays of one cell that have further dimensions."""
+    """Fill in one cell's arrays with further dimensions."""
     ids = np.where(found.ids <= MAX_ATTRACTORS, found.ids, 0).astype(np.uint8)
     cell["attractor"][...] = ids.reshape(spec.protocol.rows, spec.protocol.columns)
     for i, attractor in enumerate(found.attractors[:MAX_ATTRACTORS]):
@@ -182,7 +182,7 @@ def _fill_in(spec: BasinSpec, found: Found, cell: _Arrays) -> None:
 
 
 def _fill_in_numbers(spec: BasinSpec, found: Found, record: _Arrays, index: tuple[int, ...]) -> None:
-    """Fill in the numbers of one cell."""
+    """Fill in one cell's numbers."""
     ids = record["attractor"][index]
     record["attractor_count"][index] = len(found.attractors)
     record["undecided"][index] = np.mean(ids == 0)
@@ -234,7 +234,7 @@ class BasinStudy:
         )
 
     def task(self, spec: BasinSpec, chunk: Block, store_url: str) -> ChunkReport:
-        return run_chunk(spec, chunk, store_url, TERMS.get().slice_seconds)
+        return run_chunk(spec, chunk, store_url, OPTIONS.get().slice_seconds)
 
 
 BASINS: Final = BasinStudy()

@@ -1,7 +1,7 @@
-"""Whether a worker may compute chunks: it must be as the service is, and see the service's stores.
+"""Worker admission: same code and library versions as the service, and access to its stores.
 
-A worker with another kernel computes other numbers, and one that does not see the stores, or cannot load the
-kernel, fails every chunk. They are refused before their first chunk, with the reason. Nothing here imports a
+A worker with another kernel computes other numbers; one without the stores, or unable to load the kernel,
+fails every chunk. Such workers are refused before their first chunk, with the reason. Nothing here imports a
 kernel or zarr at the top: a worker unpickles the plugin, and so imports this module, before it has claimed
 its kernel cache.
 """
@@ -21,16 +21,16 @@ from worker.executors.errors import WorkerRefused
 
 #: Libraries on whose versions stored numbers or bytes depend.
 _LIBRARIES: Final = ("numpy", "numba", "zarr", "numcodecs")
-#: Packages of this project whose sources decide what is stored.
+#: Packages of this project whose sources determine the stored numbers.
 _PACKAGES: Final = ("kernel", "worker")
 
-#: Why this process, a worker, is refused; empty if it is not. Set by `judge`.
+#: Why this worker process is refused; empty if it is admitted. Set by `judge`.
 _refusal: list[str] = []
 
 
 @dataclass(frozen=True)
 class Probe:
-    """A file among the stores that every worker must see: the same folder under the same path."""
+    """A file beside the stores that every worker must see: the same folder under the same path."""
 
     url: str  # of the folder, or prefix of a bucket, that holds the stores
     content: str
@@ -38,36 +38,36 @@ class Probe:
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a worker must have in common with the service. `facts`: as `facts()` gives them in the service."""
+    """What a worker must have in common with the service. `facts`: the service's own `facts()`."""
 
     facts: Mapping[str, str]
     probe: Probe | None = None
 
     def judge(self, threads: int, prepare: Callable[[], object] = lambda: None) -> str:
-        """Why this process may not compute, and from now on does not; empty if it may.
+        """Admit or refuse this process; return why it is refused, empty if it is admitted.
 
-        `threads`: how many chunks it would compute at once. `prepare` is called if there is no other reason;
-        what it raises is one.
+        `threads`: chunks it would compute at once. `prepare` is called if nothing else is wrong; its error is
+        a reason too.
         """
-        invalidate_caches()  # what could not be imported before may be there now
+        invalidate_caches()  # modules may have been installed since
         wrong = self._differences(threads)
         if not wrong:
             try:
                 prepare()
-            except Exception as error:  # noqa: BLE001 - whatever it is, no chunk can be computed
-                wrong.append(f"it cannot load the kernel: {_told(error)}")
+            except Exception as error:  # noqa: BLE001 - any error means that it cannot compute
+                wrong.append(f"it cannot load the kernel: {_one_line(error)}")
         _refusal[:] = filter(None, ["; ".join(wrong)])
         return refusal()
 
     def _differences(self, threads: int) -> list[str]:
         try:
-            here = facts()
-        except Exception as error:  # noqa: BLE001 - a library that is not there, or is broken
-            return [f"it cannot load the kernel: {_told(error)}"]
+            own = facts()
+        except Exception as error:  # noqa: BLE001 - a missing or broken library
+            return [f"it cannot load the kernel: {_one_line(error)}"]
         wrong = [
-            f"its {name} is {here.get(name)}, the service's {expected}"
+            f"its {name} is {own.get(name)}, the service's {expected}"
             for name, expected in self.facts.items()
-            if here.get(name) != expected
+            if own.get(name) != expected
         ]
         if threads != 1:
             wrong.append(f"it has {threads} threads: start it with --nthreads 1")
@@ -79,8 +79,8 @@ class Requirements:
 def facts() -> dict[str, str]:
     """What the stored bytes depend on in this process, by name.
 
-    No feature of the processor beside its kind is among them: what the kernel computes with is rounded
-    correctly everywhere (docs/accuracy.md).
+    Of the processor only its kind counts: the kernel's operations are rounded correctly everywhere
+    (docs/accuracy.md).
     """
     from kernel.params import KERNEL_VERSION  # noqa: PLC0415 - see above
 
@@ -94,15 +94,15 @@ def facts() -> dict[str, str]:
 
 
 def refusal() -> str:
-    """Why this process, a worker, is refused; empty if it is not."""
+    """Why this worker process is refused; empty if it is admitted."""
     return "".join(_refusal)
 
 
 def run_if_admitted(call: bytes) -> Any:
-    """What a function returns that is pickled with its arguments; WorkerRefused if this worker is refused.
+    """Call a function pickled with its arguments; raises WorkerRefused on a refused worker.
 
-    The scheduler gives a refused worker no task, but may have given it one before the worker was judged. Such
-    a worker may not be able to unpickle it.
+    The scheduler gives a refused worker no tasks, but may have done so before the worker was judged. Such
+    a worker may be unable to unpickle them.
     """
     if _refusal:
         return WorkerRefused(_refusal[0])
@@ -111,7 +111,7 @@ def run_if_admitted(call: bytes) -> Any:
 
 
 def _digest(package: str) -> str:
-    """Of the contents of a package's sources, not of their times: each machine has a copy of its own."""
+    """Digest of the contents of a package's sources; not of their times, which differ between machines."""
     found = find_spec(package)
     folder = Path(next(iter(found.submodule_search_locations or ()))) if found else Path()
     digest = hashlib.sha256()
@@ -129,13 +129,13 @@ def _version(library: str) -> str:
 
 
 def _unseen(probe: Probe) -> str:
-    """Why the stores' folder is not the service's, or of no use; empty if it is."""
+    """Why the stores' folder is another one or unusable; empty if it is the service's."""
     try:
         from worker import store  # noqa: PLC0415 - see above
 
         found = store.read_marker(probe.url)
-    except Exception as error:  # noqa: BLE001 - whatever keeps it from reading keeps it from computing
-        return f"it cannot read {probe.url}, where the stores are: {_told(error)}"
+    except Exception as error:  # noqa: BLE001 - without the stores it cannot compute
+        return f"it cannot read {probe.url}, where the stores are: {_one_line(error)}"
     if found == probe.content:
         return (
             "" if store.is_writable(probe.url) else f"it cannot write into {probe.url}, where the stores are"
@@ -143,6 +143,6 @@ def _unseen(probe: Probe) -> str:
     return f"it does not see the service's stores in {probe.url}: share that folder, under the same path"
 
 
-def _told(error: Exception) -> str:
-    """An error in one line; numpy's are of many."""
+def _one_line(error: Exception) -> str:
+    """The error on one line; numpy's have many."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -1,4 +1,4 @@
-"""The interface of executors: what the service relies on when it has chunks computed."""
+"""The interface of executors, which compute chunks for the service."""
 
 import math
 from collections.abc import Callable
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol, TypeVar
 
 from worker.studies import Chunk, Spec
-from worker.tasks import ChunkReport, Terms
+from worker.tasks import ChunkOptions, ChunkReport
 
 Result = TypeVar("Result")
 
-USUAL: Final = Terms()
+USUAL: Final = ChunkOptions()
 
 
 @dataclass(frozen=True)
@@ -20,13 +20,13 @@ class ClusterState:
 
     connected: bool  # a scheduler answers
     workers: int
-    planned: int | None = None  # workers that the cluster shall have, if that is known
+    planned: int | None = None  # size that the cluster should have, if known
     reason: str = ""  # why there is no scheduler
     refused: tuple[str, ...] = ()  # workers that may not compute: host, address and why
 
     @property
     def fault(self) -> str | None:
-        """Why no chunk is computed now; None if chunks are. Names no address: it is for everybody."""
+        """Why no chunk is computed now; None if chunks are. Contains no address, as anyone may read it."""
         if not self.connected:
             return "the Dask scheduler does not answer; jobs wait until it does"
         if self.workers:
@@ -37,7 +37,7 @@ class ClusterState:
 
     @property
     def explanation(self) -> str | None:
-        """`fault` with what is known of its cause, for those who may see the service's addresses."""
+        """`fault` with its known cause, for users who may see the service's addresses."""
         if (fault := self.fault) is None:
             return None
         return "; ".join([fault, *([self.reason] if self.reason else []), *self.refused])
@@ -78,23 +78,23 @@ class Executor(Protocol):
         *,
         seconds: float = math.inf,
         priority: float = 0,
-        terms: Terms = USUAL,
+        options: ChunkOptions = USUAL,
     ) -> "Future[ChunkReport]":
         """Compute one chunk: `studies.run_task(spec, chunk, store_url)` on a worker.
 
-        `seconds` limits the wall time of the task, counted from its start; waiting for a worker does not
-        count. Of the chunks that wait for a worker, those of higher priority start first.
+        `seconds` limits the task's wall time, not counting the wait for a worker. Waiting chunks of higher
+        priority start first.
         Raises ExecutorError if there is no cluster to submit to.
         """
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
-        """Run `function(*arguments)` on a worker, before all chunks that wait; without a time limit.
+        """Run `function(*arguments)` on a worker, before all waiting chunks and without a time limit.
 
         Raises ExecutorError if there is no cluster to submit to.
         """
 
     def ready(self) -> bool:
-        """Whether a task submitted now would start on some worker; returns within seconds in any case."""
+        """Whether a task submitted now would start on some worker; returns within seconds."""
 
     def workers(self) -> int:
         """The number of tasks that run at once; 0 without workers. May be a second old."""
@@ -103,12 +103,12 @@ class Executor(Protocol):
         """Whether there is a cluster, and workers; returns within seconds. May be a second old."""
 
     def compiling(self, store_url: str) -> Compiling | None:
-        """What is compiled for the job with this store, on one of the workers; returns at once."""
+        """What a worker compiles for the job with this store; does not block."""
 
     def ask_for(self, seconds: float, tasks: int) -> None:
-        """Say that `seconds` core-seconds are left to compute, in `tasks` chunks that could run at once.
+        """Report the remaining work: `seconds` core-seconds, in `tasks` chunks that could run at once.
 
-        A cluster that can grow has as many workers as these need.
+        A cluster that can grow adds workers for them.
         """
 
     def close(self) -> None:

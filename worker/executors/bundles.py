@@ -1,7 +1,7 @@
-"""Tasks that are submitted at the same time, told to Dask's scheduler in one message.
+"""Tasks submitted at the same time go to Dask's scheduler in one message.
 
-The scheduler takes about as long for a message with one task as for one with many. Each is sent as bytes that
-are unpickled when it runs: a worker ends that cannot unpickle a message.
+The scheduler takes about as long for one task as for many. Each task is sent as bytes and unpickled when it
+runs, because a worker that cannot unpickle a message ends.
 """
 
 import asyncio
@@ -13,14 +13,14 @@ from distributed.protocol.pickle import dumps
 
 from worker.executors.admission import run_if_admitted
 
-#: Seconds for which a task waits for others.
+#: Seconds that a task waits for others.
 WAIT_SECONDS: Final = 0.002
-#: Tasks whose priorities differ by less, in seconds, are of one message, if their workers are the same.
+#: Tasks with the same workers share a message if their priorities differ by less than this, in seconds.
 SAME_PRIORITY: Final = 1.0
 
 
 class Call(NamedTuple):
-    """A task: a function with its arguments, and the workers that alone may run it; none: all may."""
+    """A function with its arguments, and the only workers that may run it (none: all may)."""
 
     arguments: tuple[Any, ...]
     priority: float
@@ -28,13 +28,13 @@ class Call(NamedTuple):
 
 
 class Bundles:
-    """Collects calls and submits those of equal priority together; used in the client's event loop alone."""
+    """Collects calls and submits those of equal priority together; used only in the client's event loop."""
 
     def __init__(self) -> None:
         self._waiting: list[tuple[Any, Call, asyncio.Future[Any]]] = []
 
     async def add(self, client: Any, call: Call) -> Any:
-        """The Dask future of a call, submitted with others. Raises what submitting raises."""
+        """The Dask future of a call. Raises the errors of submitting it."""
         loop = asyncio.get_running_loop()
         submitted: asyncio.Future[Any] = loop.create_future()
         self._waiting.append((client, call, submitted))
@@ -59,7 +59,7 @@ class Bundles:
                     priority=max(call.priority for call, _ in bundle),
                     workers=list(workers) or None,
                 )
-            except Exception as error:  # noqa: BLE001 - whatever it is, each of them is told
+            except Exception as error:  # noqa: BLE001 - every call gets the error
                 for _, submitted in bundle:
                     submitted.set_exception(error)
                 continue
@@ -68,9 +68,9 @@ class Bundles:
 
 
 class _Admitted:
-    """A function and its arguments: unpickling it is `run_if_admitted` of them.
+    """A function and its arguments, which unpickle as a call of `run_if_admitted`.
 
-    So scheduler and worker need nothing of this project until a worker runs it.
+    Scheduler and worker need nothing of this project until a worker runs it.
     """
 
     def __init__(self, call: tuple[Any, ...]) -> None:

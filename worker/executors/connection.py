@@ -20,7 +20,7 @@ from worker.watchdog import TOPIC
 
 log = logging.getLogger(__name__)
 
-#: A scheduler that has not answered for so long counts as lost: a frozen one neither answers nor fails.
+#: A scheduler that has not answered for this long counts as lost: a frozen one neither answers nor fails.
 PING_SECONDS: Final = 2.0
 #: A scheduler that has just started may be busy with its workers.
 REGISTER_SECONDS: Final = 30.0
@@ -32,8 +32,8 @@ SCHEDULER_SETTINGS: Final[dict[str, float]] = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.worker-saturation": 1.0,
 }
-#: What happens without them. The service itself decides whether a task is tried again, and a task must wait
-#: at the scheduler, which gives it to the first worker that is free.
+#: What happens without them. The service itself retries tasks, and a task must wait at the scheduler for the
+#: first free worker.
 _WITHOUT_SETTING: Final[dict[str, str]] = {
     "distributed.scheduler.allowed-failures": "a chunk that kills its worker kills several before it fails",
     "distributed.scheduler.worker-saturation": "chunks may wait behind one that hangs",
@@ -41,10 +41,9 @@ _WITHOUT_SETTING: Final[dict[str, str]] = {
 
 
 class _ClientOfOneConnection(Client):
-    """A client that does not connect again by itself: `SchedulerConnection` replaces it.
+    """A client that does not reconnect by itself: `SchedulerConnection` replaces it.
 
-    Where it is closed while it connects again, distributed leaves the new connection open for as long as this
-    process lives.
+    If closed while it reconnects, distributed leaves the new connection open until this process ends.
     """
 
     async def _reconnect(self) -> None:
@@ -57,10 +56,10 @@ class _ClientOfOneConnection(Client):
 class SchedulerConnection:
     """A Dask client for the scheduler that `target` finds (an address or a cluster object).
 
-    A thread checks the connection every second, reconnects when it is lost, and registers `plugin` with
-    every scheduler anew. `on_event` gets the events that workers log under `TOPIC`, and `on_roster` those
-    under `ROSTER`, in the client's event loop. `on_lost` gets a client that is closed because its connection
-    was lost. Thread-safe. Raises ClusterLost if no scheduler answers within `timeout` seconds at first.
+    A thread checks the connection every second, reconnects when it is lost, and registers `plugin` with each
+    new scheduler. `on_event` gets the events that workers log under `TOPIC`, and `on_roster` those under
+    `ROSTER`, in the client's event loop. `on_lost` gets a client whose connection was lost. Thread-safe.
+    Raises ClusterLost if no scheduler answers within the first `timeout` seconds.
     """
 
     def __init__(
@@ -108,7 +107,7 @@ class SchedulerConnection:
         return int(identity["total_threads"]) if identity["id"] == self._scheduler_id else None
 
     def threads_of(self, workers: Collection[str] | None = None) -> dict[str, int]:
-        """Threads of workers, of these or of all, by the addresses of those that are there.
+        """Threads by worker address, of all workers or of these if present.
 
         Empty if the scheduler does not answer within `PING_SECONDS`.
         """
@@ -123,7 +122,7 @@ class SchedulerConnection:
         return threads
 
     def run_on(self, worker: str, function: Callable[..., Any], *arguments: Any) -> None:
-        """Run `function(*arguments, dask_worker=...)` in a worker's event loop; returns at once."""
+        """Run `function(*arguments, dask_worker=...)` in a worker's event loop; does not block."""
         client = self._client
 
         async def run() -> None:
@@ -133,7 +132,7 @@ class SchedulerConnection:
         client.loop.add_callback(run)
 
     def ask_for(self, seconds: float, tasks: int) -> None:
-        """Tell the scheduler what is left to compute (see `Demand`); returns at once."""
+        """Tell the scheduler how much work remains (see `Demand`); does not block."""
         if self._takes_demand and self._scheduler_id and self._asked != (seconds, tasks):
             self._asked = (seconds, tasks)
             self._client.loop.add_callback(self._tell, self._client, seconds, tasks)
@@ -141,7 +140,7 @@ class SchedulerConnection:
     async def _tell(self, client: Any, seconds: float, tasks: int) -> None:
         try:
             await getattr(client.scheduler, HANDLER)(client=client.id, seconds=seconds, tasks=tasks)
-        except Exception:  # noqa: BLE001 - whatever it is, the next demand is told again
+        except Exception:  # noqa: BLE001 - the next demand tries again
             self._asked = None
 
     def close(self) -> None:
@@ -171,7 +170,7 @@ class SchedulerConnection:
             raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
 
     def _register_at_first(self, timeout: float) -> None:
-        """Register, again if a worker dies meanwhile. Raises ClusterLost after `timeout` seconds."""
+        """Register, trying again if a worker dies meanwhile. Raises ClusterLost after `timeout` seconds."""
         deadline = time.monotonic() + timeout
         while True:
             try:
@@ -192,7 +191,7 @@ class SchedulerConnection:
         self._scheduler_id = self._identity(REGISTER_SECONDS)["id"]
 
     def _check_settings(self) -> None:
-        """Warn of settings that the scheduler lacks. Results are right without them."""
+        """Warn about settings that the scheduler lacks. Results are right without them."""
         for name, required in SCHEDULER_SETTINGS.items():
             try:
                 actual = self._client.run_on_scheduler(dask.config.get, name)
@@ -211,7 +210,7 @@ class SchedulerConnection:
         try:
             self._client.register_plugin(Demand())
             self._takes_demand = True
-        except Exception as error:  # noqa: BLE001 - of whatever kind: it cannot import this project
+        except Exception as error:  # noqa: BLE001 - any error of importing this project
             log.warning("the scheduler cannot be told how much is left to compute: %s", error)
 
     def _keep_connected(self) -> None:
@@ -243,8 +242,8 @@ class SchedulerConnection:
     def _check_listener(self) -> None:
         """Raise ClusterLost if nobody listens at the scheduler's address.
 
-        A client of distributed that finds nobody keeps its thread and three files for as long as this process
-        lives: tried once a second, they would be used up in hours.
+        A distributed client that finds nobody keeps its thread and three files until this process ends:
+        retried every second, they would run out within hours.
         """
         address: Any = "an unknown address"
         try:

@@ -1,4 +1,4 @@
-"""Computes chunks on a Dask cluster: an existing one, or worker processes of this machine."""
+"""Computes chunks on a Dask cluster: an existing one, or worker processes on this machine."""
 
 import asyncio
 import logging
@@ -30,47 +30,46 @@ from worker.executors.errors import (
 from worker.executors.local_cluster import LocalWorkers
 from worker.executors.quarantine import MARKS, REST_SECONDS, Quarantine
 from worker.executors.roster import Roster
-from worker.executors.sent_plugin import SentPlugin
-from worker.executors.sent_specs import SentSpecs, run_sent
-from worker.executors.targets import Fixed, Made, SchedulerFile, Target
+from worker.executors.sent_plugin import PluginLoader
+from worker.executors.sent_specs import SpecReferences, run_sent
+from worker.executors.targets import CreatedCluster, Fixed, SchedulerFile, Target
 from worker.executors.worker_plugin import PreparedWorker, rest
 from worker.studies import Chunk, Spec
-from worker.tasks import ChunkReport, TaskError, Terms
+from worker.tasks import ChunkOptions, ChunkReport, TaskError
 
 log = logging.getLogger(__name__)
 
-#: A worker that compiles says so every half second; silent for so long, it is done or gone.
+#: A worker that compiles reports it every half second; after this much silence it is done or gone.
 COMPILING_SECONDS: Final = 2.0
 #: How long a count of the workers stays valid.
 COUNT_SECONDS: Final = 1.0
-#: Why nothing can be written where the stores are.
-#: Seconds between two looks at whether the workers are there to which a chunk that failed is bound.
+#: Seconds between checks for the workers to which a failed chunk is bound.
 OTHERS_SECONDS: Final = 2.0
-#: Above that of any chunk: a request waits for the result.
+#: Above the priority of any chunk: a request waits for the result.
 CALL_PRIORITY: Final = 1_000_000.0
 
 
 @dataclass
 class _Task:
-    """A task on the cluster, and what workers reported of it."""
+    """A task on the cluster, and what workers reported about it."""
 
     termination: "asyncio.Future[str]"  # why the watchdog terminated a worker over it
-    chunk: Hashable  # its store and number; None: a call, of which workers do not report that they begin it
+    chunk: Hashable  # its store and number; None for a call, whose beginning workers do not report
     worker: str | None = None  # the address of the last worker that began it
 
 
 class Dask:
     """An executor on a Dask cluster: an existing one, or `workers` processes on this machine.
 
-    For an existing cluster give `address` (tcp://host:port, a cluster object of Dask's, or a `Made` cluster,
-    which `close` closes) or `scheduler_file`, with distributed's `security` if the scheduler requires TLS.
-    The connection is restored when a lost scheduler is back.
+    For an existing cluster give `address` (tcp://host:port, a cluster object of Dask's, or a
+    `CreatedCluster`, which `close` closes) or `scheduler_file`, with distributed's `security` if the
+    scheduler requires TLS. The connection is restored when a lost scheduler is back.
 
     Without either, starts a cluster that listens on loopback only; each of its processes may use `memory`
     bytes (None: an equal share of the machine's).
 
-    Workers that differ from this process in what stored bytes depend on, or do not see the folder (or bucket)
-    of `stores`, get no chunk: see `worker.executors.admission`.
+    Workers that differ from this process in what stored bytes depend on, or cannot see the folder or bucket
+    `stores`, get no chunk: see `worker.executors.admission`.
 
     Returns when the workers present have been judged; later workers are judged on joining.
     Raises ClusterLost if no scheduler answers within `timeout` seconds, or no worker of its own can compute.
@@ -97,7 +96,7 @@ class Dask:
         self._compiling: dict[str, tuple[float, str, float]] = {}  # by store: when heard, kernel, began
         self._target: Target = Fixed(None)
         self._roster, self._quarantine = Roster(), Quarantine()
-        self._bundles, self._specs = Bundles(), SentSpecs()
+        self._bundles, self._specs = Bundles(), SpecReferences()
         try:
             if address is None and scheduler_file is None:
                 self._workers = LocalWorkers(workers, memory)
@@ -107,7 +106,7 @@ class Dask:
             self._target = _target(address, scheduler_file, timeout)
             self._connection = SchedulerConnection(
                 self._target,
-                SentPlugin(dumps(plugin)),  # type: ignore[no-untyped-call]
+                PluginLoader(dumps(plugin)),  # type: ignore[no-untyped-call]
                 self._on_event,
                 self._roster.note,
                 self._on_lost,
@@ -138,11 +137,11 @@ class Dask:
         *,
         seconds: float = math.inf,
         priority: float = 0,
-        terms: Terms = USUAL,
+        options: ChunkOptions = USUAL,
     ) -> "Future[ChunkReport]":
         sent, identity = self._specs.sent(spec, store_url), (store_url, chunk.index)
         return self._submit(
-            run_sent, sent, chunk, store_url, seconds, terms, priority=priority, identity=identity
+            run_sent, sent, chunk, store_url, seconds, options, priority=priority, identity=identity
         )
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
@@ -191,7 +190,7 @@ class Dask:
     def _submit(
         self, function: Callable[..., Any], *arguments: Any, priority: float, identity: Hashable = None
     ) -> "Future[Any]":
-        """Submit to the scheduler, together with what is submitted at the same time. Raises ClusterLost."""
+        """Submit to the scheduler, together with other tasks of the moment. Raises ClusterLost."""
         client = self._connection.client
         others = self._others(identity)
         call = Call((function, *arguments), priority, tuple(others or ()))
@@ -204,9 +203,9 @@ class Dask:
         return self._until_lost(client, task)
 
     def _until_lost(self, client: Any, task: "Future[Any]") -> "Future[Any]":
-        """What a task in the client's event loop ends with, or ClusterLost once the client is lost.
+        """The outcome of a task in the client's event loop, or ClusterLost once the client is lost.
 
-        What a client sends while its connection is being lost disappears without an error, and its event loop
+        While its connection is being lost, a client's messages disappear without an error, and its event loop
         may end before the task does.
         """
         result: Future[Any] = Future()
@@ -234,17 +233,17 @@ class Dask:
         return result
 
     def _on_lost(self, client: Any) -> None:
-        """The client is closed, its connection was lost: so is what it has not told."""
+        """Fail the unfinished tasks of a client that was closed because its connection was lost."""
         self._lost.add(client)
         for result in list(self._unfinished.pop(client, ())):
             with suppress(InvalidStateError):
                 result.set_exception(ClusterLost("the connection to the scheduler was lost"))
 
     async def _submitted(self, client: Any, call: Call, identity: Hashable, others: list[str] | None) -> Any:
-        """The result of a task, in the client's event loop. Raises ClusterLost if there is none any more."""
+        """The result of a task, in the client's event loop. Raises ClusterLost if it is gone."""
         try:
             future = await self._bundles.add(client, call)
-        except Exception as error:  # distributed raises whatever comes when its client is closing
+        except Exception as error:  # distributed raises anything while its client closes
             if client.status != "running":
                 raise ClusterLost(f"the connection to the scheduler was lost: {error}") from error
             raise
@@ -258,7 +257,7 @@ class Dask:
         return Compiling(kernel, 1, 1, max(time.time() - began, 0.0))
 
     def _others(self, identity: Hashable) -> list[str] | None:
-        """The workers on which a chunk that failed has not failed yet; None for all, or if there are none."""
+        """Workers where a failed chunk has not failed yet; None for all, or if there are none."""
         failed_on = self._quarantine.failed_on(identity)
         if not failed_on:
             return None
@@ -266,7 +265,7 @@ class Dask:
         return sorted(self._connection.threads_of().keys() - failed_on - useless) or None
 
     def _on_event(self, event: dict[str, Any]) -> None:
-        """A worker began a task, compiles for one, or its watchdog terminates it over one."""
+        """A worker began a task, compiles for one, or is terminated by its watchdog over one."""
         if "compiling" in event:
             self._compiling[event["store"]] = time.monotonic(), event["compiling"], event["began"]
             return
@@ -278,9 +277,9 @@ class Dask:
             task.termination.set_result(event["why"])
 
     async def _outcome(self, future: Any, identity: Hashable, others: list[str] | None) -> Any:
-        """The result of a task, in the client's event loop; the cluster forgets the task in any case.
+        """The result of a task, in the client's event loop; the cluster then forgets the task.
 
-        `others`: the workers that alone may run it.
+        `others`: the only workers that may run it.
         """
         task = _Task(asyncio.get_running_loop().create_future(), identity)
         self._tasks[future.key] = task
@@ -327,20 +326,20 @@ class Dask:
             future.release()
 
     async def _are_gone(self, workers: list[str]) -> bool:
-        """Whether none of these is there any more; distributed would keep their tasks for ever."""
+        """Whether none of these exists; distributed would keep their tasks indefinitely."""
         try:
             return not await self._connection.client.scheduler.ncores(workers=workers)
         except (OSError, ClusterLost):
             return False
 
     def _on_failed(self, task: _Task, error: Exception) -> None:
-        """A chunk failed, or its worker died of it: the error says where, and the next try goes elsewhere."""
+        """A chunk failed or killed its worker: name the worker in the error and retry elsewhere."""
         if task.chunk is not None and task.worker is not None:
             error.add_note(f"worker {self._roster.describe(task.worker)}")
             self._quarantine.failed(task.chunk, task.worker)
 
     def _on_computed(self, task: _Task) -> None:
-        """A chunk was computed; workers that failed several that others computed get none for a while."""
+        """A chunk was computed: rest workers that failed several which others computed."""
         if task.chunk is None:
             return
         for worker in self._quarantine.computed(task.chunk, task.worker):
@@ -351,7 +350,7 @@ class Dask:
             self._connection.run_on(worker, rest, REST_SECONDS)
 
     def _executor_error(self, task: _Task, error: KilledWorker) -> ExecutorError:
-        """Tell a task that was running when its last worker died from one that only waited there."""
+        """Distinguish a task that was running when its last worker died from one waiting there."""
         address = error.last_worker.address
         if task.termination.done():
             return WorkerDied(task.termination.result())
@@ -371,4 +370,4 @@ def _target(address: Any, scheduler_file: str | Path | None, timeout: float) -> 
     """What to connect to, now and after each loss of the scheduler."""
     if scheduler_file is not None:
         return SchedulerFile(Path(scheduler_file), timeout)
-    return address if isinstance(address, Made) else Fixed(address)
+    return address if isinstance(address, CreatedCluster) else Fixed(address)

@@ -1,8 +1,8 @@
-"""What the jobs need, told to the scheduler, so that adaptive clusters grow before chunks wait.
+"""Tells the scheduler how much work the jobs have, so that adaptive clusters grow before chunks wait.
 
-An adaptive cluster (`cluster.adapt(...)`, of dask-jobqueue and dask-gateway too) asks the scheduler how many
-workers it should have. The scheduler counts the tasks that it has, and the service submits only a few chunks
-per worker. So the service tells the core-seconds that are left and how many chunks could run at once.
+An adaptive cluster (`cluster.adapt(...)`, also of dask-jobqueue and dask-gateway) asks the scheduler how many
+workers it should have. The scheduler counts its own tasks, but the service submits only a few chunks per
+worker. So the service reports the remaining core-seconds and how many chunks could run at once.
 """
 
 import math
@@ -18,10 +18,10 @@ HANDLER: Final = "bouncing_spring_demand"
 
 
 class Demand(SchedulerPlugin):
-    """Has the scheduler ask for as many workers as the services that use it need.
+    """Makes the scheduler ask for as many workers as its services need.
 
     With `seconds` core-seconds left and Dask's `target-duration` T these are seconds / T, at most as many as
-    chunks could run at once, and one for each worker that gets none: such a worker is of no use.
+    chunks could run at once, plus one for each refused or resting worker.
     """
 
     name = NAME
@@ -38,14 +38,14 @@ class Demand(SchedulerPlugin):
         scheduler.handlers[HANDLER] = self._set
 
     def remove_client(self, scheduler: Any, client: str) -> None:
-        """Called by distributed: a service that is gone needs nothing."""
+        """Called by distributed: a service that has left needs nothing."""
         self._needs.pop(client, None)
 
     def _set(self, client: str, seconds: float, tasks: int) -> None:
         self._needs[client] = (seconds, tasks)
 
     def _target(self, target_duration: Any = None) -> int:
-        """In place of `Scheduler.adaptive_target`; never less."""
+        """Replaces `Scheduler.adaptive_target`; never less than that."""
         by_tasks: int = self._by_tasks(target_duration)
         duration = parse_timedelta(target_duration or dask.config.get("distributed.adaptive.target-duration"))
         wanted: int = sum(

@@ -1,4 +1,4 @@
-"""Why a task has no result although it raised nothing itself.
+"""Errors of the executor, not of the task.
 
 ExecutorError
 ├── WorkerDied      its worker process died while running it, or was terminated because of it
@@ -11,23 +11,23 @@ ExecutorError
 
 
 class ExecutorError(Exception):
-    """A task has no result although it raised nothing itself."""
+    """An error of the executor: the task has no result but raised nothing itself."""
 
 
 class WorkerDied(ExecutorError):
-    """The worker process died while it ran this task; the message says why, if that is known."""
+    """The worker process died while it ran this task; the message gives the reason, if known."""
 
 
 class WorkerLost(ExecutorError):
-    """The worker process at which this task waited died: another task is to blame."""
+    """The worker process died while this task waited there: another task is to blame."""
 
 
 class WorkerLeft(ExecutorError):
-    """The worker was told to leave before the task was done: nobody is to blame."""
+    """The worker was told to leave before the task was done."""
 
 
 class WorkerRefused(ExecutorError):
-    """The worker may not compute; the message says why."""
+    """The worker was not admitted; the message gives the reason."""
 
 
 class ReportMismatch(ExecutorError):
@@ -35,4 +35,4 @@ class ReportMismatch(ExecutorError):
 
 
 class ClusterLost(ExecutorError):
-    """The scheduler cannot be reached; all tasks it had are lost."""
+    """The scheduler cannot be reached; all its tasks are lost."""

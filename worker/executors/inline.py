@@ -9,7 +9,7 @@ from typing import Any
 from kernel.numerics.compilation import compilations
 from worker.executors.base import USUAL, ClusterState, Compiling, Result
 from worker.studies import Chunk, Spec, run_task
-from worker.tasks import ChunkReport, Terms, on_terms
+from worker.tasks import ChunkOptions, ChunkReport, with_options
 
 
 class Inline:
@@ -32,9 +32,9 @@ class Inline:
         *,
         seconds: float = math.inf,
         priority: float = 0,
-        terms: Terms = USUAL,
+        options: ChunkOptions = USUAL,
     ) -> "Future[ChunkReport]":
-        return self._threads.submit(_run, spec, chunk, store_url, terms)
+        return self._threads.submit(_run, spec, chunk, store_url, options)
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
         return self._threads.submit(function, *arguments)
@@ -49,7 +49,7 @@ class Inline:
         return ClusterState(self.workers() > 0, self.workers())
 
     def compiling(self, store_url: str) -> Compiling | None:
-        """What this process compiles, for whichever job."""
+        """The kernel that this process compiles, for any job."""
         under_way = compilations()
         return Compiling(under_way[0].kernel, 1, 1, time.time() - under_way[0].began) if under_way else None
 
@@ -60,6 +60,6 @@ class Inline:
         self._threads.shutdown(cancel_futures=True)
 
 
-def _run(spec: Spec, chunk: Chunk, store_url: str, terms: Terms) -> ChunkReport:
-    with on_terms(terms):
+def _run(spec: Spec, chunk: Chunk, store_url: str, options: ChunkOptions) -> ChunkReport:
+    with with_options(options):
         return run_task(spec, chunk, store_url)

@@ -1,8 +1,8 @@
-"""A Dask cluster of this machine: a scheduler in this process and worker processes, on loopback only.
+"""A Dask cluster on this machine: a scheduler in this process and worker processes, on loopback only.
 
-Scheduler, nannies and workers run whatever code they are sent, and every user of the machine reaches their
-ports. So they speak TLS with a certificate made for this cluster, which is known to its processes only; their
-HTTP servers have no pages; and the workers' files are in a folder of this user alone.
+Scheduler, nannies and workers run any code they receive, and every user of the machine can reach their
+ports. So they use TLS with a certificate known to this cluster's processes only; their HTTP servers have no
+pages; and only this user can enter the folder of the workers' files.
 """
 
 import asyncio
@@ -27,14 +27,14 @@ from worker.executors.connection import SCHEDULER_SETTINGS
 
 log = logging.getLogger(__name__)
 
-#: Workers that have not ended by themselves after so long are killed.
+#: Workers still running after this many seconds are killed.
 CLOSE_SECONDS: Final = 1.5
-#: Seconds after which they are killed again, where others replaced them meanwhile.
+#: Seconds between further kills, of workers that replaced them meanwhile.
 KILL_SECONDS: Final = 0.1
 #: The interval at which lost workers are replaced.
 REPLACE_SECONDS: Final = 1.0
 LOOPBACK: Final = "127.0.0.1"
-#: distributed drops a worker for good if it is not back so long after a death. A worker may take longer on a
+#: distributed drops a worker for good if it is not back this long after a death. That can take longer on a
 #: busy machine, so this is switched off.
 _LOST_WORKER_SETTINGS: Final = {"distributed.deploy.lost-worker-timeout": "1000 days"}
 #: Schedulers and workers always listen for HTTP; without routes they have nothing but an empty sitemap.
@@ -52,10 +52,10 @@ _SETTLED_SECONDS: Final = 60.0
 class LocalWorkers:
     """A cluster of `workers` processes with one thread each, kept at that number until `close`.
 
-    A process that dies is restarted by its nanny; a nanny that cannot do that, for lack of memory or of
-    process numbers, is replaced. Each process may use `memory` bytes (None: an equal share of the
-    machine's). Sets the Dask settings that its scheduler needs for this process. Its certificate is valid for
-    a year, which a cluster therefore cannot outlive.
+    A process that dies is restarted by its nanny; a nanny that cannot do so, for lack of memory or process
+    numbers, is replaced. Each process may use `memory` bytes (None: an equal share of the machine's). Sets
+    the Dask settings that its scheduler needs in this process. The certificate, and so the cluster, is valid
+    for a year.
     """
 
     def __init__(self, workers: int, memory: int | None) -> None:
@@ -63,7 +63,7 @@ class LocalWorkers:
         self._scratch = _Scratch()
         self.cluster: Any = None
         try:
-            # For the scheduler, which would make a folder of its own: see `_Scratch`.
+            # For the scheduler, which would make its own folder: see `_Scratch`.
             with dask.config.set(_NO_HTTP | {"temporary-directory": str(self._scratch.folder)}):
                 self.cluster = LocalCluster(  # type: ignore[no-untyped-call]
                     n_workers=0,
@@ -72,10 +72,10 @@ class LocalWorkers:
                     host=LOOPBACK,
                     security=Security.temporary(),  # type: ignore[no-untyped-call]
                     dashboard_address=f"{LOOPBACK}:0",
-                    scheduler_kwargs={"dashboard": False},  # it would be there if bokeh is installed
-                    # distributed's default is by the number of cores, whatever the number of processes.
+                    scheduler_kwargs={"dashboard": False},  # there by default if bokeh is installed
+                    # distributed's default depends on the cores, not on the number of processes.
                     memory_limit=memory or system.MEMORY_LIMIT // workers,
-                    # For the workers, also those that replace others later.
+                    # For the workers, later replacements included.
                     local_directory=str(self._scratch.folder),
                     config=_NO_HTTP,
                 )
@@ -89,16 +89,16 @@ class LocalWorkers:
     async def _start_workers(self) -> None:
         """Start all workers, in the cluster's event loop, and wait until they have joined.
 
-        Ctrl-C of a terminal goes to all processes of a command. It is for this one: threads and processes
-        inherit what the event loop's thread blocks.
+        A terminal's Ctrl-C goes to all processes of a command, but only this one should handle it: threads
+        and processes inherit the signals that the event loop's thread blocks.
         """
-        resource_tracker.ensure_running()  # which at its start would unblock it again
+        resource_tracker.ensure_running()  # starting it later would unblock Ctrl-C
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         self.cluster.scale(self._number)
         await self.cluster._correct_state()
 
     def close(self, *, at_once: bool = False) -> None:
-        """End all processes; kills those that need long, or, with `at_once`, do not compute yet."""
+        """Stop all processes; kill any still running after CLOSE_SECONDS, or at once with `at_once`."""
         if self.cluster is not None:
             ended = threading.Event()
             kill = threading.Thread(target=self._kill, args=(ended, 0.0 if at_once else CLOSE_SECONDS))
@@ -109,7 +109,7 @@ class LocalWorkers:
         self._scratch.remove()
 
     def _kill(self, ended: threading.Event, seconds: float) -> None:
-        """Kill the processes after so long, and those that replace them, until the cluster has ended."""
+        """Kill the processes and their replacements after `seconds`, until the cluster has ended."""
         while not ended.wait(seconds):
             for nanny in list(self.cluster.workers.values()):
                 if nanny.pid:
@@ -118,7 +118,7 @@ class LocalWorkers:
             seconds = KILL_SECONDS
 
     async def _replace_lost(self) -> None:
-        """Runs in the cluster's event loop for as long as the cluster does."""
+        """Replace lost workers; runs in the cluster's event loop as long as the cluster."""
         while self.cluster.status == Status.running:
             nannies = self.cluster.workers
             for name, nanny in list(nannies.items()):
@@ -132,10 +132,10 @@ class LocalWorkers:
 
 
 class _Scratch:
-    """A folder for the workers' files that no other user can enter or foresee, locked while it is used.
+    """A folder for the workers' files that other users can neither enter nor predict, locked while in use.
 
-    distributed's own would be `dask-scratch-space` in the system's folder for temporary files, where another
-    user can make it first. The workers' part of it is the first place where they look for modules.
+    distributed's default is `dask-scratch-space` in the system's folder for temporary files, which another
+    user can create first. Workers search their part of it for modules before anything else.
     """
 
     def __init__(self) -> None:
@@ -145,16 +145,16 @@ class _Scratch:
         fcntl.flock(self._lock, fcntl.LOCK_EX)
 
     def remove(self) -> None:
-        """Remove it with all that is in it."""
+        """Remove the folder and its contents."""
         temporary.remove(self.folder)
         self._lock.close()
 
 
 def _remove_abandoned(temporary: Path) -> None:
-    """Remove the scratch folders that killed processes of this user left."""
+    """Remove this user's scratch folders whose processes were killed."""
     for folder in temporary.glob(f"{_SCRATCH}*"):
         with contextlib.suppress(OSError):
-            status = folder.lstat()  # a link is another user's, or of no use
+            status = folder.lstat()  # not followed: a link is not ours
             if status.st_uid != os.geteuid() or time.time() - status.st_mtime < _SETTLED_SECONDS:
                 continue
             with _locked(folder / _LOCK):
@@ -162,7 +162,7 @@ def _remove_abandoned(temporary: Path) -> None:
 
 
 def _locked(path: Path) -> IO[str]:
-    """The file, locked until it is closed. Raises OSError if there is none or another process has it."""
+    """The file, locked until closed. Raises OSError if it is missing or another process has it."""
     file = path.open()
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

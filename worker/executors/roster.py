@@ -1,4 +1,4 @@
-"""What the service knows of its workers: which are refused, which were told to leave. Pure."""
+"""The service's view of its workers: which are refused and which are leaving. Pure."""
 
 import logging
 from collections import OrderedDict
@@ -7,7 +7,7 @@ from typing import Any, Final
 
 log = logging.getLogger(__name__)
 
-#: Workers that left, and hosts of workers, that are remembered.
+#: Number of workers that left, and of workers' hosts, remembered.
 _REMEMBERED: Final = 10_000
 
 
@@ -33,7 +33,7 @@ class Roster:
         self._leaving: OrderedDict[str, None] = OrderedDict()
 
     def note(self, event: dict[str, Any]) -> None:
-        """Take in an event that a worker's plugin logged."""
+        """Record an event that a worker's plugin logged."""
         address = event["worker"]
         _remember(self._hosts, address, event["host"])
         if "refused" in event:
@@ -49,7 +49,7 @@ class Roster:
 
     @property
     def refused(self) -> tuple[Refused, ...]:
-        """Those refused now, or when they were last there."""
+        """Workers refused now, or when last present."""
         return tuple(self._refused.values())
 
     def keep(self, present: set[str]) -> None:
@@ -58,11 +58,11 @@ class Roster:
             self._refused.pop(address, None)
 
     def is_leaving(self, address: str) -> bool:
-        """Whether a worker said that it was told to leave."""
+        """Whether a worker has reported that it must leave."""
         return address in self._leaving
 
     def describe(self, address: str) -> str:
-        """A worker's address, and the host if that is known."""
+        """A worker's address, and its host if known."""
         host = self._hosts.get(address)
         return address if host is None else f"{address} on {host}"
 

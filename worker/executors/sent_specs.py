@@ -1,7 +1,7 @@
-"""Specifications of chunks, sent to each worker once: a list of axis values may have thousands of numbers.
+"""Sends each worker the specification of its chunks once: axis values may be thousands of numbers.
 
-A long specification is written beside the store's metadata, and a chunk is sent with its digest. A worker
-reads and parses it when it computes its first chunk of the job.
+A long specification is written beside the store's metadata, and chunks are sent with its digest. A worker
+reads and parses it for its first chunk of the job.
 """
 
 import json
@@ -13,34 +13,34 @@ from typing import Any, Final, NamedTuple
 
 from worker import store
 from worker.studies import Chunk, Spec, from_json
-from worker.tasks import ChunkReport, TaskError, Terms
+from worker.tasks import ChunkOptions, ChunkReport, TaskError
 from worker.watchdog import run_watched
 
 log = logging.getLogger(__name__)
 
-#: Pickled specifications of more bytes are sent once.
+#: Pickled specifications larger than this, in bytes, are sent once.
 LONG_BYTES: Final = 4_000
-#: Jobs whose specifications are remembered, by the service and by each worker.
+#: Number of jobs whose specifications the service, and each worker, remember.
 REMEMBERED: Final = 32
 
 
 class Reference(NamedTuple):
-    """Where a specification is: in a store, and its digest."""
+    """The location of a specification, a store, and its digest."""
 
     url: str
     digest: str
 
 
-class SentSpecs:
-    """Which specifications are sent by reference; used by the service's supervisor alone."""
+class SpecReferences:
+    """Decides which specifications are sent by reference; used only by the service's supervisor."""
 
     def __init__(self) -> None:
         self._sent: OrderedDict[str, tuple[Spec, Spec | Reference]] = OrderedDict()  # by store
 
     def sent(self, spec: Spec, url: str) -> Spec | Reference:
-        """What to send in place of a specification: itself, unless it is long."""
-        known, sent = self._sent.get(url, (None, spec))
-        if known is not spec:
+        """The specification itself, or a reference if it is long."""
+        last_spec, sent = self._sent.get(url, (None, spec))
+        if last_spec is not spec:
             sent = self._reference(spec, url) if len(pickle.dumps(spec)) > LONG_BYTES else spec
             self._sent[url] = spec, sent
             if len(self._sent) > REMEMBERED:
@@ -48,26 +48,26 @@ class SentSpecs:
         return sent
 
     def _reference(self, spec: Spec, url: str) -> Spec | Reference:
-        """Write a specification into its store; itself where that cannot be done, or would change it."""
+        """Write a long specification into its store; returns itself if that fails or would change it."""
         text = json.dumps(spec.as_submitted())
         try:
             if from_json(text) == spec:
                 return Reference(url, store.write_spec(url, text))
-        except Exception as error:  # noqa: BLE001 - a full disk, a bucket out of reach: it is sent whole
+        except Exception as error:  # noqa: BLE001 - e.g. a full disk: it is sent whole
             log.warning("the specification cannot be written to %s: %s", url, error)
         return spec
 
 
 def run_sent(
-    sent: Spec | Reference, chunk: Chunk, store_url: str, seconds: float, terms: Terms
+    sent: Spec | Reference, chunk: Chunk, store_url: str, seconds: float, options: ChunkOptions
 ) -> ChunkReport | TaskError:
-    """`run_watched` of a chunk whose specification may have been sent by reference."""
-    spec = _read(sent) if isinstance(sent, Reference) else sent
-    return run_watched(spec, chunk, store_url, seconds, terms)
+    """`run_watched` for a chunk whose specification may be sent by reference."""
+    spec = _read_spec(sent) if isinstance(sent, Reference) else sent
+    return run_watched(spec, chunk, store_url, seconds, options)
 
 
 @lru_cache(maxsize=REMEMBERED)
-def _read(reference: Reference) -> Any:
+def _read_spec(reference: Reference) -> Any:
     text = store.read_spec(reference.url, reference.digest)
     if text is None:
         raise store.StoreMissing(f"{reference.url}: the job's specification is not there")

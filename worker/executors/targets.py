@@ -1,7 +1,7 @@
 """What a connection connects to, now and after each loss: an address, a scheduler file, or a cluster object.
 
-`Made` makes a cluster by a user's function, replaces the workers that it lost, and makes another cluster when
-the scheduler is gone for good.
+`CreatedCluster` creates a cluster by a user's function, replaces lost workers, and creates another cluster
+when the scheduler is gone for good.
 """
 
 import asyncio
@@ -17,13 +17,13 @@ from worker.executors.errors import ClusterLost
 
 log = logging.getLogger(__name__)
 
-#: Raised where no scheduler can be reached: a time-out is an OSError, a scheduler file may be half written.
+#: Errors when no scheduler can be reached: a time-out is an OSError, a scheduler file may be half written.
 NO_SCHEDULER: Final = (OSError, ValueError, KeyError, TypeError)
-#: A cluster whose scheduler has not answered so many connections in a row is made again.
+#: A cluster is replaced after this many unanswered connections in a row.
 UNANSWERED: Final = 3
-#: Seconds until a function that failed is called again: the first, doubled each time, and the most.
+#: Seconds until a failed function is called again: the first pause, doubled each time, and the longest.
 FIRST_PAUSE, LONGEST_PAUSE = 1.0, 60.0
-#: Seconds between two looks at whether a cluster has lost workers.
+#: Seconds between checks for lost workers.
 REFILL_SECONDS: Final = 5.0
 #: The states of a Dask cluster that no longer computes.
 _ENDED: Final = frozenset({"closed", "closing", "failed"})
@@ -36,20 +36,20 @@ class Target(Protocol):
         """The scheduler's address, or a cluster object. Raises ClusterLost, or one of NO_SCHEDULER."""
 
     def unanswered(self) -> None:
-        """What `find` returned does not answer."""
+        """Note that the result of `find` does not answer."""
 
     def refill(self) -> None:
-        """Have workers replaced that were lost; returns at once."""
+        """Replace lost workers; does not block."""
 
     def planned(self) -> int | None:
-        """Workers that the cluster shall have; None if that is not known."""
+        """Number of workers that the cluster should have; None if unknown."""
 
     def close(self) -> None:
-        """End what `find` has made."""
+        """Close what `find` has created."""
 
 
 class Fixed:
-    """A scheduler at one address, or a cluster object that somebody else closes."""
+    """A scheduler at one address, or a cluster object that its owner closes."""
 
     def __init__(self, address: Any) -> None:
         self._address = address
@@ -68,14 +68,14 @@ class Fixed:
 
 
 class SchedulerFile(Fixed):
-    """A scheduler whose address is in a file. At first the file is waited for, `timeout` seconds."""
+    """A scheduler whose address is in a file. Waits `timeout` seconds for the file at first."""
 
     def __init__(self, file: Path, timeout: float) -> None:
         super().__init__(None)
         self._file, self._deadline = file, time.monotonic() + timeout
 
     def find(self) -> str:
-        """distributed itself would wait for the file for ever."""
+        """The address in the file; distributed itself would wait for the file indefinitely."""
         while True:
             try:
                 return str(json.loads(self._file.read_text())["address"])
@@ -86,15 +86,15 @@ class SchedulerFile(Fixed):
             time.sleep(0.1)
 
 
-class Made:
-    """A cluster that `make()` returns, made again when it has ended or its scheduler does not answer.
+class CreatedCluster:
+    """A cluster returned by `function()`, created again when it has ended or its scheduler does not answer.
 
-    `name` is for messages. Calls of a function that fails are FIRST_PAUSE seconds apart, then twice as long
-    each time, LONGEST_PAUSE at most.
+    `name` is for messages. A function that fails is called again after FIRST_PAUSE seconds, doubled each time
+    up to LONGEST_PAUSE.
     """
 
-    def __init__(self, make: Callable[[], Any], name: str) -> None:
-        self._make, self._name = make, name
+    def __init__(self, function: Callable[[], Any], name: str) -> None:
+        self._function, self._name = function, name
         self._cluster: Any = None
         self._unanswered = 0  # connections in a row
         self._pause, self._next_try, self._failure = 0.0, 0.0, ""
@@ -104,7 +104,7 @@ class Made:
         if self._cluster is not None and self._has_ended():
             self._discard("it has ended")
         if self._cluster is None:
-            self._cluster = self._made()
+            self._cluster = self._create()
             self._unanswered, self._next_refill = 0, time.monotonic() + REFILL_SECONDS
         return self._cluster
 
@@ -114,14 +114,14 @@ class Made:
             self._discard("its scheduler does not answer")
 
     def refill(self) -> None:
-        """Adaptive clusters do this themselves; a cluster of fixed size keeps the gap."""
+        """Replace lost workers of a cluster of fixed size; adaptive clusters do so themselves."""
         now = time.monotonic()
         if self._cluster is None or now < self._next_refill or not hasattr(self._cluster, "worker_spec"):
             return
         self._next_refill = now + REFILL_SECONDS
         if len(self._cluster.workers) < len(self._cluster.worker_spec):
             log.warning("%s has lost workers; starting others", self._name)
-            asyncio.run_coroutine_threadsafe(_settled(self._cluster), self._cluster.loop.asyncio_loop)
+            asyncio.run_coroutine_threadsafe(_start_missing(self._cluster), self._cluster.loop.asyncio_loop)
 
     def planned(self) -> int | None:
         return planned(self._cluster)
@@ -138,7 +138,7 @@ class Made:
 
     def _discard(self, why: str) -> None:
         log.warning("the cluster of %s is made again: %s", self._name, why)
-        with contextlib.suppress(Exception):  # what is left of it cannot be closed either
+        with contextlib.suppress(Exception):  # the rest cannot be closed either
             self.close()
         self._cluster = None
         self._postpone()
@@ -147,11 +147,11 @@ class Made:
         self._pause = min(2 * self._pause, LONGEST_PAUSE) if self._pause else FIRST_PAUSE
         self._next_try = time.monotonic() + self._pause
 
-    def _made(self) -> Any:
+    def _create(self) -> Any:
         if (wait := self._next_try - time.monotonic()) > 0:
             raise ClusterLost(f"no cluster from {self._name}{self._failure}; made again in {wait:.0f} s")
         try:
-            cluster = self._make()
+            cluster = self._function()
         except Exception as error:
             self._failure = f": {type(error).__name__}: {error}"
             self._postpone()
@@ -161,13 +161,13 @@ class Made:
 
 
 def planned(cluster: Any) -> int | None:
-    """Workers that a cluster object shall have; None of an address, and of an object that does not say."""
+    """The size that a cluster object should have; None for an address or an object that does not know."""
     with contextlib.suppress(Exception):
         return len(cluster.plan)
     return None
 
 
-async def _settled(cluster: Any) -> None:
-    """Awaiting a cluster of distributed's has it start the workers that it lacks."""
-    with contextlib.suppress(Exception):  # the next look tries again
+async def _start_missing(cluster: Any) -> None:
+    """Await the cluster, which makes distributed start its missing workers."""
+    with contextlib.suppress(Exception):  # the next check tries again
         await cluster

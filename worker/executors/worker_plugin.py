@@ -19,12 +19,12 @@ from worker.executors.sent_plugin import JUDGE_SECONDS, log_event, refuse, set_a
 from worker.kernel_cache import use_cache
 from worker.precompile import Precompiling
 
-#: Time for the last event to reach the scheduler before the process ends, and the longest that chunks may
-#: take to pause before.
+#: Seconds for the last event to reach the scheduler before the process ends, and the longest that chunks may
+#: take to pause before that.
 REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
 
 
-#: A worker that has computed nothing for so long compiles the kernels that nobody has asked for yet.
+#: A worker that has been idle for this long compiles the kernels that nobody has asked for yet.
 IDLE_SECONDS: Final = 60.0
 
 
@@ -52,13 +52,13 @@ class PreparedWorker(WorkerPlugin):
         asyncio.get_running_loop().call_later(IDLE_SECONDS, self._use_idle_time, worker)
 
     def transition(self, key: Any, start: str, finish: str, **_: Any) -> None:
-        """Called by distributed when a task changes its state: one that begins ends the idle time."""
+        """Called by distributed when a task changes its state; a task that begins ends the idle time."""
         if finish == "executing":
             self._began = time.monotonic()
             self._stop_precompiling()
 
     def _use_idle_time(self, worker: Any) -> None:
-        """Compile the other kernels once nothing has been computed for IDLE_SECONDS."""
+        """Compile the other kernels after IDLE_SECONDS without a task."""
         if self._removed:
             return
         idle = time.monotonic() - self._began
@@ -99,7 +99,7 @@ class PreparedWorker(WorkerPlugin):
             log_event(worker, admitted=True)
 
     def _prepare(self) -> None:
-        """Import what computes chunks. Raises whatever that raises, and CacheRefused."""
+        """Import what computes chunks. Raises any import error, and CacheRefused."""
         use_cache(self._root)
         import worker.tasks  # noqa: F401, PLC0415 - a worker without the kernel is refused, not broken
 
@@ -108,7 +108,7 @@ class PreparedWorker(WorkerPlugin):
             await self._judge(worker)
 
     def _leave(self, worker: Any) -> None:
-        """SIGTERM: say so, let chunks pause, then end as SIGTERM would."""
+        """On SIGTERM: report it, let chunks pause, then end as SIGTERM would."""
         log_event(worker, leaving=True)
         set_available(worker, available=False)
         worker.loop.add_callback(self._end, worker)
@@ -119,7 +119,7 @@ class PreparedWorker(WorkerPlugin):
 
 
 def _quiet_when_closing(worker: Any) -> None:
-    """Drop what a worker that is told to close logs of the tasks and connections that end with it."""
+    """Drop a closing worker's log messages about the tasks and connections that end with it."""
 
     def is_open(record: logging.LogRecord) -> bool:
         return worker.status not in (Status.closing, Status.closing_gracefully, Status.closed)
@@ -129,21 +129,21 @@ def _quiet_when_closing(worker: Any) -> None:
 
 
 def rest(seconds: float, dask_worker: Any) -> None:
-    """Run on a worker by the service: take no task for so long."""
+    """Take no task for `seconds`; run on a worker by the service."""
     set_available(dask_worker, available=False)
     dask_worker.loop.call_later(seconds, set_available_again, dask_worker)
 
 
 def set_available_again(worker: Any) -> None:
-    """The end of a rest, unless the worker is leaving."""
+    """End a rest, unless the worker is leaving."""
     if worker.status == Status.running:
         set_available(worker, available=True)
 
 
 async def _pause_chunks(worker: Any) -> None:
-    """Have the chunks of this worker write what they have computed, and wait until they have."""
+    """Make this worker's chunks store their progress, and wait until they have."""
     if (tasks := sys.modules.get("worker.tasks")) is None:
-        return  # it was refused, and perhaps because that cannot be imported
+        return  # refused, perhaps because this import fails
     tasks.LEAVING.set()
     deadline = time.monotonic() + PAUSE_SECONDS
     await asyncio.sleep(REPORT_SECONDS)

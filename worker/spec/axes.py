@@ -35,7 +35,7 @@ def _plain(value: object) -> object:
 
 
 def _to_float(value: object) -> object:
-    """Reject non-finite numbers, and convert -0.0 to 0.0: the two define the same sweep."""
+    """Reject non-finite numbers, and convert -0.0 to 0.0, which defines the same sweep."""
     value = _plain(value)
     if isinstance(value, float) and not np.isfinite(value):
         raise BrokenRuleError("", f"must be finite, not {describe(value)}")
@@ -52,7 +52,7 @@ def _to_int(value: object) -> object:
     if value != int(value):
         low = int(np.floor(value))
         raise BrokenRuleError(
-            "", f"must be a whole number, not {describe(value)}; {low} or {low + 1} would do", "type"
+            "", f"must be a whole number: {low} or {low + 1}, not {describe(value)}", "type"
         )
     return int(value)
 

@@ -31,13 +31,13 @@ MIN_TOLERANCE: Final = 1e-9
 
 MAX_STEPS_PER_CONTACT: Final = 1_000_000
 
-#: Core-microseconds per cell per plate period of `rigid`: of a cell computed by itself, and with restitution
+#: Core-microseconds per cell per plate period of `rigid`: of a cell by itself, and with restitution
 #: above 0, in lanes and by itself.
 RIGID_ALONE_US: Final = 0.75
 RIGID_ELASTIC_US: Final = 0.68
 RIGID_ELASTIC_ALONE_US: Final = 1.9
-#: And of `soft`: more hops follow an impact the stiffer the contact, for each decade of penetration below the
-#: default one; of a cell by itself.
+#: The same of `soft`: the stiffer the contact, the more hops follow an impact, for each decade of penetration
+#: below the default; of a cell by itself.
 SOFT_DECADE_US: Final = 0.085
 SOFT_ALONE_US: Final = 2.0
 
@@ -57,7 +57,7 @@ class ContactFields(Strict):
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """Core-microseconds per cell per plate period of a sweep with these axis values.
 
-        base: `ContactModel.cost_us`. at_once: cells, or lines of a ramp, that are computed side by side.
+        base: `ContactModel.cost_us`. at_once: cells, or lines of a ramp, computed side by side.
         """
         return base
 
@@ -68,14 +68,14 @@ class ContactFields(Strict):
 
     @property
     def exponents(self) -> int:
-        """The most Lyapunov exponents that can be computed with this contact; 0: none."""
+        """Maximum Lyapunov exponents that can be computed with this contact; 0: none."""
         return 0
 
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
-    """The cost of a cell of which `at_once` are computed side by side, from those in full lanes and alone.
+    """The cost of a cell with `at_once` computed side by side, from the costs in full lanes and alone.
 
-    Half of the lanes, one vector, cost the same whatever is in them.
+    Half of the lanes, one vector, cost the same however full they are.
     """
     return min(alone, in_lanes * max(LANES // 2 / at_once, 1.0)) if at_once > 1 else alone
 
@@ -148,7 +148,7 @@ class Stepped(_SoftContact):
         return super().plate_arguments(gamma, omega, xi) | steps
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
-        """`base` times the number of steps per plate period: the geometric mean of the sweep's two ends."""
+        """`base` times the steps per plate period: the geometric mean of the sweep's two ends."""
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         steps = steps_per_period(self.restitution, depths, self.steps_per_contact, adhesive=self.adhesive)
         return base * float(np.sqrt(np.prod(steps.astype(float))))
@@ -220,7 +220,7 @@ class Auto(_SoftContact):
         return self
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
-        """Until a model is chosen, as the exact one."""
+        """Until a model is chosen, the exact one's cost."""
         return self.exact.cost_us(base, gamma, omega, at_once=at_once)
 
     @property
@@ -229,7 +229,7 @@ class Auto(_SoftContact):
 
     @property
     def exact(self) -> Soft:
-        """The contact that the tolerance is measured from."""
+        """The contact that the tolerance refers to."""
         return Soft(**self.model_dump(include=set(_SoftContact.model_fields) - {"kind"}))
 
 
@@ -240,13 +240,13 @@ class ContactModel(NamedTuple):
     kernel: str  # name of the module that has its `plate`
     cost_us: float  # core-microseconds per cell per plate period from rest; of `stepped`, per time step
     label: str  # for figures and messages
-    early: float = 1.0  # the share of the cost where cycles that surely repeat are not computed
+    early: float = 1.0  # share of the cost where provably repeating cycles are skipped
     ramp: float = 1.0  # cost of a ramp's cell relative to one from rest; of models in lanes, side by side
 
 
 #: Every contact model by its kind. A new one needs a kernel module, its fields, and a row here (see
-#: docs/architecture.md). Costs: means over cells of all kinds (`python -m benchmarks.cost --estimates`). Few
-#: cells of a ramp of springs are at rest; of a ball's, more.
+#: docs/architecture.md). Costs: means over cells of all kinds (`python -m benchmarks.cost --estimates`). On a
+#: ramp few cells of springs are at rest, and more cells of a ball.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
     "soft": ContactModel(Soft, "kernel.models.soft", 0.52, "soft contact", 0.7, 1.3),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
@@ -297,7 +297,7 @@ if not TYPE_CHECKING:
 
 
 def penetration_of(model: ContactFields, gamma: _Array, omega: _Array) -> _Array:
-    """Contact depth d = delta_c/A, in plate amplitudes, of cells (n,).
+    """Contact depth d = delta_c/A in plate amplitudes, for cells (n,).
 
     A rest length L = Lambda*g/omega0**2 gives l = L/A = Lambda*Omega**2/Gamma and d = 1e-4*l, as in the
     paper. Models without a soft contact get DEFAULT_PENETRATION.

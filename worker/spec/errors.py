@@ -17,7 +17,7 @@ from pydantic import ValidationError
 #: One entry of `ValidationError.errors()`: type, loc, msg, input, ctx.
 _Entry = Mapping[str, Any]
 
-#: Problems listed in one error; of further ones only the number is given.
+#: Problems listed in one error; the others are only counted.
 MAX_PROBLEMS: Final = 20
 
 
@@ -104,7 +104,7 @@ def did_you_mean(wrong: object, names: Iterable[str]) -> str:
 
 
 def problems_of(error: ValidationError, fields: Mapping[str, Sequence[str]]) -> list[Problem]:
-    """Convert pydantic's errors to problems, at most MAX_PROBLEMS and one with the number of the others.
+    """Convert pydantic's errors to at most MAX_PROBLEMS problems and one that counts the others.
 
     fields: the field names of every object by its tag; `""` is the specification itself. Tags of unions
     look like `<range>` and are not part of a field's path.
@@ -149,7 +149,7 @@ def _problem(entry: _Entry, fields: Mapping[str, Sequence[str]]) -> Problem:
 
 
 def code_of(kind: str) -> Code:
-    """The code of one of pydantic's types of errors."""
+    """The code of a pydantic error type."""
     if kind.endswith(("_type", "_parsing")):
         return "type"
     codes: dict[str, Code] = {"missing": "missing", "extra_forbidden": "unknown"}

@@ -17,11 +17,11 @@ from worker.spec.errors import Problem, SpecInvalid, SpecUnreadable, describe
 MAX_FILE_BYTES: Final = 4_000_000
 MAX_SLOW_BYTES: Final = 1_000_000  # tomllib is slower than json by a factor of thirty, yaml by a thousand
 MAX_DIGITS: Final = 400  # a double has at most 309 before the point
-#: Names in one dotted key, `model.kind`; tomllib takes quadratic time for them.
+#: Names in one dotted key, such as `model.kind`; tomllib takes quadratic time for them.
 MAX_KEY_PARTS: Final = 16
 
-#: What a TOML text is made of, as far as dotted keys go: comments and strings, whose dots do not count, parts
-#: of keys, dots, and blanks. A string that does not end reaches to the end of its line, or of the text.
+#: Tokens of TOML that matter for dotted keys: comments and strings, whose dots do not count, parts of
+#: keys, dots, and blanks. An unclosed string reaches to the end of its line or of the text.
 _TOML_TOKEN: Final = re.compile(
     r"""(?P<comment>\#[^\n]*)
     |(?P<part>"{3}(?:\\[\s\S]|[^\\])*?(?:"{3}|\Z) | '{3}[\s\S]*?(?:'{3}|\Z)
@@ -72,7 +72,7 @@ def read_json(text: str | bytes) -> object:
 
 
 def fields_of(data: object, what: str) -> dict[str, Any]:
-    """The fields of an object; `what` it is, for errors. Raises `SpecInvalid`."""
+    """The fields of an object, called `what` in errors. Raises `SpecInvalid`."""
     if not isinstance(data, dict):
         raise SpecInvalid([Problem("", f"{what} must be an object, not {describe(data)}")])
     wrong = [key for key in data if not isinstance(key, str) or not key.isprintable()]

@@ -23,7 +23,7 @@ class Rest(Strict):
     kind: Literal["rest"] = "rest"
 
 
-#: Plate periods of a cycle that a ramp starts on, at most.
+#: Maximum plate periods of a cycle on which a ramp starts.
 MAX_START_PERIODS: Final = 12
 
 
@@ -35,7 +35,7 @@ def _one_bounce(value: object) -> object:
 
 
 class OnCycle(Strict):
-    """The stable cycle of the closed form that the first cell of a line starts on (docs/hysteresis.md)."""
+    """The stable cycle in closed form on which the first cell of a line starts (docs/hysteresis.md)."""
 
     bounces: Annotated[int, WHOLE, BeforeValidator(_one_bounce)] = 1
     periods: Annotated[int, Field(ge=1, le=MAX_START_PERIODS), WHOLE] = 1
@@ -61,7 +61,7 @@ class Ramp(Strict):
 
     @model_serializer(mode="wrap")
     def _plain(self, default: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without a start that is off: job ids made before the field existed must not change."""
+        """Omit a start that is off: job ids made before the field existed must not change."""
         plain: dict[str, Any] = default(self)
         return {name: value for name, value in plain.items() if name != "start" or value is not None}
 
@@ -69,7 +69,7 @@ class Ramp(Strict):
 #: The protocols of a sweep by kind.
 PROTOCOLS: Final[dict[str, type[Strict]]] = {"rest": Rest, "ramp": Ramp}
 
-#: Every kind of protocol: those of other studies have specifications of their own (`worker.studies`).
+#: Every kind of protocol; those of other studies have their own specifications (`worker.studies`).
 KINDS: Final = (*PROTOCOLS, "orbits", "basin", "multistability")
 
 

@@ -6,29 +6,29 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from worker.spec.axes import WHOLE, Strict
 
-#: The widest block that a map may begin with, in cells: wider ones miss more, and hardly save any cells.
+#: Widest first block of a map, in cells: wider ones miss more and save hardly any cells.
 MAX_COARSEST: Final = 128
 
-#: The longest cycles, in plate periods, that a map by mode tells apart. Longer ones are one class: where they
+#: Longest cycles, in plate periods, that a map by mode distinguishes. Longer ones are one class: where they
 #: mix, every cell would be computed.
 MAX_MODE_PERIODS: Final = 4
 
-#: `settle_until` of an adaptive map where it is not given: a cell that still settles has not the outcome that
-#: others should take. Of the plane of docs/specification.md, 8 % of the cells settle after 300 plate periods,
-#: 0.2 % after 5,000, and 0.2 % after 20,000.
+#: Default `settle_until` of an adaptive map: others should not take the outcome of a cell still settling. In
+#: the plane of docs/specification.md, 8 % of the cells settle after 300 plate periods, 0.2 % after 5,000, and
+#: 0.2 % after 20,000.
 SETTLE_UNTIL: Final = 5_000
 
-#: `coarsest` where it is not given. Modes have islands and tongues of a few cells, which blocks of 64 miss;
-#: the region that bounces has none (`python -m benchmarks.adaptive`).
+#: Default `coarsest`. Modes have islands and tongues of a few cells, which blocks of 64 miss; the bouncing
+#: region has none (`python -m benchmarks.adaptive`).
 COARSEST: Final = {"mode": 16, "bouncing": 64}
 
 
 class Refine(Strict):
-    """Compute only the cells near which the map changes; the others take their values from their block.
+    """Compute only the cells near changes of the map; the others take their values from their block.
 
-    `by`: what is a change. `coarsest`: rows and columns of the blocks that the map begins with, in cells; by
-    default COARSEST. `margin`: whether the neighbours of a larger block that is split are split
-    too, and the smallest blocks computed whole.
+    `by`: the kind of change. `coarsest`: rows and columns of the first blocks, in cells; by default COARSEST.
+    `margin`: whether the neighbours of a split larger block are split too, and the smallest blocks computed
+    whole.
     """
 
     by: Literal["mode", "bouncing"]

@@ -1,4 +1,4 @@
-"""What every specification is: named fields read strictly, axes, and an id that its numbers decide."""
+"""The base of every specification: named fields read strictly, axes, and an id from its numbers."""
 
 import hashlib
 import json
@@ -85,7 +85,7 @@ class Specification(Strict):
         return values_of(values)
 
     def left_out(self) -> set[str]:
-        """Fields that do not determine the stored numbers, or that are of a later release and off.
+        """Fields that do not determine the stored numbers, or that are newer and off.
 
         Job ids made before these fields existed must not change.
         """

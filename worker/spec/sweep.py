@@ -42,7 +42,7 @@ LARGEST: Final = 1e6
 MAX_PERIODS: Final = 10_000_000
 MAX_KEEP: Final = 10_000
 
-#: Lines of a ramp that starts on cycles, each of which is looked for when the sweep is submitted (5 ms).
+#: Maximum lines of a ramp that starts on cycles; each cycle is sought on submission (5 ms).
 MAX_STARTS: Final = 1_000
 
 #: Contact models that can start on a cycle of the spring.
@@ -66,15 +66,15 @@ Xi = Annotated[
 ]
 Settle = Annotated[int, Field(ge=0, le=MAX_PERIODS, description="Plate periods before the window."), WHOLE]
 Observe = Annotated[int, Field(ge=1, le=MAX_PERIODS, description="Plate periods of the window."), WHOLE]
-Keep = Annotated[int, Field(ge=1, le=MAX_KEEP, description="Flights stored, the last ones."), WHOLE]
+Keep = Annotated[int, Field(ge=1, le=MAX_KEEP, description="Number of last flights stored."), WHOLE]
 MicroFlight = Annotated[
     float, Field(ge=0.0, description="Flights shorter than this are not counted as bounces (rad)."), NUMBER
 ]
 SettleUntil = Annotated[
     Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None,
     Field(
-        description="Plate periods in all that a cell which has not settled may go on for; null: none, "
-        f"and {SETTLE_UNTIL:,} of an adaptive map."
+        description="Maximum plate periods of a cell, if it has not settled by then; null: no extension, "
+        f"or {SETTLE_UNTIL:,} for an adaptive map."
     ),
 ]
 Exponents = Annotated[
@@ -117,7 +117,7 @@ class SweepSpec(Specification):
         bool,
         Field(
             strict=True,
-            description="From rest without exponents: whether cycles that surely repeat are not computed.",
+            description="From rest without exponents: whether provably repeating cycles are skipped.",
         ),
     ] = True
     exponents: Exponents = 0
@@ -129,7 +129,7 @@ class SweepSpec(Specification):
     @model_validator(mode="before")
     @classmethod
     def _settled(cls, fields: Any) -> Any:
-        """Let the cells of an adaptive map settle, before others take their values."""
+        """Let the cells of an adaptive map settle before others take their values."""
         if not isinstance(fields, dict) or fields.get("refine") is None or fields.get("settle_until"):
             return fields
         settle, observe = (fields.get(name, cls.model_fields[name].default) for name in ("settle", "observe"))
@@ -151,7 +151,7 @@ class SweepSpec(Specification):
             rule = f"must be at least settle + 2 * observe, or null: less has no effect; {nearest} works"
             raise BrokenRuleError("settle_until", rule)
         if self.refine is not None and not isinstance(self.protocol, Rest):
-            rule = f"needs protocol.kind 'rest', not {self.protocol.kind!r}, every cell of which is computed"
+            rule = f"needs protocol.kind 'rest', not {self.protocol.kind!r}, which computes every cell"
             raise BrokenRuleError("refine", f"{rule}; null works")
         self._check_exponents()
         self._check_depth()
@@ -192,7 +192,7 @@ class SweepSpec(Specification):
             raise BrokenRuleError("model.rest_length", rule)
 
     def _check_start(self) -> None:
-        """Every line of a ramp that starts on a cycle has that cycle in its first cell."""
+        """Check that every line of a ramp that starts on a cycle has that cycle in its first cell."""
         ramp = self.protocol
         if not isinstance(ramp, Ramp) or ramp.start is None:
             return
@@ -210,7 +210,7 @@ class SweepSpec(Specification):
                 raise BrokenRuleError("protocol.start", rule)
 
     def first_cells(self) -> Iterator[Cell]:
-        """The cell that each line of a ramp begins with."""
+        """The first cell of each line of a ramp."""
         axis = self.ramp_axis
         if axis is None:
             return
@@ -222,7 +222,7 @@ class SweepSpec(Specification):
 
     @classmethod
     def objects(cls) -> Mapping[str, tuple[str, ...]]:
-        """As of every specification, with the protocols and the contact models."""
+        """As for every specification, with the protocols and the contact models."""
         return {
             **super().objects(),
             "<rest>": tuple(Rest.model_fields),
@@ -256,7 +256,7 @@ class SweepSpec(Specification):
         return len(self.directions), xi, omega, gamma
 
     def left_out(self) -> set[str]:
-        """The labels, and fields of later releases that have their defaults or no effect."""
+        """The labels, and newer fields that are at their defaults or without effect."""
         later = ("settle_tolerance", "settle_until", "exponents", "refine")
         left_out = {"parent"} | {field for field in later if not getattr(self, field)}
         if self.settle_early or not isinstance(self.protocol, Rest) or self.exponents:
@@ -275,7 +275,7 @@ def start_of(cell: Cell, periods: int) -> Start | None:
 
 
 def no_cycle(cell: Cell, periods: int) -> str:
-    """The rule that a cell without a stable cycle breaks, with the nearest range of Gamma that has one."""
+    """The rule broken by a cell without a stable cycle, with the nearest range of Gamma that has one."""
     at = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
     rule = f"there is no stable cycle (1, {periods}) at {at}"
     try:

@@ -55,16 +55,16 @@ def check_steps(model: Stepped, cells: Cells, periods: int) -> None:
     )
     fitting = model.steps_per_contact * max_per_period // (per_period + 1)
     if fitting >= min_per_contact:
-        raise BrokenRuleError("model.steps_per_contact", f"{rule}; {fitting} would do")
+        raise BrokenRuleError("model.steps_per_contact", f"{rule}; {fitting} works")
     field = "penetration" if model.rest_length is None else "rest_length"
     deeper = _rounded_up(getattr(model, field) * per_period / max_per_period)
-    raise BrokenRuleError(f"model.{field}", f"{rule}; {deeper:g} would do")
+    raise BrokenRuleError(f"model.{field}", f"{rule}; {deeper:g} works")
 
 
 def stated(model: Stepped, cells: Cells) -> dict[str, float]:
     """A store's attribute `time_steps`: the longest step of all cells (rad) and the limit of stability.
 
-    The limit is that of contact, spring and dashpot together in the worst cell, as a step (rad) and as
+    The limit applies to contact, spring and dashpot together in the worst cell, as a step (rad) and as
     `steps_per_contact`. Raises BrokenRuleError if `model` is unstable in any of `cells`.
     """
     depth = penetration_of(model, cells.gamma, cells.omega)

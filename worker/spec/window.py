@@ -13,10 +13,10 @@ from worker.spec.protocols import Rest
 from worker.spec.refine import Refine
 from worker.spec.sweep import SweepSpec
 
-#: The fewest values of a window along an axis, however few of the map's are in it.
+#: Minimum values of a window along an axis.
 FEWEST_VALUES: Final = 129
 
-#: The most times as fine as the map that a window's grid can be.
+#: Finest grid of a window, in multiples of the map's.
 MAX_FINER: Final = 64
 
 
@@ -30,10 +30,10 @@ Ends = Annotated[list[Number], Field(min_length=2, max_length=2), AfterValidator
 
 
 class Window(Strict):
-    """A part of a map over gamma and omega at one xi, and how it is computed.
+    """A part of a map over gamma and omega at one xi, and how to compute it.
 
-    `gamma`, `omega`: its ends; null along an axis of one value. `xi`: the nearest of the map's values; null
-    if there is only one. `finer`: how many times as fine as the map. `by` and `margin` as in `Refine`.
+    `gamma`, `omega`: its ends; null along an axis of one value. `xi`: nearest value of the map; null if it
+    has only one. `finer`: how many times as fine as the map. `by` and `margin` as in `Refine`.
     """
 
     gamma: Ends | None = None
@@ -53,9 +53,9 @@ class Window(Strict):
             raise SpecInvalid(problems_of(error, {"": tuple(cls.model_fields)})) from None
 
     def of(self, spec: SweepSpec, job: str) -> SweepSpec:
-        """The adaptive sweep of this window of the map of `spec`, computed as job `job`.
+        """The adaptive sweep of this window of the map of `spec`, which job `job` computed.
 
-        Raises `SpecInvalid` for the map of a ramp, and for a window without a part of the map.
+        Raises `SpecInvalid` for the map of a ramp, and for a window outside the map.
         """
         if not isinstance(spec.protocol, Rest):
             rule = f"must be 'rest' to refine a window, and is {spec.protocol.kind!r} in this sweep"

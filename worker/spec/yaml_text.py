@@ -1,4 +1,4 @@
-"""YAML as specifications need it: numbers, text, lists and mappings of YAML 1.2, and nothing else.
+"""YAML as specifications need it: numbers, text, lists and mappings of YAML 1.2 only.
 
 PyYAML reads YAML 1.1, in which 1e-3 is text, 010 is eight and no is false; and it expands aliases, so that a
 short text can become a long list.
@@ -30,13 +30,13 @@ class _Loader(Reader, Scanner, Parser, Composer, SafeConstructor, BaseResolver):
         BaseResolver.__init__(self)
 
     def compose_node(self, parent: Node | None, index: int) -> Node | None:
-        """As PyYAML's, without aliases."""
+        """PyYAML's, without aliases."""
         if self.check_event(AliasEvent):
             raise ConstructorError(None, None, "aliases are not read; write the value twice", self.get_mark())
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: MappingNode, deep: bool = False) -> dict[object, object]:
-        """As PyYAML's, refusing a key that is given twice."""
+        """PyYAML's, refusing repeated keys."""
         seen: set[str] = set()
         for key, _ in node.value:
             if isinstance(key, ScalarNode) and key.value in seen:

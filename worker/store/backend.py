@@ -39,12 +39,12 @@ ROOT: Final = "zarr.json"
 #: The folder, in a store, of files that are being written.
 PARTIAL: Final = ".partial"
 
-#: Bytes of a file of a store; chunks have up to 96 MiB before compression.
+#: Maximum bytes of a file in a store; chunks have up to 96 MiB before compression.
 MAX_FILE_BYTES: Final = 2**30
-#: Errors of opening what is no file: nothing, a link, a socket.
+#: Errors of opening something that is no file: nothing, a link, a socket.
 _NO_FILE: Final = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENXIO)
 
-#: Requests to a bucket that does not respond are retried for so long before they fail.
+#: Requests to a bucket that does not respond are retried for this long before they fail.
 _RETRY_TIMEOUT: Final = timedelta(seconds=15)
 
 
@@ -54,7 +54,7 @@ def in_bucket(url: str) -> bool:
 
 
 def check_address(url: str) -> None:
-    """Raise PlaceUnusable for an address that no store can have, or a bucket without the extra `s3`."""
+    """Raise PlaceUnusable for an invalid address of a store, or a bucket without the extra `s3`."""
     if not in_bucket(url):
         if "://" in url:
             raise PlaceUnusable(f"{url}: only folders and s3://BUCKET/PREFIX can hold stores")
@@ -75,7 +75,7 @@ def open_store(url: str, *, read_only: bool) -> Store:
 def read_key(url: str, key: str) -> bytes | None:
     """The bytes under a key of a store; None if there are none. Raises one of UNREACHABLE for a bucket.
 
-    What a store cannot contain is not there: links, pipes and devices, and files above MAX_FILE_BYTES.
+    Links, pipes, devices, and files above MAX_FILE_BYTES count as missing.
     """
     if not in_bucket(url):
         with _opened(url, key) as file:
@@ -89,7 +89,7 @@ def read_key(url: str, key: str) -> bytes | None:
 
 @contextmanager
 def _opened(url: str, key: str) -> Iterator[BinaryIO | None]:
-    """The file under a key of a folder, unbuffered; None if it is not one of a store's."""
+    """The file under a key of a folder, unbuffered; None if it is missing or no file of a store."""
     path = Path(url, key)
     try:
         # Without O_NONBLOCK opening a pipe waits until something writes to it.
@@ -109,7 +109,7 @@ def _opened(url: str, key: str) -> Iterator[BinaryIO | None]:
 
 
 def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
-    """Parts of the bytes under a key, each from an offset, of a length; None if there is nothing.
+    """Parts of the bytes under a key, given by offset and length; None if there is nothing.
 
     A negative offset counts from the end. Parts beyond the end are shorter.
     """
@@ -149,7 +149,7 @@ def put(url: str, key: str, content: bytes) -> None:
 
 
 def make_partial_folder(url: str) -> None:
-    """Make a store's folder of partial files, and the store's; a bucket needs none."""
+    """Create a store's folder of partial files, and the store's; a bucket needs none."""
     if not in_bucket(url):
         Path(url, PARTIAL).mkdir(parents=True, exist_ok=True)
 
@@ -163,7 +163,7 @@ def write_partial(url: str, content: bytes) -> Path:
     try:
         descriptor = _created(path)
     except FileNotFoundError:
-        path.parent.mkdir(exist_ok=True)  # not the store itself, which is being removed if it is missing
+        path.parent.mkdir(exist_ok=True)  # not the store itself: if missing, it is being removed
         descriptor = _created(path)
     try:
         with os.fdopen(descriptor, "wb", buffering=0) as file:
@@ -182,7 +182,7 @@ def _created(path: Path) -> int:
 
 
 def place(url: str, partial: Path, key: str) -> None:
-    """Give a partial file its key, which may be taken; makes folders that are missing below the store's."""
+    """Give a partial file its key, replacing any file; creates missing folders below the store's."""
     path = Path(url, key)
     try:
         partial.replace(path)
@@ -209,13 +209,13 @@ def sizes_in(url: str, folder: str) -> Iterator[tuple[str, int]]:
 
 
 def make_place(url: str) -> None:
-    """Make the folder at an address, and those above it; a bucket needs none."""
+    """Create the folder at an address and its parents; a bucket needs none."""
     if not in_bucket(url):
         Path(url).mkdir(parents=True, exist_ok=True)
 
 
 def is_writable(url: str) -> bool:
-    """Whether this process may write into the folder at an address; of a bucket that is not asked."""
+    """Whether this process may write into the folder at an address; not checked for a bucket."""
     return in_bucket(url) or os.access(url, os.W_OK)
 
 
@@ -231,14 +231,14 @@ def delete(url: str, key: str) -> None:
 
 
 def rename_for_deletion(url: str, renamed: str) -> None:
-    """Rename a folder, so that its address is free at once; what `renamed` held before is removed.
+    """Rename a folder to free its address at once; previous contents of `renamed` are removed.
 
     Prefixes of a bucket cannot be renamed: everything under `url` is removed.
     """
     if in_bucket(url):
         remove(url)
     elif Path(url).exists():
-        remove(renamed)  # a deletion that was interrupted here
+        remove(renamed)  # of an interrupted deletion
         Path(url).rename(renamed)
 
 
@@ -254,7 +254,7 @@ def created_at(url: str) -> float | None:
 
 
 def names_in(url: str) -> list[str]:
-    """Names of what is directly in a folder, or under a prefix of a bucket, sorted; none if it is missing."""
+    """Sorted names directly in a folder, or under a prefix of a bucket; none if it is missing."""
     if in_bucket(url):
         listed = _bucket(url).list_with_delimiter()
         paths = [*listed["common_prefixes"], *(entry["path"] for entry in listed["objects"])]

@@ -10,7 +10,7 @@ from worker.store import backend
 _SUFFIX: Final = ".cancelled"
 
 
-#: A bucket is not asked again for so long after the flag was not set, by any task of this process, and of so
+#: A bucket without the flag is not asked again for this long by any task of this process, for at most this
 #: many stores.
 REMEMBERED_SECONDS: Final = 1.0
 MOST_REMEMBERED: Final = 256
@@ -46,12 +46,12 @@ def is_cancelled(url: str) -> bool:
 def sweep_leftovers(url: str) -> int:
     """Remove partial files of killed writers and return their number.
 
-    A task of an earlier start that still writes fails: its result is taken by nobody. Buckets have no
+    A task of an earlier start that is still writing fails; nobody takes its result. Buckets have no
     partial objects: writing one is atomic.
     """
     if backend.in_bucket(url):
         return 0
-    # The second: of checkpoints.
+    # The second folder holds checkpoints.
     leftovers = [*Path(url, backend.PARTIAL).glob("*.partial"), *Path(url).glob(".*.partial")]
     for path in leftovers:
         path.unlink(missing_ok=True)

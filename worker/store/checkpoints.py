@@ -1,6 +1,6 @@
-"""Checkpoints of chunks that take long: what has been computed of one, in a file in its store.
+"""Checkpoints of long chunks: their progress, in a file in the store.
 
-A checkpoint only saves time. One that is missing, or is not what was written, is no error: the chunk begins
+A checkpoint only saves time. A missing or damaged one is no error: the chunk begins
 anew, with the same result.
 """
 
@@ -20,7 +20,7 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 def write_checkpoint(url: str, chunk: int, arrays: Mapping[str, Any]) -> None:
-    """Keep arrays of a chunk in the store at `url`, in place of those kept before.
+    """Keep arrays of a chunk in the store at `url`, replacing earlier ones.
 
     Raises OSError, or one of `store.UNREACHABLE`.
     """
@@ -31,14 +31,14 @@ def write_checkpoint(url: str, chunk: int, arrays: Mapping[str, Any]) -> None:
 
 
 def read_checkpoint(url: str, chunk: int) -> dict[str, NDArray[Any]] | None:
-    """The arrays of a chunk's checkpoint; None without one whose bytes are those written."""
+    """The arrays of a chunk's checkpoint; None if it is missing or damaged."""
     stored = backend.read_key(url, _key(chunk))
     if stored is None or hashlib.sha256(stored[_DIGEST_BYTES:]).digest() != stored[:_DIGEST_BYTES]:
         return None
     try:
         with np.load(io.BytesIO(stored[_DIGEST_BYTES:]), allow_pickle=False) as arrays:
             return dict(arrays)
-    except (ValueError, BadZipFile):  # of another release
+    except (ValueError, BadZipFile):  # from another release
         return None
 
 

@@ -20,7 +20,7 @@ from worker.schema import Layout
 from worker.store.backend import delete, in_bucket, place, put, read_key, sizes_in, write_partial
 from worker.store.errors import ChunkCoords
 
-#: Concurrent syncs and requests: they wait for the disk or the network, not for the processor.
+#: Concurrent syncs and requests, which wait for the disk or the network, not for the processor.
 _THREADS: Final = 8
 #: Files whose sizes are listed between two pauses.
 _LISTED: Final = 2_000
@@ -62,7 +62,7 @@ def keys_of(layout: Layout, coords: ChunkCoords) -> dict[str, str]:
 
 
 def digest(contents: Iterable[tuple[str, bytes | None]]) -> str:
-    """SHA-256 of a chunk's stored bytes by array, 64 hex digits; also covers which are absent."""
+    """SHA-256 of a chunk's stored bytes by array, 64 hex digits; also covers absent arrays."""
     result = hashlib.sha256()
     for name, content in contents:
         result.update(f"{name} {'absent' if content is None else len(content)}\n".encode())
@@ -71,7 +71,7 @@ def digest(contents: Iterable[tuple[str, bytes | None]]) -> str:
 
 
 def checksum(url: str, layout: Layout, coords: ChunkCoords) -> str:
-    """The digest of what is stored of a chunk."""
+    """The digest of a chunk's stored bytes."""
     return digest((name, read_key(url, key)) for name, key in keys_of(layout, coords).items())
 
 
@@ -93,7 +93,7 @@ def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) 
 
 
 def stored_sizes(url: str, layout: Layout, pause: Callable[[], object] = lambda: None) -> NDArray[np.int64]:
-    """Bytes of every chunk, over all arrays, by its coordinates; -1 where one of its files is missing.
+    """Bytes of every chunk over all arrays, by its coordinates; -1 if one of its files is missing.
 
     Lists folders and reads no file. `pause` is called now and then.
     """
@@ -115,15 +115,15 @@ def stored_sizes(url: str, layout: Layout, pause: Callable[[], object] = lambda:
 
 
 def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
-    """Remove a chunk's stored bytes; `outcome` first, so that its cells read as missing at any time."""
+    """Remove a chunk's stored bytes, `outcome` first, so that its cells always read as missing."""
     for key in reversed(keys_of(layout, layout.coords(chunk.slices)).values()):
         delete(url, key)
 
 
 def sync_folders(url: str, layout: Layout) -> None:
-    """Sync the names of chunks to disk that have been written; their contents are synced as they are written.
+    """Sync the names of written chunks to disk; their contents are synced when written.
 
-    Once for many chunks: the folders are the arrays'. A bucket's acknowledged objects are durable.
+    Call it once for many chunks: it syncs the arrays' folders. A bucket's acknowledged objects are durable.
     """
     if in_bucket(url):
         return
@@ -155,7 +155,7 @@ def fsync(path: Path) -> None:
 
 
 def write_keys(url: str, contents: Mapping[str, bytes]) -> None:
-    """Write keys of a store, each whole or not at all, and the last one once all others are there."""
+    """Write keys of a store, each whole or not at all, and the last one after all others."""
     keys = list(contents)
     if in_bucket(url):
         list(threads().map(lambda key: put(url, key, contents[key]), keys[:-1]))
@@ -181,5 +181,5 @@ def threads() -> ThreadPoolExecutor:
 
 @cache
 def _verifying() -> ThreadPoolExecutor:
-    """The thread pool for what is verified, so that nothing that is stored waits behind it."""
+    """The thread pool for verification, separate so that storing never waits for it."""
     return ThreadPoolExecutor(_THREADS, thread_name_prefix="verify")

@@ -1,10 +1,10 @@
 """One array's chunk as bytes: little-endian numbers in zstd, in a shard where inner chunks are smaller.
 
-The bytes are those that zarr writes, but for the order of inner chunks in a shard, which the format leaves
-open, and for a seal behind each inner chunk: a skippable frame of zstd, which decoders pass over. It holds a
-digest of the job, the array, the position, and the length and the checksum of what was compressed, which zstd
-verifies. The bytes of a chunk follow from its job's specification, so a chunk with its own seal is the chunk
-that was stored.
+The bytes are those of zarr, except for the order of inner chunks in a shard, which the format leaves open,
+and for a seal behind each inner chunk: a skippable frame of zstd, which decoders ignore. It holds a
+digest of the job, the array, the position, and the length and checksum of the compressed data, which zstd
+verifies. The bytes of a chunk follow from its job's specification, so a chunk with its own seal is the stored
+chunk.
 """
 
 import struct
@@ -23,17 +23,17 @@ from worker.schema import Layout
 
 #: Of zstd, whose frames carry a checksum.
 LEVEL: Final = 3
-#: Offset and length of an inner chunk that a shard does not have.
+#: Offset and length of an inner chunk missing from a shard.
 _ABSENT: Final = 2**64 - 1
 _INDEX_ENTRY: Final = 16
 _CRC: Final = 4
-#: Head of a seal: the magic number of a skippable frame, and the bytes that follow.
+#: Head of a seal: the magic number of a skippable frame, and the number of bytes that follow.
 _SEALED_BYTES: Final = 16
 _SEAL_HEAD: Final = struct.pack("<II", 0x184D2A5B, _SEALED_BYTES)
-#: Bytes at the end of a frame of zstd, the checksum of its content.
+#: Bytes at the end of a zstd frame, the checksum of its content.
 _CHECKSUM_BYTES: Final = 4
 _SEAL_BYTES: Final = len(_SEAL_HEAD) + _SEALED_BYTES
-#: Puts the checksum of a shard's index behind it, and compares it.
+#: Appends the checksum of a shard's index, and verifies it.
 _CHECKED: Final = CRC32C(location="end")
 
 
@@ -45,7 +45,7 @@ class ArrayForm(NamedTuple):
     dims: tuple[str, ...]
     shape: tuple[int, ...]
     chunks: tuple[int, ...]  # of a file
-    inner: tuple[int, ...]  # of what is compressed together: `chunks`, unless these are shards
+    inner: tuple[int, ...]  # of a compressed unit: `chunks`, unless these are shards
     seal: str  # the job and the array's name
 
     @property
@@ -65,7 +65,7 @@ class ArrayForm(NamedTuple):
 
 
 def encode(form: ArrayForm, values: NDArray[Any], coords: Sequence[int]) -> bytes:
-    """A chunk's bytes. `values`: of its cells that are in the grid, fewer than a chunk's at the edge."""
+    """A chunk's bytes. `values`: its cells in the grid, fewer than a whole chunk at the edge."""
     block = values
     if values.shape != form.chunks:
         block = np.full(form.chunks, form.fill, form.dtype)
@@ -105,14 +105,14 @@ def position(form: ArrayForm, coords: Sequence[int], inner: Sequence[int]) -> tu
 
 
 def check_seal(form: ArrayForm, content: bytes, at: tuple[int, ...]) -> None:
-    """Raise ValueError unless an inner chunk's bytes are those that were stored at this position."""
+    """Raise ValueError unless an inner chunk's bytes are those stored at this position."""
     body = memoryview(content)[:-_SEAL_BYTES]
     if content[-_SEAL_BYTES:] != _seal(form, body, at):
-        raise ValueError("its bytes are not those that were stored here")
+        raise ValueError("its bytes are not those stored here")
 
 
 def check_file(form: ArrayForm, content: bytes, coords: Sequence[int]) -> None:
-    """Raise ValueError unless a chunk's file is that which was stored at these coordinates."""
+    """Raise ValueError unless a chunk's file is the one stored at these coordinates."""
     if not form.sharded:
         check_seal(form, content, position(form, coords, ()))
         return
@@ -166,7 +166,7 @@ def forms_in(layout: Layout) -> dict[str, ArrayForm]:
 
 
 def seal_of(job: Any, name: str) -> str:
-    """What the seals of an array's chunks name."""
+    """The job and array named by the seals of an array's chunks."""
     return f"{job} {name}"
 
 
@@ -178,7 +178,7 @@ def same(form: ArrayForm, other: ArrayForm | None) -> bool:
 
 
 def form_of(metadata: Mapping[str, Any], seal: str) -> ArrayForm:
-    """From the metadata of an array. Raises KeyError, TypeError or ValueError for what we do not write."""
+    """From the metadata of an array. Raises KeyError, TypeError or ValueError for forms we do not write."""
     dtype = np.dtype(metadata["data_type"]).newbyteorder("<")
     chunks = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
     codec = metadata["codecs"][0]
@@ -195,7 +195,7 @@ def form_of(metadata: Mapping[str, Any], seal: str) -> ArrayForm:
 
 
 def _fill(dtype: np.dtype[Any], value: Any) -> Any:
-    """A fill from its JSON: numbers that are not finite are texts, complex ones a list of two."""
+    """A fill value from its JSON: infinities and NaN are texts, complex numbers lists of two."""
     numbers = [float(part) if isinstance(part, str) else part for part in np.atleast_1d(value).tolist()]
     return complex(*numbers) if dtype.kind == "c" else numbers[0]
 

@@ -1,6 +1,6 @@
-"""A file beside the stores that says whose they are: the service's ledger writes its id there, once.
+"""A file beside the stores with the id of the service's ledger, which writes it once.
 
-A worker proves by it that it sees the folder that the service sees, and the service that the folder is there.
+It proves to a worker that it sees the service's folder, and to the service that the folder is there.
 """
 
 from typing import Final
@@ -17,7 +17,7 @@ def write_marker(url: str, content: str) -> None:
 
 
 def read_marker(url: str) -> str | None:
-    """What marks the stores at an address; None if nothing does.
+    """The mark of the stores at an address; None without one.
 
     Raises OSError, or one of `store.UNREACHABLE`.
     """

@@ -74,7 +74,7 @@ def _create_array(group: zarr.Group, array: Array, layout: Layout) -> None:
 
 
 def write_spec(url: str, text: str) -> str:
-    """Write a specification into a store and return its digest; what was written before stays.
+    """Write a specification into a store and return its digest; earlier ones stay.
 
     Raises OSError, or one of `store.UNREACHABLE`.
     """
@@ -85,7 +85,7 @@ def write_spec(url: str, text: str) -> str:
 
 
 def read_spec(url: str, digest: str) -> str | None:
-    """The specification with this digest; None if it is not there, or is not what was written."""
+    """The specification with this digest; None if it is missing or damaged."""
     content = backend.read_key(url, _spec_key(digest))
     if content is None or hashlib.sha256(content).hexdigest() != digest:
         return None

@@ -1,4 +1,4 @@
-"""Reading cells of a store: reads and decompresses chunk files directly, of shards the parts it needs.
+"""Reads cells of a store: reads and decompresses chunk files directly, and only the needed parts of shards.
 
 For small chunks zarr's overhead is many times the cost of decompression. This module reads only the format
 that `metadata.empty_store` defines.
@@ -32,7 +32,7 @@ OUTCOME: Final = "outcome"
 
 
 class _Part(NamedTuple):
-    """The requested cells that lie in one inner chunk, which is a whole chunk unless that is a shard."""
+    """The requested cells in one inner chunk (the whole chunk if it is no shard)."""
 
     coords: ChunkCoords  # of the chunk
     inner: tuple[int, ...]  # position in the shard
@@ -56,7 +56,7 @@ def read_cells(
     names = list(dict.fromkeys(names))
     parts = list(_parts(arrays[OUTCOME], index))
     reading = _Reading(url, arrays, index)
-    # `outcome` is written last: where it is absent the chunk is not computed, and the others are not read.
+    # `outcome` is written last: without it the chunk is not computed, and the others are not read.
     present = reading.take([(OUTCOME, part) for part in parts], lenient=not complete)
     others = [name for name in names if name != OUTCOME]
     reading.take([(name, part) for name in others for _, part in present], lenient=False)
@@ -74,7 +74,7 @@ def _in_order(dims: tuple[str, ...], where: Mapping[str, Index]) -> tuple[Index,
 
 
 class _Reading:
-    """Collects the requested cells, and the chunks that are damaged."""
+    """Collects the requested cells and the damaged chunks."""
 
     def __init__(self, url: str, arrays: Mapping[str, ArrayForm], where: tuple[Index, ...]) -> None:
         self._url, self._arrays, self._where = url, arrays, where
@@ -82,7 +82,7 @@ class _Reading:
         self.damaged: dict[ChunkCoords, str] = {}
 
     def take(self, parts: list[tuple[str, _Part]], lenient: bool) -> list[tuple[str, _Part]]:
-        """Read parts of arrays and return those that exist. Missing ones are damage, unless `lenient`."""
+        """Read parts of arrays and return the existing ones. Missing ones are damage, unless `lenient`."""
         files: dict[str, list[tuple[str, _Part]]] = {}
         for name, part in parts:
             form = self._arrays[name]
@@ -103,7 +103,7 @@ class _Reading:
     def _contents(
         self, files: Mapping[str, list[tuple[str, _Part]]]
     ) -> Iterator[list[bytes] | ValueError | None]:
-        """The bytes of the parts that are wanted of each file; requests to a bucket run concurrently."""
+        """The bytes of each file's requested parts; requests to a bucket run concurrently."""
         run = threads().map if in_bucket(self._url) else map
         return iter(run(self._content, files, files.values()))
 
@@ -145,7 +145,7 @@ class _Reading:
 
 
 def stored_forms(url: str, forms: Mapping[str, ArrayForm] | None) -> Mapping[str, ArrayForm]:
-    """How a store's arrays are stored: as `forms` has it, which the store's metadata must repeat.
+    """The forms of a store's arrays: `forms` if given, which the store's metadata must match.
 
     Raises StoreMissing, StoreDamaged.
     """
@@ -158,7 +158,7 @@ def stored_forms(url: str, forms: Mapping[str, ArrayForm] | None) -> Mapping[str
 
 
 def read_file(url: str, key: str, forms: Mapping[str, ArrayForm]) -> bytes | None:
-    """The bytes of an array's chunk as they are stored; None if there are none. Raises StoreDamaged."""
+    """The stored bytes of an array's chunk; None if there are none. Raises StoreDamaged."""
     name, _, rest = key.partition("/")
     form, content = forms[name], read_key(url, key)
     if content is None:
@@ -180,7 +180,7 @@ def root_of(url: str) -> bytes:
     return content
 
 
-@lru_cache(maxsize=32)  # few: `root` holds the specification, which can be long
+@lru_cache(maxsize=32)  # few, as `root` holds the specification, which can be long
 def forms_of(root: bytes) -> dict[str, ArrayForm]:
     """The arrays of cells by name, from the root's consolidated metadata."""
     try:

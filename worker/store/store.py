@@ -24,8 +24,8 @@ from worker.store.errors import ChunkCoords, StoreConflict, StoreDamaged, StoreM
 from worker.store.metadata import empty_store
 from worker.store.reader import OUTCOME, forms_of, read_cells, root_of
 
-#: How long a bucket's store, once seen by a process, is taken to be there, and for how many stores. One that
-#: is removed meanwhile may get chunks for so long; the same study stored there again has the same bytes.
+#: How long a process assumes that a bucket's store still exists, and for how many stores. A store
+#: removed meanwhile may get chunks for this long; the same study stored there again has the same bytes.
 REMEMBERED_SECONDS: Final = 5.0
 MOST_REMEMBERED: Final = 256
 _recent: dict[str, tuple[float, Mapping[str, ArrayForm]]] = {}
@@ -34,7 +34,7 @@ _recent: dict[str, tuple[float, Mapping[str, ArrayForm]]] = {}
 def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> None:
     """Create an empty store, with `attrs` added to the layout's attributes.
 
-    Completes a store whose creation was interrupted, and repairs metadata that differ. Raises
+    Completes a store whose creation was interrupted, and repairs wrong metadata. Raises
     `StoreConflict` if the store holds another job or has other chunks. `attrs` must not contain a time of
     day: the same layout must give the same bytes.
     """
@@ -63,7 +63,7 @@ def metadata_of(layout: Layout, attrs: Mapping[str, Any] | None = None) -> dict[
 def check_chunk(url: str, chunk: HasSlices, arrays: Iterable[Array]) -> None:
     """Raise the StoreError that `write_chunk` would raise: missing, damaged, or chunks of another shape.
 
-    arrays: what the study stores; a store that says otherwise is damaged.
+    arrays: the study's stored arrays; a store that says otherwise is damaged.
     """
     forms = _forms(url)
     if any(array.name not in forms or forms[array.name].dtype != array.dtype for array in arrays):
@@ -96,7 +96,7 @@ def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) 
 
 
 def _forms(url: str) -> Mapping[str, ArrayForm]:
-    """How a store's arrays are stored. Of a bucket it is remembered for a moment, to save a request."""
+    """The forms of a store's arrays. For a bucket they are kept for a moment, to save a request."""
     if not in_bucket(url):
         return forms_of(root_of(url))
     seen, forms = _recent.get(url, (-math.inf, {}))
@@ -116,13 +116,13 @@ def read_slice(
     forms: Mapping[str, ArrayForm] | None = None,
     **where: Index,
 ) -> dict[str, NDArray[Any]]:
-    """Part of some arrays, by index along the cell dimensions; reads only the chunks that it needs.
+    """Part of some arrays, by index along the cell dimensions; reads only the needed chunks.
 
     An integer drops its dimension, a slice (its step above 0) keeps it; extra dimensions, such as flights,
     come last. Cells that are not computed read as fill values in every array.
 
     complete: whether every chunk has been written, so that a missing one is damage.
-    forms: `forms_in` of the study's layout, from which the store's metadata must not differ.
+    forms: `forms_in` of the study's layout, which the store's metadata must match.
     Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
     """
     return read_cells(url, names, where, complete, forms)
@@ -144,7 +144,7 @@ def read_chunk(
 def read_coordinates(url: str) -> dict[str, NDArray[Any]]:
     """The coordinates of every cell dimension, each (n,): float64, or text for `direction`."""
     group = _open(url)
-    return {dim: _read(_array(group, dim)) for dim in _cell_dims(group)}
+    return {dim: _values(_array(group, dim)) for dim in _cell_dims(group)}
 
 
 def read_attrs(url: str) -> dict[str, Any]:
@@ -153,7 +153,7 @@ def read_attrs(url: str) -> dict[str, Any]:
 
 
 def chunk_shape(url: str) -> tuple[int, ...]:
-    """The plan's chunk shape, with which the same plan can be made again."""
+    """The plan's chunk shape, which reproduces the plan."""
     return tuple(read_attrs(url)["chunk_shape"])
 
 
@@ -177,7 +177,7 @@ def _open(url: str) -> zarr.Group:
 
 
 def _check_identity(url: str, layout: Layout) -> None:
-    """Raise StoreConflict if there is a store whose identity is another."""
+    """Raise StoreConflict if there is a store with another identity."""
     identity = layout.identity
     try:
         attrs = read_attrs(url)
@@ -202,7 +202,7 @@ def _cell_dims(group: zarr.Group) -> tuple[str, ...]:
     return tuple(metadata.dimension_names)
 
 
-def _read(array: zarr.Array[Any]) -> NDArray[Any]:
+def _values(array: zarr.Array[Any]) -> NDArray[Any]:
     try:
         return np.asarray(array[...])
     except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes

@@ -1,7 +1,7 @@
 """Access control: by the Host header, by the origin of the web page that sends a request, by access token.
 
-On loopback every local user may use the service. The Host check keeps web pages of other origins out: without
-it, a page could bind its own domain name to 127.0.0.1 (DNS rebinding) and read the responses. A service that
+On loopback every local user may use the service. The Host check keeps out web pages of other origins, which
+could otherwise bind their domain name to 127.0.0.1 (DNS rebinding) and read the responses. A service that
 other machines can reach requires a token (`settings`).
 """
 
@@ -24,7 +24,7 @@ OPEN_FOLDER: Final = "/static/"
 #: Methods that change nothing.
 SAFE: Final = frozenset({"GET", "HEAD", "OPTIONS"})
 
-#: Headers of every response that does not set its own; only the page at / needs scripts, and says so itself.
+#: Headers of every response that does not set its own; only the page at / needs scripts, and sets its own.
 HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -34,7 +34,7 @@ HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:;"
     " frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
 }
-#: Headers of an answer to a web page that asks what it may send, and those that it may read.
+#: Headers for a web page that asks what it may send, and the headers that it may read.
 _PREFLIGHT: Final = {
     "Access-Control-Allow-Methods": "GET, HEAD",
     "Access-Control-Allow-Headers": "Authorization, Range, If-None-Match, Accept",
@@ -47,8 +47,8 @@ _RAW_HEADERS: Final = [(name.lower().encode(), value.encode()) for name, value i
 class AccessControl:
     """Middleware: refuses requests with the wrong Host, Origin or token; adds security headers.
 
-    `tokens` are the names of the tokens that are accepted, by token; if there are none, none is required.
-    Web pages of `origins` may read, and send a token; they may change nothing.
+    `tokens` are the names of the accepted tokens, by token; if there are none, none is required.
+    Web pages of `origins` may read and send a token, but change nothing.
     """
 
     def __init__(
@@ -81,12 +81,12 @@ class AccessControl:
                 await self._app(scope, receive, _with_headers(send))
 
     def _reader(self, method: str, headers: Headers) -> str | None:
-        """The origin of a web page that may read the answer, of those in the settings."""
+        """The origin in the settings whose web page may read the answer."""
         origins = headers.getlist("origin")
         return origins[0] if method in SAFE and len(origins) == 1 and origins[0] in self._origins else None
 
     def _check(self, method: str, path: str, headers: Headers) -> str | None:
-        """The name of the token that a request carries, if one is required and has a name."""
+        """The name of the request's token, if one is required and has a name."""
         self._check_host(headers.getlist("host"))
         if method not in SAFE:
             _check_origin(headers)
@@ -111,7 +111,7 @@ class AccessControl:
     def _check_token(self, values: list[str]) -> str | None:
         scheme, _, token = values[0].partition(" ") if len(values) == 1 else ("", "", "")
         sent = token.strip().encode()
-        # All are compared, each in constant time: how long it takes says nothing of any of them.
+        # All are compared, each in constant time: the time taken reveals nothing.
         names = [name for accepted, name in self._tokens if hmac.compare_digest(sent, accepted)]
         if not names or scheme.lower() != "bearer":
             raise Unauthenticated(
@@ -128,7 +128,7 @@ def _is_preflight(method: str, headers: Headers) -> bool:
 
 
 def _check_origin(headers: Headers) -> None:
-    """Refuse pages of another origin; browsers send these headers, other clients do not and pass."""
+    """Refuse pages of another origin; only browsers send these headers, so other clients pass."""
     same_origin = all(_authority(origin) == headers.get("host") for origin in headers.getlist("origin"))
     if not same_origin or not _same_site(headers):
         raise CrossOriginRefused("Origin: web pages of another origin must not change anything")
@@ -139,7 +139,7 @@ def _same_site(headers: Headers) -> bool:
 
 
 def _is_navigation(headers: Headers) -> bool:
-    """Whether the answer becomes the page that the user looks at; a frame or an image does not."""
+    """Whether the answer becomes the page shown to the user, unlike a frame or an image."""
     return headers.getlist("sec-fetch-mode") == ["navigate"] and (
         headers.getlist("sec-fetch-dest") == ["document"]
     )
@@ -165,8 +165,8 @@ def _host_name(host: str) -> str:
 def _closing(send: Send) -> Send:
     """`send`, closing the connection after the response.
 
-    A request with both headers ends where another server in between may not think it does (RFC 9112, 6.1):
-    nothing that follows it may count as a request.
+    A request with both headers may end elsewhere than a proxy believes (RFC 9112, 6.1): nothing after it may
+    count as a request.
     """
 
     async def send_and_close(message: Message) -> None:
@@ -178,7 +178,7 @@ def _closing(send: Send) -> Send:
 
 
 def _with_cors(send: Send, origin: str | None) -> Send:
-    """`send`, adding the headers by which a browser lets a page of `origin` read the response, if any."""
+    """`send`, adding the headers by which a browser lets a page of `origin`, if any, read the response."""
     added = [(b"vary", b"Origin")]
     if origin is not None:
         added += [

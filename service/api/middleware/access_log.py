@@ -41,13 +41,13 @@ class AccessLog:
         except Exception:
             log.exception("internal error", extra={"fields": {"id": request_id}})
             if status:
-                raise  # the response has begun: closing the connection is all that is left
+                raise  # the response has begun: only closing the connection remains
             await internal_error(request_id)(scope, receive, send_with_id)
         finally:
             self._record(scope, request_id, status, time.perf_counter() - began)
 
     def _record(self, scope: Scope, request_id: str, status: int, seconds: float) -> None:
-        """Write the line; of what the caller sent, only what cannot forge a line or leak a secret."""
+        """Write the line, without input that could forge a line or leak a secret."""
         route = getattr(scope.get("route"), "path", "none")
         self._metrics.count_request(scope["method"], route, status, seconds)
         fields = {
@@ -58,6 +58,6 @@ class AccessLog:
             "ms": round(1000 * seconds, 1),
         }
         job = scope.get("path_params", {}).get("job_id")
-        is_routine = route in _POLLED_ROUTES or sys.stderr.isatty()  # whoever sits there sees the answers
+        is_routine = route in _POLLED_ROUTES or sys.stderr.isatty()  # on a terminal the user sees the answers
         level = logging.DEBUG if is_routine and status < 400 else logging.INFO
         log.log(level, "request", extra={"fields": fields | ({"job": job[:64]} if job else {})})

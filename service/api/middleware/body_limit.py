@@ -12,7 +12,7 @@ from service.errors import BodyTimeout, ServiceError, TooLarge
 class BodyLimit:
     """Middleware: reads the body, at most `max_bytes` within `timeout` seconds, then passes the request on.
 
-    It refuses a body that is too long as soon as that is known, without reading it to the end.
+    A body that is too long is refused as soon as that is known, without reading the rest.
     """
 
     def __init__(self, app: ASGIApp, max_bytes: int, timeout: float) -> None:
@@ -60,7 +60,7 @@ class BodyLimit:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """A `receive` that returns the body once, then what the server receives next (a disconnect)."""
+    """A `receive` that returns the body once, then the server's next message (a disconnect)."""
     messages: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def next_message() -> Message:
@@ -70,7 +70,7 @@ def _replay(body: bytes, receive: Receive) -> Receive:
 
 
 async def _refuse(error: ServiceError, scope: Scope, receive: Receive, send: Send) -> None:
-    """Send the problem and close the connection, on which the rest of the body may still arrive."""
+    """Send the problem and close the connection, where the rest of the body may still arrive."""
     response = problem_response(error)
     response.headers["Connection"] = "close"
     await response(scope, receive, send)

@@ -24,7 +24,7 @@ class HeadAsGet:
                 await send({"type": "http.response.body", "body": b"", "more_body": False})
 
         async def receive_until_ended() -> Message:
-            # A stream, of which there is nothing more to send, must not go on.
+            # A stream with nothing more to send must end.
             return {"type": "http.disconnect"} if ended else await receive()
 
         await self._app({**scope, "method": "GET"}, receive_until_ended, send_head)

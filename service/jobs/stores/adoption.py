@@ -1,7 +1,7 @@
-"""Stores that the ledger does not know: found, and taken in again from what they say of themselves.
+"""Stores unknown to the ledger: found, and adopted as jobs from their own metadata.
 
-An older copy of the ledger does not know the jobs that were accepted since. Their stores have everything
-else: the specification, how it was cut into chunks, and the chunks, of which each carries its checksums.
+An older copy of the ledger does not know the jobs accepted since. Their stores have everything else: the
+specification, the division into chunks, and the chunks, each with its checksums.
 """
 
 import json
@@ -33,7 +33,7 @@ _STORE_NAME: Final = re.compile(r"([0-9a-f]{32})\.zarr")
 
 
 class _Contents(NamedTuple):
-    """What a store says of itself."""
+    """What a store says about itself."""
 
     job: NewJob
     plan: Plan
@@ -42,7 +42,7 @@ class _Contents(NamedTuple):
 
 
 def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
-    """Addresses of the stores without a job in the ledger, sorted; not those that are being removed.
+    """Sorted addresses of the stores without a job in the ledger, except those being removed.
 
     Raises OSError, or one of `store.UNREACHABLE`.
     """
@@ -54,10 +54,10 @@ def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
 
 
 def has_stores(settings: Settings) -> bool:
-    """Whether there are stores where the settings say; assumed of a place that does not answer."""
+    """Whether there are stores at the settings' address; True if it does not answer."""
     try:
         names = store.names_in(settings.stores_url)
-    except Exception as error:  # noqa: BLE001 - whatever keeps it from answering
+    except Exception as error:  # noqa: BLE001 - any reason not to answer
         log.warning("the stores cannot be listed: %s", error)
         return True
     return any(_STORE_NAME.fullmatch(name) for name in names)
@@ -80,9 +80,9 @@ def open_ledger(settings: Settings, adopting: bool = False) -> Ledger:
 
 
 def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
-    """Take a store in as the job that it says it is; each chunk that can be read whole is done.
+    """Adopt a store as the job that it claims to be; chunks that can be read whole are done.
 
-    The job is done if all chunks are, else failed: resuming it computes the others. Nothing of the store is
+    The job is done if all chunks are, else failed: resuming it computes the others. The store is not
     changed. Raises NotAdoptable if it is no whole store, or if the ledger knows the job.
     """
     url = settings.store_of(job_id)
@@ -107,8 +107,8 @@ def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
 
 
 def _contents(url: str, job_id: str) -> _Contents:
-    """Raises StoreError, SpecError, or what reading unexpected attributes raises."""
-    store.stored_forms(url, None)  # first: it reads files only, where zarr would wait for a pipe
+    """Raises StoreError, SpecError, or the errors of reading unexpected attributes."""
+    store.stored_forms(url, None)  # first: it reads only files, while zarr would wait for a pipe
     attrs = store.read_attrs(url)
     version = str(attrs["kernel_version"])
     spec = parse_stored(json.dumps(attrs["spec"]), version)
@@ -131,7 +131,7 @@ def _contents(url: str, job_id: str) -> _Contents:
 
 
 def _choice(stored: Any) -> str | None:
-    """The chosen model of an `auto` sweep; the timings of choosing it are not stored."""
+    """The chosen model of an `auto` sweep; the timings of the choice are not stored."""
     if stored is None:
         return None
     rows = [{**row, "measured": None} for row in stored["table"]]
@@ -139,7 +139,7 @@ def _choice(stored: Any) -> str | None:
 
 
 def _whole_chunks(url: str, contents: _Contents) -> Iterator[ChunkReport]:
-    """Reports of the chunks whose arrays can all be decoded and whose cells all have an outcome."""
+    """Reports of the chunks with readable arrays and an outcome for every cell."""
     for chunk in contents.plan:
         checksum = store.checksum_of(url, contents.layout, chunk)
         try:

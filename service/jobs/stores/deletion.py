@@ -1,7 +1,7 @@
-"""Removal of deleted jobs' results, as the ledger records it: in the background, and again until it succeeds.
+"""Removes deleted jobs' results in the background, as recorded in the ledger, until it succeeds.
 
-Nothing else removes a store. A deletion is recorded in the transaction that forgets the job, so one that is
-interrupted goes on at the next start. No lock is held while files are removed: a bucket may take minutes.
+Nothing else removes a store. The transaction that forgets the job records its deletion, so an interrupted one
+continues at the next start. No lock is held while files are removed: a bucket may take minutes.
 """
 
 import logging
@@ -19,20 +19,20 @@ from worker import store
 
 log = logging.getLogger(__name__)
 
-#: Chunks of a deleted job that one transaction forgets, and pages of the ledger's file that are given back at
-#: once; other writers wait for a few milliseconds at most, and come between two.
+#: Chunks of a deleted job forgotten in one transaction, and ledger pages returned at once; other writers wait
+#: a few milliseconds at most, and write in between.
 CHUNKS_FORGOTTEN: Final = 2_000
 PAGES_FREED: Final = 200
-#: Seconds between two of these, for other writers.
+#: Seconds between two of these steps, for other writers.
 YIELD_SECONDS: Final = 0.005
 
-#: Seconds until a deletion that failed is tried again at first, and at most; doubled each time.
+#: Seconds until a failed deletion is tried again: the first pause, doubled each time, and the longest.
 RETRY_SECONDS: Final = 1.0
 MAX_RETRY_SECONDS: Final = 60.0
 
 
 class Deleter:
-    """Carries out the deletions that the ledger has; `on_freed` is called when a job's address is free again.
+    """Carries out the ledger's deletions; calls `on_freed` when a job's address is free again.
 
     `start`, `wake` and `stop` may be called from any thread.
     """
@@ -40,12 +40,12 @@ class Deleter:
     def __init__(self, ledger: Ledger, settings: Settings, on_freed: Callable[[], None]) -> None:
         self._ledger, self._settings, self._on_freed = ledger, settings, on_freed
         self._recorded, self._stopping = threading.Event(), threading.Event()
-        self.kept: list[str] = []  # addresses of stores that are later than their recorded deletion
+        self.kept: list[str] = []  # addresses of stores newer than their recorded deletion
         self._inherited: set[Deletion] = set()  # from earlier runs of the service
         self._thread = threading.Thread(target=self._work, name="deleter", daemon=True)
 
     def start(self) -> None:
-        """Start the thread, with the deletions that earlier runs of the service have left."""
+        """Start the thread, with the deletions left by earlier runs of the service."""
         with self._ledger.writing() as ledger:
             ledger.forget_deletions(DeletionStep.COMPLETE)
             self._inherited = set(ledger.deletions())
@@ -53,14 +53,14 @@ class Deleter:
         self._thread.start()
 
     def wake(self) -> None:
-        """Look for deletions now. Call it after one was recorded."""
+        """Look for deletions now. Call it after recording one."""
         self._recorded.set()
 
     def repeat(self, job: JobRecord) -> None:
-        """Remove what was written at the job's address since its deletion, if it was deleted.
+        """Remove anything written at the job's address since its deletion, if it was deleted.
 
         Call it after writing outside a transaction: the job may have been deleted meanwhile. If its study was
-        accepted again, what is at the address is the new job's.
+        accepted again, the store at the address is the new job's.
         """
         with self._ledger.writing() as ledger:
             repeated = ledger.find(job.id) is None and ledger.repeat_deletion(job, time.time())
@@ -69,18 +69,18 @@ class Deleter:
             self.wake()
 
     def stop(self, seconds: float) -> None:
-        """End the thread, within `seconds`; the next start goes on with what is left."""
+        """End the thread within `seconds`; the next start continues."""
         self._stopping.set()
         self.wake()
         if self._thread.is_alive():
             self._thread.join(seconds)
 
     def _work(self) -> None:
-        pause: float | None = None  # until the next try of those that failed
+        pause: float | None = None  # until the next try of failed deletions
         try:
             with self._ledger.reading() as ledger:
                 orphans = ledger.orphans()
-            for seq in orphans:  # of a restored copy, which has no deletions
+            for seq in orphans:  # left by a restored copy, which has no deletions
                 self._forget_chunks(seq)
         except LedgerUnavailable as error:
             log.warning("chunks of deleted jobs stay in the ledger until the next start: %s", error)
@@ -93,7 +93,7 @@ class Deleter:
             pause = None if complete else min(2 * pause if pause else RETRY_SECONDS, MAX_RETRY_SECONDS)
 
     def _carry_out_all(self) -> bool:
-        """Whether nothing is left to remove."""
+        """Carry out all deletions; whether nothing remains."""
         try:
             with self._ledger.reading() as ledger:
                 pending = ledger.deletions()
@@ -122,7 +122,7 @@ class Deleter:
         return True
 
     def _forget_chunks(self, seq: int) -> None:
-        """Forget a deleted job's chunks, and give their pages back. Raises LedgerUnavailable."""
+        """Forget a deleted job's chunks and return their pages. Raises LedgerUnavailable."""
         forgotten = CHUNKS_FORGOTTEN
         while forgotten == CHUNKS_FORGOTTEN and not self._stopping.wait(YIELD_SECONDS):
             with self._ledger.writing() as ledger:
@@ -137,11 +137,11 @@ class Deleter:
         created = store.created_at(url) if deletion in self._inherited else None
         if created is not None and created > deletion.created:
             log.error("%s was created after its job was deleted: it stays, the ledger is an older copy", url)
-            self.kept.append(url)  # first: it is told from the moment that no deletion waits
+            self.kept.append(url)  # first: it is reported as soon as no deletion waits
             self._advance(deletion, DeletionStep.COMPLETE)
             return False
-        # A worker that lost its connection may still be computing: the cancel flag stops it, and without
-        # its metadata the store accepts no chunk.
+        # A worker that lost its connection may still compute: the cancel flag stops it, and without its
+        # metadata the store accepts no chunk.
         try:
             store.set_cancelled(url)
         except Exception as error:  # noqa: BLE001 - no inode left, a folder that cannot be written
@@ -158,5 +158,5 @@ class Deleter:
 
 
 def _renamed(url: str, deletion: Deletion) -> str:
-    """Where a deleted job's store is removed from."""
+    """The address from which a deleted job's store is removed."""
     return f"{url}.deleted-{deletion.seq}"

@@ -1,7 +1,7 @@
-"""Whether the stores are there and are this ledger's, by the file that marks them.
+"""Checks by a marker file that the stores are present and belong to this ledger.
 
 A file system that is not mounted looks like an empty folder: everything would be computed again beneath it.
-Another data folder with the same stores would remove results that are not its own.
+Another data folder with the same stores would remove results that it does not own.
 """
 
 import logging
@@ -15,7 +15,7 @@ from worker import store
 
 log = logging.getLogger(__name__)
 
-#: Seconds for which the marker of a bucket, once seen, is taken to be there.
+#: Seconds for which a bucket's marker, once seen, is assumed to exist.
 REMEMBERED_SECONDS: Final = 10.0
 
 
@@ -32,9 +32,10 @@ class StoresMarker:
         self._checked = float("-inf")
 
     def claim(self, adopting: bool = False) -> None:
-        """Mark the stores of a ledger that has not marked any, or of one that adopts those that are there.
+        """Mark the stores of a ledger that has not marked any, or that adopts them.
 
-        Raises LedgerUnusable if they are another ledger's. One that cannot be written is left for `fault`.
+        Raises LedgerUnusable if they are another ledger's. If it cannot write the marker, `fault` reports
+        that.
         """
         with self._ledger.reading() as reading:
             ours, made = reading.marker()
@@ -54,7 +55,7 @@ class StoresMarker:
                 writing.note_marked()
 
     def check(self) -> None:
-        """Raise LedgerUnavailable unless the stores are there and this ledger's."""
+        """Raise LedgerUnavailable unless the stores exist and are this ledger's."""
         if time.monotonic() - self._checked < self._remembered:
             return
         with self._ledger.reading() as reading:
@@ -65,7 +66,7 @@ class StoresMarker:
             there = store.read_marker(self._url)
         except _UNREADABLE as error:
             if store.in_bucket(self._url):
-                return  # whoever needs the bucket meets its error
+                return  # any use of the bucket raises its error
             reason = getattr(error, "strerror", None) or type(error).__name__
             raise LedgerUnavailable(f"the folder of the stores cannot be read: {reason}") from error
         if not there:

@@ -1,7 +1,7 @@
 """Repair of stored results: damaged chunks are unmarked and computed again, damaged metadata rewritten.
 
-A job of another kernel version is not repaired, because this release would write other numbers beside those
-that are there: its damaged chunks are given up and read as missing.
+A job of another kernel version is not repaired, because this release would add other numbers to its results:
+its damaged chunks are given up and read as missing.
 """
 
 import logging
@@ -17,12 +17,12 @@ from worker.store import ChunkCoords
 
 log = logging.getLogger(__name__)
 
-#: Damaged chunks that a message describes; of more it gives the number.
+#: Damaged chunks described in a message; the others are only counted.
 MAX_DESCRIBED: Final = 3
 
 
 class Repair(NamedTuple):
-    """What is damaged and what becomes of it, fit to show to a user; `lasting`: it stays as it is."""
+    """The damage and its consequence, for users; `lasting`: it stays as it is."""
 
     detail: str
     lasting: bool = False
@@ -31,7 +31,7 @@ class Repair(NamedTuple):
 class Repairer:
     """Repairs stores. Its methods may be called from any thread.
 
-    `invalidating` is entered with a job's id while chunks are unmarked and their bytes removed; those added
+    `invalidating` is entered with a job's id while chunks are unmarked and their bytes removed; chunks added
     to its list are computed again. `after_writing` is called with a job whose store was written to: it may
     have been deleted meanwhile.
     """
@@ -47,7 +47,7 @@ class Repairer:
         self._invalidating, self._after_writing = invalidating, after_writing
 
     def report(self, job_id: str, damaged: Sequence[ChunkCoords]) -> Repair:
-        """Repair a store in which a reader met damage, in these chunks or outside any."""
+        """Repair a store in which a reader found damage, in these chunks or outside any."""
         job = self._ledger.find(job_id)
         if job is None:
             return Repair("the job was deleted")
@@ -65,7 +65,7 @@ class Repairer:
         return Repair(f"stored results are damaged: {subject} ({job.notice})", lasting=True)
 
     def repair_metadata(self, job: JobRecord) -> None:
-        """Rewrite damaged metadata and coordinates; not those of an outdated job, which differ."""
+        """Rewrite damaged metadata and coordinates, but not those of an outdated job, which differ."""
         if not job.outdated:
             self._ledger.check()
             prepared = self._preparer.prepare(job)
@@ -73,10 +73,10 @@ class Repairer:
                 self._after_writing(job)
 
     def invalidate(self, job: JobRecord, chunks: Sequence[int]) -> None:
-        """Have chunks of a job computed again; until then their cells read as missing.
+        """Queue chunks of a job to be computed again; until then their cells read as missing.
 
-        Those of an outdated job are given up: their cells stay missing, and a job that was done has failed.
-        Raises LedgerUnavailable, also where the stores are not there.
+        Those of an outdated job are given up: their cells stay missing, and a done job becomes failed.
+        Raises LedgerUnavailable, also if the stores are missing.
         """
         self._ledger.check()
         with self._invalidating(job.id) as computed_again:

@@ -1,10 +1,10 @@
-"""Scrub: verifies stored results behind the work, repairs metadata, finds stores unknown to the ledger.
+"""Verifies stored results in the background, repairs metadata, finds stores unknown to the ledger.
 
-A thread goes once through the jobs that the ledger had at the start: first the unfinished ones, then the
-others, the last accepted first. No job waits for it: damage that it finds is computed again, as that which a
-reader meets. Of each job it looks at the sizes of all stored chunks first, which reads no file, and then
-reads every chunk that was not verified since it was stored. What it has verified is in the ledger, so that a
-later start goes on from there; a job that is done is verified again after `verify_days`.
+A thread goes once through the jobs in the ledger at the start: first the unfinished ones, then the others,
+the last accepted first. No job waits for it: damage that it finds is computed again, like damage found by a
+reader. In each job it first compares the sizes of all stored chunks, without reading files, and then reads
+every chunk not verified since it was stored. The ledger records what was verified, so that a later start
+continues from there; a done job is verified again after `verify_days`.
 """
 
 import logging
@@ -26,23 +26,23 @@ from worker import store
 
 log = logging.getLogger(__name__)
 
-#: Times as long as the thread has worked it pauses, while chunks are computed: a fifth of a core at most.
+#: Pause four times as long as the last step took while jobs run: at most a fifth of a core.
 PAUSES: Final = 4.0
-#: Chunks that are read, or whose sizes are compared, between two pauses: requests wait for them.
+#: Chunks read, or compared by size, between two pauses: requests wait for them.
 READ_AT_ONCE: Final = 32
 COMPARED_AT_ONCE: Final = 512
 #: Jobs read from the ledger at once.
 JOBS_PER_PAGE: Final = 100
-#: Unknown stores that the log names one by one.
+#: Unknown stores logged one by one.
 MAX_NAMED: Final = 20
 
 
 class _Stopping(Exception):
-    """The service ends."""
+    """The service stops."""
 
 
 class Scrubber:
-    """Verifies what was stored before this start, slowly while `is_computing` says that jobs compute."""
+    """Verifies results of earlier starts, slowly while `is_computing` says that jobs compute."""
 
     def __init__(
         self,
@@ -57,26 +57,26 @@ class Scrubber:
         self._verified: set[str] = set()
         self.unknown_stores: Sequence[str] = ()  # addresses; the ledger did not know them at the start
         self.verified_chunks = self.damaged_chunks = 0  # since the start
-        self._newest = 0  # the last job there was at the start; later ones need no verification
+        self._newest = 0  # the last job at the start; later ones need no verification
         self._stop = threading.Event()
         self._clock: Callable[[], float] = time.monotonic
         self._resumed = 0.0  # when the last pause ended, by the clock
         self._thread = threading.Thread(target=self._work, name="scrubber", daemon=True)
 
     def start(self) -> None:
-        """Start the thread; until then no job is verified."""
+        """Start the thread; it verifies nothing before."""
         with self._ledger.reading() as ledger:
             self._newest = ledger.newest_seq()
         self._thread.start()
 
     def stop(self, seconds: float) -> None:
-        """End the thread, within `seconds`; the next start scrubs what was not reached."""
+        """End the thread within `seconds`; the next start scrubs the rest."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(seconds)
 
     def is_verified(self, job_id: str) -> bool:
-        """Whether every chunk that was done at the start has been found intact, or is computed again."""
+        """Whether every chunk done at the start has been found intact, or is computed again."""
         if job_id in self._verified:
             return True
         job = self._ledger.find(job_id)
@@ -91,7 +91,7 @@ class Scrubber:
                     self._scrub(job)
                 self._find_unknown()
                 return
-            except LedgerUnavailable:  # the supervisor says why
+            except LedgerUnavailable:  # the supervisor logs the reason
                 self._stop.wait(self._settings.heartbeat_seconds)
             except Exception:
                 pause = self._settings.heartbeat_seconds
@@ -99,7 +99,7 @@ class Scrubber:
                 self._stop.wait(pause)
 
     def _all(self) -> Iterator[JobRecord]:
-        """Every job there was at the start, the last accepted first."""
+        """Every job of the start, the last accepted first."""
         before = self._newest + 1
         while True:
             with self._ledger.reading() as ledger:
@@ -110,7 +110,7 @@ class Scrubber:
             before = page[-1].seq
 
     def _unfinished(self) -> Iterator[JobRecord]:
-        """Unfinished jobs that are not verified."""
+        """Unfinished jobs not yet verified."""
         with self._ledger.reading() as ledger:
             unfinished = [job.id for job in ledger.unfinished(self._settings.max_queue)]
         for job_id in unfinished:
@@ -119,7 +119,7 @@ class Scrubber:
                 yield job
 
     def _scrub(self, job: JobRecord) -> None:
-        """Verify one job, unless that was done not long ago. Raises LedgerUnavailable."""
+        """Verify one job, unless it was verified recently. Raises LedgerUnavailable."""
         self._ledger.check()
         try:
             if not self._is_due(job):
@@ -133,7 +133,7 @@ class Scrubber:
         except LedgerUnavailable:
             raise
         except Exception:
-            log.exception("job %s cannot be verified; damage will be met when it is read", job.id)
+            log.exception("job %s cannot be verified; damage will show when it is read", job.id)
         self._verified.add(job.id)
 
     def _is_due(self, job: JobRecord) -> bool:
@@ -149,7 +149,7 @@ class Scrubber:
         return True
 
     def _pause(self) -> None:
-        """Pause, while chunks are computed, for as long as what was done since the last one demands.
+        """Pause, while chunks are computed, in proportion to the work since the last pause.
 
         Raises _Stopping.
         """
@@ -161,10 +161,10 @@ class Scrubber:
     def _verify(self, job: JobRecord) -> None:
         """Remove leftovers of interrupted writes, repair metadata, verify chunks. Raises _Stopping."""
         prepared = self._preparer.prepare(job)
-        # To wait for a bucket takes nothing from others.
+        # Waiting for a bucket takes nothing from others.
         self._clock = time.process_time if store.in_bucket(prepared.store_url) else time.monotonic
         self._resumed = self._clock()
-        if job.state not in UNFINISHED:  # those are swept as they start
+        if job.state not in UNFINISHED:  # unfinished ones are swept as they start
             store.sweep_leftovers(prepared.store_url)
         if not job.chunks_done:
             return
@@ -176,8 +176,8 @@ class Scrubber:
             self._verify_page(job, prepared, page)
 
     def _verify_sizes(self, job: JobRecord, prepared: PreparedJob) -> None:
-        """Look for chunks that are missing or of another size, before any is read."""
-        known = self._ledger.done_mask(job)  # before the files are listed: later ones may not be among these
+        """Find missing chunks and those of another size, before reading any."""
+        known = self._ledger.done_mask(job)  # before the files are listed, which may lack later ones
         sizes = store.stored_sizes(prepared.store_url, prepared.layout, self._pause)
         for first in range(0, job.chunks_total, COMPARED_AT_ONCE):
             self._pause()
@@ -189,12 +189,12 @@ class Scrubber:
                 found = sizes[prepared.layout.coords(chunk.slices)]
                 if known[index] and (found < 0 or (size is not None and found != size)):
                     suspects.append((chunk, checksum))
-            # Read again: a chunk may have been computed again since the files were listed.
+            # Again: a chunk may have been recomputed since the files were listed.
             corrupt = store.find_corrupt(prepared.store_url, prepared.layout, suspects)
             self._invalidate(job, [chunk.index for chunk in corrupt])
 
     def _verify_page(self, job: JobRecord, prepared: PreparedJob, page: int) -> None:
-        """Read the chunks of a page that are not verified."""
+        """Read the unverified chunks of a page."""
         first = page * VERIFIED_PAGE
         with self._ledger.reading() as ledger:
             verified = ledger.verified_chunks(job, page)
@@ -220,7 +220,7 @@ class Scrubber:
             self._repairer.invalidate(job, chunks)
 
     def _find_unknown(self) -> None:
-        """Report stores without a job in the ledger. They may be all that is left of a job: they stay."""
+        """Report stores without a job in the ledger. They may be all that remains of a job: they stay."""
         self.unknown_stores = find_unknown(self._ledger, self._settings)
         for url in self.unknown_stores[:MAX_NAMED]:
             log.warning("%s is unknown to the ledger and left alone: bounce adopt takes it in", url)

@@ -33,7 +33,7 @@ from service.jobs.model import JobRecord, JobState
 from worker.executors.connection import SCHEDULER_SETTINGS
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
-from worker.executors.targets import Made
+from worker.executors.targets import CreatedCluster
 from worker.kernel_cache import use_cache
 from worker.spec import SweepSpec
 
@@ -108,7 +108,7 @@ def make(folder: Path, walltime: str = "00:10:00", prologue: Sequence[str] = ())
 @contextmanager
 def computing(cluster: Callable[[], Any], stores: Path | None = None) -> Iterator[Dask]:
     executor = Dask(
-        Made(cluster, "slurm:cluster"), timeout=60, stores=marked(stores.parent) if stores else None
+        CreatedCluster(cluster, "slurm:cluster"), timeout=60, stores=marked(stores.parent) if stores else None
     )
     try:
         yield executor

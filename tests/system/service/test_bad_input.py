@@ -205,7 +205,7 @@ def test_a_compressed_body_is_refused(client: TestClient):
 def address(tmp_path: Any) -> Iterator[tuple[str, int]]:
     executor = Inline()
     settings = Settings(data=tmp_path, max_body_bytes=MAX_BODY, body_seconds=0.5)
-    app, http = create_app(settings, executor), limited(settings.body_seconds, most=1000)
+    app, http = create_app(settings, executor), limited(settings.body_seconds, limit=1000)
     with listening(app, http) as address:
         yield address
     executor.close()

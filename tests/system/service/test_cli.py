@@ -278,7 +278,7 @@ def test_a_refusal_names_the_field_and_a_value_that_works(url: str):
 
     refused = estimate(5000)
     assert (refused.exit_code, refused.stdout) == (1, "")
-    found = re.search(r"model.steps_per_contact: asks for .*; (\d+) would do", refused.stderr)
+    found = re.search(r"model.steps_per_contact: asks for .*; (\d+) works", refused.stderr)
     assert found
     assert [estimate(int(found[1]) + more).exit_code for more in (0, 1)] == [0, 1]
 

@@ -17,7 +17,7 @@ from service.jobs.model import JobState
 from worker.executors.connection import SCHEDULER_SETTINGS
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
-from worker.executors.targets import Made
+from worker.executors.targets import CreatedCluster
 from worker.kernel_cache import use_cache
 
 PATIENCE = 180.0
@@ -84,7 +84,7 @@ def test_a_cluster_that_vanishes_is_made_again(tmp_path: Path, made: list[LocalC
         made.append(local_cluster(1))
         return made[-1]
 
-    executor = Dask(Made(make, "mine:cluster"), kernel_cache=CACHE)
+    executor = Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)
     readiness = Readiness(executor, max_age=0.0)
     faults = set()
 
@@ -120,7 +120,7 @@ def test_what_the_connection_swallows_is_lost_with_it(
         sent.set()
         await asyncio.Event().wait()
 
-    executor = Dask(Made(make, "mine:cluster"), kernel_cache=CACHE)
+    executor = Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)
     try:
         with monkeypatch.context() as patched:
             patched.setattr(executor._bundles, "add", swallowed)
@@ -138,7 +138,7 @@ def test_what_the_connection_swallows_is_lost_with_it(
 def test_lost_workers_of_a_users_cluster_are_replaced(made: list[LocalCluster]):
     with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}):
         made.append(local_cluster(2))
-        executor = Dask(Made(lambda: made[0], "mine:cluster"), kernel_cache=CACHE)
+        executor = Dask(CreatedCluster(lambda: made[0], "mine:cluster"), kernel_cache=CACHE)
         try:
             name = next(iter(made[0].workers))
             made[0].sync(made[0].workers[name].close)

@@ -23,7 +23,7 @@ from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.store import backend
 from worker.studies import run_task
-from worker.tasks import Terms, on_terms
+from worker.tasks import ChunkOptions, with_options
 
 ThreadedMotoServer = pytest.importorskip("moto.server", reason=SYSTEM).ThreadedMotoServer
 
@@ -112,7 +112,7 @@ def test_a_chunk_is_stored_with_few_requests(bucket: str, monkeypatch: pytest.Mo
     real = backend._bucket
     counting = Counting(real(url))
     monkeypatch.setattr(backend, "_bucket", lambda address: counting if address == url else real(address))
-    with on_terms(Terms(begins=True)):
+    with with_options(ChunkOptions(begins=True)):
         run_task(spec, plan[0], url)
         first = len(counting.calls)
         for chunk in plan[1:4]:

@@ -11,10 +11,10 @@ from service.jobs.retry import (
     BUCKET_SECONDS,
     MAX_COLLATERAL_LOSSES,
     Action,
+    ChunkCounts,
     Decision,
     History,
     RetryPolicy,
-    Tally,
 )
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLeft, WorkerLost, WorkerRefused
 from worker.store import UNREACHABLE, StoreDamaged, StoreMissing
@@ -114,7 +114,7 @@ def test_a_job_stops_after_so_many_chunks_or_a_fatal_error(given_up: int, fatal:
 
 
 def test_chunks_are_counted_by_what_they_took_and_by_how_they_came_back():
-    tally = Tally()
+    tally = ChunkCounts()
     for seconds in (0.005, 0.01, 0.011, 1.0, 299.0, 301.0):
         tally.add_computed(seconds)
     assert tally.computed == 6

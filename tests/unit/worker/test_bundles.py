@@ -9,7 +9,7 @@ import pytest
 from worker import store
 from worker.executors import sent_specs
 from worker.executors.bundles import Bundles, Call
-from worker.executors.sent_specs import Reference, SentSpecs
+from worker.executors.sent_specs import Reference, SpecReferences
 from worker.spec import SweepSpec
 from worker.studies import study_of
 
@@ -76,19 +76,19 @@ def stored(spec: Any, folder: Path) -> str:
 
 
 def test_a_long_specification_is_written_once_and_read_by_its_digest(long_spec: SweepSpec, tmp_path: Path):
-    url, specs = stored(long_spec, tmp_path), SentSpecs()
+    url, specs = stored(long_spec, tmp_path), SpecReferences()
     sent = specs.sent(long_spec, url)
     assert isinstance(sent, Reference)
     assert specs.sent(long_spec, url) is sent
-    assert sent_specs._read(sent) == long_spec
+    assert sent_specs._read_spec(sent) == long_spec
     [file] = Path(url).glob(".spec-*")
     file.write_bytes(b"{}")
-    sent_specs._read.cache_clear()
+    sent_specs._read_spec.cache_clear()
     with pytest.raises(store.StoreMissing, match="specification is not there"):
-        sent_specs._read(sent)
+        sent_specs._read_spec(sent)
 
 
 def test_a_short_one_is_sent_whole_and_so_is_one_that_cannot_be_written(long_spec: SweepSpec, tmp_path: Path):
     short = small_spec()
-    assert SentSpecs().sent(short, stored(short, tmp_path)) is short
-    assert SentSpecs().sent(long_spec, str(tmp_path / "nowhere.zarr")) is long_spec
+    assert SpecReferences().sent(short, stored(short, tmp_path)) is short
+    assert SpecReferences().sent(long_spec, str(tmp_path / "nowhere.zarr")) is long_spec

@@ -15,7 +15,7 @@ from worker import kernel_cache
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
     """A cache that this user's processes have made, and one of its kernels."""
-    folder = kernel_cache._made(tmp_path / "deep" / "cache")
+    folder = kernel_cache._cache_folder(tmp_path / "deep" / "cache")
     (folder / "run").write_bytes(b"code")
     return tmp_path / "deep" / "cache"
 
@@ -24,14 +24,14 @@ def refusal(root: Path) -> str:
     with pytest.raises(
         kernel_cache.CacheRefused, match="so others could run code here; remove it"
     ) as refused:
-        kernel_cache._made(root)
+        kernel_cache._cache_folder(root)
     return str(refused.value)
 
 
 def test_a_cache_is_made_for_this_user_alone(tmp_path):
     umask = os.umask(0)
     try:
-        folder = kernel_cache._made(tmp_path / "deep" / "cache")
+        folder = kernel_cache._cache_folder(tmp_path / "deep" / "cache")
     finally:
         os.umask(umask)
     for each in (folder, folder.parent, folder.parents[1]):
@@ -72,7 +72,7 @@ def test_the_root_comes_from_the_environment(variables, expected, monkeypatch):
 def test_a_cache_that_others_can_write_to_is_refused(root, inner):
     for each in (root, *root.rglob("*")):
         each.chmod(0o755)
-    kernel_cache._made(root)
+    kernel_cache._cache_folder(root)
     [opened] = root.glob(inner) if inner else [root]
     opened.chmod(0o775)
     assert f"{opened} can be written by other users (mode 0775)" in refusal(root)
@@ -85,5 +85,5 @@ def test_caches_of_other_sources_are_removed_after_two_weeks(root):
         (root / name / "used").touch()
     os.utime(root / "old" / "used", (long_ago, long_ago))
     (root / "somebody's").mkdir(mode=0o700)
-    kept = kernel_cache._made(root)
+    kept = kernel_cache._cache_folder(root)
     assert sorted(path.name for path in root.iterdir()) == sorted([kept.name, "recent", "somebody's"])

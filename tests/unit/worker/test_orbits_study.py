@@ -12,7 +12,7 @@ from tables import for_each
 from kernel.branches.events import Kind, branch_and_events
 from kernel.params import Outcome
 from worker import store, studies
-from worker.orbits import ORBITS, OrbitsSpec, _kept
+from worker.orbits import ORBITS, OrbitsSpec, _stored_rows
 from worker.spec import SpecError
 from worker.tasks import ChunkCancelled
 
@@ -108,7 +108,7 @@ def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
 @for_each(
     ("changes", "rule"),
     [
-        ({"modes": ["2-2"]}, "modes[0]: must be of one bounce"),
+        ({"modes": ["2-2"]}, "modes[0]: must have one bounce"),
         ({"modes": ["1-1", "1-1"]}, "modes: must not name a mode twice"),
         ({"modes": []}, "modes: must be 1 to 6 modes, not 0"),
         ({"points": 5}, "points: must be at least 10, not 5"),
@@ -135,7 +135,7 @@ def test_the_same_grid_is_the_same_job_whatever_its_name():
 @pytest.mark.parametrize("points", [5, 7, 10, 40])
 def test_thinning_keeps_gaps_and_ends(points: int):
     inside = np.array([True] * 12 + [False] * 5 + [True] * 9)
-    kept = _kept(inside, points)
+    kept = _stored_rows(inside, points)
     assert len(kept) <= points
     gaps = np.flatnonzero(kept < 0)
     assert len(gaps) == 1

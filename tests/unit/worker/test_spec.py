@@ -61,7 +61,7 @@ AXIS_RULES = [
     ([1.0, 1.0], "gamma: must increase, but 1.0 at [0] is followed by 1.0; sort and drop repeats"),
     ([1.0] * (MAX_AXIS_VALUES + 1), "gamma: must hold at most 100000 numbers, not 100001"),
     ({"start": 1.0}, "gamma.stop: is required\ngamma.num: is required"),
-    (range_(num=2.5), "gamma.num: must be a whole number, not 2.5; 2 or 3 would do"),
+    (range_(num=2.5), "gamma.num: must be a whole number: 2 or 3, not 2.5"),
     (range_(num=10**5000), "gamma.num: must be at most 100000, not a whole number of about 5000 digits"),
     (range_(start=2.0, stop=1.0), "gamma.start: must not be above stop: axes increase; swap the two "),
     (range_(start=1.0, stop=1.0, num=2), "gamma.num: must be 1 where start equals stop"),
@@ -120,7 +120,7 @@ RULES = [
         {"exponents": 3, "model": {"kind": "ball"}},
         "exponents: must be at most 2 where model.kind is 'ball'; ",
     ),
-    ({"settle": 1.5}, "settle: must be a whole number, not 1.5; 1 or 2 would do"),
+    ({"settle": 1.5}, "settle: must be a whole number: 1 or 2, not 1.5"),
     ({"settle": True}, "settle: must be a whole number, not true"),
     ({"keep": 0}, "keep: must be at least 1, not 0"),
 ]
@@ -141,7 +141,7 @@ def test_unknown_model_names_the_ones_there_are():
 
 def suggestion(said: str) -> int:
     """The number of steps a contact that a message says would work."""
-    found = re.search(r"^model.steps_per_contact: .*(?:at least (\d+),|; (\d+) would do$)", said)
+    found = re.search(r"^model.steps_per_contact: .*(?:at least (\d+),|; (\d+) works$)", said)
     assert found, said
     return int(found[1] or found[2])
 

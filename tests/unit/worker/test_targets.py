@@ -9,7 +9,7 @@ import pytest
 
 from worker.executors import targets
 from worker.executors.errors import ClusterLost
-from worker.executors.targets import FIRST_PAUSE, UNANSWERED, Made, SchedulerFile
+from worker.executors.targets import FIRST_PAUSE, UNANSWERED, CreatedCluster, SchedulerFile
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_a_cluster_is_made_once_and_again_when_it_has_ended(now: list[float]):
         made.append(Cluster(len(made) + 1))
         return made[-1]
 
-    target = Made(make, "mine")
+    target = CreatedCluster(make, "mine")
     assert target.planned() is None
     assert target.find() is target.find() is made[0]
     assert target.planned() == 1
@@ -83,7 +83,7 @@ def test_a_cluster_whose_scheduler_does_not_answer_several_times_in_a_row_is_mad
         made.append(Cluster())
         return made[-1]
 
-    target = Made(make, "mine")
+    target = CreatedCluster(make, "mine")
     target.unanswered()
     target.find()
     for _ in range(UNANSWERED - 1):
@@ -107,7 +107,7 @@ def test_a_failure_is_told_until_the_next_try(now: list[float]):
             raise result
         return result
 
-    target = Made(make, "mine")
+    target = CreatedCluster(make, "mine")
     with pytest.raises(ClusterLost, match=r"^no cluster from mine: RuntimeError: the queue is closed$"):
         target.find()
     now[0] += 0.4
