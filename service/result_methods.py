@@ -27,7 +27,7 @@ class ResultMethods:
         "threshold": ("up_status",),
         "orbits": ("event_gamma", "skipped_gamma"),
         "basins": ("attractor_fraction",),
-        "multistability": ("fraction",),
+        "multistability": ("cells",),
         "trajectory": ("plate",),
     }
 

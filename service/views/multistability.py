@@ -421,5 +421,6 @@ def _legend(axes: "Axes", entries: "list[Patch]") -> None:
 
 VIEW: Final = View(
     "multistability", "Attractors over a grid", MultistabilitySpec, MultistabilityQuery, compute, estimate,
-    variables=tuple(_ROWS.values()), rows="fraction", finer_rows="flight_time", draw=draw, size=(10.0, 4.2),
+    variables=tuple(_ROWS.values()), rows="fraction", finer_rows="flight_time", printed=("cells",),
+    draw=draw, size=(10.0, 4.2),
 )  # fmt: skip

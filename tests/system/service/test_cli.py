@@ -135,7 +135,7 @@ def test_a_threshold_outside_the_grid_has_its_status(url: str):
 
 
 def test_a_diagram_is_written_as_its_name_says(url: str, job: str, tmp_path: Path):
-    begins = {"a.png": b"\x89PNG", "a.SVG": b"<?xml", "a.csv": b'"flight"'}
+    begins = {"a.png": b"\x89PNG", "a.SVG": b"<?xml", "a.csv": b"flight"}
     for name, begin in begins.items():
         result = bounce("diagram", job, "--omega", 0.5, "-o", tmp_path / name, url=url)
         assert result.exit_code == 0, result.stderr

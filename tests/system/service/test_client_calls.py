@@ -271,7 +271,7 @@ def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):
     frame = pandas.read_csv(tmp_path / "a.csv")
     assert len(frame) == int(found.points.sum())
     assert frame.gamma[0] == float(found.gamma[0, 0])
-    assert "of one bounce" in bounce(running, *words[:-1], "2-2").stderr
+    assert "must have one bounce" in bounce(running, *words[:-1], "2-2").stderr
 
 
 def test_orbits_of_a_job_are_printed_and_written(running: Running, tmp_path: Path):
