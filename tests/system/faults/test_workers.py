@@ -66,7 +66,7 @@ def test_what_killed_workers_had_begun_to_write_goes_with_the_end_of_the_job(tmp
             wait_until_ready(fragile)
             workers, job = pids(fragile), service.submit(costing(str(number)))
             partial = Path(service.settings.store_of(job.id)) / ".partial"
-            wait_for(lambda job=job: service.job(job).state is JobState.RUNNING)
+            wait_for(lambda job=job: service.job(job).state is not JobState.QUEUED)
             deadline = time.monotonic() + 10.0
             while not list(partial.glob("*")) and time.monotonic() < deadline:
                 pass  # it is there for some milliseconds
