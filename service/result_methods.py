@@ -1,5 +1,6 @@
 """A method for each result. Made by service.views.client_methods: do not edit."""
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 if TYPE_CHECKING:
@@ -8,7 +9,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-class ResultMethods:
+class ResultMethods(ABC):
     """A method for each result of a job."""
 
     #: The formats of each result, and the variables whose numbers are the rows of printed tables.
@@ -31,9 +32,9 @@ class ResultMethods:
         "trajectory": ("plate",),
     }
 
+    @abstractmethod
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
-        raise NotImplementedError
 
     def diagram(
         self,
@@ -447,7 +448,7 @@ class ResultMethods:
         return self.result("trajectory", gamma=gamma, omega=omega, xi=xi, direction=direction, attractor=attractor, periods=periods, samples=samples)
 
 
-class SpringMethods:
+class SpringMethods(ABC):
     """A method for each result of a spring."""
 
     #: The formats of each result, and the variables whose numbers are the rows of printed tables.
@@ -462,9 +463,9 @@ class SpringMethods:
         "curves": ("event_gamma",),
     }
 
+    @abstractmethod
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
-        raise NotImplementedError
 
     def threshold(
         self,

@@ -13,6 +13,7 @@ from service.client.display import PartsCallback
 from service.client.errors import NotFound, UnexpectedAnswer
 from service.client.job import Job, as_completed, wait_all
 from service.client.models import Estimate, Problem
+from service.client.results import ResultReader
 from service.client.specification import Specification, body
 from service.client.transport import Transport, header_value, json_object
 from service.result_methods import SpringMethods
@@ -34,7 +35,7 @@ _ID_LENGTH: Final = 32
 _SHORTEST_ID: Final = 4
 
 
-class Client(SpringMethods):
+class Client(ResultReader, SpringMethods):
     """A client of a running service.
 
         with Client() as client:
@@ -153,16 +154,6 @@ class Client(SpringMethods):
             named = ", ".join(sorted(found)[:5])
             raise _not_found(f"{len(found)} jobs have ids that begin with {beginning}, as {named}")
         return found[0]
-
-    def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
-        """The result of a spring alone, as returned by the method of that name. Raises BadRequest."""
-        from service.client.dataset import from_binary
-
-        return from_binary(self.result_file(name, "bin", **query))
-
-    def result_file(self, name: str, format: str, /, **query: Any) -> bytes:
-        """A result of a spring alone as the content of a file. Raises BadRequest."""
-        return self._transport.get_result(f"/v1/{name}", format, **query)
 
     def jobs(
         self,
@@ -321,6 +312,9 @@ class Client(SpringMethods):
         return self._transport.post(
             "/v1/trajectories", body(cell), query=query, idempotent=True, waits=True
         ).content
+
+    def _path(self, *parts: str) -> str:
+        return "/".join(("/v1", *parts))
 
     def metrics(self) -> str:
         """The service's metrics in Prometheus's text format."""

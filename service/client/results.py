@@ -1,5 +1,6 @@
 """The results of a job: diagrams, thresholds, mode maps, exports, the store."""
 
+from abc import ABC, abstractmethod
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,13 +15,13 @@ if TYPE_CHECKING:
     import xarray
 
 
-class Results(ResultMethods, JobStatus):
-    """What can be read from a job, also while it runs. `Job` adds what changes it."""
+class ResultReader(ABC):
+    """Reads results by name, of a job or of a spring alone."""
 
     _transport: Transport
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
-        """The result of this name, such as "basins", as the method of that name returns it.
+        """The result of this name, such as "basins", as returned by the method of that name.
 
         Raises BadRequest naming the parameter, UnexpectedAnswer.
         """
@@ -34,6 +35,14 @@ class Results(ResultMethods, JobStatus):
         `timeout` and `progress` in `query` are those of `Transport.get_result`. Raises as `result`.
         """
         return self._transport.get_result(self._path(name), format, **query)
+
+    @abstractmethod
+    def _path(self, *parts: str) -> str:
+        """The path of a result."""
+
+
+class Results(ResultReader, ResultMethods, JobStatus):
+    """What can be read from a job, also while it runs. `Job` adds what changes it."""
 
     def export(self, path: str | PathLike[str], *, layout: ExportLayout = "cells") -> Path:
         """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.

@@ -22,6 +22,7 @@ _WIDTH: Final = 110
 
 _HEAD: Final = '''"""A method for each result. Made by service.views.client_methods: do not edit."""
 
+from abc import ABC, abstractmethod
 from typing import {imports}
 
 if TYPE_CHECKING:
@@ -29,16 +30,16 @@ if TYPE_CHECKING:
 '''
 _CLASS: Final = '''
 
-class {name}:
+class {name}(ABC):
     """A method for each result of {of}."""
 
     #: The formats of each result, and the variables whose numbers are the rows of printed tables.
     FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {formats}
     PRINTED: ClassVar[dict[str, tuple[str, ...]]] = {printed}
 
+    @abstractmethod
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
-        raise NotImplementedError
 '''
 
 
@@ -101,9 +102,8 @@ def _docstring(view: View) -> Iterator[str]:
         yield "timeout : float\n    Seconds to wait for the workers."
         yield "progress : bool or callable\n    Shows the parts done, or is called with their number and all."
     yield "\nReturns\n-------\nxarray.Dataset\n    With the attribute `complete` and these variables:\n"
-    for row in view.variables:
-        units = f" ({row.attrs['units']})" if row.attrs.get("units", "1") != "1" else ""
-        yield from _wrapped(f"- `{row.name}`{units}: {row.attrs['long_name']}")
+    for line in view.described:
+        yield from _wrapped(line)
     yield "\nRaises\n------\nBadRequest\n    Names the parameter.\nTooLarge\n    Names what fits."
 
 

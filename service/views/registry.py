@@ -69,7 +69,7 @@ def admit(
         query = query.model_copy(update={"every": every})
         return query, view.estimate(spec, query)
     sizes = " × ".join(f"{name} {n:,}" for name, n in estimate.sizes.items())
-    hint = "open the store itself, which has no such limit"
+    hint = "ask for less" if view.study is None else "open the store itself, which has no such limit"
     if every is not None:
         hint = f"every={every} fits; request a picture for all of them, or {hint}"
     raise TooLarge(
@@ -82,9 +82,7 @@ def answer(
 ) -> tuple[bytes, bool]:
     """The bytes of a result of a study, or of a spring, and whether it is complete.
 
-    Arguments and result can be pickled.
-
-    Raises as `View.compute`.
+    Arguments and result can be pickled. Raises as `View.compute`.
     """
     view = SPRINGS[name] if study is None else VIEWS[name]
     found = view.compute(study, view.query(**fields), *parts)

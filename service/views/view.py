@@ -105,6 +105,15 @@ class View:
     parts: Callable[[Any, Any], Sequence[Call]] | None = None
 
     @property
+    def described(self) -> list[str]:
+        """One line of text for each variable: name, units, meaning."""
+        lines = []
+        for row in self.variables:
+            units = row.attrs.get("units", "1")
+            lines.append(f"- `{row.name}`{'' if units == '1' else f' ({units})'}: {row.attrs['long_name']}")
+        return lines
+
+    @property
     def formats(self) -> tuple[str, ...]:
         """The formats of this result, the default first."""
         tables = tuple(encode.TABLES) if self.rows is not None else ()

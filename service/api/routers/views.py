@@ -63,21 +63,13 @@ def routes() -> list[APIRouter]:
 def _add(
     router: APIRouter, view: View, endpoint: Callable[..., Any], name: str, responses: dict[int | str, Any]
 ) -> None:
+    description = "\n".join([cleandoc(view.compute.__doc__ or view.summary), "", *view.described])
     pending = {**PENDING_RESPONSE, **problem_responses(429, 503)} if view.parts else {}
     router.add_api_route(
-        f"/{view.name}", endpoint, name=name, summary=view.summary, description=_description(view),
+        f"/{view.name}", endpoint, name=name, summary=view.summary, description=description,
         response_model=Dataset,
         responses={**content(*view.formats), **pending, **problem_responses(413, 422), **responses},
     )  # fmt: skip
-
-
-def _description(view: View) -> str:
-    rows = (
-        f"- `{row.name}`: {row.attrs['long_name']}"
-        + (f" ({row.attrs['units']})" if row.attrs.get("units", "1") != "1" else "")
-        for row in view.variables
-    )
-    return "\n".join([cleandoc(view.compute.__doc__ or view.summary), "", *rows])
 
 
 def _query_model(view: View) -> Any:
