@@ -21,7 +21,6 @@
     ├── RunFailed              a study without a service could not be computed
         ├── NotInstalled           an extra of the package is missing
     ├── NoSpace                no disk space for an export
-    ├── ExportFailed           the process that writes an export has died
     ├── LedgerUnavailable      the ledger cannot be read or written at the moment
         ├── NotAdoptable           a store cannot be adopted as a job
     └── NotStarted             the service cannot start; the text says why
@@ -136,10 +135,6 @@ class NotInstalled(ServiceError):
 
 class NoSpace(ServiceError):
     """No disk space for an export."""
-
-
-class ExportFailed(ServiceError):
-    """The process that writes an export has died, or could not write it."""
 
 
 class LedgerUnavailable(ServiceError):

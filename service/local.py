@@ -167,15 +167,14 @@ def run_to_file(
     from service.client.output_file import complete_file
     from service.results.provenance import attributes_of
     from service.results.selection import Stored
-    from service.views import diagram
-    from service.views.files import export
+    from service.views import diagram, files
     from service.views.registry import admit, answer
     from service.views.view import Query
 
     query: Query = _query(diagram.DiagramQuery, {**(line or {}), "every": every})
     # Before computing for hours.
     if format in EXPORTS:
-        export.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
+        files.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
     else:
         limits = _settings(partial_of(target))
         query, _ = admit(diagram.VIEW, parsed, query, format, limits.max_points)
@@ -185,9 +184,9 @@ def run_to_file(
         with complete_file(target) as file:
             if format in EXPORTS:
                 attributes = attributes_of(record, job)
-                whole = export.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
-                with export.make(InThisProcess(), whole, limits.exports_path) as made:
-                    file.writelines(export.pieces(made))
+                whole = files.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
+                with files.make(InThisProcess(), whole, limits.exports_path) as made:
+                    file.writelines(files.pieces(made))
             else:
                 file.write(answer("diagram", study, query.model_dump(), format)[0])
     shutil.rmtree(partial_of(target))

@@ -24,7 +24,7 @@ from service.jobs.on_demand import MAX_PENDING, OnDemandCache
 from service.jobs.stores.adoption import open_ledger
 from service.settings import Settings
 from service.software import software
-from service.views.files import export
+from service.views import files
 from worker.executors.base import Executor
 
 #: Chunks of stores read at a time.
@@ -91,7 +91,7 @@ async def _lifespan(
 ) -> AsyncIterator[None]:
     """Open the ledger and compute its unfinished jobs until the application stops."""
     with open_ledger(settings) as ledger:
-        export.remove_unfinished(settings.exports_path)
+        files.remove_unfinished(settings.exports_path)
         service = _service(settings, ledger, executor, background, metrics)
         app.state.service = service
         service.manager.start()

@@ -20,8 +20,7 @@ from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
 from service.results.provenance import attributes_of
 from service.results.selection import BASE_MEMORY
-from service.views.files import export as export_files
-from service.views.files.blocks import GROUP_BYTES
+from service.views import files
 from worker.store import ROOT
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
@@ -34,7 +33,7 @@ class _OpenFile(StreamingResponse):
     """A file that is open; it is closed however the request ends, also before anything is read."""
 
     def __init__(self, file: IO[bytes], headers: Mapping[str, str], media_type: str) -> None:
-        super().__init__(export_files.pieces(file), 200, headers, media_type)
+        super().__init__(files.pieces(file), 200, headers, media_type)
         self._file = file
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -43,7 +42,7 @@ class _OpenFile(StreamingResponse):
 
 
 def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.ExportQuery) -> int:
-    group = GROUP_BYTES if query.format == "parquet" else 0
+    group = files.GROUP_BYTES if query.format == "parquet" else 0
     return BASE_MEMORY + group + _CHUNK_COPIES * service.manager.preparer.prepare(job).layout.chunk_bytes
 
 
@@ -63,11 +62,11 @@ def export_job(
     software, libraries, processor, times and core-seconds.
     """
     study, prepared = dependencies.stored(service, job), service.manager.preparer.prepare(job)
-    export_files.check(study.spec, prepared.plan, query.format, query.layout)
-    export_files.check_size(study, prepared.plan, service.settings.max_export_bytes)
+    files.check(study.spec, prepared.plan, query.format, query.layout)
+    files.check_size(study, prepared.plan, service.settings.max_export_bytes)
     attributes = attributes_of(job, prepared)
-    export = export_files.Export(study, prepared.plan, query.format, query.layout, attributes)
-    file = export_files.make(service.background, export, service.settings.exports_path)
+    export = files.Export(study, prepared.plan, query.format, query.layout, attributes)
+    file = files.make(service.background, export, service.settings.exports_path)
     headers = {
         "Content-Length": str(file.seek(0, 2)),
         "Content-Disposition": f'attachment; filename="{job.id}.{query.format}"',

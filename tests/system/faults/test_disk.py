@@ -2,7 +2,6 @@
 
 import os
 import resource
-import sys
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -15,7 +14,7 @@ from served import FIGURE_2, service
 
 from kernel.params import Outcome
 from service.jobs.model import JobState
-from service.views.files import export, netcdf
+from service.views import files
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 
@@ -114,7 +113,7 @@ def test_an_export_that_fills_the_disk_ends_nothing_but_itself(
 
     The job waits for its first chunks: what is exported are missing cells.
     """
-    monkeypatch.setattr(export, "SPARE", -(2**40))
+    monkeypatch.setattr(files, "SPARE", -(2**40))
     ballast, held = small_disk / "ballast", Held()
     with service(small_disk / "data", held) as client:
         here = f"{client.post('/v1/jobs', json=FIGURE_2).headers['Location']}/export?format=nc"
@@ -129,16 +128,3 @@ def test_an_export_that_fills_the_disk_ends_nothing_but_itself(
         ballast.unlink()
         assert len(client.get(here).content) == len(whole.content)
         assert list((small_disk / "data" / "exports").iterdir()) == []
-
-
-def test_the_process_that_writes_a_netcdf_file_can_crash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    with service(tmp_path, Held(capacity=0)) as client:
-        here = f"{client.post('/v1/jobs', json=FIGURE_2).headers['Location']}/export?format=nc"
-        with monkeypatch.context() as crashing:
-            crash = "import os; os.kill(os.getpid(), 11)"
-            crashing.setattr(netcdf, "_WRITER", (sys.executable, "-c", crash))
-            answer = client.get(here)
-        assert answer.status_code == 503
-        assert "has died (-11)" in answer.json()["detail"]
-        assert client.get(here).status_code == 200
-        assert list((tmp_path / "exports").iterdir()) == []

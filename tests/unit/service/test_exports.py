@@ -21,7 +21,7 @@ from service.background import InThisProcess
 from service.errors import NoSpace
 from service.results.selection import Sweep
 from service.software import processor, software
-from service.views.files import export
+from service.views import files
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
@@ -132,32 +132,32 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
 
 
 @pytest.fixture
-def whole(done: Done) -> export.Export:
+def whole(done: Done) -> files.Export:
     """The sweep of `done` as a table."""
     job = done.client.app.state.service.ledger.find(done.here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
     url = done.client.app.state.service.settings.store_of(job.id)  # type: ignore[attr-defined]
     spec = SweepSpec(**RAMP)
-    return export.Export(Sweep(spec, url), make_plan(spec, chunk_shape=job.chunk_shape), "parquet")
+    return files.Export(Sweep(spec, url), make_plan(spec, chunk_shape=job.chunk_shape), "parquet")
 
 
-def test_files_are_written_where_this_user_alone_finds_them(whole: export.Export, tmp_path: Path):
+def test_files_are_written_where_this_user_alone_finds_them(whole: files.Export, tmp_path: Path):
     folder = tmp_path / "deep" / "exports"
     open_before = len(list(Path("/proc/self/fd").iterdir()))
     for _ in range(20):
-        with export.make(InThisProcess(), whole, folder) as file:
+        with files.make(InThisProcess(), whole, folder) as file:
             assert file.read(4) == b"PAR1"
         assert list(folder.iterdir()) == []
     assert folder.stat().st_mode & 0o7777 == 0o700
     assert len(list(Path("/proc/self/fd").iterdir())) < open_before + 10
 
 
-def test_only_a_full_disk_is_told_as_one(whole: export.Export, tmp_path: Path):
+def test_only_a_full_disk_is_told_as_one(whole: files.Export, tmp_path: Path):
     (tmp_path / "full").symlink_to("/dev/full")
     with pytest.raises(NoSpace, match=r"^no space left for the export file: "):
-        export.write(whole, tmp_path / "full")
+        files.write(whole, tmp_path / "full")
     (tmp_path / "folder").mkdir()
     with pytest.raises(IsADirectoryError):
-        export.write(whole, tmp_path / "folder")
+        files.write(whole, tmp_path / "folder")
 
 
 def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):

@@ -1,0 +1,260 @@
+"""A whole study as one file, written chunk by chunk: NetCDF with its store's arrays, or Parquet with rows.
+
+The file is unlinked before it is sent, so that nothing of it stays on the disk however the request ends.
+"""
+
+import errno
+import io
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from importlib.util import find_spec
+from itertools import chain
+from pathlib import Path
+from typing import IO, Any, Final, NamedTuple
+
+import h5netcdf
+import h5py
+import numpy as np
+import xarray
+from numpy.typing import NDArray
+
+from service.background import Background
+from service.errors import InvalidRequest, NoSpace, NotInstalled, TooLarge
+from service.formats import ExportFormat, ExportLayout
+from service.results.counting import LABEL, labelled
+from service.results.selection import Stored, read_stored
+from service.views.encode import record_batch, tables
+from worker import schema
+from worker.schema import Layout
+from worker.spec import SweepSpec
+from worker.studies import Plan, study_of
+
+#: Bytes sent at a time.
+PIECE: Final = 256 * 1024
+#: Bytes of the disk that an export leaves to jobs and to the ledger.
+SPARE: Final = 16 * 2**20
+#: A row group of Parquet is written once it has as many rows or bytes: large enough to be read fast, small
+#: enough to be skipped, and held in memory until then.
+GROUP_ROWS: Final = 2**17
+GROUP_BYTES: Final = 16 * 2**20
+
+
+@dataclass(frozen=True)
+class Export:
+    """A study to be written as one file."""
+
+    study: Stored[Any]
+    plan: Plan
+    format: ExportFormat
+    layout: ExportLayout = "cells"  # what a row of a table is
+    #: What the file says of the job, as `service.results.provenance.attributes_of` gives it.
+    attributes: Mapping[str, str | int | float] = field(default_factory=dict)
+
+    @cached_property
+    def stored(self) -> Layout:
+        """What is stored of the study."""
+        return study_of(self.study.spec).variables(self.study.spec, self.plan.chunk_shape)
+
+    @property
+    def arrays(self) -> tuple[schema.Array, ...]:
+        """The arrays of the file: all stored ones, and the label of a sweep with exponents."""
+        spec = self.study.spec
+        return (*self.stored.arrays, *((LABEL,) if isinstance(spec, SweepSpec) and spec.exponents else ()))
+
+
+class _Block(NamedTuple):
+    """One chunk of a study; cells that are not computed yet hold fill values."""
+
+    cells: Mapping[str, slice]  # the cells it spans, by dimension in the order of the store
+    arrays: Mapping[str, NDArray[Any]]  # by name, along `cells` and then the extra dimensions
+
+
+def check(spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "cells") -> None:
+    """Raise InvalidRequest for complex arrays, which no such file holds, and for rows that there are not.
+
+    Raises NotInstalled for Parquet without its library.
+    """
+    arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
+    for array in arrays:
+        if np.dtype(array.dtype).kind == "c":
+            rule = f"{array.name} of this study is complex, and no such file holds that: open its store"
+            raise InvalidRequest.of("format", rule)
+    if layout == "flights" and format != "parquet":
+        raise InvalidRequest.of("layout", f"flights is for parquet, whose rows they are, not for {format}")
+    if layout == "flights" and not any(array.dims[-1] == "flight" for array in arrays):
+        raise InvalidRequest.of("layout", "this study stores no flights")
+    if format == "parquet" and find_spec("pyarrow") is None:
+        raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
+
+
+def check_size(study: Stored[Any], plan: Plan, max_bytes: int) -> None:
+    """Raise TooLarge for a study of more bytes than one file may hold."""
+    size = study_of(study.spec).estimate(study.spec, plan).bytes
+    if size > max_bytes:
+        raise TooLarge(
+            f"the sweep holds {size:,} bytes; the limit for one file is {max_bytes:,}: "
+            "open the store itself, which has no such limit"
+        )
+
+
+def make(background: Background, export: Export, folder: Path) -> IO[bytes]:
+    """The study's file, written in the background; open for reading and already unlinked.
+
+    Raises NoSpace, another OSError, NotComputed, a `store.StoreError`.
+    """
+    folder.mkdir(0o700, parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(suffix=f".{export.format}", dir=folder) as made:
+        background.run(write, export, Path(made.name))
+        return Path(made.name).open("rb")
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove the files that a killed service left."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def pieces(file: IO[bytes]) -> Iterator[bytes]:
+    """The file's bytes."""
+    return iter(partial(file.read, PIECE), b"")
+
+
+def write(export: Export, path: Path) -> None:
+    """Write the study's file. Raises NoSpace, another OSError, a `store.StoreError`."""
+    try:
+        (_write_netcdf if export.format == "nc" else _write_parquet)(
+            export, _blocks(export, path.parent), path
+        )
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise NoSpace(f"no space left for the export file: {error.strerror}") from error
+        raise
+
+
+def _blocks(export: Export, folder: Path) -> Iterator[_Block]:
+    """Every chunk of the plan, each if the disk has room for it before compression. Raises NoSpace."""
+    study, layout = export.study, export.stored
+    for chunk in export.plan:
+        cells = dict(zip(layout.chunk_sizes, chunk.slices, strict=True))
+        arrays = read_stored(study, layout.names, cells, partial(_fill_values, layout, cells))
+        if isinstance(study.spec, SweepSpec):
+            arrays |= labelled(study.spec, arrays[schema.OUTCOME.name], arrays)
+        if shutil.disk_usage(folder).free < sum(array.nbytes for array in arrays.values()) + SPARE:
+            raise NoSpace(f"no space left for the export file: less than {SPARE:,} bytes would stay free")
+        yield _Block(cells, arrays)
+
+
+def _fill_values(layout: Layout, cells: Mapping[str, slice]) -> dict[str, NDArray[Any]]:
+    """What the arrays of a chunk hold before any cell is computed."""
+    sizes = {**layout.extra_sizes, **{dim: span.stop - span.start for dim, span in cells.items()}}
+    return {
+        array.name: np.full([sizes[dim] for dim in array.dims], array.fill, array.dtype)
+        for array in layout.arrays
+    }
+
+
+class _UnrefusedFile(io.FileIO):
+    """Hides refused writes from libhdf5, which crashes after one, also long after it."""
+
+    refused: OSError | None = None
+
+    def write(self, content: Any) -> int:
+        left = memoryview(content)
+        try:
+            while left:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self.refused = error
+        return len(content)
+
+
+def _write_netcdf(export: Export, blocks: Iterable[_Block], path: Path) -> None:
+    """NetCDF 4 with the dimensions, coordinates, arrays and attributes of the store."""
+    with _UnrefusedFile(path, "w+") as target:
+        with h5netcdf.File(target, "w") as file:
+            _define(file, export)
+            for block in blocks:
+                for name, values in block.arrays.items():
+                    file.variables[name][tuple(block.cells.values())] = values
+                if target.refused:
+                    break
+        if target.refused:
+            raise target.refused
+
+
+def _define(file: Any, export: Export) -> None:
+    layout = export.stored
+    file.dimensions = {
+        dim: n for row in export.arrays for dim, n in zip(row.dims, layout.shape(row), strict=True)
+    }
+    for name, values in layout.coordinates.items():
+        if values.dtype.kind == "T":  # text of any length, which HDF5 has as a type of its own
+            file.create_variable(name, (name,), h5py.string_dtype())[...] = values.astype(object)
+        else:
+            file.create_variable(name, (name,), data=values)
+        file.variables[name].attrs.update(layout.coordinate_attrs[name])
+    for name, code in layout.codes.items():
+        file.create_variable(name, (code.dim,), data=code.values).attrs.update(_with_flags(code.attrs, "|u1"))
+    for row in export.arrays:
+        dtype = np.dtype(row.dtype)
+        created = file.create_variable(
+            row.name, row.dims, dtype, chunks=layout.chunk_shape(row),
+            # Counts have no fill value: CF readers would turn them into floating point.
+            fillvalue=row.fill if dtype.kind == "f" else None,
+            compression="gzip", compression_opts=1, shuffle=True,
+        )  # fmt: skip
+        created.attrs.update(_with_flags(layout.array_attrs(row), row.dtype))
+    file.attrs.update({**export.attributes, **export.study.attributes})
+
+
+def _with_flags(attrs: Mapping[str, Any], dtype: str) -> dict[str, Any]:
+    """Attributes as CF wants them: flag values have the type of their variable."""
+    return {
+        name: np.array(value, dtype) if isinstance(value, list) else value for name, value in attrs.items()
+    }
+
+
+def _write_parquet(export: Export, blocks: Iterable[_Block], path: Path) -> None:
+    """A row for each cell, each attractor of a cell, or each flight."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    batches = chain.from_iterable(_rows(export, block) for block in blocks)
+    first = next(batches)
+    attributes = {**export.attributes, **export.study.attributes}
+    table = first.schema.with_metadata({name: str(value) for name, value in attributes.items()})
+    try:
+        with parquet.ParquetWriter(path, table, compression="zstd") as file:
+            for group in _groups(chain([first], batches)):
+                file.write_table(pa.Table.from_batches(group).cast(table), row_group_size=GROUP_ROWS)
+    finally:
+        pa.default_memory_pool().release_unused()  # it keeps what it had for its next arrays
+
+
+def _rows(export: Export, block: _Block) -> Iterator[Any]:
+    """The rows of a block as record batches."""
+    coords = {}
+    for name, values in export.stored.coordinates.items():
+        part = values[block.cells.get(name, slice(None))]
+        coords[name] = (name, part.astype(object) if part.dtype.kind == "T" else part)
+    variables = {row.name: (row.dims, block.arrays[row.name], row.attrs) for row in export.arrays}
+    dataset = xarray.Dataset(variables, coords).drop_dims({"row", "column"}, errors="ignore")
+    by_flight = export.layout == "flights"
+    cells = "fraction" if "fraction" in dataset else schema.OUTCOME.name
+    return map(record_batch, tables(dataset, "flight_time" if by_flight else cells, lists=not by_flight))
+
+
+def _groups(batches: Iterable[Any]) -> Iterator[list[Any]]:
+    """The batches in groups that are large enough, the last one perhaps not."""
+    group: list[Any] = []
+    rows = size = 0
+    for batch in batches:
+        group.append(batch)
+        rows, size = rows + batch.num_rows, size + batch.nbytes
+        if rows >= GROUP_ROWS or size >= GROUP_BYTES:
+            yield group
+            group, rows, size = [], 0, 0
+    if group:
+        yield group
