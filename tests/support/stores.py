@@ -8,12 +8,7 @@ from service.settings import Settings
 from worker import store
 from worker.executors.admission import Probe
 from worker.schema import Layout
-from worker.store import chunks
 from worker.store.chunks import HasSlices
-
-
-def checksum(url: str, layout: Layout, chunk: HasSlices) -> str:
-    return chunks.checksum(url, layout, layout.coords(chunk.slices))
 
 
 def is_sound(url: str, layout: Layout, chunk: HasSlices, expected: str) -> bool:

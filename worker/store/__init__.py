@@ -3,94 +3,50 @@
 Code outside this package uses only the names listed here. In worker, only this package imports zarr.
 """
 
-from worker.store.backend import (
-    ROOT,
-    UNREACHABLE,
-    check_address,
-    created_at,
-    in_bucket,
-    is_writable,
-    names_in,
-    read_key,
-    remove,
-    rename_for_deletion,
-)
-from worker.store.cancel_flag import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
-from worker.store.checkpoints import checkpoints_in, read_checkpoint, remove_checkpoint, write_checkpoint
-from worker.store.chunks import Stored, checksum_of, discard, find_corrupt, stored_sizes, sync_folders
-from worker.store.encoding import ArrayForm, forms_in
-from worker.store.errors import (
-    ChunkCoords,
-    PlaceUnusable,
-    StoreConflict,
-    StoreDamaged,
-    StoreError,
-    StoreMissing,
-)
-from worker.store.marker import MARKER, read_marker, write_marker
-from worker.store.metadata import read_spec, write_spec
-from worker.store.reader import read_file, stored_forms
-from worker.store.store import (
-    check_chunk,
-    chunk_shape,
-    create,
-    metadata_of,
-    read_attrs,
-    read_chunk,
-    read_coordinates,
-    read_slice,
-    repair_metadata,
-    write_chunk,
-)
-
-__all__ = [
-    "MARKER",
-    "ROOT",
-    "UNREACHABLE",
-    "ArrayForm",
-    "ChunkCoords",
-    "PlaceUnusable",
-    "StoreConflict",
-    "StoreDamaged",
-    "StoreError",
-    "StoreMissing",
-    "Stored",
-    "check_address",
-    "check_chunk",
-    "checkpoints_in",
-    "checksum_of",
-    "chunk_shape",
-    "clear_cancelled",
-    "create",
-    "created_at",
-    "discard",
-    "find_corrupt",
-    "forms_in",
-    "in_bucket",
-    "is_cancelled",
-    "is_writable",
-    "metadata_of",
-    "names_in",
-    "read_attrs",
-    "read_checkpoint",
-    "read_chunk",
-    "read_coordinates",
-    "read_file",
-    "read_key",
-    "read_marker",
-    "read_slice",
-    "read_spec",
-    "remove",
-    "remove_checkpoint",
-    "rename_for_deletion",
-    "repair_metadata",
-    "set_cancelled",
-    "stored_forms",
-    "stored_sizes",
-    "sweep_leftovers",
-    "sync_folders",
-    "write_checkpoint",
-    "write_chunk",
-    "write_marker",
-    "write_spec",
-]
+from worker.store.backend import ROOT as ROOT
+from worker.store.backend import UNREACHABLE as UNREACHABLE
+from worker.store.backend import check_address as check_address
+from worker.store.backend import created_at as created_at
+from worker.store.backend import in_bucket as in_bucket
+from worker.store.backend import is_writable as is_writable
+from worker.store.backend import names_in as names_in
+from worker.store.backend import read_key as read_key
+from worker.store.backend import remove as remove
+from worker.store.backend import rename_for_deletion as rename_for_deletion
+from worker.store.chunks import Stored as Stored
+from worker.store.chunks import checksum_of as checksum_of
+from worker.store.chunks import discard as discard
+from worker.store.chunks import find_corrupt as find_corrupt
+from worker.store.chunks import stored_sizes as stored_sizes
+from worker.store.chunks import sync_folders as sync_folders
+from worker.store.encoding import ArrayForm as ArrayForm
+from worker.store.encoding import forms_in as forms_in
+from worker.store.errors import ChunkCoords as ChunkCoords
+from worker.store.errors import PlaceUnusable as PlaceUnusable
+from worker.store.errors import StoreConflict as StoreConflict
+from worker.store.errors import StoreDamaged as StoreDamaged
+from worker.store.errors import StoreError as StoreError
+from worker.store.errors import StoreMissing as StoreMissing
+from worker.store.reader import read_attrs as read_attrs
+from worker.store.reader import read_chunk as read_chunk
+from worker.store.reader import read_file as read_file
+from worker.store.reader import read_slice as read_slice
+from worker.store.reader import stored_forms as stored_forms
+from worker.store.side_files import MARKER as MARKER
+from worker.store.side_files import checkpoints_in as checkpoints_in
+from worker.store.side_files import clear_cancelled as clear_cancelled
+from worker.store.side_files import is_cancelled as is_cancelled
+from worker.store.side_files import read_checkpoint as read_checkpoint
+from worker.store.side_files import read_marker as read_marker
+from worker.store.side_files import read_spec as read_spec
+from worker.store.side_files import remove_checkpoint as remove_checkpoint
+from worker.store.side_files import set_cancelled as set_cancelled
+from worker.store.side_files import sweep_leftovers as sweep_leftovers
+from worker.store.side_files import write_checkpoint as write_checkpoint
+from worker.store.side_files import write_marker as write_marker
+from worker.store.side_files import write_spec as write_spec
+from worker.store.store import check_chunk as check_chunk
+from worker.store.store import create as create
+from worker.store.store import metadata_of as metadata_of
+from worker.store.store import repair_metadata as repair_metadata
+from worker.store.store import write_chunk as write_chunk

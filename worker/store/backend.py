@@ -18,9 +18,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from urllib.parse import urlsplit
 from uuid import uuid4
 
-from zarr.abc.store import Store
-from zarr.storage import LocalStore, ObjectStore
-
 from worker.store.errors import PlaceUnusable
 
 if TYPE_CHECKING:
@@ -62,14 +59,6 @@ def check_address(url: str) -> None:
     if not urlsplit(url).netloc:
         raise PlaceUnusable(f"{url}: an address in a bucket must be s3://BUCKET/PREFIX")
     _obstore()
-
-
-def open_store(url: str, *, read_only: bool) -> Store:
-    """The zarr store at an address. Raises PlaceUnusable."""
-    check_address(url)
-    if in_bucket(url):
-        return ObjectStore(_bucket(url), read_only=read_only)
-    return LocalStore(Path(url), read_only=read_only)
 
 
 def read_key(url: str, key: str) -> bytes | None:
@@ -114,7 +103,11 @@ def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[byt
     A negative offset counts from the end. Parts beyond the end are shorter.
     """
     if not in_bucket(url):
-        return _read_parts(url, key, spans)
+        with _opened(url, key) as file:
+            if file is None:
+                return None
+            size = os.fstat(file.fileno()).st_size
+            return [os.pread(file.fileno(), n, at if at >= 0 else max(size + at, 0)) for at, n in spans]
     bucket = _bucket(url)
     try:
         if spans[0][0] < 0:
@@ -123,14 +116,6 @@ def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[byt
         return [bytes(part) for part in bucket.get_ranges(key, starts=starts, lengths=lengths)]
     except FileNotFoundError:
         return None
-
-
-def _read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
-    with _opened(url, key) as file:
-        if file is None:
-            return None
-        size = os.fstat(file.fileno()).st_size
-        return [os.pread(file.fileno(), n, at if at >= 0 else max(size + at, 0)) for at, n in spans]
 
 
 def put(url: str, key: str, content: bytes) -> None:
@@ -148,12 +133,6 @@ def put(url: str, key: str, content: bytes) -> None:
         raise
 
 
-def make_partial_folder(url: str) -> None:
-    """Create a store's folder of partial files, and the store's; a bucket needs none."""
-    if not in_bucket(url):
-        Path(url, PARTIAL).mkdir(parents=True, exist_ok=True)
-
-
 def write_partial(url: str, content: bytes) -> Path:
     """Write and sync a file in a store's folder of partial files, for `place`. Raises FileNotFoundError.
 
@@ -161,24 +140,19 @@ def write_partial(url: str, content: bytes) -> Path:
     """
     path = Path(url, PARTIAL, f"{uuid4().hex}.partial")
     try:
-        descriptor = _created(path)
+        file = path.open("xb")
     except FileNotFoundError:
         path.parent.mkdir(exist_ok=True)  # not the store itself: if missing, it is being removed
-        descriptor = _created(path)
+        file = path.open("xb")
     try:
-        with os.fdopen(descriptor, "wb", buffering=0) as file:
-            left = memoryview(content)
-            while left:
-                left = left[file.write(left) :]
-            os.fsync(descriptor)
+        with file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
     except OSError:
         path.unlink(missing_ok=True)
         raise
     return path
-
-
-def _created(path: Path) -> int:
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
 
 
 def place(url: str, partial: Path, key: str) -> None:
@@ -221,13 +195,11 @@ def is_writable(url: str) -> bool:
 
 def delete(url: str, key: str) -> None:
     """Remove a key of a store, if it exists."""
-    try:
+    with suppress(FileNotFoundError):
         if in_bucket(url):
             _bucket(url).delete(key)
         else:
-            (Path(url) / key).unlink()
-    except FileNotFoundError:
-        pass
+            Path(url, key).unlink()
 
 
 def rename_for_deletion(url: str, renamed: str) -> None:
@@ -273,37 +245,6 @@ def remove(url: str) -> None:
             bucket.delete([entry["path"] for entry in entries])
     elif Path(url).exists():
         shutil.rmtree(url)
-
-
-def put_flag(url: str) -> None:
-    """Create an empty file (or object) at an address, and its parent folders."""
-    if in_bucket(url):
-        above, name = url.rsplit("/", 1)
-        _bucket(above).put(name, b"")
-        return
-    Path(url).parent.mkdir(parents=True, exist_ok=True)
-    Path(url).touch()
-
-
-def clear_flag(url: str) -> None:
-    """Remove the file, if it exists."""
-    if not in_bucket(url):
-        Path(url).unlink(missing_ok=True)
-    elif has_flag(url):
-        above, name = url.rsplit("/", 1)
-        _bucket(above).delete(name)
-
-
-def has_flag(url: str) -> bool:
-    """Whether the file exists."""
-    if not in_bucket(url):
-        return Path(url).exists()
-    above, name = url.rsplit("/", 1)
-    try:
-        _bucket(above).head(name)
-    except FileNotFoundError:
-        return False
-    return True
 
 
 @lru_cache(maxsize=256)

@@ -6,7 +6,7 @@ can be verified without opening its store.
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import cache
@@ -24,8 +24,6 @@ from worker.store.errors import ChunkCoords
 _THREADS: Final = 8
 #: Files whose sizes are listed between two pauses.
 _LISTED: Final = 2_000
-
-Index = int | slice
 
 
 class HasSlices(Protocol):
@@ -56,8 +54,9 @@ def key(name: str, dims: int, coords: ChunkCoords) -> str:
     return f"{name}/c.{'.'.join(map(str, numbers))}"
 
 
-def keys_of(layout: Layout, coords: ChunkCoords) -> dict[str, str]:
+def _keys_of(layout: Layout, chunk: HasSlices) -> dict[str, str]:
     """The keys of a chunk by array, in the order they are written."""
+    coords = layout.coords(chunk.slices)
     return {array.name: key(array.name, len(array.dims), coords) for array in layout.arrays}
 
 
@@ -70,14 +69,9 @@ def digest(contents: Iterable[tuple[str, bytes | None]]) -> str:
     return result.hexdigest()
 
 
-def checksum(url: str, layout: Layout, coords: ChunkCoords) -> str:
-    """The digest of a chunk's stored bytes."""
-    return digest((name, read_key(url, key)) for name, key in keys_of(layout, coords).items())
-
-
 def checksum_of(url: str, layout: Layout, chunk: HasSlices) -> str:
     """The checksum of a chunk's stored bytes, as `find_corrupt` expects it."""
-    return checksum(url, layout, layout.coords(chunk.slices))
+    return digest((name, read_key(url, key)) for name, key in _keys_of(layout, chunk).items())
 
 
 def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) -> Iterator[Chunk]:
@@ -87,7 +81,7 @@ def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) 
         return checksum_of(url, layout, expected[0]) != expected[1]
 
     marked = list(chunks)
-    for (chunk, _), corrupt in zip(marked, _verifying().map(is_corrupt, marked), strict=True):
+    for (chunk, _), corrupt in zip(marked, pool("verify").map(is_corrupt, marked), strict=True):
         if corrupt:
             yield chunk
 
@@ -116,38 +110,27 @@ def stored_sizes(url: str, layout: Layout, pause: Callable[[], object] = lambda:
 
 def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
     """Remove a chunk's stored bytes, `outcome` first, so that its cells always read as missing."""
-    for key in reversed(keys_of(layout, layout.coords(chunk.slices)).values()):
+    for key in reversed(_keys_of(layout, chunk).values()):
         delete(url, key)
 
 
 def sync_folders(url: str, layout: Layout) -> None:
     """Sync the names of written chunks to disk; their contents are synced when written.
 
-    Call it once for many chunks: it syncs the arrays' folders. A bucket's acknowledged objects are durable.
+    Call it once for many chunks: it syncs the arrays' folders.
     """
-    if in_bucket(url):
-        return
     with suppress(FileNotFoundError):  # the store is being removed, or was
-        list(threads().map(fsync, [Path(url, array.name) for array in layout.arrays]))
+        fsync(url, [Path(url, array.name) for array in layout.arrays])
 
 
-def fsync_files(url: str, keys: Sequence[str]) -> None:
-    """Sync files to disk, and the folders above them up to the store's parent.
-
-    Does nothing for a bucket, whose acknowledged objects are durable.
-    """
-    if in_bucket(url):
-        return
-    root = Path(url)
-    files = [root / key for key in keys]
-    folders = {above for file in files for above in file.parents if above.is_relative_to(root)}
-    for group in (files, [*folders, root.parent]):
-        list(threads().map(fsync, group))
+def fsync(url: str, folders: Iterable[Path]) -> None:
+    """Sync the names in folders of a store to disk. A bucket's acknowledged objects are durable."""
+    if not in_bucket(url):
+        list(pool("store").map(_fsync, folders))
 
 
-def fsync(path: Path) -> None:
-    """Sync a file or a folder to disk."""
-    descriptor = os.open(path, os.O_RDONLY)
+def _fsync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -158,10 +141,10 @@ def write_keys(url: str, contents: Mapping[str, bytes]) -> None:
     """Write keys of a store, each whole or not at all, and the last one after all others."""
     keys = list(contents)
     if in_bucket(url):
-        list(threads().map(lambda key: put(url, key, contents[key]), keys[:-1]))
+        list(pool("store").map(lambda key: put(url, key, contents[key]), keys[:-1]))
         put(url, keys[-1], contents[keys[-1]])
         return
-    writing = [threads().submit(write_partial, url, contents[key]) for key in keys]
+    writing = [pool("store").submit(write_partial, url, contents[key]) for key in keys]
     wait(writing)
     try:
         for key, partial in zip(keys, [future.result() for future in writing], strict=True):
@@ -174,12 +157,6 @@ def write_keys(url: str, contents: Mapping[str, bytes]) -> None:
 
 
 @cache
-def threads() -> ThreadPoolExecutor:
-    """The thread pool for syncs and for requests to buckets."""
-    return ThreadPoolExecutor(_THREADS, thread_name_prefix="store")
-
-
-@cache
-def _verifying() -> ThreadPoolExecutor:
-    """The thread pool for verification, separate so that storing never waits for it."""
-    return ThreadPoolExecutor(_THREADS, thread_name_prefix="verify")
+def pool(purpose: str) -> ThreadPoolExecutor:
+    """Threads for syncs and requests ("store") or verification ("verify"): storing never waits for it."""
+    return ThreadPoolExecutor(_THREADS, thread_name_prefix=purpose)

@@ -130,9 +130,12 @@ def _seal(form: ArrayForm, body: memoryview | bytes, at: tuple[int, ...]) -> byt
 
 
 def spans_of(form: ArrayForm, index: bytes, inner: Sequence[tuple[int, ...]]) -> list[tuple[int, int]]:
-    """Offset and length of inner chunks, by their coordinates in a shard. Raises ValueError for damage."""
+    """Offset and length of inner chunks, by their coordinates in a shard along its first dimensions.
+
+    Raises ValueError for damage.
+    """
     table = _index(form, index)
-    spans = [(int(table[coords][0]), int(table[coords][1])) for coords in inner]
+    spans = [(int(offset), int(length)) for offset, length in (table[coords].ravel() for coords in inner)]
     if any(offset == _ABSENT for offset, _ in spans):
         raise ValueError("the shard lacks a chunk")
     return spans

@@ -30,4 +30,6 @@ class StoreConflict(StoreError):
 class StoreDamaged(StoreError):
     """Stored bytes are missing or cannot be decoded; `chunks` lists the damaged chunks, if any."""
 
-    chunks: tuple[ChunkCoords, ...] = ()
+    def __init__(self, message: str, chunks: tuple[ChunkCoords, ...] = ()) -> None:
+        super().__init__(message)
+        self.chunks = chunks

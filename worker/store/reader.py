@@ -1,12 +1,12 @@
 """Reads cells of a store: reads and decompresses chunk files directly, and only the needed parts of shards.
 
 For small chunks zarr's overhead is many times the cost of decompression. This module reads only the format
-that `metadata.empty_store` defines.
+that `store.metadata_of` defines.
 """
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import product
 from typing import Any, Final, NamedTuple
@@ -14,8 +14,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from worker.schema import structured_attributes
 from worker.store.backend import ROOT, in_bucket, read_key, read_parts
-from worker.store.chunks import Index, key, threads
+from worker.store.chunks import HasSlices, key, pool
 from worker.store.encoding import (
     ArrayForm,
     check_file,
@@ -30,6 +31,10 @@ from worker.store.errors import ChunkCoords, StoreDamaged, StoreMissing
 
 OUTCOME: Final = "outcome"
 
+_MISSING: Final = "is missing"
+
+Index = int | slice
+
 
 class _Part(NamedTuple):
     """The requested cells in one inner chunk (the whole chunk if it is no shard)."""
@@ -40,108 +45,104 @@ class _Part(NamedTuple):
     in_result: tuple[slice, ...]  # their positions in the result
 
 
-def read_cells(
+def read_slice(
     url: str,
     names: Iterable[str],
-    where: Mapping[str, Index] | tuple[slice, ...],
-    complete: bool,
+    *,
+    complete: bool = False,
     forms: Mapping[str, ArrayForm] | None = None,
+    **where: Index,
 ) -> dict[str, NDArray[Any]]:
-    """The implementation of `store.read_slice` and `store.read_chunk`.
+    """Part of some arrays, by index along the cell dimensions; reads only the needed chunks.
 
-    where: indices along some cell dimensions by name, or slices along all of them in order.
+    An integer drops its dimension, a slice (its step above 0) keeps it; extra dimensions, such as flights,
+    come last. Cells that are not computed read as fill values in every array.
+
+    complete: whether every chunk has been written, so that a missing one is damage.
+    forms: `forms_in` of the study's layout, which the store's metadata must match.
+    Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
     """
     arrays = stored_forms(url, forms)
-    index = where if isinstance(where, tuple) else _in_order(arrays[OUTCOME].dims, where)
-    names = list(dict.fromkeys(names))
-    parts = list(_parts(arrays[OUTCOME], index))
-    reading = _Reading(url, arrays, index)
-    # `outcome` is written last: without it the chunk is not computed, and the others are not read.
-    present = reading.take([(OUTCOME, part) for part in parts], lenient=not complete)
-    others = [name for name in names if name != OUTCOME]
-    reading.take([(name, part) for name in others for _, part in present], lenient=False)
-    if reading.damaged:
-        error = StoreDamaged(next(iter(reading.damaged.values())))
-        error.chunks = tuple(reading.damaged)
-        raise error
-    return {name: reading.result(name) for name in names}
-
-
-def _in_order(dims: tuple[str, ...], where: Mapping[str, Index]) -> tuple[Index, ...]:
+    dims = arrays[OUTCOME].dims
     if unknown := set(where) - set(dims):
         raise IndexError(f"there is no dimension {', '.join(sorted(unknown))}; there are {', '.join(dims)}")
-    return tuple(where.get(dim, slice(None)) for dim in dims)
+    return _read(url, arrays, names, tuple(where.get(dim, slice(None)) for dim in dims), complete)
 
 
-class _Reading:
-    """Collects the requested cells and the damaged chunks."""
+def read_chunk(
+    url: str, chunk: HasSlices, names: Iterable[str], *, complete: bool = False
+) -> dict[str, NDArray[Any]]:
+    """A block of cells anywhere in the grid, each array of shape chunk.shape + its extra dimensions.
 
-    def __init__(self, url: str, arrays: Mapping[str, ArrayForm], where: tuple[Index, ...]) -> None:
-        self._url, self._arrays, self._where = url, arrays, where
-        self._cells: dict[str, NDArray[Any]] = {}
-        self.damaged: dict[ChunkCoords, str] = {}
+    `complete` and errors as in `read_slice`.
+    """
+    block = _read(url, stored_forms(url, None), names, chunk.slices, complete)
+    return {
+        name: array.reshape(*chunk.shape, *array.shape[len(chunk.slices) :]) for name, array in block.items()
+    }
 
-    def take(self, parts: list[tuple[str, _Part]], lenient: bool) -> list[tuple[str, _Part]]:
-        """Read parts of arrays and return the existing ones. Missing ones are damage, unless `lenient`."""
-        files: dict[str, list[tuple[str, _Part]]] = {}
-        for name, part in parts:
-            form = self._arrays[name]
-            files.setdefault(key(name, len(form.dims), part.coords), []).append((name, part))
-        present = []
-        for (chunk_key, wanted), contents in zip(files.items(), self._contents(files), strict=True):
-            coords = wanted[0][1].coords
-            if isinstance(contents, ValueError):
-                self.damaged.setdefault(coords, f"{chunk_key}: cannot be decoded: {contents}")
-            elif contents is not None:
-                present += wanted
-                for (name, part), content in zip(wanted, contents, strict=True):
-                    self._put(name, part, chunk_key, content)
-            elif not lenient:
-                self.damaged.setdefault(coords, f"{chunk_key}: is missing")
-        return present
 
-    def _contents(
-        self, files: Mapping[str, list[tuple[str, _Part]]]
-    ) -> Iterator[list[bytes] | ValueError | None]:
-        """The bytes of each file's requested parts; requests to a bucket run concurrently."""
-        run = threads().map if in_bucket(self._url) else map
-        return iter(run(self._content, files, files.values()))
+def _read(
+    url: str, arrays: Mapping[str, ArrayForm], names: Iterable[str], index: tuple[Index, ...], complete: bool
+) -> dict[str, NDArray[Any]]:
+    names = tuple(dict.fromkeys(names))
+    chunks: dict[ChunkCoords, list[_Part]] = {}
+    for part in _parts(arrays[OUTCOME], index):
+        chunks.setdefault(part.coords, []).append(part)
+    cells = {name: _fill_values(arrays[name], index) for name in (OUTCOME, *names)}
+    damaged: dict[ChunkCoords, str] = {}
 
-    def _content(self, chunk_key: str, wanted: list[tuple[str, _Part]]) -> list[bytes] | ValueError | None:
-        form = self._arrays[wanted[0][0]]
-        if not form.sharded:
-            content = read_key(self._url, chunk_key)
-            return None if content is None else [content] * len(wanted)
-        index = read_parts(self._url, chunk_key, [(-form.index_bytes, form.index_bytes)])
-        if index is None:
-            return None
-        inner = [part.inner + (0,) * (len(form.dims) - len(part.inner)) for _, part in wanted]
-        try:
-            return read_parts(self._url, chunk_key, spans_of(form, index[0], inner))
-        except ValueError as error:
-            return error
+    def take(names: Iterable[str], lenient: bool) -> None:
+        """Read the chunks of some arrays. A missing one is damage, or `lenient`, not computed."""
+        files = [(key(name, len(arrays[name].dims), at), name, at) for name in names for at in chunks]
 
-    def result(self, name: str) -> NDArray[Any]:
-        """The requested cells of an array, without the dimensions indexed by an integer."""
-        drop = tuple(0 if isinstance(index, int) else slice(None) for index in self._where)
-        return self._all(name)[drop]
+        def read(file: tuple[str, str, ChunkCoords]) -> str | None:
+            key, name, at = file
+            return _read_file(url, key, arrays[name], chunks[at], cells[name])
 
-    def _put(self, name: str, part: _Part, chunk_key: str, content: bytes) -> None:
-        try:
-            form = self._arrays[name]
-            values = decode(form, content, position(form, part.coords, part.inner))
-        except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes
-            self.damaged.setdefault(part.coords, f"{chunk_key}: cannot be decoded: {error}")
+        # Requests to a bucket run concurrently.
+        failures = pool("store").map(read, files) if in_bucket(url) else map(read, files)
+        for (file, _, at), failure in zip(files, failures, strict=True):
+            if failure == _MISSING and lenient:
+                del chunks[at]
+            elif failure is not None:
+                damaged.setdefault(at, f"{file}: {failure}")
+
+    # `outcome` is written last: without it the chunk is not computed, and the others are not read.
+    take([OUTCOME], not complete)
+    take([name for name in names if name != OUTCOME], False)
+    if damaged:
+        raise StoreDamaged(next(iter(damaged.values())), tuple(damaged))
+    drop = tuple(0 if isinstance(at, int) else slice(None) for at in index)
+    return {name: cells[name][drop] for name in names}
+
+
+def _read_file(
+    url: str, key: str, form: ArrayForm, parts: Sequence[_Part], cells: NDArray[Any]
+) -> str | None:
+    """Put the parts of an array's chunk into `cells`; returns what is wrong with it."""
+    try:
+        if form.sharded:
+            contents = read_parts(url, key, [(-form.index_bytes, form.index_bytes)])
+            if contents is not None:
+                contents = read_parts(url, key, spans_of(form, contents[0], [part.inner for part in parts]))
         else:
-            self._all(name)[part.in_result] = values[part.in_chunk]
+            whole = read_key(url, key)
+            contents = None if whole is None else [whole]
+        if contents is None:
+            return _MISSING
+        for part, content in zip(parts, contents, strict=True):
+            values = decode(form, content, position(form, part.coords, part.inner))
+            cells[part.in_result] = values[part.in_chunk]
+    except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes
+        return f"cannot be decoded: {error}"
+    return None
 
-    def _all(self, name: str) -> NDArray[Any]:
-        if name not in self._cells:
-            array = self._arrays[name]
-            cells = [len(_range(n, index)) for n, index in zip(array.shape, self._where, strict=False)]
-            extra = array.shape[len(cells) :]
-            self._cells[name] = np.full((*cells, *extra), array.fill, array.dtype)
-        return self._cells[name]
+
+def _fill_values(form: ArrayForm, index: tuple[Index, ...]) -> NDArray[Any]:
+    """The requested cells of an array before any is computed, with dimensions indexed by an integer."""
+    cells = [len(_range(n, at)) for n, at in zip(form.shape, index, strict=False)]
+    return np.full((*cells, *form.shape[len(cells) :]), form.fill, form.dtype)
 
 
 def stored_forms(url: str, forms: Mapping[str, ArrayForm] | None) -> Mapping[str, ArrayForm]:
@@ -160,17 +161,23 @@ def stored_forms(url: str, forms: Mapping[str, ArrayForm] | None) -> Mapping[str
 def read_file(url: str, key: str, forms: Mapping[str, ArrayForm]) -> bytes | None:
     """The stored bytes of an array's chunk; None if there are none. Raises StoreDamaged."""
     name, _, rest = key.partition("/")
-    form, content = forms[name], read_key(url, key)
+    content = read_key(url, key)
     if content is None:
         return None
     coords = tuple(int(number) for number in rest.split(".")[1:])
     try:
-        check_file(form, content, coords)
-    except (ValueError, IndexError) as failure:
-        error = StoreDamaged(f"{key}: cannot be decoded: {failure}")
-        error.chunks = (coords[: len(forms[OUTCOME].dims)],)
-        raise error from None
+        check_file(forms[name], content, coords)
+    except (ValueError, IndexError) as error:
+        damaged = coords[: len(forms[OUTCOME].dims)]
+        raise StoreDamaged(f"{key}: cannot be decoded: {error}", (damaged,)) from None
     return content
+
+
+def read_attrs(url: str) -> dict[str, Any]:
+    """The store's attributes with their parts: the layout's and those given to `create`."""
+    root = root_of(url)
+    forms_of(root)  # raises for metadata that cannot be read
+    return structured_attributes(json.loads(root)["attributes"])
 
 
 def root_of(url: str) -> bytes:

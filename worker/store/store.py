@@ -1,28 +1,31 @@
-"""Results of a study as a zarr v3 store, which `xarray.open_zarr(url)` opens.
+"""Results of a study as a zarr v3 store, which `xarray.open_zarr(url)` opens: its creation and its writers.
 
 One task owns one chunk of every array and writes it whole, so no two tasks write the same file. Files appear
 by renaming, once they are whole and on the disk, and checksums cover every byte. A cell is computed if its
 `outcome` is not `missing`.
 """
 
+import json
 import math
 import time
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.errors import GroupNotFoundError
+from zarr.codecs import ZstdCodec
+from zarr.core.buffer import Buffer
+from zarr.storage import MemoryStore
 
-from worker.schema import Array, Layout, structured_attributes
-from worker.store import chunks
-from worker.store.backend import ROOT, in_bucket, make_partial_folder, open_store, read_key
-from worker.store.chunks import HasSlices, Index, Stored, fsync_files, key, write_keys
-from worker.store.encoding import ArrayForm, encode
+from worker.schema import Array, Layout, flat_attributes
+from worker.store.backend import PARTIAL, ROOT, in_bucket, make_place, read_key
+from worker.store.chunks import HasSlices, Stored, digest, fsync, key, write_keys
+from worker.store.encoding import LEVEL, ArrayForm, encode
 from worker.store.errors import ChunkCoords, StoreConflict, StoreDamaged, StoreMissing
-from worker.store.metadata import empty_store
-from worker.store.reader import OUTCOME, forms_of, read_cells, root_of
+from worker.store.reader import OUTCOME, forms_of, read_attrs, root_of
+
+_CODEC: Final = ZstdCodec(level=LEVEL, checksum=True)
 
 #: How long a process assumes that a bucket's store still exists, and for how many stores. A store
 #: removed meanwhile may get chunks for this long; the same study stored there again has the same bytes.
@@ -42,22 +45,84 @@ def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> 
     repair_metadata(url, layout, attrs)
 
 
+def _check_identity(url: str, layout: Layout) -> None:
+    """Raise StoreConflict if there is a store with another identity."""
+    identity = layout.identity
+    try:
+        attrs = read_attrs(url)
+    except (StoreMissing, StoreDamaged):
+        return
+    if attrs.get("job") != identity["job"]:
+        raise StoreConflict(f"{url}: holds job {attrs.get('job')}, not {identity['job']}")
+    if attrs.get("chunk_shape") != identity["chunk_shape"]:
+        raise _other_chunks(
+            url, f"is cut into chunks of {attrs.get('chunk_shape')}, not {identity['chunk_shape']}"
+        )
+
+
+def _other_chunks(url: str, rule: str) -> StoreConflict:
+    return StoreConflict(f"{url}: {rule}; plan with the store's chunk_shape")
+
+
 def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> list[str]:
     """Rewrite metadata and coordinates that differ from the layout's; return the keys rewritten."""
     expected = metadata_of(layout, attrs)
     wrong = [name for name, content in expected.items() if read_key(url, name) != content]
     # The root comes last: a store with consolidated metadata is complete.
     wrong.sort(key=lambda name: name == ROOT)
-    make_partial_folder(url)
+    make_place(f"{url}/{PARTIAL}")
     if wrong:
         write_keys(url, {name: expected[name] for name in wrong})
-        fsync_files(url, wrong)
+        root = Path(url)
+        folders = {above for name in wrong for above in (root / name).parents if above.is_relative_to(root)}
+        fsync(url, [*folders, root.parent])
     return wrong
 
 
 def metadata_of(layout: Layout, attrs: Mapping[str, Any] | None = None) -> dict[str, bytes]:
     """Metadata and coordinates of a store with this layout, by key; `attrs` as given to `create`."""
-    return {name: content.to_bytes() for name, content in empty_store(layout, attrs or {}).items()}
+    buffers: dict[str, Buffer] = {}
+    group = zarr.open_group(MemoryStore(buffers), mode="w", zarr_format=3)
+    for dim, values in layout.coordinates.items():
+        _create_along(group, dim, dim, values, layout.coordinate_attrs.get(dim, {}))
+    for name, code in layout.codes.items():
+        _create_along(group, name, code.dim, code.values, code.attrs)
+    for array in layout.arrays:
+        chunk, inner = layout.chunk_shape(array), layout.inner_shape(array)
+        group.create_array(
+            array.name, shape=layout.shape(array), dtype=array.dtype, fill_value=array.fill,
+            compressors=_CODEC, chunks=inner or chunk, shards=chunk if inner else None,
+            chunk_key_encoding={"name": "default", "separator": "."},
+            dimension_names=array.dims, attributes=layout.array_attrs(array),
+        )  # fmt: skip
+    group.attrs.put({**flat_attributes({**layout.attributes, **(attrs or {}), **layout.identity})})
+    content = {key: buffer.to_bytes() for key, buffer in buffers.items()}
+    return content | {ROOT: _consolidated(content)}
+
+
+def _create_along(
+    group: zarr.Group, name: str, dim: str, values: NDArray[Any], attrs: Mapping[str, Any]
+) -> None:
+    array = group.create_array(
+        name, shape=values.shape, chunks=values.shape, dtype=values.dtype, compressors=_CODEC,
+        dimension_names=(dim,), attributes=dict(attrs),
+    )  # fmt: skip
+    array[:] = values
+
+
+def _consolidated(content: Mapping[str, bytes]) -> bytes:
+    """The root's metadata with those of every array, as `zarr.consolidate_metadata` writes them.
+
+    That function warns that consolidated metadata is not part of the zarr v3 specification, and warning
+    filters are process-wide: a thread of the service must not suppress the warning.
+    """
+    root = json.loads(content[ROOT])
+    names = sorted(path.removesuffix(f"/{ROOT}") for path in content if path.endswith(f"/{ROOT}"))
+    arrays = {name: json.loads(content[f"{name}/{ROOT}"]) for name in names}
+    consolidated = {"kind": "inline", "must_understand": False, "metadata": arrays}
+    # The order of the fields is that of zarr, with which existing stores were written.
+    root |= {"consolidated_metadata": consolidated, "node_type": root.pop("node_type")}
+    return json.dumps(root, indent=zarr.config.get("json_indent")).encode()
 
 
 def check_chunk(url: str, chunk: HasSlices, arrays: Iterable[Array]) -> None:
@@ -86,13 +151,11 @@ def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) 
     for name, array in record.items():
         form = forms[name]
         contents[name] = encode(form, array.reshape(*lengths, *form.shape[len(lengths) :]), coords)
-    keys = {name: key(name, len(forms[name].dims), coords) for name in record}
     try:
-        files = {keys[name]: content for name, content in contents.items()}
-        write_keys(url, files)
+        write_keys(url, {key(name, len(forms[name].dims), coords): file for name, file in contents.items()})
     except FileNotFoundError:
         raise StoreMissing(f"{url}: no store here") from None
-    return Stored(chunks.digest(contents.items()), sum(map(len, contents.values())))
+    return Stored(digest(contents.items()), sum(map(len, contents.values())))
 
 
 def _forms(url: str) -> Mapping[str, ArrayForm]:
@@ -108,108 +171,6 @@ def _forms(url: str) -> Mapping[str, ArrayForm]:
     return forms
 
 
-def read_slice(
-    url: str,
-    names: Iterable[str],
-    *,
-    complete: bool = False,
-    forms: Mapping[str, ArrayForm] | None = None,
-    **where: Index,
-) -> dict[str, NDArray[Any]]:
-    """Part of some arrays, by index along the cell dimensions; reads only the needed chunks.
-
-    An integer drops its dimension, a slice (its step above 0) keeps it; extra dimensions, such as flights,
-    come last. Cells that are not computed read as fill values in every array.
-
-    complete: whether every chunk has been written, so that a missing one is damage.
-    forms: `forms_in` of the study's layout, which the store's metadata must match.
-    Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
-    """
-    return read_cells(url, names, where, complete, forms)
-
-
-def read_chunk(
-    url: str, chunk: HasSlices, names: Iterable[str], *, complete: bool = False
-) -> dict[str, NDArray[Any]]:
-    """A block of cells anywhere in the grid, each array of shape chunk.shape + its extra dimensions.
-
-    `complete` and errors as in `read_slice`.
-    """
-    block = read_cells(url, names, chunk.slices, complete)
-    return {
-        name: array.reshape(*chunk.shape, *array.shape[len(chunk.slices) :]) for name, array in block.items()
-    }
-
-
-def read_coordinates(url: str) -> dict[str, NDArray[Any]]:
-    """The coordinates of every cell dimension, each (n,): float64, or text for `direction`."""
-    group = _open(url)
-    return {dim: _values(_array(group, dim)) for dim in _cell_dims(group)}
-
-
-def read_attrs(url: str) -> dict[str, Any]:
-    """The store's attributes with their parts: the layout's and those given to `create`."""
-    return structured_attributes(_open(url).attrs)
-
-
-def chunk_shape(url: str) -> tuple[int, ...]:
-    """The plan's chunk shape, which reproduces the plan."""
-    return tuple(read_attrs(url)["chunk_shape"])
-
-
-def _open(url: str) -> zarr.Group:
-    group, failure = None, ""
-    try:
-        group = zarr.open_group(open_store(url, read_only=True), mode="r", zarr_format=3)
-    except (FileNotFoundError, GroupNotFoundError):
-        pass
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        failure = f"{type(error).__name__}: {error}"
-    # Raised outside the `except` block, so that zarr's error is not its context: an error that a worker
-    # returns is pickled with its context, and zarr's cannot be.
-    if failure:
-        raise StoreDamaged(f"{url}: the store's metadata cannot be read: {failure}")
-    if group is None:
-        raise StoreMissing(f"{url}: no store here")
-    if group.metadata.consolidated_metadata is None:
-        raise StoreMissing(f"{url}: the store's creation was interrupted; create it again")
-    return group
-
-
-def _check_identity(url: str, layout: Layout) -> None:
-    """Raise StoreConflict if there is a store with another identity."""
-    identity = layout.identity
-    try:
-        attrs = read_attrs(url)
-    except (StoreMissing, StoreDamaged):
-        return
-    if attrs.get("job") != identity["job"]:
-        raise StoreConflict(f"{url}: holds job {attrs.get('job')}, not {identity['job']}")
-    if attrs.get("chunk_shape") != identity["chunk_shape"]:
-        rule = f"is cut into chunks of {attrs.get('chunk_shape')}, not {identity['chunk_shape']}"
-        raise StoreConflict(f"{url}: {rule}; plan with chunk_shape=store.chunk_shape(url)")
-
-
-def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    array = group[name]
-    if not isinstance(array, zarr.Array):
-        raise StoreDamaged(f"{group.store}: '{name}' is not an array")
-    return array
-
-
-def _cell_dims(group: zarr.Group) -> tuple[str, ...]:
-    metadata: Any = _array(group, OUTCOME).metadata
-    return tuple(metadata.dimension_names)
-
-
-def _values(array: zarr.Array[Any]) -> NDArray[Any]:
-    try:
-        return np.asarray(array[...])
-    except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes
-        failure = str(error)
-    raise StoreDamaged(f"{array.path}: cannot be decoded: {failure}")
-
-
 def _owned_coords(forms: Mapping[str, ArrayForm], url: str, chunk: HasSlices) -> ChunkCoords:
     """Coordinates of a task's chunk in the grid of chunks.
 
@@ -220,5 +181,5 @@ def _owned_coords(forms: Mapping[str, ArrayForm], url: str, chunk: HasSlices) ->
     for dim, span, size, n in zip(outcome.dims, chunk.slices, outcome.chunks, outcome.shape, strict=True):
         if span.start % size or span.stop != min(span.start + size, n):
             rule = f"a chunk spans {dim} {span.start} to {span.stop}, but chunks here are {size} long"
-            raise StoreConflict(f"{url}: {rule}; plan with chunk_shape=store.chunk_shape(url)")
+            raise _other_chunks(url, rule)
     return tuple(span.start // size for span, size in zip(chunk.slices, outcome.chunks, strict=True))

@@ -33,9 +33,7 @@ def processes() -> Iterator[Processes]:
 
 
 def damaged() -> None:
-    error = StoreDamaged("a chunk")
-    error.chunks = ((0, 1, 2, 3),)
-    raise error
+    raise StoreDamaged("a chunk", ((0, 1, 2, 3),))
 
 
 def refused() -> None:

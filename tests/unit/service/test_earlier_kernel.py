@@ -16,7 +16,6 @@ from earlier_kernel import IDS, earlier_folder
 from fastapi.testclient import TestClient
 from scripted import Held, Scripted, wait_for
 from served import get, read, service
-from stores import checksum
 
 from kernel.params import KERNEL_VERSION
 from worker import store
@@ -55,13 +54,13 @@ def recorded_checksums(folder: Path, name: str) -> list[str]:
 def stored_checksums(folder: Path, name: str) -> list[str]:
     """Of the bytes in the store, chunk by chunk, as far as they are computed."""
     url = str(store_of(folder, name))
-    spec, cut = spec_of(folder, name), store.chunk_shape(url)
+    spec, cut = spec_of(folder, name), tuple(store.read_attrs(url)["chunk_shape"])
     plan = make_plan(spec, chunk_shape=cut)
     there = [chunk for chunk in plan if store.read_chunk(url, chunk, ["outcome"])["outcome"].all()]
     written = store.stored_forms(url, None)
     stored = layout(spec, cut)
     stored = replace(stored, arrays=tuple(array for array in stored.arrays if array.name in written))
-    return [checksum(url, stored, chunk) for chunk in there]
+    return [store.checksum_of(url, stored, chunk) for chunk in there]
 
 
 def change_ledger(folder: Path, statement: str, *values: Any) -> None:

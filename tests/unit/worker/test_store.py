@@ -16,7 +16,7 @@ import xarray as xr
 import zarr
 from hypothesis import given
 from hypothesis import strategies as st
-from stores import checksum, is_sound
+from stores import is_sound
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker import schema, store
@@ -213,7 +213,7 @@ def test_same_record_gives_the_same_bytes(url, spec, plan):
     first = store.write_chunk(url, plan[1], record)
     before = files(url)
     assert store.write_chunk(url, plan[1], record) == first
-    assert first.checksum == checksum(url, layout(spec, plan.chunk_shape), plan[1])
+    assert first.checksum == store.checksum_of(url, layout(spec, plan.chunk_shape), plan[1])
     assert files(url) == before
     assert store.write_chunk(url, plan[1], record_of(spec, plan[1], seed=1)) != first
 
@@ -448,9 +448,11 @@ def synced(monkeypatch) -> list[str]:
 def test_a_store_is_on_the_disk_once_it_is_created(tmp_path, spec, plan, synced):
     url = tmp_path / "new.zarr"
     store.create(str(url), layout(spec, plan.chunk_shape))
-    made = {str(path) for path in url.rglob("*") if path.name != ".partial"}
-    assert made <= {str(url), str(tmp_path), *synced}
+    paths = list(url.rglob("*"))
+    assert {str(path) for path in paths if path.is_dir() and path.name != ".partial"} <= set(synced)
     assert {str(url), str(tmp_path)} <= set(synced)
+    partial = [path for path in synced if path.endswith(".partial")]
+    assert len(set(partial)) == len([path for path in paths if path.is_file()])
     assert [path for path in synced if not path.startswith(str(tmp_path))] == []
 
 

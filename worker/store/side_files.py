@@ -1,0 +1,146 @@
+"""Small files beside a store's arrays: marker, cancel flag, checkpoints, specifications."""
+
+import hashlib
+import io
+import math
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worker.store import backend
+
+#: The file beside the stores with the id of the service's ledger, which writes it once. It proves to a worker
+#: that it sees the service's folder, and to the service that the folder is there.
+MARKER: Final = ".ledger"
+
+#: A bucket without the cancel flag is not asked again for this long by any task of this process, for at most
+#: this many stores.
+REMEMBERED_SECONDS: Final = 1.0
+MOST_REMEMBERED: Final = 256
+_unset: dict[str, float] = {}  # when the flag was found not set, by store
+
+_CHECKPOINT: Final = ".checkpoint-"
+_DIGEST_BYTES = hashlib.sha256().digest_size
+
+
+def write_marker(url: str, content: str) -> None:
+    """Mark a folder of stores, or prefix of a bucket. Raises OSError, or one of `store.UNREACHABLE`."""
+    backend.make_place(url)
+    backend.put(url, MARKER, content.encode())
+
+
+def read_marker(url: str) -> str | None:
+    """The mark of the stores at an address; None without one.
+
+    Raises OSError, or one of `store.UNREACHABLE`.
+    """
+    content = backend.read_key(url, MARKER)
+    return None if content is None else content.decode(errors="replace")
+
+
+def set_cancelled(url: str) -> None:
+    """Set the cancel flag, which makes every task of this store stop. The store need not exist yet."""
+    _unset.pop(url, None)
+    place, name = _flag(url)
+    backend.make_place(place)
+    backend.put(place, name, b"")
+
+
+def clear_cancelled(url: str) -> None:
+    """Remove the cancel flag, if it is set."""
+    backend.delete(*_flag(url))
+
+
+def is_cancelled(url: str) -> bool:
+    """Whether the cancel flag is set; in a bucket, whether it was a second ago."""
+    now = time.monotonic()
+    if now - _unset.get(url, -math.inf) < REMEMBERED_SECONDS:
+        return False
+    if backend.read_key(*_flag(url)) is not None:
+        return True
+    if backend.in_bucket(url):
+        if len(_unset) >= MOST_REMEMBERED:
+            _unset.clear()
+        _unset[url] = now
+    return False
+
+
+def _flag(url: str) -> tuple[str, str]:
+    """The folder of the flag, which is that of the store, and its name."""
+    place, name = os.path.split(url)
+    return place, f"{name}.cancelled"
+
+
+def sweep_leftovers(url: str) -> int:
+    """Remove partial files of killed writers and return their number.
+
+    A task of an earlier start that is still writing fails; nobody takes its result. Buckets have no
+    partial objects: writing one is atomic.
+    """
+    if backend.in_bucket(url):
+        return 0
+    # The second folder holds checkpoints.
+    leftovers = [*Path(url, backend.PARTIAL).glob("*.partial"), *Path(url).glob(".*.partial")]
+    for path in leftovers:
+        path.unlink(missing_ok=True)
+    return len(leftovers)
+
+
+def write_checkpoint(url: str, chunk: int, arrays: Mapping[str, Any]) -> None:
+    """Keep the progress of a chunk in the store at `url`, replacing earlier arrays.
+
+    It only saves time: without it the chunk begins anew, with the same result. Raises OSError, or one of
+    `store.UNREACHABLE`.
+    """
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    content = file.getvalue()
+    backend.put(url, f"{_CHECKPOINT}{chunk}", hashlib.sha256(content).digest() + content)
+
+
+def read_checkpoint(url: str, chunk: int) -> dict[str, NDArray[Any]] | None:
+    """The arrays of a chunk's checkpoint; None if it is missing or damaged."""
+    stored = backend.read_key(url, f"{_CHECKPOINT}{chunk}")
+    if stored is None or hashlib.sha256(stored[_DIGEST_BYTES:]).digest() != stored[:_DIGEST_BYTES]:
+        return None
+    try:
+        with np.load(io.BytesIO(stored[_DIGEST_BYTES:]), allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (ValueError, BadZipFile):  # from another release
+        return None
+
+
+def checkpoints_in(url: str) -> list[int]:
+    """The chunks that have a checkpoint in a store."""
+    names = (name.removeprefix(_CHECKPOINT) for name in backend.names_in(url) if name.startswith(_CHECKPOINT))
+    return [int(number) for number in names if number.isdecimal()]
+
+
+def remove_checkpoint(url: str, chunk: int) -> None:
+    """Remove a chunk's checkpoint, if there is one."""
+    backend.delete(url, f"{_CHECKPOINT}{chunk}")
+
+
+def write_spec(url: str, text: str) -> str:
+    """Write a specification into a store and return its digest; earlier ones stay.
+
+    Raises OSError, or one of `store.UNREACHABLE`.
+    """
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    if read_spec(url, digest) is None:
+        backend.put(url, f".spec-{digest[:16]}", text.encode())
+    return digest
+
+
+def read_spec(url: str, digest: str) -> str | None:
+    """The specification with this digest; None if it is missing or damaged."""
+    content = backend.read_key(url, f".spec-{digest[:16]}")
+    if content is None or hashlib.sha256(content).hexdigest() != digest:
+        return None
+    return content.decode()
