@@ -1,7 +1,6 @@
 """Jobs as users change them: submit, cancel, resume, delete. Changes the ledger and wakes the supervisor."""
 
 import hashlib
-import json
 import logging
 import time
 from collections.abc import Callable
@@ -13,11 +12,10 @@ from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
 from service.jobs.ledger import NOT_LOCAL, Ledger
 from service.jobs.ledger_files import network_file_system
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
-from service.jobs.prepare import JobPreparer, first_cells
+from service.jobs.prepare import JobPreparer, new_job
 from service.jobs.retry import ChunkCounts
 from service.jobs.stores.deletion import Deleter
-from service.jobs.stores.repair import Repairer
-from service.jobs.stores.scrub import Scrubber
+from service.jobs.stores.repair import Repairer, Scrubber
 from service.jobs.supervisor import Supervisor
 from service.jobs.transactions import WriteTransaction
 from service.settings import Settings
@@ -121,9 +119,6 @@ class JobManager:
             notices.append(f"the data folder is on a network file system ({network}): {NOT_LOCAL}")
         return notices
 
-    def _is_verified(self, job_id: str) -> bool:
-        return self._scrubber.is_verified(job_id)
-
     def _wake(self) -> None:
         self._supervisor.wake()
 
@@ -135,7 +130,7 @@ class JobManager:
         Raises SpecTooLarge, QueueFull, KeyReused.
         """
         plan = self.check(spec)
-        job = _new_job(spec, plan, owner)
+        job = new_job(spec, plan, owner)
         with self._ledger.writing() as ledger:
             new = ledger.find(job.id) is None
             accepted = not self._is_repeated(ledger, job, key) and self._accept(ledger, job)
@@ -257,7 +252,7 @@ class JobManager:
         Raises as `accept`, and SpecTooLarge.
         """
         plan = self.check(spec)
-        job = _new_job(spec, plan, owner)
+        job = new_job(spec, plan, owner)
         new = ledger.find(job.id) is None
         accepted = accept(ledger, job)
         ledger.replace(outdated, job.id)
@@ -332,17 +327,3 @@ def _existing(job: JobRecord | None, job_id: str) -> JobRecord:
 def _fingerprint(job: NewJob) -> str:
     """Digest of a submission, its name included, independent of the JSON's layout."""
     return hashlib.sha256(job.spec.encode()).hexdigest()
-
-
-def _new_job(spec: Any, plan: Plan, owner: str | None) -> NewJob:
-    return NewJob(
-        id=spec.job_id(KERNEL_VERSION),
-        name=spec.name,
-        spec=json.dumps(spec.as_submitted()),
-        kernel_version=KERNEL_VERSION,
-        chunk_shape=plan.chunk_shape,
-        chunks_total=len(plan),
-        cells_total=plan.cells,
-        first_cells=first_cells(spec, plan),
-        owner=owner,
-    )

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any, Final
 
 from kernel.params import KERNEL_VERSION
-from service.jobs.model import JobRecord
+from service.jobs.model import JobRecord, NewJob
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
@@ -112,10 +112,20 @@ class PreparedJob:
         return f"chunk {chunk.index} ({self.layout.describe(chunk.slices)})"
 
 
-def first_cells(spec: Any, plan: Plan) -> int:
-    """Adaptive maps: the cells of the first rounds of all chunks; 0 for other studies."""
+def new_job(spec: Any, plan: Plan, owner: str | None = None, version: str = KERNEL_VERSION) -> NewJob:
+    """A study as a job to accept."""
     refine = getattr(spec, "refine", None)
-    return 0 if refine is None else first_round(spec.shape[1:], plan.chunk_shape, refine)
+    return NewJob(
+        id=spec.job_id(version),
+        name=spec.name,
+        spec=json.dumps(spec.as_submitted()),
+        kernel_version=version,
+        chunk_shape=plan.chunk_shape,
+        chunks_total=len(plan),
+        cells_total=plan.cells,
+        first_cells=0 if refine is None else first_round(spec.shape[1:], plan.chunk_shape, refine),
+        owner=owner,
+    )
 
 
 class JobPreparer:

@@ -73,7 +73,7 @@ class StoredChunk(NamedTuple):
 
     number: int
     checksum: str
-    size: int | None  # of all arrays, in bytes; None for adopted chunks
+    size: int | None  # of all arrays, in bytes; None if unknown
 
 
 class Pace(NamedTuple):

@@ -14,7 +14,7 @@ from worker.store.backend import read_key as read_key
 from worker.store.backend import remove as remove
 from worker.store.backend import rename_for_deletion as rename_for_deletion
 from worker.store.chunks import Stored as Stored
-from worker.store.chunks import checksum_of as checksum_of
+from worker.store.chunks import digest_of as digest_of
 from worker.store.chunks import discard as discard
 from worker.store.chunks import find_corrupt as find_corrupt
 from worker.store.chunks import stored_sizes as stored_sizes

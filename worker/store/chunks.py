@@ -60,17 +60,18 @@ def _keys_of(layout: Layout, chunk: HasSlices) -> dict[str, str]:
     return {array.name: key(array.name, len(array.dims), coords) for array in layout.arrays}
 
 
-def digest(contents: Iterable[tuple[str, bytes | None]]) -> str:
-    """SHA-256 of a chunk's stored bytes by array, 64 hex digits; also covers absent arrays."""
-    result = hashlib.sha256()
+def digest(contents: Iterable[tuple[str, bytes | None]]) -> Stored:
+    """SHA-256 and size of a chunk's stored bytes by array; the checksum covers absent arrays, too."""
+    checksum, size = hashlib.sha256(), 0
     for name, content in contents:
-        result.update(f"{name} {'absent' if content is None else len(content)}\n".encode())
-        result.update(content or b"")
-    return result.hexdigest()
+        checksum.update(f"{name} {'absent' if content is None else len(content)}\n".encode())
+        checksum.update(content or b"")
+        size += len(content or b"")
+    return Stored(checksum.hexdigest(), size)
 
 
-def checksum_of(url: str, layout: Layout, chunk: HasSlices) -> str:
-    """The checksum of a chunk's stored bytes, as `find_corrupt` expects it."""
+def digest_of(url: str, layout: Layout, chunk: HasSlices) -> Stored:
+    """The digest of a chunk's stored bytes."""
     return digest((name, read_key(url, key)) for name, key in _keys_of(layout, chunk).items())
 
 
@@ -78,7 +79,7 @@ def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) 
     """The chunks whose stored bytes differ from their expected checksums; reads several at once."""
 
     def is_corrupt(expected: tuple[Chunk, str]) -> bool:
-        return checksum_of(url, layout, expected[0]) != expected[1]
+        return digest_of(url, layout, expected[0]).checksum != expected[1]
 
     marked = list(chunks)
     for (chunk, _), corrupt in zip(marked, pool("verify").map(is_corrupt, marked), strict=True):

@@ -1,4 +1,8 @@
-"""Stores unknown to the ledger: found, and adopted as jobs from their own metadata.
+"""Which stores are a ledger's: their marker, and the adoption of stores that the ledger does not know.
+
+The marker is a file beside the stores. A file system that is not mounted looks like an empty folder:
+everything would be computed again beneath it. Another data folder with the same stores would remove results
+that it does not own.
 
 An older copy of the ledger does not know the jobs accepted since. Their stores have everything else: the
 specification, the division into chunks, and the chunks, each with its checksums.
@@ -8,37 +12,93 @@ import json
 import logging
 import re
 import time
-from collections.abc import Iterator
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from kernel.params import Outcome
-from service.errors import NotAdoptable
+from service.errors import LedgerUnavailable, LedgerUnusable, NotAdoptable
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, NewJob
-from service.jobs.prepare import first_cells, parse_stored
-from service.jobs.stores.marker import StoresMarker
+from service.jobs.prepare import new_job, parse_stored
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice
-from worker.schema import COMPUTED, Layout
+from worker.schema import COMPUTED
 from worker.spec.errors import SpecError
-from worker.store import StoreError
 from worker.studies import Plan, study_of
-from worker.tasks import ChunkReport
+from worker.tasks import ChunkReport, report_of
 
 log = logging.getLogger(__name__)
 
 _STORE_NAME: Final = re.compile(r"([0-9a-f]{32})\.zarr")
+#: Seconds for which a bucket's marker, once seen, is assumed to exist.
+REMEMBERED_SECONDS: Final = 10.0
+_UNREADABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 
 
-class _Contents(NamedTuple):
-    """What a store says about itself."""
+class StoresMarker:
+    """The marker of one ledger's stores."""
 
-    job: NewJob
-    plan: Plan
-    layout: Layout
-    choice: str | None
+    def __init__(self, ledger: Ledger, settings: Settings) -> None:
+        self._ledger, self._url = ledger, settings.stores_url
+        self._within_data = settings.stores is None  # no other data folder has them
+        self._remembered = REMEMBERED_SECONDS if store.in_bucket(self._url) else 0.0
+        self._checked = float("-inf")
+
+    def claim(self, adopting: bool = False) -> None:
+        """Mark the stores of a ledger that has not marked any, or that adopts them.
+
+        Raises LedgerUnusable if they are another ledger's. If it cannot write the marker, `fault` reports
+        that.
+        """
+        with self._ledger.reading() as reading:
+            ours, made = reading.marker()
+        try:
+            there = store.read_marker(self._url)
+            if there not in (None, "", ours) and (made or not self._within_data):
+                raise LedgerUnusable(self._foreign(str(there)))
+            if there != ours and (adopting or not made):
+                store.write_marker(self._url, ours)
+            elif there != ours:
+                return
+        except _UNREADABLE as error:
+            log.warning("%s cannot be marked as this ledger's: %s", self._url, error)
+            return
+        if not made:
+            with self._ledger.writing() as writing:
+                writing.note_marked()
+
+    def check(self) -> None:
+        """Raise LedgerUnavailable unless the stores exist and are this ledger's."""
+        if time.monotonic() - self._checked < self._remembered:
+            return
+        with self._ledger.reading() as reading:
+            ours, made = reading.marker()
+        if not made:
+            return
+        try:
+            there = store.read_marker(self._url)
+        except _UNREADABLE as error:
+            if store.in_bucket(self._url):
+                return  # any use of the bucket raises its error
+            reason = getattr(error, "strerror", None) or type(error).__name__
+            raise LedgerUnavailable(f"the folder of the stores cannot be read: {reason}") from error
+        if not there:
+            raise LedgerUnavailable(
+                f"the stores are not there: their marker {store.MARKER} is missing, as where a file system "
+                "is not mounted; mount it, or if these are the stores, stop the service and run "
+                "bounce adopt --all"
+            )
+        if there != ours:
+            raise LedgerUnavailable(self._foreign(there))
+        self._checked = time.monotonic()
+
+    def _foreign(self, there: str) -> str:
+        return (
+            f"the stores are another data folder's: {store.MARKER} beside them names the ledger "
+            f"{there[:32]!a}; set BOUNCE_STORES to another folder, or, if that data folder is gone for good, "
+            f"remove {store.MARKER} and run bounce adopt --all"
+        )
 
 
 def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
@@ -89,45 +149,33 @@ def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
     if ledger.find(job_id) is not None:
         raise NotAdoptable(f"{url}: the ledger knows this job")
     try:
-        contents = _contents(url, job_id)
-    except (StoreError, SpecError, LookupError, TypeError, ValueError) as error:
+        job, spec, plan, choice = _contents(url, job_id)
+    except (store.StoreError, SpecError, LookupError, TypeError, ValueError) as error:
         reason = str(error).removeprefix(f"{url}: ")
         raise NotAdoptable(f"{url} cannot be adopted: {reason}") from error
     except RecursionError as error:
         raise NotAdoptable(f"{url} cannot be adopted: its metadata are nested too deeply") from error
-    reports = list(_whole_chunks(url, contents))
-    found = f"{len(reports)} of {contents.job.chunks_total} chunks were found whole in its store"
+    reports = _whole_chunks(url, spec, plan)
+    found = f"{len(reports)} of {job.chunks_total} chunks were found whole in its store"
     with ledger.writing() as writing:
-        writing.adopt(
-            contents.job, reports, contents.choice, time.time(), f"adopted: {found}; resume it for the rest"
-        )
-        job = writing.find(job_id)
-    assert job is not None
-    return job
+        writing.adopt(job, reports, choice, time.time(), f"adopted: {found}; resume it for the rest")
+        adopted = writing.find(job_id)
+    assert adopted is not None
+    return adopted
 
 
-def _contents(url: str, job_id: str) -> _Contents:
-    """Raises StoreError, SpecError, or the errors of reading unexpected attributes."""
-    store.stored_forms(url, None)  # first: it reads only files, while zarr would wait for a pipe
+def _contents(url: str, job_id: str) -> tuple[NewJob, Any, Plan, str | None]:
+    """What a store says about itself: job, specification, plan and chosen model.
+
+    Raises StoreError, SpecError, or the errors of reading unexpected attributes.
+    """
     attrs = store.read_attrs(url)
     version = str(attrs["kernel_version"])
     spec = parse_stored(json.dumps(attrs["spec"]), version)
     if not attrs["job"] == spec.job_id(version) == job_id:
         raise ValueError(f"it says that it holds job {attrs['job']}, its sweep is {spec.job_id(version)}")
-    study = study_of(spec)
-    plan: Plan = study.plan(spec, tuple(attrs["chunk_shape"]))
-    job = NewJob(
-        id=job_id,
-        name=spec.name,
-        spec=json.dumps(spec.as_submitted()),
-        kernel_version=version,
-        chunk_shape=plan.chunk_shape,
-        chunks_total=len(plan),
-        cells_total=plan.cells,
-        first_cells=first_cells(spec, plan),
-    )
-    layout = study.variables(spec, plan.chunk_shape)
-    return _Contents(job, plan, layout, _choice(attrs.get("choice")))
+    plan: Plan = study_of(spec).plan(spec, tuple(attrs["chunk_shape"]))
+    return new_job(spec, plan, version=version), spec, plan, _choice(attrs.get("choice"))
 
 
 def _choice(stored: Any) -> str | None:
@@ -138,15 +186,17 @@ def _choice(stored: Any) -> str | None:
     return ModelChoice.model_validate_json(json.dumps({**stored, "table": rows})).model_dump_json()
 
 
-def _whole_chunks(url: str, contents: _Contents) -> Iterator[ChunkReport]:
+def _whole_chunks(url: str, spec: Any, plan: Any) -> list[ChunkReport]:
     """Reports of the chunks with readable arrays and an outcome for every cell."""
-    for chunk in contents.plan:
-        checksum = store.checksum_of(url, contents.layout, chunk)
+    layout, reports = study_of(spec).variables(spec, plan.chunk_shape), []
+    for chunk in plan:
+        stored = store.digest_of(url, layout, chunk)
         try:
-            record = store.read_chunk(url, chunk, contents.layout.names, complete=True)
-        except StoreError:
+            record = store.read_chunk(url, chunk, layout.names, complete=True)
+        except store.StoreError:
             continue
-        counts = [int((record["outcome"] == outcome).sum()) for outcome in Outcome]
-        if sum(counts) == chunk.cells and not counts[Outcome.MISSING]:
-            computed = int(record[COMPUTED.name].sum()) if COMPUTED.name in record else None
-            yield ChunkReport(chunk.index, chunk.cells, 0.0, 0.0, checksum, tuple(counts), computed)
+        computed = int(record[COMPUTED.name].sum()) if COMPUTED.name in record else None
+        report = report_of(chunk, record, stored, (0.0, 0.0), computed)
+        if len(report.outcomes) == len(Outcome) and not report.outcomes[Outcome.MISSING]:
+            reports.append(report)
+    return reports

@@ -15,9 +15,8 @@ from service.jobs import transactions
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer
-from service.jobs.stores import scrub
-from service.jobs.stores.repair import Repair, Repairer
-from service.jobs.stores.scrub import Scrubber
+from service.jobs.stores import repair
+from service.jobs.stores.repair import Repair, Repairer, Scrubber
 from service.settings import Settings
 from worker.executors.inline import Inline
 from worker.tasks import ChunkReport
@@ -73,9 +72,8 @@ def outcomes(folder: Path, job: JobRecord, chunk: int) -> Path:
 def test_damage_is_found_wherever_it_is_and_the_rest_is_read_once(
     tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch, short: int, gone: int, changed: int
 ):
-    """Eight chunks: sizes of three are compared at once, two are read at once."""
-    monkeypatch.setattr(scrub, "COMPARED_AT_ONCE", 3)
-    monkeypatch.setattr(scrub, "READ_AT_ONCE", 2)
+    """Eight chunks, of which two are read at once."""
+    monkeypatch.setattr(repair, "READ_AT_ONCE", 2)
     files = [outcomes(tmp_path, done, chunk) for chunk in range(done.chunks_total)]
     content = files[changed].read_bytes()
     files[changed].write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
@@ -88,13 +86,13 @@ def test_damage_is_found_wherever_it_is_and_the_rest_is_read_once(
         job = scrubs.ledger.find(done.id)
         assert job is not None
         assert (job.state, job.chunks_done) == (JobState.RUNNING, 5)
-        assert scrubber.is_verified(done.id)
+        assert done.id in scrubber.verified
         assert not any(files[chunk].exists() for chunk in (short, gone, changed))
 
 
 def test_each_page_of_a_job_is_verified(tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch):
     """Pages of eight chunks, of which the job has one; what one start has verified the next does not read."""
-    for module in (scrub, transactions):
+    for module in (repair, transactions):
         monkeypatch.setattr(module, "VERIFIED_PAGE", 8)
     assert done.chunks_total == 8
     with scrubbing(tmp_path, verify_days=1e-9) as scrubs:
