@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
 from service.errors import LedgerUnavailable, LedgerUnusable
@@ -83,33 +83,31 @@ def restore(ledger: Path, file: Path) -> Restored:
 
 def inspect(file: Path) -> Contents:
     """Check a ledger and count its contents; a service may be using it. Raises LedgerUnusable."""
-    try:
-        with _opened(file) as connection:
-            check(connection, file)
-            if "jobs" not in _tables(connection):
-                raise LedgerUnusable(f"{file} is no ledger")
-            [jobs, chunks] = connection.execute("SELECT count(*), total(chunks_done) FROM jobs").fetchone()
-    except sqlite3.DatabaseError as error:
-        raise LedgerUnusable(f"{file} cannot be read: {error}") from error
+    with _readable(file), _opened(file) as connection:
+        check(connection, file)
+    [(jobs, chunks)] = _rows(file, "SELECT count(*), total(chunks_done) FROM jobs")
     return Contents(int(jobs), int(chunks))
 
 
 def known_ids(file: Path) -> set[str]:
     """The ids of a ledger's jobs, and of jobs whose results are being removed. Raises LedgerUnusable."""
-    try:
-        with _opened(file) as connection:
-            rows = connection.execute("SELECT id FROM jobs UNION SELECT job FROM deletions")
-            return {row[0] for row in rows}
-    except sqlite3.DatabaseError as error:
-        raise LedgerUnusable(f"{file} cannot be read: {error}") from error
+    return {row[0] for row in _rows(file, "SELECT id FROM jobs UNION SELECT job FROM deletions")}
 
 
 def marker_of(file: Path) -> str | None:
     """The mark of a ledger's stores; None if it has not marked any. Raises LedgerUnusable."""
+    return next((str(row[0]) for row in _rows(file, "SELECT id FROM marker WHERE made")), None)
+
+
+def _rows(file: Path, query: str) -> list[Any]:
+    with _readable(file), _opened(file) as connection:
+        return connection.execute(query).fetchall()
+
+
+@contextmanager
+def _readable(file: Path) -> Iterator[None]:
     try:
-        with _opened(file) as connection:
-            found = connection.execute("SELECT id FROM marker WHERE made").fetchone()
-            return None if found is None else str(found[0])
+        yield
     except sqlite3.DatabaseError as error:
         raise LedgerUnusable(f"{file} cannot be read: {error}") from error
 
@@ -131,21 +129,15 @@ def _why(file: Path, error: sqlite3.Error) -> str:
         return str(refused.strerror)
 
 
-def _tables(connection: sqlite3.Connection) -> set[str]:
-    return {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-
-
 def _set_aside(ledger: Path) -> Path | None:
     """Rename a ledger and its log; None if there is none."""
-    if not ledger.exists():
-        for path in (wal_of(ledger), shm_of(ledger)):
-            path.unlink(missing_ok=True)
-        return None
-    replaced = aside(ledger, "replaced")
+    replaced = aside(ledger, "replaced") if ledger.exists() else None
     for of in (wal_of, shm_of):
-        if of(ledger).exists():
+        if replaced is None:
+            of(ledger).unlink(missing_ok=True)
+        elif of(ledger).exists():
             of(ledger).rename(of(replaced))
-    return ledger.rename(replaced)
+    return replaced and ledger.rename(replaced)
 
 
 def _sync(path: Path) -> None:

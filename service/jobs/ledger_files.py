@@ -9,6 +9,7 @@ import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import chain, count
 from pathlib import Path
 from typing import Final
 
@@ -47,12 +48,10 @@ def lock_of(path: Path) -> Path:
 
 def aside(path: Path, why: str) -> Path:
     """A free path beside a ledger for another copy, with the time in its name."""
-    stamp = time.strftime("%Y%m%dT%H%M%S")
-    candidate, number = path.with_name(f"{path.stem}-{why}-{stamp}{path.suffix}"), 1
-    while candidate.exists():
-        number += 1
-        candidate = path.with_name(f"{path.stem}-{why}-{stamp}-{number}{path.suffix}")
-    return candidate
+    stem = f"{path.stem}-{why}-{time.strftime('%Y%m%dT%H%M%S')}"
+    names = chain([stem], (f"{stem}-{number}" for number in count(2)))
+    paths = (path.with_name(f"{name}{path.suffix}") for name in names)
+    return next(free for free in paths if not free.exists())
 
 
 class OpenFiles:
@@ -82,14 +81,10 @@ class OpenFiles:
             now = _inode(file)
             if now != opened:
                 what = "is gone" if now is None else "is another one now"
-                name = (
-                    f"the data folder {file.name}"
-                    if file == self._path.parent
-                    else f"the data folder's {file.name}"
-                )
+                folder = "the data folder" if file == self._path.parent else "the data folder's"
                 return (
-                    f"{name} {what}, moved or replaced while the service runs: nothing is accepted or "
-                    "written; put it back, or stop the service and start it again"
+                    f"{folder} {file.name} {what}, moved or replaced while the service runs: nothing is "
+                    "accepted or written; put it back, or stop the service and start it again"
                 )
         return None
 
@@ -128,8 +123,10 @@ def as_found(path: Path) -> Iterator[None]:
     Opening and closing it moves the log's contents to the main file, which cannot be undone if the log
     belongs to another copy. The error names the copies beside the ledger.
     """
-    copy = _copy_with_log(path) if path.exists() and size_of(wal_of(path)) else None
+    copy = aside(path, "as-found")
     try:
+        if path.exists() and size_of(wal_of(path)):
+            _copy_with_log(path, copy)
         yield
     except LedgerUnusable as error:
         copies = ", ".join(str(other) for other in copies_of(path))
@@ -149,51 +146,40 @@ def copies_of(path: Path) -> list[Path]:
     )
 
 
-def _copy_with_log(path: Path) -> Path | None:
-    copy = aside(path, "as-found")
+def _copy_with_log(path: Path, copy: Path) -> None:
     try:
         shutil.copy2(path, copy)
         shutil.copy2(wal_of(path), wal_of(copy))
     except OSError as error:  # a full disk: the service must be able to start
         log.warning("no copy of %s is made before its log is applied: %s", path, error)
         _remove(copy)
-        return None
-    return copy
 
 
-def _remove(copy: Path | None) -> None:
-    for file in (copy, wal_of(copy)) if copy is not None else ():
+def _remove(copy: Path) -> None:
+    for file in (copy, wal_of(copy)):
         with suppress(OSError):
             file.unlink(missing_ok=True)
 
 
 def size_of(path: Path) -> int:
     """Bytes of a file; 0 if it is missing."""
-    try:
-        return path.stat().st_size
-    except FileNotFoundError:
-        return 0
+    return path.stat().st_size if path.exists() else 0
 
 
-def network_file_system(path: Path, mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
+def network_file_system(path: Path) -> str | None:
     """The type of `path`'s file system if other machines share it; None if not, or unknown."""
-    kind = file_system(path, mounts)
+    kind = file_system(path)
     return kind if kind in NETWORK else None
 
 
-def file_system(path: Path, mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
-    """The type of `path`'s file system, from the system's table of mounts."""
+def file_system(path: Path) -> str | None:
+    """The type of `path`'s file system, from the system's table of mounts; None if unknown."""
     try:
-        lines = mounts.read_text().splitlines()
+        mounts = [line.split() for line in Path("/proc/self/mounts").read_text().splitlines()]
     except OSError:
         return None
-    path, deepest = path.absolute(), (-1, "")
-    for line in lines:
-        fields, _, rest = line.partition(" - ")
-        point = Path(fields.split()[4].replace("\\040", " "))
-        if path.is_relative_to(point):
-            deepest = max(deepest, (len(point.parts), rest.split()[0]), key=lambda mount: mount[0])
-    return deepest[1] or None
+    kinds = {Path(point.replace("\\040", " ")): kind for _, point, kind, *_ in mounts}
+    return next((kinds[at] for at in (path.absolute(), *path.absolute().parents) if at in kinds), None)
 
 
 def _inode(path: Path) -> _Inode | None:
