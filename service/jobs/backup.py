@@ -67,6 +67,8 @@ def restore(ledger: Path, file: Path) -> Restored:
             shutil.copyfile(file, partial)
             with closing(sqlite3.connect(partial)) as connection, connection:
                 connection.execute("DELETE FROM deletions")
+                for table in ("chunks", "verified"):  # of the jobs deleted
+                    connection.execute(f"DELETE FROM {table} WHERE job NOT IN (SELECT seq FROM jobs)")
                 connection.execute("PRAGMA journal_mode=DELETE")  # one file, which one renaming puts in place
             partial.chmod(PRIVATE_FILE)
             _sync(partial)

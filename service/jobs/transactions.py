@@ -202,17 +202,6 @@ class ReadTransaction:
         )
         return [Deletion(row["job"], row["seq"], row["created"], DeletionStep(row["step"])) for row in rows]
 
-    def orphans(self) -> list[int]:
-        """Numbers of jobs with chunks in the ledger but no row."""
-        numbers: list[int] = []
-        last = -1
-        while True:
-            last = self._sql.execute("SELECT min(job) FROM chunks WHERE job > ?", (last,)).fetchone()[0]
-            if last is None:
-                return numbers
-            if self._sql.execute("SELECT 1 FROM jobs WHERE seq = ?", (last,)).fetchone() is None:
-                numbers.append(last)
-
     def is_occupied(self, job_id: str) -> bool:
         """Whether a deleted job's results must still be removed from this job's address."""
         row = self._sql.execute(

@@ -22,7 +22,6 @@ from worker.store.chunks import sync_folders as sync_folders
 from worker.store.encoding import ArrayForm as ArrayForm
 from worker.store.encoding import forms_in as forms_in
 from worker.store.errors import ChunkCoords as ChunkCoords
-from worker.store.errors import PlaceUnusable as PlaceUnusable
 from worker.store.errors import StoreConflict as StoreConflict
 from worker.store.errors import StoreDamaged as StoreDamaged
 from worker.store.errors import StoreError as StoreError

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from urllib.parse import urlsplit
 from uuid import uuid4
 
-from worker.store.errors import PlaceUnusable
+from worker.store.errors import StoreError
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
@@ -51,13 +51,13 @@ def in_bucket(url: str) -> bool:
 
 
 def check_address(url: str) -> None:
-    """Raise PlaceUnusable for an invalid address of a store, or a bucket without the extra `s3`."""
+    """Raise StoreError for an invalid address of a store, or a bucket without the extra `s3`."""
     if not in_bucket(url):
         if "://" in url:
-            raise PlaceUnusable(f"{url}: only folders and s3://BUCKET/PREFIX can hold stores")
+            raise StoreError(f"{url}: only folders and s3://BUCKET/PREFIX can hold stores")
         return
     if not urlsplit(url).netloc:
-        raise PlaceUnusable(f"{url}: an address in a bucket must be s3://BUCKET/PREFIX")
+        raise StoreError(f"{url}: an address in a bucket must be s3://BUCKET/PREFIX")
     _obstore()
 
 
@@ -258,5 +258,5 @@ def _obstore() -> Any:
     try:
         import obstore.store  # noqa: PLC0415 - comes with the extra `s3`
     except ImportError as error:
-        raise PlaceUnusable('stores in a bucket need the extra s3: pip install -e ".[s3]"') from error
+        raise StoreError('stores in a bucket need the extra s3: pip install -e ".[s3]"') from error
     return obstore.store

@@ -71,8 +71,6 @@ def encode(form: ArrayForm, values: NDArray[Any], coords: Sequence[int]) -> byte
         block = np.full(form.chunks, form.fill, form.dtype)
         block[tuple(slice(n) for n in values.shape)] = values
     counts = form.inner_counts
-    if not form.sharded:
-        return _compressed(form, block, position(form, coords, ()))
     index = np.full((prod(counts), 2), _ABSENT, "<u8")
     parts, offset = [], 0
     for number, inner in enumerate(product(*map(range, counts))):
@@ -86,7 +84,7 @@ def encode(form: ArrayForm, values: NDArray[Any], coords: Sequence[int]) -> byte
             index[number] = offset, len(part)
             offset += len(part)
             parts.append(part)
-    return b"".join([*parts, _CHECKED.encode(index.tobytes())])
+    return b"".join([*parts, _CHECKED.encode(index.tobytes())]) if form.sharded else parts[0]
 
 
 def decode(form: ArrayForm, content: bytes, at: tuple[int, ...]) -> NDArray[Any]:

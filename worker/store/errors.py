@@ -1,22 +1,11 @@
-"""Errors of stores.
-
-StoreError              base class
-├── PlaceUnusable       the address cannot hold a store
-├── StoreMissing        there is no store at the address, or it is incomplete
-├── StoreConflict       the store holds another job, or has other chunks
-└── StoreDamaged        stored bytes are missing or cannot be decoded
-"""
+"""Errors of stores."""
 
 #: Position of a chunk in the grid of chunks, one index per cell dimension.
 ChunkCoords = tuple[int, ...]
 
 
 class StoreError(Exception):
-    """Base class of a store's errors."""
-
-
-class PlaceUnusable(StoreError):
-    """The address cannot hold a store."""
+    """Base class of a store's errors; itself: the address cannot hold a store."""
 
 
 class StoreMissing(StoreError):
@@ -28,7 +17,7 @@ class StoreConflict(StoreError):
 
 
 class StoreDamaged(StoreError):
-    """Stored bytes are missing or cannot be decoded; `chunks` lists the damaged chunks, if any."""
+    """Stored bytes are missing or cannot be decoded; `chunks`: the damaged chunks, if any."""
 
     def __init__(self, message: str, chunks: tuple[ChunkCoords, ...] = ()) -> None:
         super().__init__(message)

@@ -77,13 +77,6 @@ class Deleter:
 
     def _work(self) -> None:
         pause: float | None = None  # until the next try of failed deletions
-        try:
-            with self._ledger.reading() as ledger:
-                orphans = ledger.orphans()
-            for seq in orphans:  # left by a restored copy, which has no deletions
-                self._forget_chunks(seq)
-        except LedgerUnavailable as error:
-            log.warning("chunks of deleted jobs stay in the ledger until the next start: %s", error)
         while True:
             self._recorded.wait(pause)
             if self._stopping.is_set():
@@ -103,16 +96,23 @@ class Deleter:
         return sum(not self._carry_out(deletion) for deletion in pending) == 0
 
     def _carry_out(self, deletion: Deletion) -> bool:
-        """Remove one deleted job's store; whether it is gone."""
+        """Remove one deleted job's store; whether that is done."""
         if self._stopping.is_set():
             return False
-        url = self._settings.store_of(deletion.job_id)
-        began = time.monotonic()
+        url, began = self._settings.store_of(deletion.job_id), time.monotonic()
+        renamed = f"{url}.deleted-{deletion.seq}"
         try:
             self._ledger.check()
-            if deletion.step is DeletionStep.RECORDED and not self._free(deletion, url):
-                return True
-            store.remove(_renamed(url, deletion))
+            created = store.created_at(url) if deletion in self._inherited else None
+            if created is not None and created > deletion.created and deletion.step is DeletionStep.RECORDED:
+                log.error(
+                    "%s was created after its job was deleted: it stays, the ledger is an older copy", url
+                )
+                self.kept.append(url)
+            else:
+                if deletion.step is DeletionStep.RECORDED:
+                    self._free(deletion, url, renamed)
+                store.remove(renamed)
             self._forget_chunks(deletion.seq)
             self._advance(deletion, DeletionStep.COMPLETE)
         except Exception as error:  # noqa: BLE001 - a bucket that does not answer, a folder that cannot be changed
@@ -132,31 +132,19 @@ class Deleter:
         if self._stopping.is_set():
             raise LedgerUnavailable("the service ends")
 
-    def _free(self, deletion: Deletion, url: str) -> bool:
-        """Free a deleted job's address; False if a later store is there, which stays."""
-        created = store.created_at(url) if deletion in self._inherited else None
-        if created is not None and created > deletion.created:
-            log.error("%s was created after its job was deleted: it stays, the ledger is an older copy", url)
-            self.kept.append(url)  # first: it is reported as soon as no deletion waits
-            self._advance(deletion, DeletionStep.COMPLETE)
-            return False
+    def _free(self, deletion: Deletion, url: str, renamed: str) -> None:
+        """Free a deleted job's address."""
         # A worker that lost its connection may still compute: the cancel flag stops it, and without its
         # metadata the store accepts no chunk.
         try:
             store.set_cancelled(url)
         except Exception as error:  # noqa: BLE001 - no inode left, a folder that cannot be written
             log.warning("the cancel flag of %s cannot be set: %s", url, error)
-        store.rename_for_deletion(url, _renamed(url, deletion))
+        store.rename_for_deletion(url, renamed)
         store.clear_cancelled(url)
         self._advance(deletion, DeletionStep.FREED)
         self._on_freed()
-        return True
 
     def _advance(self, deletion: Deletion, step: DeletionStep) -> None:
         with self._ledger.writing() as ledger:
             ledger.advance_deletion(deletion, step)
-
-
-def _renamed(url: str, deletion: Deletion) -> str:
-    """The address from which a deleted job's store is removed."""
-    return f"{url}.deleted-{deletion.seq}"

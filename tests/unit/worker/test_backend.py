@@ -27,10 +27,10 @@ def below(folder: str | Path) -> set[str]:
 def test_addresses_that_no_store_can_have_are_refused(url: str):
     backend.check_address(url)
     backend.check_address("s3://bucket/prefix")
-    with pytest.raises(store.PlaceUnusable, match="only folders and s3://BUCKET/PREFIX can hold stores"):
+    with pytest.raises(store.StoreError, match="only folders and s3://BUCKET/PREFIX can hold stores"):
         backend.check_address("file:///folder")
     for wrong in ("s3://", "s3:///prefix"):
-        with pytest.raises(store.PlaceUnusable, match="must be s3://BUCKET/PREFIX"):
+        with pytest.raises(store.StoreError, match="must be s3://BUCKET/PREFIX"):
             backend.check_address(wrong)
     assert backend.in_bucket("s3://bucket/prefix") is True
     assert backend.in_bucket(url) is False
