@@ -40,10 +40,11 @@ def backup(ledger: Path, file: Path) -> Contents:
     if not ledger.is_file():
         raise LedgerUnavailable(f"there is no ledger {ledger}")
     try:
-        with _opened(ledger) as source:
+        with tempfile.TemporaryFile(dir=file.parent), _opened(ledger) as source:
             copy_to(source, file)
-    except sqlite3.OperationalError as error:
-        raise LedgerUnavailable(f"{ledger} cannot be copied to {file}: {_why(file, error)}") from error
+    except (sqlite3.OperationalError, OSError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise LedgerUnavailable(f"{ledger} cannot be copied to {file}: {reason}") from error
     except sqlite3.DatabaseError as error:
         raise LedgerUnusable(f"{ledger} cannot be copied: {error}") from error
     file.chmod(PRIVATE_FILE)
@@ -120,15 +121,6 @@ def _opened(file: Path) -> Iterator[sqlite3.Connection]:
     mode = "mode=ro" if wal_of(file).exists() else "mode=ro&immutable=1"
     with closing(sqlite3.connect(f"file:{quote(str(file.absolute()))}?{mode}", uri=True)) as connection:
         yield connection
-
-
-def _why(file: Path, error: sqlite3.Error) -> str:
-    """Why a file could not be written; the system's reason, if it refuses every file."""
-    try:
-        with tempfile.TemporaryFile(dir=file.parent):
-            return str(error)
-    except OSError as refused:
-        return str(refused.strerror)
 
 
 def _set_aside(ledger: Path) -> Path | None:

@@ -13,7 +13,7 @@ from functools import cached_property, partial
 from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple
+from typing import IO, Any, Final
 
 import h5netcdf
 import h5py
@@ -31,6 +31,9 @@ from worker import schema
 from worker.schema import Layout
 from worker.spec import SweepSpec
 from worker.studies import Plan, study_of
+
+#: A chunk: the cells it spans, by dimension in the order of the store, and its arrays by name.
+_Block = tuple[Mapping[str, slice], Mapping[str, NDArray[Any]]]
 
 #: Bytes sent at a time.
 PIECE: Final = 256 * 1024
@@ -63,13 +66,6 @@ class Export:
         """The arrays of the file: all stored ones, and the label of a sweep with exponents."""
         spec = self.study.spec
         return (*self.stored.arrays, *((LABEL,) if isinstance(spec, SweepSpec) and spec.exponents else ()))
-
-
-class _Block(NamedTuple):
-    """One chunk of a study; cells that are not computed yet hold fill values."""
-
-    cells: Mapping[str, slice]  # the cells it spans, by dimension in the order of the store
-    arrays: Mapping[str, NDArray[Any]]  # by name, along `cells` and then the extra dimensions
 
 
 def check(spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "cells") -> None:
@@ -134,7 +130,10 @@ def write(export: Export, path: Path) -> None:
 
 
 def _blocks(export: Export, folder: Path) -> Iterator[_Block]:
-    """Every chunk of the plan, each if the disk has room for it before compression. Raises NoSpace."""
+    """Every chunk of the plan, if the disk has room for it before compression. Raises NoSpace.
+
+    Cells that are not computed yet hold fill values.
+    """
     study, layout = export.study, export.stored
     for chunk in export.plan:
         cells = dict(zip(layout.chunk_sizes, chunk.slices, strict=True))
@@ -143,7 +142,7 @@ def _blocks(export: Export, folder: Path) -> Iterator[_Block]:
             arrays |= labelled(study.spec, arrays[schema.OUTCOME.name], arrays)
         if shutil.disk_usage(folder).free < sum(array.nbytes for array in arrays.values()) + SPARE:
             raise NoSpace(f"no space left for the export file: less than {SPARE:,} bytes would stay free")
-        yield _Block(cells, arrays)
+        yield cells, arrays
 
 
 def _fill_values(layout: Layout, cells: Mapping[str, slice]) -> dict[str, NDArray[Any]]:
@@ -175,9 +174,9 @@ def _write_netcdf(export: Export, blocks: Iterable[_Block], path: Path) -> None:
     with _UnrefusedFile(path, "w+") as target:
         with h5netcdf.File(target, "w") as file:
             _define(file, export)
-            for block in blocks:
-                for name, values in block.arrays.items():
-                    file.variables[name][tuple(block.cells.values())] = values
+            for cells, arrays in blocks:
+                for name, values in arrays.items():
+                    file.variables[name][tuple(cells.values())] = values
                 if target.refused:
                     break
         if target.refused:
@@ -221,7 +220,7 @@ def _write_parquet(export: Export, blocks: Iterable[_Block], path: Path) -> None
     import pyarrow as pa
     from pyarrow import parquet
 
-    batches = chain.from_iterable(_rows(export, block) for block in blocks)
+    batches = chain.from_iterable(_rows(export, *block) for block in blocks)
     first = next(batches)
     attributes = {**export.attributes, **export.study.attributes}
     table = first.schema.with_metadata({name: str(value) for name, value in attributes.items()})
@@ -233,17 +232,17 @@ def _write_parquet(export: Export, blocks: Iterable[_Block], path: Path) -> None
         pa.default_memory_pool().release_unused()  # it keeps what it had for its next arrays
 
 
-def _rows(export: Export, block: _Block) -> Iterator[Any]:
-    """The rows of a block as record batches."""
+def _rows(export: Export, cells: Mapping[str, slice], arrays: Mapping[str, NDArray[Any]]) -> Iterator[Any]:
+    """The rows of a chunk as record batches."""
     coords = {}
     for name, values in export.stored.coordinates.items():
-        part = values[block.cells.get(name, slice(None))]
+        part = values[cells.get(name, slice(None))]
         coords[name] = (name, part.astype(object) if part.dtype.kind == "T" else part)
-    variables = {row.name: (row.dims, block.arrays[row.name], row.attrs) for row in export.arrays}
+    variables = {row.name: (row.dims, arrays[row.name], row.attrs) for row in export.arrays}
     dataset = xarray.Dataset(variables, coords).drop_dims({"row", "column"}, errors="ignore")
     by_flight = export.layout == "flights"
-    cells = "fraction" if "fraction" in dataset else schema.OUTCOME.name
-    return map(record_batch, tables(dataset, "flight_time" if by_flight else cells, lists=not by_flight))
+    rows = "fraction" if "fraction" in dataset else schema.OUTCOME.name
+    return map(record_batch, tables(dataset, "flight_time" if by_flight else rows, lists=not by_flight))
 
 
 def _groups(batches: Iterable[Any]) -> Iterator[list[Any]]:

@@ -76,14 +76,11 @@ def encode(form: ArrayForm, values: NDArray[Any], coords: Sequence[int]) -> byte
     for number, inner in enumerate(product(*map(range, counts))):
         first = [at * n for at, n in zip(inner, form.inner, strict=True)]
         if all(at < n for at, n in zip(first, values.shape, strict=True)):
-            part = _compressed(
-                form,
-                block[tuple(slice(at, at + n) for at, n in zip(first, form.inner, strict=True))],
-                position(form, coords, inner),
-            )
-            index[number] = offset, len(part)
-            offset += len(part)
-            parts.append(part)
+            cells = block[tuple(slice(at, at + n) for at, n in zip(first, form.inner, strict=True))]
+            part = compress(np.ascontiguousarray(cells, form.dtype), level=LEVEL, checksum=True)
+            parts.append(part + _seal(form, part, position(form, coords, inner)))
+            index[number] = offset, len(parts[-1])
+            offset += len(parts[-1])
     return b"".join([*parts, _CHECKED.encode(index.tobytes())]) if form.sharded else parts[0]
 
 
@@ -160,15 +157,10 @@ def forms_in(layout: Layout) -> dict[str, ArrayForm]:
             layout.shape(array),
             layout.chunk_shape(array),
             layout.inner_shape(array) or layout.chunk_shape(array),
-            seal_of(layout.identity.get("job"), array.name),
+            f"{layout.identity.get('job')} {array.name}",
         )
         for array in layout.arrays
     }
-
-
-def seal_of(job: Any, name: str) -> str:
-    """The job and array named by the seals of an array's chunks."""
-    return f"{job} {name}"
 
 
 def same(form: ArrayForm, other: ArrayForm | None) -> bool:
@@ -199,8 +191,3 @@ def _fill(dtype: np.dtype[Any], value: Any) -> Any:
     """A fill value from its JSON: infinities and NaN are texts, complex numbers lists of two."""
     numbers = [float(part) if isinstance(part, str) else part for part in np.atleast_1d(value).tolist()]
     return complex(*numbers) if dtype.kind == "c" else numbers[0]
-
-
-def _compressed(form: ArrayForm, block: NDArray[Any], at: tuple[int, ...]) -> bytes:
-    content: bytes = compress(np.ascontiguousarray(block, form.dtype), level=LEVEL, checksum=True)
-    return content + _seal(form, content, at)

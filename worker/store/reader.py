@@ -17,16 +17,7 @@ from numpy.typing import NDArray
 from worker.schema import structured_attributes
 from worker.store.backend import ROOT, in_bucket, read_key, read_parts
 from worker.store.chunks import HasSlices, key, pool
-from worker.store.encoding import (
-    ArrayForm,
-    check_file,
-    decode,
-    form_of,
-    position,
-    same,
-    seal_of,
-    spans_of,
-)
+from worker.store.encoding import ArrayForm, check_file, decode, form_of, position, same, spans_of
 from worker.store.errors import ChunkCoords, StoreDamaged, StoreMissing
 
 OUTCOME: Final = "outcome"
@@ -197,7 +188,7 @@ def forms_of(root: bytes) -> dict[str, ArrayForm]:
             raise StoreMissing("the store's creation was interrupted; create it again")
         job = group["attributes"].get("job")
         arrays = {
-            name: form_of(metadata, seal_of(job, name))
+            name: form_of(metadata, f"{job} {name}")
             for name, metadata in consolidated["metadata"].items()
             if name not in metadata["dimension_names"]  # a coordinate
         }
