@@ -21,6 +21,7 @@ from worker.plan import Chunk as SweepChunk
 from worker.plan import Plan as SweepPlan
 from worker.schema import Layout
 from worker.spec import SweepSpec, parsing
+from worker.store import HasSlices
 from worker.tasks import ChunkReport
 
 
@@ -42,7 +43,7 @@ class Spec(Protocol):
         """32 hex digits that depend on the specification and the kernel version alone."""
 
 
-class Chunk(Protocol):
+class Chunk(HasSlices, Protocol):
     """A block of cells that one task computes and writes."""
 
     @property
@@ -55,14 +56,6 @@ class Chunk(Protocol):
 
     @property
     def cells(self) -> int: ...
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the arrays in which its task records these cells."""
-
-    @property
-    def slices(self) -> tuple[slice, ...]:
-        """The cells it spans along each cell dimension of the layout."""
 
 
 class Plan(Protocol):

@@ -29,8 +29,7 @@ from service.settings import Settings  # noqa: E402
 from worker import tasks  # noqa: E402
 from worker.executors import inline  # noqa: E402
 from worker.spec import SweepSpec  # noqa: E402
-from worker.store import chunks as stored  # noqa: E402
-from worker.store import store as writers  # noqa: E402
+from worker.store import store as stored  # noqa: E402
 
 
 def die() -> None:
@@ -52,8 +51,8 @@ STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "store laid out": lambda act: after(supervisor.store, "create", act),
     "chunk given out": lambda act: before(inline, "run_task", act),
     "chunk computed": lambda act: before(tasks.store, "write_chunk", act),
-    "chunk half written": lambda act: before(stored, "place", act),
-    "chunk synced": lambda act: before(writers, "digest", act),
+    "chunk half written": lambda act: before(stored.backend, "place", act),
+    "chunk synced": lambda act: before(stored, "digest", act),
     "chunk reported": lambda act: after(inline, "run_task", act),
     "in the transaction": lambda act: after(WriteTransaction, "mark_done", act),
     "chunk marked": lambda act: after(supervisor.JobRun, "mark_saved", act),

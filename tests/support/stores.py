@@ -8,7 +8,7 @@ from service.settings import Settings
 from worker import store
 from worker.executors.admission import Probe
 from worker.schema import Layout
-from worker.store.chunks import HasSlices
+from worker.store import HasSlices
 
 
 def is_sound(url: str, layout: Layout, chunk: HasSlices, expected: str) -> bool:

@@ -5,6 +5,11 @@ Code outside this package uses only the names listed here. In worker, only this 
 
 from worker.store.backend import ROOT as ROOT
 from worker.store.backend import UNREACHABLE as UNREACHABLE
+from worker.store.backend import ChunkCoords as ChunkCoords
+from worker.store.backend import StoreConflict as StoreConflict
+from worker.store.backend import StoreDamaged as StoreDamaged
+from worker.store.backend import StoreError as StoreError
+from worker.store.backend import StoreMissing as StoreMissing
 from worker.store.backend import check_address as check_address
 from worker.store.backend import created_at as created_at
 from worker.store.backend import in_bucket as in_bucket
@@ -13,19 +18,9 @@ from worker.store.backend import names_in as names_in
 from worker.store.backend import read_key as read_key
 from worker.store.backend import remove as remove
 from worker.store.backend import rename_for_deletion as rename_for_deletion
-from worker.store.chunks import Stored as Stored
-from worker.store.chunks import digest_of as digest_of
-from worker.store.chunks import discard as discard
-from worker.store.chunks import find_corrupt as find_corrupt
-from worker.store.chunks import stored_sizes as stored_sizes
-from worker.store.chunks import sync_folders as sync_folders
 from worker.store.encoding import ArrayForm as ArrayForm
 from worker.store.encoding import forms_in as forms_in
-from worker.store.errors import ChunkCoords as ChunkCoords
-from worker.store.errors import StoreConflict as StoreConflict
-from worker.store.errors import StoreDamaged as StoreDamaged
-from worker.store.errors import StoreError as StoreError
-from worker.store.errors import StoreMissing as StoreMissing
+from worker.store.reader import HasSlices as HasSlices
 from worker.store.reader import read_attrs as read_attrs
 from worker.store.reader import read_chunk as read_chunk
 from worker.store.reader import read_file as read_file
@@ -44,8 +39,14 @@ from worker.store.side_files import sweep_leftovers as sweep_leftovers
 from worker.store.side_files import write_checkpoint as write_checkpoint
 from worker.store.side_files import write_marker as write_marker
 from worker.store.side_files import write_spec as write_spec
+from worker.store.store import Stored as Stored
 from worker.store.store import check_chunk as check_chunk
 from worker.store.store import create as create
+from worker.store.store import digest_of as digest_of
+from worker.store.store import discard as discard
+from worker.store.store import find_corrupt as find_corrupt
 from worker.store.store import metadata_of as metadata_of
 from worker.store.store import repair_metadata as repair_metadata
+from worker.store.store import stored_sizes as stored_sizes
+from worker.store.store import sync_folders as sync_folders
 from worker.store.store import write_chunk as write_chunk

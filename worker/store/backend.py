@@ -10,18 +10,20 @@ import os
 import shutil
 import stat
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from datetime import datetime, timedelta
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from urllib.parse import urlsplit
 from uuid import uuid4
 
-from worker.store.errors import StoreError
-
 if TYPE_CHECKING:
     from obstore.store import S3Store
+
+#: Position of a chunk in the grid of chunks, one index per cell dimension.
+ChunkCoords = tuple[int, ...]
 
 #: Exceptions for a bucket that does not respond or denies access.
 UNREACHABLE: tuple[type[Exception], ...] = ()
@@ -41,8 +43,30 @@ MAX_FILE_BYTES: Final = 2**30
 #: Errors of opening something that is no file: nothing, a link, a socket.
 _NO_FILE: Final = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENXIO)
 
+#: Concurrent syncs and requests, which wait for the disk or the network, not for the processor.
+_THREADS: Final = 8
 #: Requests to a bucket that does not respond are retried for this long before they fail.
 _RETRY_TIMEOUT: Final = timedelta(seconds=15)
+
+
+class StoreError(Exception):
+    """Base class of a store's errors; itself: the address cannot hold a store."""
+
+
+class StoreMissing(StoreError):
+    """There is no store at the address, or its creation was interrupted."""
+
+
+class StoreConflict(StoreError):
+    """The store holds another job, or has chunks of another shape."""
+
+
+class StoreDamaged(StoreError):
+    """Stored bytes are missing or cannot be decoded; `chunks`: the damaged chunks, if any."""
+
+    def __init__(self, message: str, chunks: tuple[ChunkCoords, ...] = ()) -> None:
+        super().__init__(message)
+        self.chunks = chunks
 
 
 def in_bucket(url: str) -> bool:
@@ -260,3 +284,9 @@ def _obstore() -> Any:
     except ImportError as error:
         raise StoreError('stores in a bucket need the extra s3: pip install -e ".[s3]"') from error
     return obstore.store
+
+
+@cache
+def pool(purpose: str) -> ThreadPoolExecutor:
+    """Threads for syncs and requests ("store") or verification ("verify"): storing never waits for it."""
+    return ThreadPoolExecutor(_THREADS, thread_name_prefix=purpose)

@@ -20,6 +20,7 @@ from numcodecs.zstd import compress, decompress
 from numpy.typing import NDArray
 
 from worker.schema import Layout
+from worker.store.backend import ChunkCoords
 
 #: Of zstd, whose frames carry a checksum.
 LEVEL: Final = 3
@@ -62,6 +63,12 @@ class ArrayForm(NamedTuple):
     def index_bytes(self) -> int:
         """Bytes of a shard's index."""
         return _INDEX_ENTRY * prod(self.inner_counts) + _CRC
+
+
+def chunk_key(name: str, dims: int, coords: ChunkCoords) -> str:
+    """Key of one array's chunk in its store; `dims` is the array's number of dimensions."""
+    numbers = [*coords, *[0] * (dims - len(coords))]
+    return f"{name}/c.{'.'.join(map(str, numbers))}"
 
 
 def encode(form: ArrayForm, values: NDArray[Any], coords: Sequence[int]) -> bytes:

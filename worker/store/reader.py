@@ -9,22 +9,33 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import product
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from worker.schema import structured_attributes
-from worker.store.backend import ROOT, in_bucket, read_key, read_parts
-from worker.store.chunks import HasSlices, key, pool
-from worker.store.encoding import ArrayForm, check_file, decode, form_of, position, same, spans_of
-from worker.store.errors import ChunkCoords, StoreDamaged, StoreMissing
+from worker.store import backend
+from worker.store.backend import ROOT, ChunkCoords, StoreDamaged, StoreMissing, in_bucket
+from worker.store.encoding import ArrayForm, check_file, chunk_key, decode, form_of, position, same, spans_of
 
 OUTCOME: Final = "outcome"
 
 _MISSING: Final = "is missing"
 
 Index = int | slice
+
+
+class HasSlices(Protocol):
+    """The properties of a chunk that the store needs."""
+
+    @property
+    def slices(self) -> tuple[slice, ...]:
+        """The cells it spans along each cell dimension."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the record's arrays; may omit dimensions of length one."""
 
 
 class _Part(NamedTuple):
@@ -85,14 +96,14 @@ def _read(
 
     def take(names: Iterable[str], lenient: bool) -> None:
         """Read the chunks of some arrays. A missing one is damage, or `lenient`, not computed."""
-        files = [(key(name, len(arrays[name].dims), at), name, at) for name in names for at in chunks]
+        files = [(chunk_key(name, len(arrays[name].dims), at), name, at) for name in names for at in chunks]
 
         def read(file: tuple[str, str, ChunkCoords]) -> str | None:
             key, name, at = file
             return _read_file(url, key, arrays[name], chunks[at], cells[name])
 
         # Requests to a bucket run concurrently.
-        failures = pool("store").map(read, files) if in_bucket(url) else map(read, files)
+        failures = backend.pool("store").map(read, files) if in_bucket(url) else map(read, files)
         for (file, _, at), failure in zip(files, failures, strict=True):
             if failure == _MISSING and lenient:
                 del chunks[at]
@@ -114,11 +125,12 @@ def _read_file(
     """Put the parts of an array's chunk into `cells`; returns what is wrong with it."""
     try:
         if form.sharded:
-            contents = read_parts(url, key, [(-form.index_bytes, form.index_bytes)])
+            contents = backend.read_parts(url, key, [(-form.index_bytes, form.index_bytes)])
             if contents is not None:
-                contents = read_parts(url, key, spans_of(form, contents[0], [part.inner for part in parts]))
+                spans = spans_of(form, contents[0], [part.inner for part in parts])
+                contents = backend.read_parts(url, key, spans)
         else:
-            whole = read_key(url, key)
+            whole = backend.read_key(url, key)
             contents = None if whole is None else [whole]
         if contents is None:
             return _MISSING
@@ -152,7 +164,7 @@ def stored_forms(url: str, forms: Mapping[str, ArrayForm] | None) -> Mapping[str
 def read_file(url: str, key: str, forms: Mapping[str, ArrayForm]) -> bytes | None:
     """The stored bytes of an array's chunk; None if there are none. Raises StoreDamaged."""
     name, _, rest = key.partition("/")
-    content = read_key(url, key)
+    content = backend.read_key(url, key)
     if content is None:
         return None
     coords = tuple(int(number) for number in rest.split(".")[1:])
@@ -172,7 +184,7 @@ def read_attrs(url: str) -> dict[str, Any]:
 
 
 def root_of(url: str) -> bytes:
-    content = read_key(url, ROOT)
+    content = backend.read_key(url, ROOT)
     if content is None:
         raise StoreMissing(f"{url}: no store here")
     return content

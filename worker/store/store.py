@@ -1,17 +1,22 @@
-"""Results of a study as a zarr v3 store, which `xarray.open_zarr(url)` opens: its creation and its writers.
+"""Results of a study as a zarr v3 store, which `xarray.open_zarr(url)` opens: written and verified.
 
 One task owns one chunk of every array and writes it whole, so no two tasks write the same file. Files appear
 by renaming, once they are whole and on the disk, and checksums cover every byte. A cell is computed if its
 `outcome` is not `missing`.
 """
 
+import hashlib
 import json
 import math
+import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import wait
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, TypeVar
 
+import numpy as np
 import zarr
 from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
@@ -19,11 +24,10 @@ from zarr.core.buffer import Buffer
 from zarr.storage import MemoryStore
 
 from worker.schema import Array, Layout, flat_attributes
-from worker.store.backend import PARTIAL, ROOT, in_bucket, make_place, read_key
-from worker.store.chunks import HasSlices, Stored, digest, fsync, key, write_keys
-from worker.store.encoding import LEVEL, ArrayForm, encode
-from worker.store.errors import ChunkCoords, StoreConflict, StoreDamaged, StoreMissing
-from worker.store.reader import OUTCOME, forms_of, read_attrs, root_of
+from worker.store import backend
+from worker.store.backend import ROOT, ChunkCoords, StoreConflict, StoreDamaged, StoreMissing, in_bucket
+from worker.store.encoding import LEVEL, ArrayForm, chunk_key, encode
+from worker.store.reader import OUTCOME, HasSlices, forms_of, read_attrs, root_of
 
 _CODEC: Final = ZstdCodec(level=LEVEL, checksum=True)
 
@@ -32,6 +36,18 @@ _CODEC: Final = ZstdCodec(level=LEVEL, checksum=True)
 REMEMBERED_SECONDS: Final = 5.0
 MOST_REMEMBERED: Final = 256
 _recent: dict[str, tuple[float, Mapping[str, ArrayForm]]] = {}
+
+#: Files whose sizes are listed between two pauses.
+_LISTED: Final = 2_000
+
+Chunk = TypeVar("Chunk", bound=HasSlices)
+
+
+class Stored(NamedTuple):
+    """What is stored of a chunk."""
+
+    checksum: str  # 64 hex digits, as `find_corrupt` expects it
+    bytes: int  # of all arrays, compressed
 
 
 def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> None:
@@ -67,10 +83,10 @@ def _other_chunks(url: str, rule: str) -> StoreConflict:
 def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> list[str]:
     """Rewrite metadata and coordinates that differ from the layout's; return the keys rewritten."""
     expected = metadata_of(layout, attrs)
-    wrong = [name for name, content in expected.items() if read_key(url, name) != content]
+    wrong = [name for name, content in expected.items() if backend.read_key(url, name) != content]
     # The root comes last: a store with consolidated metadata is complete.
     wrong.sort(key=lambda name: name == ROOT)
-    make_place(f"{url}/{PARTIAL}")
+    backend.make_place(f"{url}/{backend.PARTIAL}")
     if wrong:
         write_keys(url, {name: expected[name] for name in wrong})
         root = Path(url)
@@ -152,7 +168,9 @@ def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) 
         form = forms[name]
         contents[name] = encode(form, array.reshape(*lengths, *form.shape[len(lengths) :]), coords)
     try:
-        write_keys(url, {key(name, len(forms[name].dims), coords): file for name, file in contents.items()})
+        write_keys(
+            url, {chunk_key(name, len(forms[name].dims), coords): file for name, file in contents.items()}
+        )
     except FileNotFoundError:
         raise StoreMissing(f"{url}: no store here") from None
     return digest(contents.items())
@@ -183,3 +201,106 @@ def _owned_coords(forms: Mapping[str, ArrayForm], url: str, chunk: HasSlices) ->
             rule = f"a chunk spans {dim} {span.start} to {span.stop}, but chunks here are {size} long"
             raise _other_chunks(url, rule)
     return tuple(span.start // size for span, size in zip(chunk.slices, outcome.chunks, strict=True))
+
+
+def _keys_of(layout: Layout, chunk: HasSlices) -> dict[str, str]:
+    """The keys of a chunk by array, in the order they are written."""
+    coords = layout.coords(chunk.slices)
+    return {array.name: chunk_key(array.name, len(array.dims), coords) for array in layout.arrays}
+
+
+def digest(contents: Iterable[tuple[str, bytes | None]]) -> Stored:
+    """SHA-256 and size of a chunk's stored bytes by array; the checksum covers absent arrays, too."""
+    checksum, size = hashlib.sha256(), 0
+    for name, content in contents:
+        checksum.update(f"{name} {'absent' if content is None else len(content)}\n".encode())
+        checksum.update(content or b"")
+        size += len(content or b"")
+    return Stored(checksum.hexdigest(), size)
+
+
+def digest_of(url: str, layout: Layout, chunk: HasSlices) -> Stored:
+    """The digest of a chunk's stored bytes."""
+    return digest((name, backend.read_key(url, key)) for name, key in _keys_of(layout, chunk).items())
+
+
+def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) -> Iterator[Chunk]:
+    """The chunks whose stored bytes differ from their expected checksums; reads several at once."""
+
+    def is_corrupt(expected: tuple[Chunk, str]) -> bool:
+        return digest_of(url, layout, expected[0]).checksum != expected[1]
+
+    marked = list(chunks)
+    for (chunk, _), corrupt in zip(marked, backend.pool("verify").map(is_corrupt, marked), strict=True):
+        if corrupt:
+            yield chunk
+
+
+def stored_sizes(url: str, layout: Layout, pause: Callable[[], object] = lambda: None) -> NDArray[np.int64]:
+    """Bytes of every chunk over all arrays, by its coordinates; -1 if one of its files is missing.
+
+    Lists folders and reads no file. `pause` is called now and then.
+    """
+    counts = tuple(-(-len(layout.coordinates[dim]) // size) for dim, size in layout.chunk_sizes.items())
+    total, missing = np.zeros(counts, np.int64), np.zeros(counts, np.bool_)
+    for array in layout.arrays:
+        sizes = np.full(counts, -1, np.int64)
+        for number, (name, size) in enumerate(backend.sizes_in(url, array.name)):
+            if number % _LISTED == 0:
+                pause()
+            first, *at = name.split(".")
+            with suppress(ValueError, IndexError):  # zarr.json
+                if first == "c":
+                    sizes[tuple(map(int, at[: len(counts)]))] = size
+        missing |= sizes < 0
+        total += sizes
+    total[missing] = -1
+    return total
+
+
+def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
+    """Remove a chunk's stored bytes, `outcome` first, so that its cells always read as missing."""
+    for key in reversed(_keys_of(layout, chunk).values()):
+        backend.delete(url, key)
+
+
+def sync_folders(url: str, layout: Layout) -> None:
+    """Sync the names of written chunks to disk; their contents are synced when written.
+
+    Call it once for many chunks: it syncs the arrays' folders.
+    """
+    with suppress(FileNotFoundError):  # the store is being removed, or was
+        fsync(url, [Path(url, array.name) for array in layout.arrays])
+
+
+def fsync(url: str, folders: Iterable[Path]) -> None:
+    """Sync the names in folders of a store to disk. A bucket's acknowledged objects are durable."""
+    if not in_bucket(url):
+        list(backend.pool("store").map(_fsync, folders))
+
+
+def _fsync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_keys(url: str, contents: Mapping[str, bytes]) -> None:
+    """Write keys of a store, each whole or not at all, and the last one after all others."""
+    keys = list(contents)
+    if in_bucket(url):
+        list(backend.pool("store").map(lambda key: backend.put(url, key, contents[key]), keys[:-1]))
+        backend.put(url, keys[-1], contents[keys[-1]])
+        return
+    writing = [backend.pool("store").submit(backend.write_partial, url, contents[key]) for key in keys]
+    wait(writing)
+    try:
+        for key, partial in zip(keys, [future.result() for future in writing], strict=True):
+            backend.place(url, partial, key)
+    except OSError:
+        for future in writing:
+            if future.exception() is None:
+                future.result().unlink(missing_ok=True)
+        raise

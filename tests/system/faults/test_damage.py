@@ -24,7 +24,7 @@ from worker import schema, store
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
-from worker.store import chunks as stored
+from worker.store import store as stored
 from worker.tasks import run_chunk
 
 #: The number of damaged files that are read, and of those that are requested over HTTP.
@@ -252,7 +252,7 @@ def test_until_damage_is_repaired_no_answer_is_complete(tmp_path: Path):
         right = [answer.json() for answer in service.answers(here, SWEEP)]
         assert all(is_complete(answer) for answer in service.answers(here, SWEEP))
         service.executor.before = lambda: repair.wait(60)
-        address = stored.key("flight_time", 5, (0, 0, 0, 0))
+        address = stored.chunk_key("flight_time", 5, (0, 0, 0, 0))
         (service.store(here) / address).unlink()
         found = service.client.get(f"{here}/diagram", params={"omega": 0.5, "xi": 0.05})
         assert found.status_code == 503
@@ -319,7 +319,7 @@ def test_a_lost_predecessor_on_a_ramp_is_computed_again_first(tmp_path: Path):
         spec = SweepSpec(**RAMP)
         plan = make_plan(spec)
         before = plan[plan[6].after or 0]
-        address = stored.key("end_state", 5, layout(spec, plan.chunk_shape).coords(before.slices))
+        address = stored.chunk_key("end_state", 5, layout(spec, plan.chunk_shape).coords(before.slices))
         (service.store(here) / address).unlink()
         service.client.post("/v1/jobs", json=RAMP)
         service.wait(here)

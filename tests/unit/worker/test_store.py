@@ -23,9 +23,8 @@ from worker import schema, store
 from worker.plan import Chunk, Plan, make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
-from worker.store import backend, reader
-from worker.store import chunks as stored
-from worker.store import store as zarr_store
+from worker.store import backend
+from worker.store import store as stored
 
 
 @pytest.fixture
@@ -399,7 +398,7 @@ def test_a_store_that_is_removed_meanwhile_is_not_made_again(url, spec, plan, mo
         shutil.rmtree(url)
         real(*given, **more)
 
-    monkeypatch.setattr(zarr_store, "write_keys", removed)
+    monkeypatch.setattr(stored, "write_keys", removed)
     with pytest.raises(store.StoreMissing):
         store.write_chunk(url, plan[0], record_of(spec, plan[0]))
     assert not Path(url).exists()
@@ -423,8 +422,8 @@ def test_sizes_tell_of_missing_and_cut_chunks(url, spec, plan):
 def test_what_is_discarded_is_gone_and_outcomes_first(url, spec, plan, monkeypatch):
     for chunk in plan[:2]:
         store.write_chunk(url, chunk, record_of(spec, chunk))
-    removed, real = [], stored.delete
-    monkeypatch.setattr(stored, "delete", lambda url, key: (removed.append(key), real(url, key)))
+    removed, real = [], backend.delete
+    monkeypatch.setattr(backend, "delete", lambda url, key: (removed.append(key), real(url, key)))
     store.discard(url, layout(spec, plan.chunk_shape), plan[0])
     assert removed[0] == "outcome/c.0.0.0.0"
     assert stored_files(url, plan[0]) == []
@@ -484,7 +483,7 @@ def test_of_a_shard_only_the_parts_that_are_needed_are_read(sharded, monkeypatch
     url, _ = sharded
     taken = []
     real = backend.read_parts
-    monkeypatch.setattr(reader, "read_parts", lambda *given: taken.append(real(*given)) or taken[-1])
+    monkeypatch.setattr(backend, "read_parts", lambda *given: taken.append(real(*given)) or taken[-1])
     store.read_slice(url, ["flight_time"], direction=0, xi=0, omega=0, gamma=0)
     whole = (Path(url) / "flight_time" / "c.0.0.0.0.0").stat().st_size
     assert 0 < sum(len(part) for parts in taken for part in parts or []) < whole / 2
