@@ -149,10 +149,10 @@ def _refused(_: Request, error: Exception) -> Response:
 
 def _damaged(request: Request, error: Exception) -> Response:
     """Start the repair of damaged results; 503 with the chunks, or 500 if they cannot be repaired."""
-    repairer = request.app.state.service.manager.repairer
+    scrubber = request.app.state.service.manager.scrubber
     chunks = cast(StoreDamaged, error).chunks
     try:
-        detail, lasting = repairer.report(request.path_params.get("job_id", ""), chunks)
+        detail, lasting = scrubber.report(request.path_params.get("job_id", ""), chunks)
     except LedgerUnavailable as unavailable:  # for example missing stores
         return problem_response(unavailable)
     status = HTTPStatus.INTERNAL_SERVER_ERROR if lasting else HTTPStatus.SERVICE_UNAVAILABLE

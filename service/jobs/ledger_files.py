@@ -8,7 +8,7 @@ import logging
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import chain, count
 from pathlib import Path
 from typing import Final
@@ -124,18 +124,16 @@ def as_found(path: Path) -> Iterator[None]:
     belongs to another copy. The error names the copies beside the ledger.
     """
     copy = aside(path, "as-found")
-    try:
+    with ExitStack() as stack:
+        stack.callback(_remove, copy)
         if path.exists() and size_of(wal_of(path)):
             _copy_with_log(path, copy)
-        yield
-    except LedgerUnusable as error:
-        copies = ", ".join(str(other) for other in copies_of(path))
-        raise LedgerUnusable(f"{error}; beside it: {copies}" if copies else str(error)) from error
-    except BaseException:
-        _remove(copy)
-        raise
-    else:
-        _remove(copy)
+        try:
+            yield
+        except LedgerUnusable as error:
+            stack.pop_all()
+            copies = ", ".join(str(other) for other in copies_of(path))
+            raise LedgerUnusable(f"{error}; beside it: {copies}" if copies else str(error)) from error
 
 
 def copies_of(path: Path) -> list[Path]:

@@ -15,7 +15,7 @@ from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJo
 from service.jobs.prepare import JobPreparer, new_job
 from service.jobs.retry import ChunkCounts
 from service.jobs.stores.deletion import Deleter
-from service.jobs.stores.repair import Repairer, Scrubber
+from service.jobs.stores.repair import Scrubber
 from service.jobs.supervisor import Supervisor
 from service.jobs.transactions import WriteTransaction
 from service.settings import Settings
@@ -45,8 +45,10 @@ class JobManager:
         self.preparer = JobPreparer(settings)
         self._deleter = Deleter(ledger, settings, self._wake)
         self._supervisor = Supervisor(ledger, executor, settings, self.preparer, self._deleter.repeat)
-        self.repairer = Repairer(ledger, self.preparer, self._supervisor.invalidating, self._deleter.repeat)
-        self._scrubber = Scrubber(ledger, settings, self.preparer, self.repairer, self.is_computing)
+        self.scrubber = Scrubber(
+            ledger, settings, self.preparer, self._supervisor.invalidating, self._deleter.repeat,
+            self.is_computing,
+        )  # fmt: skip
 
     def is_computing(self) -> bool:
         """Whether chunks of jobs are in flight."""
@@ -81,7 +83,7 @@ class JobManager:
     @property
     def scrubbed(self) -> tuple[int, int]:
         """Stored chunks verified since the start, and those found damaged."""
-        return self._scrubber.verified_chunks, self._scrubber.damaged_chunks
+        return self.scrubber.verified_chunks, self.scrubber.damaged_chunks
 
     def start(self) -> None:
         """Continue every job that was queued or running when the service last stopped.
@@ -90,20 +92,20 @@ class JobManager:
         """
         self._replace_outdated()
         self._deleter.start()  # before the others notice missing stores and nothing is written
-        self._scrubber.start()
+        self.scrubber.start()
         self._supervisor.start()
 
     def stop(self) -> None:
         """Stop computing; unfinished jobs continue at the next start."""
         deadline = time.monotonic() + STOP_SECONDS
-        self._scrubber.stop(STOP_SECONDS)
+        self.scrubber.stop(STOP_SECONDS)
         for part in (self._supervisor, self._deleter):
             part.stop(max(deadline - time.monotonic(), 0.1))
 
     @property
     def unknown_stores(self) -> list[str]:
         """Addresses of stores unknown to the ledger, as found at the start."""
-        return sorted({*self._scrubber.unknown_stores, *self._deleter.kept})
+        return sorted({*self.scrubber.unknown_stores, *self._deleter.kept})
 
     def notices(self) -> list[str]:
         """What an operator should know, although jobs are computed."""

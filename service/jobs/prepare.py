@@ -1,6 +1,6 @@
 """A job prepared to run or to be read: its specification parsed, its plan made, once per job.
 
-Supervisor, scrubber, repairer and every request for results need the same four values of a job.
+Supervisor, scrubber and every request for results need the same four values of a job.
 `JobPreparer` creates them once and keeps them; a submission passes in its specification and plan.
 """
 

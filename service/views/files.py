@@ -5,6 +5,7 @@ The file is unlinked before it is sent, so that nothing of it stays on the disk 
 
 import errno
 import io
+import math
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -68,10 +69,12 @@ class Export:
         return (*self.stored.arrays, *((LABEL,) if isinstance(spec, SweepSpec) and spec.exponents else ()))
 
 
-def check(spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "cells") -> None:
+def check(
+    spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "cells", max_bytes: float = math.inf
+) -> None:
     """Raise InvalidRequest for complex arrays, which no such file holds, and for rows that there are not.
 
-    Raises NotInstalled for Parquet without its library.
+    Raises NotInstalled for Parquet without its library, TooLarge for a study of more than `max_bytes`.
     """
     arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
     for array in arrays:
@@ -84,11 +87,7 @@ def check(spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "c
         raise InvalidRequest.of("layout", "this study stores no flights")
     if format == "parquet" and find_spec("pyarrow") is None:
         raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
-
-
-def check_size(study: Stored[Any], plan: Plan, max_bytes: int) -> None:
-    """Raise TooLarge for a study of more bytes than one file may hold."""
-    size = study_of(study.spec).estimate(study.spec, plan).bytes
+    size = study_of(spec).estimate(spec, plan).bytes
     if size > max_bytes:
         raise TooLarge(
             f"the sweep holds {size:,} bytes; the limit for one file is {max_bytes:,}: "

@@ -194,10 +194,7 @@ def sizes_in(url: str, folder: str) -> Iterator[tuple[str, int]]:
     """Names and bytes of the files directly in a folder of a store; none if it is missing."""
     if in_bucket(url):
         for entries in _bucket(url).list(prefix=folder):
-            for entry in entries:
-                above, name = entry["path"].rsplit("/", 1)
-                if above.rsplit("/", 1)[-1] == folder:
-                    yield name, entry["size"]
+            yield from ((entry["path"].rsplit("/", 1)[-1], entry["size"]) for entry in entries)
         return
     with suppress(FileNotFoundError), os.scandir(Path(url, folder)) as files:
         for file in files:

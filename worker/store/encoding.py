@@ -114,7 +114,7 @@ def check_seal(form: ArrayForm, content: bytes, at: tuple[int, ...]) -> None:
 
 
 def check_file(form: ArrayForm, content: bytes, coords: Sequence[int]) -> None:
-    """Raise ValueError unless a chunk's file is the one stored at these coordinates."""
+    """Raise ValueError or RuntimeError unless a chunk's file is the one stored at these coordinates."""
     if not form.sharded:
         check_seal(form, content, position(form, coords, ()))
         return
@@ -134,7 +134,7 @@ def _seal(form: ArrayForm, body: memoryview | bytes, at: tuple[int, ...]) -> byt
 def spans_of(form: ArrayForm, index: bytes, inner: Sequence[tuple[int, ...]]) -> list[tuple[int, int]]:
     """Offset and length of inner chunks, by their coordinates in a shard along its first dimensions.
 
-    Raises ValueError for damage.
+    Raises as `decode`.
     """
     table = _index(form, index)
     spans = [(int(offset), int(length)) for offset, length in (table[coords].ravel() for coords in inner)]
@@ -144,11 +144,8 @@ def spans_of(form: ArrayForm, index: bytes, inner: Sequence[tuple[int, ...]]) ->
 
 
 def _index(form: ArrayForm, index: bytes) -> NDArray[np.uint64]:
-    """(inner_counts, 2) offset and length of the inner chunks of a shard. Raises ValueError for damage."""
-    try:
-        entries = bytes(_CHECKED.decode(index))
-    except RuntimeError as error:
-        raise ValueError(f"the index of the shard is damaged: {error}") from None
+    """(inner_counts, 2) offset and length of the inner chunks of a shard. Raises as `decode`."""
+    entries = bytes(_CHECKED.decode(index))
     if len(index) != form.index_bytes:
         raise ValueError("the shard is cut off")
     return np.frombuffer(entries, "<u8").reshape(*form.inner_counts, 2)

@@ -170,7 +170,7 @@ def read_file(url: str, key: str, forms: Mapping[str, ArrayForm]) -> bytes | Non
     coords = tuple(int(number) for number in rest.split(".")[1:])
     try:
         check_file(forms[name], content, coords)
-    except (ValueError, IndexError) as error:
+    except (RuntimeError, ValueError, IndexError) as error:
         damaged = coords[: len(forms[OUTCOME].dims)]
         raise StoreDamaged(f"{key}: cannot be decoded: {error}", (damaged,)) from None
     return content

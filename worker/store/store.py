@@ -190,11 +190,8 @@ def _forms(url: str) -> Mapping[str, ArrayForm]:
 
 
 def _owned_coords(forms: Mapping[str, ArrayForm], url: str, chunk: HasSlices) -> ChunkCoords:
-    """Coordinates of a task's chunk in the grid of chunks.
-
-    Raises StoreConflict unless it is exactly one chunk of the store: two tasks that write to the same
-    stored chunk would overwrite each other's cells.
-    """
+    """Coordinates of a task's chunk in the grid of chunks. Raises StoreConflict."""
+    # Two tasks that write to the same stored chunk would overwrite each other's cells.
     outcome = forms[OUTCOME]
     for dim, span, size, n in zip(outcome.dims, chunk.slices, outcome.chunks, outcome.shape, strict=True):
         if span.start % size or span.stop != min(span.start + size, n):

@@ -62,8 +62,8 @@ def export_job(
     software, libraries, processor, times and core-seconds.
     """
     study, prepared = dependencies.stored(service, job), service.manager.preparer.prepare(job)
-    files.check(study.spec, prepared.plan, query.format, query.layout)
-    files.check_size(study, prepared.plan, service.settings.max_export_bytes)
+    limit = service.settings.max_export_bytes
+    files.check(study.spec, prepared.plan, query.format, query.layout, limit)
     attributes = attributes_of(job, prepared)
     export = files.Export(study, prepared.plan, query.format, query.layout, attributes)
     file = files.make(service.background, export, service.settings.exports_path)

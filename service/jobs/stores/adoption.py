@@ -106,21 +106,23 @@ def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
 
     Raises OSError, or one of `store.UNREACHABLE`.
     """
-    names = store.names_in(settings.stores_url)
-    ids = [match[1] for name in names if (match := _STORE_NAME.fullmatch(name))]
     with ledger.reading() as reading:
         known = reading.ids() | {deletion.job_id for deletion in reading.deletions()}
-    return [settings.store_of(job_id) for job_id in ids if job_id not in known]
+    return [settings.store_of(job_id) for job_id in _stored_ids(settings) if job_id not in known]
+
+
+def _stored_ids(settings: Settings) -> list[str]:
+    names = store.names_in(settings.stores_url)
+    return [match[1] for name in names if (match := _STORE_NAME.fullmatch(name))]
 
 
 def has_stores(settings: Settings) -> bool:
     """Whether there are stores at the settings' address; True if it does not answer."""
     try:
-        names = store.names_in(settings.stores_url)
+        return bool(_stored_ids(settings))
     except Exception as error:  # noqa: BLE001 - any reason not to answer
         log.warning("the stores cannot be listed: %s", error)
         return True
-    return any(_STORE_NAME.fullmatch(name) for name in names)
 
 
 def open_ledger(settings: Settings, adopting: bool = False) -> Ledger:
@@ -150,11 +152,9 @@ def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
         raise NotAdoptable(f"{url}: the ledger knows this job")
     try:
         job, spec, plan, choice = _contents(url, job_id)
-    except (store.StoreError, SpecError, LookupError, TypeError, ValueError) as error:
+    except (store.StoreError, SpecError, LookupError, TypeError, ValueError, RecursionError) as error:
         reason = str(error).removeprefix(f"{url}: ")
         raise NotAdoptable(f"{url} cannot be adopted: {reason}") from error
-    except RecursionError as error:
-        raise NotAdoptable(f"{url} cannot be adopted: its metadata are nested too deeply") from error
     reports = _whole_chunks(url, spec, plan)
     found = f"{len(reports)} of {job.chunks_total} chunks were found whole in its store"
     with ledger.writing() as writing:

@@ -113,12 +113,12 @@ class Deleter:
                 if deletion.step is DeletionStep.RECORDED:
                     self._free(deletion, url, renamed)
                 store.remove(renamed)
+                log.info("%s is removed, in %.1f s", url, time.monotonic() - began)
             self._forget_chunks(deletion.seq)
             self._advance(deletion, DeletionStep.COMPLETE)
         except Exception as error:  # noqa: BLE001 - a bucket that does not answer, a folder that cannot be changed
             log.warning("%s cannot be removed now, it is tried again: %s", url, error)
             return False
-        log.info("%s is removed, in %.1f s", url, time.monotonic() - began)
         return True
 
     def _forget_chunks(self, seq: int) -> None:

@@ -49,99 +49,30 @@ class Repair(NamedTuple):
     lasting: bool = False
 
 
-class Repairer:
-    """Repairs stores. Its methods may be called from any thread.
-
-    `invalidating` is entered with a job's id while chunks are unmarked and their bytes removed; chunks added
-    to its list are computed again. `after_writing` is called with a job whose store was written to: it may
-    have been deleted meanwhile.
-    """
-
-    def __init__(
-        self,
-        ledger: Ledger,
-        preparer: JobPreparer,
-        invalidating: Callable[[str], AbstractContextManager[list[int]]],
-        after_writing: Callable[[JobRecord], None] = lambda job: None,
-    ) -> None:
-        self._ledger, self._preparer = ledger, preparer
-        self._invalidating, self._after_writing = invalidating, after_writing
-
-    def report(self, job_id: str, damaged: Sequence[ChunkCoords]) -> Repair:
-        """Repair a store in which a reader found damage, in these chunks or outside any."""
-        job = self._ledger.find(job_id)
-        if job is None:
-            return Repair("the job was deleted")
-        prepared = self._preparer.prepare(job)
-        self.repair_metadata(job)
-        chunks = [prepared.plan.number(*coords) for coords in damaged]
-        self.invalidate(job, chunks)
-        described = [prepared.describe(prepared.plan[i]) for i in chunks[:MAX_DESCRIBED]]
-        more = f" and {len(chunks) - MAX_DESCRIBED} more" if len(chunks) > MAX_DESCRIBED else ""
-        subject = f"{'; '.join(described)}{more}" if chunks else "the store's metadata"
-        if not job.outdated:
-            return Repair(f"stored results are damaged and computed again: {subject}")
-        if chunks:
-            return Repair(f"stored results are damaged and missing from now on: {subject} ({job.notice})")
-        return Repair(f"stored results are damaged: {subject} ({job.notice})", lasting=True)
-
-    def repair_metadata(self, job: JobRecord) -> None:
-        """Rewrite damaged metadata and coordinates, but not those of an outdated job, which differ."""
-        if not job.outdated:
-            self._ledger.check()
-            prepared = self._preparer.prepare(job)
-            if store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes):
-                self._after_writing(job)
-
-    def invalidate(self, job: JobRecord, chunks: Sequence[int]) -> None:
-        """Queue chunks of a job to be computed again; until then their cells read as missing.
-
-        Those of an outdated job are given up: their cells stay missing, and a done job becomes failed.
-        Raises LedgerUnavailable, also if the stores are missing.
-        """
-        self._ledger.check()
-        with self._invalidating(job.id) as computed_again:
-            with self._ledger.writing() as ledger:
-                current = ledger.find(job.id)
-                if current is None or current.seq != job.seq:
-                    return  # deleted, and perhaps accepted again
-                if job.outdated:
-                    unmarked = ledger.lose(current, [self._lost(current, chunk) for chunk in chunks])
-                else:
-                    unmarked = ledger.unmark(current, chunks)
-            if not unmarked:
-                return
-            if not job.outdated:  # whether or not their files can be removed
-                computed_again.extend(unmarked)
-            fate = "given up" if job.outdated else "computed again"
-            log.error("job %s: chunks %s are damaged in the store and %s", job.id, unmarked, fate)
-            prepared = self._preparer.prepare(job)
-            for chunk in unmarked:
-                store.discard(prepared.store_url, prepared.layout, prepared.plan[chunk])
-
-    def _lost(self, job: JobRecord, chunk: int) -> Failure:
-        prepared = self._preparer.prepare(job)
-        error = f"its stored results were damaged ({job.notice}): resume the job to compute all of it anew"
-        return Failure(chunk, prepared.describe(prepared.plan[chunk]), error, None, tries=0)
-
-
 class _Stopping(Exception):
     """The service stops."""
 
 
 class Scrubber:
-    """Verifies results of earlier starts, slowly while `is_computing` says that jobs compute."""
+    """Repairs stores, and verifies results of earlier starts, slowly while `is_computing`.
+
+    `invalidating` is entered with a job's id while chunks are unmarked and their bytes removed; chunks added
+    to its list are computed again. `after_writing` is called with a job whose store was written to: it may
+    have been deleted meanwhile. `report`, `repair_metadata` and `invalidate` may be called from any thread.
+    """
 
     def __init__(
         self,
         ledger: Ledger,
         settings: Settings,
         preparer: JobPreparer,
-        repairer: Repairer,
+        invalidating: Callable[[str], AbstractContextManager[list[int]]],
+        after_writing: Callable[[JobRecord], None],
         is_computing: Callable[[], bool],
     ) -> None:
-        self._ledger, self._settings, self._is_computing = ledger, settings, is_computing
-        self._preparer, self._repairer = preparer, repairer
+        self._ledger, self._settings, self._preparer = ledger, settings, preparer
+        self._invalidating, self._after_writing = invalidating, after_writing
+        self._is_computing = is_computing
         self.verified: set[str] = set()  # jobs whose chunks were found intact, or are computed again
         self.unknown_stores: Sequence[str] = ()  # addresses; the ledger did not know them at the start
         self.verified_chunks = self.damaged_chunks = 0  # since the start
@@ -219,10 +150,7 @@ class Scrubber:
         return True
 
     def _pause(self) -> None:
-        """Pause, while chunks are computed, in proportion to the work since the last pause.
-
-        Raises _Stopping.
-        """
+        """Pause, while chunks are computed, in proportion to the work since then. Raises _Stopping."""
         pause = PAUSES * (self._clock() - self._resumed) if self._is_computing() else 0.0
         if self._stop.wait(pause):
             raise _Stopping
@@ -238,7 +166,7 @@ class Scrubber:
             store.sweep_leftovers(prepared.store_url)
         if not job.chunks_done:
             return
-        self._repairer.repair_metadata(job)
+        self.repair_metadata(job)
         if job.outdated:  # chunks that only its metadata describe look damaged if these are
             store.stored_forms(prepared.store_url, None)
         pages = range(-(-job.chunks_total // VERIFIED_PAGE))
@@ -285,7 +213,7 @@ class Scrubber:
     def _invalidate(self, job: JobRecord, chunks: Sequence[int]) -> None:
         if chunks:
             self.damaged_chunks += len(chunks)
-            self._repairer.invalidate(job, chunks)
+            self.invalidate(job, chunks)
 
     def _find_unknown(self) -> None:
         """Report stores without a job in the ledger. They may be all that remains of a job: they stay."""
@@ -294,3 +222,58 @@ class Scrubber:
             log.warning("%s is unknown to the ledger and left alone: bounce adopt takes it in", url)
         if more := len(self.unknown_stores[MAX_NAMED:]):
             log.warning("%d more stores are unknown to the ledger and left alone", more)
+
+    def report(self, job_id: str, damaged: Sequence[ChunkCoords]) -> Repair:
+        """Repair a store in which a reader found damage, in these chunks or outside any."""
+        job = self._ledger.find(job_id)
+        if job is None:
+            return Repair("the job was deleted")
+        prepared = self._preparer.prepare(job)
+        self.repair_metadata(job)
+        chunks = [prepared.plan.number(*coords) for coords in damaged]
+        self.invalidate(job, chunks)
+        described = [prepared.describe(prepared.plan[i]) for i in chunks[:MAX_DESCRIBED]]
+        more = f" and {len(chunks) - MAX_DESCRIBED} more" if len(chunks) > MAX_DESCRIBED else ""
+        subject = f"{'; '.join(described)}{more}" if chunks else "the store's metadata"
+        if not job.outdated:
+            return Repair(f"stored results are damaged and computed again: {subject}")
+        if chunks:
+            return Repair(f"stored results are damaged and missing from now on: {subject} ({job.notice})")
+        return Repair(f"stored results are damaged: {subject} ({job.notice})", lasting=True)
+
+    def repair_metadata(self, job: JobRecord) -> None:
+        """Rewrite damaged metadata and coordinates, but not those of an outdated job, which differ."""
+        if not job.outdated:
+            self._ledger.check()
+            prepared = self._preparer.prepare(job)
+            if store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes):
+                self._after_writing(job)
+
+    def invalidate(self, job: JobRecord, chunks: Sequence[int]) -> None:
+        """Queue chunks of a job to be computed again; until then their cells read as missing.
+
+        Those of an outdated job are given up: their cells stay missing, and a done job becomes failed.
+        Raises LedgerUnavailable, also if the stores are missing.
+        """
+        self._ledger.check()
+        prepared = self._preparer.prepare(job)
+        error = f"its stored results were damaged ({job.notice}): resume the job to compute all of it anew"
+        with self._invalidating(job.id) as computed_again:
+            with self._ledger.writing() as ledger:
+                current = ledger.find(job.id)
+                if current is None or current.seq != job.seq:
+                    return  # deleted, and perhaps accepted again
+                if job.outdated:
+                    places = {chunk: prepared.describe(prepared.plan[chunk]) for chunk in chunks}
+                    lost = [Failure(chunk, place, error, None, tries=0) for chunk, place in places.items()]
+                    unmarked = ledger.lose(current, lost)
+                else:
+                    unmarked = ledger.unmark(current, chunks)
+            if not unmarked:
+                return
+            if not job.outdated:  # whether or not their files can be removed
+                computed_again.extend(unmarked)
+            fate = "given up" if job.outdated else "computed again"
+            log.error("job %s: chunks %s are damaged in the store and %s", job.id, unmarked, fate)
+            for chunk in unmarked:
+                store.discard(prepared.store_url, prepared.layout, prepared.plan[chunk])

@@ -227,7 +227,7 @@ def test_a_job_that_is_done_is_verified_again_only_after_days(
 ):
     def verified() -> int:
         with running(tmp_path, inline, verify_days=days) as service:
-            service.manager._scrubber._thread.join(DEADLINE)
+            service.manager.scrubber._thread.join(DEADLINE)
             return service.manager.scrubbed[0]
 
     with running(tmp_path, inline) as service:
@@ -363,7 +363,7 @@ def test_what_is_computed_again_is_not_removed_with_the_damaged_files(
         job = service.submit(sweep())
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
         monkeypatch.setattr(store, "discard", late)
-        service.manager.repairer.invalidate(service.job(job), [0])
+        service.manager.scrubber.invalidate(service.job(job), [0])
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
         assert np.all(service.outcomes(job) != Outcome.MISSING)
     assert [chunk for _, chunk in held.order].count(0) == 2

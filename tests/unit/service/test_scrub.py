@@ -16,7 +16,7 @@ from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer
 from service.jobs.stores import repair
-from service.jobs.stores.repair import Repair, Repairer, Scrubber
+from service.jobs.stores.repair import Repair, Scrubber
 from service.settings import Settings
 from worker.executors.inline import Inline
 from worker.tasks import ChunkReport
@@ -32,8 +32,7 @@ class Scrubbing:
         settings = Settings(data=folder, **options)
         self.ledger, self.invalidated = ledger, list[int]()
         preparer = JobPreparer(settings)
-        self.repairer = Repairer(ledger, preparer, self._invalidating)
-        self.scrubber = Scrubber(ledger, settings, preparer, self.repairer, computing)
+        self.scrubber = Scrubber(ledger, settings, preparer, self._invalidating, lambda job: None, computing)
 
     @contextmanager
     def _invalidating(self, job_id: str) -> Iterator[list[int]]:
@@ -59,7 +58,7 @@ def scrubbing(folder: Path, computing: bool = False, **options: Any) -> Iterator
 def done(tmp_path: Path, inline: Inline) -> JobRecord:
     """A job that is done, in a data folder in which nothing was verified."""
     with running(tmp_path, inline) as service:
-        service.manager._scrubber._thread.join()
+        service.manager.scrubber._thread.join()
         return service.until(service.submit(SPEC), JobState.DONE)
 
 
@@ -131,7 +130,7 @@ def test_damaged_chunks_of_an_outdated_job_are_given_up_and_its_metadata_stay(
     with scrubbing(tmp_path) as scrubs:
         with scrubs.ledger.writing() as writing:
             writing._sql.execute("UPDATE jobs SET kernel_version = '0'")
-        repair = scrubs.repairer.report(done.id, [(0, 0, 0, 2)])
+        repair = scrubs.scrubber.report(done.id, [(0, 0, 0, 2)])
         assert repair.detail.startswith("stored results are damaged and missing from now on: chunk 2 (")
         assert not repair.lasting
         assert not outcomes(tmp_path, done, 2).exists()
@@ -144,7 +143,7 @@ def test_damaged_chunks_of_an_outdated_job_are_given_up_and_its_metadata_stay(
         assert failure.error.endswith("resume the job to compute all of it anew")
         root = tmp_path / "stores" / f"{done.id}.zarr" / "zarr.json"
         root.write_text("{")
-        repair = scrubs.repairer.report(done.id, [])
+        repair = scrubs.scrubber.report(done.id, [])
         assert repair.detail.startswith("stored results are damaged: the store's metadata (")
         assert repair.lasting
         assert root.read_text() == "{"
@@ -155,7 +154,7 @@ def test_nothing_of_a_deleted_job_is_invalidated_nor_of_one_accepted_again(tmp_p
     with scrubbing(tmp_path) as scrubs:
         with scrubs.ledger.writing() as writing:
             writing.delete(done, 1.0)
-        scrubs.repairer.invalidate(done, [0])
+        scrubs.scrubber.invalidate(done, [0])
         again = NewJob(
             done.id, done.name, done.spec, done.kernel_version, done.chunk_shape, done.chunks_total,
             done.cells_total,
@@ -163,7 +162,7 @@ def test_nothing_of_a_deleted_job_is_invalidated_nor_of_one_accepted_again(tmp_p
         with scrubs.ledger.writing() as writing:
             writing.insert(again, 2.0)
             writing.mark_done(writing.find(done.id), [ChunkReport(0, 1, 0.5, 0.5, "00", (0, 1))])
-        scrubs.repairer.invalidate(done, [0])
+        scrubs.scrubber.invalidate(done, [0])
         job = scrubs.ledger.find(done.id)
         assert job is not None
         assert (job.seq, job.chunks_done) == (done.seq + 1, 1)
@@ -178,9 +177,9 @@ def test_nothing_is_repaired_while_the_ledger_cannot_be_written(tmp_path: Path, 
     with scrubbing(tmp_path) as scrubs:
         os.utime(scrubs.ledger.path, (1e9, 1e9))  # as another program leaves it
         with pytest.raises(LedgerUnavailable):
-            scrubs.repairer.report(done.id, [])
+            scrubs.scrubber.report(done.id, [])
         assert root.read_text() == "{"
     with scrubbing(tmp_path) as scrubs:
-        repair = scrubs.repairer.report(done.id, [])
+        repair = scrubs.scrubber.report(done.id, [])
         assert repair == Repair("stored results are damaged and computed again: the store's metadata")
         assert root.read_bytes() == intact
