@@ -214,7 +214,7 @@ class Machine(RuleBasedStateMachine):
     def _stop(self) -> None:
         """Stop as at the end of a process, with all threads."""
         self.manager.stop()
-        for part in (self.manager._scrubber, self.manager._supervisor, self.manager._deleter):
+        for part in (self.manager.scrubber, self.manager._supervisor, self.manager._deleter):
             part._thread.join()
 
     def _settle(self) -> None:

@@ -462,7 +462,7 @@ def test_stopping_is_prompt(tmp_path: Path):
     with running(tmp_path, Held(), heartbeat_seconds=2 * DEADLINE) as service:
         service.until(service.submit(sweep()), JobState.RUNNING)
         service.manager.stop()
-        parts = (service.manager._supervisor, service.manager._deleter, service.manager._scrubber)
+        parts = (service.manager._supervisor, service.manager._deleter, service.manager.scrubber)
         assert not any(part._thread.is_alive() for part in parts)
 
 
