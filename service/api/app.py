@@ -1,20 +1,19 @@
 """The ASGI application: routers, error handlers, middleware, and the parts that live while it runs."""
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import cache, partial
 from typing import Final
 
 from fastapi import Depends, FastAPI
+from starlette.middleware.cors import CORSMiddleware
 
 from service.api import openapi, problems
-from service.api.capacity import Capacity, ListenerLimit
+from service.api.capacity import Capacity
 from service.api.dependencies import Service, reject_repeated_parameters
-from service.api.middleware.access_control import AccessControl
-from service.api.middleware.access_log import AccessLog
-from service.api.middleware.body_limit import BodyLimit
-from service.api.middleware.head import HeadAsGet
-from service.api.monitoring import Metrics, Readiness
+from service.api.middleware import CORS, Gate
+from service.api.monitoring import JobsCollector, Metrics, Readiness
 from service.api.progress_stream import ProgressStream
 from service.api.routers import docs, health, jobs, model, page, page_data, results, views
 from service.background import Background, InThisProcess
@@ -75,10 +74,10 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         app.include_router(router)
     app.mount("/static", page.static_files(), name="static")
     problems.install(app)
-    app.add_middleware(HeadAsGet)
-    app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, timeout=settings.body_seconds)
-    app.add_middleware(AccessControl, hosts=settings.hosts, tokens=tokens, origins=settings.cors_origins)
-    app.add_middleware(AccessLog, metrics=metrics)  # added last, so the outermost: it logs refusals too
+    origins = settings.cors_origins
+    app.add_middleware(Gate, metrics=metrics, hosts=settings.hosts, tokens=tokens, origins=origins)
+    if origins:
+        app.add_middleware(CORSMiddleware, allow_origins=origins, **CORS)
     app.openapi = cache(  # type: ignore[method-assign]
         partial(openapi.document, app, needs_token=bool(tokens))
     )
@@ -109,8 +108,7 @@ def _service(
 ) -> Service:
     readiness = Readiness(executor, ledger_fault=ledger.fault)
     manager = JobManager(ledger, executor, settings)
-    metrics.add_jobs(ledger, readiness, manager)
-    metrics.add_cluster(executor)
+    metrics.registry.register(JobsCollector(ledger, readiness, manager, executor))
     return Service(
         settings=settings,
         ledger=ledger,
@@ -131,7 +129,7 @@ def _service(
             dict.fromkeys(("read", "store", "on demand"), SMALL_READS), SMALL_MEMORY, max_waiting=MOST_SMALL
         ),
         background=background,
-        listener_limit=ListenerLimit(settings.max_listeners),
+        listeners=asyncio.Semaphore(settings.max_listeners),
         progress_stream=ProgressStream(ledger, manager.compiling),
         readiness=readiness,
         metrics=metrics,

@@ -1,5 +1,6 @@
 """FastAPI dependencies: the parts of the running service, the job named by a path, and JSON bodies."""
 
+import asyncio
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -8,19 +9,12 @@ from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
-from service.api.capacity import (
-    FEW_CHUNKS,
-    SMALL_ANSWER,
-    SMALL_CHUNKS,
-    Capacity,
-    Cost,
-    ListenerLimit,
-)
+from service.api.capacity import FEW_CHUNKS, SMALL_ANSWER, SMALL_CHUNKS, Capacity, Cost
 from service.api.monitoring import Metrics, Readiness
 from service.api.parameters import LineQuery
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
-from service.errors import InvalidRequest, UnknownJob, WrongMediaType
+from service.errors import BodyTimeout, InvalidRequest, TooLarge, UnknownJob, WrongMediaType
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
@@ -42,7 +36,7 @@ class Service:
     capacity: Capacity
     small_reads: Capacity
     background: Background
-    listener_limit: ListenerLimit
+    listeners: asyncio.Semaphore
     progress_stream: ProgressStream
     readiness: Readiness
     metrics: Metrics
@@ -128,8 +122,11 @@ async def reject_repeated_parameters(request: Request) -> None:
             raise InvalidRequest.of(name, f"is given {count} times")
 
 
-async def _json_body(request: Request) -> bytes:
-    """The body, if declared as JSON, which forms of other web pages cannot do. Raises WrongMediaType."""
+async def _json_body(request: Request, service: ServiceDep) -> bytes:
+    """The body, if declared as JSON, which forms of other web pages cannot do.
+
+    Raises WrongMediaType, BodyTimeout, and TooLarge as soon as that is known.
+    """
     coding = request.headers.get("content-encoding", "identity")
     if coding.lower() != "identity":
         raise WrongMediaType(
@@ -138,7 +135,23 @@ async def _json_body(request: Request) -> bytes:
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type != "application/json":
         raise WrongMediaType("send the body as JSON, with the header Content-Type: application/json")
-    return await request.body()
+    most, seconds = service.settings.max_body_bytes, service.settings.body_seconds
+    declared, body = request.headers.get("content-length", ""), bytearray()
+    size = int(declared[:20]) if declared.isdecimal() else 0
+    try:
+        async with asyncio.timeout(seconds):
+            pieces = request.stream()
+            while size <= most:
+                body += await anext(pieces)
+                size = max(size, len(body))
+    except StopAsyncIteration:
+        return bytes(body)
+    except TimeoutError:
+        raise BodyTimeout(f"the body did not arrive within {seconds:g} s") from None
+    raise TooLarge(
+        f"the body is longer than {most:,} bytes; an evenly spaced axis is shorter as a range"
+        ' {"start", "stop", "num"}'
+    )
 
 
 JsonBody = Annotated[bytes, Depends(_json_body)]

@@ -13,7 +13,7 @@ from fastapi.openapi.utils import get_openapi
 from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
-from service.api.middleware.access_control import OPEN_PATHS
+from service.api.middleware import OPEN_PATHS
 from service.api.schemas import ProblemDocument, problem_responses
 from service.views.trajectory import TrajectorySpec
 from worker.basins.spec import BasinSpec, MultistabilitySpec

@@ -1,4 +1,4 @@
-"""Domain errors as HTTP responses: the table of statuses, and the response to each error.
+"""Errors as HTTP responses.
 
 Errors are sent as `application/problem+json` (RFC 9457) with an extension: `errors`, a list of
 `{"field", "rule", "code"}`. Two exceptions need more than a status: `StoreDamaged` starts a repair, and
@@ -14,32 +14,12 @@ from typing import Any, Final, cast
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.routing import Match, Mount
 
+from service.api.capacity import CLIENT_GONE
 from service.api.schemas import PartsView, PendingView
-from service.errors import (
-    BodyTimeout,
-    Busy,
-    CrossOriginRefused,
-    ExportFailed,
-    HostNotAllowed,
-    IllegalTransition,
-    InvalidRequest,
-    KeyReused,
-    LedgerUnavailable,
-    NoSpace,
-    NotComputed,
-    NotInstalled,
-    NotInStore,
-    OutdatedJob,
-    OutOfRange,
-    QueueFull,
-    TooLarge,
-    TooManyListeners,
-    Unauthenticated,
-    UnknownJob,
-    WrongMediaType,
-)
+from service.errors import LedgerUnavailable, OutOfRange, ServiceError
 from service.jobs.on_demand import Pending
 from worker import store
 from worker.spec.errors import Problem, SpecError, SpecTooLarge, SpecUnreadable, code_of
@@ -47,43 +27,19 @@ from worker.store import StoreDamaged, StoreError
 
 log = logging.getLogger(__name__)
 
-#: Status of each error; the first class that matches counts. Any other exception is a defect: 500.
-STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
-    SpecUnreadable: HTTPStatus.BAD_REQUEST,
-    SpecTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-    SpecError: HTTPStatus.UNPROCESSABLE_ENTITY,
-    WrongMediaType: HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
-    BodyTimeout: HTTPStatus.REQUEST_TIMEOUT,
-    InvalidRequest: HTTPStatus.UNPROCESSABLE_ENTITY,
-    Unauthenticated: HTTPStatus.UNAUTHORIZED,
-    HostNotAllowed: HTTPStatus.MISDIRECTED_REQUEST,
-    CrossOriginRefused: HTTPStatus.FORBIDDEN,
-    UnknownJob: HTTPStatus.NOT_FOUND,
-    NotInStore: HTTPStatus.NOT_FOUND,
-    OutOfRange: HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
-    KeyReused: HTTPStatus.CONFLICT,
-    IllegalTransition: HTTPStatus.CONFLICT,
-    OutdatedJob: HTTPStatus.CONFLICT,
-    TooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-    QueueFull: HTTPStatus.TOO_MANY_REQUESTS,
-    Busy: HTTPStatus.TOO_MANY_REQUESTS,
-    TooManyListeners: HTTPStatus.SERVICE_UNAVAILABLE,
-    NotComputed: HTTPStatus.SERVICE_UNAVAILABLE,
-    NotInstalled: HTTPStatus.NOT_IMPLEMENTED,
-    NoSpace: HTTPStatus.INSUFFICIENT_STORAGE,
-    ExportFailed: HTTPStatus.SERVICE_UNAVAILABLE,
-    StoreError: HTTPStatus.INTERNAL_SERVER_ERROR,
-    **dict.fromkeys(store.UNREACHABLE, HTTPStatus.SERVICE_UNAVAILABLE),
-    LedgerUnavailable: HTTPStatus.SERVICE_UNAVAILABLE,
-    OSError: HTTPStatus.SERVICE_UNAVAILABLE,  # the data folder is missing or not accessible
+#: Statuses of errors that are not the service's own; the first class that matches counts. Any other exception
+#: is a defect: 500.
+FOREIGN: Final[Mapping[type[Exception], int]] = {
+    SpecUnreadable: 400,
+    SpecTooLarge: 413,
+    SpecError: 422,
+    StoreError: 500,
+    **dict.fromkeys(store.UNREACHABLE, 503),
+    OSError: 503,  # the data folder is missing or not accessible
 }
 
 #: Retry-After, in seconds.
-RETRY_AFTER: Final[Mapping[HTTPStatus, int]] = {
-    HTTPStatus.TOO_MANY_REQUESTS: 5,
-    HTTPStatus.SERVICE_UNAVAILABLE: 2,
-}
-
+RETRY_AFTER: Final[Mapping[int, int]] = {429: 5, 503: 2}
 
 #: Retry-After of a response that workers are computing, in seconds.
 PENDING_RETRY_AFTER: Final = 1
@@ -101,11 +57,11 @@ class ProblemResponse(Response):
         problems: Sequence[Problem] = (),
         headers: Mapping[str, str] | None = None,
     ) -> None:
-        status = HTTPStatus(status)
         own = {"Retry-After": str(RETRY_AFTER[status])} if status in RETRY_AFTER else {}
         if status == HTTPStatus.UNAUTHORIZED:
             own = {"WWW-Authenticate": "Bearer"}
-        document: dict[str, Any] = {"title": status.phrase, "status": int(status), "detail": detail}
+        title = HTTPStatus(status).phrase
+        document: dict[str, Any] = {"title": title, "status": status, "detail": detail}
         if problems:
             document["errors"] = [problem._asdict() for problem in problems]
         # json.dumps escapes lone surrogates, which a caller's input may contain; Pydantic refuses them.
@@ -113,18 +69,23 @@ class ProblemResponse(Response):
 
 
 def install(app: FastAPI) -> None:
-    """Register the handlers of all errors except defects, which `middleware.access_log` answers."""
-    for error_class in STATUS:
-        app.add_exception_handler(error_class, _refused)
+    """Register the handlers of all errors except defects, which `middleware` answers."""
+    classes: list[type[Exception]] = [ServiceError, *FOREIGN]
+    for error_class in classes:
+        app.add_exception_handler(error_class, lambda _, error: problem_response(error))
     app.add_exception_handler(StoreDamaged, _damaged)
     app.add_exception_handler(Pending, _pending)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(ClientDisconnect, lambda *_: Response(status_code=CLIENT_GONE))
 
 
 def problem_response(error: Exception) -> ProblemResponse:
-    """The response to an error in STATUS."""
-    status = next(status for error_class, status in STATUS.items() if isinstance(error, error_class))
+    """The response to an error of the service's own, or one in FOREIGN."""
+    if isinstance(error, ServiceError):
+        status = error.status
+    else:
+        status = next(status for error_class, status in FOREIGN.items() if isinstance(error, error_class))
     if isinstance(error, LedgerUnavailable):
         log.error("%s", error)
     if isinstance(error, store.UNREACHABLE):
@@ -143,10 +104,6 @@ def internal_error(request_id: str) -> ProblemResponse:
     return ProblemResponse(
         HTTPStatus.INTERNAL_SERVER_ERROR, f"internal error; see the service log (request {request_id})"
     )
-
-
-def _refused(_: Request, error: Exception) -> Response:
-    return problem_response(error)
 
 
 def _damaged(request: Request, error: Exception) -> Response:
@@ -202,16 +159,18 @@ def _rule(entry: Mapping[str, Any]) -> str:
 
 
 def _http(request: Request, error: Exception) -> Response:
-    """Starlette's own 404 and 405."""
+    """Starlette's own 404 and 405, and the 304 of `conditional`."""
     refusal = cast(HTTPException, error)
-    path = request.url.path
-    if refusal.status_code == HTTPStatus.NOT_FOUND:
-        return ProblemResponse(HTTPStatus.NOT_FOUND, f"no endpoint {path}; /docs lists the endpoints")
-    if refusal.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+    status, path = refusal.status_code, request.url.path
+    if status == HTTPStatus.NOT_MODIFIED:
+        return Response(status_code=status, headers=refusal.headers)
+    if status == HTTPStatus.NOT_FOUND:
+        return ProblemResponse(status, f"no endpoint {path}; /docs lists the endpoints")
+    if status == HTTPStatus.METHOD_NOT_ALLOWED:
         allowed = _allowed(request, (refusal.headers or {}).get("Allow", "GET"))
         detail = f"{path} does not support {request.method[:16]}"
-        return ProblemResponse(HTTPStatus.METHOD_NOT_ALLOWED, detail, headers={"Allow": ", ".join(allowed)})
-    return ProblemResponse(refusal.status_code, refusal.detail, headers=refusal.headers)
+        return ProblemResponse(status, detail, headers={"Allow": ", ".join(allowed)})
+    return ProblemResponse(status, refusal.detail, headers=refusal.headers)
 
 
 def _allowed(request: Request, named: str) -> list[str]:

@@ -8,9 +8,10 @@ from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from service.api import parameters, schemas
-from service.api.conditional import NOT_MODIFIED, job_headers, not_modified
+from service.api.conditional import NOT_MODIFIED, tag
 from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep
 from service.api.schemas import JobView, job_view, problem_responses
+from service.errors import TooManyListeners
 from service.jobs import cost as estimates
 from service.jobs.manager import Submission
 from service.jobs.model import UNFINISHED, Failure, JobRecord
@@ -77,7 +78,7 @@ def _submitted(submission: Submission) -> Response:
     job, accepted = submission
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
-        headers["Retry-After"] = str(_retry_after(job) or 0)
+        headers["Retry-After"] = str(_retry_after(job))
     return _job_response(job, 202 if accepted else 200, headers)
 
 
@@ -116,10 +117,11 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
         failures = ledger.failures(job)
     notice = service.manager.cluster_fault if job.state in UNFINISHED else None
     compiling = service.manager.compiling(job)
-    headers = job_headers(job, len(failures), notice, compiling)
-    if seconds := _retry_after(job):
-        headers["Retry-After"] = str(seconds)
-    return not_modified(request, headers) or _job_response(job, 200, headers, failures, notice, compiling)
+    headers = {"Retry-After": str(seconds)} if (seconds := _retry_after(job)) else {}
+    compiled = None if compiling is None else round(compiling.seconds)
+    # Weak, because the estimated time left changes without it.
+    tag(request, *job.revision, len(failures), notice, compiled, weak=True, headers=headers)
+    return _job_response(job, 200, headers, failures, notice, compiling)
 
 
 @router.delete(
@@ -195,7 +197,10 @@ def refine_job(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep
 
 
 async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:
-    with service.listener_limit.slot():
+    listeners, limit = service.listeners, service.settings.max_listeners
+    if listeners.locked():
+        raise TooManyListeners(f"too many event streams: at most {limit:,} at a time; poll the job instead")
+    async with listeners:
         yield
 
 
@@ -229,8 +234,7 @@ def _job_response(
     return Response(content, status, headers, "application/json")
 
 
-def _retry_after(job: JobRecord) -> int | None:
-    """Seconds until the next poll, more for jobs that take longer; None if that is less than one."""
+def _retry_after(job: JobRecord) -> int:
+    """Seconds until the next poll, more for jobs that take longer; 0 for finished ones."""
     left = job.progress(time.time()).eta_seconds if job.state in UNFINISHED else None
-    seconds = 0 if left is None else int(min(left * _RETRY_FRACTION, _MAX_RETRY_AFTER))
-    return seconds or None
+    return int(min((left or 0.0) * _RETRY_FRACTION, _MAX_RETRY_AFTER))

@@ -5,7 +5,7 @@ from typing import Annotated, Final, get_args
 from fastapi import APIRouter, Query, Response
 
 from service.api import parameters
-from service.api.capacity import costly
+from service.api.capacity import Cost, costly
 from service.api.dependencies import JsonBody, ServiceDep
 from service.api.routers.views import Dataset
 from service.api.schemas import content, problem_responses
@@ -30,7 +30,7 @@ _TRAJECTORY_BODY: Final = {
     responses={**content(*get_args(DatasetFormat)), **problem_responses(400, 408, 413, 415, 422, 429)},
     openapi_extra=_TRAJECTORY_BODY,
 )
-@costly(MAX_SAMPLES * BYTES_PER_SAMPLE, "trajectory")
+@costly(Cost(MAX_SAMPLES * BYTES_PER_SAMPLE), "trajectory")
 def compute_trajectory(
     service: ServiceDep, body: JsonBody, query: Annotated[parameters.MotionQuery, Query()]
 ) -> Response:

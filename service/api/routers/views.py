@@ -14,7 +14,7 @@ from pydantic import BaseModel, JsonValue, create_model
 from kernel.params import KernelInputError
 from service.api import dependencies
 from service.api.capacity import Cost, costly
-from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
+from service.api.conditional import NOT_MODIFIED, ResultsJob
 from service.api.dependencies import Service, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.errors import InvalidRequest
@@ -51,7 +51,7 @@ class Dataset(BaseModel):
 
 def routes() -> list[APIRouter]:
     """The routes of all views: of jobs, and of springs."""
-    jobs = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
+    jobs = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
     for view in VIEWS.values():
         _add(jobs, view, _of_job(view), f"get_job_{view.name}", {**NOT_MODIFIED, **problem_responses(404)})
     springs = APIRouter(prefix="/v1", tags=["model"])
@@ -140,9 +140,9 @@ def _of_job(view: View) -> Callable[..., Any]:
 def _of_spring(view: View) -> Callable[..., Any]:
     model: Any = _query_model(view)
 
-    def cost(service: ServiceDep, query: Any) -> int:
+    def cost(service: ServiceDep, query: Any) -> Cost:
         _, estimate = _asked(service, view, None, query)
-        return BASE_MEMORY + _memory(estimate, query.format)
+        return Cost(BASE_MEMORY + _memory(estimate, query.format))
 
     @costly(cost, "on demand" if view.parts else "trajectory")
     def get(service: ServiceDep, query: Annotated[model, Query()]) -> Response:
