@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager
 from functools import cache, partial
 from typing import Final
 
@@ -89,18 +89,19 @@ async def _lifespan(
     app: FastAPI, *, settings: Settings, executor: Executor, background: Background, metrics: Metrics
 ) -> AsyncIterator[None]:
     """Open the ledger and compute its unfinished jobs until the application stops."""
-    with open_ledger(settings) as ledger:
-        export.remove_unfinished(settings.exports_path)
-        service = _service(settings, ledger, executor, background, metrics)
-        app.state.service = service
-        service.manager.start()
-        try:
+    try:
+        with ExitStack() as stack:
+            ledger = stack.enter_context(open_ledger(settings))
+            export.remove_unfinished(settings.exports_path)
+            app.state.service = service = _service(settings, ledger, executor, background, metrics)
+            service.manager.start()
+            stack.callback(service.manager.stop)  # last
+            for part in (service.on_demand, service.small_reads, service.capacity):
+                stack.callback(part.close)
             yield
-        finally:
-            service.capacity.close()
-            service.small_reads.close()
-            service.on_demand.close()
-            service.manager.stop()
+    except Exception as error:
+        app.state.startup_error = error  # uvicorn only logs it
+        raise
 
 
 def _service(
