@@ -4,37 +4,20 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from service.errors import InvalidRequest
-from service.formats import (
-    DatasetFormat,
-    ExportFormat,
-    ExportLayout,
-)
+from service.formats import DatasetFormat, ExportFormat, ExportLayout
 from service.jobs.model import JobState
 from service.jobs.search import MAX_TEXT, InvalidCursor, JobOrder, JobSearch, Position
+from service.views.view import MinFlight, Number, Query
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.studies import STUDIES
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: return every n-th value only")]
 Pixels = Annotated[int, Field(ge=1, le=4096)]
-MinFlight = Annotated[
-    Number | None,
-    Field(
-        ge=0, description="rad; shorter flights do not count, unless all of a cell are; default: micro_flight"
-    ),
-]
 Direction = Annotated[
     str | None, Field(description="rest, up or down; default: the first direction of the sweep")
 ]
-
-
-class Query(BaseModel):
-    """Base class: unknown parameters are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def _one_of(kinds: Mapping[str, object]) -> AfterValidator:

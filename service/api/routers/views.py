@@ -8,7 +8,7 @@ from itertools import groupby
 from operator import itemgetter
 from typing import Annotated, Any, Final, Literal
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, JsonValue, create_model
 
 from kernel.params import KernelInputError
@@ -53,20 +53,18 @@ def routes() -> list[APIRouter]:
     """The routes of all views: of jobs, and of springs."""
     jobs = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
     for view in VIEWS.values():
-        _add(jobs, view, _of_job(view), f"get_job_{view.name}", {**NOT_MODIFIED, **problem_responses(404)})
+        _add(jobs, view, ResultsJob, f"get_job_{view.name}", {**NOT_MODIFIED, **problem_responses(404)})
     springs = APIRouter(prefix="/v1", tags=["model"])
     for view in SPRINGS.values():
-        _add(springs, view, _of_spring(view), f"get_{view.name}", {})
+        _add(springs, view, Annotated[None, Depends(_no_job)], f"get_{view.name}", {})
     return [jobs, springs]
 
 
-def _add(
-    router: APIRouter, view: View, endpoint: Callable[..., Any], name: str, responses: dict[int | str, Any]
-) -> None:
+def _add(router: APIRouter, view: View, job_type: Any, name: str, responses: dict[int | str, Any]) -> None:
     description = "\n".join([cleandoc(view.compute.__doc__ or view.summary), "", *view.described])
     pending = {**PENDING_RESPONSE, **problem_responses(429, 503)} if view.parts else {}
     router.add_api_route(
-        f"/{view.name}", endpoint, name=name, summary=view.summary, description=description,
+        f"/{view.name}", _endpoint(view, job_type), name=name, summary=view.summary, description=description,
         response_model=Dataset,
         responses={**content(*view.formats), **pending, **problem_responses(413, 422), **responses},
     )  # fmt: skip
@@ -84,10 +82,6 @@ def _asked(service: Service, view: View, study: Stored[Any] | None, query: Any) 
     spec = None if study is None else study.spec
     limits = service.settings
     return admit(view, spec, plain, query.format, limits.max_points, limits.trajectory_seconds)
-
-
-def _memory(estimate: Estimate, format: str) -> int:
-    return estimate.memory + estimate.points * _PER_POINT[format]
 
 
 def _answer(service: Service, view: View, study: Stored[Any] | None, query: Any) -> Response:
@@ -119,33 +113,28 @@ def _submitted(calls: Sequence[Call], workers: Caller) -> list["Future[Any]"]:
     return [workers.call(*call) for call in calls]
 
 
-def _of_job(view: View) -> Callable[..., Any]:
+async def _no_job() -> None:
+    return None
+
+
+def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
+    """The endpoint of a view of a job, or of a spring, whose job is None."""
     model: Any = _query_model(view)
 
-    def cost(service: ServiceDep, job: JobRecord, query: Any) -> Cost:
-        _, estimate = _asked(service, view, dependencies.stored(service, job), query)
-        memory = _memory(estimate, query.format)
-        if query.format in PICTURES or not estimate.small:
+    def study_of(service: Service, job: JobRecord | None) -> Stored[Any] | None:
+        return None if job is None else dependencies.stored(service, job)
+
+    def cost(service: ServiceDep, job: JobRecord | None, query: Any) -> Cost:
+        _, estimate = _asked(service, view, study_of(service, job), query)
+        memory = estimate.memory + estimate.points * _PER_POINT[query.format]
+        if job is None or query.format in PICTURES or not estimate.small:
             return Cost(BASE_MEMORY + memory)
         return dependencies.cost_of_read(service, job, memory, *estimate.reads)
 
-    @costly(cost, "on demand" if view.parts else "trajectory" if view.computes else "read")
-    def get(service: ServiceDep, job: ResultsJob, query: Annotated[model, Query()]) -> Response:
-        study = dependencies.stored(service, job)
-        return _answer(service, view, study, query)
+    computes = view.computes or view.name in SPRINGS
 
-    return get
-
-
-def _of_spring(view: View) -> Callable[..., Any]:
-    model: Any = _query_model(view)
-
-    def cost(service: ServiceDep, query: Any) -> Cost:
-        _, estimate = _asked(service, view, None, query)
-        return Cost(BASE_MEMORY + _memory(estimate, query.format))
-
-    @costly(cost, "on demand" if view.parts else "trajectory")
-    def get(service: ServiceDep, query: Annotated[model, Query()]) -> Response:
-        return _answer(service, view, None, query)
+    @costly(cost, "on demand" if view.parts else "trajectory" if computes else "read")
+    def get(service: ServiceDep, job: job_type, query: Annotated[model, Query()]) -> Response:
+        return _answer(service, view, study_of(service, job), query)
 
     return get
