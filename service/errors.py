@@ -34,28 +34,8 @@ class InvalidRequest(ServiceError, status=422):
         return cls(f"{field}: {rule}", [Problem(field, rule)])
 
 
-class WrongMediaType(ServiceError, status=415):
-    """The body is not declared as plain JSON."""
-
-
-class BodyTimeout(ServiceError, status=408):
-    """The body did not arrive in time."""
-
-
 class TooLarge(ServiceError, status=413):
     """Body, sweep or response above a limit; the text says what would fit."""
-
-
-class Unauthenticated(ServiceError, status=401):
-    """The access token is missing or wrong."""
-
-
-class HostNotAllowed(ServiceError, status=421):
-    """The Host header is not one of the service's names."""
-
-
-class CrossOriginRefused(ServiceError, status=403):
-    """A web page of another origin sent the request."""
 
 
 class UnknownJob(ServiceError, status=404):
@@ -65,18 +45,6 @@ class UnknownJob(ServiceError, status=404):
     def of(cls, job_id: str) -> "UnknownJob":
         """The error for one id."""
         return cls(f"no job has the id {job_id[:64]!a}")
-
-
-class NotInStore(ServiceError, status=404):
-    """A job's store has nothing under this key."""
-
-
-class OutOfRange(ServiceError, status=416):
-    """The Range begins beyond the end of the bytes under a key; `size`: their number."""
-
-    def __init__(self, size: int) -> None:
-        super().__init__(f"the range starts beyond the end ({size} bytes)")
-        self.size = size
 
 
 class KeyReused(ServiceError, status=409):
@@ -97,10 +65,6 @@ class QueueFull(ServiceError, status=429):
 
 class Busy(ServiceError, status=429):
     """Too many concurrent costly requests."""
-
-
-class TooManyListeners(ServiceError, status=503):
-    """Too many event streams."""
 
 
 class NotComputed(ServiceError, status=503):

@@ -15,7 +15,7 @@ from service.api.dependencies import Service, reject_repeated_parameters
 from service.api.middleware import CORS, Gate
 from service.api.monitoring import JobsCollector, Metrics, Readiness
 from service.api.progress_stream import ProgressStream
-from service.api.routers import docs, health, jobs, model, page, page_data, results, views
+from service.api.routers import docs, health, jobs, page, page_data, results, views
 from service.background import Background, InThisProcess
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
@@ -68,7 +68,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
             metrics=metrics,
         ),
     )
-    for module in (jobs, results, model, health, docs, page, page_data):
+    for module in (jobs, results, health, docs, page, page_data):
         app.include_router(module.router)
     for router in views.routes():
         app.include_router(router)

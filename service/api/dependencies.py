@@ -1,20 +1,21 @@
 """FastAPI dependencies: the parts of the running service, the job named by a path, and JSON bodies."""
 
 import asyncio
+import hashlib
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
 from typing import Annotated, Any
 
-from fastapi import Depends, Request
+from fastapi import Depends, HTTPException, Request
 
 from service.api.capacity import FEW_CHUNKS, SMALL_ANSWER, SMALL_CHUNKS, Capacity, Cost
 from service.api.monitoring import Metrics, Readiness
 from service.api.parameters import LineQuery
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
-from service.errors import BodyTimeout, InvalidRequest, TooLarge, UnknownJob, WrongMediaType
+from service.errors import InvalidRequest, TooLarge, UnknownJob
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
@@ -75,6 +76,30 @@ def find_job(job_id: str, service: ServiceDep) -> JobRecord:
 JobDep = Annotated[JobRecord, Depends(find_job)]
 
 
+def tag(request: Request, *facts: object, weak: bool = False, headers: Any = None) -> None:
+    """Give the response an ETag of these facts, which `middleware` adds if it succeeds.
+
+    Raises HTTPException 304, with `headers`, if the client has this tag, by weak comparison.
+    """
+    own = f'"{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"'
+    request.state.tag = f"W/{own}" if weak else own
+    candidates = request.headers.get("if-none-match", "").split(",")
+    if not {"*", own}.isdisjoint(each.strip().removeprefix("W/") for each in candidates):
+        raise HTTPException(304, headers=headers)
+
+
+async def _results_job(job: JobDep, request: Request) -> JobRecord:
+    """The job, its results tagged if they are final."""
+    if job.state is JobState.DONE:
+        # An accepted job gives the same bytes under one URL while this version of the service runs.
+        tag(request, job.id, job.seq, job.created, request.app.version)
+    return job
+
+
+#: The job whose results are returned; a client that has them gets 304 before anything is read.
+ResultsJob = Annotated[JobRecord, Depends(_results_job)]
+
+
 def stored(service: Service, job: JobRecord) -> Stored[Any]:
     """What a job of any kind computes and where its results are."""
     prepared = service.manager.preparer.prepare(job)
@@ -125,16 +150,15 @@ async def reject_repeated_parameters(request: Request) -> None:
 async def _json_body(request: Request, service: ServiceDep) -> bytes:
     """The body, if declared as JSON, which forms of other web pages cannot do.
 
-    Raises WrongMediaType, BodyTimeout, and TooLarge as soon as that is known.
+    Raises HTTPException, and TooLarge as soon as that is known.
     """
     coding = request.headers.get("content-encoding", "identity")
     if coding.lower() != "identity":
-        raise WrongMediaType(
-            f"the body is compressed (Content-Encoding: {coding[:40]}): send it uncompressed"
-        )
+        compressed = f"the body is compressed (Content-Encoding: {coding[:40]}): send it uncompressed"
+        raise HTTPException(415, compressed)
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type != "application/json":
-        raise WrongMediaType("send the body as JSON, with the header Content-Type: application/json")
+        raise HTTPException(415, "send the body as JSON, with the header Content-Type: application/json")
     most, seconds = service.settings.max_body_bytes, service.settings.body_seconds
     declared, body = request.headers.get("content-length", ""), bytearray()
     size = int(declared[:20]) if declared.isdecimal() else 0
@@ -147,7 +171,7 @@ async def _json_body(request: Request, service: ServiceDep) -> bytes:
     except StopAsyncIteration:
         return bytes(body)
     except TimeoutError:
-        raise BodyTimeout(f"the body did not arrive within {seconds:g} s") from None
+        raise HTTPException(408, f"the body did not arrive within {seconds:g} s") from None
     raise TooLarge(
         f"the body is longer than {most:,} bytes; an evenly spaced axis is shorter as a range"
         ' {"start", "stop", "num"}'

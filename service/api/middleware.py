@@ -15,11 +15,11 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.monitoring import Metrics
-from service.api.problems import internal_error, problem_response
-from service.errors import CrossOriginRefused, HostNotAllowed, ServiceError, Unauthenticated
+from service.api.problems import ProblemResponse, internal_error
 
 log = logging.getLogger("service.requests")
 
@@ -115,8 +115,8 @@ class Gate:
     async def _answer(self, scope: Scope, headers: Headers, receive: Receive, send: Send) -> None:
         try:
             scope["state"]["token_name"] = self._check(scope["method"], scope["path"], headers)
-        except ServiceError as error:
-            await problem_response(error)(scope, receive, send)
+        except HTTPException as error:
+            await ProblemResponse(error.status_code, error.detail)(scope, receive, send)
         else:
             await self._app(scope, receive, send)
 
@@ -155,10 +155,10 @@ class Gate:
         if method not in _SAFE:
             own = {f"{scheme}://{headers.get('host')}" for scheme in ("http", "https")}
             if not same_site or not own.issuperset(headers.getlist("origin")):
-                raise CrossOriginRefused("Origin: web pages of another origin must not change anything")
+                raise HTTPException(403, "Origin: web pages of another origin must not change anything")
         elif not (same_site or self._is_reader(headers) or _is_navigation(headers)):
-            raise CrossOriginRefused(
-                "Sec-Fetch-Site: web pages of another origin may link to this, not load it"
+            raise HTTPException(
+                403, "Sec-Fetch-Site: web pages of another origin may link to this, not load it"
             )
         if self._tokens and path not in OPEN_PATHS and not path.startswith(OPEN_FOLDER):
             return self._check_token(headers.getlist("authorization"))
@@ -167,9 +167,8 @@ class Gate:
     def _check_host(self, values: list[str]) -> None:
         name = _host_name(values[0]) if len(values) == 1 else ""
         if "*" not in self._hosts and name not in self._hosts:
-            raise HostNotAllowed(
-                f"the Host {name[:80]!a} is not allowed; the operator can add it to BOUNCE_ALLOWED_HOSTS"
-            )
+            remedy = "the operator can add it to BOUNCE_ALLOWED_HOSTS"
+            raise HTTPException(421, f"the Host {name[:80]!a} is not allowed; {remedy}")
 
     def _check_token(self, values: list[str]) -> str | None:
         scheme, _, token = values[0].partition(" ") if len(values) == 1 else ("", "", "")
@@ -177,11 +176,8 @@ class Gate:
         # All are compared, each in constant time: the time taken reveals nothing.
         names = [name for accepted, name in self._tokens if hmac.compare_digest(sent, accepted)]
         if not names or scheme.lower() != "bearer":
-            raise Unauthenticated(
-                "The access token is wrong."
-                if values
-                else "This service requires an access token. Send the header Authorization: Bearer TOKEN."
-            )
+            missing = "This service requires an access token. Send the header Authorization: Bearer TOKEN."
+            raise HTTPException(401, "The access token is wrong." if values else missing)
         return names[0]
 
 

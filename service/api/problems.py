@@ -19,7 +19,7 @@ from starlette.routing import Match, Mount
 
 from service.api.capacity import CLIENT_GONE
 from service.api.schemas import PartsView, PendingView
-from service.errors import LedgerUnavailable, OutOfRange, ServiceError
+from service.errors import LedgerUnavailable, ServiceError
 from service.jobs.on_demand import Pending
 from worker import store
 from worker.spec.errors import Problem, SpecError, SpecTooLarge, SpecUnreadable, code_of
@@ -95,8 +95,7 @@ def problem_response(error: Exception) -> ProblemResponse:
         log.error("the data folder cannot be used", exc_info=error)
         reason = error.strerror or type(error).__name__
         return ProblemResponse(status, f"the data folder cannot be used: {reason}; see the service log")
-    headers = {"Content-Range": f"bytes */{error.size}"} if isinstance(error, OutOfRange) else None
-    return ProblemResponse(status, str(error), getattr(error, "problems", ()), headers)
+    return ProblemResponse(status, str(error), getattr(error, "problems", ()))
 
 
 def internal_error(request_id: str) -> ProblemResponse:
@@ -159,12 +158,12 @@ def _rule(entry: Mapping[str, Any]) -> str:
 
 
 def _http(request: Request, error: Exception) -> Response:
-    """Starlette's own 404 and 405, and the 304 of `conditional`."""
+    """Refusals of `api` itself, and Starlette's 404 and 405, which have no detail of their own."""
     refusal = cast(HTTPException, error)
     status, path = refusal.status_code, request.url.path
     if status == HTTPStatus.NOT_MODIFIED:
         return Response(status_code=status, headers=refusal.headers)
-    if status == HTTPStatus.NOT_FOUND:
+    if refusal.detail == "Not Found":
         return ProblemResponse(status, f"no endpoint {path}; /docs lists the endpoints")
     if status == HTTPStatus.METHOD_NOT_ALLOWED:
         allowed = _allowed(request, (refusal.headers or {}).get("Allow", "GET"))

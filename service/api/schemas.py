@@ -215,3 +215,16 @@ def content(*formats: str) -> dict[int | str, dict[str, Any]]:
 PENDING_RESPONSE: Final[dict[int | str, dict[str, Any]]] = {
     202: {"model": PendingView, "description": "Being computed; repeat the request after Retry-After seconds"}
 }
+
+
+#: Entry of the API document for conditional requests.
+NOT_MODIFIED: Final[dict[int | str, dict[str, Any]]] = {
+    304: {"description": "The tag in If-None-Match is current"}
+}
+
+
+def json_body(*names: str) -> dict[str, Any]:
+    """What the API document says of a body that is one of these models."""
+    schemas = [{"$ref": f"#/components/schemas/{name}"} for name in names]
+    schema = schemas[0] if len(schemas) == 1 else {"oneOf": schemas}
+    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}

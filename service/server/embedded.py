@@ -7,6 +7,7 @@ block.
 import errno
 import gc
 import http.client
+import importlib
 import json
 import os
 import signal
@@ -15,10 +16,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
+import dask
+from distributed import Security
 from pydantic import SecretStr, ValidationError
 
 from service import address, tokens
@@ -26,13 +30,16 @@ from service.api.app import TITLE, create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotComputed, NotStarted
 from service.jobs.stores.adoption import open_ledger
-from service.server.cluster import connected_cluster
 from service.server.logging import log_to_stderr, quiet_libraries
 from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings
 from service.views import registry
+from worker.executors.admission import Probe
 from worker.executors.base import Executor
+from worker.executors.connection import SCHEDULER_SETTINGS
+from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
+from worker.executors.targets import CreatedCluster
 from worker.kernel_cache import CacheRefused
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
 
@@ -230,6 +237,63 @@ def _answer(connection: http.client.HTTPConnection, path: str, token: str | None
     """The JSON answer of a port of this machine. Raises OSError, HTTPException, ValueError."""
     connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
     return json.loads(connection.getresponse().read(_MOST_BYTES))
+
+
+@contextmanager
+def connected_cluster(settings: Settings, marker: str) -> Iterator[Dask]:
+    """A connection to the cluster during the block; closes a cluster created for it. Raises ClusterLost.
+
+    marker: the mark of the stores, by which workers prove their access.
+    """
+    name = settings.cluster
+    cluster = Dask(
+        settings.scheduler if name is None else CreatedCluster(partial(_create, name), name),
+        scheduler_file=settings.scheduler_file,
+        security=_tls(settings),
+        workers=settings.workers,
+        memory=settings.worker_memory,
+        stores=Probe(settings.stores_url, marker),
+    )
+    try:
+        yield cluster
+    finally:
+        cluster.close()
+
+
+def _create(name: str) -> Any:
+    """The cluster returned by the function `module:function`. Raises its errors."""
+    module, _, function = name.partition(":")
+    # For a scheduler in this process; a remote one must be started with these settings.
+    dask.config.set(SCHEDULER_SETTINGS)
+    with _current_folder_last():
+        imported = importlib.import_module(module)
+    return getattr(imported, function)()
+
+
+@contextmanager
+def _current_folder_last() -> Iterator[None]:
+    """Look for modules in the current folder too, after all other places, during the block.
+
+    Anyone who can write to that folder could otherwise name a file like a library that is imported later.
+    """
+    folder = str(Path.cwd())
+    sys.path.append(folder)
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)
+
+
+def _tls(settings: Settings) -> Any:
+    """The TLS settings of the connection to the scheduler; None for a plain connection."""
+    if settings.scheduler_ca is None:
+        return None
+    return Security(  # type: ignore[no-untyped-call]
+        require_encryption=True,
+        tls_ca_file=str(settings.scheduler_ca),
+        tls_client_cert=str(settings.scheduler_cert),
+        tls_client_key=str(settings.scheduler_key),
+    )
 
 
 def _forget_port(data: Path) -> None:

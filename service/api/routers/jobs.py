@@ -4,14 +4,12 @@ import time
 from collections.abc import AsyncIterator, Sequence
 from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from service.api import parameters, schemas
-from service.api.conditional import NOT_MODIFIED, tag
-from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep
-from service.api.schemas import JobView, job_view, problem_responses
-from service.errors import TooManyListeners
+from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep, tag
+from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
 from service.jobs import cost as estimates
 from service.jobs.manager import Submission
 from service.jobs.model import UNFINISHED, Failure, JobRecord
@@ -21,13 +19,6 @@ from worker.spec.window import Window
 from worker.studies import from_json
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
-
-
-def _json_schema(*names: str) -> dict[str, Any]:
-    """What the API document says of a body that is one of these models."""
-    schemas = [{"$ref": f"#/components/schemas/{name}"} for name in names]
-    schema = schemas[0] if len(schemas) == 1 else {"oneOf": schemas}
-    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
 
 
 IdempotencyKey = Annotated[
@@ -54,7 +45,7 @@ _MAX_RETRY_AFTER: Final = 10
         200: {"model": JobView | Cost},
         **problem_responses(400, 408, 409, 413, 415, 422, 429),
     },
-    openapi_extra=_json_schema("SweepSpec", "OrbitsSpec", "BasinSpec", "MultistabilitySpec"),
+    openapi_extra=json_body("SweepSpec", "OrbitsSpec", "BasinSpec", "MultistabilitySpec"),
 )
 def submit_job(
     service: ServiceDep,
@@ -185,7 +176,7 @@ def unpin_job(service: ServiceDep, job: JobDep) -> Response:
     status_code=202,
     response_model=JobView,
     responses={200: {"model": JobView}, **problem_responses(400, 404, 413, 415, 422, 429)},
-    openapi_extra=_json_schema("Window"),
+    openapi_extra=json_body("Window"),
 )
 def refine_job(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep) -> Response:
     """Submits an adaptive sweep of a window of the (Γ, Ω) map, on a grid `finer` times as fine.
@@ -199,7 +190,7 @@ def refine_job(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep
 async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:
     listeners, limit = service.listeners, service.settings.max_listeners
     if listeners.locked():
-        raise TooManyListeners(f"too many event streams: at most {limit:,} at a time; poll the job instead")
+        raise HTTPException(503, f"too many event streams: at most {limit:,} at a time; poll the job instead")
     async with listeners:
         yield
 

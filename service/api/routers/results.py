@@ -5,16 +5,14 @@ from collections.abc import Mapping
 from typing import IO, Annotated, Final
 from urllib.parse import quote
 
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Header, HTTPException, Query, Response
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from service.api import dependencies, parameters
 from service.api.capacity import SMALL_ANSWER, Cost, costly
-from service.api.conditional import NOT_MODIFIED, ResultsJob
-from service.api.dependencies import JobDep, ServiceDep
-from service.api.schemas import content, problem_responses
-from service.errors import NotInStore, OutOfRange
+from service.api.dependencies import JobDep, ResultsJob, ServiceDep
+from service.api.schemas import NOT_MODIFIED, content, problem_responses
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
 from service.results.provenance import attributes_of
@@ -130,7 +128,7 @@ def get_zarr_file(
     prepared = service.manager.preparer.prepare(job)
     content = prepared.read_file(key)
     if content is None:
-        raise NotInStore(f"the job's store has nothing under the key {key[:80]!a}")
+        raise HTTPException(404, f"the job's store has nothing under the key {key[:80]!a}")
     headers = {"Cache-Control": "no-cache", "Accept-Ranges": "bytes"}
     if key == ROOT:
         headers["Bounce-Store"] = quote(prepared.store_url, safe=_PLAIN)
@@ -139,6 +137,7 @@ def get_zarr_file(
     if span is None:
         return Response(content, 200, headers, media_type)
     if not content[span]:
-        raise OutOfRange(len(content))
+        beyond, size = f"the range starts beyond the end ({len(content)} bytes)", f"bytes */{len(content)}"
+        raise HTTPException(416, beyond, {"Content-Range": size})
     headers["Content-Range"] = f"bytes {span.start}-{span.stop - 1}/{len(content)}"
     return Response(content[span], 206, headers, media_type)

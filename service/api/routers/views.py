@@ -1,4 +1,7 @@
-"""GET /v1/jobs/{job_id}/NAME for every result of a job, GET /v1/NAME for every one of a spring."""
+"""GET /v1/jobs/{job_id}/NAME for every result of a job, GET /v1/NAME for every one of a spring.
+
+And one cell in motion, whose specification is a body: POST /v1/trajectories.
+"""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -6,7 +9,7 @@ from functools import partial
 from inspect import cleandoc
 from itertools import groupby
 from operator import itemgetter
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, JsonValue, create_model
@@ -14,15 +17,16 @@ from pydantic import BaseModel, JsonValue, create_model
 from kernel.params import KernelInputError
 from service.api import dependencies
 from service.api.capacity import Cost, costly
-from service.api.conditional import NOT_MODIFIED, ResultsJob
-from service.api.dependencies import Service, ServiceDep
-from service.api.schemas import PENDING_RESPONSE, content, problem_responses
+from service.api.dependencies import JsonBody, ResultsJob, Service, ServiceDep
+from service.api.parameters import MotionQuery
+from service.api.schemas import NOT_MODIFIED, PENDING_RESPONSE, content, json_body, problem_responses
 from service.errors import InvalidRequest
-from service.formats import MEDIA_TYPES, PICTURES
+from service.formats import MEDIA_TYPES, PICTURES, DatasetFormat
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import Caller
 from service.results.selection import BASE_MEMORY, Stored
-from service.views.registry import SPRINGS, VIEWS, admit, answer
+from service.views.registry import SPRINGS, VIEWS, admit, answer, motion
+from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
 from service.views.view import Call, Estimate, View
 
 #: Bytes of memory per number of an answer.
@@ -57,6 +61,12 @@ def routes() -> list[APIRouter]:
     springs = APIRouter(prefix="/v1", tags=["model"])
     for view in SPRINGS.values():
         _add(springs, view, Annotated[None, Depends(_no_job)], f"get_{view.name}", {})
+    springs.add_api_route(
+        "/trajectories", compute_trajectory, methods=["POST"], summary="Compute the motion of a cell",
+        response_model=Dataset,
+        responses={**content(*get_args(DatasetFormat)), **problem_responses(400, 408, 413, 415, 422, 429)},
+        openapi_extra=json_body("TrajectorySpec"),
+    )  # fmt: skip
     return [jobs, springs]
 
 
@@ -138,3 +148,18 @@ def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
         return _answer(service, view, study_of(service, job), query)
 
     return get
+
+
+@costly(Cost(MAX_SAMPLES * BYTES_PER_SAMPLE), "trajectory")
+def compute_trajectory(
+    service: ServiceDep, body: JsonBody, query: Annotated[MotionQuery, Query()]
+) -> Response:
+    """One cell from rest, after `settle` plate periods, or from a start: plate, masses and contact force.
+
+    The answer is the result `trajectory` of a job. Lengths are in plate amplitudes: the paper's zω²/g divided
+    by Γ, as its Fig. 2 draws them.
+    """
+    spec = TrajectorySpec.from_json(body)
+    check_cost(spec, service.settings.trajectory_seconds)
+    found = service.background.run(motion, spec, query.format)
+    return Response(found, media_type=MEDIA_TYPES[query.format])

@@ -15,7 +15,7 @@ from scripted import wait_for
 from stores import marked
 
 from service.jobs.model import JobState
-from service.server.cluster import connected_cluster
+from service.server.embedded import connected_cluster
 from service.settings import Settings
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
