@@ -16,6 +16,7 @@ from service.api.middleware import CORS, Gate
 from service.api.monitoring import JobsCollector, Metrics, Readiness
 from service.api.progress_stream import ProgressStream
 from service.api.routers import docs, health, jobs, page, page_data, results, views
+from service.api.schemas import problem_responses
 from service.background import Background, InThisProcess
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
@@ -35,9 +36,6 @@ SMALL_READS: Final = 2
 SMALL_MEMORY: Final = 128 * 2**20
 MOST_SMALL: Final = 1_000
 
-SUMMARY = "Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis."
-
-
 #: Of the API document, by which a service is recognised.
 TITLE: Final = "bouncing-spring"
 
@@ -54,7 +52,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     metrics = Metrics()
     app = FastAPI(
         title=TITLE,
-        summary=SUMMARY,
+        summary="Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis.",
         version=software().release,
         docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts
         redoc_url=None,
@@ -68,16 +66,15 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
             metrics=metrics,
         ),
     )
-    for module in (jobs, results, health, docs, page, page_data):
-        app.include_router(module.router)
-    for router in views.routes():
+    for router in (health.router, docs.router):
         app.include_router(router)
+    for router in (jobs.router, results.router, *views.routes(), page.router, page_data.router):
+        app.include_router(router, responses=problem_responses(422))
     app.mount("/static", page.static_files(), name="static")
     problems.install(app)
-    origins = settings.cors_origins
-    app.add_middleware(Gate, metrics=metrics, hosts=settings.hosts, tokens=tokens, origins=origins)
-    if origins:
-        app.add_middleware(CORSMiddleware, allow_origins=origins, **CORS)
+    app.add_middleware(Gate, metrics=metrics, settings=settings, tokens=tokens)
+    if settings.cors_origins:
+        app.add_middleware(CORSMiddleware, allow_origins=settings.cors_origins, **CORS)
     app.openapi = cache(  # type: ignore[method-assign]
         partial(openapi.document, app, needs_token=bool(tokens))
     )

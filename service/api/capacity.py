@@ -13,7 +13,7 @@ import functools
 import inspect
 from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, Final, Literal, NamedTuple
 
@@ -27,15 +27,6 @@ from service.errors import Busy, NotComputed
 
 #: Activities of costly requests; each has its own threads, so that long exports do not delay diagrams.
 Activity = Literal["read", "store", "export", "trajectory", "on demand"]
-
-#: Names of activities in errors.
-_PLURALS: Final[Mapping[Activity, str]] = {
-    "read": "diagrams, maps and tables",
-    "store": "chunks of stores",
-    "export": "exports",
-    "trajectory": "trajectories",
-    "on demand": "answers that workers compute",
-}
 
 #: Bytes sent at a time; the next ones wait until the client has taken these.
 PIECE: Final = 256 * 1024
@@ -108,11 +99,7 @@ class Capacity:
         self._free[activity] -= 1
         self.used += memory
         self._most_used = max(self._most_used, self.used)
-        return Lease(self, activity, memory)
-
-    async def run(self, activity: Activity, work: Callable[[], Response]) -> Response:
-        """Run `work` in a thread of the activity, whose lease the caller holds."""
-        return await asyncio.get_running_loop().run_in_executor(self._threads[activity], work)
+        return Lease(self, activity, memory, self._threads[activity])
 
     def give_back(self, activity: Activity | None, memory: int) -> None:
         """Free a thread of `activity`, if given, and `memory` bytes."""
@@ -126,24 +113,23 @@ class Capacity:
         self._released.clear()
 
     def _busy(self, activity: Activity) -> Busy:
-        count, what = self._slots[activity], _PLURALS[activity]
         return Busy(
-            f"too many concurrent requests: {count} {what} are computed at a time, and all costly answers "
-            f"together take at most {self._memory:,} bytes"
+            f"too many concurrent requests: {self._slots[activity]} of kind '{activity}' are computed at a time, "
+            f"and all costly answers together take at most {self._memory:,} bytes"
         )
 
 
 class Lease:
     """A thread and memory of a `Capacity`."""
 
-    def __init__(self, capacity: Capacity, activity: Activity, memory: int) -> None:
-        self._capacity, self._activity, self._memory = capacity, activity, memory
+    def __init__(self, capacity: Capacity, activity: Activity, memory: int, threads: Executor) -> None:
+        self._capacity, self._memory, self._threads = capacity, memory, threads
         self._thread: Activity | None = activity
 
     async def run(self, work: Callable[[], Response]) -> Response:
         """The answer of `work`; the lease then holds only its body, and nothing if `work` raises."""
         try:
-            response = await self._capacity.run(self._activity, work)
+            response = await asyncio.get_running_loop().run_in_executor(self._threads, work)
         except BaseException:
             self.keep(0)
             raise

@@ -10,7 +10,7 @@ import logging
 import sys
 import time
 import uuid
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from typing import Any, Final
 from urllib.parse import urlsplit
 
@@ -20,6 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.monitoring import Metrics
 from service.api.problems import ProblemResponse, internal_error
+from service.settings import Settings
 
 log = logging.getLogger("service.requests")
 
@@ -60,20 +61,15 @@ CORS: Final[dict[str, Any]] = {
 class Gate:
     """Middleware: refuses requests with the wrong Host, Origin or token; completes and logs every response.
 
-    `tokens` are the names of the accepted tokens, by token; if there are none, none is required.
-    Web pages of `origins` may read and send a token, but change nothing. HEAD is answered as GET, for every
-    route, and ends after the headers.
+    `tokens`: their names, by token; without any none is required. Web pages of the settings' `cors_origins`
+    may read and send a token, but change nothing. HEAD is answered as GET, for every route, and ends after the headers.
     """
 
     def __init__(
-        self,
-        app: ASGIApp,
-        metrics: Metrics,
-        hosts: Set[str],
-        tokens: Mapping[str, str | None],
-        origins: Set[str],
+        self, app: ASGIApp, metrics: Metrics, settings: Settings, tokens: Mapping[str, str | None]
     ) -> None:
-        self._app, self._metrics, self._hosts, self._origins = app, metrics, hosts, origins
+        self._app, self._metrics = app, metrics
+        self._hosts, self._origins = settings.hosts, settings.cors_origins
         self._tokens = [(token.encode(), name) for token, name in tokens.items()]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -116,7 +112,7 @@ class Gate:
         try:
             scope["state"]["token_name"] = self._check(scope["method"], scope["path"], headers)
         except HTTPException as error:
-            await ProblemResponse(error.status_code, error.detail)(scope, receive, send)
+            await ProblemResponse(error.status_code, error.detail, (), error.headers)(scope, receive, send)
         else:
             await self._app(scope, receive, send)
 
@@ -177,7 +173,8 @@ class Gate:
         names = [name for accepted, name in self._tokens if hmac.compare_digest(sent, accepted)]
         if not names or scheme.lower() != "bearer":
             missing = "This service requires an access token. Send the header Authorization: Bearer TOKEN."
-            raise HTTPException(401, "The access token is wrong." if values else missing)
+            detail = "The access token is wrong." if values else missing
+            raise HTTPException(401, detail, {"WWW-Authenticate": "Bearer"})
         return names[0]
 
 

@@ -7,9 +7,10 @@ Errors are sent as `application/problem+json` (RFC 9457) with an extension: `err
 
 import json
 import logging
+import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -41,9 +42,6 @@ FOREIGN: Final[Mapping[type[Exception], int]] = {
 #: Retry-After, in seconds.
 RETRY_AFTER: Final[Mapping[int, int]] = {429: 5, 503: 2}
 
-#: Retry-After of a response that workers are computing, in seconds.
-PENDING_RETRY_AFTER: Final = 1
-
 
 class ProblemResponse(Response):
     """A problem document (see `schemas.ProblemDocument`) with the headers of its status."""
@@ -58,8 +56,6 @@ class ProblemResponse(Response):
         headers: Mapping[str, str] | None = None,
     ) -> None:
         own = {"Retry-After": str(RETRY_AFTER[status])} if status in RETRY_AFTER else {}
-        if status == HTTPStatus.UNAUTHORIZED:
-            own = {"WWW-Authenticate": "Bearer"}
         title = HTTPStatus(status).phrase
         document: dict[str, Any] = {"title": title, "status": status, "detail": detail}
         if problems:
@@ -100,72 +96,57 @@ def problem_response(error: Exception) -> ProblemResponse:
 
 def internal_error(request_id: str) -> ProblemResponse:
     """The response to a defect of the service; the log has the traceback under the request's id."""
-    return ProblemResponse(
-        HTTPStatus.INTERNAL_SERVER_ERROR, f"internal error; see the service log (request {request_id})"
-    )
+    return ProblemResponse(500, f"internal error; see the service log (request {request_id})")
 
 
-def _damaged(request: Request, error: Exception) -> Response:
+def _damaged(request: Request, error: Any) -> Response:
     """Start the repair of damaged results; 503 with the chunks, or 500 if they cannot be repaired."""
     repairer = request.app.state.service.manager.repairer
-    chunks = cast(StoreDamaged, error).chunks
     try:
-        detail, lasting = repairer.report(request.path_params.get("job_id", ""), chunks)
+        detail, lasting = repairer.report(request.path_params.get("job_id", ""), error.chunks)
     except LedgerUnavailable as unavailable:  # for example missing stores
         return problem_response(unavailable)
-    status = HTTPStatus.INTERNAL_SERVER_ERROR if lasting else HTTPStatus.SERVICE_UNAVAILABLE
-    return ProblemResponse(status, detail)
+    return ProblemResponse(500 if lasting else 503, detail)
 
 
-def _pending(_: Request, error: Exception) -> Response:
+def _pending(_: Request, pending: Any) -> Response:
     """202 with the progress of the workers."""
-    pending = cast(Pending, error)
     percent = round(100.0 * pending.done / pending.total, 1)
     progress = PartsView(parts_done=pending.done, parts_total=pending.total, percent=percent)
     content = PendingView(progress=progress).model_dump_json()
-    return Response(content, 202, {"Retry-After": str(PENDING_RETRY_AFTER)}, "application/json")
+    return Response(content, 202, {"Retry-After": "1"}, "application/json")
 
 
-def _invalid(_: Request, error: Exception) -> Response:
+def _invalid(_: Request, error: Any) -> Response:
     """422 for query parameters and headers; without the input, which may not be valid JSON."""
-    entries = cast(RequestValidationError, error).errors()
-    problems = [Problem(_name(entry["loc"]), _rule(entry), code_of(entry["type"])) for entry in entries]
-    detail = "; ".join(map(str, problems))
-    return ProblemResponse(HTTPStatus.UNPROCESSABLE_ENTITY, detail, problems)
+    problems = [_problem(**entry) for entry in error.errors()]
+    return ProblemResponse(422, "; ".join(map(str, problems)), problems)
 
 
-def _name(location: Sequence[str | int]) -> str:
-    """`("query", "limit")` → `limit`."""
-    return ".".join(str(part) for part in location[1:]) or str(location[0])
-
-
-#: Rules in words for parameters that Pydantic checks by a pattern.
-_PATTERN_RULES: Final = {
+#: Rules in words for what Pydantic checks by a pattern, and for its other messages.
+_RULES: Final = {
     "cursor": "should be `next` of the page before",
     "idempotency-key": "should be made of ASCII characters, without spaces",
+    "extra_forbidden": "unknown parameter",
+    "missing": "is required",
 }
 
 
-def _rule(entry: Mapping[str, Any]) -> str:
-    if entry["type"] == "extra_forbidden":
-        return "unknown parameter"
-    if entry["type"] == "missing":
-        return "is required"
-    if entry["type"] == "string_pattern_mismatch":
-        return _PATTERN_RULES.get(str(entry["loc"][-1]), str(entry["msg"])).removeprefix("String ")
-    message = str(entry["msg"])
-    return message.removeprefix("Value error, ").removeprefix("Input ").removeprefix("String ")
+def _problem(type: str, loc: Sequence[str | int], msg: str, **_: Any) -> Problem:
+    """A broken rule of the parameter at `loc`: `("query", "limit")` is `limit`."""
+    name = ".".join(map(str, loc[1:])) or str(loc[0])
+    rule = _RULES.get(name if type == "string_pattern_mismatch" else type, msg)
+    return Problem(name, re.sub("^(Value error, |Input |String )", "", rule), code_of(type))
 
 
-def _http(request: Request, error: Exception) -> Response:
+def _http(request: Request, refusal: Any) -> Response:
     """Refusals of `api` itself, and Starlette's 404 and 405, which have no detail of their own."""
-    refusal = cast(HTTPException, error)
     status, path = refusal.status_code, request.url.path
-    if status == HTTPStatus.NOT_MODIFIED:
+    if status == 304:
         return Response(status_code=status, headers=refusal.headers)
     if refusal.detail == "Not Found":
         return ProblemResponse(status, f"no endpoint {path}; /docs lists the endpoints")
-    if status == HTTPStatus.METHOD_NOT_ALLOWED:
+    if status == 405:
         allowed = _allowed(request, (refusal.headers or {}).get("Allow", "GET"))
         detail = f"{path} does not support {request.method[:16]}"
         return ProblemResponse(status, detail, headers={"Allow": ", ".join(allowed)})

@@ -183,7 +183,7 @@ def _prepared(
                 stack.callback(_forget_port, settings.data)
                 settings = settings.model_copy(update={"token": SecretStr(token)})
             if executor is None:
-                executor = stack.enter_context(connected_cluster(settings, marker))
+                executor = stack.enter_context(closing(connected_cluster(settings, marker)))
         yield settings, listener, executor
 
 
@@ -239,25 +239,27 @@ def _answer(connection: http.client.HTTPConnection, path: str, token: str | None
     return json.loads(connection.getresponse().read(_MOST_BYTES))
 
 
-@contextmanager
-def connected_cluster(settings: Settings, marker: str) -> Iterator[Dask]:
-    """A connection to the cluster during the block; closes a cluster created for it. Raises ClusterLost.
+def connected_cluster(settings: Settings, marker: str) -> Dask:
+    """A connection to the cluster of the settings, which closes one created for it. Raises ClusterLost.
 
     marker: the mark of the stores, by which workers prove their access.
     """
-    name = settings.cluster
-    cluster = Dask(
+    name, tls = settings.cluster, None
+    if settings.scheduler_ca is not None:
+        tls = Security(  # type: ignore[no-untyped-call]
+            require_encryption=True,
+            tls_ca_file=str(settings.scheduler_ca),
+            tls_client_cert=str(settings.scheduler_cert),
+            tls_client_key=str(settings.scheduler_key),
+        )
+    return Dask(
         settings.scheduler if name is None else CreatedCluster(partial(_create, name), name),
         scheduler_file=settings.scheduler_file,
-        security=_tls(settings),
+        security=tls,
         workers=settings.workers,
         memory=settings.worker_memory,
         stores=Probe(settings.stores_url, marker),
     )
-    try:
-        yield cluster
-    finally:
-        cluster.close()
 
 
 def _create(name: str) -> Any:
@@ -265,35 +267,15 @@ def _create(name: str) -> Any:
     module, _, function = name.partition(":")
     # For a scheduler in this process; a remote one must be started with these settings.
     dask.config.set(SCHEDULER_SETTINGS)
-    with _current_folder_last():
-        imported = importlib.import_module(module)
-    return getattr(imported, function)()
-
-
-@contextmanager
-def _current_folder_last() -> Iterator[None]:
-    """Look for modules in the current folder too, after all other places, during the block.
-
-    Anyone who can write to that folder could otherwise name a file like a library that is imported later.
-    """
+    # The current folder comes last, and for this import only: anyone who can write to it could name a file
+    # like a library that is imported later.
     folder = str(Path.cwd())
     sys.path.append(folder)
     try:
-        yield
+        imported = importlib.import_module(module)
     finally:
         sys.path.remove(folder)
-
-
-def _tls(settings: Settings) -> Any:
-    """The TLS settings of the connection to the scheduler; None for a plain connection."""
-    if settings.scheduler_ca is None:
-        return None
-    return Security(  # type: ignore[no-untyped-call]
-        require_encryption=True,
-        tls_ca_file=str(settings.scheduler_ca),
-        tls_client_cert=str(settings.scheduler_cert),
-        tls_client_key=str(settings.scheduler_key),
-    )
+    return getattr(imported, function)()
 
 
 def _forget_port(data: Path) -> None:

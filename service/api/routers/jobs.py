@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import AsyncIterator, Sequence
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
@@ -30,10 +30,6 @@ IdempotencyKey = Annotated[
         description="makes the request safe to repeat: a second request with the same key changes nothing",
     ),
 ]
-
-#: Retry-After of a job: a fraction of the estimated time left, and none below a few seconds.
-_RETRY_FRACTION: Final = 1 / 20
-_MAX_RETRY_AFTER: Final = 10
 
 
 @router.post(
@@ -226,6 +222,6 @@ def _job_response(
 
 
 def _retry_after(job: JobRecord) -> int:
-    """Seconds until the next poll, more for jobs that take longer; 0 for finished ones."""
+    """Seconds until the next poll: a twentieth of the estimated time left, at most 10; 0 if finished."""
     left = job.progress(time.time()).eta_seconds if job.state in UNFINISHED else None
-    return int(min((left or 0.0) * _RETRY_FRACTION, _MAX_RETRY_AFTER))
+    return int(min((left or 0.0) / 20.0, 10.0))
