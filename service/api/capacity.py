@@ -113,9 +113,10 @@ class Capacity:
         self._released.clear()
 
     def _busy(self, activity: Activity) -> Busy:
+        count = self._slots[activity]
         return Busy(
-            f"too many concurrent requests: {self._slots[activity]} of kind '{activity}' are computed at a time, "
-            f"and all costly answers together take at most {self._memory:,} bytes"
+            f"too many concurrent requests: {count} of kind '{activity}' are computed at a time, and all "
+            f"costly answers together take at most {self._memory:,} bytes"
         )
 
 

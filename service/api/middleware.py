@@ -62,7 +62,7 @@ class Gate:
     """Middleware: refuses requests with the wrong Host, Origin or token; completes and logs every response.
 
     `tokens`: their names, by token; without any none is required. Web pages of the settings' `cors_origins`
-    may read and send a token, but change nothing. HEAD is answered as GET, for every route, and ends after the headers.
+    may read and send a token, but change nothing. HEAD is answered as GET, for every route, without its body.
     """
 
     def __init__(
