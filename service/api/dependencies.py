@@ -12,7 +12,7 @@ from fastapi import Depends, HTTPException, Request
 
 from service.api.capacity import FEW_CHUNKS, SMALL_ANSWER, SMALL_CHUNKS, Capacity, Cost
 from service.api.monitoring import Metrics, Readiness
-from service.api.parameters import LineQuery
+from service.api.parameters import LineViewQuery
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
 from service.errors import InvalidRequest, TooLarge, UnknownJob
@@ -133,7 +133,7 @@ def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> 
     return Cost(BASE_MEMORY + memory, few and memory <= SMALL_ANSWER)
 
 
-def line(query: LineQuery) -> Line:
+def line(query: LineViewQuery) -> Line:
     """The line that a query asks for."""
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
     return Line(query.along, values, query.direction, query.min_flight)
