@@ -50,6 +50,8 @@ class ContactFields(Strict):
 
     #: Whether the kernel computes cells, or lines of a ramp, side by side.
     in_lanes: ClassVar[bool] = False
+    #: Dimension of the state in contact and flight; 0 where no variations are computed.
+    dimension: ClassVar[int] = 0
 
     kind: str
 
@@ -67,7 +69,7 @@ class ContactFields(Strict):
     @property
     def exponents(self) -> int:
         """Maximum Lyapunov exponents that can be computed with this contact; 0: none."""
-        return 0
+        return self.dimension
 
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
@@ -118,6 +120,7 @@ class Soft(_SoftContact):
     """Spring-dashpot contact, solved exactly."""
 
     in_lanes: ClassVar = True
+    dimension: ClassVar = SPRING_DIMENSION
 
     kind: Literal["soft"] = "soft"
 
@@ -126,10 +129,6 @@ class Soft(_SoftContact):
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         decades = float(np.mean(np.log10(DEFAULT_PENETRATION / depths)))
         return _side_by_side(base + SOFT_DECADE_US * max(decades, 0.0), SOFT_ALONE_US, at_once)
-
-    @property
-    def exponents(self) -> int:
-        return SPRING_DIMENSION
 
 
 class Stepped(_SoftContact):
@@ -185,16 +184,14 @@ class Rigid(ContactFields):
 class Ball(ContactFields):
     """One rigid point mass; restitution null takes the spring's own, f(xi)."""
 
+    dimension: ClassVar = BALL_DIMENSION
+
     kind: Literal["ball"] = "ball"
     restitution: Annotated[float, Field(ge=0.0, lt=1.0), NUMBER] | None = None
 
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
         e = spring_restitution(xi) if self.restitution is None else np.full(np.shape(xi), self.restitution)
         return {"restitution": e}
-
-    @property
-    def exponents(self) -> int:
-        return BALL_DIMENSION
 
 
 class Auto(_SoftContact):

@@ -1,21 +1,10 @@
-"""Errors of a specification, one line per problem: the field, the rule, and the nearest valid value.
-
-ValueError
-├── SpecError               a specification cannot be used; `problems` lists why
-│   ├── SpecUnreadable      the text is not JSON or TOML
-│   ├── SpecInvalid         a field breaks a rule
-│   └── SpecTooLarge        the sweep has more cells or bytes than allowed
-└── BrokenRuleError         raised by validators; converted to SpecInvalid
-"""
+"""Errors of a specification, one line per problem: the field, the rule, and the nearest valid value."""
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, Literal, NamedTuple
 
 from pydantic import ValidationError
-
-#: One entry of `ValidationError.errors()`: type, loc, msg, input, ctx.
-_Entry = Mapping[str, Any]
 
 #: Problems listed in one error; the others are only counted.
 MAX_PROBLEMS: Final = 20
@@ -48,7 +37,7 @@ class SpecError(ValueError):
 
 
 class SpecUnreadable(SpecError):
-    """The text is not JSON or TOML."""
+    """The text is not JSON, TOML or YAML."""
 
 
 class SpecInvalid(SpecError):
@@ -60,7 +49,7 @@ class SpecTooLarge(SpecError):
 
 
 class BrokenRuleError(ValueError):
-    """Raised inside a validator; `field` is relative to the validated value."""
+    """Raised inside a validator, converted to SpecInvalid; `field` is relative to the validated value."""
 
     def __init__(self, field: str, rule: str, code: Code = "rule") -> None:
         super().__init__(rule)
@@ -133,14 +122,16 @@ def _path(parts: Iterable[int | str]) -> str:
     return path
 
 
-def _problem(entry: _Entry, fields: Mapping[str, Sequence[str]]) -> Problem:
+def _problem(entry: Mapping[str, Any], fields: Mapping[str, Sequence[str]]) -> Problem:
     location = list(entry["loc"])
     cause = entry.get("ctx", {}).get("error")
     if isinstance(cause, BrokenRuleError):
         return Problem(_path([*location, *filter(None, cause.field.split("."))]), cause.rule, cause.code)
     if entry["type"] == "extra_forbidden":
-        tag = next((part for part in reversed(location) if _is_tag(part)), "")
-        return Problem(_path(location), _unknown(location[-1], fields[str(tag)]), "unknown")
+        known = fields[next((str(part) for part in reversed(location) if _is_tag(part)), "")]
+        hint = did_you_mean(location[-1], known) or ";"
+        text = f"is not a field here{hint} the fields are {', '.join(known)}"
+        return Problem(_path(location), text, "unknown")
     value = entry["input"]
     if rule := _RULES.get(entry["type"]):
         length = len(value) if isinstance(value, str) else 0
@@ -158,10 +149,6 @@ def code_of(kind: str) -> Code:
         return "type"
     codes: dict[str, Code] = {"missing": "missing", "extra_forbidden": "unknown"}
     return codes.get(kind, "rule")
-
-
-def _unknown(name: object, known: Sequence[str]) -> str:
-    return f"is not a field here{did_you_mean(name, known) or ';'} the fields are {', '.join(known)}"
 
 
 #: The rules of pydantic in this project's words.
