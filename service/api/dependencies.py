@@ -56,9 +56,8 @@ async def _service(request: Request) -> Service:  # async, because FastAPI would
 ServiceDep = Annotated[Service, Depends(_service)]
 
 
-async def _owner(request: Request) -> str | None:
-    name: str | None = getattr(request.state, "token_name", None)
-    return name
+async def _owner(request: Request) -> Any:
+    return request.state.token_name
 
 
 #: The name of the caller's access token; None if it has no name, or none is required.

@@ -26,7 +26,6 @@ log = logging.getLogger("service.requests")
 
 #: Paths that need no token: health checks, and pages that contain no data.
 OPEN_PATHS: Final = frozenset({"/", "/docs", "/openapi.json", "/healthz", "/readyz"})
-OPEN_FOLDER: Final = "/static/"
 
 #: Methods that change nothing.
 _SAFE: Final = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -156,7 +155,7 @@ class Gate:
             raise HTTPException(
                 403, "Sec-Fetch-Site: web pages of another origin may link to this, not load it"
             )
-        if self._tokens and path not in OPEN_PATHS and not path.startswith(OPEN_FOLDER):
+        if self._tokens and path not in OPEN_PATHS and not path.startswith("/static/"):
             return self._check_token(headers.getlist("authorization"))
         return None
 

@@ -77,8 +77,6 @@ def export_job(
 
 #: One range of bytes; a request for several is answered with all bytes, which is allowed.
 _RANGE: Final = re.compile("bytes=([0-9]{1,18})?-([0-9]{1,18})?")
-#: Characters of an address that a header carries as they are.
-_PLAIN: Final = "/:@+,;=~()[] "
 
 
 def _zarr_cost(service: ServiceDep, job: JobRecord, key: str, **_: str | None) -> Cost:
@@ -131,7 +129,7 @@ def get_zarr_file(
         raise HTTPException(404, f"the job's store has nothing under the key {key[:80]!a}")
     headers = {"Cache-Control": "no-cache", "Accept-Ranges": "bytes"}
     if key == ROOT:
-        headers["Bounce-Store"] = quote(prepared.store_url, safe=_PLAIN)
+        headers["Bounce-Store"] = quote(prepared.store_url, safe="/:@+,;=~()[] ")
     media_type = "application/json" if key.endswith(".json") else "application/octet-stream"
     span = None if if_range is not None else _span(byte_range or "", len(content))
     if span is None:

@@ -80,12 +80,6 @@ def _add(router: APIRouter, view: View, job_type: Any, name: str, responses: dic
     )  # fmt: skip
 
 
-def _query_model(view: View) -> Any:
-    # The format is a field of the model, which forbids parameters beside its own.
-    formats: Any = Literal[view.formats]
-    return create_model(view.query.__name__, __base__=view.query, format=(formats, "json"))
-
-
 def _asked(service: Service, view: View, study: Stored[Any] | None, query: Any) -> tuple[Any, Estimate]:
     """The query without the format, thinned if it is of a picture, and its estimate."""
     plain = view.query(**query.model_dump(exclude={"format"}))
@@ -129,7 +123,9 @@ async def _no_job() -> None:
 
 def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
     """The endpoint of a view of a job, or of a spring, whose job is None."""
-    model: Any = _query_model(view)
+    formats: Any = Literal[view.formats]
+    # The format is a field of the model, which forbids parameters beside its own.
+    model: Any = create_model(view.query.__name__, __base__=view.query, format=(formats, "json"))
 
     def study_of(service: Service, job: JobRecord | None) -> Stored[Any] | None:
         return None if job is None else dependencies.stored(service, job)
