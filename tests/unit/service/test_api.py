@@ -180,5 +180,5 @@ def test_the_page_of_endpoints_loads_nothing_from_other_hosts(client: TestClient
         assert path in answer.text
     assert not re.search(r"(src|href)=.?https?:|<script|@import", answer.text)
     assert "style-src 'self'" in answer.headers["Content-Security-Policy"]
-    for text in ("POST /v1/jobs", "Fields of SweepSpec", "micro_flight", '"omega": [', "Fields of Ramp"):
+    for text in ("POST /v1/jobs", "Fields of SweepSpec", "micro_flight", '"xi": [', "Fields of Ramp"):
         assert text in answer.text
