@@ -1,49 +1,31 @@
-"""Errors that the service raises on purpose. They know nothing of HTTP: `api.problems` maps them to statuses.
-
-    ServiceError
-    ├── InvalidRequest         a field breaks a rule; `problems` names both
-    ├── WrongMediaType         the body is not declared as plain JSON
-    ├── BodyTimeout            the body did not arrive in time
-    ├── TooLarge               body, sweep or response above a limit; the text says what would fit
-    ├── Unauthenticated        the access token is missing or wrong
-    ├── HostNotAllowed         the Host header is not one of the service's names
-    ├── CrossOriginRefused     a web page of another origin sent the request
-    ├── UnknownJob             no job has this id
-    ├── NotInStore             a job's store has nothing under this key
-        ├── OutOfRange             the Range begins beyond the end
-    ├── KeyReused              an Idempotency-Key was used before with another body
-    ├── IllegalTransition      the job's state does not allow this
-    ├── OutdatedJob            another kernel version computed it: this would mix two versions
-    ├── QueueFull              too many unfinished jobs
-    ├── Busy                   too many concurrent expensive requests
-    ├── TooManyListeners       too many event streams
-    ├── NotComputed            no worker could compute the response
-    ├── RunFailed              a study without a service could not be computed
-        ├── NotInstalled           an extra of the package is missing
-    ├── NoSpace                no disk space for an export
-    ├── LedgerUnavailable      the ledger cannot be read or written at the moment
-        ├── NotAdoptable           a store cannot be adopted as a job
-    └── NotStarted             the service cannot start; the text says why
-        ├── DataFolderBusy     another service uses the data folder
-        └── LedgerUnusable     a newer version wrote the ledger, or the file is no ledger
+"""Errors that the service raises on purpose, each with its HTTP status.
 
 An invalid specification is the worker's `worker.spec.errors.SpecError`.
 """
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 from worker.spec.errors import Problem
 
 
 class ServiceError(Exception):
-    """Base class; the text is fit to show to a user, `problems` names fields and the rules they break."""
+    """Base class; the text is fit to show to a user, `problems` names fields and the rules they break.
+
+    `status` is that of HTTP: 500 for errors that no request causes.
+    """
+
+    status: ClassVar[int] = 500
+
+    def __init_subclass__(cls, status: int | None = None) -> None:
+        cls.status = cls.status if status is None else status
 
     def __init__(self, detail: str, problems: Sequence[Problem] = ()) -> None:
         super().__init__(detail)
         self.problems = tuple(problems)
 
 
-class InvalidRequest(ServiceError):
+class InvalidRequest(ServiceError, status=422):
     """A field of the request breaks a rule."""
 
     @classmethod
@@ -52,31 +34,11 @@ class InvalidRequest(ServiceError):
         return cls(f"{field}: {rule}", [Problem(field, rule)])
 
 
-class WrongMediaType(ServiceError):
-    """The body is not declared as plain JSON."""
+class TooLarge(ServiceError, status=413):
+    """Body, sweep or response above a limit; the text says what would fit."""
 
 
-class BodyTimeout(ServiceError):
-    """The body did not arrive in time."""
-
-
-class TooLarge(ServiceError):
-    """Body, sweep or response above a limit."""
-
-
-class Unauthenticated(ServiceError):
-    """The access token is missing or wrong."""
-
-
-class HostNotAllowed(ServiceError):
-    """The Host header is not one of the service's names."""
-
-
-class CrossOriginRefused(ServiceError):
-    """A web page of another origin sent the request."""
-
-
-class UnknownJob(ServiceError):
+class UnknownJob(ServiceError, status=404):
     """No job has this id."""
 
     @classmethod
@@ -85,43 +47,27 @@ class UnknownJob(ServiceError):
         return cls(f"no job has the id {job_id[:64]!a}")
 
 
-class NotInStore(ServiceError):
-    """A job's store has nothing under this key."""
-
-
-class OutOfRange(ServiceError):
-    """The Range begins beyond the end of the bytes under a key; `size`: their number."""
-
-    def __init__(self, size: int) -> None:
-        super().__init__(f"the range starts beyond the end ({size} bytes)")
-        self.size = size
-
-
-class KeyReused(ServiceError):
+class KeyReused(ServiceError, status=409):
     """An Idempotency-Key was used before with another body."""
 
 
-class IllegalTransition(ServiceError):
+class IllegalTransition(ServiceError, status=409):
     """The job's state does not allow this."""
 
 
-class OutdatedJob(ServiceError):
+class OutdatedJob(ServiceError, status=409):
     """Another kernel version computed the job, and this would mix its numbers with this release's."""
 
 
-class QueueFull(ServiceError):
+class QueueFull(ServiceError, status=429):
     """Too many unfinished jobs."""
 
 
-class Busy(ServiceError):
-    """Too many concurrent expensive requests."""
+class Busy(ServiceError, status=429):
+    """Too many concurrent costly requests."""
 
 
-class TooManyListeners(ServiceError):
-    """Too many event streams."""
-
-
-class NotComputed(ServiceError):
+class NotComputed(ServiceError, status=503):
     """No worker could compute the response."""
 
 
@@ -129,15 +75,15 @@ class RunFailed(ServiceError):
     """A study that `service.local` ran could not be computed."""
 
 
-class NotInstalled(ServiceError):
+class NotInstalled(ServiceError, status=501):
     """An extra of the package is missing; the text names it and how to install it."""
 
 
-class NoSpace(ServiceError):
+class NoSpace(ServiceError, status=507):
     """No disk space for an export."""
 
 
-class LedgerUnavailable(ServiceError):
+class LedgerUnavailable(ServiceError, status=503):
     """The ledger cannot be read or written at the moment."""
 
 
@@ -146,7 +92,7 @@ class NotAdoptable(ServiceError):
 
 
 class NotStarted(ServiceError):
-    """The service cannot start."""
+    """The service cannot start; the text says why."""
 
 
 class DataFolderBusy(NotStarted):

@@ -94,8 +94,7 @@ def _figure_3() -> tuple[Sweep, ...]:
 def _figure_4() -> tuple[Sweep, ...]:
     """Spring and ball; then the ball with the restitution f(ξ) of the spring instead of 0.15."""
     spring, ball = _spring_and_ball(4, xi=0.5, restitution=0.15)
-    own = {**ball, "name": "figure 4, ball of f(ξ)", "model": {"kind": "ball"}}
-    return spring, ball, own
+    return spring, ball, {**ball, "name": "figure 4, ball of f(ξ)", "model": {"kind": "ball"}}
 
 
 def _spring_and_ball(number: int, *, xi: float, restitution: float) -> tuple[Sweep, Sweep]:

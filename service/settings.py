@@ -5,12 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import (
-    Field,
-    SecretStr,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from service import tokens
@@ -26,6 +21,26 @@ Count = Annotated[int, Field(ge=1, le=2**62)]
 
 #: Host names and addresses of this machine's loopback interface.
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+def _split(value: Any) -> Any:
+    """Split a text at its commas."""
+    names = value.split(",") if isinstance(value, str) else value
+    return frozenset(str(name).strip().lower() for name in names) - {""}
+
+
+#: Names that a variable separates by commas.
+Names = Annotated[frozenset[str], NoDecode, BeforeValidator(_split)]
+
+
+def _origins(values: frozenset[str]) -> frozenset[str]:
+    """Origins without a slash at the end. Raises ValueError for one that no browser sends."""
+    origins = frozenset(value.rstrip("/") for value in values)
+    for origin in origins:
+        parts = urlsplit(origin)
+        if f"{parts.scheme}://{parts.netloc}" != origin or parts.scheme not in ("http", "https"):
+            raise ValueError(f"{origin[:80]}: an origin is http(s)://HOST or http(s)://HOST:PORT")
+    return origins
 
 
 class Settings(BaseSettings):
@@ -48,11 +63,11 @@ class Settings(BaseSettings):
         None,
         description="File of more access tokens, one `NAME: TOKEN` per line, readable by this user alone.",
     )
-    allowed_hosts: Annotated[frozenset[str], NoDecode] = Field(
+    allowed_hosts: Names = Field(
         frozenset(),
         description="Host names accepted beside loopback and `host`, separated by commas; `*` accepts any.",
     )
-    cors_origins: Annotated[frozenset[str], NoDecode] = Field(
+    cors_origins: Annotated[Names, AfterValidator(_origins)] = Field(
         frozenset(),
         description="Origins, separated by commas, whose web pages may read, such as `https://example.org`.",
     )
@@ -159,25 +174,6 @@ class Settings(BaseSettings):
     )
     shutdown_seconds: Positive = Field(2.0, description="Seconds for open requests to finish at shutdown.")
 
-    @field_validator("allowed_hosts", mode="before")
-    @classmethod
-    def _split_hosts(cls, value: Any) -> Any:
-        """Split an environment variable's text at its commas."""
-        names = value.split(",") if isinstance(value, str) else value
-        return frozenset(str(name).strip().lower() for name in names) - {""}
-
-    @field_validator("cors_origins", mode="before")
-    @classmethod
-    def _split_origins(cls, value: Any) -> Any:
-        """Split a text at its commas. Raises ValueError for an origin that no browser sends."""
-        origins = value.split(",") if isinstance(value, str) else value
-        accepted = frozenset(str(origin).strip().lower().rstrip("/") for origin in origins) - {""}
-        for origin in accepted:
-            parts = urlsplit(origin)
-            if f"{parts.scheme}://{parts.netloc}" != origin or parts.scheme not in ("http", "https"):
-                raise ValueError(f"{origin[:80]}: an origin is http(s)://HOST or http(s)://HOST:PORT")
-        return accepted
-
     @field_validator("scheduler")
     @classmethod
     def _check_scheduler(cls, value: str | None) -> str | None:
@@ -202,36 +198,23 @@ class Settings(BaseSettings):
                 raise ValueError(str(error)) from error
         return value
 
-    @field_validator("token", mode="before")
-    @classmethod
-    def _empty_token_is_none(cls, value: Any) -> Any:
-        return value or None
-
     @field_validator("token")
     @classmethod
     def _check_token(cls, value: SecretStr | None) -> SecretStr | None:
-        text = value.get_secret_value() if value else tokens.AUTO
-        if text != tokens.AUTO and not tokens.is_valid(text):
+        text = value.get_secret_value() if value else ""
+        if text not in ("", tokens.AUTO) and not tokens.is_valid(text):
             raise ValueError(f"{tokens.RULE}, or auto")
-        return value
+        return value if text else None
 
     @model_validator(mode="after")
-    def _require_token_beyond_loopback(self) -> Self:
-        if self.token is None and self.token_file is None and not is_loopback(self.host):
+    def _check_together(self) -> Self:
+        if self.token is None and self.token_file is None and not _is_loopback(self.host):
             raise ValueError(
                 f"to listen on {self.host}, where others can reach it, needs a token: "
                 "set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _check_one_cluster(self) -> Self:
         if sum(map(bool, (self.scheduler, self.scheduler_file, self.cluster))) > 1:
             raise ValueError("only one of scheduler, scheduler_file and cluster can be given")
-        return self
-
-    @model_validator(mode="after")
-    def _check_tls_files(self) -> Self:
         files = (self.scheduler_ca, self.scheduler_cert, self.scheduler_key)
         if any(files) and not all(files):
             raise ValueError("TLS to the scheduler needs scheduler_ca, scheduler_cert and scheduler_key")
@@ -277,26 +260,24 @@ class Settings(BaseSettings):
         return self.data.absolute() / "exports"
 
     @property
-    def folders(self) -> tuple[Path, ...]:
-        """Folders on this machine that hold data: of the ledger, and of the stores."""
-        stores = self.data / "stores" if self.stores is None else Path(self.stores)
-        in_bucket = self.stores is not None and store.in_bucket(self.stores)
-        return (self.data,) if in_bucket else (self.data, stores)
-
-    @property
     def stores_url(self) -> str:
         """The folder of the stores, as an absolute path, or their bucket prefix."""
         if self.stores is not None and store.in_bucket(self.stores):
             return self.stores.rstrip("/")
-        folder = self.data / "stores" if self.stores is None else Path(self.stores)
-        return str(folder.absolute())
+        return str(Path(self.stores or self.data / "stores").absolute())
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Folders on this machine that hold data: of the ledger, and of the stores."""
+        in_bucket = store.in_bucket(self.stores_url)
+        return (self.data,) if in_bucket else (self.data, Path(self.stores or self.data / "stores"))
 
     def store_of(self, job_id: str) -> str:
         """The address of a job's zarr store: an absolute path or an s3:// URL."""
         return f"{self.stores_url}/{job_id}.zarr"
 
 
-def is_loopback(host: str) -> bool:
+def _is_loopback(host: str) -> bool:
     """Whether only this machine can reach the address `host`."""
     try:
         return ip_address(host).is_loopback

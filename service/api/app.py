@@ -1,22 +1,22 @@
 """The ASGI application: routers, error handlers, middleware, and the parts that live while it runs."""
 
+import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager
 from functools import cache, partial
 from typing import Final
 
 from fastapi import Depends, FastAPI
+from starlette.middleware.cors import CORSMiddleware
 
 from service.api import openapi, problems
-from service.api.capacity import Capacity, ListenerLimit
+from service.api.capacity import Capacity
 from service.api.dependencies import Service, reject_repeated_parameters
-from service.api.middleware.access_control import AccessControl
-from service.api.middleware.access_log import AccessLog
-from service.api.middleware.body_limit import BodyLimit
-from service.api.middleware.head import HeadAsGet
-from service.api.monitoring import Metrics, Readiness
+from service.api.middleware import CORS, Gate
+from service.api.monitoring import JobsCollector, Metrics, Readiness
 from service.api.progress_stream import ProgressStream
-from service.api.routers import docs, health, jobs, model, page, page_data, results, views
+from service.api.routers import docs, health, jobs, page, page_data, results, views
+from service.api.schemas import problem_responses
 from service.background import Background, InThisProcess
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
@@ -36,9 +36,6 @@ SMALL_READS: Final = 2
 SMALL_MEMORY: Final = 128 * 2**20
 MOST_SMALL: Final = 1_000
 
-SUMMARY = "Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis."
-
-
 #: Of the API document, by which a service is recognised.
 TITLE: Final = "bouncing-spring"
 
@@ -55,7 +52,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     metrics = Metrics()
     app = FastAPI(
         title=TITLE,
-        summary=SUMMARY,
+        summary="Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis.",
         version=software().release,
         docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts
         redoc_url=None,
@@ -69,16 +66,15 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
             metrics=metrics,
         ),
     )
-    for module in (jobs, results, model, health, docs, page, page_data):
-        app.include_router(module.router)
-    for router in views.routes():
+    for router in (health.router, docs.router):
         app.include_router(router)
+    for router in (jobs.router, results.router, *views.routes(), page.router, page_data.router):
+        app.include_router(router, responses=problem_responses(422))
     app.mount("/static", page.static_files(), name="static")
     problems.install(app)
-    app.add_middleware(HeadAsGet)
-    app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, timeout=settings.body_seconds)
-    app.add_middleware(AccessControl, hosts=settings.hosts, tokens=tokens, origins=settings.cors_origins)
-    app.add_middleware(AccessLog, metrics=metrics)  # added last, so the outermost: it logs refusals too
+    app.add_middleware(Gate, metrics=metrics, settings=settings, tokens=tokens)
+    if settings.cors_origins:
+        app.add_middleware(CORSMiddleware, allow_origins=settings.cors_origins, **CORS)
     app.openapi = cache(  # type: ignore[method-assign]
         partial(openapi.document, app, needs_token=bool(tokens))
     )
@@ -90,18 +86,19 @@ async def _lifespan(
     app: FastAPI, *, settings: Settings, executor: Executor, background: Background, metrics: Metrics
 ) -> AsyncIterator[None]:
     """Open the ledger and compute its unfinished jobs until the application stops."""
-    with open_ledger(settings) as ledger:
-        files.remove_unfinished(settings.exports_path)
-        service = _service(settings, ledger, executor, background, metrics)
-        app.state.service = service
-        service.manager.start()
-        try:
+    try:
+        with ExitStack() as stack:
+            ledger = stack.enter_context(open_ledger(settings))
+            files.remove_unfinished(settings.exports_path)
+            app.state.service = service = _service(settings, ledger, executor, background, metrics)
+            service.manager.start()
+            stack.callback(service.manager.stop)  # last
+            for part in (service.on_demand, service.small_reads, service.capacity):
+                stack.callback(part.close)
             yield
-        finally:
-            service.capacity.close()
-            service.small_reads.close()
-            service.on_demand.close()
-            service.manager.stop()
+    except Exception as error:
+        app.state.startup_error = error  # uvicorn only logs it
+        raise
 
 
 def _service(
@@ -109,8 +106,7 @@ def _service(
 ) -> Service:
     readiness = Readiness(executor, ledger_fault=ledger.fault)
     manager = JobManager(ledger, executor, settings)
-    metrics.add_jobs(ledger, readiness, manager)
-    metrics.add_cluster(executor)
+    metrics.registry.register(JobsCollector(ledger, readiness, manager, executor))
     return Service(
         settings=settings,
         ledger=ledger,
@@ -131,7 +127,7 @@ def _service(
             dict.fromkeys(("read", "store", "on demand"), SMALL_READS), SMALL_MEMORY, max_waiting=MOST_SMALL
         ),
         background=background,
-        listener_limit=ListenerLimit(settings.max_listeners),
+        listeners=asyncio.Semaphore(settings.max_listeners),
         progress_stream=ProgressStream(ledger, manager.compiling),
         readiness=readiness,
         metrics=metrics,

@@ -11,10 +11,10 @@ costly requests nor jobs delay it. Computing stops for a client that leaves.
 import asyncio
 import functools
 import inspect
-from collections import deque
-from collections.abc import Callable, Coroutine, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from collections import Counter
+from collections.abc import Callable, Coroutine, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any, Final, Literal, NamedTuple
 
 from fastapi import Request, Response
@@ -23,19 +23,10 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from service.background import Asker, return_memory
-from service.errors import Busy, NotComputed, TooManyListeners
+from service.errors import Busy, NotComputed
 
 #: Activities of costly requests; each has its own threads, so that long exports do not delay diagrams.
 Activity = Literal["read", "store", "export", "trajectory", "on demand"]
-
-#: Names of activities in errors.
-_PLURALS: Final[Mapping[Activity, str]] = {
-    "read": "diagrams, maps and tables",
-    "store": "chunks of stores",
-    "export": "exports",
-    "trajectory": "trajectories",
-    "on demand": "answers that workers compute",
-}
 
 #: Bytes sent at a time; the next ones wait until the client has taken these.
 PIECE: Final = 256 * 1024
@@ -45,7 +36,6 @@ CLIENT_GONE: Final = 499
 
 #: After this many bytes of answers, return memory to the system once no answer is left.
 MUCH: Final = 64 * 2**20
-
 
 #: Seconds that computing continues after the client has left: most answers finish by then, and ending
 #: one costs the process that computes it.
@@ -65,11 +55,6 @@ class Cost(NamedTuple):
     small: bool = False
 
 
-class _Waiter(NamedTuple):
-    memory: int
-    admitted: "asyncio.Future[None]"
-
-
 class Capacity:
     """The threads and the memory of costly requests; used in one event loop only.
 
@@ -83,17 +68,14 @@ class Capacity:
     ) -> None:
         self._slots, self._free = dict(slots), dict(slots)
         self._memory, self._timeout, self._max_waiting = memory, timeout, max_waiting
-        self._used = self._most_used = 0  # bytes, now and at most since memory was last returned
-        self._waiting: dict[Activity, deque[_Waiter]] = {activity: deque() for activity in slots}
+        self.used = self._most_used = 0  # bytes, now and at most since memory was last returned
+        self.waiting: Counter[Activity] = Counter()
+        self._queues = {activity: asyncio.Lock() for activity in slots}  # its holder is next
+        self._released = asyncio.Event()
         self._threads = {
             activity: ThreadPoolExecutor(count, thread_name_prefix=f"costly-{activity}")
             for activity, count in slots.items()
         }
-
-    @property
-    def used(self) -> int:
-        """Bytes that answers take now, by their estimates."""
-        return self._used
 
     def close(self) -> None:
         """End the threads, each after its current work."""
@@ -102,97 +84,64 @@ class Capacity:
 
     async def acquire(self, activity: Activity, memory: int) -> "Lease":
         """A thread for `activity` and `memory` bytes, capped at the total. Raises Busy."""
-        memory, queue = min(memory, self._memory), self._waiting[activity]
-        if queue or not self._fits(activity, memory):
-            if len(queue) >= self._max_waiting:
-                raise self._busy(activity)
-            waiter = _Waiter(memory, asyncio.get_running_loop().create_future())
-            queue.append(waiter)
-            try:
-                await asyncio.wait_for(waiter.admitted, self._timeout)
-            except TimeoutError:
-                self._withdraw(activity, waiter)
-                raise self._busy(activity) from None
-            except asyncio.CancelledError:
-                self._withdraw(activity, waiter)
-                raise
-        else:
-            self._take(activity, memory)
-        return Lease(self, activity, memory)
-
-    async def run(self, activity: Activity, work: Callable[[], Response]) -> Response:
-        """Run `work` in a thread of the activity, whose lease the caller holds."""
-        return await asyncio.get_running_loop().run_in_executor(self._threads[activity], work)
+        memory, queue = min(memory, self._memory), self._queues[activity]
+        if self.waiting[activity] >= self._max_waiting:
+            raise self._busy(activity)
+        self.waiting[activity] += 1
+        try:
+            async with asyncio.timeout(self._timeout), queue:
+                while not self._free[activity] or self.used + memory > self._memory:
+                    await self._released.wait()
+        except TimeoutError:
+            raise self._busy(activity) from None
+        finally:
+            self.waiting[activity] -= 1
+        self._free[activity] -= 1
+        self.used += memory
+        self._most_used = max(self._most_used, self.used)
+        return Lease(self, activity, memory, self._threads[activity])
 
     def give_back(self, activity: Activity | None, memory: int) -> None:
         """Free a thread of `activity`, if given, and `memory` bytes."""
-        self._used -= memory
+        self.used -= memory
         if activity is not None:
             self._free[activity] += 1
-        if self._used == 0 and self._most_used > MUCH:
+        if self.used == 0 and self._most_used > MUCH:
             self._most_used = 0
             asyncio.get_running_loop().run_in_executor(None, return_memory)
-        self._admit()
-
-    def _fits(self, activity: Activity, memory: int) -> bool:
-        return self._free[activity] > 0 and self._used + memory <= self._memory
-
-    def _take(self, activity: Activity, memory: int) -> None:
-        self._free[activity] -= 1
-        self._used += memory
-        self._most_used = max(self._most_used, self._used)
-
-    def _admit(self) -> None:
-        for activity, queue in self._waiting.items():
-            while queue and (queue[0].admitted.done() or self._fits(activity, queue[0].memory)):
-                waiter = queue.popleft()
-                if not waiter.admitted.done():
-                    self._take(activity, waiter.memory)
-                    waiter.admitted.set_result(None)
-
-    def _withdraw(self, activity: Activity, waiter: _Waiter) -> None:
-        """Remove a request that no longer waits, perhaps admitted in the same moment."""
-        if waiter.admitted.done() and not waiter.admitted.cancelled():
-            self.give_back(activity, waiter.memory)
-        elif waiter in self._waiting[activity]:
-            self._waiting[activity].remove(waiter)
-            self._admit()  # those behind it may fit
+        self._released.set()  # wakes those that wait now
+        self._released.clear()
 
     def _busy(self, activity: Activity) -> Busy:
-        count, what = self._slots[activity], _PLURALS[activity]
+        count = self._slots[activity]
         return Busy(
-            f"too many concurrent requests: {count} {what} are computed at a time, and all costly answers "
-            f"together take at most {self._memory:,} bytes"
+            f"too many concurrent requests: {count} of kind '{activity}' are computed at a time, and all "
+            f"costly answers together take at most {self._memory:,} bytes"
         )
 
 
 class Lease:
     """A thread and memory of a `Capacity`."""
 
-    def __init__(self, capacity: Capacity, activity: Activity, memory: int) -> None:
-        self._capacity, self._activity, self._memory = capacity, activity, memory
+    def __init__(self, capacity: Capacity, activity: Activity, memory: int, threads: Executor) -> None:
+        self._capacity, self._memory, self._threads = capacity, memory, threads
         self._thread: Activity | None = activity
 
     async def run(self, work: Callable[[], Response]) -> Response:
         """The answer of `work`; the lease then holds only its body, and nothing if `work` raises."""
         try:
-            response = await self._capacity.run(self._activity, work)
+            response = await asyncio.get_running_loop().run_in_executor(self._threads, work)
         except BaseException:
-            self.release()
+            self.keep(0)
             raise
-        kept = min(self._memory, len(response.body) if hasattr(response, "body") else PIECE)
-        self._give_back(self._memory - kept)
+        self.keep(min(self._memory, len(response.body) if hasattr(response, "body") else PIECE))
         return _Leased(response, self)
 
-    def release(self) -> None:
-        """Free thread and memory; may be called again."""
-        self._give_back(self._memory)
-
-    def _give_back(self, memory: int) -> None:
-        thread, self._thread = self._thread, None
-        self._memory -= memory
-        if memory or thread:
-            self._capacity.give_back(thread, memory)
+    def keep(self, memory: int) -> None:
+        """Free the thread and all but `memory` bytes; may be called again."""
+        thread, freed = self._thread, self._memory - memory
+        self._thread, self._memory = None, memory
+        self._capacity.give_back(thread, freed)
 
 
 class _Leased(Response):
@@ -201,7 +150,7 @@ class _Leased(Response):
     def __init__(self, response: Response, lease: Lease) -> None:
         self._response, self._lease = response, lease
         self.status_code, self.background = response.status_code, response.background
-        self.raw_headers = response.raw_headers  # the same list: routes add headers to it
+        self.raw_headers = response.raw_headers
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
@@ -215,17 +164,17 @@ class _Leased(Response):
                 await send({"type": "http.response.body", "body": body[low : low + PIECE], "more_body": True})
             await send({"type": "http.response.body", "body": b"", "more_body": False})
         finally:
-            self._lease.release()
+            self._lease.keep(0)
 
 
 def costly(
-    cost: int | Callable[..., Cost | int], activity: Activity = "read"
+    cost: Cost | Callable[..., Cost], activity: Activity = "read"
 ) -> Callable[[Callable[..., Response]], Callable[..., Coroutine[Any, Any, Response]]]:
     """Declare an endpoint costly; it must have a parameter `service: ServiceDep`.
 
-    `cost`: most bytes of an answer, or a function of the endpoint's arguments that estimates them or the
-    `Cost`. A request that finds no thread or no memory within `turn_seconds` gets 429.
-    Nothing is computed for a client that left before its turn; computing stops GRACE seconds after it leaves.
+    `cost`: of every answer, or a function of the endpoint's arguments that estimates it. A request that finds
+    no thread or no memory within `turn_seconds` gets 429. Nothing is computed for a client that left before
+    its turn; computing stops GRACE seconds after it leaves.
     """
 
     def declare(endpoint: Callable[..., Response]) -> Callable[..., Coroutine[Any, Any, Response]]:
@@ -236,14 +185,27 @@ def costly(
         async def limited(request: Request, **arguments: Any) -> Response:
             if takes_request:
                 arguments["request"] = request
-            estimate = await run_in_threadpool(cost, **arguments) if callable(cost) else cost
-            taken = estimate if isinstance(estimate, Cost) else Cost(estimate)
-            if taken.small:
+            memory, small = await run_in_threadpool(cost, **arguments) if callable(cost) else cost
+            if small:
                 arguments["service"] = arguments["service"].small
-            lease = await _unless_gone(request, arguments["service"].capacity.acquire(activity, taken.memory))
-            if lease is None:
+            turn = asyncio.ensure_future(arguments["service"].capacity.acquire(activity, memory))
+            if await _leaves(request, turn):
+                turn.cancel()
+                with suppress(asyncio.CancelledError, Busy):
+                    (await turn).keep(0)
                 return Response(status_code=CLIENT_GONE)
-            return await _answer(request, lease, functools.partial(endpoint, **arguments))
+            asker = Asker()
+            work = functools.partial(asker.run, functools.partial(endpoint, **arguments))
+            computed: asyncio.Future[Response] = asyncio.ensure_future(turn.result().run(work))
+            if await _leaves(request, computed):
+                await asyncio.wait({computed}, timeout=GRACE)
+                asker.leave()
+            try:
+                return await computed
+            except NotComputed:
+                if asker.left:
+                    return Response(status_code=CLIENT_GONE)
+                raise
 
         if not takes_request:
             parameter = inspect.Parameter("request", inspect.Parameter.KEYWORD_ONLY, annotation=Request)
@@ -254,62 +216,20 @@ def costly(
     return declare
 
 
-async def _unless_gone(request: Request, acquiring: Coroutine[Any, Any, Lease]) -> Lease | None:
-    """The acquired lease; None, with nothing held, if the client has closed its connection."""
-    acquired, gone = asyncio.ensure_future(acquiring), asyncio.ensure_future(_gone(request))
-    try:
-        await asyncio.wait({acquired, gone}, return_when=asyncio.FIRST_COMPLETED)
-        if not gone.done():
-            return acquired.result()
-    finally:
-        gone.cancel()
-        acquired.cancel()
-    with suppress(asyncio.CancelledError, Busy):
-        (await acquired).release()
-    return None
-
-
-async def _answer(request: Request, lease: Lease, work: Callable[[], Response]) -> Response:
-    """The answer of `work`; stops computing if the client closes its connection."""
-    asker = Asker()
-    computed = asyncio.ensure_future(lease.run(functools.partial(asker.run, work)))
+async def _leaves(request: Request, task: asyncio.Future[Any]) -> bool:
+    """Wait for the task; whether the client closes its connection before it is done."""
     gone = asyncio.ensure_future(_gone(request))
     try:
-        await asyncio.wait({computed, gone}, return_when=asyncio.FIRST_COMPLETED)
-        if not computed.done():
-            await asyncio.wait({computed}, timeout=GRACE)
-            asker.leave()
-        return await computed
-    except NotComputed:
-        if asker.left:
-            return Response(status_code=CLIENT_GONE)
+        await asyncio.wait({task, gone}, return_when=asyncio.FIRST_COMPLETED)
+        return gone.done()
+    except asyncio.CancelledError:
+        task.cancel()
         raise
     finally:
         gone.cancel()
-        computed.cancel()
 
 
 async def _gone(request: Request) -> None:
     """Return when the client closes its connection."""
     while (await request.receive())["type"] != "http.disconnect":
         pass
-
-
-class ListenerLimit:
-    """At most `limit` event streams at a time; used in one event loop only."""
-
-    def __init__(self, limit: int) -> None:
-        self._limit, self._listeners = limit, 0
-
-    @contextmanager
-    def slot(self) -> Iterator[None]:
-        """Count as a listener during the block. Raises TooManyListeners at once."""
-        if self._listeners >= self._limit:
-            raise TooManyListeners(
-                f"too many event streams: at most {self._limit:,} at a time; poll the job instead"
-            )
-        self._listeners += 1
-        try:
-            yield
-        finally:
-            self._listeners -= 1

@@ -1,26 +1,21 @@
 """FastAPI dependencies: the parts of the running service, the job named by a path, and JSON bodies."""
 
+import asyncio
+import hashlib
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
 from typing import Annotated, Any
 
-from fastapi import Depends, Request
+from fastapi import Depends, HTTPException, Request
 
-from service.api.capacity import (
-    FEW_CHUNKS,
-    SMALL_ANSWER,
-    SMALL_CHUNKS,
-    Capacity,
-    Cost,
-    ListenerLimit,
-)
+from service.api.capacity import FEW_CHUNKS, SMALL_ANSWER, SMALL_CHUNKS, Capacity, Cost
 from service.api.monitoring import Metrics, Readiness
-from service.api.parameters import LineQuery
+from service.api.parameters import LineViewQuery
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
-from service.errors import InvalidRequest, UnknownJob, WrongMediaType
+from service.errors import InvalidRequest, TooLarge, UnknownJob
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
@@ -42,7 +37,7 @@ class Service:
     capacity: Capacity
     small_reads: Capacity
     background: Background
-    listener_limit: ListenerLimit
+    listeners: asyncio.Semaphore
     progress_stream: ProgressStream
     readiness: Readiness
     metrics: Metrics
@@ -61,9 +56,8 @@ async def _service(request: Request) -> Service:  # async, because FastAPI would
 ServiceDep = Annotated[Service, Depends(_service)]
 
 
-async def _owner(request: Request) -> str | None:
-    name: str | None = getattr(request.state, "token_name", None)
-    return name
+async def _owner(request: Request) -> Any:
+    return request.state.token_name
 
 
 #: The name of the caller's access token; None if it has no name, or none is required.
@@ -79,6 +73,30 @@ def find_job(job_id: str, service: ServiceDep) -> JobRecord:
 
 
 JobDep = Annotated[JobRecord, Depends(find_job)]
+
+
+def tag(request: Request, *facts: object, weak: bool = False, headers: Any = None) -> None:
+    """Give the response an ETag of these facts, which `middleware` adds if it succeeds.
+
+    Raises HTTPException 304, with `headers`, if the client has this tag, by weak comparison.
+    """
+    own = f'"{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"'
+    request.state.tag = f"W/{own}" if weak else own
+    candidates = request.headers.get("if-none-match", "").split(",")
+    if not {"*", own}.isdisjoint(each.strip().removeprefix("W/") for each in candidates):
+        raise HTTPException(304, headers=headers)
+
+
+async def _results_job(job: JobDep, request: Request) -> JobRecord:
+    """The job, its results tagged if they are final."""
+    if job.state is JobState.DONE:
+        # An accepted job gives the same bytes under one URL while this version of the service runs.
+        tag(request, job.id, job.seq, job.created, request.app.version)
+    return job
+
+
+#: The job whose results are returned; a client that has them gets 304 before anything is read.
+ResultsJob = Annotated[JobRecord, Depends(_results_job)]
 
 
 def stored(service: Service, job: JobRecord) -> Stored[Any]:
@@ -114,7 +132,7 @@ def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> 
     return Cost(BASE_MEMORY + memory, few and memory <= SMALL_ANSWER)
 
 
-def line(query: LineQuery) -> Line:
+def line(query: LineViewQuery) -> Line:
     """The line that a query asks for."""
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
     return Line(query.along, values, query.direction, query.min_flight)
@@ -128,17 +146,35 @@ async def reject_repeated_parameters(request: Request) -> None:
             raise InvalidRequest.of(name, f"is given {count} times")
 
 
-async def _json_body(request: Request) -> bytes:
-    """The body, if declared as JSON, which forms of other web pages cannot do. Raises WrongMediaType."""
+async def _json_body(request: Request, service: ServiceDep) -> bytes:
+    """The body, if declared as JSON, which forms of other web pages cannot do.
+
+    Raises HTTPException, and TooLarge as soon as that is known.
+    """
     coding = request.headers.get("content-encoding", "identity")
     if coding.lower() != "identity":
-        raise WrongMediaType(
-            f"the body is compressed (Content-Encoding: {coding[:40]}): send it uncompressed"
-        )
+        compressed = f"the body is compressed (Content-Encoding: {coding[:40]}): send it uncompressed"
+        raise HTTPException(415, compressed)
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type != "application/json":
-        raise WrongMediaType("send the body as JSON, with the header Content-Type: application/json")
-    return await request.body()
+        raise HTTPException(415, "send the body as JSON, with the header Content-Type: application/json")
+    most, seconds = service.settings.max_body_bytes, service.settings.body_seconds
+    declared, body = request.headers.get("content-length", ""), bytearray()
+    size = int(declared[:20]) if declared.isdecimal() else 0
+    try:
+        async with asyncio.timeout(seconds):
+            pieces = request.stream()
+            while size <= most:
+                body += await anext(pieces)
+                size = max(size, len(body))
+    except StopAsyncIteration:
+        return bytes(body)
+    except TimeoutError:
+        raise HTTPException(408, f"the body did not arrive within {seconds:g} s") from None
+    raise TooLarge(
+        f"the body is longer than {most:,} bytes; an evenly spaced axis is shorter as a range"
+        ' {"start", "stop", "num"}'
+    )
 
 
 JsonBody = Annotated[bytes, Depends(_json_body)]

@@ -3,9 +3,8 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
-from importlib.metadata import version
-from typing import Final
+from collections.abc import Callable, Iterable, Iterator
+from typing import Final, TypeVar
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import (
@@ -17,11 +16,13 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
-from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobState
+from service.software import software
 from worker.executors.base import Executor
+
+Family = TypeVar("Family", CounterMetricFamily, GaugeMetricFamily)
 
 #: Methods with their own label; the rest share one, so that callers cannot create labels.
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "OPTIONS", "PUT", "PATCH"})
@@ -54,37 +55,25 @@ class Readiness:
                 self._checked = time.monotonic()
             return self._fault
 
-    def ready(self) -> bool:
-        """Whether jobs are accepted and computed."""
-        return self.fault() is None
-
 
 class Metrics:
     """Metrics of one service, in their own registry."""
 
     def __init__(self) -> None:
-        self._registry = CollectorRegistry()
-        ProcessCollector(registry=self._registry)
+        self.registry = CollectorRegistry()
+        ProcessCollector(registry=self.registry)
         self._requests = Counter(
             "bounce_http_requests",
             "HTTP requests.",
             ["method", "route", "status"],
-            registry=self._registry,
+            registry=self.registry,
         )
         self._seconds = Histogram(
             "bounce_http_request_seconds",
             "Seconds until the response was sent.",
             ["route"],
-            registry=self._registry,
+            registry=self.registry,
         )
-
-    def add_jobs(self, ledger: Ledger, readiness: Readiness, manager: JobManager) -> None:
-        """Also report the ledger's jobs, their chunks and the scheduler's readiness."""
-        self._registry.register(_JobsCollector(ledger, readiness, manager))
-
-    def add_cluster(self, executor: Executor) -> None:
-        """Also report the workers."""
-        self._registry.register(_ClusterCollector(executor))
 
     def count_request(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request; `route` is the path's template, so that job ids do not become labels."""
@@ -93,92 +82,67 @@ class Metrics:
 
     def text(self) -> bytes:
         """All metrics in Prometheus's text format."""
-        return generate_latest(self._registry)
+        return generate_latest(self.registry)
 
 
-class _JobsCollector(Collector):
-    """Reads the ledger and the readiness whenever metrics are collected."""
+class JobsCollector(Collector):
+    """Reads ledger, readiness, manager and executor whenever metrics are collected."""
 
-    def __init__(self, ledger: Ledger, readiness: Readiness, manager: JobManager) -> None:
-        self._ledger, self._readiness, self._manager = ledger, readiness, manager
+    def __init__(self, ledger: Ledger, readiness: Readiness, manager: JobManager, executor: Executor) -> None:
+        self._ledger, self._readiness, self._manager, self._executor = ledger, readiness, manager, executor
 
     def collect(self) -> Iterator[Metric]:
-        jobs = GaugeMetricFamily("bounce_jobs", "Jobs in the ledger.", labels=["state"])
         with self._ledger.reading() as ledger:
-            for state in JobState:
-                jobs.add_metric([state], ledger.count((state,)))
+            jobs = [([state], ledger.count((state,))) for state in JobState]
             chunks, cells = ledger.totals()
-        yield jobs
-        yield GaugeMetricFamily("bounce_chunks_done", "Chunks marked done, of jobs in the ledger.", chunks)
-        yield GaugeMetricFamily("bounce_cells_done", "Cells marked done, of jobs in the ledger.", cells)
-        yield GaugeMetricFamily(
-            "bounce_ready", "Whether jobs are accepted and computed.", self._readiness.ready()
-        )
-        yield GaugeMetricFamily(
-            "bounce_chunks_in_flight",
-            "Chunks that workers compute, or that wait for one.",
-            self._manager.chunks_in_flight,
-        )
-        tally = self._manager.tally
-        yield CounterMetricFamily(
-            "bounce_chunks_computed", "Chunks computed since the start.", tally.computed
-        )
-        yield CounterMetricFamily(
-            "bounce_chunk_seconds", "Seconds of workers for the chunks computed.", tally.seconds
-        )
-        returned = CounterMetricFamily(
-            "bounce_chunks_returned",
-            "Chunks that came back without a result, by action and kind of error.",
-            labels=["action", "error"],
-        )
-        for (action, error), number in tally.returned.items():
-            returned.add_metric([action, error], number)
-        yield returned
-        durations = HistogramMetricFamily(
-            "bounce_chunk_duration_seconds", "Seconds of workers for each chunk computed since the start."
-        )
+        tally, (verified, damaged) = self._manager.tally, self._manager.scrubbed
+        yield _labelled(GaugeMetricFamily("bounce_jobs", "Jobs in the ledger.", labels=["state"]), jobs)
+        for name, meaning, value in (
+            ("bounce_chunks_done", "Chunks marked done, of jobs in the ledger.", chunks),
+            ("bounce_cells_done", "Cells marked done, of jobs in the ledger.", cells),
+            ("bounce_ready", "Whether jobs are accepted and computed.", self._readiness.fault() is None),
+            (
+                "bounce_chunks_in_flight",
+                "Chunks that workers compute, or that wait for one.",
+                self._manager.chunks_in_flight,
+            ),
+            (
+                "bounce_core_seconds_remaining",
+                "Core-seconds that the unfinished jobs will take, by the cost table.",
+                self._manager.remaining_seconds,
+            ),
+        ):
+            yield GaugeMetricFamily(name, meaning, value)
+        for name, meaning, value in (
+            ("bounce_chunks_computed", "Chunks computed since the start.", tally.computed),
+            ("bounce_chunk_seconds", "Seconds of workers for the chunks computed.", tally.seconds),
+            (
+                "bounce_chunks_verified",
+                "Stored chunks that were verified since the start.",
+                verified,
+            ),
+            ("bounce_chunks_damaged", "Stored chunks that verifying found damaged since the start.", damaged),
+        ):
+            yield CounterMetricFamily(name, meaning, value)
+        meaning = "Chunks that came back without a result, by action and kind of error."
+        returned = CounterMetricFamily("bounce_chunks_returned", meaning, labels=["action", "error"])
+        yield _labelled(returned, tally.returned.items())
         buckets = [
             ("+Inf" if limit == math.inf else f"{limit:g}", float(number))
             for limit, number in tally.by_seconds
         ]
-        durations.add_metric([], buckets, tally.seconds)
-        yield durations
-        yield GaugeMetricFamily(
-            "bounce_core_seconds_remaining",
-            "Core-seconds that the unfinished jobs will take, by the cost table.",
-            self._manager.remaining_seconds,
-        )
-        verified, damaged = self._manager.scrubbed
-        yield CounterMetricFamily(
-            "bounce_chunks_verified", "Stored chunks whose checksums were verified since the start.", verified
-        )
-        yield CounterMetricFamily(
-            "bounce_chunks_damaged", "Stored chunks that verifying found damaged since the start.", damaged
-        )
-
-    def describe(self) -> list[Metric]:
-        return []
-
-
-class _ClusterCollector(Collector):
-    """Asks the executor whenever metrics are collected."""
-
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
-
-    def collect(self) -> Iterator[Metric]:
+        meaning = "Seconds of workers for each chunk computed since the start."
+        yield HistogramMetricFamily("bounce_chunk_duration_seconds", meaning, buckets, tally.seconds)
         cluster = self._executor.state()
-        workers = GaugeMetricFamily(
-            "bounce_workers", "Workers that compute, are planned, or are refused.", labels=["state"]
-        )
-        workers.add_metric(["computing"], cluster.workers)
-        workers.add_metric(["refused"], len(cluster.refused))
-        if cluster.planned is not None:
-            workers.add_metric(["planned"], cluster.planned)
-        yield workers
-        build = InfoMetricFamily("bounce_build", "What this service is.")
-        build.add_metric([], {"version": version("bouncing-spring"), "kernel_version": KERNEL_VERSION})
-        yield build
+        numbers = {"computing": cluster.workers, "refused": len(cluster.refused), "planned": cluster.planned}
+        meaning = "Workers that compute, are planned, or are refused."
+        workers = GaugeMetricFamily("bounce_workers", meaning, labels=["state"])
+        yield _labelled(workers, (([state], n) for state, n in numbers.items() if n is not None))
+        versions = {"version": software().release, "kernel_version": software().kernel_version}
+        yield InfoMetricFamily("bounce_build", "What this service is.", versions)
 
-    def describe(self) -> list[Metric]:
-        return []
+
+def _labelled(family: Family, values: Iterable[tuple[Iterable[str], float]]) -> Family:
+    for labels, value in values:
+        family.add_metric(list(labels), value)
+    return family

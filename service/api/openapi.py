@@ -5,7 +5,6 @@ defaults that are objects are told in the description.
 """
 
 import json
-from collections.abc import Iterator
 from typing import Any, Final
 
 from fastapi import FastAPI
@@ -13,8 +12,8 @@ from fastapi.openapi.utils import get_openapi
 from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
-from service.api.middleware.access_control import OPEN_PATHS
-from service.api.schemas import ProblemDocument, problem_responses
+from service.api.middleware import OPEN_PATHS
+from service.api.schemas import ProblemDocument
 from service.views.trajectory import TrajectorySpec
 from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.orbits import OrbitsSpec
@@ -98,49 +97,27 @@ def document(app: FastAPI, *, needs_token: bool) -> dict[str, Any]:
         schemas |= schema.pop("$defs", {}) | {model.__name__: schema}
     for name, example in EXAMPLES.items():
         schemas[name]["examples"] = [example]
-    for name in ("HTTPValidationError", "ValidationError"):  # FastAPI's; this service answers with problems
-        schemas.pop(name, None)
     components["securitySchemes"] = {"token": _TOKEN}
     if needs_token:
         document["security"] = [{"token": []}]
     for path, operations in document["paths"].items():
         for operation in operations.values():
-            _mend_responses(operation["responses"])
             if path in OPEN_PATHS:
                 operation["security"] = []
-    for schema in _schemas_in(document):
-        _tell_object_default(schema)
-    return document
+    mended: dict[str, Any] = json.loads(json.dumps(document), object_hook=_mended)
+    return mended
 
 
-def _mend_responses(responses: dict[str, Any]) -> None:
-    """Problems for what FastAPI says of rejected parameters; a stream of events in terms of OpenAPI 3.1."""
-    if "HTTPValidationError" in json.dumps(responses.get("422", {})):
-        responses["422"] = problem_responses(422)[422]
-    for response in responses.values():
-        for content in response.get("content", {}).values():
-            if content.pop("itemSchema", None) is not None:
-                content["schema"] = {"description": "server-sent events"}
+def _mended(part: dict[str, Any]) -> dict[str, Any]:
+    """An object of the document in terms of OpenAPI 3.1.
 
-
-def _schemas_in(part: Any) -> Iterator[dict[str, Any]]:
-    """Every JSON object of the document."""
-    if isinstance(part, dict):
-        yield part
-        for value in part.values():
-            yield from _schemas_in(value)
-    elif isinstance(part, list):
-        for value in part:
-            yield from _schemas_in(value)
-
-
-def _tell_object_default(schema: dict[str, Any]) -> None:
-    """Say a default that is an object in the description: generators of clients reject the field.
-
-    It is kept as `x-default`, an extension that they ignore, for the page's form.
+    A default that is an object is told in the description: generators of clients reject the field. It is kept
+    as `x-default`, an extension that they ignore, for the page's form.
     """
-    if isinstance(schema.get("default"), dict) and ("oneOf" in schema or "$ref" in schema):
-        default = schema["x-default"] = schema.pop("default")
+    if part.pop("itemSchema", None) is not None:
+        part["schema"] = {"description": "server-sent events"}
+    if isinstance(part.get("default"), dict) and ("oneOf" in part or "$ref" in part):
+        default = part["x-default"] = part.pop("default")
         fields = {name: value for name, value in default.items() if value is not None}
-        said = schema.get("description", "")
-        schema["description"] = f"{said} Default: {json.dumps(fields)}.".strip()
+        part["description"] = f"{part.get('description', '')} Default: {json.dumps(fields)}.".strip()
+    return part

@@ -1,51 +1,29 @@
 """Query parameters of the HTTP API, as Pydantic models. A misspelt parameter is refused, not ignored."""
 
-from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from service.errors import InvalidRequest
-from service.formats import (
-    DatasetFormat,
-    ExportFormat,
-    ExportLayout,
-)
+from service.formats import DatasetFormat, ExportFormat, ExportLayout
 from service.jobs.model import JobState
 from service.jobs.search import MAX_TEXT, InvalidCursor, JobOrder, JobSearch, Position
+from service.views.view import MinFlight, Number, Query
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.studies import STUDIES
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: return every n-th value only")]
 Pixels = Annotated[int, Field(ge=1, le=4096)]
-MinFlight = Annotated[
-    Number | None,
-    Field(
-        ge=0, description="rad; shorter flights do not count, unless all of a cell are; default: micro_flight"
-    ),
-]
 Direction = Annotated[
     str | None, Field(description="rest, up or down; default: the first direction of the sweep")
 ]
 
 
-class Query(BaseModel):
-    """Base class: unknown parameters are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-def _one_of(kinds: Mapping[str, object]) -> AfterValidator:
-    """Refuses a kind that a table does not have."""
-
-    def check(kind: str | None) -> str | None:
-        if kind is not None and kind not in kinds:
-            raise ValueError(f"should be one of {', '.join(kinds)}")
-        return kind
-
-    return AfterValidator(check)
+if TYPE_CHECKING:
+    Contact = str
+    Protocol = str
+else:
+    Contact, Protocol = Literal[tuple(CONTACT_MODELS)], Literal[tuple(STUDIES)]
 
 
 def _in_utc(time: datetime) -> datetime:
@@ -67,14 +45,8 @@ class JobsQuery(Query):
             description="part of the name, ASCII letters in either case, or the beginning of the id",
         ),
     ] = None
-    model: Annotated[
-        str | None,
-        _one_of(CONTACT_MODELS),
-        Field(description=f"kind of contact: {', '.join(CONTACT_MODELS)}"),
-    ] = None
-    protocol: Annotated[
-        str | None, _one_of(STUDIES), Field(description=f"kind of protocol: {', '.join(STUDIES)}")
-    ] = None
+    model: Contact | None = None
+    protocol: Protocol | None = None
     pinned: bool | None = None
     created_from: Annotated[
         Time | None, Field(description="a date or time, UTC if it names no zone; included")
@@ -120,28 +92,6 @@ class MotionQuery(Query):
     format: DatasetFormat = "json"
 
 
-class LineQuery(Query):
-    """One line of the grid along one axis; the other axes are fixed at the nearest grid value."""
-
-    along: Literal["gamma", "omega", "xi"] = "gamma"
-    gamma: Number | None = None
-    omega: Number | None = None
-    xi: Number | None = None
-    direction: Direction = None
-    min_flight: MinFlight = None
-
-
-class PlaneQuery(Query):
-    """Plane of the grid at the nearest value of ξ, in one direction."""
-
-    xi: Number | None = None
-    direction: Direction = None
-    min_flight: MinFlight = None
-    hysteresis: bool = Field(
-        False, description="of a sweep ramped both ways: where its directions differ as well"
-    )
-
-
 class ExportQuery(Query):
     """Format of the file, and what its rows are."""
 
@@ -153,9 +103,18 @@ class ExportQuery(Query):
     )
 
 
-class LineViewQuery(LineQuery):
-    """A line and a window of it: left and right in units of the axis, bottom and top in rad."""
+class LineViewQuery(Query):
+    """One line of the grid along one axis, the others fixed at the nearest grid value, and a window of it.
 
+    Left and right in units of the axis, bottom and top in rad.
+    """
+
+    along: Literal["gamma", "omega", "xi"] = "gamma"
+    gamma: Number | None = None
+    omega: Number | None = None
+    xi: Number | None = None
+    direction: Direction = None
+    min_flight: MinFlight = None
     left: Number | None = None
     right: Number | None = None
     bottom: Number = 0.0
@@ -166,9 +125,15 @@ class LineViewQuery(LineQuery):
     most: Annotated[int, Field(ge=0, le=1_000_000, description="flights sent as points")] = 250_000
 
 
-class PlaneViewQuery(PlaneQuery):
-    """A plane and a window of it: left and right in Γ, bottom and top in Ω."""
+class PlaneViewQuery(Query):
+    """Plane of the grid at the nearest ξ, in one direction, and a window of it: left and right in Γ."""
 
+    xi: Number | None = None
+    direction: Direction = None
+    min_flight: MinFlight = None
+    hysteresis: bool = Field(
+        False, description="of a sweep ramped both ways: where its directions differ as well"
+    )
     left: Number | None = None
     right: Number | None = None
     bottom: Number | None = None

@@ -1,4 +1,4 @@
-"""Domain errors as HTTP responses: the table of statuses, and the response to each error.
+"""Errors as HTTP responses.
 
 Errors are sent as `application/problem+json` (RFC 9457) with an extension: `errors`, a list of
 `{"field", "rule", "code"}`. Two exceptions need more than a status: `StoreDamaged` starts a repair, and
@@ -7,38 +7,20 @@ Errors are sent as `application/problem+json` (RFC 9457) with an extension: `err
 
 import json
 import logging
+import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.routing import Match, Mount
 
+from service.api.capacity import CLIENT_GONE
 from service.api.schemas import PartsView, PendingView
-from service.errors import (
-    BodyTimeout,
-    Busy,
-    CrossOriginRefused,
-    HostNotAllowed,
-    IllegalTransition,
-    InvalidRequest,
-    KeyReused,
-    LedgerUnavailable,
-    NoSpace,
-    NotComputed,
-    NotInstalled,
-    NotInStore,
-    OutdatedJob,
-    OutOfRange,
-    QueueFull,
-    TooLarge,
-    TooManyListeners,
-    Unauthenticated,
-    UnknownJob,
-    WrongMediaType,
-)
+from service.errors import LedgerUnavailable, ServiceError
 from service.jobs.on_demand import Pending
 from worker import store
 from worker.spec.errors import Problem, SpecError, SpecTooLarge, SpecUnreadable, code_of
@@ -46,45 +28,19 @@ from worker.store import StoreDamaged, StoreError
 
 log = logging.getLogger(__name__)
 
-#: Status of each error; the first class that matches counts. Any other exception is a defect: 500.
-STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
-    SpecUnreadable: HTTPStatus.BAD_REQUEST,
-    SpecTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-    SpecError: HTTPStatus.UNPROCESSABLE_ENTITY,
-    WrongMediaType: HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
-    BodyTimeout: HTTPStatus.REQUEST_TIMEOUT,
-    InvalidRequest: HTTPStatus.UNPROCESSABLE_ENTITY,
-    Unauthenticated: HTTPStatus.UNAUTHORIZED,
-    HostNotAllowed: HTTPStatus.MISDIRECTED_REQUEST,
-    CrossOriginRefused: HTTPStatus.FORBIDDEN,
-    UnknownJob: HTTPStatus.NOT_FOUND,
-    NotInStore: HTTPStatus.NOT_FOUND,
-    OutOfRange: HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
-    KeyReused: HTTPStatus.CONFLICT,
-    IllegalTransition: HTTPStatus.CONFLICT,
-    OutdatedJob: HTTPStatus.CONFLICT,
-    TooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-    QueueFull: HTTPStatus.TOO_MANY_REQUESTS,
-    Busy: HTTPStatus.TOO_MANY_REQUESTS,
-    TooManyListeners: HTTPStatus.SERVICE_UNAVAILABLE,
-    NotComputed: HTTPStatus.SERVICE_UNAVAILABLE,
-    NotInstalled: HTTPStatus.NOT_IMPLEMENTED,
-    NoSpace: HTTPStatus.INSUFFICIENT_STORAGE,
-    StoreError: HTTPStatus.INTERNAL_SERVER_ERROR,
-    **dict.fromkeys(store.UNREACHABLE, HTTPStatus.SERVICE_UNAVAILABLE),
-    LedgerUnavailable: HTTPStatus.SERVICE_UNAVAILABLE,
-    OSError: HTTPStatus.SERVICE_UNAVAILABLE,  # the data folder is missing or not accessible
+#: Statuses of errors that are not the service's own; the first class that matches counts. Any other exception
+#: is a defect: 500.
+FOREIGN: Final[Mapping[type[Exception], int]] = {
+    SpecUnreadable: 400,
+    SpecTooLarge: 413,
+    SpecError: 422,
+    StoreError: 500,
+    **dict.fromkeys(store.UNREACHABLE, 503),
+    OSError: 503,  # the data folder is missing or not accessible
 }
 
 #: Retry-After, in seconds.
-RETRY_AFTER: Final[Mapping[HTTPStatus, int]] = {
-    HTTPStatus.TOO_MANY_REQUESTS: 5,
-    HTTPStatus.SERVICE_UNAVAILABLE: 2,
-}
-
-
-#: Retry-After of a response that workers are computing, in seconds.
-PENDING_RETRY_AFTER: Final = 1
+RETRY_AFTER: Final[Mapping[int, int]] = {429: 5, 503: 2}
 
 
 class ProblemResponse(Response):
@@ -99,11 +55,9 @@ class ProblemResponse(Response):
         problems: Sequence[Problem] = (),
         headers: Mapping[str, str] | None = None,
     ) -> None:
-        status = HTTPStatus(status)
         own = {"Retry-After": str(RETRY_AFTER[status])} if status in RETRY_AFTER else {}
-        if status == HTTPStatus.UNAUTHORIZED:
-            own = {"WWW-Authenticate": "Bearer"}
-        document: dict[str, Any] = {"title": status.phrase, "status": int(status), "detail": detail}
+        title = HTTPStatus(status).phrase
+        document: dict[str, Any] = {"title": title, "status": status, "detail": detail}
         if problems:
             document["errors"] = [problem._asdict() for problem in problems]
         # json.dumps escapes lone surrogates, which a caller's input may contain; Pydantic refuses them.
@@ -111,18 +65,23 @@ class ProblemResponse(Response):
 
 
 def install(app: FastAPI) -> None:
-    """Register the handlers of all errors except defects, which `middleware.access_log` answers."""
-    for error_class in STATUS:
-        app.add_exception_handler(error_class, _refused)
+    """Register the handlers of all errors except defects, which `middleware` answers."""
+    classes: list[type[Exception]] = [ServiceError, *FOREIGN]
+    for error_class in classes:
+        app.add_exception_handler(error_class, lambda _, error: problem_response(error))
     app.add_exception_handler(StoreDamaged, _damaged)
     app.add_exception_handler(Pending, _pending)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(ClientDisconnect, lambda *_: Response(status_code=CLIENT_GONE))
 
 
 def problem_response(error: Exception) -> ProblemResponse:
-    """The response to an error in STATUS."""
-    status = next(status for error_class, status in STATUS.items() if isinstance(error, error_class))
+    """The response to an error of the service's own, or one in FOREIGN."""
+    if isinstance(error, ServiceError):
+        status = error.status
+    else:
+        status = next(status for error_class, status in FOREIGN.items() if isinstance(error, error_class))
     if isinstance(error, LedgerUnavailable):
         log.error("%s", error)
     if isinstance(error, store.UNREACHABLE):
@@ -132,84 +91,66 @@ def problem_response(error: Exception) -> ProblemResponse:
         log.error("the data folder cannot be used", exc_info=error)
         reason = error.strerror or type(error).__name__
         return ProblemResponse(status, f"the data folder cannot be used: {reason}; see the service log")
-    headers = {"Content-Range": f"bytes */{error.size}"} if isinstance(error, OutOfRange) else None
-    return ProblemResponse(status, str(error), getattr(error, "problems", ()), headers)
+    return ProblemResponse(status, str(error), getattr(error, "problems", ()))
 
 
 def internal_error(request_id: str) -> ProblemResponse:
     """The response to a defect of the service; the log has the traceback under the request's id."""
-    return ProblemResponse(
-        HTTPStatus.INTERNAL_SERVER_ERROR, f"internal error; see the service log (request {request_id})"
-    )
+    return ProblemResponse(500, f"internal error; see the service log (request {request_id})")
 
 
-def _refused(_: Request, error: Exception) -> Response:
-    return problem_response(error)
-
-
-def _damaged(request: Request, error: Exception) -> Response:
+def _damaged(request: Request, error: Any) -> Response:
     """Start the repair of damaged results; 503 with the chunks, or 500 if they cannot be repaired."""
     scrubber = request.app.state.service.manager.scrubber
-    chunks = cast(StoreDamaged, error).chunks
     try:
-        detail, lasting = scrubber.report(request.path_params.get("job_id", ""), chunks)
+        detail, lasting = scrubber.report(request.path_params.get("job_id", ""), error.chunks)
     except LedgerUnavailable as unavailable:  # for example missing stores
         return problem_response(unavailable)
-    status = HTTPStatus.INTERNAL_SERVER_ERROR if lasting else HTTPStatus.SERVICE_UNAVAILABLE
-    return ProblemResponse(status, detail)
+    return ProblemResponse(500 if lasting else 503, detail)
 
 
-def _pending(_: Request, error: Exception) -> Response:
+def _pending(_: Request, pending: Any) -> Response:
     """202 with the progress of the workers."""
-    pending = cast(Pending, error)
     percent = round(100.0 * pending.done / pending.total, 1)
     progress = PartsView(parts_done=pending.done, parts_total=pending.total, percent=percent)
     content = PendingView(progress=progress).model_dump_json()
-    return Response(content, 202, {"Retry-After": str(PENDING_RETRY_AFTER)}, "application/json")
+    return Response(content, 202, {"Retry-After": "1"}, "application/json")
 
 
-def _invalid(_: Request, error: Exception) -> Response:
+def _invalid(_: Request, error: Any) -> Response:
     """422 for query parameters and headers; without the input, which may not be valid JSON."""
-    entries = cast(RequestValidationError, error).errors()
-    problems = [Problem(_name(entry["loc"]), _rule(entry), code_of(entry["type"])) for entry in entries]
-    detail = "; ".join(map(str, problems))
-    return ProblemResponse(HTTPStatus.UNPROCESSABLE_ENTITY, detail, problems)
+    problems = [_problem(**entry) for entry in error.errors()]
+    return ProblemResponse(422, "; ".join(map(str, problems)), problems)
 
 
-def _name(location: Sequence[str | int]) -> str:
-    """`("query", "limit")` → `limit`."""
-    return ".".join(str(part) for part in location[1:]) or str(location[0])
-
-
-#: Rules in words for parameters that Pydantic checks by a pattern.
-_PATTERN_RULES: Final = {
+#: Rules in words for what Pydantic checks by a pattern, and for its other messages.
+_RULES: Final = {
     "cursor": "should be `next` of the page before",
     "idempotency-key": "should be made of ASCII characters, without spaces",
+    "extra_forbidden": "unknown parameter",
+    "missing": "is required",
 }
 
 
-def _rule(entry: Mapping[str, Any]) -> str:
-    if entry["type"] == "extra_forbidden":
-        return "unknown parameter"
-    if entry["type"] == "missing":
-        return "is required"
-    if entry["type"] == "string_pattern_mismatch":
-        return _PATTERN_RULES.get(str(entry["loc"][-1]), str(entry["msg"])).removeprefix("String ")
-    message = str(entry["msg"])
-    return message.removeprefix("Value error, ").removeprefix("Input ").removeprefix("String ")
+def _problem(type: str, loc: Sequence[str | int], msg: str, **_: Any) -> Problem:
+    """A broken rule of the parameter at `loc`: `("query", "limit")` is `limit`."""
+    name = ".".join(map(str, loc[1:])) or str(loc[0])
+    rule = _RULES.get(name if type == "string_pattern_mismatch" else type, msg)
+    return Problem(name, re.sub("^(Value error, |Input |String )", "", rule), code_of(type))
 
 
-def _http(request: Request, error: Exception) -> Response:
-    """Starlette's own 404 and 405."""
-    refusal = cast(HTTPException, error)
-    path = request.url.path
-    if refusal.status_code == HTTPStatus.NOT_FOUND:
-        return ProblemResponse(HTTPStatus.NOT_FOUND, f"no endpoint {path}; /docs lists the endpoints")
-    if refusal.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+def _http(request: Request, refusal: Any) -> Response:
+    """Refusals of `api` itself, and Starlette's 404 and 405, which have no detail of their own."""
+    status, path = refusal.status_code, request.url.path
+    if status == 304:
+        return Response(status_code=status, headers=refusal.headers)
+    if refusal.detail == "Not Found":
+        return ProblemResponse(status, f"no endpoint {path}; /docs lists the endpoints")
+    if status == 405:
         allowed = _allowed(request, (refusal.headers or {}).get("Allow", "GET"))
         detail = f"{path} does not support {request.method[:16]}"
-        return ProblemResponse(HTTPStatus.METHOD_NOT_ALLOWED, detail, headers={"Allow": ", ".join(allowed)})
-    return ProblemResponse(refusal.status_code, refusal.detail, headers=refusal.headers)
+        return ProblemResponse(status, detail, headers={"Allow": ", ".join(allowed)})
+    return ProblemResponse(status, refusal.detail, headers=refusal.headers)
 
 
 def _allowed(request: Request, named: str) -> list[str]:

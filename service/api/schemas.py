@@ -1,14 +1,14 @@
 """Response bodies of the HTTP API, as Pydantic models, and what the API document says of responses."""
 
 import json
+import math
 import time
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-from kernel.params import Outcome
 from service.formats import MEDIA_TYPES
 from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import choice_of
@@ -16,9 +16,6 @@ from service.views.registry import VIEWS
 from worker.analysis.model_selection import ModelChoice
 from worker.executors.base import Compiling
 from worker.spec.errors import Code
-
-#: The codes of outcomes in answers.
-OUTCOMES: Final = ", ".join(f"{outcome.value} {outcome.name.lower()}" for outcome in Outcome)
 
 #: Lists leave out a specification longer than this, in characters of JSON.
 LONG_SPEC: Final = 10_000
@@ -112,22 +109,6 @@ class JobList(BaseModel):
     next: str | None = Field(description="cursor of the next page; null on the last page")
 
 
-class EnergyView(BaseModel):
-    """Of one cycle: energies in mA²ω², momentum in mAω."""
-
-    plate_contact: float = Field(description="work of the plate in contact")
-    plate_impact: float = Field(description="work of the plate at the impact")
-    dashpot: float = Field(description="what the dashpot takes")
-    impact: float = Field(description="what the impact takes")
-    force: float = Field(description="integral of the contact force")
-    impulse: float = Field(description="of the impact")
-    weight: float = Field(description="4π periods/Γ, the impulse of gravity")
-
-
-#: Real and imaginary part; null where numbers are too far apart for it to be known.
-Multiplier = tuple[float | None, float | None]
-
-
 class BrokenRule(BaseModel):
     """A field and the rule that it breaks."""
 
@@ -188,7 +169,7 @@ class PendingView(BaseModel):
 def job_view(
     job: JobRecord,
     now: float | None = None,
-    longest_spec: int | None = None,
+    longest_spec: float = math.inf,
     failures: Sequence[Failure] = (),
     notice: str | None = None,
     compiling: Compiling | None = None,
@@ -197,49 +178,26 @@ def job_view(
 
     `notice` stands in for the job's own.
     """
+    here = f"/v1/jobs/{job.id}"
     return JobView(
-        id=job.id,
-        name=job.name,
-        state=job.state,
-        progress=ProgressView.model_validate(job.progress(time.time() if now is None else now)),
-        error=job.error,
-        kernel_version=job.kernel_version,
-        notice=notice or job.notice,
-        replaced_by=job.replaced_by,
-        owner=job.owner,
-        created=_time(job.created),
-        started=_time(job.started),
-        finished=None if job.repairing else _time(job.finished),
-        repairing=job.repairing,
-        pinned=job.pinned,
-        core_seconds=round(job.core_seconds, 3),
-        spec=None if longest_spec is not None and len(job.spec) > longest_spec else json.loads(job.spec),
-        compiling=None if compiling is None else CompilingView.model_validate(compiling),
-        choice=choice_of(job),
-        failures=[FailureView(**failure._asdict()) for failure in failures],
-        links=_links(job.id),
+        **vars(job)
+        | {
+            "progress": ProgressView.model_validate(job.progress(time.time() if now is None else now)),
+            "notice": notice or job.notice,
+            "repairing": job.repairing,
+            "finished": None if job.repairing else job.finished,
+            "core_seconds": round(job.core_seconds, 3),
+            "spec": json.loads(job.spec) if len(job.spec) <= longest_spec else None,
+            "compiling": None if compiling is None else CompilingView.model_validate(compiling),
+            "choice": choice_of(job),
+            "failures": [failure._asdict() for failure in failures],
+            "links": {"self": here, **{part: f"{here}/{part}" for part in (*_PARTS, *VIEWS)}},
+        }
     )
 
 
 #: Resources of a job beside its views.
-_PARTS: Final = (
-    "cancel",
-    "resume",
-    "pin",
-    "unpin",
-    "events",
-    "export",
-    "zarr",
-)
-
-
-def _links(job_id: str) -> dict[str, str]:
-    here = f"/v1/jobs/{job_id}"
-    return {"self": here, **{part: f"{here}/{part}" for part in (*_PARTS, *VIEWS)}}
-
-
-def _time(seconds: float | None) -> Any:
-    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
+_PARTS: Final = ("cancel", "resume", "pin", "unpin", "events", "export", "zarr")
 
 
 def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -257,3 +215,16 @@ def content(*formats: str) -> dict[int | str, dict[str, Any]]:
 PENDING_RESPONSE: Final[dict[int | str, dict[str, Any]]] = {
     202: {"model": PendingView, "description": "Being computed; repeat the request after Retry-After seconds"}
 }
+
+
+#: Entry of the API document for conditional requests.
+NOT_MODIFIED: Final[dict[int | str, dict[str, Any]]] = {
+    304: {"description": "The tag in If-None-Match is current"}
+}
+
+
+def json_body(*names: str) -> dict[str, Any]:
+    """What the API document says of a body that is one of these models."""
+    schemas = [{"$ref": f"#/components/schemas/{name}"} for name in names]
+    schema = schemas[0] if len(schemas) == 1 else {"oneOf": schemas}
+    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}

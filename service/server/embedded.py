@@ -7,18 +7,22 @@ block.
 import errno
 import gc
 import http.client
+import importlib
 import json
 import os
 import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
+import dask
+from distributed import Security
 from pydantic import SecretStr, ValidationError
 
 from service import address, tokens
@@ -26,13 +30,16 @@ from service.api.app import TITLE, create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotComputed, NotStarted
 from service.jobs.stores.adoption import open_ledger
-from service.server.cluster import connected_cluster
 from service.server.logging import log_to_stderr, quiet_libraries
 from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings
 from service.views import registry
+from worker.executors.admission import Probe
 from worker.executors.base import Executor
+from worker.executors.connection import SCHEDULER_SETTINGS
+from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
+from worker.executors.targets import CreatedCluster
 from worker.kernel_cache import CacheRefused
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
 
@@ -56,12 +63,11 @@ def settings(**overrides: Any) -> Settings:
     try:
         return Settings(**{name: value for name, value in overrides.items() if value is not None})
     except ValidationError as error:
-        rules = [": ".join([*map(str, entry["loc"]), _rule(entry["msg"])]) for entry in error.errors()]
+        rules = [
+            ": ".join([*map(str, entry["loc"]), entry["msg"].removeprefix("Value error, ")])
+            for entry in error.errors()
+        ]
         raise NotStarted("settings: " + "; ".join(rules)) from error
-
-
-def _rule(message: str) -> str:
-    return message.removeprefix("Value error, ")
 
 
 @contextmanager
@@ -72,18 +78,14 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
     an embedded cluster import the main module: a script that calls this needs `if __name__ == "__main__"`.
     Raises NotStarted, for example if another service uses the data folder or the port.
     """
-    with (
-        _listening(settings) as (listener, marker),
-        _with_own_token(settings, listener) as complete,
-        _computing(settings, marker, executor) as chosen,
-    ):
+    with _prepared(settings, executor) as (complete, listener, chosen):
         with _startup_errors():
             server = WebServer(create_app(complete, chosen), settings, listener)
         thread = threading.Thread(target=server.serve_until_stopped, name="bounce-server")
         thread.start()
         try:
             with _startup_errors():
-                url = server.wait_until_started()
+                url = server.url.result()
             yield url
         finally:
             server.should_exit = True
@@ -102,61 +104,35 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 
     raise_file_limit()
     sys.setswitchinterval(_SWITCH_SECONDS)
-    with (
-        _stopped_by_signals(),
-        log_to_stderr(settings.log_level),
-        _umask(settings),
-        _listening(settings) as (listener, marker),
-        _with_own_token(settings, listener) as complete,
-        _computing(settings, marker, None) as executor,
-        closing(Processes(settings.max_reads + settings.max_exports)) as background,
-        address.recorder(settings.data) as record,
-    ):
+    with ExitStack() as stack:
+        stack.enter_context(_stopped_by_signals())
+        stack.enter_context(log_to_stderr(settings.log_level))
+        if settings.private:  # of this process and its workers, which is why `running` does not
+            stack.callback(os.umask, os.umask(_PRIVATE_UMASK))
+        complete, listener, executor = stack.enter_context(_prepared(settings, None))
+        background = stack.enter_context(closing(Processes(settings.max_reads + settings.max_exports)))
+        record = stack.enter_context(address.recorder(settings.data))
         threading.Thread(target=_warm_answers, args=[background], name="warm-answers", daemon=True).start()
         with _startup_errors():
             app = create_app(complete, executor, background)
             server = WebServer(app, settings, listener, announce_url, quiet_libraries)
         server.serve_until_stopped()
         with _startup_errors():
-            server.wait_until_started()
+            server.url.result()
     gc.freeze()  # collecting the objects of compiled kernels at exit would take seconds
 
 
-@contextmanager
-def _umask(settings: Settings) -> Iterator[None]:
-    """During the block, create files for this user alone, in this process and its workers.
-
-    Only for the process of a service: the umask applies to all threads.
-    """
-    if not settings.private:
-        yield
-        return
-    previous = os.umask(_PRIVATE_UMASK)
-    try:
-        yield
-    finally:
-        os.umask(previous)
-
-
 class _Stopped(BaseException):
-    """SIGINT or SIGTERM arrived. Like KeyboardInterrupt, no handler of Exception catches it."""
-
-    def __init__(self, number: int) -> None:
-        self.number = number
+    """SIGTERM arrived. Like KeyboardInterrupt, no handler of Exception catches it."""
 
 
 @contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """SIGINT and SIGTERM end the block, also during startup; while serving, uvicorn handles them.
-
-    After SIGINT, raises KeyboardInterrupt.
-    """
+    """SIGINT and SIGTERM end the block, also during startup; while serving, uvicorn handles them."""
     previous = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
-    except _Stopped as stopped:
-        if stopped.number == signal.SIGINT:
-            raise KeyboardInterrupt from None
+        with suppress(_Stopped):
+            yield
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
@@ -164,16 +140,18 @@ def _stopped_by_signals() -> Iterator[None]:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     quiet_libraries()
-    raise _Stopped(number)
+    raise KeyboardInterrupt if number == signal.SIGINT else _Stopped
 
 
 @contextmanager
 def _startup_errors() -> Iterator[None]:
-    """Turn errors of data folder, ledger and kernel cache into NotStarted; defects stay as they are."""
+    """Turn errors of data folder, ledger, kernel cache and cluster into NotStarted, but no defects."""
     try:
         yield
-    except (LedgerUnavailable, CacheRefused) as error:
+    except (LedgerUnavailable, CacheRefused, ClusterLost) as error:
         raise NotStarted(str(error)) from error
+    except NotOurs as error:
+        raise NotStarted(f"{error}; name another folder with BOUNCE_DATA or BOUNCE_STORES") from error
     except OSError as error:
         raise NotStarted(f"{error.filename or 'the data folder'}: {error.strerror or error}") from error
 
@@ -186,11 +164,31 @@ def _summary(settings: Settings) -> str:
 
 
 @contextmanager
-def _listening(settings: Settings) -> Iterator[tuple[socket.socket, str]]:
-    """A socket bound to the address of the settings, and the mark of the stores.
+def _prepared(
+    settings: Settings, executor: Executor | None
+) -> Iterator[tuple[Settings, socket.socket, Executor]]:
+    """The settings with the service's own token, a bound socket, and `executor` or the settings' cluster.
 
-    Checks port and data folder before the slow startup.
+    Checks port and data folder before the slow startup. Raises NotStarted.
     """
+    with ExitStack() as stack:
+        listener = stack.enter_context(_bound(settings))
+        # Processes started meanwhile do not inherit a token: workers need none.
+        if (inherited := os.environ.pop(_TOKEN_VARIABLE, None)) is not None:
+            stack.callback(os.environ.__setitem__, _TOKEN_VARIABLE, inherited)
+        with _startup_errors():
+            marker = _opened(settings)
+            if settings.makes_token:
+                token = tokens.own_token(settings.data, port=listener.getsockname()[1])
+                stack.callback(_forget_port, settings.data)
+                settings = settings.model_copy(update={"token": SecretStr(token)})
+            if executor is None:
+                executor = stack.enter_context(closing(connected_cluster(settings, marker)))
+        yield settings, listener, executor
+
+
+def _bound(settings: Settings) -> socket.socket:
+    """A socket bound to the address of the settings."""
     host, port = settings.host, settings.port
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -202,16 +200,19 @@ def _listening(settings: Settings) -> Iterator[tuple[socket.socket, str]]:
         raise NotStarted(f"cannot listen on {host} port {port}: {reason}") from error
     # Connections inherit it; without it, delayed acknowledgements slow each response by 40 ms.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    with listener:
-        with _startup_errors():
-            if settings.private:
-                _make_private(settings.folders)
-            with open_ledger(settings) as ledger, ledger.reading() as reading:
-                marker, _ = reading.marker()
-            if settings.private:  # SQLite gives the files that it adds to a ledger the same permissions
-                for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
-                    file.chmod(PRIVATE_FILE)
-        yield listener, marker
+    return listener
+
+
+def _opened(settings: Settings) -> str:
+    """The mark of the stores; creates the data folders, and closes them to other users. Raises NotOurs."""
+    for folder in settings.folders if settings.private else ():
+        make_private(folder)
+    with open_ledger(settings) as ledger, ledger.reading() as reading:
+        marker, _ = reading.marker()
+    if settings.private:  # SQLite gives the files that it adds to a ledger the same permissions
+        for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
+            file.chmod(PRIVATE_FILE)
+    return marker
 
 
 def _who_answers(host: str, port: int, data: Path) -> str:
@@ -238,51 +239,49 @@ def _answer(connection: http.client.HTTPConnection, path: str, token: str | None
     return json.loads(connection.getresponse().read(_MOST_BYTES))
 
 
-def _make_private(folders: Iterable[Path]) -> None:
-    """Create the data folders, or close them to other users. Raises NotStarted."""
-    for folder in folders:
-        try:
-            make_private(folder)
-        except NotOurs as error:
-            raise NotStarted(f"{error}; name another folder with BOUNCE_DATA or BOUNCE_STORES") from error
+def connected_cluster(settings: Settings, marker: str) -> Dask:
+    """A connection to the cluster of the settings, which closes one created for it. Raises ClusterLost.
 
-
-@contextmanager
-def _with_own_token(settings: Settings, listener: socket.socket) -> Iterator[Settings]:
-    """The settings, with the service's own token if it makes one; clients find it during the block.
-
-    Processes started meanwhile do not inherit a token: workers need none. Raises NotStarted.
+    marker: the mark of the stores, by which workers prove their access.
     """
-    inherited = os.environ.pop(_TOKEN_VARIABLE, None)
+    name, tls = settings.cluster, None
+    if settings.scheduler_ca is not None:
+        tls = Security(  # type: ignore[no-untyped-call]
+            require_encryption=True,
+            tls_ca_file=str(settings.scheduler_ca),
+            tls_client_cert=str(settings.scheduler_cert),
+            tls_client_key=str(settings.scheduler_key),
+        )
+    return Dask(
+        settings.scheduler if name is None else CreatedCluster(partial(_create, name), name),
+        scheduler_file=settings.scheduler_file,
+        security=tls,
+        workers=settings.workers,
+        memory=settings.worker_memory,
+        stores=Probe(settings.stores_url, marker),
+    )
+
+
+def _create(name: str) -> Any:
+    """The cluster returned by the function `module:function`. Raises its errors."""
+    module, _, function = name.partition(":")
+    # For a scheduler in this process; a remote one must be started with these settings.
+    dask.config.set(SCHEDULER_SETTINGS)
+    # The current folder comes last, and for this import only: anyone who can write to it could name a file
+    # like a library that is imported later.
+    folder = str(Path.cwd())
+    sys.path.append(folder)
     try:
-        if not settings.makes_token:
-            yield settings
-            return
-        with _startup_errors():
-            token = tokens.own_token(settings.data, port=listener.getsockname()[1])
-        try:
-            yield settings.model_copy(update={"token": SecretStr(token)})
-        finally:
-            with suppress(OSError):  # the folder may be gone
-                tokens.own_token(settings.data, port=None)
+        imported = importlib.import_module(module)
     finally:
-        if inherited is not None:
-            os.environ[_TOKEN_VARIABLE] = inherited
+        sys.path.remove(folder)
+    return getattr(imported, function)()
 
 
-@contextmanager
-def _computing(settings: Settings, marker: str, executor: Executor | None) -> Iterator[Executor]:
-    """`executor`, or the cluster of the settings during the block. Raises NotStarted."""
-    if executor is not None:
-        yield executor
-        return
-    with ExitStack() as stack:
-        with _startup_errors():
-            try:
-                cluster = stack.enter_context(connected_cluster(settings, marker))
-            except ClusterLost as error:
-                raise NotStarted(str(error)) from error
-        yield cluster
+def _forget_port(data: Path) -> None:
+    """Record that the service does not run."""
+    with suppress(OSError):  # the folder may be gone
+        tokens.own_token(data, port=None)
 
 
 def _warm_answers(background: Processes) -> None:

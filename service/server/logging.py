@@ -45,32 +45,34 @@ class OncePerSecond(logging.Filter):
 
     def __init__(self) -> None:
         super().__init__()
-        self._last: dict[tuple[str, str], float] = {}
-        self._left_out: dict[tuple[str, str], int] = {}
+        self._seen: dict[tuple[str, str], tuple[float, int]] = {}  # when last, how many left out since
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Called by logging."""
         if record.name.partition(".")[0] not in _LIBRARIES:
             return True
         message = (record.name, str(record.msg).partition("\n")[0])  # before its arguments are filled in
-        now = time.monotonic()
-        if now - self._last.get(message, -math.inf) < 1.0:
-            self._left_out[message] = self._left_out.get(message, 0) + 1
+        now, (last, left_out) = time.monotonic(), self._seen.get(message, (-math.inf, 0))
+        if now - last < 1.0:
+            self._seen[message] = last, left_out + 1
             return False
-        if len(self._last) > _MESSAGES:
-            self._last.clear()
-            self._left_out.clear()
-        self._last[message] = now
-        if left_out := self._left_out.pop(message, 0):
+        if len(self._seen) > _MESSAGES:
+            self._seen.clear()
+        self._seen[message] = now, 0
+        if left_out:
             record.fields = {"left_out": left_out}
         return True
 
 
+def _library_loggers() -> list[logging.Logger]:
+    names = list(logging.root.manager.loggerDict)
+    return [logging.getLogger(name) for name in names if name.partition(".")[0] in _LIBRARIES]
+
+
 def quiet_libraries() -> None:
     """Drop libraries' messages about connections that end because the process does."""
-    for name in list(logging.root.manager.loggerDict):
-        if name.split(".")[0] in _LIBRARIES:
-            logging.getLogger(name).disabled = True
+    for logger in _library_loggers():
+        logger.disabled = True
 
 
 @contextmanager
@@ -83,12 +85,10 @@ def log_to_stderr(level: str) -> Iterator[None]:
     root.addHandler(handler)
     for name in _OWN:
         logging.getLogger(name).setLevel(level.upper())
-    for name in list(logging.root.manager.loggerDict):
-        if name.split(".")[0] in _LIBRARIES:
-            logger = logging.getLogger(name)
-            logger.handlers.clear()
-            logger.propagate = True
-            logger.setLevel(max(logger.level, logging.WARNING))
+    for logger in _library_loggers():
+        logger.handlers.clear()
+        logger.propagate = True
+        logger.setLevel(max(logger.level, logging.WARNING))
     try:
         yield
     finally:

@@ -5,13 +5,12 @@ import logging
 import math
 import resource
 import socket
-import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any, Final
 
 import uvicorn
 from fastapi import FastAPI
-from starlette.types import Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from service.errors import NotStarted
@@ -36,7 +35,7 @@ _TIMEOUT_RESPONSE: Final = b"HTTP/1.1 408 Request Timeout\r\nContent-Length: 0\r
 
 
 class WebServer(uvicorn.Server):
-    """Serves an application on a bound socket; run it in one thread, wait in any."""
+    """Serves an application on a bound socket; run it in one thread, wait for its `url` in any."""
 
     def __init__(
         self,
@@ -46,12 +45,12 @@ class WebServer(uvicorn.Server):
         on_start: Callable[[str], None] = lambda url: None,
         on_stop: Callable[[], None] = lambda: None,
     ) -> None:
-        self._app, self._listener = _Application(app), listener
-        self._on_start, self._on_stop = on_start, on_stop
-        self._started_or_failed = threading.Event()
+        self._app, self._listener, self._on_start, self._on_stop = app, listener, on_start, on_stop
+        #: Once it has started; else the error of the startup, or NotStarted if it was stopped before.
+        self.url: Future[str] = Future()
         super().__init__(
             uvicorn.Config(
-                self._app,
+                app,
                 http=limited(settings.body_seconds, connections_allowed(), settings.stall_seconds),
                 lifespan="on",
                 backlog=ACCEPTED_AT_A_TIME,
@@ -70,74 +69,48 @@ class WebServer(uvicorn.Server):
         except SystemExit:  # uvicorn's reaction to a failed startup
             pass
         finally:
-            self._started_or_failed.set()
-
-    def wait_until_started(self) -> str:
-        """Wait for the end of the startup; returns the URL, or raises the startup's error.
-
-        Raises NotStarted if the server was stopped before it had started.
-        """
-        self._started_or_failed.wait()
-        if not self.started:
-            raise self._app.startup_error or NotStarted("the service was stopped before it had started")
-        return self._url
+            if not self.url.done():
+                stopped = NotStarted("the service was stopped before it had started")
+                self.url.set_exception(getattr(self._app.state, "startup_error", stopped))
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Called by uvicorn, after the startup of the application."""
-        host, port = self._listener.getsockname()[:2]
-        self._url = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
         await super().startup(sockets)
         self._listener.listen(BACKLOG)  # asyncio has one number for both
         _LOG.setLevel(logging.WARNING)
-        self._on_start(self._url)
-        self._started_or_failed.set()
+        host, port = self._listener.getsockname()[:2]
+        url = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+        self._on_start(url)
+        self.url.set_result(url)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Called by uvicorn; first ends event streams, which would otherwise last as long as their jobs."""
         self._on_stop()
-        self._app.close_streams()
+        self._app.state.service.progress_stream.close()
         await super().shutdown(sockets)
-
-
-class _Application:
-    """The application, keeping the error of a failed startup, which uvicorn only logs."""
-
-    def __init__(self, app: FastAPI) -> None:
-        self._app = app
-        self.startup_error: Exception | None = None
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        try:
-            await self._app(scope, receive, send)
-        except Exception as error:
-            if scope["type"] == "lifespan":
-                self.startup_error = error
-            raise
-
-    def close_streams(self) -> None:
-        service = getattr(self._app.state, "service", None)
-        if service is not None:
-            service.progress_stream.close()
 
 
 class Limited(H11Protocol):
     """Request-header timeout, timeout of clients that do not read, and limit of connections.
 
     Closes a connection unless the head of a request is complete within `timeout` seconds from its first byte,
-    or from the opening of the connection. `api.middleware.body_limit` limits the body. A connection above
-    `limit` is answered with 503: without a limit, connections could take all files of the process.
-    A client that reads nothing for `stall` seconds is disconnected, because its answer is in memory.
+    or from the opening of the connection. `api.dependencies` limits the body. A connection above `limit` is
+    answered with 503: without a limit, connections could take all files of the process. A client that reads
+    nothing for `stall` seconds is disconnected by the system, because its answer is in memory.
     """
 
     timeout = 10.0
     limit = OTHER_FILES
     stall = 60.0
-    _stalled: asyncio.TimerHandle | None = None
     _timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
         """Called by the event loop."""
         super().connection_made(transport)
+        milliseconds = int(1000 * min(self.stall, 2e6))
+        transport.get_extra_info("socket").setsockopt(
+            socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds
+        )
         if len(self.connections) > self.limit:
             transport.write(_FULL_RESPONSE)
             transport.close()
@@ -147,31 +120,7 @@ class Limited(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Called by the event loop."""
         self._stop_timer()
-        self._stop_stalled()
         super().connection_lost(exc)
-
-    def pause_writing(self) -> None:
-        """Called by the transport when the client does not read as fast as the service writes."""
-        super().pause_writing()
-        self._watch_reader(0)
-
-    def resume_writing(self) -> None:
-        """Called by the transport when the client has read."""
-        self._stop_stalled()
-        super().resume_writing()
-
-    def _watch_reader(self, before: int) -> None:
-        """Disconnect a client with as many waiting bytes as `stall` seconds ago."""
-        waiting = self.transport.get_write_buffer_size()
-        if waiting == before:
-            self.transport.abort()
-        else:
-            self._stalled = self.loop.call_later(self.stall, self._watch_reader, waiting)
-
-    def _stop_stalled(self) -> None:
-        if self._stalled is not None:
-            self._stalled.cancel()
-            self._stalled = None
 
     def data_received(self, data: bytes) -> None:
         """Called by the event loop."""

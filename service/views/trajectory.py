@@ -1,11 +1,11 @@
 """The motion of one cell while the caller waits: plate, masses and contact force, sample by sample."""
 
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
 import xarray
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from kernel.branches.energy import energy
 from kernel.branches.events import branch
@@ -28,11 +28,12 @@ from worker import schema
 from worker.basins.spec import MAX_HEIGHT, BasinSpec, MultistabilitySpec
 from worker.basins.starts import contact_states, drop_states
 from worker.cost import period_seconds
-from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec, parsing
-from worker.spec.axes import NUMBER, WHOLE, Strict
-from worker.spec.contact_models import Contact, Rigid, Soft, model_fields, penetration_of
-from worker.spec.errors import BrokenRuleError, SpecInvalid, describe, one_of, problems_of
+from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec
+from worker.spec.axes import NUMBER, WHOLE, Strict, kind_of
+from worker.spec.contact_models import Contact, Rigid, Soft, penetration_of
+from worker.spec.errors import BrokenRuleError, describe, one_of
 from worker.spec.protocols import MAX_START_PERIODS, OnCycle
+from worker.spec.specification import Document
 from worker.spec.sweep import WITH_CYCLES, no_cycle
 from worker.tasks import plate_of, run_cells
 
@@ -101,16 +102,18 @@ _STARTS: Final[dict[str, type[Strict]]] = {"cycle": CyclePoint, "drop": DropStar
 def _start_tag(value: object) -> str:
     """Tags of the kinds of starts; a start without a known kind is read as a cycle, which names the kinds."""
     if value is None:
-        return "<rest>"
-    kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
-    return f"<{kind}>" if isinstance(kind, str) and kind in _STARTS else "<cycle>"
+        return "<null>"
+    kind = kind_of(value)
+    return (_STARTS.get(kind, CyclePoint) if isinstance(kind, str) else CyclePoint).tag()
 
 
-class TrajectorySpec(Strict):
+class TrajectorySpec(Document):
     """One cell, the plate periods before and during the samples, and the samples per period.
 
     With a `start` the samples begin on a cycle, with a drop or in contact, and `settle` is 0.
     """
+
+    WHAT: ClassVar = "a trajectory"
 
     gamma: Annotated[float, Field(ge=SMALLEST, le=LARGEST), NUMBER]
     omega: Annotated[float, Field(ge=SMALLEST, le=LARGEST), NUMBER]
@@ -120,20 +123,17 @@ class TrajectorySpec(Strict):
     periods: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 4
     samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 200
     start: Annotated[
-        Annotated[CyclePoint, Tag("<cycle>")]
-        | Annotated[DropStart, Tag("<drop>")]
-        | Annotated[ContactStart, Tag("<contact>")]
-        | Annotated[None, Tag("<rest>")],
+        Annotated[CyclePoint, Tag(CyclePoint.tag())]
+        | Annotated[DropStart, Tag(DropStart.tag())]
+        | Annotated[ContactStart, Tag(ContactStart.tag())]
+        | Annotated[None, Tag("<null>")],
         Discriminator(_start_tag),
     ] = None
 
     def __init__(self, /, **data: object) -> None:
         if data.get("start") is not None:
             data = {"settle": 0} | data
-        try:
-            super().__init__(**data)
-        except ValidationError as error:
-            raise SpecInvalid(problems_of(error, _fields())) from None
+        super().__init__(**data)
 
     @model_validator(mode="after")
     def _starts_elsewhere_than_at_rest(self) -> Self:
@@ -151,25 +151,12 @@ class TrajectorySpec(Strict):
             raise BrokenRuleError("start", rule)
         return self
 
-    @classmethod
-    def from_json(cls, text: bytes) -> Self:
-        """From JSON text. Raises SpecUnreadable or SpecInvalid."""
-        return cls(**parsing.fields_of(parsing.read_json(text), "a trajectory"))
-
     def sweep(self) -> SweepSpec:
         """The sweep of this one cell that ends where the samples begin. Raises SpecInvalid."""
         return SweepSpec(
             gamma=self.gamma, omega=self.omega, xi=self.xi, model=self.model,
             settle=max(self.settle - 1, 0), observe=1, keep=1,
         )  # fmt: skip
-
-
-def _fields() -> dict[str, tuple[str, ...]]:
-    return {
-        "": tuple(TrajectorySpec.model_fields),
-        **{f"<{kind}>": tuple(start.model_fields) for kind, start in _STARTS.items()},
-        **model_fields(),
-    }
 
 
 _LENGTH: Final = "plate amplitudes"

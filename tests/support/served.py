@@ -109,7 +109,7 @@ def taken(client: TestClient, activity: str, *, slots: int = 1, memory: int = 0)
         yield
     finally:
         for lease in leases:
-            loop.call(lease.release)
+            loop.call(lease.keep, 0)
 
 
 def get(client: TestClient, path: str, **query: Any) -> Any:

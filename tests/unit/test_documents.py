@@ -236,10 +236,16 @@ def test_the_fields_of_a_job_are_listed(api: dict[str, Any]):
 
 
 def test_every_status_is_explained():
-    from service.api.problems import STATUS
+    from service import errors
+    from service.api.problems import FOREIGN
 
     explained = {int(row[0]) for row in table("docs/http-api.md", "## Errors")}
-    assert {int(status) for status in STATUS.values()} | {400, 404, 405, 422, 500} == explained
+    own = {
+        error.status
+        for error in vars(errors).values()
+        if isinstance(error, type) and hasattr(error, "status")
+    }
+    assert own | set(FOREIGN.values()) | {401, 403, 404, 405, 408, 415, 416, 421} == explained
 
 
 def test_every_command_is_listed():

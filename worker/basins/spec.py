@@ -1,7 +1,6 @@
 """The specifications of basins and of multistability: a plane of starts in each cell of a grid."""
 
 import math
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
@@ -10,7 +9,7 @@ from pydantic import Field, model_validator
 
 from worker.spec import AXES, SpecError, SweepSpec
 from worker.spec.axes import NUMBER, WHOLE, Strict
-from worker.spec.contact_models import Auto, Ball, Contact, Soft, model_fields
+from worker.spec.contact_models import Auto, Ball, Contact, Soft
 from worker.spec.errors import BrokenRuleError, did_you_mean
 from worker.spec.specification import Specification
 from worker.spec.sweep import (
@@ -142,11 +141,6 @@ class GridSpec(Specification):
             problem = error.problems[0]
             raise BrokenRuleError(*problem) from error
         return self
-
-    @classmethod
-    def objects(cls) -> Mapping[str, tuple[str, ...]]:
-        """As for every specification, with the contact models."""
-        return {**super().objects(), **model_fields()}
 
     @property
     def shape(self) -> tuple[int, int, int]:

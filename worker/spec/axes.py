@@ -1,6 +1,6 @@
 """Axes of a sweep: a number, a list of numbers, or a range."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
 from typing import Annotated, Any, Final, Literal
 
@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from worker.spec.errors import BrokenRuleError, describe
+from worker.spec.errors import BrokenRuleError, describe, did_you_mean, one_of
 
 #: Checked before any value of a range is computed.
 MAX_AXIS_VALUES: Final = 100_000
@@ -27,6 +27,32 @@ class Strict(BaseModel):
     """A frozen value object: no coercion, no unknown fields."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    @classmethod
+    def tag(cls) -> str:
+        """The tag of this class in unions: it leads from an error to the names of its fields."""
+        return f"<{cls.__name__}>"
+
+
+def kind_of(value: object, default: str | None = None) -> Any:
+    """The `kind` of an object with one, or of its fields."""
+    return value.get("kind", default) if isinstance(value, dict) else getattr(value, "kind", None)
+
+
+def check_kind(
+    value: object, table: Mapping[str, object], offered: Iterable[str], default: str | None = None
+) -> object:
+    """The value, whose `kind` is in the table. Raises BrokenRuleError, which names the kinds offered."""
+    if not isinstance(value, dict | Strict):
+        example = next(iter(table))
+        raise BrokenRuleError("", f'must be an object such as {{"kind": "{example}"}}, not {describe(value)}')
+    kind = kind_of(value, default)
+    if isinstance(kind, str) and kind in table:
+        return value
+    if kind is None and "kind" not in dict(value):
+        raise BrokenRuleError("kind", f"is required: {one_of(offered)}")
+    rule = f"must be {one_of(offered)}, not {describe(kind)}{did_you_mean(kind, table)}"
+    raise BrokenRuleError("kind", rule)
 
 
 def _plain(value: object) -> object:
@@ -116,7 +142,7 @@ def _increasing(values: tuple[float, ...]) -> tuple[float, ...]:
 
 def _form(value: object) -> str:
     if isinstance(value, dict | Range):
-        return "<range>"
+        return Range.tag()
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0):
         return "<list>"
     return "<number>"
@@ -132,7 +158,7 @@ def _number_or_forms(value: object) -> object:
 Axis = Annotated[
     Annotated[Number, BeforeValidator(_number_or_forms), Tag("<number>")]
     | Annotated[tuple[Number, ...], BeforeValidator(_to_tuple), AfterValidator(_increasing), Tag("<list>")]
-    | Annotated[Range, Tag("<range>")],
+    | Annotated[Range, Tag(Range.tag())],
     Discriminator(_form),
 ]
 

@@ -5,7 +5,7 @@ Imports no numba: the table names a model's kernel module, and the tasks that co
 
 import functools
 import operator
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,8 @@ from pydantic import BeforeValidator, Discriminator, Field, GetCoreSchemaHandler
 from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, LANES, SPRING_DIMENSION
 from kernel.restitution import restitution_of as spring_restitution
 from kernel.step_limits import steps_per_period
-from worker.spec.axes import NUMBER, WHOLE, Strict
-from worker.spec.errors import BrokenRuleError, describe, did_you_mean, one_of
+from worker.spec.axes import NUMBER, WHOLE, Strict, check_kind, kind_of
+from worker.spec.errors import BrokenRuleError
 
 #: Range of contact depths d = delta_c/A that double precision can represent.
 MIN_PENETRATION: Final = 1e-12
@@ -48,6 +48,11 @@ _Restitution = Annotated[float, Field(ge=0.0, le=1.0), NUMBER]
 class ContactFields(Strict):
     """Contact fields of a specification; `kind` names the row of CONTACT_MODELS."""
 
+    #: Whether the kernel computes cells, or lines of a ramp, side by side.
+    in_lanes: ClassVar[bool] = False
+    #: Dimension of the state in contact and flight; 0 where no variations are computed.
+    dimension: ClassVar[int] = 0
+
     kind: str
 
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
@@ -62,14 +67,9 @@ class ContactFields(Strict):
         return base
 
     @property
-    def in_lanes(self) -> bool:
-        """Whether the kernel computes cells, or lines of a ramp, side by side."""
-        return False
-
-    @property
     def exponents(self) -> int:
         """Maximum Lyapunov exponents that can be computed with this contact; 0: none."""
-        return 0
+        return self.dimension
 
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
@@ -119,6 +119,9 @@ class _SoftContact(ContactFields):
 class Soft(_SoftContact):
     """Spring-dashpot contact, solved exactly."""
 
+    in_lanes: ClassVar = True
+    dimension: ClassVar = SPRING_DIMENSION
+
     kind: Literal["soft"] = "soft"
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
@@ -126,14 +129,6 @@ class Soft(_SoftContact):
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         decades = float(np.mean(np.log10(DEFAULT_PENETRATION / depths)))
         return _side_by_side(base + SOFT_DECADE_US * max(decades, 0.0), SOFT_ALONE_US, at_once)
-
-    @property
-    def in_lanes(self) -> bool:
-        return True
-
-    @property
-    def exponents(self) -> int:
-        return SPRING_DIMENSION
 
 
 class Stepped(_SoftContact):
@@ -167,6 +162,8 @@ class Stepped(_SoftContact):
 class Rigid(ContactFields):
     """Ideal plate; restitution 0 sticks at once."""
 
+    in_lanes: ClassVar = True
+
     kind: Literal["rigid"] = "rigid"
     restitution: _Restitution = 0.0
 
@@ -180,16 +177,14 @@ class Rigid(ContactFields):
         return _side_by_side(base, RIGID_ALONE_US, at_once)
 
     @property
-    def in_lanes(self) -> bool:
-        return True
-
-    @property
     def exponents(self) -> int:
         return SPRING_DIMENSION if self.restitution > 0.0 else INELASTIC_DIMENSION
 
 
 class Ball(ContactFields):
     """One rigid point mass; restitution null takes the spring's own, f(xi)."""
+
+    dimension: ClassVar = BALL_DIMENSION
 
     kind: Literal["ball"] = "ball"
     restitution: Annotated[float, Field(ge=0.0, lt=1.0), NUMBER] | None = None
@@ -198,13 +193,11 @@ class Ball(ContactFields):
         e = spring_restitution(xi) if self.restitution is None else np.full(np.shape(xi), self.restitution)
         return {"restitution": e}
 
-    @property
-    def exponents(self) -> int:
-        return BALL_DIMENSION
-
 
 class Auto(_SoftContact):
     """The cheapest model within `tolerance` (rad of flight time) of exact soft."""
+
+    in_lanes: ClassVar = True
 
     kind: Literal["auto"] = "auto"
     tolerance: Annotated[float, NUMBER] = 1e-3
@@ -222,10 +215,6 @@ class Auto(_SoftContact):
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """Until a model is chosen, the exact one's cost."""
         return self.exact.cost_us(base, gamma, omega, at_once=at_once)
-
-    @property
-    def in_lanes(self) -> bool:
-        return self.exact.in_lanes
 
     @property
     def exact(self) -> Soft:
@@ -257,36 +246,16 @@ CONTACT_MODELS: Final[dict[str, ContactModel]] = {
 }
 
 
-def model_fields() -> dict[str, tuple[str, ...]]:
-    """The field names of every contact model by its tag, for `errors.problems_of`."""
-    return {f"<{kind}>": tuple(model.fields.model_fields) for kind, model in CONTACT_MODELS.items()}
-
-
-def _kind_of(value: object) -> object:
-    return value.get("kind", "soft") if isinstance(value, dict) else getattr(value, "kind", None)
-
-
-def _check_kind(value: object) -> object:
-    if not isinstance(value, dict | Strict):
-        raise BrokenRuleError("", f'must be an object such as {{"kind": "soft"}}, not {describe(value)}')
-    kind = _kind_of(value)
-    if isinstance(kind, str) and kind in CONTACT_MODELS:
-        return value
-    rule = f"must be {one_of(CONTACT_MODELS)}, not {describe(kind)}{did_you_mean(kind, CONTACT_MODELS)}"
-    raise BrokenRuleError("kind", rule)
-
-
 class _Contact:
     """Union of the table's contacts, read when pydantic builds the schema of a specification."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
-        tagged: list[Any] = [
-            Annotated[model.fields, Tag(f"<{kind}>")] for kind, model in CONTACT_MODELS.items()
-        ]
-        discriminator = Discriminator(lambda value: f"<{_kind_of(value)}>")
+        tagged = [Annotated[model.fields, Tag(model.fields.tag())] for model in CONTACT_MODELS.values()]
+        discriminator = Discriminator(lambda value: CONTACT_MODELS[kind_of(value, "soft")].fields.tag())
+        check = BeforeValidator(lambda value: check_kind(value, CONTACT_MODELS, CONTACT_MODELS, "soft"))
         return handler.generate_schema(
-            Annotated[functools.reduce(operator.or_, tagged), discriminator, BeforeValidator(_check_kind)]
+            Annotated[functools.reduce(operator.or_, tagged), discriminator, check]
         )
 
 

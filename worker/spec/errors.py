@@ -1,36 +1,13 @@
-"""Errors of a specification, one line per problem: the field, the rule, and the nearest valid value.
-
-ValueError
-├── SpecError               a specification cannot be used; `problems` lists why
-│   ├── SpecUnreadable      the text is not JSON or TOML
-│   ├── SpecInvalid         a field breaks a rule
-│   └── SpecTooLarge        the sweep has more cells or bytes than allowed
-└── BrokenRuleError         raised by validators; converted to SpecInvalid
-"""
+"""Errors of a specification, one line per problem: the field, the rule, and the nearest valid value."""
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, Literal, NamedTuple
 
 from pydantic import ValidationError
 
-#: One entry of `ValidationError.errors()`: type, loc, msg, input, ctx.
-_Entry = Mapping[str, Any]
-
 #: Problems listed in one error; the others are only counted.
 MAX_PROBLEMS: Final = 20
-
-
-_DESCRIPTIONS: Final[tuple[tuple[type, Callable[[Any], str]], ...]] = (
-    (type(None), lambda _: "null"),
-    (bool, lambda value: "true" if value else "false"),
-    (int, repr),
-    (float, repr),
-    (str, lambda value: f"text {_shorten(ascii(value))}"),
-    (dict, lambda _: "an object"),
-    (list, lambda value: f"a list of {len(value)}"),
-    (tuple, lambda value: f"a list of {len(value)}"),
-)
 
 
 #: Kind of a broken rule, for programs: the field is missing, unknown, or of another type; else "rule".
@@ -60,7 +37,7 @@ class SpecError(ValueError):
 
 
 class SpecUnreadable(SpecError):
-    """The text is not JSON or TOML."""
+    """The text is not JSON, TOML or YAML."""
 
 
 class SpecInvalid(SpecError):
@@ -72,7 +49,7 @@ class SpecTooLarge(SpecError):
 
 
 class BrokenRuleError(ValueError):
-    """Raised inside a validator; `field` is relative to the validated value."""
+    """Raised inside a validator, converted to SpecInvalid; `field` is relative to the validated value."""
 
     def __init__(self, field: str, rule: str, code: Code = "rule") -> None:
         super().__init__(rule)
@@ -83,12 +60,22 @@ class BrokenRuleError(ValueError):
 
 def describe(value: object) -> str:
     """A short printable description of an invalid value, for error messages."""
-    if isinstance(value, int) and value.bit_length() > 128:
-        return f"a whole number of about {round(value.bit_length() * 0.30103)} digits"
-    for kind, description in _DESCRIPTIONS:
-        if isinstance(value, kind):
-            return description(value)
-    return _shorten(f"a value of type {type(value).__name__}")
+    match value:
+        case None | True | False:
+            text = {None: "null", True: "true", False: "false"}[value]
+        case int() if value.bit_length() > 128:
+            text = f"a whole number of about {round(value.bit_length() * 0.30103)} digits"
+        case int() | float():
+            text = repr(value)
+        case str():
+            text = f"text {_shorten(ascii(value))}"
+        case dict():
+            text = "an object"
+        case list() | tuple():
+            text = f"a list of {len(value)}"
+        case _:
+            text = _shorten(f"a value of type {type(value).__name__}")
+    return text
 
 
 def one_of(names: Iterable[str]) -> str:
@@ -135,16 +122,24 @@ def _path(parts: Iterable[int | str]) -> str:
     return path
 
 
-def _problem(entry: _Entry, fields: Mapping[str, Sequence[str]]) -> Problem:
+def _problem(entry: Mapping[str, Any], fields: Mapping[str, Sequence[str]]) -> Problem:
     location = list(entry["loc"])
     cause = entry.get("ctx", {}).get("error")
     if isinstance(cause, BrokenRuleError):
         return Problem(_path([*location, *filter(None, cause.field.split("."))]), cause.rule, cause.code)
     if entry["type"] == "extra_forbidden":
-        tag = next((part for part in reversed(location) if _is_tag(part)), "")
-        return Problem(_path(location), _unknown(location[-1], fields[str(tag)]), "unknown")
-    rule = _RULES.get(entry["type"])
-    text = rule(entry) if rule else _shorten(str(entry["msg"]), 200)
+        known = fields[next((str(part) for part in reversed(location) if _is_tag(part)), "")]
+        hint = did_you_mean(location[-1], known) or ";"
+        text = f"is not a field here{hint} the fields are {', '.join(known)}"
+        return Problem(_path(location), text, "unknown")
+    value = entry["input"]
+    if rule := _RULES.get(entry["type"]):
+        length = len(value) if isinstance(value, str) else 0
+        text = rule.format(value=describe(value), length=length, **entry.get("ctx", {}))
+    else:
+        text = _shorten(str(entry["msg"]), 200)
+    if entry["type"] == "literal_error":
+        text += did_you_mean(value, entry["ctx"]["expected"].split("'")[1::2])
     return Problem(_path(location), text, code_of(entry["type"]))
 
 
@@ -156,36 +151,21 @@ def code_of(kind: str) -> Code:
     return codes.get(kind, "rule")
 
 
-def _unknown(name: object, known: Sequence[str]) -> str:
-    return f"is not a field here{did_you_mean(name, known) or ';'} the fields are {', '.join(known)}"
-
-
-def _literal(entry: _Entry) -> str:
-    expected, value = entry["ctx"]["expected"], entry["input"]
-    hint = did_you_mean(value, expected.split("'")[1::2])
-    return f"must be {expected}, not {describe(value)}{hint}"
-
-
-def _bound(phrase: str, key: str) -> Callable[[_Entry], str]:
-    return lambda entry: f"must be {phrase} {entry['ctx'][key]:g}, not {describe(entry['input'])}"
-
-
-_RULES: Final[dict[str, Callable[[_Entry], str]]] = {
-    "missing": lambda _: "is required",
-    "float_type": lambda e: f"must be a number, not {describe(e['input'])}",
-    "int_type": lambda e: f"must be a whole number, not {describe(e['input'])}",
-    "bool_type": lambda e: f"must be true or false, not {describe(e['input'])}",
-    "string_type": lambda e: f"must be text, not {describe(e['input'])}",
-    "string_unicode": lambda _: "must be text that UTF-8 can write, without lone surrogates",
-    "string_too_long": lambda e: (
-        f"must have at most {e['ctx']['max_length']} characters, not {len(e['input'])}"
-    ),
-    "string_pattern_mismatch": lambda e: f"must match {e['ctx']['pattern']}, not {describe(e['input'])}",
-    "model_type": lambda e: f"must be an object, not {describe(e['input'])}",
-    "finite_number": lambda e: f"must be finite, not {describe(e['input'])}",
-    "literal_error": _literal,
-    "greater_than": _bound("above", "gt"),
-    "greater_than_equal": _bound("at least", "ge"),
-    "less_than": _bound("below", "lt"),
-    "less_than_equal": _bound("at most", "le"),
+#: The rules of pydantic in this project's words.
+_RULES: Final = {
+    "missing": "is required",
+    "float_type": "must be a number, not {value}",
+    "int_type": "must be a whole number, not {value}",
+    "bool_type": "must be true or false, not {value}",
+    "string_type": "must be text, not {value}",
+    "string_unicode": "must be text that UTF-8 can write, without lone surrogates",
+    "string_too_long": "must have at most {max_length} characters, not {length}",
+    "string_pattern_mismatch": "must match {pattern}, not {value}",
+    "model_type": "must be an object, not {value}",
+    "finite_number": "must be finite, not {value}",
+    "literal_error": "must be {expected}, not {value}",
+    "greater_than": "must be above {gt:g}, not {value}",
+    "greater_than_equal": "must be at least {ge:g}, not {value}",
+    "less_than": "must be below {lt:g}, not {value}",
+    "less_than_equal": "must be at most {le:g}, not {value}",
 }

@@ -7,11 +7,13 @@ length. These functions reject all of it with `SpecUnreadable`.
 import json
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Any, Final
 
-from worker.spec import yaml_text
+import yaml
+from yaml.constructor import ConstructorError
+
 from worker.spec.errors import Problem, SpecInvalid, SpecUnreadable, describe
 
 MAX_FILE_BYTES: Final = 4_000_000
@@ -130,10 +132,47 @@ def _check_keys(text: str) -> None:
             )
 
 
+class _YamlLoader(yaml.SafeLoader):
+    """Numbers, text, lists and mappings of YAML 1.2 only.
+
+    PyYAML reads YAML 1.1, in which 1e-3 is text, 010 is eight and no is false; and it expands aliases, so
+    that a short text can become a long list.
+    """
+
+    yaml_implicit_resolvers = {}  # noqa: RUF012 - as PyYAML has it
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """PyYAML's, without aliases."""
+        if self.check_event(yaml.AliasEvent):
+            where = self.get_mark()
+            raise ConstructorError(None, None, "aliases are not read; write the value twice", where)
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """PyYAML's, refusing repeated keys."""
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                twice = f"field {key.value!r:.80} is given twice; give it once"
+                raise ConstructorError(None, None, twice, key.start_mark)
+            seen.add(str(key.value))
+        return super().construct_mapping(node, deep)
+
+
+for _name, _pattern, _first in (
+    ("null", r"^(?:~|null|)$", ["~", "n", ""]),
+    ("bool", r"^(?:true|false)$", ["t", "f"]),
+    ("int", r"^[-+]?[0-9]+$", list("-+0123456789")),
+    ("float", r"^[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$", list("-+.0123456789")),
+):
+    _YamlLoader.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", re.compile(_pattern), _first)
+_YamlLoader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: _whole(node.value))
+
+
 def _read_yaml(content: bytes) -> object:
     try:
-        return yaml_text.load(_text(content, "YAML"), _whole)
-    except yaml_text.YAMLError as error:
+        return yaml.load(_text(content, "YAML"), _YamlLoader)
+    except yaml.YAMLError as error:
         raise _unreadable(f"the text is not YAML: {' '.join(str(error).split())}") from None
     except (RecursionError, ValueError) as error:
         raise _unreadable(f"the YAML cannot be read: {error}") from None

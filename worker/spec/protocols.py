@@ -11,8 +11,8 @@ from pydantic import (
     model_serializer,
 )
 
-from worker.spec.axes import WHOLE, Strict
-from worker.spec.errors import BrokenRuleError, describe, one_of
+from worker.spec.axes import WHOLE, Strict, check_kind, kind_of
+from worker.spec.errors import BrokenRuleError, describe
 
 AxisName = Literal["gamma", "omega", "xi"]
 
@@ -43,8 +43,8 @@ class OnCycle(Strict):
 
 #: Tagged, so that errors name its fields and not those of the ramp.
 Start = Annotated[
-    Annotated[OnCycle, Tag("<start>")] | Annotated[None, Tag("<rest>")],
-    Discriminator(lambda value: "<rest>" if value is None else "<start>"),
+    Annotated[OnCycle, Tag(OnCycle.tag())] | Annotated[None, Tag("<null>")],
+    Discriminator(lambda value: "<null>" if value is None else OnCycle.tag()),
 ]
 
 
@@ -73,25 +73,8 @@ PROTOCOLS: Final[dict[str, type[Strict]]] = {"rest": Rest, "ramp": Ramp}
 KINDS: Final = (*PROTOCOLS, "orbits", "basin", "multistability")
 
 
-def _kind_of(value: object) -> object:
-    return value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
-
-
-def _check_protocol(value: object) -> object:
-    if not isinstance(value, dict | Strict):
-        raise BrokenRuleError("", f'must be an object such as {{"kind": "rest"}}, not {describe(value)}')
-    if _kind_of(value) not in PROTOCOLS:
-        rule = f"must be {one_of(KINDS)}, not {describe(_kind_of(value))}"
-        raise BrokenRuleError("kind", rule if "kind" in _keys(value) else f"is required: {one_of(KINDS)}")
-    return value
-
-
-def _keys(value: object) -> list[str]:
-    return list(value) if isinstance(value, dict) else ["kind"]
-
-
 Protocol = Annotated[
-    Annotated[Rest, Tag("<rest>")] | Annotated[Ramp, Tag("<ramp>")],
-    Discriminator(lambda value: f"<{_kind_of(value)}>"),
-    BeforeValidator(_check_protocol),
+    Annotated[Rest, Tag(Rest.tag())] | Annotated[Ramp, Tag(Ramp.tag())],
+    Discriminator(lambda value: PROTOCOLS[kind_of(value)].tag()),
+    BeforeValidator(lambda value: check_kind(value, PROTOCOLS, KINDS)),
 ]

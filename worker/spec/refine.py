@@ -46,6 +46,6 @@ class Refine(Strict):
 
 #: Tagged, so that errors name its fields and not those of the specification.
 Refinement = Annotated[
-    Annotated[Refine, Tag("<refine>")] | Annotated[None, Tag("<every cell>")],
-    Discriminator(lambda value: "<every cell>" if value is None else "<refine>"),
+    Annotated[Refine, Tag(Refine.tag())] | Annotated[None, Tag("<null>")],
+    Discriminator(lambda value: "<null>" if value is None else Refine.tag()),
 ]

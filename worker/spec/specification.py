@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 from unicodedata import category
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, ValidationError
 
 from worker.spec import parsing
-from worker.spec.axes import AxisValue, Range, Strict, values_of
+from worker.spec.axes import AxisValue, Strict, values_of
 from worker.spec.errors import BrokenRuleError, SpecInvalid, problems_of
 
 #: Combining marks on one letter of a name: more than scripts need would cover the lines above and below.
@@ -38,13 +38,17 @@ Label = Annotated[str, Field(max_length=200), AfterValidator(_label)]
 JobId = Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
 
 
-class Specification(Strict):
-    """The fields of a study; a subclass adds them. Invalid ones raise `SpecInvalid`, field by field."""
+def _subclasses(cls: type[Strict]) -> Iterator[type[Strict]]:
+    for subclass in cls.__subclasses__():
+        yield subclass
+        yield from _subclasses(subclass)
 
-    #: Names of the fields that are axes, in the order of the store's dimensions, slowest first.
-    AXES: ClassVar[tuple[str, ...]]
 
-    name: Label = ""
+class Document(Strict):
+    """An object of its own in JSON. Invalid fields raise `SpecInvalid`, field by field."""
+
+    #: What errors call it.
+    WHAT: ClassVar = "a specification"
 
     if not TYPE_CHECKING:  # editors and type checkers see the fields
 
@@ -52,27 +56,28 @@ class Specification(Strict):
             try:
                 super().__init__(**data)
             except ValidationError as error:
-                raise SpecInvalid(problems_of(error, self.objects())) from None
-
-    @classmethod
-    def objects(cls) -> Mapping[str, tuple[str, ...]]:
-        """The field names of every object of a specification by its tag, for `errors.problems_of`."""
-        return {"": tuple(cls.model_fields), "<range>": tuple(Range.model_fields)}
+                fields = {each.tag(): tuple(each.model_fields) for each in _subclasses(Strict)}
+                fields[""] = tuple(type(self).model_fields)
+                raise SpecInvalid(problems_of(error, fields)) from None
 
     @classmethod
     def parse(cls, data: object) -> Self:
-        """A specification from the plain values of JSON or TOML.
-
-        Raises `SpecInvalid`, which lists every broken rule.
-        """
-        if isinstance(data, cls):
-            return data
-        return cls(**parsing.fields_of(data, "a specification"))
+        """From the plain values of JSON or TOML. Raises `SpecInvalid`, which lists every broken rule."""
+        return data if isinstance(data, cls) else cls(**parsing.fields_of(data, cls.WHAT))
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Self:
-        """A specification from JSON text. Raises `SpecUnreadable` or `SpecInvalid`."""
+        """From JSON text. Raises `SpecUnreadable` or `SpecInvalid`."""
         return cls.parse(parsing.read_json(text))
+
+
+class Specification(Document):
+    """The fields of a study; a subclass adds them."""
+
+    #: Names of the fields that are axes, in the order of the store's dimensions, slowest first.
+    AXES: ClassVar[tuple[str, ...]]
+
+    name: Label = ""
 
     @classmethod
     def from_file(cls, path: str | Path) -> Self:

@@ -6,7 +6,7 @@ can build a specification without loading kernels, Dask or zarr.
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Final, Self
 
@@ -23,12 +23,11 @@ from worker.spec.contact_models import (
     Contact,
     Soft,
     Stepped,
-    model_fields,
     penetration_of,
 )
 from worker.spec.errors import BrokenRuleError, one_of
-from worker.spec.protocols import OnCycle, Protocol, Ramp, Rest
-from worker.spec.refine import SETTLE_UNTIL, Refine, Refinement
+from worker.spec.protocols import Protocol, Ramp, Rest
+from worker.spec.refine import SETTLE_UNTIL, Refinement
 from worker.spec.specification import JobId, Specification
 from worker.spec.time_steps import check_steps, corners
 
@@ -219,18 +218,6 @@ class SweepSpec(Specification):
         values[AXES.index(axis)] = values[AXES.index(axis)][[last]]
         for xi, omega, gamma in itertools.product(*(each.tolist() for each in values)):
             yield Cell(gamma, omega, xi)
-
-    @classmethod
-    def objects(cls) -> Mapping[str, tuple[str, ...]]:
-        """As for every specification, with the protocols and the contact models."""
-        return {
-            **super().objects(),
-            "<rest>": tuple(Rest.model_fields),
-            "<ramp>": tuple(Ramp.model_fields),
-            "<start>": tuple(OnCycle.model_fields),
-            "<refine>": tuple(Refine.model_fields),
-            **model_fields(),
-        }
 
     @property
     def directions(self) -> tuple[str, ...]:

@@ -1,16 +1,16 @@
 """A window of a sweep's map, as the specification of an adaptive sweep on a finer grid."""
 
 import math
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationError
+from pydantic import AfterValidator, Field
 
-from worker.spec import parsing
-from worker.spec.axes import WHOLE, AxisValue, Number, Range, Strict
-from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, problems_of
+from worker.spec.axes import WHOLE, AxisValue, Number, Range
+from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid
 from worker.spec.protocols import Rest
 from worker.spec.refine import Refine
+from worker.spec.specification import Document
 from worker.spec.sweep import SweepSpec
 
 #: Minimum values of a window along an axis.
@@ -29,12 +29,14 @@ def _increasing(ends: list[float]) -> list[float]:
 Ends = Annotated[list[Number], Field(min_length=2, max_length=2), AfterValidator(_increasing)]
 
 
-class Window(Strict):
+class Window(Document):
     """A part of a map over gamma and omega at one xi, and how to compute it.
 
     `gamma`, `omega`: its ends; null along an axis of one value. `xi`: nearest value of the map; null if it
     has only one. `finer`: how many times as fine as the map. `by` and `margin` as in `Refine`.
     """
+
+    WHAT: ClassVar = "a window"
 
     gamma: Ends | None = None
     omega: Ends | None = None
@@ -42,15 +44,6 @@ class Window(Strict):
     finer: Annotated[int, Field(ge=1, le=MAX_FINER), WHOLE] = 4
     by: Literal["mode", "bouncing"] = "mode"
     margin: bool = False
-
-    @classmethod
-    def from_json(cls, text: str | bytes) -> Self:
-        """A window from JSON text. Raises `SpecUnreadable` or `SpecInvalid`."""
-        fields = parsing.fields_of(parsing.read_json(text), "a window")
-        try:
-            return cls(**fields)
-        except ValidationError as error:
-            raise SpecInvalid(problems_of(error, {"": tuple(cls.model_fields)})) from None
 
     def of(self, spec: SweepSpec, job: str) -> SweepSpec:
         """The adaptive sweep of this window of the map of `spec`, which job `job` computed.

@@ -9,6 +9,8 @@ from typing import Any, Final
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
+from service.api.openapi import EXAMPLES
+
 router = APIRouter(include_in_schema=False)
 
 _PAGE: Final = """<!doctype html>
@@ -39,17 +41,10 @@ _POLICY: Final = (
     "form-action 'none'"
 )
 
-_SPECIFICATION: Final = {
-    "name": "two frequencies",
-    "gamma": {"start": 0.4, "stop": 3.0, "num": 53},
-    "omega": [0.5, 0.6],
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-}
 _EXAMPLE: Final = """\
 curl {address}v1/jobs -H "Content-Type: application/json" -d '{specification}'
 curl {address}v1/jobs/ID
-curl "{address}v1/jobs/ID/diagram?omega=0.5&amp;format=png" -o diagram.png"""
+curl "{address}v1/jobs/ID/diagram?xi=0.26&amp;format=png" -o diagram.png"""
 
 
 @router.get("/docs")
@@ -62,7 +57,6 @@ def docs(request: Request) -> HTMLResponse:
         for method, operation in methods.items()
     ]
     schemas = document["components"]["schemas"]
-    sweep = schemas["SweepSpec"]
     content = _PAGE.format(
         title=escape(document["info"]["title"]),
         summary=escape(document["info"]["summary"]),
@@ -71,12 +65,12 @@ def docs(request: Request) -> HTMLResponse:
             for method, path, _ in operations
         ),
         submit=_anchor("post", "/v1/jobs"),
-        about=escape(sweep["description"].split("\n")[0]),
+        about=escape(schemas["SweepSpec"]["description"].split("\n")[0]),
         example=_EXAMPLE.format(
             address=escape(str(request.base_url)),
-            specification=escape(json.dumps(_SPECIFICATION, indent=1), quote=False),
+            specification=escape(json.dumps(EXAMPLES["SweepSpec"], indent=1), quote=False),
         ),
-        specification=_fields(sweep, schemas),
+        specification=_fields(schemas),
         operations="\n".join(_operation(*operation, schemas) for operation in operations),
     )
     return HTMLResponse(content, headers={"Content-Security-Policy": _POLICY, "Cache-Control": "no-cache"})
@@ -86,28 +80,23 @@ def _anchor(method: str, path: str) -> str:
     return re.sub("[^a-z0-9]+", "-", f"{method} {path}".lower()).strip("-")
 
 
-def _fields(sweep: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
+def _fields(schemas: Mapping[str, Any]) -> str:
     """A table of the fields of the specification, then one of each object that it contains."""
-    named = {"SweepSpec": sweep}
-    waiting = [sweep]
-    while waiting:
-        for name in re.findall(r"#/components/schemas/(\w+)", json.dumps(waiting.pop(0))):
-            if name not in named:
-                named[name] = schemas[name]
-                waiting.append(schemas[name])
-    tables = []
-    for name, schema in named.items():
+    names, tables = ["SweepSpec"], []
+    for name in names:
+        schema = schemas[name]
+        parts = re.findall(r"#/components/schemas/(\w+)", json.dumps(schema))
+        names += [part for part in dict.fromkeys(parts) if part not in names]
         required = schema.get("required", [])
         rows = "".join(
             f"<tr><th scope=row>{escape(field)}</th><td>{_value(of)}</td>"
-            f"<td>{_default(of, field in required)}</td></tr>"
+            f"<td>{'required' if field in required else _default(of)}</td></tr>"
             for field, of in schema.get("properties", {}).items()
         )
-        if not rows:
-            continue
         about = escape(schema.get("description", "").split("\n\n")[0])
         head = "" if name == "SweepSpec" else f'<h3 id="{name}">{name}</h3><p>{about}</p>'
-        tables.append(f"{head}{_table(f'Fields of {name}', rows, ('field', 'value', 'default'))}")
+        if rows:
+            tables.append(f"{head}{_table(f'Fields of {name}', rows, ('field', 'value', 'default'))}")
     return "".join(tables)
 
 
@@ -129,18 +118,17 @@ def _option(schema: Mapping[str, Any]) -> str:
     if "$ref" in schema:
         name = _name(schema)
         return f'<a href="#{name}">{name}</a>'
-    if "const" in schema:
-        return escape(json.dumps(schema["const"]))
-    if "enum" in schema:
-        return " or ".join(escape(json.dumps(value)) for value in schema["enum"])
+    if "const" in schema or "enum" in schema:
+        values = schema.get("enum", [schema.get("const")])
+        return " or ".join(escape(json.dumps(value)) for value in values)
     if schema.get("type") == "array":
         return f"list of {_value(schema.get('items', {}))}"
     bounds = ", ".join(f"{words} {schema[key]:g}" for key, words in _LIMITS.items() if key in schema)
     return " ".join(filter(None, [escape(str(schema.get("type", "any"))), bounds]))
 
 
-def _default(schema: Mapping[str, Any], required: bool) -> str:
-    return "required" if required else escape(json.dumps(schema.get("default", schema.get("x-default"))))
+def _default(schema: Mapping[str, Any]) -> str:
+    return escape(json.dumps(schema.get("default", schema.get("x-default"))))
 
 
 def _table(label: str, rows: str, columns: tuple[str, ...] = ()) -> str:
@@ -152,38 +140,29 @@ def _table(label: str, rows: str, columns: tuple[str, ...] = ()) -> str:
 
 
 def _operation(method: str, path: str, operation: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
-    rows = "".join(_rows(operation, schemas))
+    rows = [f"<tr><th scope=row>{name}</th><td>{text}</td></tr>" for name, text in _rows(operation, schemas)]
     name = f"{method.upper()} {path}"
     return (
         f'<h2 id="{_anchor(method, path)}">{escape(name)}</h2>'
         f"<p><strong>{escape(operation['summary'])}.</strong> {escape(operation.get('description', ''))}</p>"
-        f"{_table(name, rows)}"
+        f"{_table(name, ''.join(rows))}"
     )
 
 
-def _rows(operation: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[str]:
+def _rows(operation: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Parameters, body and statuses, each with its text in HTML."""
     for parameter in operation.get("parameters", []):
         schema = parameter["schema"]
-        description = parameter.get("description") or schema.get("description") or ""
-        default = f"default {schema['default']}" if schema.get("default") is not None else ""
-        yield _row(parameter["name"], "; ".join(filter(None, [_type(schema, schemas), default, description])))
+        options = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
+        value = _value({"anyOf": [schemas[_name(each)] if "$ref" in each else each for each in options]})
+        default = f"default {_default(schema)}" if schema.get("default") is not None else ""
+        description = escape(parameter.get("description") or schema.get("description") or "")
+        yield parameter["name"], "; ".join(filter(None, [value, default, description]))
     if "requestBody" in operation:
         (content,) = operation["requestBody"]["content"].values()
         models = content["schema"].get("oneOf", [content["schema"]])
-        yield _row("body", f"application/json: {' or '.join(_name(model) for model in models)}")
-    yield _row("status", ", ".join(sorted(operation["responses"])))
-
-
-def _row(name: str, text: str) -> str:
-    return f"<tr><th scope=row>{escape(name)}</th><td>{escape(text)}</td></tr>"
-
-
-def _type(schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
-    """A parameter's type, or the values it may have."""
-    first = next(option for option in schema.get("anyOf", [schema]) if option.get("type") != "null")
-    if "$ref" in first:
-        first = schemas[_name(first)]
-    return " | ".join(map(str, first["enum"])) if "enum" in first else str(first["type"])
+        yield "body", f"application/json: {' or '.join(map(_name, models))}"
+    yield "status", ", ".join(sorted(operation["responses"]))
 
 
 def _name(reference: Mapping[str, Any]) -> str:

@@ -1,11 +1,8 @@
 """Endpoints for operators: liveness, readiness, metrics, versions."""
 
-from typing import Any
-
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, HTTPException, Response
 
 from service.api.dependencies import ServiceDep
-from service.api.problems import ProblemResponse
 from service.api.schemas import Health, ReadinessView, SoftwareView, problem_responses
 from service.software import software
 
@@ -21,18 +18,14 @@ def get_liveness() -> Health:
 @router.get(
     "/readyz",
     summary="Readiness",
-    response_model=ReadinessView,
     response_model_exclude_defaults=True,
     responses=problem_responses(503),
 )
-def get_readiness(service: ServiceDep) -> Any:
+def get_readiness(service: ServiceDep) -> ReadinessView:
     """The ledger can be used, the Dask scheduler answers and has workers: jobs are computed."""
-    fault = service.readiness.fault()
-    return (
-        ReadinessView(status="ok", notices=service.manager.notices())
-        if fault is None
-        else ProblemResponse(503, fault)
-    )
+    if (fault := service.readiness.fault()) is not None:
+        raise HTTPException(503, fault)
+    return ReadinessView(status="ok", notices=service.manager.notices())
 
 
 @router.get("/v1/software", summary="Versions of what the service runs on")

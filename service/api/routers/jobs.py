@@ -2,15 +2,14 @@
 
 import time
 from collections.abc import AsyncIterator, Sequence
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from service.api import parameters, schemas
-from service.api.conditional import NOT_MODIFIED, job_headers, not_modified
-from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep
-from service.api.schemas import JobView, job_view, problem_responses
+from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep, tag
+from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
 from service.jobs import cost as estimates
 from service.jobs.manager import Submission
 from service.jobs.model import UNFINISHED, Failure, JobRecord
@@ -20,13 +19,6 @@ from worker.spec.window import Window
 from worker.studies import from_json
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
-
-
-def _json_schema(*names: str) -> dict[str, Any]:
-    """What the API document says of a body that is one of these models."""
-    schemas = [{"$ref": f"#/components/schemas/{name}"} for name in names]
-    schema = schemas[0] if len(schemas) == 1 else {"oneOf": schemas}
-    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
 
 
 IdempotencyKey = Annotated[
@@ -39,10 +31,6 @@ IdempotencyKey = Annotated[
     ),
 ]
 
-#: Retry-After of a job: a fraction of the estimated time left, and none below a few seconds.
-_RETRY_FRACTION: Final = 1 / 20
-_MAX_RETRY_AFTER: Final = 10
-
 
 @router.post(
     "/jobs",
@@ -53,7 +41,7 @@ _MAX_RETRY_AFTER: Final = 10
         200: {"model": JobView | Cost},
         **problem_responses(400, 408, 409, 413, 415, 422, 429),
     },
-    openapi_extra=_json_schema("SweepSpec", "OrbitsSpec", "BasinSpec", "MultistabilitySpec"),
+    openapi_extra=json_body("SweepSpec", "OrbitsSpec", "BasinSpec", "MultistabilitySpec"),
 )
 def submit_job(
     service: ServiceDep,
@@ -77,7 +65,7 @@ def _submitted(submission: Submission) -> Response:
     job, accepted = submission
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
-        headers["Retry-After"] = str(_retry_after(job) or 0)
+        headers["Retry-After"] = str(_retry_after(job))
     return _job_response(job, 202 if accepted else 200, headers)
 
 
@@ -116,10 +104,11 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
         failures = ledger.failures(job)
     notice = service.manager.cluster_fault if job.state in UNFINISHED else None
     compiling = service.manager.compiling(job)
-    headers = job_headers(job, len(failures), notice, compiling)
-    if seconds := _retry_after(job):
-        headers["Retry-After"] = str(seconds)
-    return not_modified(request, headers) or _job_response(job, 200, headers, failures, notice, compiling)
+    headers = {"Retry-After": str(seconds)} if (seconds := _retry_after(job)) else {}
+    compiled = None if compiling is None else round(compiling.seconds)
+    # Weak, because the estimated time left changes without it.
+    tag(request, *job.revision, len(failures), notice, compiled, weak=True, headers=headers)
+    return _job_response(job, 200, headers, failures, notice, compiling)
 
 
 @router.delete(
@@ -183,7 +172,7 @@ def unpin_job(service: ServiceDep, job: JobDep) -> Response:
     status_code=202,
     response_model=JobView,
     responses={200: {"model": JobView}, **problem_responses(400, 404, 413, 415, 422, 429)},
-    openapi_extra=_json_schema("Window"),
+    openapi_extra=json_body("Window"),
 )
 def refine_job(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep) -> Response:
     """Submits an adaptive sweep of a window of the (Γ, Ω) map, on a grid `finer` times as fine.
@@ -195,7 +184,10 @@ def refine_job(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep
 
 
 async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:
-    with service.listener_limit.slot():
+    listeners, limit = service.listeners, service.settings.max_listeners
+    if listeners.locked():
+        raise HTTPException(503, f"too many event streams: at most {limit:,} at a time; poll the job instead")
+    async with listeners:
         yield
 
 
@@ -229,8 +221,7 @@ def _job_response(
     return Response(content, status, headers, "application/json")
 
 
-def _retry_after(job: JobRecord) -> int | None:
-    """Seconds until the next poll, more for jobs that take longer; None if that is less than one."""
+def _retry_after(job: JobRecord) -> int:
+    """Seconds until the next poll: a twentieth of the estimated time left, at most 10; 0 if finished."""
     left = job.progress(time.time()).eta_seconds if job.state in UNFINISHED else None
-    seconds = 0 if left is None else int(min(left * _RETRY_FRACTION, _MAX_RETRY_AFTER))
-    return seconds or None
+    return int(min((left or 0.0) / 20.0, 10.0))

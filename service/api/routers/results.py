@@ -2,20 +2,17 @@
 
 import re
 from collections.abc import Mapping
-from http import HTTPStatus
 from typing import IO, Annotated, Final
 from urllib.parse import quote
 
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Header, HTTPException, Query, Response
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from service.api import dependencies, parameters
 from service.api.capacity import SMALL_ANSWER, Cost, costly
-from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
-from service.api.dependencies import JobDep, ServiceDep
-from service.api.schemas import content, problem_responses
-from service.errors import NotInStore, OutOfRange
+from service.api.dependencies import JobDep, ResultsJob, ServiceDep
+from service.api.schemas import NOT_MODIFIED, content, problem_responses
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
 from service.results.provenance import attributes_of
@@ -23,7 +20,7 @@ from service.results.selection import BASE_MEMORY
 from service.views import files
 from worker.store import ROOT
 
-router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
+router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 
 #: How often a chunk is in memory while a file is made of it: read, as rows, encoded.
 _CHUNK_COPIES: Final = 12
@@ -41,9 +38,10 @@ class _OpenFile(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.ExportQuery) -> int:
+def _export_cost(service: ServiceDep, job: JobRecord, query: parameters.ExportQuery) -> Cost:
     group = files.GROUP_BYTES if query.format == "parquet" else 0
-    return BASE_MEMORY + group + _CHUNK_COPIES * service.manager.preparer.prepare(job).layout.chunk_bytes
+    chunk = service.manager.preparer.prepare(job).layout.chunk_bytes
+    return Cost(BASE_MEMORY + group + _CHUNK_COPIES * chunk)
 
 
 @router.get(
@@ -51,7 +49,7 @@ def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.Export
     summary="Export the job's results as a file",
     responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 501, 507)},
 )
-@costly(_export_memory, "export")
+@costly(_export_cost, "export")
 def export_job(
     service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQuery, Query()]
 ) -> Response:
@@ -70,7 +68,7 @@ def export_job(
     headers = {
         "Content-Length": str(file.seek(0, 2)),
         "Content-Disposition": f'attachment; filename="{job.id}.{query.format}"',
-        **_complete(job.state is JobState.DONE),
+        "Bounce-Complete": "true" if job.state is JobState.DONE else "false",
     }
     file.seek(0)
     return _OpenFile(file, headers, MEDIA_TYPES[query.format])
@@ -78,8 +76,6 @@ def export_job(
 
 #: One range of bytes; a request for several is answered with all bytes, which is allowed.
 _RANGE: Final = re.compile("bytes=([0-9]{1,18})?-([0-9]{1,18})?")
-#: Characters of an address that a header carries as they are.
-_PLAIN: Final = "/:@+,;=~()[] "
 
 
 def _zarr_cost(service: ServiceDep, job: JobRecord, key: str, **_: str | None) -> Cost:
@@ -87,20 +83,17 @@ def _zarr_cost(service: ServiceDep, job: JobRecord, key: str, **_: str | None) -
     return Cost(size, size <= SMALL_ANSWER)
 
 
-def _asked(byte_range: str) -> tuple[int | None, int | None] | None:
-    """The first and the last byte that a Range asks for; None for one that counts as none (RFC 9110)."""
+def _span(byte_range: str, size: int) -> slice | None:
+    """The bytes that a Range asks for, of `size`; None for one that counts as none (RFC 9110)."""
     match = _RANGE.fullmatch(byte_range)
-    first, last = (None if text is None else int(text) for text in match.groups()) if match else (None, None)
+    if match is None or match.groups() == (None, None):
+        return None
+    first, last = (None if text is None else int(text) for text in match.groups())
     if first is None:
-        return None if last is None else (None, last)
-    return None if last is not None and last < first else (first, last)
-
-
-def _span(first: int | None, last: int | None, size: int) -> range:
-    """The positions of the bytes that `_asked` gives, of `size` there are."""
-    if first is None:
-        return range(max(size - (last or 0), 0), size)
-    return range(first, size if last is None else min(last + 1, size))
+        return slice(max(size - (last or 0), 0), size)
+    if last is not None and last < first:
+        return None
+    return slice(first, size if last is None else min(last + 1, size))
 
 
 @router.get(
@@ -132,20 +125,16 @@ def get_zarr_file(
     prepared = service.manager.preparer.prepare(job)
     content = prepared.read_file(key)
     if content is None:
-        raise NotInStore(f"the job's store has nothing under the key {key[:80]!a}")
+        raise HTTPException(404, f"the job's store has nothing under the key {key[:80]!a}")
     headers = {"Cache-Control": "no-cache", "Accept-Ranges": "bytes"}
     if key == ROOT:
-        headers["Bounce-Store"] = quote(prepared.store_url, safe=_PLAIN)
+        headers["Bounce-Store"] = quote(prepared.store_url, safe="/:@+,;=~()[] ")
     media_type = "application/json" if key.endswith(".json") else "application/octet-stream"
-    asked = None if if_range is not None else _asked(byte_range or "")
-    if asked is None:
-        return Response(content, media_type=media_type, headers=headers)
-    span = _span(*asked, len(content))
-    if not span:
-        raise OutOfRange(len(content))
-    headers["Content-Range"] = f"bytes {span[0]}-{span[-1]}/{len(content)}"
-    return Response(content[span.start : span.stop], HTTPStatus.PARTIAL_CONTENT, headers, media_type)
-
-
-def _complete(complete: bool) -> dict[str, str]:
-    return {"Bounce-Complete": "true" if complete else "false"}
+    span = None if if_range is not None else _span(byte_range or "", len(content))
+    if span is None:
+        return Response(content, 200, headers, media_type)
+    if not content[span]:
+        beyond, size = f"the range starts beyond the end ({len(content)} bytes)", f"bytes */{len(content)}"
+        raise HTTPException(416, beyond, {"Content-Range": size})
+    headers["Content-Range"] = f"bytes {span.start}-{span.stop - 1}/{len(content)}"
+    return Response(content[span], 206, headers, media_type)

@@ -1,4 +1,7 @@
-"""GET /v1/jobs/{job_id}/NAME for every result of a job, GET /v1/NAME for every one of a spring."""
+"""GET /v1/jobs/{job_id}/NAME for every result of a job, GET /v1/NAME for every one of a spring.
+
+And one cell in motion, whose specification is a body: POST /v1/trajectories.
+"""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -6,23 +9,24 @@ from functools import partial
 from inspect import cleandoc
 from itertools import groupby
 from operator import itemgetter
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, JsonValue, create_model
 
 from kernel.params import KernelInputError
 from service.api import dependencies
 from service.api.capacity import Cost, costly
-from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
-from service.api.dependencies import Service, ServiceDep
-from service.api.schemas import PENDING_RESPONSE, content, problem_responses
+from service.api.dependencies import JsonBody, ResultsJob, Service, ServiceDep
+from service.api.parameters import MotionQuery
+from service.api.schemas import NOT_MODIFIED, PENDING_RESPONSE, content, json_body, problem_responses
 from service.errors import InvalidRequest
-from service.formats import MEDIA_TYPES, PICTURES
+from service.formats import MEDIA_TYPES, PICTURES, DatasetFormat
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import Caller
 from service.results.selection import BASE_MEMORY, Stored
-from service.views.registry import SPRINGS, VIEWS, admit, answer
+from service.views.registry import SPRINGS, VIEWS, admit, answer, motion
+from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
 from service.views.view import Call, Estimate, View
 
 #: Bytes of memory per number of an answer.
@@ -51,31 +55,29 @@ class Dataset(BaseModel):
 
 def routes() -> list[APIRouter]:
     """The routes of all views: of jobs, and of springs."""
-    jobs = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
+    jobs = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
     for view in VIEWS.values():
-        _add(jobs, view, _of_job(view), f"get_job_{view.name}", {**NOT_MODIFIED, **problem_responses(404)})
+        _add(jobs, view, ResultsJob, f"get_job_{view.name}", {**NOT_MODIFIED, **problem_responses(404)})
     springs = APIRouter(prefix="/v1", tags=["model"])
     for view in SPRINGS.values():
-        _add(springs, view, _of_spring(view), f"get_{view.name}", {})
+        _add(springs, view, Annotated[None, Depends(_no_job)], f"get_{view.name}", {})
+    springs.add_api_route(
+        "/trajectories", compute_trajectory, methods=["POST"], summary="Compute the motion of a cell",
+        response_model=Dataset,
+        responses={**content(*get_args(DatasetFormat)), **problem_responses(400, 408, 413, 415, 422, 429)},
+        openapi_extra=json_body("TrajectorySpec"),
+    )  # fmt: skip
     return [jobs, springs]
 
 
-def _add(
-    router: APIRouter, view: View, endpoint: Callable[..., Any], name: str, responses: dict[int | str, Any]
-) -> None:
+def _add(router: APIRouter, view: View, job_type: Any, name: str, responses: dict[int | str, Any]) -> None:
     description = "\n".join([cleandoc(view.compute.__doc__ or view.summary), "", *view.described])
     pending = {**PENDING_RESPONSE, **problem_responses(429, 503)} if view.parts else {}
     router.add_api_route(
-        f"/{view.name}", endpoint, name=name, summary=view.summary, description=description,
+        f"/{view.name}", _endpoint(view, job_type), name=name, summary=view.summary, description=description,
         response_model=Dataset,
         responses={**content(*view.formats), **pending, **problem_responses(413, 422), **responses},
     )  # fmt: skip
-
-
-def _query_model(view: View) -> Any:
-    # The format is a field of the model, which forbids parameters beside its own.
-    formats: Any = Literal[view.formats]
-    return create_model(view.query.__name__, __base__=view.query, format=(formats, "json"))
 
 
 def _asked(service: Service, view: View, study: Stored[Any] | None, query: Any) -> tuple[Any, Estimate]:
@@ -84,10 +86,6 @@ def _asked(service: Service, view: View, study: Stored[Any] | None, query: Any) 
     spec = None if study is None else study.spec
     limits = service.settings
     return admit(view, spec, plain, query.format, limits.max_points, limits.trajectory_seconds)
-
-
-def _memory(estimate: Estimate, format: str) -> int:
-    return estimate.memory + estimate.points * _PER_POINT[format]
 
 
 def _answer(service: Service, view: View, study: Stored[Any] | None, query: Any) -> Response:
@@ -119,33 +117,45 @@ def _submitted(calls: Sequence[Call], workers: Caller) -> list["Future[Any]"]:
     return [workers.call(*call) for call in calls]
 
 
-def _of_job(view: View) -> Callable[..., Any]:
-    model: Any = _query_model(view)
+async def _no_job() -> None:
+    return None
 
-    def cost(service: ServiceDep, job: JobRecord, query: Any) -> Cost:
-        _, estimate = _asked(service, view, dependencies.stored(service, job), query)
-        memory = _memory(estimate, query.format)
-        if query.format in PICTURES or not estimate.small:
+
+def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
+    """The endpoint of a view of a job, or of a spring, whose job is None."""
+    formats: Any = Literal[view.formats]
+    # The format is a field of the model, which forbids parameters beside its own.
+    model: Any = create_model(view.query.__name__, __base__=view.query, format=(formats, "json"))
+
+    def study_of(service: Service, job: JobRecord | None) -> Stored[Any] | None:
+        return None if job is None else dependencies.stored(service, job)
+
+    def cost(service: ServiceDep, job: JobRecord | None, query: Any) -> Cost:
+        _, estimate = _asked(service, view, study_of(service, job), query)
+        memory = estimate.memory + estimate.points * _PER_POINT[query.format]
+        if job is None or query.format in PICTURES or not estimate.small:
             return Cost(BASE_MEMORY + memory)
         return dependencies.cost_of_read(service, job, memory, *estimate.reads)
 
-    @costly(cost, "on demand" if view.parts else "trajectory" if view.computes else "read")
-    def get(service: ServiceDep, job: ResultsJob, query: Annotated[model, Query()]) -> Response:
-        study = dependencies.stored(service, job)
-        return _answer(service, view, study, query)
+    computes = view.computes or view.name in SPRINGS
+
+    @costly(cost, "on demand" if view.parts else "trajectory" if computes else "read")
+    def get(service: ServiceDep, job: job_type, query: Annotated[model, Query()]) -> Response:
+        return _answer(service, view, study_of(service, job), query)
 
     return get
 
 
-def _of_spring(view: View) -> Callable[..., Any]:
-    model: Any = _query_model(view)
+@costly(Cost(MAX_SAMPLES * BYTES_PER_SAMPLE), "trajectory")
+def compute_trajectory(
+    service: ServiceDep, body: JsonBody, query: Annotated[MotionQuery, Query()]
+) -> Response:
+    """One cell from rest, after `settle` plate periods, or from a start: plate, masses and contact force.
 
-    def cost(service: ServiceDep, query: Any) -> int:
-        _, estimate = _asked(service, view, None, query)
-        return BASE_MEMORY + _memory(estimate, query.format)
-
-    @costly(cost, "on demand" if view.parts else "trajectory")
-    def get(service: ServiceDep, query: Annotated[model, Query()]) -> Response:
-        return _answer(service, view, None, query)
-
-    return get
+    The answer is the result `trajectory` of a job. Lengths are in plate amplitudes: the paper's zω²/g divided
+    by Γ, as its Fig. 2 draws them.
+    """
+    spec = TrajectorySpec.from_json(body)
+    check_cost(spec, service.settings.trajectory_seconds)
+    found = service.background.run(motion, spec, query.format)
+    return Response(found, media_type=MEDIA_TYPES[query.format])

@@ -66,7 +66,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
 
             restarted.process.send_signal(signal.SIGSTOP)
             frozen = time.monotonic()
-            wait_for(lambda: not readiness.ready())
+            wait_for(readiness.fault)
             noticed = time.monotonic() - frozen
             time.sleep(max(FREEZE - noticed, 0))
             repetition = NoRepetition(service, job, counting)
@@ -77,7 +77,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
             wait_for(lambda: executor.ready() and executor.workers() == 2, status, 90)
             killed = time.monotonic()
             restarted.process.kill()
-            wait_for(lambda: not readiness.ready())
+            wait_for(readiness.fault)
             time.sleep(0.5)
             repetition = NoRepetition(service, job, counting)
             back = goes_on(killed)

@@ -149,9 +149,6 @@ def test_formats_of_a_diagram(client: TestClient, figure_2: str, format: str, me
         assert ElementTree.fromstring(answer.text).tag.endswith("svg")
 
 
-# Thresholds
-
-
 # Operation
 
 
@@ -164,14 +161,6 @@ def test_health(tmp_path: Path):
         assert int(answer.headers["Retry-After"]) > 0
         held.capacity = 1
         wait_for(lambda: client.get("/readyz").status_code == 200)
-
-
-def test_the_api_document_defines_every_schema_it_refers_to(client: TestClient):
-    document = get(client, "/openapi.json")
-    assert {"/v1/jobs", "/v1/jobs/{job_id}/diagram", "/v1/threshold", "/readyz"} <= set(document["paths"])
-    references = set(re.findall(r'"#/components/schemas/([^"]+)"', json.dumps(document)))
-    assert references <= set(document["components"]["schemas"])
-    assert "SweepSpec" in references
 
 
 def test_every_endpoint_has_a_summary_and_a_description(client: TestClient):
@@ -191,5 +180,5 @@ def test_the_page_of_endpoints_loads_nothing_from_other_hosts(client: TestClient
         assert path in answer.text
     assert not re.search(r"(src|href)=.?https?:|<script|@import", answer.text)
     assert "style-src 'self'" in answer.headers["Content-Security-Policy"]
-    for text in ("POST /v1/jobs", "Fields of SweepSpec", "micro_flight", '"omega": [', "Fields of Ramp"):
+    for text in ("POST /v1/jobs", "Fields of SweepSpec", "micro_flight", '"xi": [', "Fields of Ramp"):
         assert text in answer.text

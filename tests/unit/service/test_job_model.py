@@ -10,7 +10,6 @@ from scripted import Held, sweep, wait_for
 from served import get, service
 from tables import for_each
 
-from service.api.conditional import job_headers
 from service.api.schemas import job_view
 from service.errors import IllegalTransition
 from service.jobs.model import (
@@ -148,18 +147,6 @@ def test_a_list_leaves_out_a_specification_that_is_too_long():
     assert job_view(record(), longest_spec=len(record().spec)).spec == json.loads(record().spec)
     assert job_view(record(), longest_spec=len(record().spec) - 1).spec is None
     assert job_view(record()).spec == json.loads(record().spec)
-
-
-@for_each("change", [
-    {"failures": 1}, {"notice": "no workers yet"}, {"job": record(chunks_done=5)},
-    {"job": record(state=JobState.DONE)}, {"job": record(pinned=True)},
-])  # fmt: skip
-def test_the_tag_changes_with_what_is_shown(change: dict[str, Any]):
-    before = job_headers(record())
-    assert before["ETag"].startswith('W/"')
-    assert before["Cache-Control"] == "no-cache"
-    assert job_headers(record()) == before
-    assert job_headers(**{"job": record(), **change})["ETag"] != before["ETag"]
 
 
 def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):

@@ -78,9 +78,6 @@ def test_the_estimate_uses_the_measured_speed_of_earlier_jobs(tmp_path: Path):
         assert get(client, here)["state"] == "done"
 
 
-# Lists
-
-
 # Links
 
 
