@@ -53,7 +53,7 @@ def command(name: str) -> click.Command:
         if job is not None:
             warn_unless_done(job, "the result may be incomplete")
 
-    texts = (cleandoc(getattr(of, name).__doc__).partition("\nParameters\n")[0] for of in kinds)
+    texts = (cleandoc(getattr(of, name).__doc__).partition("\n\nReturns a Dataset ")[0] for of in kinds)
     text = "\n\nWithout ID:\n\n".join(texts).replace("\n\n- ", "\n\n\b\n- ")  # lists keep their lines
     parameters = {each: about for of in reversed(kinds) for each, about in _parameters(of, name).items()}
     options = [_option(each, about.annotation, about.default) for each, about in parameters.items()]

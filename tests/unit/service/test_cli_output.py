@@ -27,7 +27,7 @@ def job(**changes: Any) -> Job:
     view = {"id": "0123456789abcdef" * 2, "name": "ω sweep", "state": "running", "error": None}
     view |= {name: value for name, value in changes.items() if name not in progress}
     progress |= {name: value for name, value in changes.items() if name in progress}
-    return Job.from_view(cast(Any, None), {**view, "progress": progress})
+    return Job(cast(Any, None), {**view, "progress": progress})
 
 
 def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
