@@ -1,4 +1,4 @@
-"""The command `bounce figure`: a figure from submission to picture."""
+"""The commands that make pictures without a service that runs: figure, tradeoff."""
 
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -66,3 +66,25 @@ def figure(
         for target, picture in zip(targets, catalogue.make(figures, client, format), strict=True):
             write_file(target, picture.content)
             click.echo(f"{target}\n{picture.caption}\n", err=True)
+
+
+@click.command()
+@click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
+              help="Picture to write as well, .png, .svg or .pdf.")  # fmt: skip
+def tradeoff(output: str | None) -> None:
+    """Measure the cost and the accuracy of each contact model.
+
+    Computes a fixed set of cells, extreme ones included, one after another in this process, which takes a
+    minute or two, and prints which model suits which purpose.
+    """
+    from service.local import claim_kernels
+
+    format = output_format(output, PICTURES) if output else None
+    claim_kernels()
+    from service import tradeoff as measurements
+
+    click.echo("measuring (two or three minutes)", err=True)
+    rows = [measurements.measure(setup) for setup in measurements.SETUPS]
+    if output and format:
+        write_file(output, measurements.draw(rows, format))
+    click.echo(measurements.report(rows))

@@ -9,9 +9,8 @@ from typing import Final
 import click
 
 from service.cli import data, jobs, results, views
-from service.cli.figure import figure
+from service.cli.figure import figure, tradeoff
 from service.cli.options import CommandGroup, data_option, open_client, service_options
-from service.cli.tradeoff import tradeoff
 from service.tokens import AUTO, data_folder, write_private
 
 #: Shells that can complete.

@@ -7,6 +7,7 @@ writes that file anew, after a look at the pictures.
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,10 @@ from paths import GOLDEN, ROOT
 from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.client import plots
-from service.render import work_precision
 from service.render.style import DPI
 from service.results.counting import LABEL
+from service.tradeoff import SIZE, Measurement, compose
 from service.views import diagram, multistability
-from worker.analysis.work_precision import Measurement
 from worker.spec import SweepSpec
 
 DRAWN = GOLDEN / "pictures.json"
@@ -95,7 +95,8 @@ def diagrams(cells: int, directions: list[str], **attrs: Any) -> Draw:
 
 def tradeoff(figure: Figure) -> None:
     rows = json.loads((GOLDEN / "tradeoff_rows.json").read_text())["rows"]
-    work_precision.compose(figure, [Measurement.model_validate(row) for row in rows])
+    names = [field.name for field in fields(Measurement)]
+    compose(figure, [Measurement(**{name: row[name] for name in names}) for row in rows])
 
 
 def client_diagram(figure: Figure) -> None:
@@ -150,7 +151,7 @@ PICTURES: dict[str, tuple[tuple[float, float], Draw]] = {
     ),
     "diagram": (diagram.SIZE, diagrams(40, ["up", "down"], complete=False)),
     "diagram, dense": (diagram.SIZE, diagrams(80_000, ["rest"])),
-    "tradeoff": (work_precision.SIZE, tradeoff),
+    "tradeoff": (SIZE, tradeoff),
     "client's diagram": ((6.4, 4.8), client_diagram),
     "client's map": ((12.8, 4.8), client_map),
     "client's thresholds": ((12.8, 4.8), client_thresholds),
