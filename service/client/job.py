@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from service.client.display import PartsCallback, display_job, display_parts, job_html, summary
 from service.client.errors import (
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
-    from service.client.plots import Kind
-
 #: Seconds between two requests of a wait if the service sends no Retry-After: the first, and the longest.
 FIRST_DELAY: Final = 0.05
 MAX_DELAY: Final = 2.0
@@ -43,6 +41,9 @@ REQUEST_DELAY: Final = 0.02
 
 #: Seconds for which a wait retries while the service is away; a restarted service continues its jobs.
 MAX_OUTAGE: Final = 30.0
+
+
+Kind = Literal["diagram", "modes", "threshold"]
 
 
 class ResultReader(ABC):
@@ -275,7 +276,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
 
     def plot(
         self,
-        kind: "Kind | None" = None,
+        kind: Kind | None = None,
         *,
         ax: "Axes | None" = None,
         branches: "xarray.Dataset | None" = None,
@@ -305,30 +306,22 @@ class Job(ResultReader, ResultMethods, JobStatus):
         BounceError
             The kind is unknown, or the result's method raises it.
         """
-        from service.client import plots
-
         spec = self.spec
-        long = [axis for axis in plots.AXES if _length(spec[axis]) > 1]
+        long = [axis for axis in ("gamma", "omega", "xi") if _length(spec[axis]) > 1]
         if kind is None:
             kind = "modes" if {"gamma", "omega"} <= set(long) and "along" not in selection else "diagram"
-        if kind not in get_args(plots.Kind):
-            raise BounceError(f"kind: must be one of {', '.join(get_args(plots.Kind))}, not {kind!r:.40}")
+        if kind not in get_args(Kind):
+            raise BounceError(f"kind: must be one of {', '.join(get_args(Kind))}, not {kind!r:.40}")
         if branches is not None and kind != "diagram":
             raise BounceError(f"branches: are drawn in a diagram, not in {kind}")
-        ax = ax if ax is not None else plots.new_axes()
-        if kind == "modes":
-            both = spec["protocol"].get("direction") == "both"
-            defaults: dict[str, Any] = {"hysteresis": True, "direction": "up"} if both else {}
-            plots.draw_modes(ax, self.modes(**defaults | selection))
+        if kind == "modes" and spec["protocol"].get("direction") == "both":
+            selection = {"hysteresis": True, "direction": "up", **selection}
         elif kind == "threshold":
-            plots.draw_thresholds(ax, self.threshold(progress=False, **selection))
-        else:
-            if "along" not in selection and long and "gamma" not in long:
-                selection["along"] = long[0]
-            plots.draw_diagram(ax, self.diagram(**selection))
-            if branches is not None:
-                plots.draw_branches(ax, branches)
-        return ax
+            selection["progress"] = False
+        elif kind == "diagram" and "along" not in selection and long and "gamma" not in long:
+            selection["along"] = long[0]
+        axes: Axes = self.result(kind, **selection).bounce.plot(ax=ax, branches=branches)
+        return axes
 
     def _refreshed(self) -> Iterator[float]:
         """Refresh, pausing while the service is away; then becomes the job that replaces this one, if any."""
