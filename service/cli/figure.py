@@ -1,11 +1,15 @@
 """The commands that make pictures without a service that runs: figure, tradeoff."""
 
-from contextlib import AbstractContextManager, nullcontext
+import secrets
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlsplit
 
 import click
 
+from service import address
 from service.cli.options import (
     data_option,
     optional_service_options,
@@ -15,9 +19,13 @@ from service.cli.options import (
     write_file,
 )
 from service.formats import PICTURES
+from service.tokens import AUTO, data_folder, find_token
 
 #: Seconds for one answer: the first trajectory waits until the kernels are compiled.
 COMPILE_SECONDS: Final = 300.0
+
+#: The address of a service, and the access token for it.
+Service = tuple[str, str | None]
 
 
 @click.command()
@@ -44,7 +52,6 @@ def figure(
     prints how they compare with the paper. A second run finds the finished jobs in the data folder and only
     draws. If a service runs on the data folder, that service is used.
     """
-    from service.cli.local_service import Address, persistent_service
     from service.client import Client
     from service.figures import catalogue
 
@@ -58,14 +65,74 @@ def figure(
     else:
         targets = [output or f"figure-{number}.{format}"]
         format = output_format(targets[0], PICTURES)
-    if url is None or data is not None:
-        service: AbstractContextManager[Address] = persistent_service(workers, data, token)
-    else:
-        service = nullcontext(Address(url, token))
-    with service as address, Client(*address, timeout=COMPILE_SECONDS) as client:
+    with ExitStack() as stack:
+        if url is None or data is not None:
+            url, token = stack.enter_context(_service(workers, data, token))
+        client = stack.enter_context(Client(url, token, timeout=COMPILE_SECONDS))
         for target, picture in zip(targets, catalogue.make(figures, client, format), strict=True):
             write_file(target, picture.content)
             click.echo(f"{target}\n{picture.caption}\n", err=True)
+
+
+@contextmanager
+def _service(workers: int | None, data: str | None, token: str | None) -> Iterator[Service]:
+    """A service that keeps its results in the folder `data`, by default BOUNCE_DATA or ./bounce-data.
+
+    A folder has one service at a time. If `bounce serve` runs on it, that service is used. If another command
+    uses the default folder, a temporary service is started. A folder that was named is not replaced: raises
+    DataFolderBusy.
+    """
+    from service.errors import DataFolderBusy
+    from worker.temporary import temporary_folder
+
+    folder = Path(data) if data else data_folder()
+    if running := _running_on(folder, token):
+        click.echo(f"using the service at {running[0]}, which runs on {folder}", err=True)
+        yield running
+        return
+    with ExitStack() as stack:
+        try:
+            service = stack.enter_context(_started(workers, data))
+        except DataFolderBusy:
+            if data is not None:
+                raise
+            click.echo("another service uses the data folder: using a temporary one", err=True)
+            temporary = stack.enter_context(temporary_folder("bounce-"))
+            service = stack.enter_context(_started(workers, str(temporary)))
+        yield service
+
+
+def _running_on(folder: Path, token: str | None) -> Service | None:
+    """The service that runs on a data folder, if it accepts `token`, or else the one that it has made."""
+    from service.client import BounceError, Client
+
+    url = address.find(folder)
+    if url is None:
+        return None
+    if token in (None, "", AUTO):
+        token = find_token(urlsplit(url).port or 80, folder)
+    try:
+        with Client(url, token, timeout=5.0) as client:
+            client.metrics()
+    except BounceError:
+        return None
+    return url, token
+
+
+@contextmanager
+def _started(workers: int | None, data: str | None) -> Iterator[Service]:
+    """A service in this process, with a token of its own: other users of the machine reach its port too."""
+    from service.client.display import display_elapsed
+    from service.local import claim_kernels
+    from service.server import embedded
+
+    claim_kernels()
+    token = secrets.token_urlsafe()
+    settings = embedded.settings(workers=workers, data=data, host="127.0.0.1", port=0, token=token)
+    with ExitStack() as stack:
+        with display_elapsed("starting a local service"):
+            url = stack.enter_context(embedded.running(settings))
+        yield url, token
 
 
 @click.command()

@@ -74,20 +74,18 @@ def run(
       bounce run sweep.toml -o diagram.png --along gamma --omega 0.5 --xi 0.26
     """
     from service import local
-    from service.cli.local_service import ended_by_signals
     from service.client.specification import read
 
     format = output_format(output, ("zarr", *EXPORTS, *PICTURES, *TABLES), format)
     specification = spec if spec != "-" else read(sys.stdin.buffer.read())
     try:
-        with ended_by_signals():
-            if format == "zarr":
-                local.run(specification, output, workers=workers)
-            else:
-                local.run_to_file(specification, output, format, line, every=every or 1, workers=workers)
-    except KeyboardInterrupt:
+        if format == "zarr":
+            local.run(specification, output, workers=workers)
+        else:
+            local.run_to_file(specification, output, format, line, every=every or 1, workers=workers)
+    except SystemExit:  # by a signal
         click.echo(f"interrupted; the same command goes on in {local.partial_of(Path(output))}", err=True)
-        sys.exit(130)
+        raise
 
 
 @click.command()
@@ -252,6 +250,6 @@ def _wait(job: "Job", timeout: float | None = None) -> None:
             )
         if note := settling_note(job):
             click.echo(note, err=True)
-    except KeyboardInterrupt:
+    except SystemExit:  # by a signal
         click.echo(f"stopped waiting; the job continues (cancel it with: bounce cancel {job.id})", err=True)
-        sys.exit(130)
+        raise

@@ -139,7 +139,3 @@ for command in (
     tradeoff,
 ):
     main.add_command(command)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,10 +2,9 @@
 
 import errno
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -28,25 +27,12 @@ Command = TypeVar("Command", bound=Callable[..., None])
 
 
 class CommandGroup(click.Group):
-    """A group whose commands report an error as one message on standard error and exit code 1.
-
-    SIGINT ends a command with exit code 130.
-    """
-
-    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
-        """Read the command line; click itself would answer SIGINT by "Aborted!" and exit code 1."""
-        try:
-            return super().make_context(*arguments, **options)
-        except KeyboardInterrupt:
-            raise click.exceptions.Exit(130) from None
+    """A group whose commands report an error as one message on standard error and exit code 1."""
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; exceptions raised on purpose and those of the file system become messages."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            click.echo(err=True)  # after ^C
-            sys.exit(130)
         except Exception as error:
             message = _message(error)
             if message is None:

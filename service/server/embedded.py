@@ -93,7 +93,7 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
 def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     """Run a service until SIGINT or SIGTERM; `announce` gets one line once it listens.
 
-    Raises NotStarted, and KeyboardInterrupt after SIGINT, once everything has ended.
+    Raises NotStarted, and SystemExit after SIGINT, once everything has ended.
     """
 
     def announce_url(url: str) -> None:
@@ -149,14 +149,14 @@ class _Stopped(BaseException):
 def _stopped_by_signals() -> Iterator[None]:
     """SIGINT and SIGTERM end the block, also during startup; while serving, uvicorn handles them.
 
-    After SIGINT, raises KeyboardInterrupt.
+    After SIGINT, raises SystemExit with the code that shells give.
     """
     previous = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     except _Stopped as stopped:
         if stopped.number == signal.SIGINT:
-            raise KeyboardInterrupt from None
+            sys.exit(128 + signal.SIGINT)
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
