@@ -67,7 +67,7 @@ class Client(ResultReader, SpringMethods):
         *,
         http: "httpx2.Client | None" = None,
     ) -> None:
-        self._transport = Transport(url, token=token, timeout=timeout, http=http)
+        self._transport = Transport(url, token, timeout, http)
 
     @property
     def url(self) -> str:
@@ -107,13 +107,13 @@ class Client(ResultReader, SpringMethods):
         TooLarge, Busy
         """
         headers = {"Idempotency-Key": header_value("an idempotency key", key)} if key is not None else None
-        response = self._transport.post("/v1/jobs", body(spec), headers=headers, idempotent=True)
+        response = self._transport.post("/v1/jobs", body(spec), headers=headers)
         return Job(self._transport, json_object(response), response)
 
     def estimate(self, spec: Specification) -> Estimate:
         """The estimated cost of a sweep, without submitting it. Raises as `submit`."""
         query = {"validate_only": "true"}
-        answer = json_object(self._transport.post("/v1/jobs", body(spec), query=query, idempotent=True))
+        answer = json_object(self._transport.post("/v1/jobs", body(spec), query=query))
         try:
             return Estimate(**{name: answer[name] for name in Estimate._fields if name in answer})
         except TypeError as error:
@@ -312,9 +312,7 @@ class Client(ResultReader, SpringMethods):
     def trajectory_file(self, cell: "Mapping[str, Any]", format: str) -> bytes:
         """The same as the content of a file: json, csv, nc or parquet."""
         query = {"format": format}
-        return self._transport.post(
-            "/v1/trajectories", body(cell), query=query, idempotent=True, waits=True
-        ).content
+        return self._transport.post("/v1/trajectories", body(cell), query=query, waits=True).content
 
     def _path(self, *parts: str) -> str:
         return "/".join(("/v1", *parts))

@@ -169,11 +169,11 @@ class Job(ResultReader, ResultMethods, JobStatus):
         TooLarge, Busy
         """
         fields = {"gamma": gamma, "omega": omega, "xi": xi, "finer": finer, "by": by, "margin": margin}
-        response = self._transport.post(self._path("refine"), body(fields), idempotent=True)
+        response = self._transport.post(self._path("refine"), body(fields))
         return Job(self._transport, json_object(response), response)
 
     def _post(self, action: str) -> "Job":
-        response = self._transport.post(self._path(action), idempotent=True)
+        response = self._transport.post(self._path(action))
         self._describe(json_object(response), response)
         return self
 
