@@ -121,7 +121,6 @@ def run_to_file(
     format: str,
     line: Mapping[str, Any] | None = None,
     *,
-    every: int = 1,
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
 ) -> JobStatus:
@@ -138,10 +137,7 @@ def run_to_file(
     format
         One of `service.formats.EXPORTS` for the whole study, or of a diagram's formats for a line of a sweep.
     line
-        The diagram's line: `along`, the values of the other axes, `direction` and `min_flight`, as in
-        `Job.diagram`.
-    every
-        Write every n-th cell of the line.
+        Which line of a sweep: the arguments of `Job.diagram`.
 
     Returns
     -------
@@ -172,7 +168,7 @@ def run_to_file(
     from service.views.registry import admit, answer
     from service.views.view import Query
 
-    query: Query = _query(diagram.DiagramQuery, {**(line or {}), "every": every})
+    query: Query = _query(diagram.DiagramQuery, line or {})
     # Before computing for hours.
     if format in EXPORTS:
         export.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))

@@ -1,6 +1,5 @@
 """A method for each result. Made by service.views.client_methods: do not edit."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -11,16 +10,16 @@ Names = dict[str, tuple[str, ...]]
 Progress = bool | Callable[[int, int], None]
 
 
-class Methods(ABC):
+class Methods:
     """Reads results by name."""
 
     #: The formats of each result, and the variables whose numbers are the rows of printed tables.
     FORMATS: ClassVar[Names]
     PRINTED: ClassVar[Names]
 
-    @abstractmethod
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
+        raise NotImplementedError
 
 
 class ResultMethods(Methods):

@@ -12,10 +12,9 @@ import click
 from service import address
 from service.cli.options import (
     data_option,
-    optional_service_options,
     output_format,
+    token_option,
     was_default_or_variable,
-    workers_option,
     write_file,
 )
 from service.formats import PICTURES
@@ -35,8 +34,10 @@ Service = tuple[str, str | None]
 @click.option("--format", type=click.Choice(PICTURES), default="png", show_default=True,
               help="Format of the files in the folder.")  # fmt: skip
 @data_option
-@workers_option
-@optional_service_options
+@click.option("--workers", type=int, help="Worker processes of the local service.  [default: 2]")
+@click.option("--url", help="Use the running service at this address instead of a local one.",
+              envvar="BOUNCE_URL", show_envvar=True)  # fmt: skip
+@token_option
 def figure(
     number: str,
     output: str | None,

@@ -12,18 +12,20 @@ from service.cli.options import (
     format_option,
     job_argument,
     json_option,
-    line_options,
     open_client,
     output_format,
     service_options,
 )
+from service.cli.views import query_options
 from service.formats import EXPORTS, PICTURES, TABLES
+from service.result_methods import ResultMethods
 
 if TYPE_CHECKING:
     from service.client import Job
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
 ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
+_RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
 
 @click.command()
@@ -56,13 +58,11 @@ def submit(
 
 @click.command()
 @click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
-@line_options
-@format_option("zarr", *EXPORTS, *PICTURES, *TABLES)
+@query_options(ResultMethods, name="diagram")
+@format_option(*_RUN_FORMATS)
 @click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
 @click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
-def run(
-    spec: str, output: str, format: str | None, workers: int | None, every: int | None, **line: Any
-) -> None:
+def run(spec: str, output: str, format: str | None, workers: int | None, **query: Any) -> None:
     """Compute a sweep without a service, and write it.
 
     The ending of the output says what is written: the sweep as .zarr, .nc or .parquet, or its diagram as
@@ -76,13 +76,14 @@ def run(
     from service import local
     from service.client.specification import read
 
-    format = output_format(output, ("zarr", *EXPORTS, *PICTURES, *TABLES), format)
+    format = output_format(output, _RUN_FORMATS, format)
     specification = spec if spec != "-" else read(sys.stdin.buffer.read())
     try:
         if format == "zarr":
             local.run(specification, output, workers=workers)
         else:
-            local.run_to_file(specification, output, format, line, every=every or 1, workers=workers)
+            query = {name: value for name, value in query.items() if value is not None}
+            local.run_to_file(specification, output, format, query, workers=workers)
     except SystemExit:  # by a signal
         click.echo(f"interrupted; the same command goes on in {local.partial_of(Path(output))}", err=True)
         raise

@@ -8,7 +8,7 @@ from typing import Final
 
 import click
 
-from service.cli import data, jobs, results, views
+from service.cli import data, jobs, views
 from service.cli.figure import figure, tradeoff
 from service.cli.options import CommandGroup, data_option, open_client, service_options
 from service.tokens import AUTO, data_folder, write_private
@@ -133,7 +133,6 @@ def _handed_over(address: str) -> str:
 for command in (
     *views.COMMANDS,
     *jobs.COMMANDS,
-    *results.COMMANDS,  # after those of its views: one of a spring or a cell replaces that of a job
     *data.COMMANDS,
     figure,
     tradeoff,

@@ -16,9 +16,7 @@ from service.tokens import data_folder
 if TYPE_CHECKING:
     from service.client import Client
 
-AXES: Final = ("gamma", "omega", "xi")
 DEFAULT_URL: Final = "http://127.0.0.1:8000"  # the client's, which takes long to import
-_SHOWN_DEFAULT: Final = f"the service on ./bounce-data or BOUNCE_DATA; {DEFAULT_URL}"
 
 #: Seconds that the completion of an id waits for the service.
 COMPLETION_SECONDS: Final = 2.0
@@ -44,9 +42,8 @@ def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str)
     """Ids of the service's jobs that begin so, with their states and names; none if it does not answer."""
     from service.client import BounceError, Client
 
-    given = ctx.params
-    url = given.get("url") or os.environ.get("BOUNCE_URL") or default_url()
-    token = given.get("token") or os.environ.get("BOUNCE_TOKEN")
+    url = ctx.params.get("url") or os.environ.get("BOUNCE_URL") or default_url()
+    token = ctx.params.get("token") or os.environ.get("BOUNCE_TOKEN")
     try:
         with Client(url, token, timeout=COMPLETION_SECONDS) as client:
             found = client.jobs(search=incomplete or None)
@@ -57,16 +54,7 @@ def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str)
 
 
 job_argument = click.argument("job_id", metavar="ID", shell_complete=complete_id)
-optional_job_argument = click.argument("job_id", metavar="[ID]", required=False, shell_complete=complete_id)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-min_flight_option = click.option(
-    "--min-flight",
-    type=float,
-    help="Flights shorter than this (rad) do not count, unless all of a cell are.  [default: micro_flight]",
-)
-workers_option = click.option(
-    "--workers", type=int, help="Worker processes of the local service.  [default: 2]"
-)
 data_option = click.option(
     "--data",
     type=click.Path(file_okay=False),
@@ -83,10 +71,18 @@ url_option = click.option(
     "--url",
     help="Address of the service.",
     default=default_url,
-    show_default=_SHOWN_DEFAULT,
+    show_default=f"the service on ./bounce-data or BOUNCE_DATA; {DEFAULT_URL}",
     envvar="BOUNCE_URL",
     show_envvar=True,
 )
+token_option = click.option(
+    "--token", help="Access token, if the service requires one.", envvar="BOUNCE_TOKEN", show_envvar=True
+)
+
+
+def service_options(command: Command) -> Command:
+    """The options that select the service."""
+    return url_option(token_option(command))
 
 
 def was_default_or_variable(option: str) -> bool:
@@ -95,57 +91,11 @@ def was_default_or_variable(option: str) -> bool:
     return source is not ParameterSource.COMMANDLINE
 
 
-def service_options(command: Command) -> Command:
-    """The options that select the service."""
-    return _with(
-        command,
-        url_option,
-        click.option("--token", help="Access token, if the service requires one.", envvar="BOUNCE_TOKEN",
-                     show_envvar=True),
-    )  # fmt: skip
-
-
-def optional_service_options(command: Command) -> Command:
-    """The options that select a running service instead of a local one."""
-    return _with(
-        command,
-        click.option("--url", help="Use the running service at this address instead of a local one.",
-                     envvar="BOUNCE_URL", show_envvar=True),
-        click.option("--token", help="Access token, if that service requires one.", envvar="BOUNCE_TOKEN",
-                     show_envvar=True),
-    )  # fmt: skip
-
-
-def line_options(command: Command) -> Command:
-    """The options that select one line of the grid."""
-    return _with(
-        command,
-        click.option("--along", type=click.Choice(AXES), default="gamma", show_default=True,
-                     help="Axis of the diagram."),
-        click.option("--gamma", type=float, help="Γ; the nearest grid value is used."),
-        click.option("--omega", type=float, help="Ω; the nearest grid value is used."),
-        click.option("--xi", type=float, help="ξ; the nearest grid value is used."),
-        click.option("--direction", type=click.Choice(["up", "down"]),
-                     help="Direction, for a sweep ramped both ways."),
-        min_flight_option,
-        click.option("--every", type=click.IntRange(min=1), help="Take only every n-th cell."),
-    )  # fmt: skip
-
-
 def format_option(*formats: str) -> Callable[[Command], Command]:
     """The option that selects the format of the output file."""
     return click.option(
         "--format", type=click.Choice(formats), help="Format of the output.  [default: the ending of FILE]"
     )
-
-
-def output_option(command: Command) -> Command:
-    """The option that names the output file."""
-    return _with(
-        command,
-        click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
-                     help="File to write; - is standard output."),
-    )  # fmt: skip
 
 
 def open_client(url: str, token: str | None) -> "Client":
@@ -179,13 +129,6 @@ def write_file(output: str, content: bytes) -> None:
 
     with click.open_file("-", "wb") if output == "-" else complete_file(Path(output)) as file:
         file.write(content)
-
-
-def _with(command: Command, *options: Callable[[Command], Command]) -> Command:
-    """The command with these options, in this order in its help."""
-    for option in reversed(options):
-        command = option(command)
-    return command
 
 
 def _message(error: Exception) -> str | None:

@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from service.client.display import about, rounded, settling_note, size, time_left
+from service.client.display import duration, settling_note, time_left
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -69,24 +69,25 @@ def jobs_live(jobs: Sequence["Job"]) -> "RenderableType":
 
 
 def estimate_line(estimate: "Estimate") -> str:
-    """The estimated cost of a sweep, in minutes on the workers that there are."""
+    """The estimated cost of a sweep, in time on the workers that there are."""
+    from rich.filesize import decimal
+
+    def time(core_seconds: float | None) -> str:
+        return duration(max((core_seconds or 0.0) / at_once, 1.0))
+
     at_once = max(min(estimate.workers, estimate.chunks), 1)
-    computed, seconds, most = "", about(estimate.core_seconds / at_once), ""
+    computed, seconds, most, longest = "", time(estimate.core_seconds), "", ""
     if estimate.computed_cells is not None:
         low, high = estimate.computed_cells
         computed = f", of which about {low:,} to {high:,} are computed,"
-        seconds = f"{about((estimate.least_core_seconds or 0.0) / at_once)} to {seconds}"
-        most = "at most "
-    longest = ""
+        seconds, most = f"{time(estimate.least_core_seconds)} to {seconds}", "at most "
     if estimate.longest_core_seconds is not None:
-        longest = (
-            f"; {about(estimate.longest_core_seconds / at_once)} if every cell settled until settle_until"
-        )
+        longest = f"; {time(estimate.longest_core_seconds)} if every cell settled until settle_until"
     workers = "one core" if not estimate.workers else _plural(estimate.workers, "worker")
     return (
         f"{estimate.cells:,} cells{computed} in {_plural(estimate.chunks, 'chunk')}, "
-        f"{most}{size(estimate.bytes)} before compression, about {seconds} on {workers} "
-        f"({rounded(estimate.core_seconds)} core-seconds, {_BASES[estimate.basis]}{longest})"
+        f"{most}{decimal(estimate.bytes)} before compression, about {seconds} on {workers} "
+        f"({estimate.core_seconds:,.1f} core-seconds, {_BASES[estimate.basis]}{longest})"
     )
 
 
