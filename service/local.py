@@ -14,10 +14,10 @@ import errno
 import json
 import os
 import shutil
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager, nullcontext
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -169,23 +169,24 @@ def run_to_file(
     from service.views.view import Query
 
     query: Query = _query(diagram.DiagramQuery, line or {})
+    settings = _settings(partial_of(target))
     # Before computing for hours.
     if format in EXPORTS:
         export.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
     else:
-        limits = _settings(partial_of(target))
-        query, _ = admit(diagram.VIEW, parsed, query, format, limits.max_points)
-    with computed(parsed, partial_of(target), workers=workers, progress=progress) as (record, job):
+        query, _ = admit(diagram.VIEW, parsed, query, format, settings.max_points)
+    with (
+        computed(parsed, settings.data, workers=workers, progress=progress) as (record, job),
+        complete_file(target) as file,
+    ):
         study = Stored(job.spec, job.store_url, complete=True, job=record.id, forms=job.forms)
-        limits = _settings(partial_of(target))
-        with complete_file(target) as file:
-            if format in EXPORTS:
-                attributes = attributes_of(record, job)
-                whole = export.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
-                with export.make(InThisProcess(), whole, limits.exports_path) as made:
-                    file.writelines(export.pieces(made))
-            else:
-                file.write(answer("diagram", study, query.model_dump(), format)[0])
+        if format in EXPORTS:
+            attributes = attributes_of(record, job)
+            whole = export.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
+            with export.make(InThisProcess(), whole, settings.exports_path) as made:
+                file.writelines(export.pieces(made))
+        else:
+            file.write(answer("diagram", study, query.model_dump(), format)[0])
     shutil.rmtree(partial_of(target))
     return _status(record)
 
@@ -227,9 +228,7 @@ def computed(
         _compile(parsed, progress)
         manager.start()
         try:
-            job_id = manager.submit(parsed).job.id
-            with _cancelled_on_error(manager, ledger.find, job_id):
-                record = _wait(ledger.find, job_id, progress)
+            record = _wait(manager, ledger, manager.submit(parsed).job.id, progress)
             yield record, manager.preparer.prepare(record)
         finally:
             manager.stop()
@@ -254,10 +253,7 @@ def _settings(folder: Path) -> "Settings":
     """The default settings for a data folder, ignoring BOUNCE_* variables."""
     from service.settings import Settings
 
-    fields = {
-        name: field.get_default(call_default_factory=True) for name, field in Settings.model_fields.items()
-    }
-    return Settings(**(fields | {"data": folder.absolute()}))
+    return Settings.model_construct(data=folder.absolute())
 
 
 def claim_kernels() -> None:
@@ -278,22 +274,12 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
 
     if not isinstance(spec, SweepSpec) or spec.model.kind == "auto":
         return
-    failures: list[BaseException] = []
-
-    def compile_it() -> None:
-        try:
-            compile_for(spec)
-        except BaseException as error:  # noqa: BLE001 - raised again below
-            failures.append(error)
-
     # In a thread: the compiler blocks Python for seconds, and may lose an exception.
-    thread = threading.Thread(target=compile_it, name="compile", daemon=True)
+    thread = ThreadPoolExecutor(1, thread_name_prefix="compile")
     shown = display_elapsed(_compiling, after=MESSAGE_SECONDS) if progress is True else nullcontext()
     with shown:
-        thread.start()
-        thread.join()
-    if failures:
-        raise failures[0]
+        thread.submit(compile_for, spec).result()
+    thread.shutdown()
 
 
 def _compiling() -> str:
@@ -328,20 +314,31 @@ def _is_computed(target: Path, spec: Specification) -> bool:
 
 
 def _wait(
-    find: "Callable[[str], JobRecord | None]", job_id: str, progress: bool | ProgressCallback
+    manager: "JobManager", ledger: "Ledger", job_id: str, progress: bool | ProgressCallback
 ) -> "JobRecord":
-    """The job once it is done. Raises RunFailed."""
+    """The job once it is done. Raises RunFailed.
+
+    If interrupted, cancels the job, so that its chunks stop; stored results stay.
+    """
+    from service.errors import IllegalTransition, UnknownJob
     from service.jobs.model import UNFINISHED, JobState
 
-    with display_job(progress) as show:
-        while True:
-            record = find(job_id)
-            if record is None:
-                raise RunFailed("the folder of the run was changed while it computed")
-            show(_status(record))
-            if record.state not in UNFINISHED:
-                break
-            time.sleep(LOOK_SECONDS)
+    try:
+        with display_job(progress) as show:
+            while (record := ledger.find(job_id)) is not None:
+                show(_status(record))
+                if record.state not in UNFINISHED:
+                    break
+                time.sleep(LOOK_SECONDS)
+    except BaseException:
+        with suppress(IllegalTransition, UnknownJob):
+            manager.cancel(job_id)
+            deadline = time.monotonic() + CANCEL_SECONDS
+            while (job := ledger.find(job_id)) and job.state in UNFINISHED and time.monotonic() < deadline:
+                time.sleep(LOOK_SECONDS)
+        raise
+    if record is None:
+        raise RunFailed("the folder of the run was changed while it computed")
     if record.state is not JobState.DONE:
         raise RunFailed(record.error or f"the study was {record.state}")
     return record
@@ -360,26 +357,3 @@ def _status(record: "JobRecord") -> JobStatus:
         }
     )
     return status
-
-
-@contextmanager
-def _cancelled_on_error(
-    manager: "JobManager", find: "Callable[[str], JobRecord | None]", job_id: str
-) -> Iterator[None]:
-    """Cancel the job if the block is interrupted, so that its chunks stop; stored results stay."""
-    from service.errors import IllegalTransition, UnknownJob
-    from service.jobs.model import UNFINISHED
-
-    try:
-        yield
-    except RunFailed:
-        raise
-    except BaseException:
-        try:
-            manager.cancel(job_id)
-            deadline = time.monotonic() + CANCEL_SECONDS
-            while (job := find(job_id)) and job.state in UNFINISHED and time.monotonic() < deadline:
-                time.sleep(LOOK_SECONDS)
-        except (IllegalTransition, UnknownJob):
-            pass
-        raise
