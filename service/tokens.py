@@ -1,10 +1,12 @@
-"""Access tokens: their rule, files of named ones, and the token that a service creates for its own user.
+"""Access tokens: their rule, files of named ones; and the user's own service: its address and its token.
 
-A service with `token=auto` keeps its token in a file of the data folder, where clients of the same user find
-it. Imports only the standard library, because clients do.
+A service records its address in a file of its data folder, where commands of the same user find it, and holds
+a lock on the file, so one left by a killed service does not count. With `token=auto` its token is beside it.
+Imports only the standard library, because clients do, and every command may look for a service.
 """
 
 import errno
+import fcntl
 import json
 import os
 import re
@@ -12,9 +14,10 @@ import secrets
 import stat
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Final, NamedTuple
+from typing import IO, Final
+from urllib.parse import urlsplit
 
 #: Replaces a token: the service creates one, its clients look for it.
 AUTO: Final = "auto"
@@ -23,8 +26,12 @@ AUTO: Final = "auto"
 MIN_LENGTH: Final = 16
 RULE: Final = f"must be at least {MIN_LENGTH} ASCII characters without spaces"
 
-#: The file of the data folder with the token that the service has created.
+#: The files of the data folder with the token that the service has created, and with its address.
 FILE_NAME: Final = "token.json"
+ADDRESS_FILE: Final = "service.json"
+
+#: Addresses that mean every interface, and the local address of such a service.
+_EVERY: Final = {"http://0.0.0.0:": "http://127.0.0.1:", "http://[::]:": "http://[::1]:"}
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
 _OTHERS: Final = 0o077
@@ -33,13 +40,6 @@ _MAX_BYTES: Final = 1_000_000
 
 class TokenFileUnusable(Exception):
     """A file of tokens breaks a rule; the text names the file and the line, and shows no token."""
-
-
-class OwnToken(NamedTuple):
-    """A token created by a service, and the service's port; None while it does not run."""
-
-    token: str
-    port: int | None
 
 
 def is_valid(token: str) -> bool:
@@ -93,14 +93,16 @@ def _problem(name: str, token: str, tokens: dict[str, str]) -> str | None:
     return None
 
 
-def own_token(folder: Path, port: int | None) -> str:
-    """The token that this data folder's service has created, or a new one; records the service's `port`.
+def own_token(folder: Path) -> str:
+    """The token that this data folder's service has created, or a new one. Raises OSError.
 
-    Only this user can read the file. Raises OSError.
+    Only this user can read its file.
     """
-    kept = _read_own(folder)
-    token = secrets.token_urlsafe(32) if kept is None else kept.token
-    write_private(folder / FILE_NAME, json.dumps({"port": port, "token": token}))
+    kept = _read(folder / FILE_NAME, "token")
+    if kept is not None and is_valid(kept):
+        return kept
+    token = secrets.token_urlsafe(32)
+    write_private(folder / FILE_NAME, json.dumps({"token": token}))
     return token
 
 
@@ -110,8 +112,12 @@ def find_token(port: int, folder: Path | None = None) -> str | None:
     Looks in the data folder, by default BOUNCE_DATA or ./bounce-data. A token is sent to no other service,
     and another user's file is ignored.
     """
-    found = _read_own(folder or data_folder())
-    return found.token if found is not None and found.port == port else None
+    folder = folder or data_folder()
+    url = find_service(folder)
+    if url is None or urlsplit(url).port != port:
+        return None
+    token = _read(folder / FILE_NAME, "token")
+    return token if token is not None and is_valid(token) else None
 
 
 def data_folder() -> Path:
@@ -149,11 +155,50 @@ def opened_private(path: Path) -> Iterator[IO[str]]:
         yield file
 
 
-def _read_own(folder: Path) -> OwnToken | None:
-    """The contents of the folder's file; None if no service of this user has written one."""
-    with suppress(OSError, ValueError, KeyError, TypeError), opened_private(folder / FILE_NAME) as file:
-        content = json.loads(file.read(_MAX_BYTES))
-        token, port = content["token"], content["port"]
-        if is_valid(token) and (port is None or isinstance(port, int)):
-            return OwnToken(token, port)
+@contextmanager
+def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
+    """A function that records the address of this process's service on `folder`; removed after the block.
+
+    If it cannot be written, commands do not find the service.
+    """
+    path = folder / ADDRESS_FILE
+    with ExitStack() as recorded:
+
+        def record(url: str) -> None:
+            for wildcard, local in _EVERY.items():
+                if url.startswith(wildcard):
+                    url = local + url.removeprefix(wildcard)
+            with suppress(OSError):
+                write_private(path, json.dumps({"url": url}), before_replace=hold)
+
+        def hold(file: Path) -> None:
+            opened = recorded.enter_context(file.open(encoding="ascii"))
+            fcntl.flock(opened, fcntl.LOCK_EX)
+            recorded.callback(forget, opened)
+
+        def forget(opened: IO[str]) -> None:
+            with suppress(OSError):  # another service may have taken the folder meanwhile
+                if os.path.samestat(path.stat(), os.fstat(opened.fileno())):
+                    path.unlink()
+
+        yield record
+
+
+def find_service(folder: Path) -> str | None:
+    """The address of this user's running service on `folder`; None if there is none."""
+    return _read(folder / ADDRESS_FILE, "url", locked=True)
+
+
+def _read(path: Path, name: str, *, locked: bool = False) -> str | None:
+    """A text in a private file of JSON, if the file is `locked`; None if no service has written it."""
+    with suppress(OSError, ValueError, KeyError, TypeError), opened_private(path) as file:
+        if locked:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:  # its service runs
+                pass
+            else:
+                return None
+        text = json.loads(file.read(_MAX_BYTES))[name]
+        return text if isinstance(text, str) else None
     return None

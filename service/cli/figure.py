@@ -9,7 +9,6 @@ from urllib.parse import urlsplit
 
 import click
 
-from service import address
 from service.cli.options import (
     data_option,
     output_format,
@@ -18,7 +17,7 @@ from service.cli.options import (
     write_file,
 )
 from service.formats import PICTURES
-from service.tokens import AUTO, data_folder, find_token
+from service.tokens import AUTO, data_folder, find_service, find_token
 
 #: Seconds for one answer: the first trajectory waits until the kernels are compiled.
 COMPILE_SECONDS: Final = 300.0
@@ -107,7 +106,7 @@ def _running_on(folder: Path, token: str | None) -> Service | None:
     """The service that runs on a data folder, if it accepts `token`, or else the one that it has made."""
     from service.client import BounceError, Client
 
-    url = address.find(folder)
+    url = find_service(folder)
     if url is None:
         return None
     if token in (None, "", AUTO):

@@ -10,8 +10,7 @@ import click
 from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
-from service import address
-from service.tokens import data_folder
+from service.tokens import data_folder, find_service
 
 if TYPE_CHECKING:
     from service.client import Client
@@ -64,7 +63,7 @@ data_option = click.option(
 
 def default_url(folder: Path | None = None) -> str:
     """The address of the service on a data folder, by default that of clients, else the usual one."""
-    return address.find(folder or data_folder()) or DEFAULT_URL
+    return find_service(folder or data_folder()) or DEFAULT_URL
 
 
 url_option = click.option(

@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from pydantic import SecretStr, ValidationError
 
-from service import address, tokens
+from service import tokens
 from service.api.app import TITLE, create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotComputed, NotStarted
@@ -74,8 +74,9 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
     """
     with (
         _listening(settings) as (listener, marker),
-        _with_own_token(settings, listener) as complete,
+        _with_own_token(settings) as complete,
         _computing(settings, marker, executor) as chosen,
+        tokens.recorder(settings.data) as record,
     ):
         with _startup_errors():
             server = WebServer(create_app(complete, chosen), settings, listener)
@@ -84,6 +85,8 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
         try:
             with _startup_errors():
                 url = server.wait_until_started()
+            if settings.makes_token:
+                record(url)
             yield url
         finally:
             server.should_exit = True
@@ -107,10 +110,10 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         log_to_stderr(settings.log_level),
         _umask(settings),
         _listening(settings) as (listener, marker),
-        _with_own_token(settings, listener) as complete,
+        _with_own_token(settings) as complete,
         _computing(settings, marker, None) as executor,
         closing(Processes(settings.max_reads + settings.max_exports)) as background,
-        address.recorder(settings.data) as record,
+        tokens.recorder(settings.data) as record,
     ):
         threading.Thread(target=_warm_answers, args=[background], name="warm-answers", daemon=True).start()
         with _startup_errors():
@@ -248,8 +251,8 @@ def _make_private(folders: Iterable[Path]) -> None:
 
 
 @contextmanager
-def _with_own_token(settings: Settings, listener: socket.socket) -> Iterator[Settings]:
-    """The settings, with the service's own token if it makes one; clients find it during the block.
+def _with_own_token(settings: Settings) -> Iterator[Settings]:
+    """The settings, with the service's own token if it makes one; clients find it.
 
     Processes started meanwhile do not inherit a token: workers need none. Raises NotStarted.
     """
@@ -259,12 +262,8 @@ def _with_own_token(settings: Settings, listener: socket.socket) -> Iterator[Set
             yield settings
             return
         with _startup_errors():
-            token = tokens.own_token(settings.data, port=listener.getsockname()[1])
-        try:
-            yield settings.model_copy(update={"token": SecretStr(token)})
-        finally:
-            with suppress(OSError):  # the folder may be gone
-                tokens.own_token(settings.data, port=None)
+            token = tokens.own_token(settings.data)
+        yield settings.model_copy(update={"token": SecretStr(token)})
     finally:
         if inherited is not None:
             os.environ[_TOKEN_VARIABLE] = inherited

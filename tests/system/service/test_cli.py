@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep
 from served import computing_at
 
-from service import address
+from service import tokens
 from service.cli import options
 from service.cli.main import main
 from service.client import Client
@@ -179,7 +179,7 @@ def test_figure_uses_a_running_service(tmp_path: Path, monkeypatch: pytest.Monke
     with (
         closing(Inline()) as executor,
         embedded.running(settings, executor) as url,
-        address.recorder(settings.data) as record,
+        tokens.recorder(settings.data) as record,
     ):
         record(url)
         token = json.loads((settings.data / "token.json").read_text())["token"]
