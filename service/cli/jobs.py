@@ -8,20 +8,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from service.cli.options import (
-    format_option,
-    job_argument,
-    json_option,
-    open_client,
-    output_format,
-    service_options,
-)
+from service.cli.options import format_option, json_option, output_format, with_client, with_job
 from service.cli.views import query_options
 from service.formats import EXPORTS, PICTURES, TABLES
 from service.result_methods import ResultMethods
 
 if TYPE_CHECKING:
-    from service.client import Job
+    from service.client import Client, Job
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
 ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
@@ -33,10 +26,8 @@ _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 @click.option("--wait", "wait_for_job", is_flag=True, help="Show progress and wait until the job is done.")
 @click.option("--estimate", is_flag=True, help="Print the estimated cost without submitting.")
 @click.option("--key", help="Idempotency key: repeating the request with it changes nothing.")
-@service_options
-def submit(
-    spec: str, wait_for_job: bool, estimate: bool, key: str | None, url: str, token: str | None
-) -> None:
+@with_client
+def submit(client: "Client", spec: str, wait_for_job: bool, estimate: bool, key: str | None) -> None:
     """Submit a sweep and print its job id.
 
     SPEC is a .json, .toml or .yaml file, or - for JSON on standard input. The same sweep is always the same
@@ -45,15 +36,14 @@ def submit(
     from service.cli import output
     from service.client.specification import read
 
-    with open_client(url, token) as client:
-        specification = spec if spec != "-" else read(sys.stdin.buffer.read())
-        if estimate:
-            click.echo(output.estimate_line(client.estimate(specification)))
-            return
-        job = client.submit(specification, key=key)
-        click.echo(job.id)
-        if wait_for_job:
-            _wait(job)
+    specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    if estimate:
+        click.echo(output.estimate_line(client.estimate(specification)))
+        return
+    job = client.submit(specification, key=key)
+    click.echo(job.id)
+    if wait_for_job:
+        _wait(job)
 
 
 @click.command()
@@ -90,54 +80,42 @@ def run(spec: str, output: str, format: str | None, workers: int | None, **query
 
 
 @click.command()
-@job_argument
 @json_option
-@service_options
-def status(job_id: str, as_json: bool, url: str, token: str | None) -> None:
+@with_job
+def status(job: "Job", as_json: bool) -> None:
     """Show a job's status."""
     from service.cli import output
 
-    with open_client(url, token) as client:
-        job = client.job(job_id)
-        click.echo(output.as_json(job.view) if as_json else output.job_report(job))
+    click.echo(output.as_json(job.view) if as_json else output.job_report(job))
 
 
 @click.command()
-@job_argument
 @click.option("--timeout", type=click.FloatRange(min=0), help="Stop waiting after this many seconds.")
-@service_options
-def wait(job_id: str, timeout: float | None, url: str, token: str | None) -> None:
+@with_job
+def wait(job: "Job", timeout: float | None) -> None:
     """Show a job's progress until it is finished.
 
     The exit code is 0 if the job is done, 1 if it failed, was cancelled or the timeout expired.
     """
-    with open_client(url, token) as client:
-        _wait(client.job(job_id), timeout)
+    _wait(job, timeout)
 
 
 @click.command()
-@job_argument
 @click.option("--json", "as_json", is_flag=True, help="Print every event as a line of JSON.")
-@service_options
-def follow(job_id: str, as_json: bool, url: str, token: str | None) -> None:
+@with_job
+def follow(job: "Job", as_json: bool) -> None:
     """Print every change of a job until it is finished."""
     from service.client.display import summary
 
-    with open_client(url, token) as client:
-        for job in client.job(job_id).follow():
-            click.echo(json.dumps(job.view) if as_json else summary(job), err=not as_json)
+    for now in job.follow():
+        click.echo(json.dumps(now.view) if as_json else summary(now), err=not as_json)
 
 
 @click.command()
-@click.option(
-    "--interval",
-    type=click.FloatRange(min=0.1),
-    default=1.0,
-    show_default=True,
-    help="Seconds between two looks.",
-)
-@service_options
-def watch(interval: float, url: str, token: str | None) -> None:
+@click.option("--interval", type=click.FloatRange(min=0.1), default=1.0, show_default=True,
+              help="Seconds between two looks.")  # fmt: skip
+@with_client
+def watch(client: "Client", interval: float) -> None:
     """Show jobs live until Ctrl-C.
 
     They are the queued and running ones, and those that ended meanwhile. Where the output is no terminal, it
@@ -151,53 +129,47 @@ def watch(interval: float, url: str, token: str | None) -> None:
     from service.cli import output
 
     console = Console()
+    unfinished: set[str] = set()
     ended: dict[str, Job] = {}
-    with open_client(url, token) as client:
 
-        def jobs() -> "list[Job]":
-            found = [*client.jobs("running"), *client.jobs("queued")]
-            for id in shown - {job.id for job in found}:
-                ended[id] = client.job(id)
-            return [*found, *ended.values()]
+    def jobs() -> "list[Job]":
+        found = [*client.jobs("running"), *client.jobs("queued")]
+        for id in unfinished - {job.id for job in found}:
+            ended[id] = client.job(id)
+        return [*found, *ended.values()]
 
-        shown: set[str] = set()
-        if not console.is_terminal:
-            click.echo(output.job_table(jobs()))
-            return
-        with Live(console=console, auto_refresh=False) as live:
-            while True:
-                now = jobs()
-                live.update(output.jobs_live(now), refresh=True)
-                shown = {job.id for job in now if not job.finished}
-                time.sleep(interval)
+    if not console.is_terminal:
+        click.echo(output.job_table(jobs()))
+        return
+    with Live(console=console, auto_refresh=False) as live:
+        while True:
+            now = jobs()
+            live.update(output.jobs_live(now), refresh=True)
+            unfinished = {job.id for job in now if not job.finished}
+            time.sleep(interval)
 
 
 @click.command()
-@job_argument
-@service_options
-def cancel(job_id: str, url: str, token: str | None) -> None:
+@with_job
+def cancel(job: "Job") -> None:
     """Cancel a job. Its results are kept; submitting the same sweep resumes it."""
     from service.client.display import summary
 
-    with open_client(url, token) as client:
-        job = client.job(job_id).cancel()
+    job.cancel()
     click.echo(summary(job) if job.finished else f"{summary(job)}, cancel requested", err=True)
 
 
 @click.command()
-@job_argument
-@service_options
-def resume(job_id: str, url: str, token: str | None) -> None:
+@with_job
+def resume(job: "Job") -> None:
     """Resume a failed or cancelled job where it stopped.
 
     A job of another kernel version starts anew as another job, whose id is printed.
     """
     from service.client.display import summary
 
-    with open_client(url, token) as client:
-        job = client.job(job_id)
-        asked_for = job.id
-        job.resume()
+    asked_for = job.id
+    job.resume()
     if job.id != asked_for:
         click.echo(job.id)
         click.echo(f"job {job.id} {job.notice}", err=True)
@@ -205,12 +177,10 @@ def resume(job_id: str, url: str, token: str | None) -> None:
 
 
 @click.command()
-@job_argument
-@service_options
-def delete(job_id: str, url: str, token: str | None) -> None:
+@with_job
+def delete(job: "Job") -> None:
     """Delete a job and its results. Cancel it first if it is queued or running."""
-    with open_client(url, token) as client:
-        client.job(job_id).delete()
+    job.delete()
 
 
 @click.command("list")
@@ -223,16 +193,12 @@ def delete(job_id: str, url: str, token: str | None) -> None:
 @click.option("--order", type=click.Choice(ORDERS), default=ORDERS[0], show_default=True)
 @click.option("--limit", type=click.IntRange(min=1), help="List at most so many jobs.")
 @json_option
-@service_options
-def list_jobs(
-    as_json: bool, url: str, token: str | None, pinned: bool, limit: int | None, **wanted: Any
-) -> None:
+@with_client
+def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, **wanted: Any) -> None:
     """List the jobs, the newest first."""
     from service.cli import output
 
-    with open_client(url, token) as client:
-        found = client.jobs(pinned=pinned or None, **wanted)
-        jobs = list(islice(found, limit))
+    jobs = list(islice(client.jobs(pinned=pinned or None, **wanted), limit))
     click.echo(output.as_json([job.view for job in jobs]) if as_json else output.job_table(jobs))
 
 

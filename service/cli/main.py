@@ -4,14 +4,17 @@ Modules that take long to import are imported by the commands that need them.
 """
 
 import sys
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
 from service.cli import data, jobs, views
 from service.cli.figure import figure, tradeoff
-from service.cli.options import CommandGroup, data_option, open_client, service_options
+from service.cli.options import CommandGroup, data_option, with_client
 from service.tokens import AUTO, data_folder, write_private
+
+if TYPE_CHECKING:
+    from service.client import Client
 
 #: Shells that can complete.
 SHELLS: Final = ("bash", "zsh", "fish")
@@ -70,11 +73,10 @@ def serve(**options: str | int | None) -> None:
 
 
 @main.command()
-@service_options
-def metrics(url: str, token: str | None) -> None:
+@with_client
+def metrics(client: "Client") -> None:
     """Print the service's metrics in Prometheus's text format."""
-    with open_client(url, token) as client:
-        click.echo(client.metrics(), nl=False)
+    click.echo(client.metrics(), nl=False)
 
 
 @main.command()
@@ -102,18 +104,16 @@ def completion(shell: str | None) -> None:
 
 @main.command("open")
 @click.option("--print", "print_only", is_flag=True, help="Print the address, with the token, instead.")
-@service_options
-def open_page(print_only: bool, url: str, token: str | None) -> None:
+@with_client
+def open_page(client: "Client", print_only: bool) -> None:
     """Open the page in a browser.
 
     The access token of a service with --token auto is filled in.
     """
     import webbrowser
 
-    with open_client(url, token) as client:
-        address = client.page
-    if print_only or not webbrowser.open(_handed_over(address)):
-        click.echo(address)
+    if print_only or not webbrowser.open(_handed_over(client.page)):
+        click.echo(client.page)
 
 
 def _handed_over(address: str) -> str:

@@ -3,8 +3,9 @@
 import errno
 import os
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -84,6 +85,34 @@ def service_options(command: Command) -> Command:
     return url_option(token_option(command))
 
 
+def open_client(url: str, token: str | None) -> "Client":
+    """A client of the service at `url`."""
+    from service.client import Client
+
+    return Client(url, token)
+
+
+def with_client(function: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options that select the service, and a client of it as its first argument."""
+
+    @wraps(function)
+    def run(url: str, token: str | None, **options: Any) -> None:
+        with open_client(url, token) as client:
+            function(client, **options)
+
+    return service_options(run)
+
+
+def with_job(function: Callable[..., None]) -> Callable[..., None]:
+    """The same with a job of the service, which the argument ID names."""
+
+    @wraps(function)
+    def run(client: "Client", job_id: str, **options: Any) -> None:
+        function(client.job(job_id), **options)
+
+    return job_argument(with_client(run))
+
+
 def was_default_or_variable(option: str) -> bool:
     """Whether an option of the running command was not given on the command line."""
     source = click.get_current_context().get_parameter_source(option)
@@ -95,13 +124,6 @@ def format_option(*formats: str) -> Callable[[Command], Command]:
     return click.option(
         "--format", type=click.Choice(formats), help="Format of the output.  [default: the ending of FILE]"
     )
-
-
-def open_client(url: str, token: str | None) -> "Client":
-    """A client of the service at `url`."""
-    from service.client import Client
-
-    return Client(url, token)
 
 
 def output_format(output: str, formats: tuple[str, ...], format: str | None = None) -> str:

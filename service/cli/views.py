@@ -14,10 +14,11 @@ from service.cli.options import (
     Command,
     complete_id,
     format_option,
-    job_argument,
     open_client,
     output_format,
     service_options,
+    with_client,
+    with_job,
     write_file,
 )
 from service.formats import EXPORTS, DatasetFormat, ExportLayout
@@ -26,7 +27,7 @@ from service.result_methods import Methods, ResultMethods, SpringMethods
 if TYPE_CHECKING:
     import xarray
 
-    from service.client import Job
+    from service.client import Client, Job
 
 
 _MOTIONS: Final = get_args(DatasetFormat)
@@ -161,24 +162,21 @@ def _without(prefixes: tuple[str, ...], name: str) -> str:
 
 
 @click.command()
-@job_argument
 @click.option("-o", "--output", type=click.Path(dir_okay=False), required=True,
               help="File to write, .nc or .parquet.")  # fmt: skip
 @click.option(
     "--layout", type=click.Choice(get_args(ExportLayout)), default="cells", show_default=True,
     help="What a row of Parquet is: a cell with lists of its flights, or each flight.",
 )  # fmt: skip
-@service_options
-def export(job_id: str, output: str, layout: ExportLayout, url: str, token: str | None) -> None:
+@with_job
+def export(job: "Job", output: str, layout: ExportLayout) -> None:
     """Write all results of a job to one file, NetCDF or Parquet.
 
     NetCDF (.nc) contains the arrays of the store, Parquet (.parquet) one row per cell, or with --layout
     flights one row per flight.
     """
     output_format(output, EXPORTS)
-    with open_client(url, token) as client:
-        job = client.job(job_id)
-        job.export(Path(output), layout=layout)
+    job.export(Path(output), layout=layout)
     _warn_unless_done(job, "cells are missing")
 
 
@@ -199,8 +197,9 @@ def export(job_id: str, output: str, layout: ExportLayout, url: str, token: str 
 @format_option(*_MOTIONS)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
               help="File to write; - is standard output.")  # fmt: skip
-@service_options
+@with_client
 def trajectory(
+    client: "Client",
     model: str,
     restitution: float | None,
     penetration: float | None,
@@ -208,8 +207,6 @@ def trajectory(
     contact: tuple[float, float] | None,
     format: str | None,
     output: str,
-    url: str,
-    token: str | None,
     **cell: Any,
 ) -> None:
     """Write the motion of one cell.
@@ -226,8 +223,7 @@ def trajectory(
     if contact:
         cell["start"] = {"kind": "contact", "elongation": contact[0], "velocity": contact[1]}
     cell["model"] = _without_none({"kind": model, "restitution": restitution, "penetration": penetration})
-    with open_client(url, token) as client:
-        write_file(output, client.trajectory_file(_without_none(cell), format))
+    write_file(output, client.trajectory_file(_without_none(cell), format))
 
 
 #: A trajectory of a cell replaces that of a job.

@@ -10,13 +10,13 @@ import pandas
 import pytest
 import xarray
 from click.testing import CliRunner, Result
+from json_results import from_json
 from pyarrow import parquet
 from scripted import Held, sweep, wait_for
 from served import computing_at
 
 from service.cli.main import main
 from service.client import BounceError, Client, Conflict, Job, NotFound
-from service.client.dataset import from_json
 from service.client.display import summary
 from service.server import embedded
 
