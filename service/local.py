@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from service.client.display import display_elapsed, display_job
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
-from service.errors import InvalidRequest, NotStarted, RunFailed
+from service.errors import InvalidRequest, RunFailed
 from service.formats import EXPORTS, ExportFormat
-from worker.kernel_cache import CacheRefused, use_cache
+from worker.kernel_cache import use_cache
 from worker.temporary import temporary_folder
 
 if TYPE_CHECKING:
@@ -124,34 +124,13 @@ def run_to_file(
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
 ) -> JobStatus:
-    """Compute a study and write it to a file, which appears once complete.
+    """Compute a study as `run` does, write it to a file, and return the job that computed it.
 
-    An interrupted run continues as in `run`.
-
-    Parameters
-    ----------
-    spec, workers, progress
-        As in `run`.
-    output
-        Path of the file.
-    format
-        One of `service.formats.EXPORTS` for the whole study, or of a diagram's formats for a line of a sweep.
-    line
-        Which line of a sweep: the arguments of `Job.diagram`.
-
-    Returns
-    -------
-    JobStatus
-        The job that computed the study.
-
-    Raises
-    ------
-    InvalidRequest
-        The sweep does not have the line.
-    TooLarge, NoSpace
-        Also raises the errors of `run`.
+    `format` is one of `service.formats.EXPORTS` for the whole study, or of a diagram's formats for a `line`
+    of a sweep: the arguments of `Job.diagram`. The file appears once complete. Beside the errors of `run`,
+    raises InvalidRequest for a line that the sweep does not have, TooLarge, NoSpace.
     """
-    claim_kernels()
+    use_cache()
     from worker.spec import SweepSpec
     from worker.studies import from_json, study_of
 
@@ -212,7 +191,7 @@ def computed(
     spec: Specification, folder: Path, *, workers: int | None = None, progress: bool | ProgressCallback = True
 ) -> "Iterator[tuple[JobRecord, PreparedJob]]":
     """A study's done job, in the data folder `folder`, which is created and kept. Raises as `run`."""
-    claim_kernels()
+    use_cache()
     from service.jobs.manager import JobManager
     from service.jobs.stores.adoption import open_ledger
     from worker.executors.inline import Inline
@@ -254,17 +233,6 @@ def _settings(folder: Path) -> "Settings":
     from service.settings import Settings
 
     return Settings.model_construct(data=folder.absolute())
-
-
-def claim_kernels() -> None:
-    """Use the cache of compiled kernels in this process.
-
-    Raises NotStarted if other users could have written it.
-    """
-    try:
-        use_cache()
-    except CacheRefused as error:
-        raise NotStarted(str(error)) from error
 
 
 def _compile(spec: Any, progress: bool | ProgressCallback) -> None:

@@ -233,7 +233,7 @@ def _run(setup: Setup, cells: Cells, settle: int = SETTLE, observe: int = OBSERV
 
 
 def report(rows: Sequence[Measurement]) -> str:
-    """The table, one part per purpose, its legend, and which model to take for which purpose."""
+    """The table, one part per purpose, and its legend."""
     names = ("", "µs", "max µs", "error", "95%", "mode")
     heading = "".join(f"{name:>{10 if i else 36}}" for i, name in enumerate(names))
     lines = []
@@ -246,7 +246,7 @@ def report(rows: Sequence[Measurement]) -> str:
         f"mode: share of all {len(LINES) * CELLS_PER_LINE} cells with the outcome and mode of the reference; "
         f"{SETTLE + OBSERVE} periods from rest, flights over {MICRO_FLIGHT:g} rad.",
     )
-    return "\n".join([*lines, *legend, "", _advice(rows)])
+    return "\n".join([*lines, *legend])
 
 
 def _line_of_table(row: Measurement) -> str:
@@ -268,26 +268,6 @@ def _setting(row: Measurement) -> str:
     if row.model == "ball":
         parts += ["e = f(xi)", *(["locked dashpot"] if row.locked_only else [])]
     return ", ".join(parts)
-
-
-def _advice(rows: Sequence[Measurement]) -> str:
-    def find(purpose: str, **settings: Any) -> Any:
-        """The first such row; Any, because the models of the advice always have a cost and an error."""
-        settings = {"purpose": purpose, **settings}
-        return next(row for row in rows if settings.items() <= vars(row).items())
-
-    soft = find("adhesive", model="soft")
-    rigid, hard = find("adhesive", model="rigid"), find("plate", model="rigid")
-    stepped = find("adhesive", model="stepped", scheme="verlet", steps_per_contact=20)
-    ball = find("adhesive", model="ball", locked_only=True)
-    return (
-        f"Take rigid for a hard plate ({hard.cost:.1g} µs per plate period, {rigid.error:.0e} rad from a "
-        "contact 1e-3 deep); soft where the contact itself matters, its depth, its rebound, its small "
-        f"flights ({soft.cost:.1f} µs, exact, and little more for a stiffer contact); ball only where "
-        f"the dashpot locks the spring ({ball.cost:.1g} µs); stepped to compare with studies that took "
-        f"time steps ({stepped.cost / soft.cost:.0f} times the cost of soft, for {stepped.error:.0e} rad at "
-        "20 steps per contact); and auto to choose the model on the cells of your own sweep."
-    )
 
 
 # The picture

@@ -123,10 +123,11 @@ def _running_on(folder: Path, token: str | None) -> Service | None:
 def _started(workers: int | None, data: str | None) -> Iterator[Service]:
     """A service in this process, with a token of its own: other users of the machine reach its port too."""
     from service.client.display import display_elapsed
-    from service.local import claim_kernels
+    from worker.kernel_cache import use_cache
+
+    use_cache()
     from service.server import embedded
 
-    claim_kernels()
     token = secrets.token_urlsafe()
     settings = embedded.settings(workers=workers, data=data, host="127.0.0.1", port=0, token=token)
     with ExitStack() as stack:
@@ -142,12 +143,12 @@ def tradeoff(output: str | None) -> None:
     """Measure the cost and the accuracy of each contact model.
 
     Computes a fixed set of cells, extreme ones included, one after another in this process, which takes a
-    minute or two, and prints which model suits which purpose.
+    minute or two.
     """
-    from service.local import claim_kernels
+    from worker.kernel_cache import use_cache
 
     format = output_format(output, PICTURES) if output else None
-    claim_kernels()
+    use_cache()
     from service import tradeoff as measurements
 
     click.echo("measuring (two or three minutes)", err=True)

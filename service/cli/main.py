@@ -55,9 +55,9 @@ def serve(**options: str | int | None) -> None:
     from contextlib import ExitStack
 
     from service.client.display import display_elapsed
-    from service.local import claim_kernels
+    from worker.kernel_cache import use_cache
 
-    claim_kernels()
+    use_cache()
     from service.server import embedded
 
     settings = embedded.settings(**options)

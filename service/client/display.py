@@ -39,37 +39,22 @@ def display_job(progress: bool | Callable[[Any], None]) -> Iterator[Callable[[An
 
 @contextmanager
 def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterator[None]:
-    """Report a long operation from `after` seconds on, with the elapsed seconds.
-
-    On a terminal the seconds are counted in place; elsewhere a line is written now and then.
-    """
-    began, ended, lock = time.monotonic(), threading.Event(), threading.Lock()
-    shown = False
+    """Report an operation that takes longer than `after` seconds: once then, and at its end what it took."""
+    began, shown = time.monotonic(), threading.Event()
 
     def show() -> None:
-        nonlocal shown
-        pause = after
-        while not ended.wait(pause):
-            with lock:
-                now = text() if callable(text) else text
-                passed = f"{now} ({duration(time.monotonic() - began)})"
-                if _on_terminal():
-                    _write(f"\r{passed}", end="")
-                    pause = 1.0
-                else:
-                    _write(passed if shown else now)
-                    pause = LINE_SECONDS
-                shown = True
+        shown.set()
+        _write(text() if callable(text) else text)
 
-    ticker = threading.Thread(target=show, name="elapsed", daemon=True)
-    ticker.start()
+    timer = threading.Timer(after, show)
+    timer.daemon = True
+    timer.start()
     try:
         yield
     finally:
-        ended.set()
-        with lock:
-            if shown:
-                _write("" if _on_terminal() else f"took {duration(time.monotonic() - began)}")
+        timer.cancel()
+        if shown.is_set():
+            _write(f"took {duration(time.monotonic() - began)}")
 
 
 def display_parts(
@@ -225,7 +210,7 @@ def _on_terminal() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 
 
-def _write(text: str, end: str = "\n") -> None:
+def _write(line: str) -> None:
     if sys.stderr is not None:
-        sys.stderr.write(text + end)
+        sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
