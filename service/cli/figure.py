@@ -86,9 +86,9 @@ def _service(workers: int | None, data: str | None, token: str | None) -> Iterat
     from worker.temporary import temporary_folder
 
     folder = Path(data) if data else data_folder()
-    if running := _running_on(folder, token):
-        click.echo(f"using the service at {running[0]}, which runs on {folder}", err=True)
-        yield running
+    if (url := find_service(folder)) is not None:
+        click.echo(f"using the service at {url}, which runs on {folder}", err=True)
+        yield url, find_token(urlsplit(url).port or 80, folder) if token in (None, "", AUTO) else token
         return
     with ExitStack() as stack:
         try:
@@ -100,23 +100,6 @@ def _service(workers: int | None, data: str | None, token: str | None) -> Iterat
             temporary = stack.enter_context(temporary_folder("bounce-"))
             service = stack.enter_context(_started(workers, str(temporary)))
         yield service
-
-
-def _running_on(folder: Path, token: str | None) -> Service | None:
-    """The service that runs on a data folder, if it accepts `token`, or else the one that it has made."""
-    from service.client import BounceError, Client
-
-    url = find_service(folder)
-    if url is None:
-        return None
-    if token in (None, "", AUTO):
-        token = find_token(urlsplit(url).port or 80, folder)
-    try:
-        with Client(url, token, timeout=5.0) as client:
-            client.metrics()
-    except BounceError:
-        return None
-    return url, token
 
 
 @contextmanager

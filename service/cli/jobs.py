@@ -125,6 +125,7 @@ def watch(client: "Client", interval: float) -> None:
 
     from rich.console import Console
     from rich.live import Live
+    from rich.text import Text
 
     from service.cli import output
 
@@ -144,7 +145,7 @@ def watch(client: "Client", interval: float) -> None:
     with Live(console=console, auto_refresh=False) as live:
         while True:
             now = jobs()
-            live.update(output.jobs_live(now), refresh=True)
+            live.update(Text(output.job_table(now)), refresh=True)
             unfinished = {job.id for job in now if not job.finished}
             time.sleep(interval)
 

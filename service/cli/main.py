@@ -3,7 +3,6 @@
 Modules that take long to import are imported by the commands that need them.
 """
 
-import sys
 from typing import TYPE_CHECKING, Final
 
 import click
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
 
 #: Shells that can complete.
 SHELLS: Final = ("bash", "zsh", "fish")
-
-_STARTING: Final = "starting workers"
 
 
 @click.group(
@@ -52,24 +49,12 @@ def serve(**options: str | int | None) -> None:
     --token auto. To listen on an address that other machines can reach, set BOUNCE_TOKEN to an access token
     of 16 characters or more, or give a file of tokens.
     """
-    from contextlib import ExitStack
-
-    from service.client.display import display_elapsed
     from worker.kernel_cache import use_cache
 
     use_cache()
     from service.server import embedded
 
-    settings = embedded.settings(**options)
-    with ExitStack() as starting:
-        if sys.stderr.isatty():
-            starting.enter_context(display_elapsed(_STARTING, after=1.0))
-
-        def announce(line: str) -> None:
-            starting.close()
-            click.echo(line)
-
-        embedded.serve(settings, announce)
+    embedded.serve(embedded.settings(**options), click.echo)
 
 
 @main.command()

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Final
 from service.client.display import duration, settling_note, time_left
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from service.client import Estimate, Job
 
 
@@ -43,29 +41,9 @@ def job_table(jobs: Sequence["Job"]) -> str:
     rows = [("ID", "STATE", "DONE", "CELLS", "NAME")]
     for job in jobs:
         progress = job.progress
-        rows.append((job.id, job.state, f"{progress.whole_percent}%", f"{progress.cells_total:,}", job.name))
+        name = f"{job.name}{time_left(job)}".removeprefix(", ")
+        rows.append((job.id, job.state, f"{progress.whole_percent}%", f"{progress.cells_total:,}", name))
     return "\n".join(f"{a:<32}  {b:<9}  {c:>4}  {d:>13}  {e}".rstrip() for a, b, c, d, e in rows)
-
-
-def jobs_live(jobs: Sequence["Job"]) -> "RenderableType":
-    """Jobs as a table with bars, for a terminal."""
-    from rich.progress_bar import ProgressBar
-    from rich.table import Table
-    from rich.text import Text
-
-    if not jobs:
-        return Text("no job is queued or running")
-    table = Table(box=None, pad_edge=False)
-    for heading in ("ID", "STATE", "", "DONE", "CELLS", "LEFT", "NAME"):
-        table.add_column(heading, justify="right" if heading in ("DONE", "CELLS") else "left")
-    for job in jobs:
-        progress = job.progress
-        table.add_row(
-            job.id[:8], job.state, ProgressBar(total=100.0, completed=progress.percent, width=24),
-            f"{progress.whole_percent}%", f"{progress.cells_total:,}",
-            time_left(job).removeprefix(", ").removesuffix(" left"), Text(job.name),
-        )  # fmt: skip
-    return table
 
 
 def estimate_line(estimate: "Estimate") -> str:

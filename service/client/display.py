@@ -38,13 +38,13 @@ def display_job(progress: bool | Callable[[Any], None]) -> Iterator[Callable[[An
 
 
 @contextmanager
-def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterator[None]:
+def display_elapsed(text: str, after: float = 0.0) -> Iterator[None]:
     """Report an operation that takes longer than `after` seconds: once then, and at its end what it took."""
     began, shown = time.monotonic(), threading.Event()
 
     def show() -> None:
         shown.set()
-        _write(text() if callable(text) else text)
+        _write(text)
 
     timer = threading.Timer(after, show)
     timer.daemon = True

@@ -23,8 +23,6 @@ class Problem:
     status: int
     title: str
     detail: str = ""
-    type: str = "about:blank"
-    instance: str | None = None
     fields: tuple[FieldProblem, ...] = ()
 
     @classmethod
@@ -34,8 +32,6 @@ class Problem:
             status=status,
             title=str(document.get("title") or reason or f"status {status}"),
             detail=str(document.get("detail") or ""),
-            type=str(document.get("type") or "about:blank"),
-            instance=document.get("instance"),
             fields=_field_problems(document.get("errors")),
         )
 

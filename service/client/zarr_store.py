@@ -24,9 +24,8 @@ from service.client.transport import Transport
 
 #: The codecs of the service's stores. Others can do more than decode: one of them unpickles.
 CODECS: Final = frozenset({"bytes", "crc32c", "sharding_indexed", "vlen-utf8", "zstd"})
-#: The documents that describe groups and arrays; our stores have none of zarr's version 2.
+#: The documents that describe groups and arrays.
 _METADATA: Final = "zarr.json"
-_VERSION_2: Final = (".zarray", ".zgroup", ".zattrs", ".zmetadata")
 
 #: Maximum arrays of a store; ours have about twenty.
 MAX_ARRAYS: Final = 1_000
@@ -50,7 +49,7 @@ def open_store(
     address = store_url(transport, path, job_id) if direct else None
     try:
         store = HTTPStore(transport, path, address)
-        dataset: xarray.Dataset = xarray.open_zarr(store, consolidated=True, chunks=chunks)
+        dataset: xarray.Dataset = xarray.open_zarr(store, consolidated=True, chunks=chunks, zarr_format=3)
     except (FileNotFoundError, ValueError) as error:
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
     # Not every xarray writes texts of any length to a file; all write those of fixed length.
@@ -120,7 +119,7 @@ class HTTPStore(WrapperStore[Store]):
         self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
         """The value of a key, or a part of it; None if there is none."""
-        if self.reads_directly and not key.endswith((_METADATA, *_VERSION_2)):
+        if self.reads_directly and not key.endswith(_METADATA):
             return await super().get(key, prototype, byte_range)
         content = await asyncio.to_thread(self._fetch, key, byte_range)
         return None if content is None else prototype.buffer.from_bytes(content)
@@ -141,8 +140,6 @@ class HTTPStore(WrapperStore[Store]):
         return False
 
     def _fetch(self, key: str, byte_range: ByteRequest | None = None) -> bytes | None:
-        if key.endswith(_VERSION_2):
-            return None
         headers, part = _range(byte_range)
         try:
             response = self._transport.get(f"{self._path}/{key}", headers=headers)
