@@ -140,7 +140,7 @@ def run_to_file(
         formats = ", ".join((*EXPORTS, "zarr"))
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
-    from service.client.output_file import complete_file
+    from service.files import complete_file
     from service.results.provenance import attributes_of
     from service.results.selection import Stored
     from service.views import diagram

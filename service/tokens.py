@@ -12,12 +12,13 @@ import os
 import re
 import secrets
 import stat
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Final
 from urllib.parse import urlsplit
+
+from service.files import complete_file
 
 #: Replaces a token: the service creates one, its clients look for it.
 AUTO: Final = "auto"
@@ -102,7 +103,8 @@ def own_token(folder: Path) -> str:
     if kept is not None and is_valid(kept):
         return kept
     token = secrets.token_urlsafe(32)
-    write_private(folder / FILE_NAME, json.dumps({"token": token}))
+    with complete_file(folder / FILE_NAME, private=True) as file:
+        file.write(json.dumps({"token": token}).encode())
     return token
 
 
@@ -125,27 +127,9 @@ def data_folder() -> Path:
     return Path(os.environ.get("BOUNCE_DATA") or "bounce-data")
 
 
-def write_private(
-    path: Path, text: str, before_replace: Callable[[Path], object] = lambda file: None
-) -> None:
-    """Write a file for this user alone, whole or not at all. Raises OSError.
-
-    `before_replace` gets the new file before it is at `path`.
-    """
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")  # mode 0600
-    try:
-        with open(descriptor, "w", encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
-            file.write(text)
-        before_replace(Path(name))
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
 @contextmanager
 def opened_private(path: Path) -> Iterator[IO[str]]:
-    """Open a file that `write_private` wrote. Raises OSError, also if others could have written it."""
+    """Open a private file. Raises OSError, also if others could have written it."""
     # Do not block on a pipe in its place.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
     with open(descriptor, encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
@@ -168,13 +152,12 @@ def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
             for wildcard, local in _EVERY.items():
                 if url.startswith(wildcard):
                     url = local + url.removeprefix(wildcard)
-            with suppress(OSError):
-                write_private(path, json.dumps({"url": url}), before_replace=hold)
-
-        def hold(file: Path) -> None:
-            opened = recorded.enter_context(file.open(encoding="ascii"))
-            fcntl.flock(opened, fcntl.LOCK_EX)
-            recorded.callback(forget, opened)
+            with suppress(OSError), complete_file(path, private=True) as file:
+                file.write(json.dumps({"url": url}).encode())
+                file.flush()
+                opened = recorded.enter_context(open(file.name, encoding="ascii"))  # noqa: PTH123
+                fcntl.flock(opened, fcntl.LOCK_EX)
+                recorded.callback(forget, opened)
 
         def forget(opened: IO[str]) -> None:
             with suppress(OSError):  # another service may have taken the folder meanwhile

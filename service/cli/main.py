@@ -3,20 +3,18 @@
 Modules that take long to import are imported by the commands that need them.
 """
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import click
 
 from service.cli import data, jobs, views
 from service.cli.figure import figure, tradeoff
 from service.cli.options import CommandGroup, data_option, with_client
-from service.tokens import AUTO, data_folder, write_private
+from service.files import complete_file
+from service.tokens import AUTO, data_folder
 
 if TYPE_CHECKING:
     from service.client import Client
-
-#: Shells that can complete.
-SHELLS: Final = ("bash", "zsh", "fish")
 
 
 @click.group(
@@ -65,24 +63,17 @@ def metrics(client: "Client") -> None:
 
 
 @main.command()
-@click.argument("shell", type=click.Choice(SHELLS), required=False)
-def completion(shell: str | None) -> None:
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(shell: str) -> None:
     """Print a script that completes commands in a shell.
 
-    It completes commands, options and ids of jobs. SHELL is bash, zsh or fish, by default that of SHELL in
-    the environment. For example, in ~/.bashrc:
+    It completes commands, options and ids of jobs. For example, in ~/.bashrc:
 
       eval "$(bounce completion bash)"
     """
-    import os
-    from pathlib import Path
-
     from click.shell_completion import get_completion_class
 
-    name = shell or Path(os.environ.get("SHELL", "")).name
-    if name not in SHELLS:
-        raise click.UsageError(f"name the shell: {', '.join(SHELLS)}")
-    complete = get_completion_class(name)
+    complete = get_completion_class(shell)
     assert complete is not None
     click.echo(complete(main, {}, "bounce", "_BOUNCE_COMPLETE").source())
 
@@ -111,7 +102,9 @@ def _handed_over(address: str) -> str:
     if not folder.is_dir():
         raise click.ClickException(f"there is no folder {folder}: use --print, or set BOUNCE_DATA")
     file = folder / "open.html"
-    write_private(file, f'<!doctype html><meta http-equiv="refresh" content="0; url={escape(address)}">')
+    page = f'<!doctype html><meta http-equiv="refresh" content="0; url={escape(address)}">'
+    with complete_file(file, private=True) as written:
+        written.write(page.encode())
     return file.as_uri()
 
 

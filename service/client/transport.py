@@ -4,7 +4,6 @@ import json
 import re
 import time
 import weakref
-from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
@@ -12,7 +11,6 @@ from http import HTTPStatus
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Final, TypeAlias
-from urllib.parse import unquote
 
 import httpx2
 
@@ -28,7 +26,7 @@ from service.client.errors import (
     error_class,
 )
 from service.client.models import Problem
-from service.client.output_file import complete_file
+from service.files import complete_file
 from service.tokens import AUTO, find_token
 
 CONNECT_SECONDS: Final = 5.0
@@ -70,16 +68,13 @@ class Transport:
     def __init__(
         self, url: str, token: str | None, timeout: float, http: httpx2.Client | None = None
     ) -> None:
-        self._given_url, self._timeout = url, timeout
-        self.url, credentials = _without_credentials(url)
+        self.url, self._timeout = _valid_url(url), timeout
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
         if token in (None, "", AUTO):  # an empty variable means no token
-            token = None if credentials else _own_token(self.url)
+            token = _own_token(self.url)
         self.token = token
         if token is not None:
             self._headers["Authorization"] = f"Bearer {header_value('the token', token)}"
-        elif credentials:
-            self._headers["Authorization"] = f"Basic {b64encode(credentials.encode()).decode()}"
         self._http = http or self._connections()
         self.close: Callable[[], object] = (
             weakref.finalize(self, self._http.close) if http is None else lambda: None
@@ -94,7 +89,7 @@ class Transport:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Transport, (self._given_url, self.token, self._timeout)
+        return Transport, (self.url, self.token, self._timeout)
 
     def get(
         self, path: str, query: Query | None = None, headers: Mapping[str, str] | None = None
@@ -349,8 +344,8 @@ def _parts_computed(response: httpx2.Response) -> tuple[int, int]:
         raise UnexpectedAnswer(f"{response.request.url} answered 202 without progress: {error!r}") from error
 
 
-def _without_credentials(url: str) -> tuple[str, str]:
-    """The address without user and password, to keep them out of messages, and `user:password` or "".
+def _valid_url(url: str) -> str:
+    """The address without a trailing slash.
 
     Raises ServiceUnreachable if it is not an HTTP address, without any part that may be a password.
     """
@@ -358,13 +353,9 @@ def _without_credentials(url: str) -> tuple[str, str]:
         parsed = httpx2.URL(url)
     except httpx2.InvalidURL:
         parsed = httpx2.URL()
-    if parsed.scheme not in ("http", "https") or not parsed.host:
-        reason = "expected an address like http://HOST:PORT"
-        if "@" in url:
-            reason += "; write / ? # and @ of a password as %2F %3F %23 and %40"
-        raise ServiceUnreachable(re.sub("(?s).*@", "...@", url), reason)
-    address = re.sub(r"^([^/]*//)[^/?#]*@", r"\1", url).rstrip("/")
-    return address, unquote(parsed.userinfo.decode())
+    if parsed.scheme not in ("http", "https") or not parsed.host or parsed.userinfo:
+        raise ServiceUnreachable(re.sub("(?s).*@", "...@", url), "expected an address like http://HOST:PORT")
+    return url.rstrip("/")
 
 
 def _is_loopback(url: str) -> bool:
