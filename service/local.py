@@ -201,7 +201,10 @@ def computed(
     parsed = from_json(body(spec))
     settings = _settings(folder)
     folder.mkdir(mode=0o700, exist_ok=True)
-    with open_ledger(settings) as ledger, closing(Inline(workers or cores())) as executor:
+    with (
+        open_ledger(settings) as ledger,
+        closing(Inline(workers or len(os.sched_getaffinity(0)))) as executor,
+    ):
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
         _check_folder(ledger, parsed, folder)
@@ -222,11 +225,6 @@ def _check_folder(ledger: "Ledger", spec: Any, folder: Path) -> None:
         raise FileExistsError(
             errno.EEXIST, "holds a run of another specification; remove it first", str(folder)
         )
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _settings(folder: Path) -> "Settings":
