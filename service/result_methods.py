@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 if TYPE_CHECKING:
     import xarray
 
-Names = dict[str, tuple[str, ...]]
+Names = tuple[str, ...]
 Progress = bool | Callable[[int, int], None]
 
 
@@ -14,8 +14,7 @@ class Methods:
     """Reads results by name."""
 
     #: The formats of each result, and the variables whose numbers are the rows of printed tables.
-    FORMATS: ClassVar[Names]
-    PRINTED: ClassVar[Names]
+    RESULTS: ClassVar[dict[str, tuple[Names, Names]]]
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
@@ -25,23 +24,14 @@ class Methods:
 class ResultMethods(Methods):
     """A method for each result of a job."""
 
-    FORMATS: ClassVar[Names] = {
-        "diagram": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
-        "modes": ("json", "bin", "nc", "csv", "parquet"),
-        "threshold": ("json", "bin", "nc", "csv", "parquet"),
-        "orbits": ("json", "bin", "nc", "csv", "parquet"),
-        "basins": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
-        "multistability": ("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"),
-        "trajectory": ("json", "bin", "nc", "csv", "parquet"),
-    }
-    PRINTED: ClassVar[Names] = {
-        "diagram": ("flight_time",),
-        "modes": ("outcome",),
-        "threshold": ("up_status",),
-        "orbits": ("event_gamma", "skipped_gamma"),
-        "basins": ("attractor_fraction",),
-        "multistability": ("cells",),
-        "trajectory": ("plate",),
+    RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
+        "diagram": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("flight_time",)),
+        "modes": (("json", "bin", "nc", "csv", "parquet"), ("outcome",)),
+        "threshold": (("json", "bin", "nc", "csv", "parquet"), ("up_status",)),
+        "orbits": (("json", "bin", "nc", "csv", "parquet"), ("event_gamma", "skipped_gamma")),
+        "basins": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("attractor_fraction",)),
+        "multistability": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("cells",)),
+        "trajectory": (("json", "bin", "nc", "csv", "parquet"), ("plate",)),
     }
 
     def diagram(
@@ -216,15 +206,10 @@ class ResultMethods(Methods):
 class SpringMethods(Methods):
     """A method for each result of a spring."""
 
-    FORMATS: ClassVar[Names] = {
-        "threshold": ("json", "bin", "nc"),
-        "orbits": ("json", "bin", "nc", "csv", "parquet"),
-        "curves": ("json", "bin", "nc", "csv", "parquet"),
-    }
-    PRINTED: ClassVar[Names] = {
-        "threshold": (),
-        "orbits": ("event_gamma",),
-        "curves": ("event_gamma",),
+    RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
+        "threshold": (("json", "bin", "nc"), ()),
+        "orbits": (("json", "bin", "nc", "csv", "parquet"), ("event_gamma",)),
+        "curves": (("json", "bin", "nc", "csv", "parquet"), ("event_gamma",)),
     }
 
     def threshold(

@@ -5,7 +5,6 @@ a lock on the file, so one left by a killed service does not count. With `token=
 Imports only the standard library, because clients do, and every command may look for a service.
 """
 
-import errno
 import fcntl
 import json
 import os
@@ -128,18 +127,6 @@ def data_folder() -> Path:
 
 
 @contextmanager
-def opened_private(path: Path) -> Iterator[IO[str]]:
-    """Open a private file. Raises OSError, also if others could have written it."""
-    # Do not block on a pipe in its place.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
-    with open(descriptor, encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
-        status = os.fstat(descriptor)
-        if status.st_uid != os.geteuid() or status.st_mode & _OTHERS:
-            raise PermissionError(errno.EPERM, "is not this user's alone", str(path))
-        yield file
-
-
-@contextmanager
 def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
     """A function that records the address of this process's service on `folder`; removed after the block.
 
@@ -173,15 +160,22 @@ def find_service(folder: Path) -> str | None:
 
 
 def _read(path: Path, name: str, *, locked: bool = False) -> str | None:
-    """A text in a private file of JSON, if the file is `locked`; None if no service has written it."""
-    with suppress(OSError, ValueError, KeyError, TypeError), opened_private(path) as file:
-        if locked:
-            try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError:  # its service runs
-                pass
-            else:
+    """A text in a private file of JSON, if the file is `locked`; None if no service of this user wrote it."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        # Do not block on a pipe in its place.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+        with open(descriptor, encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
+            status = os.fstat(descriptor)
+            if status.st_uid != os.geteuid() or status.st_mode & _OTHERS or (locked and not _is_locked(file)):
                 return None
-        text = json.loads(file.read(_MAX_BYTES))[name]
-        return text if isinstance(text, str) else None
+            text = json.loads(file.read(_MAX_BYTES))[name]
+            return text if isinstance(text, str) else None
     return None
+
+
+def _is_locked(file: IO[str]) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:  # its service runs
+        return True
+    return False

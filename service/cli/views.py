@@ -38,7 +38,7 @@ DIGITS: Final = 10
 
 def command(name: str) -> click.Command:
     """The command of one result, of a job, or without an ID of a spring."""
-    kinds = [methods for methods in (ResultMethods, SpringMethods) if name in methods.FORMATS]
+    kinds = [methods for methods in (ResultMethods, SpringMethods) if name in methods.RESULTS]
 
     def run(
         output: str | None, format: str | None, url: str, token: str | None, job_id: str | None = None,
@@ -49,12 +49,13 @@ def command(name: str) -> click.Command:
         if missing:
             other = " or the ID of a job" if len(kinds) > 1 else ""
             raise click.UsageError(f"give {' and '.join(missing)}{other}")
-        file_format = None if output is None else output_format(output, of.FORMATS[name], format)
+        formats, printed = of.RESULTS[name]
+        file_format = None if output is None else output_format(output, formats, format)
         with open_client(url, token) as client:
             job = None if job_id is None else client.job(job_id)
             source = client if job is None else job
             if output is None:
-                click.echo(table(source.result(name, **query), of.PRINTED[name]))
+                click.echo(table(source.result(name, **query), printed))
             else:
                 write_file(output, source.result_file(name, str(file_format), **query))
         if job is not None:
@@ -62,13 +63,13 @@ def command(name: str) -> click.Command:
 
     texts = (cleandoc(getattr(of, name).__doc__).partition("\n\nReturns a Dataset ")[0] for of in kinds)
     text = "\n\nWithout ID:\n\n".join(texts).replace("\n\n- ", "\n\n\b\n- ")  # lists keep their lines
-    formats = dict.fromkeys(format for of in kinds for format in of.FORMATS[name])
+    every_format = dict.fromkeys(format for of in kinds for format in of.RESULTS[name][0])
     decorated = service_options(run)
     decorated = click.option(
         "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
         help="File to write; - is standard output.  [default: print a table]",
     )(decorated)  # fmt: skip
-    decorated = query_options(*reversed(kinds), name=name)(format_option(*formats)(decorated))
+    decorated = query_options(*reversed(kinds), name=name)(format_option(*every_format)(decorated))
     if ResultMethods in kinds:
         metavar, required = ("ID", True) if len(kinds) == 1 else ("[ID]", False)
         argument = click.argument("job_id", metavar=metavar, required=required, shell_complete=complete_id)
@@ -228,7 +229,7 @@ def trajectory(
 
 #: A trajectory of a cell replaces that of a job.
 COMMANDS: Final = (
-    *map(command, dict.fromkeys([*ResultMethods.FORMATS, *SpringMethods.FORMATS])),
+    *map(command, dict.fromkeys([*ResultMethods.RESULTS, *SpringMethods.RESULTS])),
     export,
     trajectory,
 )

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 if TYPE_CHECKING:
     import xarray
 
-Names = dict[str, tuple[str, ...]]
+Names = tuple[str, ...]
 Progress = bool | Callable[[int, int], None]
 
 
@@ -35,8 +35,7 @@ class Methods:
     """Reads results by name."""
 
     #: The formats of each result, and the variables whose numbers are the rows of printed tables.
-    FORMATS: ClassVar[Names]
-    PRINTED: ClassVar[Names]
+    RESULTS: ClassVar[dict[str, tuple[Names, Names]]]
 
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
@@ -50,18 +49,19 @@ def source() -> str:
 
 
 def _class(name: str, of: str, views: dict[str, View]) -> str:
-    rows = {name: () if view.rows is None else (view.rows,) for name, view in views.items()}
-    printed = {name: view.printed or rows[name] for name, view in views.items()}
+    lines = [
+        f"        {_literal(name)}: {_literal((view.formats, _printed(view)))},\n"
+        for name, view in views.items()
+    ]
     return (
         f'\n\nclass {name}(Methods):\n    """A method for each result of {of}."""\n\n'
-        f"    FORMATS: ClassVar[Names] = {_mapping({name: view.formats for name, view in views.items()})}\n"
-        f"    PRINTED: ClassVar[Names] = {_mapping(printed)}\n" + "".join(map(_method, views.values()))
+        f"    RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {{\n{''.join(lines)}    }}\n"
+        + "".join(map(_method, views.values()))
     )
 
 
-def _mapping(values: dict[str, Any]) -> str:
-    lines = [f"        {_literal(name)}: {_literal(value)},\n" for name, value in values.items()]
-    return "{\n" + "".join(lines) + "    }"
+def _printed(view: View) -> tuple[str, ...]:
+    return view.printed or (() if view.rows is None else (view.rows,))
 
 
 def _literal(value: Any) -> str:
