@@ -50,7 +50,7 @@ class Serving:
         options = ["--port", str(self.port), "--data", str(self.data), *more_options]
         with (folder / "service.log").open("wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "service.cli.main", "serve", *options],
+                [sys.executable, "-m", "service.cli.entry", "serve", *options],
                 cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, stdout=log, stderr=log,
             )  # fmt: skip
         self.me = psutil.Process(self.process.pid)

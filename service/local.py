@@ -14,10 +14,10 @@ import errno
 import json
 import os
 import shutil
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager, nullcontext
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from service.client.display import display_elapsed, display_job
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
-from service.errors import InvalidRequest, NotStarted, RunFailed
+from service.errors import InvalidRequest, RunFailed
 from service.formats import EXPORTS, ExportFormat
-from worker.kernel_cache import CacheRefused, use_cache
+from worker.kernel_cache import use_cache
 from worker.temporary import temporary_folder
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ CANCEL_SECONDS: Final = 0.8
 
 #: Announce compilation after this many seconds.
 MESSAGE_SECONDS: Final = 1.0
+_COMPILING: Final = "compiling the kernel; later runs find it in the cache"
 
 #: Called with the job after every check.
 ProgressCallback = Callable[[JobStatus], None]
@@ -121,41 +122,16 @@ def run_to_file(
     format: str,
     line: Mapping[str, Any] | None = None,
     *,
-    every: int = 1,
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
 ) -> JobStatus:
-    """Compute a study and write it to a file, which appears once complete.
+    """Compute a study as `run` does, write it to a file, and return the job that computed it.
 
-    An interrupted run continues as in `run`.
-
-    Parameters
-    ----------
-    spec, workers, progress
-        As in `run`.
-    output
-        Path of the file.
-    format
-        One of `service.formats.EXPORTS` for the whole study, or of a diagram's formats for a line of a sweep.
-    line
-        The diagram's line: `along`, the values of the other axes, `direction` and `min_flight`, as in
-        `Job.diagram`.
-    every
-        Write every n-th cell of the line.
-
-    Returns
-    -------
-    JobStatus
-        The job that computed the study.
-
-    Raises
-    ------
-    InvalidRequest
-        The sweep does not have the line.
-    TooLarge, NoSpace
-        Also raises the errors of `run`.
+    `format` is one of `service.formats.EXPORTS` for the whole study, or of a diagram's formats for a `line`
+    of a sweep: the arguments of `Job.diagram`. The file appears once complete. Beside the errors of `run`,
+    raises InvalidRequest for a line that the sweep does not have, TooLarge, NoSpace.
     """
-    claim_kernels()
+    use_cache()
     from worker.spec import SweepSpec
     from worker.studies import from_json, study_of
 
@@ -164,31 +140,32 @@ def run_to_file(
         formats = ", ".join((*EXPORTS, "zarr"))
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
-    from service.client.output_file import complete_file
+    from service.files import complete_file
     from service.results.provenance import attributes_of
     from service.results.selection import Stored
     from service.views import diagram, files
     from service.views.registry import admit, answer
     from service.views.view import Query
 
-    query: Query = _query(diagram.DiagramQuery, {**(line or {}), "every": every})
+    query: Query = _query(diagram.DiagramQuery, line or {})
+    settings = _settings(partial_of(target))
     # Before computing for hours.
     if format in EXPORTS:
         files.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
     else:
-        limits = _settings(partial_of(target))
-        query, _ = admit(diagram.VIEW, parsed, query, format, limits.max_points)
-    with computed(parsed, partial_of(target), workers=workers, progress=progress) as (record, job):
+        query, _ = admit(diagram.VIEW, parsed, query, format, settings.max_points)
+    with (
+        computed(parsed, settings.data, workers=workers, progress=progress) as (record, job),
+        complete_file(target) as file,
+    ):
         study = Stored(job.spec, job.store_url, complete=True, job=record.id, forms=job.forms)
-        limits = _settings(partial_of(target))
-        with complete_file(target) as file:
-            if format in EXPORTS:
-                attributes = attributes_of(record, job)
-                whole = files.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
-                with files.make(InThisProcess(), whole, limits.exports_path) as made:
-                    file.writelines(files.pieces(made))
-            else:
-                file.write(answer("diagram", study, query.model_dump(), format)[0])
+        if format in EXPORTS:
+            attributes = attributes_of(record, job)
+            whole = files.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
+            with files.make(InThisProcess(), whole, settings.exports_path) as made:
+                file.writelines(files.pieces(made))
+        else:
+            file.write(answer("diagram", study, query.model_dump(), format)[0])
     shutil.rmtree(partial_of(target))
     return _status(record)
 
@@ -214,7 +191,7 @@ def computed(
     spec: Specification, folder: Path, *, workers: int | None = None, progress: bool | ProgressCallback = True
 ) -> "Iterator[tuple[JobRecord, PreparedJob]]":
     """A study's done job, in the data folder `folder`, which is created and kept. Raises as `run`."""
-    claim_kernels()
+    use_cache()
     from service.jobs.manager import JobManager
     from service.jobs.stores.adoption import open_ledger
     from worker.executors.inline import Inline
@@ -223,16 +200,17 @@ def computed(
     parsed = from_json(body(spec))
     settings = _settings(folder)
     folder.mkdir(mode=0o700, exist_ok=True)
-    with open_ledger(settings) as ledger, closing(Inline(workers or cores())) as executor:
+    with (
+        open_ledger(settings) as ledger,
+        closing(Inline(workers or len(os.sched_getaffinity(0)))) as executor,
+    ):
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
         _check_folder(ledger, parsed, folder)
         _compile(parsed, progress)
         manager.start()
         try:
-            job_id = manager.submit(parsed).job.id
-            with _cancelled_on_error(manager, ledger.find, job_id):
-                record = _wait(ledger.find, job_id, progress)
+            record = _wait(manager, ledger, manager.submit(parsed).job.id, progress)
             yield record, manager.preparer.prepare(record)
         finally:
             manager.stop()
@@ -248,30 +226,11 @@ def _check_folder(ledger: "Ledger", spec: Any, folder: Path) -> None:
         )
 
 
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _settings(folder: Path) -> "Settings":
     """The default settings for a data folder, ignoring BOUNCE_* variables."""
     from service.settings import Settings
 
-    fields = {
-        name: field.get_default(call_default_factory=True) for name, field in Settings.model_fields.items()
-    }
-    return Settings(**(fields | {"data": folder.absolute()}))
-
-
-def claim_kernels() -> None:
-    """Use the cache of compiled kernels in this process.
-
-    Raises NotStarted if other users could have written it.
-    """
-    try:
-        use_cache()
-    except CacheRefused as error:
-        raise NotStarted(str(error)) from error
+    return Settings.model_construct(data=folder.absolute())
 
 
 def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
@@ -281,30 +240,12 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
 
     if not isinstance(spec, SweepSpec) or spec.model.kind == "auto":
         return
-    failures: list[BaseException] = []
-
-    def compile_it() -> None:
-        try:
-            compile_for(spec)
-        except BaseException as error:  # noqa: BLE001 - raised again below
-            failures.append(error)
-
     # In a thread: the compiler blocks Python for seconds, and may lose an exception.
-    thread = threading.Thread(target=compile_it, name="compile", daemon=True)
-    shown = display_elapsed(_compiling, after=MESSAGE_SECONDS) if progress is True else nullcontext()
+    thread = ThreadPoolExecutor(1, thread_name_prefix="compile")
+    shown = display_elapsed(_COMPILING, after=MESSAGE_SECONDS) if progress is True else nullcontext()
     with shown:
-        thread.start()
-        thread.join()
-    if failures:
-        raise failures[0]
-
-
-def _compiling() -> str:
-    """A message about the current compilation."""
-    from kernel.numerics.compilation import compilations
-
-    kernel = next((compilation.kernel for compilation in compilations()), "the last one")
-    return f"compiling kernel 1 of 1, {kernel}; later runs find it in the cache"
+        thread.submit(compile_for, spec).result()
+    thread.shutdown()
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:
@@ -331,20 +272,31 @@ def _is_computed(target: Path, spec: Specification) -> bool:
 
 
 def _wait(
-    find: "Callable[[str], JobRecord | None]", job_id: str, progress: bool | ProgressCallback
+    manager: "JobManager", ledger: "Ledger", job_id: str, progress: bool | ProgressCallback
 ) -> "JobRecord":
-    """The job once it is done. Raises RunFailed."""
+    """The job once it is done. Raises RunFailed.
+
+    If interrupted, cancels the job, so that its chunks stop; stored results stay.
+    """
+    from service.errors import IllegalTransition, UnknownJob
     from service.jobs.model import UNFINISHED, JobState
 
-    with display_job(progress) as show:
-        while True:
-            record = find(job_id)
-            if record is None:
-                raise RunFailed("the folder of the run was changed while it computed")
-            show(_status(record))
-            if record.state not in UNFINISHED:
-                break
-            time.sleep(LOOK_SECONDS)
+    try:
+        with display_job(progress) as show:
+            while (record := ledger.find(job_id)) is not None:
+                show(_status(record))
+                if record.state not in UNFINISHED:
+                    break
+                time.sleep(LOOK_SECONDS)
+    except BaseException:
+        with suppress(IllegalTransition, UnknownJob):
+            manager.cancel(job_id)
+            deadline = time.monotonic() + CANCEL_SECONDS
+            while (job := ledger.find(job_id)) and job.state in UNFINISHED and time.monotonic() < deadline:
+                time.sleep(LOOK_SECONDS)
+        raise
+    if record is None:
+        raise RunFailed("the folder of the run was changed while it computed")
     if record.state is not JobState.DONE:
         raise RunFailed(record.error or f"the study was {record.state}")
     return record
@@ -363,26 +315,3 @@ def _status(record: "JobRecord") -> JobStatus:
         }
     )
     return status
-
-
-@contextmanager
-def _cancelled_on_error(
-    manager: "JobManager", find: "Callable[[str], JobRecord | None]", job_id: str
-) -> Iterator[None]:
-    """Cancel the job if the block is interrupted, so that its chunks stop; stored results stay."""
-    from service.errors import IllegalTransition, UnknownJob
-    from service.jobs.model import UNFINISHED
-
-    try:
-        yield
-    except RunFailed:
-        raise
-    except BaseException:
-        try:
-            manager.cancel(job_id)
-            deadline = time.monotonic() + CANCEL_SECONDS
-            while (job := find(job_id)) and job.state in UNFINISHED and time.monotonic() < deadline:
-                time.sleep(LOOK_SECONDS)
-        except (IllegalTransition, UnknownJob):
-            pass
-        raise

@@ -1,20 +1,23 @@
-"""Access tokens: their rule, files of named ones, and the token that a service creates for its own user.
+"""Access tokens: their rule, files of named ones; and the user's own service: its address and its token.
 
-A service with `token=auto` keeps its token in a file of the data folder, where clients of the same user find
-it. Imports only the standard library, because clients do.
+A service records its address in a file of its data folder, where commands of the same user find it, and holds
+a lock on the file, so one left by a killed service does not count. With `token=auto` its token is beside it.
+Imports only the standard library, because clients do, and every command may look for a service.
 """
 
-import errno
+import fcntl
 import json
 import os
 import re
 import secrets
 import stat
-import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Final, NamedTuple
+from typing import IO, Final
+from urllib.parse import urlsplit
+
+from service.files import complete_file
 
 #: Replaces a token: the service creates one, its clients look for it.
 AUTO: Final = "auto"
@@ -23,8 +26,12 @@ AUTO: Final = "auto"
 MIN_LENGTH: Final = 16
 RULE: Final = f"must be at least {MIN_LENGTH} ASCII characters without spaces"
 
-#: The file of the data folder with the token that the service has created.
+#: The files of the data folder with the token that the service has created, and with its address.
 FILE_NAME: Final = "token.json"
+ADDRESS_FILE: Final = "service.json"
+
+#: Addresses that mean every interface, and the local address of such a service.
+_EVERY: Final = {"http://0.0.0.0:": "http://127.0.0.1:", "http://[::]:": "http://[::1]:"}
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
 _OTHERS: Final = 0o077
@@ -33,13 +40,6 @@ _MAX_BYTES: Final = 1_000_000
 
 class TokenFileUnusable(Exception):
     """A file of tokens breaks a rule; the text names the file and the line, and shows no token."""
-
-
-class OwnToken(NamedTuple):
-    """A token created by a service, and the service's port; None while it does not run."""
-
-    token: str
-    port: int | None
 
 
 def is_valid(token: str) -> bool:
@@ -93,14 +93,17 @@ def _problem(name: str, token: str, tokens: dict[str, str]) -> str | None:
     return None
 
 
-def own_token(folder: Path, port: int | None) -> str:
-    """The token that this data folder's service has created, or a new one; records the service's `port`.
+def own_token(folder: Path) -> str:
+    """The token that this data folder's service has created, or a new one. Raises OSError.
 
-    Only this user can read the file. Raises OSError.
+    Only this user can read its file.
     """
-    kept = _read_own(folder)
-    token = secrets.token_urlsafe(32) if kept is None else kept.token
-    write_private(folder / FILE_NAME, json.dumps({"port": port, "token": token}))
+    kept = _read(folder / FILE_NAME, "token")
+    if kept is not None and is_valid(kept):
+        return kept
+    token = secrets.token_urlsafe(32)
+    with complete_file(folder / FILE_NAME, private=True) as file:
+        file.write(json.dumps({"token": token}).encode())
     return token
 
 
@@ -110,8 +113,12 @@ def find_token(port: int, folder: Path | None = None) -> str | None:
     Looks in the data folder, by default BOUNCE_DATA or ./bounce-data. A token is sent to no other service,
     and another user's file is ignored.
     """
-    found = _read_own(folder or data_folder())
-    return found.token if found is not None and found.port == port else None
+    folder = folder or data_folder()
+    url = find_service(folder)
+    if url is None or urlsplit(url).port != port:
+        return None
+    token = _read(folder / FILE_NAME, "token")
+    return token if token is not None and is_valid(token) else None
 
 
 def data_folder() -> Path:
@@ -119,41 +126,56 @@ def data_folder() -> Path:
     return Path(os.environ.get("BOUNCE_DATA") or "bounce-data")
 
 
-def write_private(
-    path: Path, text: str, before_replace: Callable[[Path], object] = lambda file: None
-) -> None:
-    """Write a file for this user alone, whole or not at all. Raises OSError.
-
-    `before_replace` gets the new file before it is at `path`.
-    """
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")  # mode 0600
-    try:
-        with open(descriptor, "w", encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
-            file.write(text)
-        before_replace(Path(name))
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
 @contextmanager
-def opened_private(path: Path) -> Iterator[IO[str]]:
-    """Open a file that `write_private` wrote. Raises OSError, also if others could have written it."""
-    # Do not block on a pipe in its place.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
-    with open(descriptor, encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
-        status = os.fstat(descriptor)
-        if status.st_uid != os.geteuid() or status.st_mode & _OTHERS:
-            raise PermissionError(errno.EPERM, "is not this user's alone", str(path))
-        yield file
+def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
+    """A function that records the address of this process's service on `folder`; removed after the block.
+
+    If it cannot be written, commands do not find the service.
+    """
+    path = folder / ADDRESS_FILE
+    with ExitStack() as recorded:
+
+        def record(url: str) -> None:
+            for wildcard, local in _EVERY.items():
+                if url.startswith(wildcard):
+                    url = local + url.removeprefix(wildcard)
+            with suppress(OSError), complete_file(path, private=True) as file:
+                file.write(json.dumps({"url": url}).encode())
+                file.flush()
+                opened = recorded.enter_context(open(file.name, encoding="ascii"))  # noqa: PTH123
+                fcntl.flock(opened, fcntl.LOCK_EX)
+                recorded.callback(forget, opened)
+
+        def forget(opened: IO[str]) -> None:
+            with suppress(OSError):  # another service may have taken the folder meanwhile
+                if os.path.samestat(path.stat(), os.fstat(opened.fileno())):
+                    path.unlink()
+
+        yield record
 
 
-def _read_own(folder: Path) -> OwnToken | None:
-    """The contents of the folder's file; None if no service of this user has written one."""
-    with suppress(OSError, ValueError, KeyError, TypeError), opened_private(folder / FILE_NAME) as file:
-        content = json.loads(file.read(_MAX_BYTES))
-        token, port = content["token"], content["port"]
-        if is_valid(token) and (port is None or isinstance(port, int)):
-            return OwnToken(token, port)
+def find_service(folder: Path) -> str | None:
+    """The address of this user's running service on `folder`; None if there is none."""
+    return _read(folder / ADDRESS_FILE, "url", locked=True)
+
+
+def _read(path: Path, name: str, *, locked: bool = False) -> str | None:
+    """A text in a private file of JSON, if the file is `locked`; None if no service of this user wrote it."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        # Do not block on a pipe in its place.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+        with open(descriptor, encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
+            status = os.fstat(descriptor)
+            if status.st_uid != os.geteuid() or status.st_mode & _OTHERS or (locked and not _is_locked(file)):
+                return None
+            text = json.loads(file.read(_MAX_BYTES))[name]
+            return text if isinstance(text, str) else None
     return None
+
+
+def _is_locked(file: IO[str]) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:  # its service runs
+        return True
+    return False

@@ -38,6 +38,7 @@ def restore(file: Path, data: str | None) -> None:
     adopt --all" takes them in.
     """
     from service.jobs import backup as backups
+    from service.jobs.stores import adoption
 
     settings = _settings(data)
     restored = backups.restore(settings.ledger_path, file)
@@ -45,7 +46,9 @@ def restore(file: Path, data: str | None) -> None:
     click.echo(f"{settings.ledger_path}: {jobs} jobs, {chunks} done chunks")
     if restored.replaced is not None:
         click.echo(f"the ledger that was there is {restored.replaced}")
-    if unknown := _unknown_stores(settings):
+    with adoption.open_ledger(settings) as ledger:
+        unknown = adoption.find_unknown(ledger, settings)
+    if unknown:
         click.echo(f"{len(unknown)} stores are unknown to it: bounce adopt --all takes them in")
 
 
@@ -117,10 +120,3 @@ def _settings(data: str | None) -> "Settings":
 
     options: dict[str, Any] = {"data": data}
     return embedded.settings(**options)
-
-
-def _unknown_stores(settings: "Settings") -> list[str]:
-    from service.jobs.stores import adoption
-
-    with adoption.open_ledger(settings) as ledger:
-        return adoption.find_unknown(ledger, settings)

@@ -57,9 +57,7 @@ def _cache(_: Settings) -> Iterator[Finding]:
     except NotOurs as error:
         yield Finding("kernel cache", f"{error}: remove it", ok=False)
     else:
-        compiled = sum(
-            not file.suffix for file in root.glob("*/*-*")
-        )  # one for each kernel, see kernel_cache
+        compiled = sum(not file.suffix for file in root.glob("*/*-*"))  # one per kernel, see kernel_cache
         yield Finding("kernel cache", f"{root}, {compiled} compiled kernels")
 
 
@@ -67,43 +65,42 @@ def _disk(settings: Settings) -> Iterator[Finding]:
     for folder in settings.folders:
         there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
         free = shutil.disk_usage(there).free
-        yield Finding(
-            "disk", f"{folder}: {free / 1e9:.1f} GB free ({file_system(there)})", free >= FREE_BYTES
-        )
+        text = f"{folder}: {free / 1e9:.1f} GB free ({file_system(there)})"
+        yield Finding("disk", text, free >= FREE_BYTES)
     if network := network_file_system(settings.data):
-        yield Finding(
-            "disk", f"{settings.data} is on a network file system ({network}): {NOT_LOCAL}", ok=False
-        )
+        text = f"{settings.data} is on a network file system ({network}): {NOT_LOCAL}"
+        yield Finding("disk", text, ok=False)
 
 
 def _ledger(settings: Settings) -> Iterator[Finding]:
     path = settings.ledger_path
-    if path.exists() and path.stat().st_size:
+    if not path.exists():
+        yield Finding("ledger", f"{path} is not there yet")
+    elif not path.stat().st_size:
+        yield Finding("ledger", f"{path} is empty", ok=False)
+    else:
         contents = backup.inspect(path)
         yield Finding("ledger", f"{path}: {contents.jobs} jobs, {contents.chunks} done chunks, sound")
-    else:
-        yield Finding(
-            "ledger", f"{path} is {'empty' if path.exists() else 'not there yet'}", not path.exists()
-        )
     if copies := copies_of(path):
         yield Finding("ledger", f"copies beside it: {', '.join(copy.name for copy in copies)}")
 
 
 def _stores(settings: Settings) -> Iterator[Finding]:
     """Stores that the ledger does not know, and what is left of deletions that it does not record."""
-    place = settings.stores_url
+    place, ledger = settings.stores_url, settings.ledger_path
     names = store.names_in(place)
     yield Finding("stores", f"{place}: {sum(name.endswith('.zarr') for name in names)} stores")
-    ours = backup.marker_of(settings.ledger_path) if settings.ledger_path.exists() else None
+    ours, known = None, set[str]()
+    if ledger.exists():
+        ours, known = backup.marker_of(ledger), backup.known_ids(ledger)
     if ours is not None and (there := store.read_marker(place)) != ours:
         state = "is missing" if there is None else "is another ledger's"
         yield Finding("stores", f"{place}: their marker {store.MARKER} {state}; see /readyz", ok=False)
-    known = backup.known_ids(settings.ledger_path) if settings.ledger_path.exists() else set()
     for name in names:
         job_id, _, rest = name.partition(".zarr")
         if job_id not in known and name.endswith(".zarr"):
             yield Finding("stores", f"{name} is unknown to the ledger: bounce adopt {job_id}", ok=False)
-        if job_id not in known and rest.startswith(".deleted-"):
+        elif job_id not in known and rest.startswith(".deleted-"):
             text = "is left of a deletion that the ledger does not know: remove it, or rename and adopt it"
             yield Finding("stores", f"{name} {text}", ok=False)
 

@@ -1,7 +1,8 @@
-"""The program `bounce`: its commands, which Ctrl-C ends at any moment.
+"""The program `bounce`: its commands, which signals end at any moment.
 
 Ctrl-C means exit code 130 and no traceback, also while modules are imported, kernels compiled and workers
 started. A command that is not at its end soon after is ended: results on the disk are whole at any moment.
+SIGTERM and SIGHUP end a command orderly. `bounce serve` handles SIGINT and SIGTERM itself.
 """
 
 import logging
@@ -24,44 +25,40 @@ INTERRUPTED: Final = 130
 
 def main() -> None:
     """Run the command that the arguments name."""
-    interrupts = _Interrupts()
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as scripts start what runs beside them
-        signal.signal(signal.SIGINT, interrupts.handle)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as by nohup, and by scripts beside which it runs
+            signal.signal(number, _end)
     code: object = None
     try:
         from service.cli.main import main as command
 
         command()
-    except KeyboardInterrupt:
-        code = INTERRUPTED
     except SystemExit as end:
         code = end.code
         raise
     finally:
         # The interpreter would wait for threads at its end, and free compiled code.
-        if interrupts.came or code == INTERRUPTED:
+        if code == INTERRUPTED or signal.getsignal(signal.SIGINT) is _end_now:
             _end_now()
 
 
-class _Interrupts:
-    """What SIGINT does: the first one raises KeyboardInterrupt, the second one, or time, ends the process."""
-
-    def __init__(self) -> None:
-        self.came = False
-
-    def handle(self, number: int, frame: FrameType | None) -> None:
-        """Called by Python in the main thread."""
-        if self.came:
-            _end_now()
-        self.came = True
+def _end(number: int, frame: FrameType | None) -> None:
+    """Raise SystemExit in the main thread; after SIGINT, another one or time ends the process at once."""
+    if number == signal.SIGINT:
+        signal.signal(signal.SIGINT, _end_now)
         logging.disable()  # what libraries say of connections that end
         timer = threading.Timer(GRACE_SECONDS, _end_now)
         timer.daemon = True
         timer.start()
-        raise KeyboardInterrupt
+        with suppress(OSError):
+            os.write(2, b"\n")  # after ^C
+    else:
+        for other in (signal.SIGTERM, signal.SIGHUP):  # a second one does not interrupt the clean-up
+            signal.signal(other, signal.SIG_IGN)
+    sys.exit(128 + number)
 
 
-def _end_now() -> None:
+def _end_now(*_: object) -> None:
     """End this process with all that it has started, and remove its temporary folders."""
     for process in multiprocessing.active_children():
         process.kill()

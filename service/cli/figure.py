@@ -1,23 +1,29 @@
-"""The command `bounce figure`: a figure from submission to picture."""
+"""The commands that make pictures without a service that runs: figure, tradeoff."""
 
-from contextlib import AbstractContextManager, nullcontext
+import secrets
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlsplit
 
 import click
 
 from service.cli.options import (
     data_option,
-    optional_service_options,
     output_format,
+    token_option,
     was_default_or_variable,
-    workers_option,
     write_file,
 )
 from service.formats import PICTURES
+from service.tokens import AUTO, data_folder, find_service, find_token
 
 #: Seconds for one answer: the first trajectory waits until the kernels are compiled.
 COMPILE_SECONDS: Final = 300.0
+
+#: The address of a service, and the access token for it.
+Service = tuple[str, str | None]
 
 
 @click.command()
@@ -27,8 +33,10 @@ COMPILE_SECONDS: Final = 300.0
 @click.option("--format", type=click.Choice(PICTURES), default="png", show_default=True,
               help="Format of the files in the folder.")  # fmt: skip
 @data_option
-@workers_option
-@optional_service_options
+@click.option("--workers", type=int, help="Worker processes of the local service.  [default: 2]")
+@click.option("--url", help="Use the running service at this address instead of a local one.",
+              envvar="BOUNCE_URL", show_envvar=True)  # fmt: skip
+@token_option
 def figure(
     number: str,
     output: str | None,
@@ -44,7 +52,6 @@ def figure(
     prints how they compare with the paper. A second run finds the finished jobs in the data folder and only
     draws. If a service runs on the data folder, that service is used.
     """
-    from service.cli.local_service import Address, persistent_service
     from service.client import Client
     from service.figures import catalogue
 
@@ -58,11 +65,77 @@ def figure(
     else:
         targets = [output or f"figure-{number}.{format}"]
         format = output_format(targets[0], PICTURES)
-    if url is None or data is not None:
-        service: AbstractContextManager[Address] = persistent_service(workers, data, token)
-    else:
-        service = nullcontext(Address(url, token))
-    with service as address, Client(*address, timeout=COMPILE_SECONDS) as client:
+    with ExitStack() as stack:
+        if url is None or data is not None:
+            url, token = stack.enter_context(_service(workers, data, token))
+        client = stack.enter_context(Client(url, token, timeout=COMPILE_SECONDS))
         for target, picture in zip(targets, catalogue.make(figures, client, format), strict=True):
             write_file(target, picture.content)
             click.echo(f"{target}\n{picture.caption}\n", err=True)
+
+
+@contextmanager
+def _service(workers: int | None, data: str | None, token: str | None) -> Iterator[Service]:
+    """A service that keeps its results in the folder `data`, by default BOUNCE_DATA or ./bounce-data.
+
+    A folder has one service at a time. If `bounce serve` runs on it, that service is used. If another command
+    uses the default folder, a temporary service is started. A folder that was named is not replaced: raises
+    DataFolderBusy.
+    """
+    from service.errors import DataFolderBusy
+    from worker.temporary import temporary_folder
+
+    folder = Path(data) if data else data_folder()
+    if (url := find_service(folder)) is not None:
+        click.echo(f"using the service at {url}, which runs on {folder}", err=True)
+        yield url, find_token(urlsplit(url).port or 80, folder) if token in (None, "", AUTO) else token
+        return
+    with ExitStack() as stack:
+        try:
+            service = stack.enter_context(_started(workers, data))
+        except DataFolderBusy:
+            if data is not None:
+                raise
+            click.echo("another service uses the data folder: using a temporary one", err=True)
+            temporary = stack.enter_context(temporary_folder("bounce-"))
+            service = stack.enter_context(_started(workers, str(temporary)))
+        yield service
+
+
+@contextmanager
+def _started(workers: int | None, data: str | None) -> Iterator[Service]:
+    """A service in this process, with a token of its own: other users of the machine reach its port too."""
+    from service.client.display import display_elapsed
+    from worker.kernel_cache import use_cache
+
+    use_cache()
+    from service.server import embedded
+
+    token = secrets.token_urlsafe()
+    settings = embedded.settings(workers=workers, data=data, host="127.0.0.1", port=0, token=token)
+    with ExitStack() as stack:
+        with display_elapsed("starting a local service"):
+            url = stack.enter_context(embedded.running(settings))
+        yield url, token
+
+
+@click.command()
+@click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
+              help="Picture to write as well, .png, .svg or .pdf.")  # fmt: skip
+def tradeoff(output: str | None) -> None:
+    """Measure the cost and the accuracy of each contact model.
+
+    Computes a fixed set of cells, extreme ones included, one after another in this process, which takes a
+    minute or two.
+    """
+    from worker.kernel_cache import use_cache
+
+    format = output_format(output, PICTURES) if output else None
+    use_cache()
+    from service import tradeoff as measurements
+
+    click.echo("measuring (two or three minutes)", err=True)
+    rows = [measurements.measure(setup) for setup in measurements.SETUPS]
+    if output and format:
+        write_file(output, measurements.draw(rows, format))
+    click.echo(measurements.report(rows))

@@ -8,22 +8,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from service.cli.options import (
-    format_option,
-    job_argument,
-    json_option,
-    line_options,
-    open_client,
-    output_format,
-    service_options,
-)
+from service.cli.options import format_option, json_option, output_format, with_client, with_job
+from service.cli.views import query_options
 from service.formats import EXPORTS, PICTURES, TABLES
+from service.result_methods import ResultMethods
 
 if TYPE_CHECKING:
-    from service.client import Job
+    from service.client import Client, Job
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
 ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
+_RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
 
 @click.command()
@@ -31,10 +26,8 @@ ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
 @click.option("--wait", "wait_for_job", is_flag=True, help="Show progress and wait until the job is done.")
 @click.option("--estimate", is_flag=True, help="Print the estimated cost without submitting.")
 @click.option("--key", help="Idempotency key: repeating the request with it changes nothing.")
-@service_options
-def submit(
-    spec: str, wait_for_job: bool, estimate: bool, key: str | None, url: str, token: str | None
-) -> None:
+@with_client
+def submit(client: "Client", spec: str, wait_for_job: bool, estimate: bool, key: str | None) -> None:
     """Submit a sweep and print its job id.
 
     SPEC is a .json, .toml or .yaml file, or - for JSON on standard input. The same sweep is always the same
@@ -43,26 +36,23 @@ def submit(
     from service.cli import output
     from service.client.specification import read
 
-    with open_client(url, token) as client:
-        specification = spec if spec != "-" else read(sys.stdin.buffer.read())
-        if estimate:
-            click.echo(output.estimate_line(client.estimate(specification)))
-            return
-        job = client.submit(specification, key=key)
-        click.echo(job.id)
-        if wait_for_job:
-            _wait(job)
+    specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    if estimate:
+        click.echo(output.estimate_line(client.estimate(specification)))
+        return
+    job = client.submit(specification, key=key)
+    click.echo(job.id)
+    if wait_for_job:
+        _wait(job)
 
 
 @click.command()
 @click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
-@line_options
-@format_option("zarr", *EXPORTS, *PICTURES, *TABLES)
+@query_options(ResultMethods, name="diagram")
+@format_option(*_RUN_FORMATS)
 @click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
 @click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
-def run(
-    spec: str, output: str, format: str | None, workers: int | None, every: int | None, **line: Any
-) -> None:
+def run(spec: str, output: str, format: str | None, workers: int | None, **query: Any) -> None:
     """Compute a sweep without a service, and write it.
 
     The ending of the output says what is written: the sweep as .zarr, .nc or .parquet, or its diagram as
@@ -74,71 +64,58 @@ def run(
       bounce run sweep.toml -o diagram.png --along gamma --omega 0.5 --xi 0.26
     """
     from service import local
-    from service.cli.local_service import ended_by_signals
     from service.client.specification import read
 
-    format = output_format(output, ("zarr", *EXPORTS, *PICTURES, *TABLES), format)
+    format = output_format(output, _RUN_FORMATS, format)
     specification = spec if spec != "-" else read(sys.stdin.buffer.read())
     try:
-        with ended_by_signals():
-            if format == "zarr":
-                local.run(specification, output, workers=workers)
-            else:
-                local.run_to_file(specification, output, format, line, every=every or 1, workers=workers)
-    except KeyboardInterrupt:
+        if format == "zarr":
+            local.run(specification, output, workers=workers)
+        else:
+            query = {name: value for name, value in query.items() if value is not None}
+            local.run_to_file(specification, output, format, query, workers=workers)
+    except SystemExit:  # by a signal
         click.echo(f"interrupted; the same command goes on in {local.partial_of(Path(output))}", err=True)
-        sys.exit(130)
+        raise
 
 
 @click.command()
-@job_argument
 @json_option
-@service_options
-def status(job_id: str, as_json: bool, url: str, token: str | None) -> None:
+@with_job
+def status(job: "Job", as_json: bool) -> None:
     """Show a job's status."""
     from service.cli import output
 
-    with open_client(url, token) as client:
-        job = client.job(job_id)
-        click.echo(output.as_json(job.view) if as_json else output.job_report(job))
+    click.echo(output.as_json(job.view) if as_json else output.job_report(job))
 
 
 @click.command()
-@job_argument
 @click.option("--timeout", type=click.FloatRange(min=0), help="Stop waiting after this many seconds.")
-@service_options
-def wait(job_id: str, timeout: float | None, url: str, token: str | None) -> None:
+@with_job
+def wait(job: "Job", timeout: float | None) -> None:
     """Show a job's progress until it is finished.
 
     The exit code is 0 if the job is done, 1 if it failed, was cancelled or the timeout expired.
     """
-    with open_client(url, token) as client:
-        _wait(client.job(job_id), timeout)
+    _wait(job, timeout)
 
 
 @click.command()
-@job_argument
 @click.option("--json", "as_json", is_flag=True, help="Print every event as a line of JSON.")
-@service_options
-def follow(job_id: str, as_json: bool, url: str, token: str | None) -> None:
+@with_job
+def follow(job: "Job", as_json: bool) -> None:
     """Print every change of a job until it is finished."""
     from service.client.display import summary
 
-    with open_client(url, token) as client:
-        for job in client.job(job_id).follow():
-            click.echo(json.dumps(job.view) if as_json else summary(job), err=not as_json)
+    for now in job.follow():
+        click.echo(json.dumps(now.view) if as_json else summary(now), err=not as_json)
 
 
 @click.command()
-@click.option(
-    "--interval",
-    type=click.FloatRange(min=0.1),
-    default=1.0,
-    show_default=True,
-    help="Seconds between two looks.",
-)
-@service_options
-def watch(interval: float, url: str, token: str | None) -> None:
+@click.option("--interval", type=click.FloatRange(min=0.1), default=1.0, show_default=True,
+              help="Seconds between two looks.")  # fmt: skip
+@with_client
+def watch(client: "Client", interval: float) -> None:
     """Show jobs live until Ctrl-C.
 
     They are the queued and running ones, and those that ended meanwhile. Where the output is no terminal, it
@@ -148,57 +125,52 @@ def watch(interval: float, url: str, token: str | None) -> None:
 
     from rich.console import Console
     from rich.live import Live
+    from rich.text import Text
 
     from service.cli import output
 
     console = Console()
+    unfinished: set[str] = set()
     ended: dict[str, Job] = {}
-    with open_client(url, token) as client:
 
-        def jobs() -> "list[Job]":
-            found = [*client.jobs("running"), *client.jobs("queued")]
-            for id in shown - {job.id for job in found}:
-                ended[id] = client.job(id)
-            return [*found, *ended.values()]
+    def jobs() -> "list[Job]":
+        found = [*client.jobs("running"), *client.jobs("queued")]
+        for id in unfinished - {job.id for job in found}:
+            ended[id] = client.job(id)
+        return [*found, *ended.values()]
 
-        shown: set[str] = set()
-        if not console.is_terminal:
-            click.echo(output.job_table(jobs()))
-            return
-        with Live(console=console, auto_refresh=False) as live:
-            while True:
-                now = jobs()
-                live.update(output.jobs_live(now), refresh=True)
-                shown = {job.id for job in now if not job.finished}
-                time.sleep(interval)
+    if not console.is_terminal:
+        click.echo(output.job_table(jobs()))
+        return
+    with Live(console=console, auto_refresh=False) as live:
+        while True:
+            now = jobs()
+            live.update(Text(output.job_table(now)), refresh=True)
+            unfinished = {job.id for job in now if not job.finished}
+            time.sleep(interval)
 
 
 @click.command()
-@job_argument
-@service_options
-def cancel(job_id: str, url: str, token: str | None) -> None:
+@with_job
+def cancel(job: "Job") -> None:
     """Cancel a job. Its results are kept; submitting the same sweep resumes it."""
     from service.client.display import summary
 
-    with open_client(url, token) as client:
-        job = client.job(job_id).cancel()
+    job.cancel()
     click.echo(summary(job) if job.finished else f"{summary(job)}, cancel requested", err=True)
 
 
 @click.command()
-@job_argument
-@service_options
-def resume(job_id: str, url: str, token: str | None) -> None:
+@with_job
+def resume(job: "Job") -> None:
     """Resume a failed or cancelled job where it stopped.
 
     A job of another kernel version starts anew as another job, whose id is printed.
     """
     from service.client.display import summary
 
-    with open_client(url, token) as client:
-        job = client.job(job_id)
-        asked_for = job.id
-        job.resume()
+    asked_for = job.id
+    job.resume()
     if job.id != asked_for:
         click.echo(job.id)
         click.echo(f"job {job.id} {job.notice}", err=True)
@@ -206,12 +178,10 @@ def resume(job_id: str, url: str, token: str | None) -> None:
 
 
 @click.command()
-@job_argument
-@service_options
-def delete(job_id: str, url: str, token: str | None) -> None:
+@with_job
+def delete(job: "Job") -> None:
     """Delete a job and its results. Cancel it first if it is queued or running."""
-    with open_client(url, token) as client:
-        client.job(job_id).delete()
+    job.delete()
 
 
 @click.command("list")
@@ -224,16 +194,12 @@ def delete(job_id: str, url: str, token: str | None) -> None:
 @click.option("--order", type=click.Choice(ORDERS), default=ORDERS[0], show_default=True)
 @click.option("--limit", type=click.IntRange(min=1), help="List at most so many jobs.")
 @json_option
-@service_options
-def list_jobs(
-    as_json: bool, url: str, token: str | None, pinned: bool, limit: int | None, **wanted: Any
-) -> None:
+@with_client
+def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, **wanted: Any) -> None:
     """List the jobs, the newest first."""
     from service.cli import output
 
-    with open_client(url, token) as client:
-        found = client.jobs(pinned=pinned or None, **wanted)
-        jobs = list(islice(found, limit))
+    jobs = list(islice(client.jobs(pinned=pinned or None, **wanted), limit))
     click.echo(output.as_json([job.view for job in jobs]) if as_json else output.job_table(jobs))
 
 
@@ -252,6 +218,6 @@ def _wait(job: "Job", timeout: float | None = None) -> None:
             )
         if note := settling_note(job):
             click.echo(note, err=True)
-    except KeyboardInterrupt:
+    except SystemExit:  # by a signal
         click.echo(f"stopped waiting; the job continues (cancel it with: bounce cancel {job.id})", err=True)
-        sys.exit(130)
+        raise

@@ -3,21 +3,18 @@
 Modules that take long to import are imported by the commands that need them.
 """
 
-import sys
-from typing import Final
+from typing import TYPE_CHECKING
 
 import click
 
-from service.cli import data, jobs, results, views
-from service.cli.figure import figure
-from service.cli.options import CommandGroup, data_option, open_client, service_options
-from service.cli.tradeoff import tradeoff
-from service.tokens import AUTO, data_folder, write_private
+from service.cli import data, jobs, views
+from service.cli.figure import figure, tradeoff
+from service.cli.options import CommandGroup, data_option, with_client
+from service.files import complete_file
+from service.tokens import AUTO, data_folder
 
-#: Shells that can complete.
-SHELLS: Final = ("bash", "zsh", "fish")
-
-_STARTING: Final = "starting workers"
+if TYPE_CHECKING:
+    from service.client import Client
 
 
 @click.group(
@@ -50,71 +47,49 @@ def serve(**options: str | int | None) -> None:
     --token auto. To listen on an address that other machines can reach, set BOUNCE_TOKEN to an access token
     of 16 characters or more, or give a file of tokens.
     """
-    from contextlib import ExitStack
+    from worker.kernel_cache import use_cache
 
-    from service.client.display import display_elapsed
-    from service.local import claim_kernels
-
-    claim_kernels()
+    use_cache()
     from service.server import embedded
 
-    settings = embedded.settings(**options)
-    with ExitStack() as starting:
-        if sys.stderr.isatty():
-            starting.enter_context(display_elapsed(_STARTING, after=1.0))
-
-        def announce(line: str) -> None:
-            starting.close()
-            click.echo(line)
-
-        embedded.serve(settings, announce)
+    embedded.serve(embedded.settings(**options), click.echo)
 
 
 @main.command()
-@service_options
-def metrics(url: str, token: str | None) -> None:
+@with_client
+def metrics(client: "Client") -> None:
     """Print the service's metrics in Prometheus's text format."""
-    with open_client(url, token) as client:
-        click.echo(client.metrics(), nl=False)
+    click.echo(client.metrics(), nl=False)
 
 
 @main.command()
-@click.argument("shell", type=click.Choice(SHELLS), required=False)
-def completion(shell: str | None) -> None:
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(shell: str) -> None:
     """Print a script that completes commands in a shell.
 
-    It completes commands, options and ids of jobs. SHELL is bash, zsh or fish, by default that of SHELL in
-    the environment. For example, in ~/.bashrc:
+    It completes commands, options and ids of jobs. For example, in ~/.bashrc:
 
       eval "$(bounce completion bash)"
     """
-    import os
-    from pathlib import Path
-
     from click.shell_completion import get_completion_class
 
-    name = shell or Path(os.environ.get("SHELL", "")).name
-    if name not in SHELLS:
-        raise click.UsageError(f"name the shell: {', '.join(SHELLS)}")
-    complete = get_completion_class(name)
+    complete = get_completion_class(shell)
     assert complete is not None
     click.echo(complete(main, {}, "bounce", "_BOUNCE_COMPLETE").source())
 
 
 @main.command("open")
 @click.option("--print", "print_only", is_flag=True, help="Print the address, with the token, instead.")
-@service_options
-def open_page(print_only: bool, url: str, token: str | None) -> None:
+@with_client
+def open_page(client: "Client", print_only: bool) -> None:
     """Open the page in a browser.
 
     The access token of a service with --token auto is filled in.
     """
     import webbrowser
 
-    with open_client(url, token) as client:
-        address = client.page
-    if print_only or not webbrowser.open(_handed_over(address)):
-        click.echo(address)
+    if print_only or not webbrowser.open(_handed_over(client.page)):
+        click.echo(client.page)
 
 
 def _handed_over(address: str) -> str:
@@ -127,20 +102,17 @@ def _handed_over(address: str) -> str:
     if not folder.is_dir():
         raise click.ClickException(f"there is no folder {folder}: use --print, or set BOUNCE_DATA")
     file = folder / "open.html"
-    write_private(file, f'<!doctype html><meta http-equiv="refresh" content="0; url={escape(address)}">')
+    page = f'<!doctype html><meta http-equiv="refresh" content="0; url={escape(address)}">'
+    with complete_file(file, private=True) as written:
+        written.write(page.encode())
     return file.as_uri()
 
 
 for command in (
     *views.COMMANDS,
     *jobs.COMMANDS,
-    *results.COMMANDS,  # after those of its views: one of a spring or a cell replaces that of a job
     *data.COMMANDS,
     figure,
     tradeoff,
 ):
     main.add_command(command)
-
-
-if __name__ == "__main__":
-    main()

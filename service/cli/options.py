@@ -2,8 +2,8 @@
 
 import errno
 import os
-import sys
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -11,15 +11,12 @@ import click
 from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
-from service import address
-from service.tokens import data_folder
+from service.tokens import data_folder, find_service
 
 if TYPE_CHECKING:
     from service.client import Client
 
-AXES: Final = ("gamma", "omega", "xi")
 DEFAULT_URL: Final = "http://127.0.0.1:8000"  # the client's, which takes long to import
-_SHOWN_DEFAULT: Final = f"the service on ./bounce-data or BOUNCE_DATA; {DEFAULT_URL}"
 
 #: Seconds that the completion of an id waits for the service.
 COMPLETION_SECONDS: Final = 2.0
@@ -28,25 +25,12 @@ Command = TypeVar("Command", bound=Callable[..., None])
 
 
 class CommandGroup(click.Group):
-    """A group whose commands report an error as one message on standard error and exit code 1.
-
-    SIGINT ends a command with exit code 130.
-    """
-
-    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
-        """Read the command line; click itself would answer SIGINT by "Aborted!" and exit code 1."""
-        try:
-            return super().make_context(*arguments, **options)
-        except KeyboardInterrupt:
-            raise click.exceptions.Exit(130) from None
+    """A group whose commands report an error as one message on standard error and exit code 1."""
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; exceptions raised on purpose and those of the file system become messages."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            click.echo(err=True)  # after ^C
-            sys.exit(130)
         except Exception as error:
             message = _message(error)
             if message is None:
@@ -58,9 +42,8 @@ def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str)
     """Ids of the service's jobs that begin so, with their states and names; none if it does not answer."""
     from service.client import BounceError, Client
 
-    given = ctx.params
-    url = given.get("url") or os.environ.get("BOUNCE_URL") or default_url()
-    token = given.get("token") or os.environ.get("BOUNCE_TOKEN")
+    url = ctx.params.get("url") or os.environ.get("BOUNCE_URL") or default_url()
+    token = ctx.params.get("token") or os.environ.get("BOUNCE_TOKEN")
     try:
         with Client(url, token, timeout=COMPLETION_SECONDS) as client:
             found = client.jobs(search=incomplete or None)
@@ -71,16 +54,7 @@ def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str)
 
 
 job_argument = click.argument("job_id", metavar="ID", shell_complete=complete_id)
-optional_job_argument = click.argument("job_id", metavar="[ID]", required=False, shell_complete=complete_id)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-min_flight_option = click.option(
-    "--min-flight",
-    type=float,
-    help="Flights shorter than this (rad) do not count, unless all of a cell are.  [default: micro_flight]",
-)
-workers_option = click.option(
-    "--workers", type=int, help="Worker processes of the local service.  [default: 2]"
-)
 data_option = click.option(
     "--data",
     type=click.Path(file_okay=False),
@@ -90,17 +64,53 @@ data_option = click.option(
 
 def default_url(folder: Path | None = None) -> str:
     """The address of the service on a data folder, by default that of clients, else the usual one."""
-    return address.find(folder or data_folder()) or DEFAULT_URL
+    return find_service(folder or data_folder()) or DEFAULT_URL
 
 
 url_option = click.option(
     "--url",
     help="Address of the service.",
     default=default_url,
-    show_default=_SHOWN_DEFAULT,
+    show_default=f"the service on ./bounce-data or BOUNCE_DATA; {DEFAULT_URL}",
     envvar="BOUNCE_URL",
     show_envvar=True,
 )
+token_option = click.option(
+    "--token", help="Access token, if the service requires one.", envvar="BOUNCE_TOKEN", show_envvar=True
+)
+
+
+def service_options(command: Command) -> Command:
+    """The options that select the service."""
+    return url_option(token_option(command))
+
+
+def open_client(url: str, token: str | None) -> "Client":
+    """A client of the service at `url`."""
+    from service.client import Client
+
+    return Client(url, token)
+
+
+def with_client(function: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options that select the service, and a client of it as its first argument."""
+
+    @wraps(function)
+    def run(url: str, token: str | None, **options: Any) -> None:
+        with open_client(url, token) as client:
+            function(client, **options)
+
+    return service_options(run)
+
+
+def with_job(function: Callable[..., None]) -> Callable[..., None]:
+    """The same with a job of the service, which the argument ID names."""
+
+    @wraps(function)
+    def run(client: "Client", job_id: str, **options: Any) -> None:
+        function(client.job(job_id), **options)
+
+    return job_argument(with_client(run))
 
 
 def was_default_or_variable(option: str) -> bool:
@@ -109,64 +119,11 @@ def was_default_or_variable(option: str) -> bool:
     return source is not ParameterSource.COMMANDLINE
 
 
-def service_options(command: Command) -> Command:
-    """The options that select the service."""
-    return _with(
-        command,
-        url_option,
-        click.option("--token", help="Access token, if the service requires one.", envvar="BOUNCE_TOKEN",
-                     show_envvar=True),
-    )  # fmt: skip
-
-
-def optional_service_options(command: Command) -> Command:
-    """The options that select a running service instead of a local one."""
-    return _with(
-        command,
-        click.option("--url", help="Use the running service at this address instead of a local one.",
-                     envvar="BOUNCE_URL", show_envvar=True),
-        click.option("--token", help="Access token, if that service requires one.", envvar="BOUNCE_TOKEN",
-                     show_envvar=True),
-    )  # fmt: skip
-
-
-def line_options(command: Command) -> Command:
-    """The options that select one line of the grid."""
-    return _with(
-        command,
-        click.option("--along", type=click.Choice(AXES), default="gamma", show_default=True,
-                     help="Axis of the diagram."),
-        click.option("--gamma", type=float, help="Γ; the nearest grid value is used."),
-        click.option("--omega", type=float, help="Ω; the nearest grid value is used."),
-        click.option("--xi", type=float, help="ξ; the nearest grid value is used."),
-        click.option("--direction", type=click.Choice(["up", "down"]),
-                     help="Direction, for a sweep ramped both ways."),
-        min_flight_option,
-        click.option("--every", type=click.IntRange(min=1), help="Take only every n-th cell."),
-    )  # fmt: skip
-
-
 def format_option(*formats: str) -> Callable[[Command], Command]:
     """The option that selects the format of the output file."""
     return click.option(
         "--format", type=click.Choice(formats), help="Format of the output.  [default: the ending of FILE]"
     )
-
-
-def output_option(command: Command) -> Command:
-    """The option that names the output file."""
-    return _with(
-        command,
-        click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
-                     help="File to write; - is standard output."),
-    )  # fmt: skip
-
-
-def open_client(url: str, token: str | None) -> "Client":
-    """A client of the service at `url`."""
-    from service.client import Client
-
-    return Client(url, token)
 
 
 def output_format(output: str, formats: tuple[str, ...], format: str | None = None) -> str:
@@ -189,26 +146,20 @@ def write_file(output: str, content: bytes) -> None:
 
     A symbolic link is replaced, and what it points to is left alone. A pipe or a device is written to.
     """
-    from service.client.output_file import complete_file
+    from service.files import complete_file
 
     with click.open_file("-", "wb") if output == "-" else complete_file(Path(output)) as file:
         file.write(content)
-
-
-def _with(command: Command, *options: Callable[[Command], Command]) -> Command:
-    """The command with these options, in this order in its help."""
-    for option in reversed(options):
-        command = option(command)
-    return command
 
 
 def _message(error: Exception) -> str | None:
     """The message for the user; None for a defect, or for a closed pipe, which click handles."""
     from service.client.errors import BounceError
     from service.errors import ServiceError
+    from worker.kernel_cache import CacheRefused
     from worker.spec.errors import SpecError
 
-    if isinstance(error, BounceError | ServiceError | SpecError):
+    if isinstance(error, BounceError | ServiceError | SpecError | CacheRefused):
         return str(error)
     if isinstance(error, OSError) and error.errno != errno.EPIPE:
         reason = error.strerror or str(error)

@@ -4,11 +4,9 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from service.client.display import about, rounded, settling_note, size, time_left
+from service.client.display import duration, settling_note, time_left
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from service.client import Estimate, Job
 
 
@@ -43,50 +41,31 @@ def job_table(jobs: Sequence["Job"]) -> str:
     rows = [("ID", "STATE", "DONE", "CELLS", "NAME")]
     for job in jobs:
         progress = job.progress
-        rows.append((job.id, job.state, f"{progress.whole_percent}%", f"{progress.cells_total:,}", job.name))
+        name = f"{job.name}{time_left(job)}".removeprefix(", ")
+        rows.append((job.id, job.state, f"{progress.whole_percent}%", f"{progress.cells_total:,}", name))
     return "\n".join(f"{a:<32}  {b:<9}  {c:>4}  {d:>13}  {e}".rstrip() for a, b, c, d, e in rows)
 
 
-def jobs_live(jobs: Sequence["Job"]) -> "RenderableType":
-    """Jobs as a table with bars, for a terminal."""
-    from rich.progress_bar import ProgressBar
-    from rich.table import Table
-    from rich.text import Text
-
-    if not jobs:
-        return Text("no job is queued or running")
-    table = Table(box=None, pad_edge=False)
-    for heading in ("ID", "STATE", "", "DONE", "CELLS", "LEFT", "NAME"):
-        table.add_column(heading, justify="right" if heading in ("DONE", "CELLS") else "left")
-    for job in jobs:
-        progress = job.progress
-        table.add_row(
-            job.id[:8], job.state, ProgressBar(total=100.0, completed=progress.percent, width=24),
-            f"{progress.whole_percent}%", f"{progress.cells_total:,}",
-            time_left(job).removeprefix(", ").removesuffix(" left"), Text(job.name),
-        )  # fmt: skip
-    return table
-
-
 def estimate_line(estimate: "Estimate") -> str:
-    """The estimated cost of a sweep, in minutes on the workers that there are."""
+    """The estimated cost of a sweep, in time on the workers that there are."""
+    from rich.filesize import decimal
+
+    def time(core_seconds: float | None) -> str:
+        return duration(max((core_seconds or 0.0) / at_once, 1.0))
+
     at_once = max(min(estimate.workers, estimate.chunks), 1)
-    computed, seconds, most = "", about(estimate.core_seconds / at_once), ""
+    computed, seconds, most, longest = "", time(estimate.core_seconds), "", ""
     if estimate.computed_cells is not None:
         low, high = estimate.computed_cells
         computed = f", of which about {low:,} to {high:,} are computed,"
-        seconds = f"{about((estimate.least_core_seconds or 0.0) / at_once)} to {seconds}"
-        most = "at most "
-    longest = ""
+        seconds, most = f"{time(estimate.least_core_seconds)} to {seconds}", "at most "
     if estimate.longest_core_seconds is not None:
-        longest = (
-            f"; {about(estimate.longest_core_seconds / at_once)} if every cell settled until settle_until"
-        )
+        longest = f"; {time(estimate.longest_core_seconds)} if every cell settled until settle_until"
     workers = "one core" if not estimate.workers else _plural(estimate.workers, "worker")
     return (
         f"{estimate.cells:,} cells{computed} in {_plural(estimate.chunks, 'chunk')}, "
-        f"{most}{size(estimate.bytes)} before compression, about {seconds} on {workers} "
-        f"({rounded(estimate.core_seconds)} core-seconds, {_BASES[estimate.basis]}{longest})"
+        f"{most}{decimal(estimate.bytes)} before compression, about {seconds} on {workers} "
+        f"({estimate.core_seconds:,.1f} core-seconds, {_BASES[estimate.basis]}{longest})"
     )
 
 

@@ -1,29 +1,36 @@
-"""`bounce NAME ID` for every result of a job, `bounce NAME` for every one of a spring.
+"""The commands on results: `bounce NAME ID` for every one of a job, `bounce NAME` for every one of a spring.
 
-Their options are the parameters of the client's methods.
+Their options are the parameters of the client's methods. Beside them export and trajectory.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from inspect import Parameter, cleandoc, signature
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin
 
 import click
 
 from service.cli.options import (
+    Command,
+    complete_id,
     format_option,
-    job_argument,
     open_client,
-    optional_job_argument,
     output_format,
     service_options,
+    with_client,
+    with_job,
     write_file,
 )
-from service.cli.results import warn_unless_done
-from service.result_methods import ResultMethods, SpringMethods
+from service.formats import EXPORTS, DatasetFormat, ExportLayout
+from service.result_methods import Methods, ResultMethods, SpringMethods
 
 if TYPE_CHECKING:
     import xarray
 
+    from service.client import Client, Job
+
+
+_MOTIONS: Final = get_args(DatasetFormat)
 
 #: Digits of numbers in a table: thresholds are refined to 1e-9.
 DIGITS: Final = 10
@@ -31,7 +38,7 @@ DIGITS: Final = 10
 
 def command(name: str) -> click.Command:
     """The command of one result, of a job, or without an ID of a spring."""
-    kinds = [methods for methods in (ResultMethods, SpringMethods) if name in methods.FORMATS]
+    kinds = [methods for methods in (ResultMethods, SpringMethods) if name in methods.RESULTS]
 
     def run(
         output: str | None, format: str | None, url: str, token: str | None, job_id: str | None = None,
@@ -42,36 +49,47 @@ def command(name: str) -> click.Command:
         if missing:
             other = " or the ID of a job" if len(kinds) > 1 else ""
             raise click.UsageError(f"give {' and '.join(missing)}{other}")
-        file_format = None if output is None else output_format(output, of.FORMATS[name], format)
+        formats, printed = of.RESULTS[name]
+        file_format = None if output is None else output_format(output, formats, format)
         with open_client(url, token) as client:
             job = None if job_id is None else client.job(job_id)
             source = client if job is None else job
             if output is None:
-                click.echo(table(source.result(name, **query), of.PRINTED[name]))
+                click.echo(table(source.result(name, **query), printed))
             else:
                 write_file(output, source.result_file(name, str(file_format), **query))
         if job is not None:
-            warn_unless_done(job, "the result may be incomplete")
+            _warn_unless_done(job, "the result may be incomplete")
 
-    texts = (cleandoc(getattr(of, name).__doc__).partition("\nParameters\n")[0] for of in kinds)
+    texts = (cleandoc(getattr(of, name).__doc__).partition("\n\nReturns a Dataset ")[0] for of in kinds)
     text = "\n\nWithout ID:\n\n".join(texts).replace("\n\n- ", "\n\n\b\n- ")  # lists keep their lines
-    parameters = {each: about for of in reversed(kinds) for each, about in _parameters(of, name).items()}
-    options = [_option(each, about.annotation, about.default) for each, about in parameters.items()]
-    formats = dict.fromkeys(format for of in kinds for format in of.FORMATS[name])
-    argument = optional_job_argument if len(kinds) > 1 else job_argument
-    output = click.option(
+    every_format = dict.fromkeys(format for of in kinds for format in of.RESULTS[name][0])
+    decorated = service_options(run)
+    decorated = click.option(
         "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
         help="File to write; - is standard output.  [default: print a table]",
-    )  # fmt: skip
-    of_job = [argument] if ResultMethods in kinds else []
-    decorators = [*of_job, *options, format_option(*formats), output, service_options]
-    decorated: Any = run
-    for decorator in reversed(decorators):
-        decorated = decorator(decorated)
+    )(decorated)  # fmt: skip
+    decorated = query_options(*reversed(kinds), name=name)(format_option(*every_format)(decorated))
+    if ResultMethods in kinds:
+        metavar, required = ("ID", True) if len(kinds) == 1 else ("[ID]", False)
+        argument = click.argument("job_id", metavar=metavar, required=required, shell_complete=complete_id)
+        decorated = argument(decorated)
     return click.command(name, help=text)(decorated)
 
 
-def _parameters(methods: type[Any], name: str) -> dict[str, Parameter]:
+def query_options(*kinds: type[Methods], name: str) -> Callable[[Command], Command]:
+    """The options that are the parameters of a result."""
+    parameters = {each: about for of in kinds for each, about in _parameters(of, name).items()}
+
+    def decorate(command: Command) -> Command:
+        for each, about in reversed(parameters.items()):
+            command = _option(each, about.annotation, about.default)(command)
+        return command
+
+    return decorate
+
+
+def _parameters(methods: type[Methods], name: str) -> dict[str, Parameter]:
     """Those of the query: a command waits for workers as long as the client does by default."""
     found = signature(getattr(methods, name)).parameters
     return {each: about for each, about in found.items() if each not in ("self", "timeout", "progress")}
@@ -144,4 +162,86 @@ def _without(prefixes: tuple[str, ...], name: str) -> str:
     return next((name.removeprefix(prefix) for prefix in prefixes if name.startswith(prefix)), name)
 
 
-COMMANDS: Final = tuple(map(command, dict.fromkeys([*ResultMethods.FORMATS, *SpringMethods.FORMATS])))
+@click.command()
+@click.option("-o", "--output", type=click.Path(dir_okay=False), required=True,
+              help="File to write, .nc or .parquet.")  # fmt: skip
+@click.option(
+    "--layout", type=click.Choice(get_args(ExportLayout)), default="cells", show_default=True,
+    help="What a row of Parquet is: a cell with lists of its flights, or each flight.",
+)  # fmt: skip
+@with_job
+def export(job: "Job", output: str, layout: ExportLayout) -> None:
+    """Write all results of a job to one file, NetCDF or Parquet.
+
+    NetCDF (.nc) contains the arrays of the store, Parquet (.parquet) one row per cell, or with --layout
+    flights one row per flight.
+    """
+    output_format(output, EXPORTS)
+    job.export(Path(output), layout=layout)
+    _warn_unless_done(job, "cells are missing")
+
+
+@click.command()
+@click.option("--gamma", type=float, required=True, help="Γ")
+@click.option("--omega", type=float, required=True, help="Ω")
+@click.option("--xi", type=float, required=True, help="ξ")
+@click.option("--model", default="soft", show_default=True, help="Contact model.")
+@click.option("--restitution", type=float, help="Restitution of the contact.")
+@click.option("--penetration", type=float, help="Penetration of a soft contact, in plate amplitudes.")
+@click.option("--settle", type=int, help="Plate periods before the first sample.  [default: 200]")
+@click.option("--periods", type=int, help="Plate periods to sample.  [default: 4]")
+@click.option("--samples", type=int, help="Samples per plate period.  [default: 200]")
+@click.option("--drop", type=(float, float), metavar="HEIGHT PHASE",
+              help="Let go at rest, so high (plate amplitudes), at this phase (rad).")  # fmt: skip
+@click.option("--contact", type=(float, float), metavar="ELONGATION VELOCITY",
+              help="Start in contact: beyond the static one, velocity × Ω.")  # fmt: skip
+@format_option(*_MOTIONS)
+@click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
+              help="File to write; - is standard output.")  # fmt: skip
+@with_client
+def trajectory(
+    client: "Client",
+    model: str,
+    restitution: float | None,
+    penetration: float | None,
+    drop: tuple[float, float] | None,
+    contact: tuple[float, float] | None,
+    format: str | None,
+    output: str,
+    **cell: Any,
+) -> None:
+    """Write the motion of one cell.
+
+    A row of a table is a sample; lengths are in plate amplitudes. For example:
+
+      bounce trajectory --gamma 2.3 --omega 0.5 --xi 0.26 -o motion.csv
+    """
+    format = output_format(output, _MOTIONS, format)
+    if drop and contact:
+        raise click.UsageError("give --drop or --contact, not both")
+    if drop:
+        cell["start"] = {"kind": "drop", "height": drop[0], "phase": drop[1]}
+    if contact:
+        cell["start"] = {"kind": "contact", "elongation": contact[0], "velocity": contact[1]}
+    cell["model"] = _without_none({"kind": model, "restitution": restitution, "penetration": penetration})
+    write_file(output, client.trajectory_file(_without_none(cell), format))
+
+
+#: A trajectory of a cell replaces that of a job.
+COMMANDS: Final = (
+    *map(command, dict.fromkeys([*ResultMethods.RESULTS, *SpringMethods.RESULTS])),
+    export,
+    trajectory,
+)
+
+
+def _warn_unless_done(job: "Job", consequence: str) -> None:
+    """Say what the reader of a job's results must know, on standard error."""
+    if job.notice:
+        click.echo(f"the job is {job.notice}", err=True)
+    if job.state != "done":
+        click.echo(f"the job is {job.state} at {job.progress.whole_percent}%: {consequence}", err=True)
+
+
+def _without_none(fields: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in fields.items() if value is not None}

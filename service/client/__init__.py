@@ -81,19 +81,18 @@ __all__ = [
 
 #: The modules of the specifications' classes.
 _SPECIFICATIONS: Final = {
-    "worker.spec": ("SweepSpec",),
-    "worker.spec.axes": ("Range",),
-    "worker.spec.contact_models": ("Auto", "Ball", "Rigid", "Soft", "Stepped"),
-    "worker.spec.protocols": ("OnCycle", "Ramp", "Rest"),
-    "worker.spec.refine": ("Refine",),
+    "SweepSpec": "worker.spec",
+    "Range": "worker.spec.axes",
+    **dict.fromkeys(("Auto", "Ball", "Rigid", "Soft", "Stepped"), "worker.spec.contact_models"),
+    **dict.fromkeys(("OnCycle", "Ramp", "Rest"), "worker.spec.protocols"),
+    "Refine": "worker.spec.refine",
 }
 
 
 def __getattr__(name: str) -> object:
-    for module, names in _SPECIFICATIONS.items():
-        if name in names:
-            return getattr(import_module(module), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _SPECIFICATIONS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_SPECIFICATIONS[name]), name)
 
 
 def __dir__() -> list[str]:

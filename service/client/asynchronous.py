@@ -6,29 +6,20 @@ implementation. Waiting takes no thread.
 
 import asyncio
 import inspect
-import time
-from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import update_wrapper
-from itertools import islice
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from service.client.client import DEFAULT_URL, Client
-from service.client.display import PartsCallback, display_job, display_parts, job_html, summary
-from service.client.job import FIRST_DELAY, MAX_DELAY, Job, raise_unless_done
+from service.client.display import PartsCallback, job_html, summary
+from service.client.job import Job, all_done, until_ended
 from service.client.models import JobStatus
 from service.client.specification import Specification
 
 if TYPE_CHECKING:
     import httpx2
-
-
-#: Jobs of one wait whose status is requested at a time.
-_REQUESTS: Final = 4
-
-#: Methods that waits are built from, and that programs do not call.
-_BLOCKING: Final = frozenset({"from_view", "has_ended", "pause", "refresh_through_outage"})
 
 Mirror = TypeVar("Mirror", bound=type)
 
@@ -38,7 +29,7 @@ def _mirroring(blocking: type) -> Callable[[Mirror], Mirror]:
 
     def declare(mirror: Mirror) -> Mirror:
         for name, method in inspect.getmembers(blocking, inspect.isfunction):
-            if not name.startswith("_") and name not in _BLOCKING and name not in vars(mirror):
+            if not name.startswith("_") and name not in vars(mirror):
                 iterates = inspect.isgeneratorfunction(method)
                 setattr(mirror, name, (_iterated if iterates else _in_thread)(method))
         return mirror
@@ -55,17 +46,28 @@ def _in_thread(method: Callable[..., Any]) -> Callable[..., Any]:
 
 def _iterated(method: Callable[..., Any]) -> Callable[..., Any]:
     async def call(self: Any, /, *args: Any, **options: Any) -> AsyncIterator[Any]:
-        found = method(self.sync, *args, **options)
-        while (each := await asyncio.to_thread(next, found, None)) is not None:
+        async for each in _awaited(method(self.sync, *args, **options)):
             yield _mirrored(self, each)
 
     return update_wrapper(call, method)
 
 
+async def _awaited(steps: Iterator[Any]) -> AsyncIterator[Any]:
+    """What `steps` yields, computed by threads, less its pauses, which take none."""
+    try:
+        while (step := await asyncio.to_thread(next, steps, None)) is not None:
+            if isinstance(step, float):
+                await asyncio.sleep(step)
+            else:
+                yield step
+    finally:
+        with suppress(AttributeError, ValueError):  # no generator, or a thread still computes its next step
+            steps.close()  # type: ignore[attr-defined]
+
+
 def _mirrored(owner: Any, result: Any) -> Any:
-    """`result`; a job as an `AsyncJob`, the owner's own as the owner, with the status of now."""
-    if result is owner.sync and isinstance(owner, AsyncJob):
-        owner._update(owner.sync.view)
+    """`result`; a job as an `AsyncJob`, the owner's own as the owner."""
+    if result is owner.sync:
         return owner
     return AsyncJob(result) if isinstance(result, Job) else result
 
@@ -74,46 +76,25 @@ def _mirrored(owner: Any, result: Any) -> Any:
 class AsyncJob(JobStatus):
     """A `Job` whose requests are awaited; `sync` is the same job with blocking methods."""
 
-    if TYPE_CHECKING:  # the methods of Job, as coroutines
-
-        def __getattr__(self, name: str) -> Callable[..., Any]: ...
-
     def __init__(self, job: Job) -> None:
         self.sync = job
-        self._update(job.view)
+
+    def __getattr__(self, name: str) -> Any:
+        """The status of `sync`. For type checkers also the methods of `Job`, as coroutines."""
+        if name in ("id", "state", "progress", "view"):
+            return getattr(self.sync, name)
+        raise AttributeError(name)
 
     async def spec(self) -> dict[str, Any]:
         """The specification with its defaults, as `Job.spec`: a method, as it may send a request."""
         return await asyncio.to_thread(lambda: self.sync.spec)
 
     async def wait(
-        self, progress: "bool | Callable[[AsyncJob], None]" = True, timeout: float | None = None
+        self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None
     ) -> "AsyncJob":
-        """As `Job.wait`."""
-        with display_job(progress) as show:
-            await self._wait_for_end(timeout, show)
-        raise_unless_done(self, timeout)
-        return self
-
-    async def _wait_for_end(
-        self,
-        timeout: float | None,
-        show: "Callable[[AsyncJob], None]" = lambda job: None,
-        requests: asyncio.Semaphore | None = None,
-    ) -> "AsyncJob":
-        """Wait until the job has ended, or for `timeout` seconds."""
-        requests = requests or asyncio.Semaphore()
-        deadline = time.monotonic() + (float("inf") if timeout is None else timeout)
-        delay = FIRST_DELAY
-        show(self)
-        while not await asyncio.to_thread(self.sync.has_ended) and (left := deadline - time.monotonic()) > 0:
-            await asyncio.sleep(min(self.sync.pause(delay), left))
-            delay = min(delay * 1.15, MAX_DELAY)
-            async with requests:
-                await asyncio.to_thread(self.sync.refresh_through_outage)
-            self._update(self.sync.view)
-            show(self)
-        self._update(self.sync.view)
+        """As `Job.wait`; `progress` is called with `sync`."""
+        async for _ in _awaited(self.sync._until_done(progress, timeout)):
+            pass
         return self
 
     def __repr__(self) -> str:
@@ -162,17 +143,9 @@ class AsyncClient:
         self, jobs: Iterable[AsyncJob], timeout: float | None = None
     ) -> AsyncIterator[AsyncJob]:
         """As `Client.as_completed`."""
-        requests = asyncio.Semaphore(_REQUESTS)
-        waits = [asyncio.create_task(job._wait_for_end(timeout, requests=requests)) for job in jobs]
-        try:
-            for wait in asyncio.as_completed(waits):
-                job = await wait
-                if not job.finished:
-                    raise_unless_done(job, timeout)
-                yield job
-        finally:
-            for wait in waits:
-                wait.cancel()
+        mirrors = {job.sync: job for job in jobs}
+        async for job in _awaited(until_ended(mirrors, timeout)):
+            yield mirrors[job]
 
     async def wait_all(
         self,
@@ -182,31 +155,14 @@ class AsyncClient:
     ) -> list[AsyncJob]:
         """As `Client.wait_all`."""
         jobs = list(jobs)
-        show = display_parts(progress, "ended", "jobs")
-        ended = 0
-        show(ended, len(jobs))
-        async for _ in self.as_completed(jobs, timeout):
-            ended += 1
-            show(ended, len(jobs))
-        for job in jobs:
-            raise_unless_done(job, timeout)
+        async for _ in _awaited(all_done([job.sync for job in jobs], timeout, progress)):
+            pass
         return jobs
 
     async def map(self, specs: Iterable[Specification], *, at_once: int = 16) -> AsyncIterator[AsyncJob]:
         """As `Client.map`."""
-        if at_once < 1:
-            raise ValueError(f"at_once: must be at least 1, not {at_once}")
-        remaining, submitted = iter(specs), deque[AsyncJob]()
-        while True:
-            for spec in islice(remaining, at_once - len(submitted)):
-                submitted.append(await self.submit(spec))
-            if not submitted:
-                return
-            yield await submitted.popleft()._wait_for_end(None)
-
-    async def close(self) -> None:
-        """Close the connections. Jobs continue."""
-        await asyncio.to_thread(self.sync.close)
+        async for job in _awaited(self.sync._mapped(specs, at_once)):
+            yield AsyncJob(job)
 
     async def __aenter__(self) -> Self:
         return self

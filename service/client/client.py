@@ -1,6 +1,7 @@
 """The entry point: a client of one service, which submits sweeps and returns jobs."""
 
 import re
+import time
 from collections import deque
 from collections.abc import Iterator
 from datetime import datetime
@@ -11,9 +12,8 @@ from urllib.parse import quote
 
 from service.client.display import PartsCallback
 from service.client.errors import NotFound, UnexpectedAnswer
-from service.client.job import Job, as_completed, wait_all
+from service.client.job import Job, ResultReader, all_done, slept, until_ended
 from service.client.models import Estimate, Problem
-from service.client.results import ResultReader
 from service.client.specification import Specification, body
 from service.client.transport import Transport, header_value, json_object
 from service.result_methods import SpringMethods
@@ -67,7 +67,7 @@ class Client(ResultReader, SpringMethods):
         *,
         http: "httpx2.Client | None" = None,
     ) -> None:
-        self._transport = Transport(url, token=token, timeout=timeout, http=http)
+        self._transport = Transport(url, token, timeout, http)
 
     @property
     def url(self) -> str:
@@ -107,13 +107,13 @@ class Client(ResultReader, SpringMethods):
         TooLarge, Busy
         """
         headers = {"Idempotency-Key": header_value("an idempotency key", key)} if key is not None else None
-        response = self._transport.post("/v1/jobs", body(spec), headers=headers, idempotent=True)
-        return Job(self._transport, response)
+        response = self._transport.post("/v1/jobs", body(spec), headers=headers)
+        return Job(self._transport, json_object(response), response)
 
     def estimate(self, spec: Specification) -> Estimate:
         """The estimated cost of a sweep, without submitting it. Raises as `submit`."""
         query = {"validate_only": "true"}
-        answer = json_object(self._transport.post("/v1/jobs", body(spec), query=query, idempotent=True))
+        answer = json_object(self._transport.post("/v1/jobs", body(spec), query=query))
         try:
             return Estimate(**{name: answer[name] for name in Estimate._fields if name in answer})
         except TypeError as error:
@@ -143,7 +143,8 @@ class Client(ResultReader, SpringMethods):
             )
         if len(id) < _ID_LENGTH:
             id = self._whole_id(id)
-        return Job(self._transport, self._transport.get(f"/v1/jobs/{id}"))
+        response = self._transport.get(f"/v1/jobs/{id}")
+        return Job(self._transport, json_object(response), response)
 
     def _whole_id(self, beginning: str) -> str:
         """The only id with this beginning."""
@@ -204,7 +205,7 @@ class Client(ResultReader, SpringMethods):
             if not isinstance(page.get("jobs"), list):
                 raise UnexpectedAnswer("the answer is not a list of jobs")
             for view in page["jobs"]:
-                yield Job.from_view(self._transport, view)
+                yield Job(self._transport, view)
             if not page.get("next"):
                 return
             query["cursor"] = page["next"]
@@ -230,7 +231,7 @@ class Client(ResultReader, SpringMethods):
         ServiceUnreachable
             As for `Job.wait`.
         """
-        return as_completed(jobs, timeout)
+        return slept(until_ended(jobs, timeout))
 
     def wait_all(
         self, jobs: "Iterable[Job]", timeout: float | None = None, progress: bool | PartsCallback = True
@@ -259,7 +260,10 @@ class Client(ResultReader, SpringMethods):
         WaitTimeout, ServiceUnreachable
             As for `Job.wait`.
         """
-        return wait_all(jobs, timeout, progress)
+        jobs = list(jobs)
+        for pause in all_done(jobs, timeout, progress):
+            time.sleep(pause)
+        return jobs
 
     def map(self, specs: "Iterable[Specification]", *, at_once: int = 16) -> Iterator[Job]:
         """Submit specifications and yield their jobs in order, each once it has ended.
@@ -280,19 +284,18 @@ class Client(ResultReader, SpringMethods):
         ValueError
             `at_once` is below 1. A specification raises as in `submit` when its turn comes.
         """
+        return slept(self._mapped(specs, at_once))
+
+    def _mapped(self, specs: "Iterable[Specification]", at_once: int) -> "Iterator[Job | float]":
         if at_once < 1:
             raise ValueError(f"at_once: must be at least 1, not {at_once}")
-        return self._map(iter(specs), at_once)
-
-    def _map(self, specs: "Iterator[Specification]", at_once: int) -> Iterator[Job]:
-        submitted: deque[Job] = deque()
+        remaining, submitted = iter(specs), deque[Job]()
         while True:
-            for spec in islice(specs, at_once - len(submitted)):
+            for spec in islice(remaining, at_once - len(submitted)):
                 submitted.append(self.submit(spec))
             if not submitted:
                 return
-            job = submitted.popleft()
-            yield next(as_completed([job]))
+            yield from until_ended([submitted.popleft()], None)
 
     def trajectory(self, cell: "Mapping[str, Any]") -> "xarray.Dataset":
         """The motion of one cell, computed during the request.
@@ -309,9 +312,7 @@ class Client(ResultReader, SpringMethods):
     def trajectory_file(self, cell: "Mapping[str, Any]", format: str) -> bytes:
         """The same as the content of a file: json, csv, nc or parquet."""
         query = {"format": format}
-        return self._transport.post(
-            "/v1/trajectories", body(cell), query=query, idempotent=True, waits=True
-        ).content
+        return self._transport.post("/v1/trajectories", body(cell), query=query, waits=True).content
 
     def _path(self, *parts: str) -> str:
         return "/".join(("/v1", *parts))

@@ -9,11 +9,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from html import escape
-from typing import Final, TextIO, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias
 
 from service.client.models import JobStatus
-
-AnyJob = TypeVar("AnyJob", bound=JobStatus)
 
 #: Called with the number of parts computed and the number of all parts.
 PartsCallback: TypeAlias = Callable[[int, int], None]
@@ -24,7 +22,7 @@ LINE_SECONDS: Final = 10.0
 
 
 @contextmanager
-def display_job(progress: bool | Callable[[AnyJob], None]) -> Iterator[Callable[[AnyJob], None]]:
+def display_job(progress: bool | Callable[[Any], None]) -> Iterator[Callable[[Any], None]]:
     """A function that shows a job: `progress` itself if it is a function, one without effect if False."""
     if callable(progress):
         yield progress
@@ -32,95 +30,67 @@ def display_job(progress: bool | Callable[[AnyJob], None]) -> Iterator[Callable[
         yield lambda job: None
     elif "ipykernel" in sys.modules:
         yield _in_notebook()
-    elif _is_terminal(sys.stderr):
+    elif _on_terminal():
         with _progress_bar() as show:
             yield show
     else:
-        yield JobLines(sys.stderr)
+        yield _in_lines()
 
 
 @contextmanager
-def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterator[None]:
-    """Report a long operation from `after` seconds on, with the elapsed seconds.
-
-    On a terminal the seconds are counted in place; elsewhere a line is written now and then.
-    """
-    began, ended, lock = time.monotonic(), threading.Event(), threading.Lock()
-    out, shown = sys.stderr, False
+def display_elapsed(text: str, after: float = 0.0) -> Iterator[None]:
+    """Report an operation that takes longer than `after` seconds: once then, and at its end what it took."""
+    began, shown = time.monotonic(), threading.Event()
 
     def show() -> None:
-        nonlocal shown
-        pause = after
-        while not ended.wait(pause):
-            with lock:
-                now = text() if callable(text) else text
-                seconds = time.monotonic() - began
-                if _is_terminal(out):
-                    print(f"\r{now} ({duration(seconds)})", end="", file=out, flush=True)
-                    pause = 1.0
-                else:
-                    print(f"{now} ({duration(seconds)})" if shown else now, file=out, flush=True)
-                    pause = LINE_SECONDS
-                shown = True
+        shown.set()
+        _write(text)
 
-    ticker = threading.Thread(target=show, name="elapsed", daemon=True)
-    ticker.start()
+    timer = threading.Timer(after, show)
+    timer.daemon = True
+    timer.start()
     try:
         yield
     finally:
-        ended.set()
-        with lock:
-            if shown:
-                took = duration(time.monotonic() - began)
-                print("" if _is_terminal(out) else f"took {took}", file=out, flush=True)
+        timer.cancel()
+        if shown.is_set():
+            _write(f"took {duration(time.monotonic() - began)}")
 
 
 def display_parts(
     progress: bool | PartsCallback, verb: str = "computed", parts: str = "parts"
 ) -> PartsCallback:
-    """The same for an answer in parts, or for several jobs; writes plain lines if True."""
+    """The same for an answer in parts, or for several jobs: a line first, then every `LINE_PERCENT`."""
     if callable(progress):
         return progress
-    return PartsLines(sys.stderr, verb, parts) if progress else lambda done, total: None
+    last: int | None = None
+
+    def show(done: int, total: int) -> None:
+        nonlocal last
+        if progress and (last is None or (done - last) * 100.0 >= LINE_PERCENT * total):
+            last = done
+            _write(f"{verb} {done} of {total} {parts}")
+
+    return show
 
 
-class PartsLines:
-    """Writes a line for the first report, then one every `LINE_PERCENT` of the parts."""
+def _in_lines() -> Callable[[JobStatus], None]:
+    """A function that writes a line when state or progress change, at most one in `LINE_SECONDS`.
 
-    def __init__(self, out: TextIO, verb: str = "computed", parts: str = "parts") -> None:
-        self._out, self._verb, self._parts = out, verb, parts
-        self._last: int | None = None
+    A change of state or by `LINE_PERCENT` is written at once.
+    """
+    stage: object = None
+    line, written = "", 0.0
 
-    def __call__(self, done: int, total: int) -> None:
-        """Report `done` of `total`."""
-        if self._last is None or (done - self._last) * 100.0 >= LINE_PERCENT * total:
-            self._last = done
-            print(f"{self._verb} {done} of {total} {self._parts}", file=self._out, flush=True)
+    def show(job: JobStatus) -> None:
+        nonlocal stage, line, written
+        now = (job.state, bool(job.compiling), job.progress.percent // LINE_PERCENT)
+        waited = time.monotonic() - written >= LINE_SECONDS
+        if now != stage or (waited and summary(job) != line):
+            stage, line, written = now, summary(job), time.monotonic()
+            _write(line)
 
-
-class JobLines:
-    """Writes a line when the state changes, and every `LINE_PERCENT` or `LINE_SECONDS` of progress."""
-
-    def __init__(self, out: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
-        self._out = out
-        self._clock = clock
-        self._last: tuple[str, float, float] | None = None  # state, percent and time of the last line
-        self._compiles = False
-
-    def __call__(self, job: JobStatus) -> None:
-        """Report the status of the job."""
-        if self._is_due(job) or (job.compiling and not self._compiles):
-            self._compiles = bool(job.compiling)
-            self._last = job.state, job.progress.percent, self._clock()
-            print(summary(job), file=self._out, flush=True)
-
-    def _is_due(self, job: JobStatus) -> bool:
-        if self._last is None:
-            return True
-        state, percent, written = self._last
-        gain = job.progress.percent - percent
-        waited = self._clock() - written >= LINE_SECONDS
-        return state != job.state or gain >= LINE_PERCENT or (waited and (gain > 0 or bool(job.compiling)))
+    return show
 
 
 def summary(job: JobStatus) -> str:
@@ -166,30 +136,6 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60} s"
     return f"{whole // 3600:,} h {whole % 3600 // 60} min"
-
-
-def about(seconds: float) -> str:
-    """An estimated duration, rounded, at least 1 s: 34 s, 12 min, 5.5 h, 3 days."""
-    hours = seconds / 3600
-    if seconds < 90:
-        return f"{max(seconds, 1):.0f} s"
-    if hours < 1.5:
-        return f"{seconds / 60:.0f} min"
-    return f"{rounded(hours)} h" if hours < 48 else f"{hours / 24:,.0f} days"
-
-
-def size(count: float) -> str:
-    """Bytes in the unit that fits: 2.5 MB, 34 GB."""
-    for unit in ("bytes", "kB", "MB", "GB"):
-        if count < 999.5:
-            return f"{rounded(count)} {unit}"
-        count /= 1000
-    return f"{rounded(count)} TB"
-
-
-def rounded(value: float) -> str:
-    """A number with one decimal below ten, and none above or if that is 0."""
-    return f"{value:.1f}".removesuffix(".0") if value < 9.95 else f"{value:,.0f}"
 
 
 def job_html(job: JobStatus) -> str:
@@ -260,5 +206,11 @@ def _in_notebook() -> Callable[[JobStatus], None]:
     return show
 
 
-def _is_terminal(stream: TextIO) -> bool:
-    return stream is not None and stream.isatty()
+def _on_terminal() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def _write(line: str) -> None:
+    if sys.stderr is not None:
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()

@@ -1,9 +1,12 @@
-"""A job of the service: its status, waiting for it, and the requests that change it."""
+"""A job of the service: its status and results, waiting for it, and the requests that change it."""
 
 import heapq
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Final, get_args
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from service.client.display import PartsCallback, display_job, display_parts, job_html, summary
 from service.client.errors import (
@@ -16,16 +19,15 @@ from service.client.errors import (
     WaitTimeout,
 )
 from service.client.models import JobStatus
-from service.client.results import Results
 from service.client.specification import body
 from service.client.transport import Transport, json_object, retry_after
+from service.formats import EXPORTS, ExportLayout
+from service.result_methods import ResultMethods
 
 if TYPE_CHECKING:
     import httpx2
     import xarray
     from matplotlib.axes import Axes
-
-    from service.client.plots import Kind
 
 #: Seconds between two requests of a wait if the service sends no Retry-After: the first, and the longest.
 FIRST_DELAY: Final = 0.05
@@ -41,28 +43,57 @@ REQUEST_DELAY: Final = 0.02
 MAX_OUTAGE: Final = 30.0
 
 
-class Job(Results):
-    """A sweep at the service, as the service last described it; `refresh()` updates the description."""
+Kind = Literal["diagram", "modes", "threshold"]
 
-    def __init__(self, transport: Transport, response: "httpx2.Response") -> None:
+
+class ResultReader(ABC):
+    """Reads results by name, of a job or of a spring alone."""
+
+    _transport: Transport
+
+    def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
+        """The result of this name, such as "basins", as returned by the method of that name.
+
+        Raises BadRequest naming the parameter, UnexpectedAnswer.
+        """
+        from service.client.dataset import from_binary
+
+        return from_binary(self.result_file(name, "bin", **query))
+
+    def result_file(self, name: str, format: str, /, **query: Any) -> bytes:
+        """A result as the content of a file: png, svg, pdf, csv, nc, parquet or json.
+
+        `timeout` and `progress` in `query` are those of `Transport.get_result`. Raises as `result`.
+        """
+        return self._transport.get_result(self._path(name), format, **query)
+
+    @abstractmethod
+    def _path(self, *parts: str) -> str:
+        """The path of a result."""
+
+
+class Job(ResultReader, ResultMethods, JobStatus):
+    """A sweep at the service, as the service last described it; `refresh()` updates the description.
+
+    Results can be read while it runs.
+    """
+
+    def __init__(
+        self, transport: Transport, view: Mapping[str, Any], response: "httpx2.Response | None" = None
+    ) -> None:
         self._transport = transport
-        self._update_from(json_object(response), response)
+        self._describe(view, response)
 
-    @classmethod
-    def from_view(cls, transport: Transport, view: Mapping[str, Any]) -> "Job":
-        """A job from its entry in a list of jobs; sends no request."""
-        job = cls.__new__(cls)
-        job._transport = transport
-        job._update_from(view, None)
-        return job
-
-    def _update_from(self, view: Mapping[str, Any], response: "httpx2.Response | None") -> None:
+    def _describe(self, view: Mapping[str, Any], response: "httpx2.Response | None" = None) -> None:
         try:
             self._update(view)
         except (KeyError, TypeError) as error:
             raise UnexpectedAnswer(f"the answer of {self._transport.url} does not describe a job") from error
         self._etag = response.headers.get("ETag") if response is not None else None
         self._retry_after = retry_after(response) if response is not None else None
+
+    def _path(self, *parts: str) -> str:
+        return "/".join(("/v1/jobs", self.id, *parts))
 
     @property
     def spec(self) -> dict[str, Any]:
@@ -78,7 +109,7 @@ class Job(Results):
         if response.status_code == 304:
             self._retry_after = retry_after(response)
         else:
-            self._update_from(json_object(response), response)
+            self._describe(json_object(response), response)
         return self
 
     def cancel(self) -> "Job":
@@ -138,12 +169,12 @@ class Job(Results):
         TooLarge, Busy
         """
         fields = {"gamma": gamma, "omega": omega, "xi": xi, "finer": finer, "by": by, "margin": margin}
-        response = self._transport.post(self._path("refine"), body(fields), idempotent=True)
-        return Job(self._transport, response)
+        response = self._transport.post(self._path("refine"), body(fields))
+        return Job(self._transport, json_object(response), response)
 
     def _post(self, action: str) -> "Job":
-        response = self._transport.post(self._path(action), idempotent=True)
-        self._update_from(json_object(response), response)
+        response = self._transport.post(self._path(action))
+        self._describe(json_object(response), response)
         return self
 
     def delete(self) -> None:
@@ -161,7 +192,7 @@ class Job(Results):
             The connection broke.
         """
         for view in self._transport.events(self._path("events")):
-            self._update_from({**view, "spec": view.get("spec") or self.view.get("spec")}, None)
+            self._describe({**view, "spec": view.get("spec") or self.view.get("spec")})
             yield self
 
     def wait(self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None) -> "Job":
@@ -191,21 +222,61 @@ class Job(Results):
         ServiceUnreachable
             No answer for `MAX_OUTAGE` seconds.
         """
-        deadline = time.monotonic() + (float("inf") if timeout is None else timeout)
-        with display_job(progress) as show:
-            show(self)
-            delay = FIRST_DELAY
-            while not self.has_ended() and (left := deadline - time.monotonic()) > 0:
-                time.sleep(min(self.pause(delay), left))
-                delay = min(delay * 1.15, MAX_DELAY)
-                self.refresh_through_outage()
-                show(self)
-        raise_unless_done(self, timeout)
+        for pause in self._until_done(progress, timeout):
+            time.sleep(pause)
         return self
+
+    def _until_done(self, progress: "bool | Callable[[Job], None]", timeout: float | None) -> Iterator[float]:
+        """The pauses of `wait`, which `AsyncJob.wait` takes in another way."""
+        with display_job(progress) as show:
+            for step in until_ended([self], timeout):
+                show(self)
+                if isinstance(step, float):
+                    yield step
+        raise_unless_done(self)
+
+    def export(self, path: str | PathLike[str], *, layout: ExportLayout = "cells") -> Path:
+        """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.
+
+        `layout`: what a row of Parquet is, a cell with lists of its flights, or with "flights" each flight.
+        The file is written completely or not at all. Raises TooLarge, Busy, BadRequest for another layout,
+        BounceError for another suffix.
+        """
+        target = Path(path)
+        format = target.suffix.removeprefix(".")
+        if format not in EXPORTS:
+            endings = " or ".join(f".{ending}" for ending in EXPORTS)
+            raise BounceError(f"{target}: the name of an export ends in {endings}")
+        query = {"format": format, "layout": None if layout == "cells" else layout}
+        self._transport.download(self._path("export"), query, target)
+        return target
+
+    def open(self, chunks: Any = None, direct: bool | None = None) -> "xarray.Dataset":
+        """The whole store as a lazy Dataset, read over the client's connection. Raises StoreUnreachable.
+
+        chunks: as `xarray.open_zarr` takes it; `{}` for dask arrays with the chunks that are stored. Such a
+        Dataset can be sent to workers of a Dask cluster, with the address of the service and the token.
+        direct: whether to read chunks where the service has them (`store_url`), if that can be read from
+        here; by default with `chunks`. Damage that is read directly is not reported to the service.
+        """
+        from service.client.zarr_store import open_store
+
+        direct = chunks is not None if direct is None else direct
+        return open_store(self._transport, self._path("zarr"), self.id, chunks=chunks, direct=direct)
+
+    @property
+    def store_url(self) -> str:
+        """Where the service has the store: a folder of its machine, or s3://BUCKET/PREFIX.
+
+        Raises StoreUnreachable, UnexpectedAnswer.
+        """
+        from service.client.zarr_store import store_url
+
+        return store_url(self._transport, self._path("zarr"), self.id)
 
     def plot(
         self,
-        kind: "Kind | None" = None,
+        kind: Kind | None = None,
         *,
         ax: "Axes | None" = None,
         branches: "xarray.Dataset | None" = None,
@@ -235,53 +306,41 @@ class Job(Results):
         BounceError
             The kind is unknown, or the result's method raises it.
         """
-        from service.client import plots
-
         spec = self.spec
-        long = [axis for axis in plots.AXES if _length(spec[axis]) > 1]
+        long = [axis for axis in ("gamma", "omega", "xi") if _length(spec[axis]) > 1]
         if kind is None:
             kind = "modes" if {"gamma", "omega"} <= set(long) and "along" not in selection else "diagram"
-        if kind not in get_args(plots.Kind):
-            raise BounceError(f"kind: must be one of {', '.join(get_args(plots.Kind))}, not {kind!r:.40}")
+        if kind not in get_args(Kind):
+            raise BounceError(f"kind: must be one of {', '.join(get_args(Kind))}, not {kind!r:.40}")
         if branches is not None and kind != "diagram":
             raise BounceError(f"branches: are drawn in a diagram, not in {kind}")
-        ax = ax if ax is not None else plots.new_axes()
-        if kind == "modes":
-            both = spec["protocol"].get("direction") == "both"
-            defaults: dict[str, Any] = {"hysteresis": True, "direction": "up"} if both else {}
-            plots.draw_modes(ax, self.modes(**defaults | selection))
+        if kind == "modes" and spec["protocol"].get("direction") == "both":
+            selection = {"hysteresis": True, "direction": "up", **selection}
         elif kind == "threshold":
-            plots.draw_thresholds(ax, self.threshold(progress=False, **selection))
-        else:
-            if "along" not in selection and long and "gamma" not in long:
-                selection["along"] = long[0]
-            plots.draw_diagram(ax, self.diagram(**selection))
-            if branches is not None:
-                plots.draw_branches(ax, branches)
-        return ax
+            selection["progress"] = False
+        elif kind == "diagram" and "along" not in selection and long and "gamma" not in long:
+            selection["along"] = long[0]
+        axes: Axes = self.result(kind, **selection).bounce.plot(ax=ax, branches=branches)
+        return axes
 
-    def pause(self, otherwise: float) -> float:
-        """Seconds that the service asks to wait (Retry-After), or `otherwise`."""
-        return otherwise if self._retry_after is None else min(self._retry_after, LONGEST_DELAY)
-
-    def has_ended(self) -> bool:
-        """Whether the job is finished; first becomes the job that replaces it, if any."""
-        while self.finished and self.state != "done" and self.replaced_by is not None:
-            self.id, self._etag = self.replaced_by, None
-            self.refresh_through_outage()
-        return self.finished
-
-    def refresh_through_outage(self) -> None:
-        """Refresh, retrying for `MAX_OUTAGE` seconds while the service is away."""
+    def _refreshed(self) -> Iterator[float]:
+        """Refresh, pausing while the service is away; then becomes the job that replaces this one, if any."""
         deadline = time.monotonic() + MAX_OUTAGE
         while True:
+            if self._is_replaced():
+                self.id, self._etag = str(self.replaced_by), None
             try:
                 self.refresh()
-                return
             except (ServiceUnreachable, Busy):
                 if time.monotonic() > deadline:
                     raise
-            time.sleep(1.0)
+                yield 1.0
+            else:
+                if not self._is_replaced():
+                    return
+
+    def _is_replaced(self) -> bool:
+        return self.finished and self.state != "done" and self.replaced_by is not None
 
     def __repr__(self) -> str:
         return f"<Job {summary(self)}>"
@@ -297,47 +356,58 @@ def _length(axis: object) -> int:
     return len(axis) if isinstance(axis, list) else 1
 
 
-def raise_unless_done(job: JobStatus, timeout: float | None) -> None:
-    """Raise JobFailed, JobCancelled, or WaitTimeout for a job that is not done after a wait."""
+def raise_unless_done(job: JobStatus) -> None:
+    """Raise JobFailed or JobCancelled for a finished job that is not done."""
     if job.state == "failed":
         raise JobFailed(job)
     if job.state == "cancelled":
         raise JobCancelled(job)
-    if not job.finished:
-        raise WaitTimeout(job, timeout or 0.0)
 
 
-def as_completed(jobs: Iterable[Job], timeout: float | None = None) -> Iterator[Job]:
-    """The jobs as they end: done, failed or cancelled. As `Client.as_completed`."""
+def until_ended(jobs: Iterable[Job], timeout: float | None) -> Iterator[Job | float]:
+    """The jobs as they end, and between them the seconds to pause before the next step.
+
+    Raises WaitTimeout, ServiceUnreachable.
+    """
     deadline = time.monotonic() + (float("inf") if timeout is None else timeout)
     waiting = [(0.0, number, FIRST_DELAY, job) for number, job in enumerate(jobs)]
     while waiting:
         due, number, delay, job = heapq.heappop(waiting)
-        time.sleep(max(0.0, min(due, deadline) - time.monotonic()))
         if due > 0.0:
-            job.refresh_through_outage()
-        if job.has_ended():
+            yield max(0.0, min(due, deadline) - time.monotonic())
+        if due > 0.0 or job._is_replaced():
+            yield from job._refreshed()
+        if job.finished:
             yield job
         elif time.monotonic() >= deadline:
             raise WaitTimeout(job, timeout or 0.0)
         else:
-            # Many jobs share the request rate of one.
-            pause = max(job.pause(delay), REQUEST_DELAY * len(waiting))
+            asked = job._retry_after
+            pause = delay if asked is None else min(asked, LONGEST_DELAY)
+            pause = max(pause, REQUEST_DELAY * len(waiting))  # many jobs share the request rate of one
             entry = (time.monotonic() + pause, number, min(delay * 1.15, MAX_DELAY), job)
             heapq.heappush(waiting, entry)
 
 
-def wait_all(
-    jobs: Iterable[Job], timeout: float | None, progress: "bool | PartsCallback" = True
-) -> list[Job]:
-    """The jobs, once all are done. As `Client.wait_all`."""
-    jobs = list(jobs)
+def all_done(jobs: "list[Job]", timeout: float | None, progress: "bool | PartsCallback") -> Iterator[float]:
+    """The pauses until all jobs are done. Raises as `Client.wait_all`."""
     show = display_parts(progress, "ended", "jobs")
     ended = 0
     show(ended, len(jobs))
-    for _ in as_completed(jobs, timeout):
-        ended += 1
-        show(ended, len(jobs))
+    for step in until_ended(jobs, timeout):
+        if isinstance(step, float):
+            yield step
+        else:
+            ended += 1
+            show(ended, len(jobs))
     for job in jobs:
-        raise_unless_done(job, timeout)
-    return jobs
+        raise_unless_done(job)
+
+
+def slept(steps: Iterator[Job | float]) -> Iterator[Job]:
+    """The jobs of `steps`, which sleeps its pauses."""
+    for step in steps:
+        if isinstance(step, float):
+            time.sleep(step)
+        else:
+            yield step

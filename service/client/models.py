@@ -23,8 +23,6 @@ class Problem:
     status: int
     title: str
     detail: str = ""
-    type: str = "about:blank"
-    instance: str | None = None
     fields: tuple[FieldProblem, ...] = ()
 
     @classmethod
@@ -34,8 +32,6 @@ class Problem:
             status=status,
             title=str(document.get("title") or reason or f"status {status}"),
             detail=str(document.get("detail") or ""),
-            type=str(document.get("type") or "about:blank"),
-            instance=document.get("instance"),
             fields=_field_problems(document.get("errors")),
         )
 
@@ -63,9 +59,7 @@ class Progress:
     @classmethod
     def from_json(cls, view: Mapping[str, Any]) -> "Progress":
         """Read the `progress` member of a job."""
-        later = ("eta_seconds", "cells_settling", "cells_computed", "cells_needed")
-        required = {name: view[name] for name in cls.__dataclass_fields__ if name not in later}
-        return cls(**required, **{name: view[name] for name in later if name in view})
+        return cls(**{name: view[name] for name in cls.__dataclass_fields__ if name in view})
 
     @property
     def whole_percent(self) -> int:
@@ -122,19 +116,9 @@ class JobStatus:
         return f"compiling kernel {facts['number']} of {facts['of']}, {facts['kernel']}, {seconds} s"
 
     @property
-    def repairing(self) -> bool:
-        """Whether the job was done and computes stored results again that were damaged."""
-        return bool(self.view.get("repairing"))
-
-    @property
     def pinned(self) -> bool:
         """Whether a user marked the job."""
         return bool(self.view.get("pinned"))
-
-    @property
-    def core_seconds(self) -> float:
-        """That its chunks took, those computed again included; not known of adopted chunks."""
-        return float(self.view.get("core_seconds") or 0.0)
 
     @property
     def notice(self) -> str | None:
@@ -148,16 +132,6 @@ class JobStatus:
     def replaced_by(self) -> str | None:
         """Id of the job that computes the sweep anew, for a job of another kernel version."""
         return self.view.get("replaced_by")
-
-    @property
-    def owner(self) -> str | None:
-        """Name of the access token that submitted the job, or resumed it last; None if that has none."""
-        return self.view.get("owner")
-
-    @property
-    def links(self) -> dict[str, str]:
-        """Paths of the job's resources by name."""
-        return dict(self.view.get("links") or {})
 
     @property
     def finished(self) -> bool:

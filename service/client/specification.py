@@ -8,21 +8,16 @@ import math
 from collections.abc import Mapping
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from service.client.errors import InvalidSpecification
 from service.client.models import FieldProblem
 
+if TYPE_CHECKING:
+    from worker.spec.specification import Specification as Model
 
-@runtime_checkable
-class Dumpable(Protocol):
-    """A pydantic model, such as `worker.spec.SweepSpec`; neither is imported here."""
-
-    def model_dump(self, *, mode: str) -> dict[str, Any]:
-        """The model as plain JSON values."""
-
-
-Specification: TypeAlias = Mapping[str, Any] | str | PathLike[str] | Dumpable
+#: A mapping, a file's path, or a model such as `worker.spec.SweepSpec`.
+Specification: TypeAlias = "Mapping[str, Any] | str | PathLike[str] | Model"
 
 
 def body(spec: Specification) -> bytes:
@@ -58,10 +53,10 @@ def read(source: Path | bytes) -> Mapping[str, Any]:
 def _content(spec: Specification) -> object:
     if isinstance(spec, Mapping):
         return spec
-    if isinstance(spec, Dumpable):
-        return spec.model_dump(mode="json")
     if isinstance(spec, str | PathLike):
         return read(Path(fspath(spec)))
+    if hasattr(spec, "model_dump"):
+        return spec.model_dump(mode="json")
     raise InvalidSpecification.before_sending(
         f"a specification is a mapping, a SweepSpec or a file's path, not {type(spec).__name__}"
     )

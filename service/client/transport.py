@@ -4,15 +4,13 @@ import json
 import re
 import time
 import weakref
-from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from http import HTTPStatus
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Final, TypeAlias
-from urllib.parse import unquote
 
 import httpx2
 
@@ -22,14 +20,13 @@ from service.client.errors import (
     Busy,
     InvalidSpecification,
     NotComputedYet,
-    Refused,
     ServiceUnreachable,
     Unanswered,
     UnexpectedAnswer,
     error_class,
 )
 from service.client.models import Problem
-from service.client.output_file import complete_file
+from service.files import complete_file
 from service.tokens import AUTO, find_token
 
 CONNECT_SECONDS: Final = 5.0
@@ -42,9 +39,6 @@ BUSY_DELAY: Final = 1.0
 SHORTEST_DELAY: Final = 0.1
 #: Seconds of waiting for a busy service before it is reported.
 SHOWN_AFTER: Final = 2.0
-
-#: The longest accepted Retry-After, s.
-LONGEST_RETRY: Final = 86_400.0
 
 #: Seconds without data before a stream of events counts as lost; the service sends a comment every 15 s.
 EVENTS_SECONDS: Final = 60.0
@@ -68,21 +62,23 @@ class Transport:
     """Sends requests to the service at `url`, with `http` if given, which its owner closes.
 
     Every method raises the exceptions of `service.client.errors`. Parameters that are None are omitted from
-    the query.
+    the query. Pickled, it includes the token and opens connections of its own.
     """
 
-    def __init__(self, url: str, *, token: str | None, timeout: float, http: httpx2.Client | None) -> None:
-        self.url, credentials = _split_credentials(_valid_url(url))
-        self._timeout, self._owns_http = timeout, http is None
-        self._http = http or self._connections()
+    def __init__(
+        self, url: str, token: str | None, timeout: float, http: httpx2.Client | None = None
+    ) -> None:
+        self.url, self._timeout = _valid_url(url), timeout
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
         if token in (None, "", AUTO):  # an empty variable means no token
-            token = None if credentials else _own_token(self.url)
+            token = _own_token(self.url)
         self.token = token
         if token is not None:
             self._headers["Authorization"] = f"Bearer {header_value('the token', token)}"
-        elif credentials:
-            self._headers["Authorization"] = f"Basic {b64encode(credentials.encode()).decode()}"
+        self._http = http or self._connections()
+        self.close: Callable[[], object] = (
+            weakref.finalize(self, self._http.close) if http is None else lambda: None
+        )
 
     def _connections(self) -> httpx2.Client:
         own_loopback = _is_loopback(self.url)
@@ -92,50 +88,35 @@ class Transport:
             verify=not (own_loopback and self.url.startswith("http:")),  # loading certificates takes 20 ms
         )
 
-    def __getstate__(self) -> dict[str, Any]:
-        """For pickle: everything, including the token, except the connections, which are opened again."""
-        return {name: value for name, value in vars(self).items() if name not in ("_http", "_owns_http")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._owns_http, self._http = True, self._connections()
-        weakref.finalize(self, self._http.close)  # nobody else will
-
-    def close(self) -> None:
-        """Close the connections, unless they belong to the caller."""
-        if self._owns_http:
-            self._http.close()
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Transport, (self.url, self.token, self._timeout)
 
     def get(
         self, path: str, query: Query | None = None, headers: Mapping[str, str] | None = None
     ) -> httpx2.Response:
         """GET `path`; a 304 is returned like a success. Waits for a busy service like `_when_free`."""
-        return self._when_free(partial(self._get, path, query, headers), self._timeout)
+        return self._when_free(partial(self._request, "GET", path, query, headers), self._timeout)
 
-    def _get(
-        self, path: str, query: Query | None, headers: Mapping[str, str] | None = None
+    def post(
+        self,
+        path: str,
+        body: bytes | None = None,
+        *,
+        query: Query | None = None,
+        headers: Mapping[str, str] | None = None,
+        waits: bool = False,
     ) -> httpx2.Response:
-        return self._request("GET", path, query=query, headers=headers, idempotent=True)
+        """POST `body` (JSON); a repeated request must have the effect of a single one.
 
-    def get_when_computed(
-        self, path: str, query: Query | None = None, *, timeout: float, progress: bool | PartsCallback
-    ) -> httpx2.Response:
-        """GET an answer that workers compute first, polling for up to `timeout` seconds.
-
-        Raises NotComputedYet after that, or Busy if the service is still busy then.
+        waits: for a busy service, like `get`.
         """
-        deadline = time.monotonic() + timeout
-        show = display_parts(progress)
-        while True:
-            left = deadline - time.monotonic()
-            response = self._when_free(partial(self._get, path, query), left, shown=progress is not False)
-            if response.status_code != 202:
-                return response
-            done, total = _parts_computed(response)
-            show(done, total)
-            if (left := deadline - time.monotonic()) <= 0.0:
-                raise NotComputedYet(done, total, timeout)
-            time.sleep(_pause(retry_after(response), left))
+        content_type = {"Content-Type": "application/json"} if body is not None else {}
+        send = partial(self._request, "POST", path, query, {**content_type, **(headers or {})}, body)
+        return self._when_free(send, self._timeout) if waits else send()
+
+    def delete(self, path: str) -> None:
+        """DELETE `path`; not retried, because a second request would find nothing."""
+        self._request("DELETE", path, delays=())
 
     def get_result(
         self,
@@ -149,11 +130,22 @@ class Transport:
         """The body of a result in this format, waiting up to `timeout` seconds while workers compute it.
 
         `progress`: True writes the finished parts to standard error; a function is called with their number
-        and the total.
+        and the total. Raises NotComputedYet after the timeout, or Busy if the service is still busy then.
         """
-        plain = {key: str(x).lower() if isinstance(x, bool) else x for key, x in query.items()}
-        query = {**plain, "format": format}
-        return self.get_when_computed(path, query, timeout=timeout, progress=progress).content
+        query = {name: str(x).lower() if isinstance(x, bool) else x for name, x in query.items()}
+        send = partial(self._request, "GET", path, {**query, "format": format})
+        deadline = time.monotonic() + timeout
+        show = display_parts(progress)
+        while True:
+            left = deadline - time.monotonic()
+            response = self._when_free(send, left, shown=progress is not False)
+            if response.status_code != HTTPStatus.ACCEPTED:
+                return response.content
+            done, total = _parts_computed(response)
+            show(done, total)
+            if (left := deadline - time.monotonic()) <= 0.0:
+                raise NotComputedYet(done, total, timeout)
+            time.sleep(_pause(retry_after(response), left))
 
     def _when_free(
         self, send: Callable[[], httpx2.Response], seconds: float, *, shown: bool = True
@@ -163,46 +155,19 @@ class Transport:
         Raises Busy after that. Waits longer than SHOWN_AFTER are shown on standard error.
         """
         deadline = time.monotonic() + seconds
-        try:
-            return send()
-        except Busy as busy:
-            if busy.status != HTTPStatus.TOO_MANY_REQUESTS or seconds <= 0.0:
-                raise
-            pause = busy.retry_after
-        with display_elapsed("the service is busy: waiting", SHOWN_AFTER) if shown else nullcontext():
+        with ExitStack() as waiting:
             while True:
-                time.sleep(_pause(pause, deadline - time.monotonic()))
                 try:
                     return send()
                 except Busy as busy:
-                    if time.monotonic() >= deadline:
+                    left = deadline - time.monotonic()
+                    if busy.status != HTTPStatus.TOO_MANY_REQUESTS or left <= 0.0:
                         raise
-                    pause = busy.retry_after
-
-    def post(
-        self,
-        path: str,
-        body: bytes | None = None,
-        *,
-        query: Query | None = None,
-        headers: Mapping[str, str] | None = None,
-        idempotent: bool = False,
-        waits: bool = False,
-    ) -> httpx2.Response:
-        """POST `body` (JSON); `idempotent` if a repeated request has the effect of a single one.
-
-        waits: for a busy service, like `get`.
-        """
-        content_type = {"Content-Type": "application/json"} if body is not None else {}
-        headers = {**content_type, **(headers or {})}
-        send = partial(
-            self._request, "POST", path, query=query, headers=headers, body=body, idempotent=idempotent
-        )
-        return self._when_free(send, self._timeout) if waits else send()
-
-    def delete(self, path: str) -> None:
-        """DELETE `path`; not retried, because a second request would find nothing."""
-        self._request("DELETE", path, idempotent=False)
+                    pause = _pause(busy.retry_after, left)
+                if shown:
+                    waiting.enter_context(display_elapsed("the service is busy: waiting", SHOWN_AFTER))
+                    shown = False
+                time.sleep(pause)
 
     def events(self, path: str) -> Iterator[dict[str, Any]]:
         """The data of server-sent events, each a JSON object, as they arrive."""
@@ -230,17 +195,49 @@ class Transport:
     def _stream(self, path: str, query: Query | None, seconds: float) -> Iterator[httpx2.Response]:
         """A response whose body is read as it arrives, with at most `seconds` between two pieces."""
         timeout = httpx2.Timeout(seconds, connect=CONNECT_SECONDS)
-        request = self._built("GET", path, query, {}, timeout=timeout)
+        request = self._built("GET", path, query, None, timeout=timeout)
         try:
             with closing(self._http.send(request, stream=True)) as response:
-                yield self._checked(response if response.is_success else _whole(response))
+                yield _checked(response if response.is_success else _whole(response))
         except httpx2.RequestError as error:
             raise self._failure(error, seconds) from None
 
+    def _request(
+        self,
+        method: str,
+        path: str,
+        query: Query | None = None,
+        headers: Mapping[str, str] | None = None,
+        body: bytes | None = None,
+        delays: tuple[float, ...] = RETRY_DELAYS,
+    ) -> httpx2.Response:
+        """The response with its body, requested again after each of `delays` while the connection breaks."""
+        request = self._built(method, path, query, headers, content=body)
+        try:
+            with closing(self._http.send(request, stream=True)) as response:
+                return _checked(_whole(response))
+        except httpx2.RequestError as error:
+            if not (delays and isinstance(error, _CONNECTION_LOST)):
+                raise self._failure(error, self._timeout) from None
+        time.sleep(delays[0])
+        return self._request(method, path, query, headers, body, delays[1:])
+
+    def _built(
+        self, method: str, path: str, query: Query | None, headers: Mapping[str, str] | None, **options: Any
+    ) -> httpx2.Request:
+        return self._http.build_request(
+            method,
+            self.url + path,
+            params={name: value for name, value in (query or {}).items() if value is not None},
+            headers={**self._headers, **(headers or {})},
+            **options,
+        )
+
     def _failure(self, error: httpx2.RequestError, seconds: float) -> BounceError:
         """The error of a request without an answer within `seconds`, in one sentence."""
+        reason = str(error) or type(error).__name__
         if isinstance(error, (httpx2.ConnectError, httpx2.ConnectTimeout)):
-            return ServiceUnreachable(self.url, _reason(error))
+            return ServiceUnreachable(self.url, reason)
         if isinstance(error, httpx2.TimeoutException):
             return Unanswered(
                 self.url,
@@ -248,53 +245,25 @@ class Transport:
                 "client a longer timeout",
             )
         if isinstance(error, _CONNECTION_LOST):
-            return Unanswered(self.url, f"the connection broke ({_reason(error)}): repeat the request")
-        return UnexpectedAnswer(f"{self.url} does not speak HTTP as expected: {_reason(error)}")
+            return Unanswered(self.url, f"the connection broke ({reason}): repeat the request")
+        return UnexpectedAnswer(f"{self.url} does not speak HTTP as expected: {reason}")
 
-    def _request(
-        self,
-        method: str,
-        path: str,
-        *,
-        query: Query | None = None,
-        headers: Mapping[str, str] | None = None,
-        body: bytes | None = None,
-        idempotent: bool,
-    ) -> httpx2.Response:
-        request = self._built(method, path, query, headers or {}, content=body)
-        return self._checked(self._send(request, RETRY_DELAYS if idempotent else ()))
 
-    def _built(
-        self, method: str, path: str, query: Query | None, headers: Mapping[str, str], **options: Any
-    ) -> httpx2.Request:
-        return self._http.build_request(
-            method,
-            self.url + path,
-            params={name: value for name, value in (query or {}).items() if value is not None},
-            headers={**self._headers, **headers},
-            **options,
-        )
-
-    def _send(self, request: httpx2.Request, delays: tuple[float, ...]) -> httpx2.Response:
-        """Send the request, again after each of `delays` seconds while the connection breaks."""
-        try:
-            with closing(self._http.send(request, stream=True)) as response:
-                return _whole(response)
-        except httpx2.RequestError as error:
-            if not (delays and isinstance(error, _CONNECTION_LOST)):
-                raise self._failure(error, self._timeout) from None
-        time.sleep(delays[0])
-        return self._send(request, delays[1:])
-
-    def _checked(self, response: httpx2.Response) -> httpx2.Response:
-        """The response if it is a success or a 304; raises the exception of its status otherwise."""
-        if response.is_success or response.status_code == 304:
-            return response
-        if response.status_code >= 400:
-            raise _refused(response)
-        raise UnexpectedAnswer(
-            f"{response.request.url} answered {response.status_code}: not a bounce service"
-        )
+def _checked(response: httpx2.Response) -> httpx2.Response:
+    """The response if it is a success or a 304; raises the exception of its status otherwise."""
+    if response.is_success or response.status_code == HTTPStatus.NOT_MODIFIED:
+        return response
+    status, request = response.status_code, response.request
+    if status < 400:
+        raise UnexpectedAnswer(f"{request.url} answered {status}: not a bounce service")
+    try:
+        document = json_object(response)
+    except UnexpectedAnswer:  # a proxy answers in HTML
+        document = {"detail": f"{request.url} answered {status} {response.reason_phrase}"}
+    is_submission = request.method == "POST" and request.url.path.endswith("/v1/jobs")
+    error = InvalidSpecification if is_submission and status in (400, 422) else error_class(status)
+    problem = Problem.from_json(document, status=status, reason=response.reason_phrase)
+    raise error(problem, retry_after=retry_after(response))
 
 
 def _whole(response: httpx2.Response) -> httpx2.Response:
@@ -307,11 +276,7 @@ def _whole(response: httpx2.Response) -> httpx2.Response:
     of_transfer = ("content-encoding", "content-length", "transfer-encoding")
     headers = [pair for pair in response.headers.multi_items() if pair[0].lower() not in of_transfer]
     return httpx2.Response(
-        response.status_code,
-        headers=headers,
-        content=bytes(content),
-        request=response.request,
-        extensions=response.extensions,
+        response.status_code, headers=headers, content=bytes(content), request=response.request
     )
 
 
@@ -350,12 +315,12 @@ def parse_object(text: bytes, response: httpx2.Response) -> dict[str, Any]:
 
 
 def retry_after(response: httpx2.Response) -> float | None:
-    """`Retry-After` in seconds, LONGEST_RETRY at most; None if it is missing, negative or a date."""
+    """`Retry-After` in seconds; None if it is missing, negative or a date."""
     try:
         seconds = float(response.headers.get("Retry-After", ""))
     except ValueError:
         return None
-    return min(seconds, LONGEST_RETRY) if 0 <= seconds < float("inf") else None
+    return seconds if 0 <= seconds < float("inf") else None
 
 
 def _pause(asked: float | None, left: float) -> float:
@@ -379,55 +344,18 @@ def _parts_computed(response: httpx2.Response) -> tuple[int, int]:
         raise UnexpectedAnswer(f"{response.request.url} answered 202 without progress: {error!r}") from error
 
 
-def _refused(response: httpx2.Response) -> Refused:
-    """The exception for a response of status 400 or more."""
-    status, request = response.status_code, response.request
-    problem = Problem.from_json(_problem_document(response), status=status, reason=response.reason_phrase)
-    is_submission = request.method == "POST" and request.url.path.endswith("/v1/jobs")
-    error = InvalidSpecification if is_submission and status in (400, 422) else error_class(status)
-    return error(problem, retry_after=retry_after(response))
-
-
-def _problem_document(response: httpx2.Response) -> dict[str, Any]:
-    """The problem document, or one built from the status line (a proxy answers in HTML)."""
-    try:
-        return json_object(response)
-    except UnexpectedAnswer:
-        return {"detail": f"{response.request.url} answered {response.status_code} {response.reason_phrase}"}
-
-
 def _valid_url(url: str) -> str:
-    """The address without a trailing slash. Raises ServiceUnreachable if it is not an HTTP address."""
+    """The address without a trailing slash.
+
+    Raises ServiceUnreachable if it is not an HTTP address, without any part that may be a password.
+    """
     try:
         parsed = httpx2.URL(url)
-    except httpx2.InvalidURL as error:
-        raise ServiceUnreachable(_hide_all_before_at(url), _why_invalid(url, error)) from None
-    if parsed.scheme not in ("http", "https") or not parsed.host:
-        raise ServiceUnreachable(_hide_all_before_at(url), "expected an address like http://HOST:PORT")
+    except httpx2.InvalidURL:
+        parsed = httpx2.URL()
+    if parsed.scheme not in ("http", "https") or not parsed.host or parsed.userinfo:
+        raise ServiceUnreachable(re.sub("(?s).*@", "...@", url), "expected an address like http://HOST:PORT")
     return url.rstrip("/")
-
-
-def _why_invalid(url: str, error: Exception) -> str:
-    """The reason, unless it may quote part of a password, like the port of `http://me:pass/word@host`."""
-    if "@" in url:
-        return "not an address; write / ? # and @ of a password as %2F %3F %23 and %40"
-    return f"not an address: {error}"
-
-
-def _split_credentials(url: str) -> tuple[str, str]:
-    """The address without user and password, to keep them out of messages, and `user:password` or ""."""
-    userinfo = httpx2.URL(url).userinfo.decode()
-    return _hide_credentials(url), unquote(userinfo)
-
-
-def _hide_credentials(url: str) -> str:
-    return re.sub(r"^([^/]*//)[^/?#]*@", r"\1", url)
-
-
-def _hide_all_before_at(text: str) -> str:
-    """An invalid address without any part that may be a password."""
-    _, at, after = text.rpartition("@")
-    return f"...@{after}" if at else text
 
 
 def _is_loopback(url: str) -> bool:
@@ -442,7 +370,3 @@ def _own_token(url: str) -> str | None:
     """The token that this user's service at a loopback address has created, if any."""
     port = httpx2.URL(url).port
     return find_token(port) if port is not None and _is_loopback(url) else None
-
-
-def _reason(error: Exception) -> str:
-    return str(error) or type(error).__name__

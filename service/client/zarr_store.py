@@ -2,13 +2,13 @@
 
 import asyncio
 import json
-import math
-from collections.abc import AsyncIterator, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from datetime import timedelta
 from http import HTTPStatus
 from itertools import islice
+from math import prod
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 from urllib.parse import unquote
 
 import numpy as np
@@ -16,7 +16,7 @@ import xarray
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
 from zarr.core.sync import sync
-from zarr.storage import LocalStore, ObjectStore
+from zarr.storage import LocalStore, MemoryStore, ObjectStore, WrapperStore
 
 from service.client import accessor  # noqa: F401 - registers `dataset.bounce`
 from service.client.errors import NotFound, Refused, StoreUnreachable, UnexpectedAnswer
@@ -24,9 +24,8 @@ from service.client.transport import Transport
 
 #: The codecs of the service's stores. Others can do more than decode: one of them unpickles.
 CODECS: Final = frozenset({"bytes", "crc32c", "sharding_indexed", "vlen-utf8", "zstd"})
-#: The documents that describe groups and arrays; our stores have none of zarr's version 2.
+#: The documents that describe groups and arrays.
 _METADATA: Final = "zarr.json"
-_VERSION_2: Final = (".zarray", ".zgroup", ".zattrs", ".zmetadata")
 
 #: Maximum arrays of a store; ours have about twenty.
 MAX_ARRAYS: Final = 1_000
@@ -37,7 +36,6 @@ MAX_CHUNK: Final = 256 * 2**20
 
 #: A bucket that does not answer soon is not read directly.
 _FEW_RETRIES: Final[Any] = {"max_retries": 1, "retry_timeout": timedelta(seconds=2)}
-_READ_ONLY: Final = "a job's store is read only"
 
 
 def open_store(
@@ -51,7 +49,7 @@ def open_store(
     address = store_url(transport, path, job_id) if direct else None
     try:
         store = HTTPStore(transport, path, address)
-        dataset: xarray.Dataset = xarray.open_zarr(store, consolidated=True, chunks=chunks)
+        dataset: xarray.Dataset = xarray.open_zarr(store, consolidated=True, chunks=chunks, zarr_format=3)
     except (FileNotFoundError, ValueError) as error:
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
     # Not every xarray writes texts of any length to a file; all write those of fixed length.
@@ -75,7 +73,7 @@ def store_url(transport: Transport, path: str, job_id: str) -> str:
     return unquote(address)
 
 
-class HTTPStore(Store):
+class HTTPStore(WrapperStore[Store]):
     """A read-only zarr store: a key is a path below one address of the service.
 
     address: the service's address of the store; chunks are read there if this machine finds the same store.
@@ -84,17 +82,13 @@ class HTTPStore(Store):
     """
 
     def __init__(self, transport: Transport, path: str, address: str | None = None) -> None:
-        super().__init__(read_only=True)
         self._transport, self._path, self._address = transport, path, address
-        self._direct = None if address is None else self._same_store(address)
+        direct = None if address is None else self._same_store(address)
+        self.reads_directly = direct is not None
+        super().__init__(direct or MemoryStore(read_only=True))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return HTTPStore, (self._transport, self._path, self._address)
-
-    @property
-    def reads_directly(self) -> bool:
-        """Whether chunks are read at the store's own address."""
-        return self._direct is not None
 
     def _same_store(self, address: str) -> Store | None:
         """The store at an address, if it is the job's; None if it cannot be read from here."""
@@ -102,9 +96,8 @@ class HTTPStore(Store):
             if address.startswith("s3://"):
                 from obstore.store import S3Store
 
-                store: Store = ObjectStore(
-                    S3Store.from_url(address, retry_config=_FEW_RETRIES), read_only=True
-                )
+                bucket = S3Store.from_url(address, retry_config=_FEW_RETRIES)
+                store: Store = ObjectStore(bucket, read_only=True)
             else:
                 if not Path(address, _METADATA).is_file():
                     return None  # another machine's folder; zarr would wait for a pipe
@@ -115,13 +108,9 @@ class HTTPStore(Store):
         return store if root is not None and root.to_bytes() == self._fetch(_METADATA) else None
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, HTTPStore) and (self._transport, self._path) == (
-            other._transport,
-            other._path,
-        )
+        return self is other
 
-    def __hash__(self) -> int:
-        return hash((id(self._transport), self._path))
+    __hash__ = object.__hash__
 
     def __str__(self) -> str:
         return f"{self._transport.url}{self._path}"
@@ -130,8 +119,8 @@ class HTTPStore(Store):
         self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
         """The value of a key, or a part of it; None if there is none."""
-        if self._direct is not None and not key.endswith((_METADATA, *_VERSION_2)):
-            return await self._direct.get(key, prototype, byte_range)
+        if self.reads_directly and not key.endswith(_METADATA):
+            return await super().get(key, prototype, byte_range)
         content = await asyncio.to_thread(self._fetch, key, byte_range)
         return None if content is None else prototype.buffer.from_bytes(content)
 
@@ -145,11 +134,15 @@ class HTTPStore(Store):
         """Whether the key has a value."""
         return await asyncio.to_thread(self._fetch, key) is not None
 
+    @property
+    def supports_listing(self) -> bool:
+        """The service lists no keys."""
+        return False
+
     def _fetch(self, key: str, byte_range: ByteRequest | None = None) -> bytes | None:
-        if key.endswith(_VERSION_2):
-            return None
+        headers, part = _range(byte_range)
         try:
-            response = self._transport.get(f"{self._path}/{key}", headers=_range_header(byte_range))
+            response = self._transport.get(f"{self._path}/{key}", headers=headers)
         except NotFound:
             return None
         except Refused as error:
@@ -159,48 +152,34 @@ class HTTPStore(Store):
         if key.endswith(_METADATA):
             self._check(key, response.content)
         # A proxy may ignore the range and send all bytes.
-        return response.content if response.status_code == 206 else _slice(response.content, byte_range)
+        is_part = response.status_code == HTTPStatus.PARTIAL_CONTENT
+        return response.content if is_part else response.content[part]
 
     def _check(self, key: str, content: bytes) -> None:
         """Raise UnexpectedAnswer unless the arrays in a metadata document have our sizes and codecs."""
         try:
-            arrays = list(islice(_arrays(json.loads(content)), MAX_ARRAYS + 1))
-            too_large = _too_large(arrays)
-            unknown = {name for array in arrays for name in _names(array["codecs"])} - CODECS
+            fault = _fault(json.loads(content))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             raise UnexpectedAnswer(f"{self}/{key} is not the metadata of a bounce store") from error
-        if too_large:
-            raise UnexpectedAnswer(f"{self}/{key} describes {too_large}: not a bounce store")
-        if unknown:
-            names = ", ".join(sorted(map(repr, unknown)))
-            raise UnexpectedAnswer(f"{self}/{key} names codecs that no bounce store has: {names[:200]}")
+        if fault:
+            raise UnexpectedAnswer(f"{self}/{key} describes {fault}: not a bounce store")
 
-    @property
-    def supports_writes(self) -> bool:
-        return False
 
-    @property
-    def supports_deletes(self) -> bool:
-        return False
-
-    @property
-    def supports_listing(self) -> bool:
-        return False
-
-    async def set(self, key: str, value: Buffer) -> NoReturn:
-        raise PermissionError(_READ_ONLY)
-
-    async def delete(self, key: str) -> NoReturn:
-        raise PermissionError(_READ_ONLY)
-
-    def list(self) -> AsyncIterator[str]:
-        raise NotImplementedError
-
-    def list_prefix(self, prefix: str) -> AsyncIterator[str]:
-        raise NotImplementedError
-
-    def list_dir(self, prefix: str) -> AsyncIterator[str]:
-        raise NotImplementedError
+def _fault(document: dict[str, Any]) -> str:
+    """What the service's stores do not have, or would take more time or memory; empty if nothing."""
+    arrays = list(islice(_arrays(document), MAX_ARRAYS + 1))
+    if len(arrays) > MAX_ARRAYS:
+        return f"more than {MAX_ARRAYS:,} arrays"
+    for array in arrays:
+        values = prod(array["shape"])
+        if len(array["shape"]) <= 1 and values > MAX_COORDINATE:
+            return f"a coordinate of {values:,} values; at most {MAX_COORDINATE:,} are read"
+        chunk = prod(array["chunk_grid"]["configuration"]["chunk_shape"])
+        if chunk > MAX_CHUNK:
+            return f"chunks of {chunk:,} values; at most {MAX_CHUNK:,} are read"
+        if unknown := set(_codecs(array["codecs"])) - CODECS:
+            return f"codecs that no bounce store has: {', '.join(sorted(map(repr, unknown)))[:200]}"
+    return ""
 
 
 def _arrays(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -215,43 +194,21 @@ def _arrays(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
         yield from _arrays(inner)
 
 
-def _too_large(arrays: list[dict[str, Any]]) -> str:
-    """What would take more time or memory than the service's stores; empty if nothing."""
-    if len(arrays) > MAX_ARRAYS:
-        return f"more than {MAX_ARRAYS:,} arrays"
-    for array in arrays:
-        values = math.prod(array["shape"])
-        if len(array["shape"]) <= 1 and values > MAX_COORDINATE:
-            return f"a coordinate of {values:,} values; at most {MAX_COORDINATE:,} are read"
-        chunk = math.prod(array["chunk_grid"]["configuration"]["chunk_shape"])
-        if chunk > MAX_CHUNK:
-            return f"chunks of {chunk:,} values; at most {MAX_CHUNK:,} are read"
-    return ""
-
-
-def _names(codecs: list[dict[str, Any]]) -> Iterator[str]:
+def _codecs(codecs: list[dict[str, Any]]) -> Iterator[str]:
     """The names of codecs, including those inside shards."""
     for codec in codecs:
         yield codec["name"]
         for inner in ("codecs", "index_codecs"):
-            yield from _names((codec.get("configuration") or {}).get(inner) or [])
+            yield from _codecs((codec.get("configuration") or {}).get(inner) or [])
 
 
-def _range_header(byte_range: ByteRequest | None) -> dict[str, str]:
-    if isinstance(byte_range, RangeByteRequest) and byte_range.end > byte_range.start:
-        return {"Range": f"bytes={byte_range.start}-{byte_range.end - 1}"}
-    if isinstance(byte_range, OffsetByteRequest):
-        return {"Range": f"bytes={byte_range.offset}-"}
-    if isinstance(byte_range, SuffixByteRequest):
-        return {"Range": f"bytes=-{byte_range.suffix}"}
-    return {}
-
-
-def _slice(content: bytes, byte_range: ByteRequest | None) -> bytes:
-    if isinstance(byte_range, RangeByteRequest):
-        return content[byte_range.start : byte_range.end]
-    if isinstance(byte_range, OffsetByteRequest):
-        return content[byte_range.offset :]
-    if isinstance(byte_range, SuffixByteRequest):
-        return content[-byte_range.suffix :]
-    return content
+def _range(byte_range: ByteRequest | None) -> tuple[dict[str, str], slice]:
+    """The header that asks for a part of a value, and the part."""
+    match byte_range:
+        case RangeByteRequest(start, end):
+            return {"Range": f"bytes={start}-{end - 1}"} if end > start else {}, slice(start, end)
+        case OffsetByteRequest(offset):
+            return {"Range": f"bytes={offset}-"}, slice(offset, None)
+        case SuffixByteRequest(suffix):
+            return {"Range": f"bytes=-{suffix}"}, slice(-suffix, None)
+    return {}, slice(None)

@@ -25,7 +25,7 @@ import dask
 from distributed import Security
 from pydantic import SecretStr, ValidationError
 
-from service import address, tokens
+from service import tokens
 from service.api.app import TITLE, create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotComputed, NotStarted
@@ -78,7 +78,10 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
     an embedded cluster import the main module: a script that calls this needs `if __name__ == "__main__"`.
     Raises NotStarted, for example if another service uses the data folder or the port.
     """
-    with _prepared(settings, executor) as (complete, listener, chosen):
+    with (
+        _prepared(settings, executor) as (complete, listener, chosen),
+        tokens.recorder(settings.data) as record,
+    ):
         with _startup_errors():
             server = WebServer(create_app(complete, chosen), settings, listener)
         thread = threading.Thread(target=server.serve_until_stopped, name="bounce-server")
@@ -86,6 +89,8 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
         try:
             with _startup_errors():
                 url = server.url.result()
+            if settings.makes_token:
+                record(url)
             yield url
         finally:
             server.should_exit = True
@@ -95,7 +100,7 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
 def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     """Run a service until SIGINT or SIGTERM; `announce` gets one line once it listens.
 
-    Raises NotStarted, and KeyboardInterrupt after SIGINT, once everything has ended.
+    Raises NotStarted, and SystemExit after SIGINT, once everything has ended.
     """
 
     def announce_url(url: str) -> None:
@@ -111,7 +116,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
             stack.callback(os.umask, os.umask(_PRIVATE_UMASK))
         complete, listener, executor = stack.enter_context(_prepared(settings, None))
         background = stack.enter_context(closing(Processes(settings.max_reads + settings.max_exports)))
-        record = stack.enter_context(address.recorder(settings.data))
+        record = stack.enter_context(tokens.recorder(settings.data))
         threading.Thread(target=_warm_answers, args=[background], name="warm-answers", daemon=True).start()
         with _startup_errors():
             app = create_app(complete, executor, background)
@@ -123,16 +128,24 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 
 
 class _Stopped(BaseException):
-    """SIGTERM arrived. Like KeyboardInterrupt, no handler of Exception catches it."""
+    """SIGINT or SIGTERM arrived. Like KeyboardInterrupt, no handler of Exception catches it."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
 
 
 @contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """SIGINT and SIGTERM end the block, also during startup; while serving, uvicorn handles them."""
+    """SIGINT and SIGTERM end the block, also during startup; while serving, uvicorn handles them.
+
+    After SIGINT, raises SystemExit with the code that shells give.
+    """
     previous = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with suppress(_Stopped):
-            yield
+        yield
+    except _Stopped as stopped:
+        if stopped.number == signal.SIGINT:
+            sys.exit(128 + signal.SIGINT)
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
@@ -140,7 +153,7 @@ def _stopped_by_signals() -> Iterator[None]:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     quiet_libraries()
-    raise KeyboardInterrupt if number == signal.SIGINT else _Stopped
+    raise _Stopped(number)
 
 
 @contextmanager
@@ -179,8 +192,7 @@ def _prepared(
         with _startup_errors():
             marker = _opened(settings)
             if settings.makes_token:
-                token = tokens.own_token(settings.data, port=listener.getsockname()[1])
-                stack.callback(_forget_port, settings.data)
+                token = tokens.own_token(settings.data)
                 settings = settings.model_copy(update={"token": SecretStr(token)})
             if executor is None:
                 executor = stack.enter_context(closing(connected_cluster(settings, marker)))
@@ -276,12 +288,6 @@ def _create(name: str) -> Any:
     finally:
         sys.path.remove(folder)
     return getattr(imported, function)()
-
-
-def _forget_port(data: Path) -> None:
-    """Record that the service does not run."""
-    with suppress(OSError):  # the folder may be gone
-        tokens.own_token(data, port=None)
 
 
 def _warm_answers(background: Processes) -> None:

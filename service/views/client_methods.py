@@ -5,10 +5,9 @@ the commands load no client to show their help. A test compares it with the regi
 """
 
 import sys
-from collections.abc import Iterator
 from inspect import cleandoc
 from pathlib import Path
-from textwrap import indent, wrap
+from textwrap import fill, indent
 from types import UnionType
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
 
@@ -22,99 +21,84 @@ _WIDTH: Final = 110
 
 _HEAD: Final = '''"""A method for each result. Made by service.views.client_methods: do not edit."""
 
-from abc import ABC, abstractmethod
-from typing import {imports}
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 if TYPE_CHECKING:
-{callback}    import xarray
-'''
-_CLASS: Final = '''
+    import xarray
 
-class {name}(ABC):
-    """A method for each result of {of}."""
+Names = tuple[str, ...]
+Progress = bool | Callable[[int, int], None]
+
+
+class Methods:
+    """Reads results by name."""
 
     #: The formats of each result, and the variables whose numbers are the rows of printed tables.
-    FORMATS: ClassVar[dict[str, tuple[str, ...]]] = {formats}
-    PRINTED: ClassVar[dict[str, tuple[str, ...]]] = {printed}
+    RESULTS: ClassVar[dict[str, tuple[Names, Names]]]
 
-    @abstractmethod
     def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
         """The result of this name."""
+        raise NotImplementedError
 '''
 
 
 def source() -> str:
     """The text of the file."""
-    text = _class("ResultMethods", "a job", VIEWS) + _class("SpringMethods", "a spring", SPRINGS)
-    names = ("TYPE_CHECKING", "Annotated", "Any", "ClassVar", "Literal")
-    used = (name for name in names if f"{name}[" in text or name in ("TYPE_CHECKING", "Any"))
-    callback = "    from collections.abc import Callable\n\n" if "Callable[" in text else ""
-    return _HEAD.format(imports=", ".join(used), callback=callback) + text
+    return _HEAD + _class("ResultMethods", "a job", VIEWS) + _class("SpringMethods", "a spring", SPRINGS)
 
 
 def _class(name: str, of: str, views: dict[str, View]) -> str:
-    formats = _mapping({name: view.formats for name, view in views.items()})
-    rows = {name: () if view.rows is None else (view.rows,) for name, view in views.items()}
-    printed = _mapping({name: view.printed or rows[name] for name, view in views.items()})
-    head = _CLASS.format(name=name, of=of, formats=formats, printed=printed)
-    return head + "".join(map(_method, views.values()))
+    lines = [
+        f"        {_literal(name)}: {_literal((view.formats, _printed(view)))},\n"
+        for name, view in views.items()
+    ]
+    return (
+        f'\n\nclass {name}(Methods):\n    """A method for each result of {of}."""\n\n'
+        f"    RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {{\n{''.join(lines)}    }}\n"
+        + "".join(map(_method, views.values()))
+    )
 
 
-def _mapping(values: dict[str, Any]) -> str:
-    lines = [f"        {_quoted(name)}: {_literal(value)},\n" for name, value in values.items()]
-    return "{\n" + "".join(lines) + "    }"
+def _printed(view: View) -> tuple[str, ...]:
+    return view.printed or (() if view.rows is None else (view.rows,))
 
 
 def _literal(value: Any) -> str:
     if isinstance(value, tuple):
         return f"({', '.join(map(_literal, value))}{',' if len(value) == 1 else ''})"
-    return _quoted(value) if isinstance(value, str) else repr(value)
-
-
-def _quoted(text: str) -> str:
-    return f'"{text}"'
+    return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
 def _method(view: View) -> str:
     fields = view.query.model_fields
-    parameters = "".join(f"        {name}: {_parameter(field)},\n" for name, field in fields.items())
-    passed = ", ".join(f"{name}={name}" for name in fields)
+    parameters = {name: _parameter(field) for name, field in fields.items()}
     if view.parts is not None:
-        parameters += "        timeout: float = 300.0,\n"
-        parameters += '        progress: "bool | Callable[[int, int], None]" = True,\n'
-        passed += ", timeout=timeout, progress=progress"
-    text = indent("\n".join(_docstring(view)), " " * 8)
+        parameters |= {"timeout": "float = 300.0", "progress": "Progress = True"}
+    declared = "".join(f"        {name}: {hint},\n" for name, hint in parameters.items())
+    passed = ", ".join(f"{name}={name}" for name in parameters)
     return (
-        f'\n    def {view.name}(\n        self,\n{parameters}    ) -> "xarray.Dataset":\n'
-        f'        """{text.strip()}\n        """\n'
+        f'\n    def {view.name}(\n        self,\n{declared}    ) -> "xarray.Dataset":\n'
+        f'        """{indent(_docstring(view), " " * 8).strip()}\n        """\n'
         f'        return self.result("{view.name}", {passed})\n'
     )
 
 
-def _docstring(view: View) -> Iterator[str]:
-    yield cleandoc(view.compute.__doc__ or view.summary)
-    yield "\nParameters\n----------"
-    for name, field in view.query.model_fields.items():
-        yield f"{name} : {_type(field.annotation)}"
-        if field.description:
-            yield from _wrapped(field.description)
-    if view.parts is not None:
-        yield "timeout : float\n    Seconds to wait for the workers."
-        yield "progress : bool or callable\n    Shows the parts done, or is called with their number and all."
-    yield "\nReturns\n-------\nxarray.Dataset\n    With the attribute `complete` and these variables:\n"
-    for line in view.described:
-        yield from _wrapped(line)
-    yield "\nRaises\n------\nBadRequest\n    Names the parameter.\nTooLarge\n    Names what fits."
-
-
-def _wrapped(text: str) -> list[str]:
-    return wrap(text, _WIDTH - 12, initial_indent="    ", subsequent_indent="      ")
+def _docstring(view: View) -> str:
+    units = {row.name: row.attrs.get("units", "1") for row in view.variables}
+    names = ", ".join(f"`{name}`" + f" ({unit})" * (unit != "1") for name, unit in units.items())
+    waits = " Waits up to `timeout` seconds for the workers, and shows `progress`." * (view.parts is not None)
+    rest = (
+        f"Returns a Dataset with the attribute `complete` and the variables {names}.{waits} "
+        "Raises BadRequest naming the parameter, TooLarge naming what fits."
+    )
+    return f"{cleandoc(view.compute.__doc__ or view.summary)}\n\n{fill(rest, _WIDTH - 8)}"
 
 
 def _parameter(field: FieldInfo) -> str:
     hint = _type(field.annotation)
     if field.description:
-        hint = f"Annotated[{hint}, {_quoted(field.description)}]"
+        hint = f"Annotated[{hint}, {_literal(field.description)}]"
     return hint if field.is_required() else f"{hint} = {_literal(field.default)}"
 
 

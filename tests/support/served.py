@@ -12,11 +12,11 @@ import pytest
 import uvicorn
 import xarray
 from fastapi.testclient import TestClient
+from json_results import from_json
 from scripted import DEADLINE, Held, sweep, wait_for
 
 from service.api import app as application
 from service.api.app import create_app
-from service.client.dataset import from_json
 from service.jobs.on_demand import OnDemandCache
 from service.server import embedded
 from service.settings import Settings

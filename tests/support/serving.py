@@ -23,7 +23,8 @@ class Serving:
         words = ["serve", "--port", str(port), "--data", str(folder / "data")]
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
-                [*before, sys.executable, "-m", "service.cli.main", *words], stdout=log, stderr=log, cwd=ROOT,
+                [*before, sys.executable, "-m", "service.cli.entry", *words],
+                stdout=log, stderr=log, cwd=ROOT,
                 env=os.environ | {"NUMBA_CACHE_DIR": str(CACHE)} | variables, **options,
             )  # fmt: skip
 

@@ -52,8 +52,11 @@ REACHABLE = {
     "worker.spec": SPECIFICATION,
     "worker.plan": SPECIFICATION | {"worker.plan", "worker.cost", "worker.schema"},
     "service.client": SPECIFICATION
-    | {"kernel.labels", "service.client", "service.formats", "service.result_methods", "service.tokens"},
-}
+    | {
+        "kernel.labels", "service.client", "service.files", "service.formats", "service.result_methods",
+        "service.tokens",
+    },
+}  # fmt: skip
 
 #: Packages whose face is their __init__; all others are empty.
 FACES = {"worker/spec", "worker/store", "service/client"}

@@ -43,7 +43,7 @@ def back_up(service: Serving, kept: str) -> str:
     """The state of a job in a backup, or the reason against it."""
     target = service.data / "backup.sqlite"
     target.unlink(missing_ok=True)
-    words = [sys.executable, "-m", "service.cli.main", "backup", str(target), "--data", str(service.data)]
+    words = [sys.executable, "-m", "service.cli.entry", "backup", str(target), "--data", str(service.data)]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert target.exists() == (done.returncode == 0)
     if done.returncode:

@@ -118,7 +118,7 @@ def test_a_data_folder_of_another_user_is_refused(shared: Path, what: str):
         os.chown(planted, OTHER, OTHER, follow_symlinks=False)
     (shared / "ours").write_text("mine")
     done = subprocess.run(
-        [sys.executable, "-m", "service.cli.main", "serve", "--port", "0", "--data", str(data)],
+        [sys.executable, "-m", "service.cli.entry", "serve", "--port", "0", "--data", str(data)],
         capture_output=True, text=True, cwd=ROOT, check=False, timeout=DEADLINE,
         env=os.environ | {"NUMBA_CACHE_DIR": str(CACHE)},
     )  # fmt: skip

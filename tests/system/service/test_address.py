@@ -4,13 +4,13 @@ import multiprocessing
 import os
 from pathlib import Path
 
-from service import address
+from service import tokens
 
 URL = "http://127.0.0.1:8123"
 
 
 def _die_while_recorded(folder: Path) -> None:
-    with address.recorder(folder) as record:
+    with tokens.recorder(folder) as record:
         record(URL)
         os._exit(0)
 
@@ -20,7 +20,7 @@ def test_what_a_killed_service_left_says_nothing(tmp_path: Path):
     process.start()
     process.join()
     assert (tmp_path / "service.json").exists()
-    assert address.find(tmp_path) is None
-    with address.recorder(tmp_path) as record:
+    assert tokens.find_service(tmp_path) is None
+    with tokens.recorder(tmp_path) as record:
         record(URL)
-        assert address.find(tmp_path) == URL
+        assert tokens.find_service(tmp_path) == URL

@@ -1,7 +1,6 @@
 """The command `bounce` against a real service, in this process and as processes of its own."""
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -16,8 +15,8 @@ from click.testing import CliRunner, Result
 from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep
 from served import computing_at
 
-from service import address
-from service.cli import local_service, options
+from service import tokens
+from service.cli import options
 from service.cli.main import main
 from service.client import Client
 from service.client.client import DEFAULT_URL
@@ -180,7 +179,7 @@ def test_figure_uses_a_running_service(tmp_path: Path, monkeypatch: pytest.Monke
     with (
         closing(Inline()) as executor,
         embedded.running(settings, executor) as url,
-        address.recorder(settings.data) as record,
+        tokens.recorder(settings.data) as record,
     ):
         record(url)
         token = json.loads((settings.data / "token.json").read_text())["token"]
@@ -212,13 +211,16 @@ def test_run_computes_a_sweep_without_a_service(tmp_path: Path):
 
 def test_a_hangup_that_is_ignored_ends_nothing():
     """As `nohup` asks for."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with local_service.ended_by_signals():
-            os.kill(os.getpid(), signal.SIGHUP)
-        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    code = (
+        "import os, signal, sys; from service.cli import entry, main;"
+        "main.main = lambda: os.kill(os.getpid(), signal.SIGHUP);"
+        "signal.signal(signal.SIGHUP, getattr(signal, sys.argv[1])); entry.main(); print('goes on')"
+    )
+    for handler, ended in (("SIG_IGN", (0, "goes on\n")), ("SIG_DFL", (128 + signal.SIGHUP, ""))):
+        done = subprocess.run(
+            [sys.executable, "-c", code, handler], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stdout) == ended
 
 
 def test_figure_computes_in_a_temporary_folder_if_another_command_has_the_data_folder(

@@ -10,13 +10,13 @@ import pandas
 import pytest
 import xarray
 from click.testing import CliRunner, Result
+from json_results import from_json
 from pyarrow import parquet
 from scripted import Held, sweep, wait_for
 from served import computing_at
 
 from service.cli.main import main
 from service.client import BounceError, Client, Conflict, Job, NotFound
-from service.client.dataset import from_json
 from service.client.display import summary
 from service.server import embedded
 
@@ -112,10 +112,9 @@ def test_the_shell_completes_commands_options_and_ids(running: Running):
 
 
 def test_the_script_of_a_shell():
-    for words, shell in ((["completion", "bash"], ""), (["completion"], "/usr/bin/fish")):
-        done = CliRunner().invoke(main, words, env={"SHELL": shell})
-        assert (done.exit_code, "_BOUNCE_COMPLETE" in done.stdout) == (0, True)
-    assert CliRunner().invoke(main, ["completion"], env={"SHELL": "/bin/other"}).exit_code == 2
+    done = CliRunner().invoke(main, ["completion", "bash"])
+    assert (done.exit_code, "_BOUNCE_COMPLETE" in done.stdout) == (0, True)
+    assert CliRunner().invoke(main, ["completion"]).exit_code == 2
 
 
 def test_watch_without_a_terminal_is_one_table(idle: Running):

@@ -60,7 +60,7 @@ def interrupted(tmp_path: Path, number: int, spec: dict[str, Any] = LONG) -> sub
     file = tmp_path / "long.json"
     file.write_text(json.dumps(spec))
     process = subprocess.Popen(
-        [sys.executable, "-m", "service.cli.main", "run", str(file), "-o", "long.zarr", "--workers", "1"],
+        [sys.executable, "-m", "service.cli.entry", "run", str(file), "-o", "long.zarr", "--workers", "1"],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         stderr=subprocess.PIPE,

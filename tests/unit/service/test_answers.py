@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
+from json_results import from_json
 
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
@@ -35,7 +36,6 @@ from tables import for_each
 
 from service.api.capacity import Activity, Capacity, Lease
 from service.client import Client, Job
-from service.client.dataset import from_json
 
 ANSWERS: Final = GOLDEN / "answers.json"
 _RIGID: Final[dict[str, Any]] = {"xi": 0.26, "model": {"kind": "rigid"}}

@@ -27,7 +27,7 @@ def job(**changes: Any) -> Job:
     view = {"id": "0123456789abcdef" * 2, "name": "ω sweep", "state": "running", "error": None}
     view |= {name: value for name, value in changes.items() if name not in progress}
     progress |= {name: value for name, value in changes.items() if name in progress}
-    return Job.from_view(cast(Any, None), {**view, "progress": progress})
+    return Job(cast(Any, None), {**view, "progress": progress})
 
 
 def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
@@ -47,18 +47,19 @@ def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
 @pytest.mark.parametrize(
     ("changes", "line"),
     [
-        ({}, "1,200 cells in 30 chunks, 2.5 MB before compression, about 6 s on 2 workers (12 core-seconds, "
-             "from the table of costs; the kernel is compiled first, unless the cache has it)"),
+        ({}, "1,200 cells in 30 chunks, 2.5 MB before compression, about 6 s on 2 workers "
+             "(12.0 core-seconds, from the table of costs; the kernel is compiled first, "
+             "unless the cache has it)"),
         (
             {"basis": "measured", "core_seconds": 2_050.0, "bytes": 1_040_000_000,
              "longest_core_seconds": 345_600.0},
-            "1,200 cells in 30 chunks, 1 GB before compression, about 17 min on 2 workers "
-            "(2,050 core-seconds, from recent jobs; 2 days if every cell settled until settle_until)",
+            "1,200 cells in 30 chunks, 1.0 GB before compression, about 17 min 5 s on 2 workers "
+            "(2,050.0 core-seconds, from recent jobs; 48 h 0 min if every cell settled until settle_until)",
         ),
         (
             {"computed_cells": (300, 1_100), "least_core_seconds": 3.0, "basis": "measured", "chunks": 1},
             "1,200 cells, of which about 300 to 1,100 are computed, in 1 chunk, at most 2.5 MB before "
-            "compression, about 3 s to 12 s on 2 workers (12 core-seconds, from recent jobs)",
+            "compression, about 3 s to 12 s on 2 workers (12.0 core-seconds, from recent jobs)",
         ),
         (
             {"workers": 0, "core_seconds": 0.5, "basis": "measured"},

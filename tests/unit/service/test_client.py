@@ -171,7 +171,7 @@ def test_specifications_are_mapped_to_jobs_few_at_once(client: Client):
     ids = [first.id, *(job.id for job in jobs)]
     assert ids == [client.submit(spec).id for spec in specs]
     with pytest.raises(ValueError, match="at_once: must be at least 1"):
-        client.map(specs, at_once=0)
+        next(client.map(specs, at_once=0))
 
 
 def test_an_open_store_can_be_written_to_a_file(job: Job, tmp_path: Path):

@@ -8,13 +8,13 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 import xarray
+from json_results import from_json
 from served import service
 from studies import STUDIES
 
 from kernel.params import KERNEL_VERSION
 from service import local
 from service.client import Client
-from service.client.dataset import from_json
 from service.client.errors import InvalidSpecification
 from service.client.models import JobStatus
 from service.errors import DataFolderBusy, InvalidRequest

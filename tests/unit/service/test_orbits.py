@@ -19,7 +19,7 @@ from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
 from service.client import Client
-from service.client.plots import draw_thresholds
+from service.client.accessor import draw_thresholds
 from service.views import curves as curves_view
 from service.views import orbits as orbits_view
 from service.views import threshold

@@ -7,6 +7,7 @@ writes that file anew, after a look at the pictures.
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +25,11 @@ from paths import GOLDEN, ROOT
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
-from service.client import plots
-from service.render import work_precision
+from service.client import accessor
 from service.render.style import DPI
 from service.results.counting import LABEL
+from service.tradeoff import SIZE, Measurement, compose
 from service.views import diagram, multistability
-from worker.analysis.work_precision import Measurement
 from worker.spec import SweepSpec
 
 DRAWN = GOLDEN / "pictures.json"
@@ -95,7 +95,8 @@ def diagrams(cells: int, directions: list[str], **attrs: Any) -> Draw:
 
 def tradeoff(figure: Figure) -> None:
     rows = json.loads((GOLDEN / "tradeoff_rows.json").read_text())["rows"]
-    work_precision.compose(figure, [Measurement.model_validate(row) for row in rows])
+    names = [field.name for field in fields(Measurement)]
+    compose(figure, [Measurement(**{name: row[name] for name in names}) for row in rows])
 
 
 def client_diagram(figure: Figure) -> None:
@@ -104,7 +105,7 @@ def client_diagram(figure: Figure) -> None:
         times = np.array([[NAN, NAN], [4.0, NAN], [3.0, 6.0]])
         fixed = {"omega": 0.5, "xi": 0.26, "direction": direction}
         dataset = xarray.Dataset({"flight_time": (("gamma", "flight"), times)})
-        plots.draw_diagram(axes, dataset.assign_coords(gamma=[1.1, 1.2, 1.4], **fixed))
+        accessor.draw_diagram(axes, dataset.assign_coords(gamma=[1.1, 1.2, 1.4], **fixed))
     shape = ("branch", "point")
     branches = xarray.Dataset(
         {
@@ -114,7 +115,7 @@ def client_diagram(figure: Figure) -> None:
             "gamma": (shape, 1.0 + np.arange(8.0).reshape(2, 4) / 20),
         }
     )
-    plots.draw_branches(axes, branches)
+    accessor.draw_branches(axes, branches)
 
 
 def client_map(figure: Figure) -> None:
@@ -127,8 +128,8 @@ def client_map(figure: Figure) -> None:
             "periods": (("omega", "gamma"), np.array([[0, 1, 0, 0, 0, 0], [0, 2, 3, 4, 5, 6]])),
         }
     ).assign_coords(omega=[0.5, 0.6], gamma=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5], xi=0.26)
-    plots.draw_modes(left, modes)
-    plots.draw_modes(right, modes.assign(label=(("omega", "gamma"), codes)))
+    accessor.draw_modes(left, modes)
+    accessor.draw_modes(right, modes.assign(label=(("omega", "gamma"), codes)))
 
 
 def client_thresholds(figure: Figure) -> None:
@@ -136,7 +137,7 @@ def client_thresholds(figure: Figure) -> None:
     values = {"analytic": [1.0, 1.1, 1.3], "predicted_down": [0.8, NAN, 1.0], "up": [1.0, 1.1, 1.31]}
     for axes, down in zip(figure.subplots(1, 2), ([0.8, 0.9, 1.01], [NAN] * 3), strict=True):
         columns = {name: ("omega", column) for name, column in (values | {"down": down}).items()}
-        plots.draw_thresholds(axes, xarray.Dataset(columns).assign_coords(omega=[0.5, 0.6, 0.8], xi=0.26))
+        accessor.draw_thresholds(axes, xarray.Dataset(columns).assign_coords(omega=[0.5, 0.6, 0.8], xi=0.26))
 
 
 #: Size in inches, and what draws.
@@ -150,7 +151,7 @@ PICTURES: dict[str, tuple[tuple[float, float], Draw]] = {
     ),
     "diagram": (diagram.SIZE, diagrams(40, ["up", "down"], complete=False)),
     "diagram, dense": (diagram.SIZE, diagrams(80_000, ["rest"])),
-    "tradeoff": (work_precision.SIZE, tradeoff),
+    "tradeoff": (SIZE, tradeoff),
     "client's diagram": ((6.4, 4.8), client_diagram),
     "client's map": ((12.8, 4.8), client_map),
     "client's thresholds": ((12.8, 4.8), client_thresholds),

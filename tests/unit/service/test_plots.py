@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from served import computing
 
 from service.client import BounceError, Client, Job
-from service.client.plots import (
+from service.client.accessor import (
     AXES,
     BLUE,
     DIFFER,

@@ -1,9 +1,9 @@
 """Access tokens: files of named ones, and the one that a service makes and its user's clients find."""
 
-import json
 import os
 import stat
 import webbrowser
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -67,54 +67,51 @@ def test_a_file_that_is_open_to_others_is_refused(tmp_path: Path, mode: int):
 # The token that a service makes
 
 
+@pytest.fixture
+def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The token of a service on port 8000, whose data folder is that of the clients."""
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    with tokens.recorder(tmp_path) as record:
+        record("http://127.0.0.1:8000")
+        yield tokens.own_token(tmp_path)
+
+
 def test_a_made_token_is_kept_for_this_user_alone(tmp_path: Path):
-    token = tokens.own_token(tmp_path, port=1)
+    token = tokens.own_token(tmp_path)
     assert tokens.is_valid(token)
     assert len(token) == 43  # of 32 random bytes
     assert stat.S_IMODE((tmp_path / tokens.FILE_NAME).stat().st_mode) == 0o600
-    assert tokens.own_token(tmp_path, port=2) == token
+    assert tokens.own_token(tmp_path) == token
     assert [path.name for path in tmp_path.iterdir()] == [tokens.FILE_NAME]
     (tmp_path / tokens.FILE_NAME).unlink()
-    assert tokens.own_token(tmp_path, port=1) != token
+    assert tokens.own_token(tmp_path) != token
 
 
 def test_a_token_is_found_for_its_own_port_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
-    assert tokens.find_token(8000) is None
-    token = tokens.own_token(tmp_path, port=8000)
-    assert tokens.find_token(8000) == token
-    assert tokens.find_token(8001) is None  # another's service
-    with Client("http://127.0.0.1:8000") as client, Client("http://127.0.0.1:8001") as other:
-        assert (client._transport.token, other._transport.token) == (token, None)
-    with Client("http://name:password@127.0.0.1:8000") as client:
-        assert client._transport.token is None  # the address has its own
-    tokens.own_token(tmp_path, port=None)  # stopped: somebody else may listen there now
-    assert tokens.find_token(8000) is None
+    with tokens.recorder(tmp_path) as record:
+        assert tokens.find_token(8000) is None
+        token = tokens.own_token(tmp_path)
+        assert tokens.find_token(8000) is None
+        record("http://0.0.0.0:8000")
+        assert tokens.find_token(8000) == token
+        assert tokens.find_token(8001) is None  # another's service
+        with Client("http://127.0.0.1:8000") as client, Client("http://127.0.0.1:8001") as other:
+            assert (client._transport.token, other._transport.token) == (token, None)
+    assert tokens.find_token(8000) is None  # stopped: somebody else may listen there now
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        *("", "{", "[]", '{"token": "short", "port": 1}', '{"token": 5, "port": 1}'),
-        json.dumps({"token": ANA, "port": "1"}),
-    ],
-)
-def test_a_damaged_file_counts_as_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str):
-    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"token": "short"}', '{"token": 5}'])
+def test_a_damaged_file_counts_as_none(tmp_path: Path, made: str, content: str):
     file = tmp_path / tokens.FILE_NAME
     file.write_text(content)
-    file.chmod(0o600)
-    assert tokens.find_token(1) is None
-    assert tokens.is_valid(tokens.own_token(tmp_path, port=1))
+    assert tokens.find_token(8000) is None
+    assert tokens.is_valid(tokens.own_token(tmp_path))
 
 
 @pytest.mark.parametrize("planted", ["open", "link", "pipe", "folder"])
-def test_a_file_that_others_may_have_made_does_not_count(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, planted: str
-):
-    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+def test_a_file_that_others_may_have_made_does_not_count(tmp_path: Path, made: str, planted: str):
     file, elsewhere = tmp_path / tokens.FILE_NAME, tmp_path / "elsewhere"
-    token = tokens.own_token(tmp_path, port=1)
     if planted == "open":
         file.chmod(0o644)
     else:
@@ -124,33 +121,29 @@ def test_a_file_that_others_may_have_made_does_not_count(
             "pipe": lambda: os.mkfifo(file, 0o600),
             "folder": file.mkdir,
         }[planted]()
-    assert tokens.find_token(1) is None
+    assert tokens.find_token(8000) is None
     if planted != "folder":
-        assert tokens.own_token(tmp_path, port=1) != token
-        assert tokens.find_token(1) is not None
+        assert tokens.own_token(tmp_path) != made
+        assert tokens.find_token(8000) is not None
 
 
-def test_the_pages_address_has_the_token_in_its_fragment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
-    token = tokens.own_token(tmp_path, port=8000)
-
+def test_the_pages_address_has_the_token_in_its_fragment(made: str):
     def printed(*options: str) -> str:
         done = CliRunner().invoke(main, ["open", "--print", *options])
         assert done.exit_code == 0
         return done.output.strip()
 
-    assert printed() == f"http://127.0.0.1:8000/#token={token}"
-    assert printed("--url", "http://localhost:8000") == f"http://localhost:8000/#token={token}"
+    assert printed() == f"http://127.0.0.1:8000/#token={made}"
+    assert printed("--url", "http://localhost:8000") == f"http://localhost:8000/#token={made}"
     for other in ("http://127.0.0.1:8001", "http://192.0.2.7:8000", "https://example.org"):
         assert printed("--url", other) == f"{other}/"
     assert printed("--token", "one/of#mine&=more") == "http://127.0.0.1:8000/#token=one%2Fof%23mine%26%3Dmore"
 
 
 def test_the_page_is_opened_without_its_token_on_a_command_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: str
 ):
-    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
-    token, opened, opens = tokens.own_token(tmp_path, port=8000), list[str](), True
+    opened, opens = list[str](), True
     monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or opens)
 
     def printed(*options: str) -> str:
@@ -160,12 +153,12 @@ def test_the_page_is_opened_without_its_token_on_a_command_line(
 
     assert printed() == ""
     assert opened == [(tmp_path / "open.html").as_uri()]
-    assert f"url=http://127.0.0.1:8000/#token={token}" in (tmp_path / "open.html").read_text()
+    assert f"url=http://127.0.0.1:8000/#token={made}" in (tmp_path / "open.html").read_text()
     assert stat.S_IMODE((tmp_path / "open.html").stat().st_mode) == 0o600
     assert printed("--url", "http://127.0.0.1:8001") == ""
     assert opened[1:] == ["http://127.0.0.1:8001/"]
     opens = False
     assert printed("--url", "http://127.0.0.1:8001") == "http://127.0.0.1:8001/\n"
     monkeypatch.setenv("BOUNCE_DATA", str(tmp_path / "missing"))
-    refused = CliRunner().invoke(main, ["open", "--token", token])
+    refused = CliRunner().invoke(main, ["open", "--token", made])
     assert (refused.exit_code, "use --print, or set BOUNCE_DATA" in refused.stderr) == (1, True)

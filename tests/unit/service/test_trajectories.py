@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
+from json_results import from_json
 from kernel_runs import Model, run_line, sample
 from scripted import Held
 from served import service, taken
@@ -17,7 +18,6 @@ from tables import for_each
 from kernel.branches.starts import cycles_at
 from kernel.params import Cell
 from kernel.trajectory import Trajectory
-from service.client.dataset import from_json
 
 CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
 MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]

@@ -12,13 +12,14 @@ import toy_view
 import xarray
 from click.testing import CliRunner
 from fastapi.testclient import TestClient
+from json_results import from_json
 from pyarrow import parquet
 from served import computing
 
 from kernel.params import Line
 from service.cli import views as commands
 from service.client import Client, Job, UnexpectedAnswer
-from service.client.dataset import from_binary, from_json
+from service.client.dataset import from_binary
 from service.views import client_methods
 from service.views.registry import VIEWS
 from worker import schema

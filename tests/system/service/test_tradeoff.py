@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from worker.analysis.work_precision import (
+from service.tradeoff import (
     SETUPS,
     Measurement,
     Setup,
