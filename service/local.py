@@ -47,7 +47,6 @@ CANCEL_SECONDS: Final = 0.8
 
 #: Announce compilation after this many seconds.
 MESSAGE_SECONDS: Final = 1.0
-_COMPILING: Final = "compiling the kernel; later runs find it in the cache"
 
 #: Called with the job after every check.
 ProgressCallback = Callable[[JobStatus], None]
@@ -242,10 +241,17 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
         return
     # In a thread: the compiler blocks Python for seconds, and may lose an exception.
     thread = ThreadPoolExecutor(1, thread_name_prefix="compile")
-    shown = display_elapsed(_COMPILING, after=MESSAGE_SECONDS) if progress is True else nullcontext()
+    shown = display_elapsed(_compiling, after=MESSAGE_SECONDS) if progress is True else nullcontext()
     with shown:
         thread.submit(compile_for, spec).result()
     thread.shutdown()
+
+
+def _compiling() -> str:
+    from kernel.numerics.compilation import compilations
+
+    kernel = next((compilation.kernel for compilation in compilations()), "the last one")
+    return f"compiling kernel 1 of 1, {kernel}; later runs find it in the cache"
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:

@@ -47,12 +47,22 @@ def serve(**options: str | int | None) -> None:
     --token auto. To listen on an address that other machines can reach, set BOUNCE_TOKEN to an access token
     of 16 characters or more, or give a file of tokens.
     """
+    from contextlib import ExitStack
+
+    from service.client.display import display_elapsed
     from worker.kernel_cache import use_cache
 
     use_cache()
     from service.server import embedded
 
-    embedded.serve(embedded.settings(**options), click.echo)
+    with ExitStack() as starting:
+
+        def announce(line: str) -> None:
+            starting.close()
+            click.echo(line)
+
+        starting.enter_context(display_elapsed("starting workers", after=5.0))
+        embedded.serve(embedded.settings(**options), announce)
 
 
 @main.command()

@@ -38,23 +38,31 @@ def display_job(progress: bool | Callable[[Any], None]) -> Iterator[Callable[[An
 
 
 @contextmanager
-def display_elapsed(text: str, after: float = 0.0) -> Iterator[None]:
-    """Report an operation that takes longer than `after` seconds: once then, and at its end what it took."""
-    began, shown = time.monotonic(), threading.Event()
+def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterator[None]:
+    """Report an operation from `after` seconds on, with the seconds so far, and at its end what it took.
+
+    On a terminal the seconds are counted in place; elsewhere a line is written every LINE_SECONDS.
+    """
+    began, ended = time.monotonic(), threading.Event()
+    begin, end, pause = ("\r", "", 1.0) if _on_terminal() else ("", "\n", LINE_SECONDS)
+
+    def elapsed() -> str:
+        return duration(time.monotonic() - began)
 
     def show() -> None:
-        shown.set()
-        _write(text)
+        if not ended.wait(after):
+            _write(text() if callable(text) else text, end)
+            while not ended.wait(pause):
+                _write(f"{begin}{text() if callable(text) else text} ({elapsed()})", end)
+            _write(f"took {elapsed()}" if end else "")
 
-    timer = threading.Timer(after, show)
-    timer.daemon = True
-    timer.start()
+    shown = threading.Thread(target=show, name="elapsed", daemon=True)
+    shown.start()
     try:
         yield
     finally:
-        timer.cancel()
-        if shown.is_set():
-            _write(f"took {duration(time.monotonic() - began)}")
+        ended.set()
+        shown.join()
 
 
 def display_parts(
@@ -210,7 +218,7 @@ def _on_terminal() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 
 
-def _write(line: str) -> None:
+def _write(line: str, end: str = "\n") -> None:
     if sys.stderr is not None:
-        sys.stderr.write(f"{line}\n")
+        sys.stderr.write(line + end)
         sys.stderr.flush()
