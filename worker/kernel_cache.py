@@ -3,6 +3,8 @@
 DIGEST identifies the kernel's sources and the compiler. ROOT is the argument of `use_cache`, else
 `NUMBA_CACHE_DIR`, else `bouncing-spring` in the user's cache folder. Anyone who can write to ROOT decides
 what code runs here, so it is created for this user alone and refused if others own it or can write to it.
+
+`python -m worker.kernel_cache` compiles every kernel into the default cache.
 """
 
 import hashlib
@@ -116,3 +118,10 @@ def _digest() -> str:
         content = source.read_bytes()
         digest.update(f"{source.relative_to(folder)} {len(content)}\n".encode() + content)
     return digest.hexdigest()[:16]
+
+
+if __name__ == "__main__":
+    use_cache()
+    from worker.tasks import compile_kernels
+
+    compile_kernels()

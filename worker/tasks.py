@@ -59,10 +59,10 @@ class ChunkOptions:
     begins: bool = False  # the chunk's first task: no checkpoint to look for
 
 
-_USUAL: Final = ChunkOptions()
+USUAL: Final = ChunkOptions()
 
 #: For the chunk that this thread computes.
-OPTIONS: Final[ContextVar[ChunkOptions]] = ContextVar("options", default=_USUAL)
+OPTIONS: Final[ContextVar[ChunkOptions]] = ContextVar("options", default=USUAL)
 
 #: Set in a worker process that was told to leave: its chunks pause at once, so that nothing is lost.
 LEAVING: Final = threading.Event()

@@ -24,6 +24,7 @@ from worker.basins.spec import GridSpec
 from worker.spec import SweepSpec
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import (
+    USUAL,
     ChunkCancelled,
     ChunkOptions,
     ChunkPaused,
@@ -52,11 +53,10 @@ REPORT_SECONDS: Final = 0.2
 HARD_LIMIT_SECONDS: Final = 5.0
 #: The longest timer that faulthandler accepts.
 LONGEST_SECONDS: Final = 1e6
-_USUAL: Final = ChunkOptions()
 
 
 def run_watched(
-    spec: Spec, chunk: Chunk, store_url: str, seconds: float, options: ChunkOptions = _USUAL
+    spec: Spec, chunk: Chunk, store_url: str, seconds: float, options: ChunkOptions = USUAL
 ) -> ChunkReport | TaskError:
     """`studies.run_task` under a watchdog.
 

@@ -12,10 +12,8 @@ import dask
 from distributed import Security
 
 from service.settings import Settings
-from worker.executors.admission import Probe
-from worker.executors.connection import SCHEDULER_SETTINGS
+from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
-from worker.executors.targets import CreatedCluster
 
 
 @contextmanager
@@ -31,7 +29,7 @@ def connected_cluster(settings: Settings, marker: str) -> Iterator[Dask]:
         security=_tls(settings),
         workers=settings.workers,
         memory=settings.worker_memory,
-        stores=Probe(settings.stores_url, marker),
+        stores=(settings.stores_url, marker),
     )
     try:
         yield cluster

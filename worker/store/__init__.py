@@ -28,7 +28,6 @@ from worker.store.errors import (
     StoreMissing,
 )
 from worker.store.marker import MARKER, read_marker, write_marker
-from worker.store.metadata import read_spec, write_spec
 from worker.store.reader import read_file, stored_forms
 from worker.store.store import (
     check_chunk,
@@ -79,7 +78,6 @@ __all__ = [
     "read_key",
     "read_marker",
     "read_slice",
-    "read_spec",
     "remove",
     "remove_checkpoint",
     "rename_for_deletion",
@@ -92,5 +90,4 @@ __all__ = [
     "write_checkpoint",
     "write_chunk",
     "write_marker",
-    "write_spec",
 ]

@@ -1,8 +1,5 @@
-"""Metadata and coordinates of a store: the same bytes for the same layout. Beside them a job's specification,
-as its workers read it: JSON, under its digest.
-"""
+"""Metadata and coordinates of a store: the same bytes for the same layout."""
 
-import hashlib
 import json
 from collections.abc import Mapping
 from typing import Any, Final
@@ -14,7 +11,6 @@ from zarr.core.buffer import Buffer, default_buffer_prototype
 from zarr.storage import MemoryStore
 
 from worker.schema import Array, Layout, flat_attributes
-from worker.store import backend
 from worker.store.backend import ROOT
 from worker.store.encoding import LEVEL
 
@@ -71,26 +67,3 @@ def _create_array(group: zarr.Group, array: Array, layout: Layout) -> None:
         chunk_key_encoding={"name": "default", "separator": "."},
         dimension_names=array.dims, attributes=layout.array_attrs(array),
     )  # fmt: skip
-
-
-def write_spec(url: str, text: str) -> str:
-    """Write a specification into a store and return its digest; earlier ones stay.
-
-    Raises OSError, or one of `store.UNREACHABLE`.
-    """
-    digest = hashlib.sha256(text.encode()).hexdigest()
-    if read_spec(url, digest) is None:
-        backend.put(url, _spec_key(digest), text.encode())
-    return digest
-
-
-def read_spec(url: str, digest: str) -> str | None:
-    """The specification with this digest; None if it is missing or damaged."""
-    content = backend.read_key(url, _spec_key(digest))
-    if content is None or hashlib.sha256(content).hexdigest() != digest:
-        return None
-    return content.decode()
-
-
-def _spec_key(digest: str) -> str:
-    return f".spec-{digest[:16]}"
