@@ -5,7 +5,11 @@ Imports the standard library only: the kernel cache is checked before anything e
 
 import logging
 import os
+import shutil
 import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +21,8 @@ _OTHERS_WRITE: Final = 0o022
 #: The permissions of a folder, and of a file, for one user alone.
 PRIVATE_FOLDER: Final = 0o700
 PRIVATE_FILE: Final = 0o600
+
+_temporary: Final[set[Path]] = set()
 
 
 class NotOurs(Exception):
@@ -92,3 +98,21 @@ def _check(path: Path, status: os.stat_result, forbidden: int) -> None:
 
 def _is_ours(status: os.stat_result) -> bool:
     return status.st_uid in (os.geteuid(), 0)
+
+
+@contextmanager
+def temporary_folder(prefix: str) -> Iterator[Path]:
+    """A new folder for this user alone, removed at the end of the block."""
+    folder = Path(tempfile.mkdtemp(prefix=prefix))
+    _temporary.add(folder)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _temporary.discard(folder)
+
+
+def remove_temporary_folders() -> None:
+    """Remove all temporary folders in use, because the process ends at once."""
+    for folder in list(_temporary):
+        shutil.rmtree(folder, ignore_errors=True)

@@ -3,11 +3,6 @@
 A chunk that takes longer than a time slice pauses: its progress is kept in a checkpoint, from which the next
 task of the same chunk continues. So no chunk, however long its cells are, keeps a worker from others for
 longer than a slice.
-
-TaskError               why a chunk was not computed
-├── ChunkCancelled      the cancel flag of the store is set
-├── ChunkPaused         its time slice is over; the next task continues
-└── PredecessorMissing  the previous chunk of the ramp is not stored
 """
 
 import importlib
@@ -80,7 +75,7 @@ LOOK_SECONDS: Final = (0.02, 0.1)
 _UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 
 #: Names of a checkpoint's arrays; then the prefixes of the line under way and of the record.
-_DONE: Final = "lines_done"
+_DONE: Final = "done"
 _SECONDS: Final = "seconds"
 _LINE: Final = "line/"
 _RECORD: Final = "record/"
@@ -154,67 +149,51 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     store.check_chunk(store_url, chunk, schema.arrays(spec))
     record = _empty_record(spec, _surrounded(spec, chunk))
     slice_seconds = max(slice_seconds, sum(array.nbytes for array in record.values()) / KEPT_BYTES)
-    work = _SweepWork(store_url, chunk.index, record, began, slice_seconds)
+    work = Work(store_url, chunk.index, record, began, slice_seconds)
     if spec.refine is None:
-        _compute_lines(spec, chunk, record, work, _starts(spec, chunk, store_url))
-    else:
-        record = _refine_tile(spec, spec.refine, chunk, record, work)
-    computed = None if spec.refine is None else int(record[schema.COMPUTED.name].sum())
-    return work.write(chunk, record, computed)
+        _compute_lines(spec, chunk, work, _starts(spec, chunk, store_url))
+        return work.write(chunk, record)
+    record = _refine_tile(spec, spec.refine, chunk, work)
+    return work.write(chunk, record, int(record[schema.COMPUTED.name].sum()))
 
 
 def _compute_lines(
-    spec: SweepSpec,
-    chunk: Chunk,
-    record: _Arrays,
-    work: "_SweepWork",
-    starts: Mapping[_LineIndex, Start | None],
+    spec: SweepSpec, chunk: Chunk, work: "Work", starts: Mapping[_LineIndex, Start | None]
 ) -> None:
-    """Compute every cell of a chunk, line by line or many lines side by side."""
-    lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
+    """Compute every cell of a chunk, line by line or all lines side by side."""
+    lines = {name: _in_visiting_order(spec, chunk, array) for name, array in work.record.items()}
     cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
-    groups = _groups(spec, list(np.ndindex(lines["outcome"].shape[:2])))
-    for group in groups[work.lines_done :]:
-        gamma, omega, xi = (
-            np.concatenate([cells[axis][index] for index in group]) for axis in ("gamma", "omega", "xi")
-        )
-        with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-            done = work.compute(_line_run(spec, gamma, omega, xi, [starts.get(index) for index in group]))
+    indices = list(np.ndindex(lines["outcome"].shape[:2]))
+    groups = [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
+    for group in groups[work.done :]:
+        line_cells = {axis: np.concatenate([cells[axis][index] for index in group]) for axis in AXES}
+        done = _compute(spec, work, line_cells, [starts.get(index) for index in group])
         for name, array in lines.items():
             for index, part in zip(group, np.split(getattr(done, name), len(group)), strict=True):
                 array[index] = part
-        work.finish_line(last=group is groups[-1])
+        work.finish(last=group is groups[-1])
 
 
-def _groups(spec: SweepSpec, indices: list[_LineIndex]) -> list[list[_LineIndex]]:
-    """The lines of a chunk in groups computed side by side; a group is a line of the checkpoint."""
-    return [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
-
-
-def _refine_tile(
-    spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays, work: "_SweepWork"
-) -> _Arrays:
+def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, work: "Work") -> _Arrays:
     """Compute the cells that a tile needs, each round of the refinement as one line, and fill in the others.
 
-    record: of the tile and its surroundings; returns the tile's alone. Rounds that an earlier task computed
-    are in the record; the refinement repeats them from there.
+    The work's record is of the tile and its surroundings; returns the tile's alone. Rounds that an earlier
+    task computed are in the record; the refinement repeats them from there.
     """
-    around = _surrounded(spec, chunk)
+    around, record = _surrounded(spec, chunk), work.record
     flat = {name: array.reshape(around.cells, *array.shape[3:]) for name, array in record.items()}
     cells = {name: array.ravel() for name, array in _cells(spec, around).items()}
     computed = flat[schema.COMPUTED.name]
     tile = Refinement((chunk.shape[1], chunk.shape[2]), refine, _beyond(spec, chunk))
-    finished = work.lines_done
+    finished = work.done
     for number in itertools.count():
         if not tile.cells.size:
             break
         if number >= finished:
-            gamma, omega, xi = (cells[axis][tile.cells] for axis in ("gamma", "omega", "xi"))
-            with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-                done = work.compute(_line_run(spec, gamma, omega, xi, []))
+            done = _compute(spec, work, {axis: cells[axis][tile.cells] for axis in AXES}, [])
             for name, array in flat.items():
                 array[tile.cells] = 1 if array is computed else getattr(done, name)
-            work.finish_line()
+            work.finish()
         tile.split(*(record[name][0] for name in schema.MODE_ARRAYS))
     result = {name: array[:, *tile.inside] for name, array in record.items()}
     source = tile.sources()
@@ -238,38 +217,60 @@ def _surrounded(spec: SweepSpec, chunk: Chunk) -> Chunk:
     return replace(chunk, omega=(top - above, bottom + below), gamma=(first - left, last + right))
 
 
+def _compute(spec: SweepSpec, work: "Work", cells: _Arrays, starts: list[Start | None]) -> Line:
+    """Compute a line to its end; any error notes its cells."""
+    try:
+        return work.compute(_line_run(spec, cells["gamma"], cells["omega"], cells["xi"], starts))
+    except Exception as error:
+        spans = [f"{name} {cells[name][0]:g} to {cells[name][-1]:g}" for name in ("gamma", "omega", "xi")]
+        error.add_note(f"in the cells {', '.join(spans)}")
+        raise
+
+
 class Work:
     """Computes a chunk's lines and looks at the clock and the cancel flag between parts of a line.
 
-    The parts do not affect the results. A kind of study returns its finished arrays from `_save` and takes
-    them back in `_restore`.
+    The parts do not affect the results. `record`: the chunk's arrays, with its `done` first lines.
     """
 
-    def __init__(self, store_url: str, chunk: int, began: float, slice_seconds: float) -> None:
-        self._url, self._chunk = store_url, chunk
+    def __init__(
+        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
+    ) -> None:
+        self._url, self._chunk, self.record = store_url, chunk, record
         self._began, self._slice_seconds = began, slice_seconds
         self._slice_began = time.thread_time()
         self._next_check = -math.inf  # next check of the cancel flag
         self._steps, self._kernel_seconds = FIRST_STEPS, 0.0
+        self.done = 0
         self._before = np.zeros(2)  # `seconds` of earlier slices
         self._under_way: _Arrays = {}  # the line at which the chunk paused
         saved = None if OPTIONS.get().begins else store.read_checkpoint(store_url, chunk)
         self._has_checkpoint = saved is not None
         if saved is not None:
             with self._discarding_checkpoint():
-                self._before = saved[_SECONDS].reshape(2)
                 self._restore(saved)
-            self._under_way = {
-                name.removeprefix(_LINE): saved[name] for name in saved if name.startswith(_LINE)
-            }
 
     def _save(self) -> _Arrays:
-        """The finished arrays of the chunk; their names do not begin with `line/`."""
-        raise NotImplementedError
+        """The arrays of a checkpoint, but for the line under way."""
+        record = self.record if self.done else {}
+        return {
+            _SECONDS: np.array(self.seconds),
+            _DONE: np.array(self.done),
+            **{_RECORD + name: array for name, array in record.items()},
+        }
 
     def _restore(self, saved: _Arrays) -> None:
-        """Take back the arrays of `_save`. Raises KeyError or ValueError for any others."""
-        raise NotImplementedError
+        """Take back the arrays of a checkpoint. Raises KeyError or ValueError for any others."""
+        self._before, self.done = saved[_SECONDS].reshape(2), int(saved[_DONE])
+        for name, array in self.record.items() if self.done else ():
+            array[...] = saved[_RECORD + name]
+        self._under_way = {name.removeprefix(_LINE): saved[name] for name in saved if name.startswith(_LINE)}
+
+    def finish(self, *, last: bool = False) -> None:
+        """Note that a line is in the record. Raises ChunkPaused, unless it was the last."""
+        self.done += 1
+        if not last:
+            self.pause_if_due({})
 
     @property
     def seconds(self) -> tuple[float, float]:
@@ -289,13 +290,9 @@ class Work:
     def write(self, chunk: Chunk | Block, record: _Arrays, computed: int | None = None) -> ChunkReport:
         """Store the chunk's arrays and remove its checkpoint."""
         stored = store.write_chunk(self._url, chunk, record)
-        self.remove_checkpoint()
-        return report_of(chunk, record, stored, self.seconds, computed)
-
-    def remove_checkpoint(self) -> None:
-        """Remove the chunk's checkpoint, once its results are stored."""
         if self._has_checkpoint:
             store.remove_checkpoint(self._url, self._chunk)
+        return report_of(chunk, record, stored, self.seconds, computed)
 
     def _advance(self, run: LineRun) -> bool:
         """Compute a part of a line; whether the line is done."""
@@ -320,8 +317,7 @@ class Work:
         """
         if not LEAVING.is_set() and time.thread_time() - self._slice_began <= self._slice_seconds:
             return
-        arrays = {_SECONDS: np.array(self.seconds)} | self._save()
-        arrays |= {_LINE + name: array for name, array in under_way.items()}
+        arrays = self._save() | {_LINE + name: array for name, array in under_way.items()}
         try:
             store.write_checkpoint(self._url, self._chunk, arrays)
         except _UNWRITABLE as error:
@@ -336,47 +332,8 @@ class Work:
         try:
             yield
         except (KeyError, ValueError) as error:
-            self.remove_checkpoint()
+            store.remove_checkpoint(self._url, self._chunk)
             raise ChunkPaused(f"begins anew, its checkpoint is not of this release: {error}") from error
-
-
-class _SweepWork(Work):
-    """The work of a sweep's chunk. `record`: the chunk's arrays, with the lines that are done."""
-
-    def __init__(
-        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
-    ) -> None:
-        self._record, self.lines_done = record, 0
-        super().__init__(store_url, chunk, began, slice_seconds)
-
-    def finish_line(self, *, last: bool = False) -> None:
-        """Note that the line is in the record. Raises ChunkPaused, unless it was the last."""
-        self.lines_done += 1
-        if not last:
-            self.pause_if_due({})
-
-    def _save(self) -> _Arrays:
-        arrays: _Arrays = {_DONE: np.array(self.lines_done)}
-        if self.lines_done:
-            arrays |= {_RECORD + name: array for name, array in self._record.items()}
-        return arrays
-
-    def _restore(self, saved: _Arrays) -> None:
-        self.lines_done = int(saved[_DONE])
-        if self.lines_done:
-            for name, array in self._record.items():
-                array[...] = saved[_RECORD + name]
-
-
-@contextmanager
-def _noting_cells(**axes: NDArray[np.float64]) -> Iterator[None]:
-    """Add the cells to any error as a note."""
-    try:
-        yield
-    except Exception as error:
-        spans = [f"{name} {values[0]:g} to {values[-1]:g}" for name, values in axes.items()]
-        error.add_note(f"in the cells {', '.join(spans)}")
-        raise
 
 
 def run_cells(
@@ -431,11 +388,6 @@ def plate_of(
     return kernel.plate(**model.plate_arguments(gamma, omega, xi))
 
 
-def _start(state: NDArray[np.float64], outcome: int, cell: Cell) -> Start | None:
-    """The start of the next cell on a ramp; None after a diverged cell, to start from rest."""
-    return None if outcome == Outcome.DIVERGED else Start(np.ascontiguousarray(state), cell)
-
-
 def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, Start | None]:
     """The start of each line of a ramp's chunk; empty if all lines start from rest."""
     layer = _layer_before(spec, chunk)
@@ -458,15 +410,19 @@ def _starts_on_cycles(spec: SweepSpec, chunk: Chunk) -> dict[_LineIndex, Start |
     if on is None:
         return {}
     cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
-    return {
-        index: start_of(Cell(*(float(cells[name][(*index, 0)]) for name in Cell._fields)), on.periods)
-        for index in np.ndindex(cells["gamma"].shape[:2])
-    }
+    indices = np.ndindex(cells["gamma"].shape[:2])
+    return {index: start_of(_cell(cells, (*index, 0)), on.periods) for index in indices}
 
 
 def _start_at(arrays: _Arrays, index: tuple[int, ...]) -> Start | None:
-    cell = Cell(*(float(arrays[name][index]) for name in Cell._fields))
-    return _start(arrays["end_state"][index], arrays["outcome"][index], cell)
+    """The start of the next cell on a ramp; None after a diverged cell, to start from rest."""
+    if arrays["outcome"][index] == Outcome.DIVERGED:
+        return None
+    return Start(np.ascontiguousarray(arrays["end_state"][index]), _cell(arrays, index))
+
+
+def _cell(arrays: _Arrays, index: tuple[int, ...]) -> Cell:
+    return Cell(*(float(arrays[name][index]) for name in Cell._fields))
 
 
 def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
@@ -518,9 +474,7 @@ def compile_kernels() -> None:
         contact: Any = model.fields(kind=kind)
         plate = plate_of(contact, axis, axis, axis)
         for exponents in {0, dimension(plate)}:
-            LineRun(
-                axis, axis, axis, plate=plate, carry=False, settle=0, observe=1, keep=1, exponents=exponents
-            ).advance()
+            _run_briefly(axis, axis, axis, plate=plate, carry=False, exponents=exponents)
         sample(Cell(1.0, 1.0, 1.0), plate, None, periods=1, samples=1)
 
 
@@ -529,8 +483,10 @@ def compile_for(spec: SweepSpec) -> None:
 
     Once compiled, this takes a fraction of a millisecond: one plate period of the first cell.
     """
-    gamma, omega, xi = (spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi"))
-    LineRun(
-        gamma, omega, xi, plate=plate_of(spec.model, gamma, omega, xi),
-        carry=spec.ramp_axis is not None, settle=0, observe=1, keep=1, exponents=spec.exponents,
-    ).advance()  # fmt: skip
+    cell = [spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi")]
+    plate = plate_of(spec.model, *cell)
+    _run_briefly(*cell, plate=plate, carry=spec.ramp_axis is not None, exponents=spec.exponents)
+
+
+def _run_briefly(*cell: NDArray[np.float64], **options: Any) -> None:
+    LineRun(*cell, settle=0, observe=1, keep=1, **options).advance()

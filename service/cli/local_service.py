@@ -20,7 +20,7 @@ from service import address
 from service.client.display import display_elapsed
 from service.local import claim_kernels
 from service.tokens import AUTO, data_folder, find_token
-from worker.temporary import temporary_folder
+from worker.ownership import temporary_folder
 
 
 class Address(NamedTuple):

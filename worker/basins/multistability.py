@@ -190,7 +190,7 @@ class _Search:
         for _ in range(ROUNDS):
             steps += [partial(self._follow, "next_up", j, j + 1) for j in range(gammas - 1)]
             steps += [partial(self._follow, "next_down", j, j - 1) for j in range(gammas - 1, 0, -1)]
-        for step in steps[self._work.steps_done :]:
+        for step in steps[self._work.done :]:
             step()
             self._work.finish_step()
 

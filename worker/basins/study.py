@@ -135,7 +135,7 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
     values = [spec.axis_values(axis)[span] for axis, span in zip(AXES, chunk.slices, strict=True)]
     work = Steps(store_url, chunk.index, record, began, slice_seconds)
     for number, index in enumerate(np.ndindex(chunk.shape)):
-        if number < work.steps_done:
+        if number < work.done:
             continue
         xi, omega, gamma = (float(axis[i]) for axis, i in zip(values, index, strict=True))
         found = find(starts_of(spec, gamma, omega, xi), rules_of(spec), _runner(spec, gamma, omega, xi, work))

@@ -16,8 +16,8 @@ from typing import Any, Final
 import dask
 from distributed import LocalCluster, Security, Status, system
 
-from worker import temporary
 from worker.executors.errors import ClusterLost
+from worker.ownership import temporary_folder
 
 log = logging.getLogger(__name__)
 
@@ -198,9 +198,10 @@ class LocalWorkers(_Own):
     def __init__(self, workers: int, memory: int | None) -> None:
         super().__init__(None)
         dask.config.set(SCHEDULER_SETTINGS | _LOST_WORKER_SETTINGS)
-        self._folder = temporary.make("bouncing-spring-dask-")
+        self._stack = contextlib.ExitStack()
         try:
-            with dask.config.set(_NO_HTTP | {"temporary-directory": str(self._folder)}):  # of the scheduler
+            folder = str(self._stack.enter_context(temporary_folder("bouncing-spring-dask-")))
+            with dask.config.set(_NO_HTTP | {"temporary-directory": folder}):  # of the scheduler
                 self.cluster = LocalCluster(  # type: ignore[no-untyped-call]
                     n_workers=0,
                     threads_per_worker=1,
@@ -211,7 +212,7 @@ class LocalWorkers(_Own):
                     scheduler_kwargs={"dashboard": False},  # there by default if bokeh is installed
                     # distributed's default depends on the cores, not on the number of processes.
                     memory_limit=memory or system.MEMORY_LIMIT // workers,
-                    local_directory=str(self._folder),  # of the workers, later replacements included
+                    local_directory=folder,  # of the workers, later replacements included
                     config=_NO_HTTP,
                 )
                 self.cluster.sync(self._start_workers, workers)
@@ -239,7 +240,7 @@ class LocalWorkers(_Own):
             super().close()
             ended.set()
             killing.join()
-        temporary.remove(self._folder)
+        self._stack.close()
 
 
 def _kill_until(ended: threading.Event, cluster: Any) -> None:

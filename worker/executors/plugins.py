@@ -8,7 +8,6 @@ versions of this project and of Python. At its top it imports the standard libra
 """
 
 import asyncio
-import hashlib
 import importlib
 import logging
 import math
@@ -21,8 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,8 +40,6 @@ JUDGE_SECONDS: Final = 5.0
 REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
 #: Libraries on whose versions stored numbers or bytes depend.
 _LIBRARIES: Final = ("numpy", "numba", "zarr", "numcodecs")
-#: Packages of this project whose sources determine the stored numbers.
-_PACKAGES: Final = ("kernel", "worker")
 
 
 def _as_text(name: str, *arguments: Any) -> Any:
@@ -147,32 +143,15 @@ def facts() -> dict[str, str]:
     (docs/accuracy.md).
     """
     from kernel.params import KERNEL_VERSION  # noqa: PLC0415 - see above
+    from worker.kernel_cache import digest_of  # noqa: PLC0415
 
     return {
         "kernel version": KERNEL_VERSION,
-        **{f"package {name}": _digest(name) for name in _PACKAGES},
+        **{f"package {name}": digest_of(name) for name in ("kernel", "worker")},
         "Python": ".".join(platform.python_version_tuple()[:2]),
-        **{name: _version(name) for name in _LIBRARIES},
+        **{name: version(name) for name in _LIBRARIES},
         "kind of processor": platform.machine(),
     }
-
-
-def _digest(package: str) -> str:
-    """Digest of the contents of a package's sources; not of their times, which differ between machines."""
-    found = find_spec(package)
-    folder = Path(next(iter(found.submodule_search_locations or ()))) if found else Path()
-    digest = hashlib.sha256()
-    for source in sorted(folder.rglob("*.py")):
-        digest.update(f"{source.relative_to(folder)}\n".encode())
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _version(library: str) -> str:
-    try:
-        return version(library)
-    except PackageNotFoundError:
-        return "missing"
 
 
 def _unseen(url: str, mark: str) -> str:

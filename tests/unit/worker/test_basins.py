@@ -237,7 +237,7 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
         except ChunkPaused:
             kept = store.read_checkpoint(url, plan[0].index)
             assert kept is not None
-            done.append(int(kept["steps_done"]))
+            done.append(int(kept["done"]))
     assert attempt > 2
     assert done == sorted(done)
     assert set(done) == set(range(6))  # of six cells; none is computed again

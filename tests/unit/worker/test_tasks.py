@@ -125,9 +125,13 @@ def test_ramp_without_predecessor_is_refused_and_writes_nothing(tmp_path, small_
 
 
 def test_after_a_diverged_cell_a_ramp_starts_from_rest():
-    state, cell = np.zeros(len(STATE_FIELDS)), Cell(1.0, 1.0, 1.0)
-    assert tasks._start(state, Outcome.DIVERGED, cell) is None
-    assert tasks._start(state, Outcome.UNRESOLVED, cell) is not None
+    cell = {name: np.ones(2) for name in Cell._fields}
+    end = cell | {
+        "end_state": np.zeros((2, len(STATE_FIELDS))),
+        "outcome": [Outcome.DIVERGED, Outcome.PERIODIC],
+    }
+    assert tasks._start_at(end, (0,)) is None
+    assert tasks._start_at(end, (1,)).cell == Cell(1.0, 1.0, 1.0)
 
 
 def test_report_counts_what_became_of_the_cells(tmp_path, small_spec):
@@ -220,7 +224,7 @@ def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     while done < 2:
         with pytest.raises(ChunkPaused, match="paused after"):
             run_chunk(spec, plan[0], url, slice_seconds=0.0)
-        done = store.read_checkpoint(url, 0)["lines_done"]
+        done = store.read_checkpoint(url, 0)["done"]
     assert not store.read_slice(url, ["outcome"])["outcome"].any()
     return spec, plan, url
 
@@ -278,10 +282,13 @@ def test_chunks_of_a_worker_that_leaves_pause_at_once(tmp_path, monkeypatch, sma
     assert run_chunk(spec, plan[0], url).outcomes[Outcome.MISSING] == 0
 
 
-def test_an_error_names_the_cells():
-    with (
-        pytest.raises(ValueError, match="no") as caught,
-        tasks._noting_cells(gamma=np.array([1.0, 2.0, 3.5]), xi=np.array([0.05])),
-    ):
+def test_an_error_names_the_cells(tmp_path, monkeypatch, small_spec):
+    def fail(*_: object) -> None:
         raise ValueError("no")
-    assert caught.value.__notes__ == ["in the cells gamma 1 to 3.5, xi 0.05 to 0.05"]
+
+    spec = small_spec(gamma=[1.0, 2.0, 3.5], omega=0.5, xi=0.05)
+    plan, url = stored(tmp_path, spec)
+    monkeypatch.setattr(tasks, "_line_run", fail)
+    with pytest.raises(ValueError, match="no") as caught:
+        run_chunk(spec, plan[0], url)
+    assert caught.value.__notes__ == ["in the cells gamma 1 to 3.5, omega 0.5 to 0.5, xi 0.05 to 0.05"]

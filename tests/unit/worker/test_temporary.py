@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from worker import temporary
+from worker.ownership import remove_temporary_folders, temporary_folder
 
 
 @pytest.fixture(autouse=True)
@@ -15,7 +15,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def fill_and_fail() -> None:
-    with temporary.temporary_folder("some-") as folder:
+    with temporary_folder("some-") as folder:
         assert folder.name.startswith("some-")
         assert folder.stat().st_mode & 0o777 == 0o700
         (folder / "inner").mkdir()
@@ -30,13 +30,13 @@ def test_a_temporary_folder_is_gone_at_the_end_of_its_block(place: Path):
     assert folder.parent == place
     assert list(place.iterdir()) == []
     folder.mkdir()  # by somebody else
-    temporary.remove_all()
+    remove_temporary_folders()
     assert list(place.iterdir()) == [folder]
 
 
 def test_a_process_that_ends_at_once_removes_those_in_use(place: Path):
-    with temporary.temporary_folder("first-") as first, temporary.temporary_folder("second-") as second:
+    with temporary_folder("first-") as first, temporary_folder("second-") as second:
         (first / "file").touch()
         assert {*place.iterdir()} == {first, second}
-        temporary.remove_all()
+        remove_temporary_folders()
         assert list(place.iterdir()) == []
