@@ -478,14 +478,16 @@ def compile_kernels() -> None:
         sample(Cell(1.0, 1.0, 1.0), plate, None, periods=1, samples=1)
 
 
-def compile_for(spec: SweepSpec) -> None:
-    """Compile or load the kernels of the sweep.
+def compile_for(spec: Any) -> None:
+    """Compile or load the kernels of a study, if it has a contact model.
 
     Once compiled, this takes a fraction of a millisecond: one plate period of the first cell.
     """
-    cell = [spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi")]
-    plate = plate_of(spec.model, *cell)
-    _run_briefly(*cell, plate=plate, carry=spec.ramp_axis is not None, exponents=spec.exponents)
+    if hasattr(spec, "model"):
+        cell = [spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi")]
+        carry = getattr(spec, "ramp_axis", None) is not None
+        plate = plate_of(spec.model, *cell)
+        _run_briefly(*cell, plate=plate, carry=carry, exponents=getattr(spec, "exponents", 0))
 
 
 def _run_briefly(*cell: NDArray[np.float64], **options: Any) -> None:

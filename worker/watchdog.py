@@ -10,9 +10,8 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from functools import partial
 from io import UnsupportedOperation
 from typing import Any, Final
 
@@ -20,8 +19,6 @@ from distributed import get_worker
 
 from kernel.numerics.compilation import compilations
 from worker import store
-from worker.basins.spec import GridSpec
-from worker.spec import SweepSpec
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import (
     USUAL,
@@ -73,40 +70,27 @@ def run_watched(
         time.sleep(REPORT_SECONDS)
         os._exit(1)
 
-    sweep = spec.sweep() if isinstance(spec, GridSpec) else spec
-    if isinstance(sweep, SweepSpec):
-        try:
-            _compile(sweep, store_url, partial(worker.log_event, TOPIC))  # not on the chunk's time
-        except ChunkCancelled as cancelled:
-            return cancelled
-    hard_limit = _hard_limit(seconds + HARD_LIMIT_SECONDS)
-    with hard_limit, Watchdog(worker, store_url, seconds, terminate), with_options(options):
-        try:
+    try:
+        _compile(spec, store_url, worker)  # not on the chunk's time
+        hard_limit = _hard_limit(seconds + HARD_LIMIT_SECONDS)
+        with hard_limit, Watchdog(worker, store_url, seconds, terminate), with_options(options):
             return run_task(spec, chunk, store_url)
-        except (ChunkCancelled, ChunkPaused) as stopped:
-            return stopped
+    except (ChunkCancelled, ChunkPaused) as stopped:
+        return stopped
 
 
-def _compile(sweep: SweepSpec, store_url: str, log_event: Callable[[dict[str, Any]], None]) -> None:
-    """Compile or load the kernels of the sweep. Raises ChunkCancelled if its job is cancelled meanwhile.
+def _compile(spec: Spec, store_url: str, worker: Any) -> None:
+    """Compile or load the kernels of the study. Raises ChunkCancelled if its job is cancelled meanwhile.
 
     Compilation can take a minute and cannot be interrupted: after a cancel its thread continues, for later
     chunks. Events report the kernel being compiled and the store.
     """
-    compiled: Future[None] = Future()
-
-    def compile_in_thread() -> None:
-        try:
-            compile_for(sweep)
-        except BaseException as error:  # noqa: BLE001 - the waiting thread raises it again
-            compiled.set_exception(error)
-        else:
-            compiled.set_result(None)
-
-    threading.Thread(target=compile_in_thread, name="compile", daemon=True).start()
+    thread = ThreadPoolExecutor(1, "compile")
+    compiled = thread.submit(compile_for, spec)
+    thread.shutdown(wait=False)
     while not wait([compiled], FLAG_SECONDS).done:
         for kernel, began in compilations():
-            log_event({"compiling": kernel, "began": began, "store": store_url})
+            worker.log_event(TOPIC, {"compiling": kernel, "began": began, "store": store_url})
         with contextlib.suppress(OSError):  # a bucket out of reach is no reason to stop
             if store.is_cancelled(store_url):
                 raise ChunkCancelled(f"cancelled: {store_url}")

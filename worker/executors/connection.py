@@ -62,7 +62,6 @@ class SchedulerConnection:
         self._closed = threading.Event()
         self._registered = False  # whether the scheduler has our plugin
         self._takes_demand = False  # whether it has the plugin `Demand`
-        self._asked: tuple[float, int] | None = None  # of it
         self.fault = ""  # why the last attempt to connect failed
         self._client = self._connect(timeout)
         try:
@@ -79,10 +78,6 @@ class SchedulerConnection:
         if self._client.status != "running" or not self._registered:
             raise ClusterLost(f"not connected to a scheduler: {self._client.status}")
         return self._client
-
-    def has_lost(self, client: Any) -> bool:
-        """Whether another client has replaced this one."""
-        return client is not self._client
 
     def worker_threads(self) -> dict[str, int] | None:
         """Threads by worker address; None if the scheduler does not answer within `PING_SECONDS`."""
@@ -110,15 +105,12 @@ class SchedulerConnection:
 
     def ask_for(self, seconds: float, tasks: int) -> None:
         """Tell the scheduler how much work remains (see `Demand`); does not block."""
-        if self._takes_demand and self._registered and self._asked != (seconds, tasks):
-            self._asked = (seconds, tasks)
+        if self._takes_demand and self._registered:
             self._client.loop.add_callback(self._tell, self._client, seconds, tasks)
 
     async def _tell(self, client: Any, seconds: float, tasks: int) -> None:
-        try:
+        with contextlib.suppress(Exception):  # the next demand tries again
             await getattr(client.scheduler, DEMAND)(client=client.id, seconds=seconds, tasks=tasks)
-        except Exception:  # noqa: BLE001 - the next demand tries again
-            self._asked = None
 
     def close(self) -> None:
         """Disconnect. The scheduler and its workers stay."""
@@ -166,7 +158,7 @@ class SchedulerConnection:
             self._client.subscribe_topic(topic, lambda event: self._on_event(event[1]))
         self._client.register_plugin(self._plugin)
         self._check_settings()
-        self._takes_demand, self._asked = False, None
+        self._takes_demand = False
         try:
             self._client.register_plugin(Demand())
             self._takes_demand = True
@@ -177,17 +169,10 @@ class SchedulerConnection:
     def _check_settings(self) -> None:
         """Warn about settings that the scheduler lacks. Results are right without them."""
         for name, required in SCHEDULER_SETTINGS.items():
-            try:
-                actual = self._client.run_on_scheduler(dask.config.get, name)
-            except (OSError, ValueError, KeyError) as error:  # it refuses to run code, or is gone again
-                log.warning("cannot read the scheduler's setting %s: %s", name, error)
-                continue
-            if actual != required:
-                log.warning(
-                    "the scheduler's %s is %s, so a chunk that kills its worker kills others, or chunks wait "
-                    "behind one that hangs; start it with %s=%g",
-                    name, actual, environment_variable(name), required,
-                )  # fmt: skip
+            with contextlib.suppress(OSError, ValueError, KeyError):  # it refuses to run code, or is gone
+                if (actual := self._client.run_on_scheduler(dask.config.get, name)) != required:
+                    setting = f"{environment_variable(name)}={required:g}"
+                    log.warning("the scheduler's %s is %s: start it with %s", name, actual, setting)
 
     def _keep_connected(self) -> None:
         while not self._closed.wait(RETRY_SECONDS):

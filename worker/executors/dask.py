@@ -8,7 +8,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Hashable
 from concurrent.futures import CancelledError, Future, InvalidStateError
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -117,30 +117,18 @@ class Dask:
         else:
             self._target = address if isinstance(address, CreatedCluster) else Target(address)
         cache = str(kernel_cache) if kernel_cache else None
-        try:
+        with ExitStack() as stack:
+            stack.callback(self._target.close)
+            plugin = WorkerAdmission(facts(), None if is_own else stores, cache)
             self._connection = SchedulerConnection(
-                self._target,
-                WorkerAdmission(facts(), None if is_own else stores, cache),
-                self._on_event,
-                self._on_lost,
-                security=security,
-                timeout=timeout,
+                self._target, plugin, self._on_event, self._on_lost, security=security, timeout=timeout
             )
-            if is_own:
-                self._check_own_workers()
-        except BaseException:
-            self._target.close()
-            raise
-
-    def _check_own_workers(self) -> None:
-        """Raise ClusterLost if the workers started here cannot compute: no others will join."""
-        try:
-            reasons = self._connection.client.run(refusal, on_error="ignore")
-            if reasons and all(reasons.values()):
-                raise ClusterLost(f"no worker can compute: {next(iter(reasons.values()))}")
-        except BaseException:
-            self._connection.close()
-            raise
+            stack.callback(self._connection.close)
+            if is_own:  # no other workers will join
+                reasons = self._connection.client.run(refusal, on_error="ignore")
+                if reasons and all(reasons.values()):
+                    raise ClusterLost(f"no worker can compute: {next(iter(reasons.values()))}")
+            stack.pop_all()
 
     def submit(
         self,
@@ -232,7 +220,7 @@ class Dask:
             running.cancel()
 
         task.result.add_done_callback(on_done)
-        if self._connection.has_lost(task.client):  # just now
+        if task.client.status != "running":  # since just now
             self._on_lost(task.client)
         return task.result
 

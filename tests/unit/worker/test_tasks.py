@@ -128,7 +128,7 @@ def test_after_a_diverged_cell_a_ramp_starts_from_rest():
     cell = {name: np.ones(2) for name in Cell._fields}
     end = cell | {
         "end_state": np.zeros((2, len(STATE_FIELDS))),
-        "outcome": [Outcome.DIVERGED, Outcome.PERIODIC],
+        "outcome": np.array([Outcome.DIVERGED, Outcome.PERIODIC]),
     }
     assert tasks._start_at(end, (0,)) is None
     assert tasks._start_at(end, (1,)).cell == Cell(1.0, 1.0, 1.0)
