@@ -26,7 +26,7 @@ from worker.spec import LARGEST, SMALLEST
 from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
 from worker.spec.errors import BrokenRuleError, describe
 from worker.spec.specification import Specification
-from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport, report_of
+from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport, empty_record, report_of
 
 #: Maximum modes of a specification or an answer, and maximum plate periods of a mode.
 MAX_MODES: Final = 6
@@ -261,7 +261,7 @@ def run_chunk(spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
     """
     began = time.perf_counter()
     store.check_chunk(store_url, chunk, ARRAYS)
-    record = _empty_record(spec, chunk)
+    record = empty_record(chunk, ARRAYS, _sizes(spec))
     xi, omega = (spec.axis_values(axis)[span] for axis, span in zip(_DIMS, chunk.slices, strict=True))
     next_check = -math.inf
     for i, j in np.ndindex(chunk.shape):
@@ -273,16 +273,6 @@ def run_chunk(spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
     seconds = time.perf_counter() - began
     stored = store.write_chunk(store_url, chunk, record)
     return report_of(chunk, record, stored, (time.perf_counter() - began, seconds))
-
-
-def _empty_record(spec: OrbitsSpec, chunk: Block) -> dict[str, NDArray[Any]]:
-    sizes = _sizes(spec)
-    return {
-        array.name: np.full(
-            (*chunk.shape, *(sizes[dim] for dim in array.dims[len(_DIMS) :])), array.fill, array.dtype
-        )
-        for array in ARRAYS
-    }
 
 
 def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[Any]]) -> None:

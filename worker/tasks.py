@@ -11,7 +11,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
@@ -147,7 +147,7 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     began = time.perf_counter()
     # Fail before computing, which can take minutes.
     store.check_chunk(store_url, chunk, schema.arrays(spec))
-    record = _empty_record(spec, _surrounded(spec, chunk))
+    record = empty_record(_surrounded(spec, chunk), schema.arrays(spec), schema.sizes(spec))
     slice_seconds = max(slice_seconds, sum(array.nbytes for array in record.values()) / KEPT_BYTES)
     work = Work(store_url, chunk.index, record, began, slice_seconds)
     if spec.refine is None:
@@ -161,8 +161,7 @@ def _compute_lines(
     spec: SweepSpec, chunk: Chunk, work: "Work", starts: Mapping[_LineIndex, Start | None]
 ) -> None:
     """Compute every cell of a chunk, line by line or all lines side by side."""
-    lines = {name: _in_visiting_order(spec, chunk, array) for name, array in work.record.items()}
-    cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
+    lines, cells = (_in_visiting_order(spec, chunk, arrays) for arrays in (work.record, _cells(spec, chunk)))
     indices = list(np.ndindex(lines["outcome"].shape[:2]))
     groups = [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
     for group in groups[work.done :]:
@@ -394,9 +393,7 @@ def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, S
     if layer is None:
         return _starts_on_cycles(spec, chunk)
     stored = store.read_chunk(store_url, layer, ("end_state", "outcome"))
-    previous = {
-        name: _in_visiting_order(spec, layer, array) for name, array in (stored | _cells(spec, layer)).items()
-    }
+    previous = _in_visiting_order(spec, layer, stored | _cells(spec, layer))
     if np.any(previous["outcome"] == Outcome.MISSING):
         raise PredecessorMissing(
             f"chunk {chunk.index} continues chunk {chunk.after} of the ramp, which is not stored"
@@ -409,7 +406,7 @@ def _starts_on_cycles(spec: SweepSpec, chunk: Chunk) -> dict[_LineIndex, Start |
     on = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
     if on is None:
         return {}
-    cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
+    cells = _in_visiting_order(spec, chunk, _cells(spec, chunk))
     indices = np.ndindex(cells["gamma"].shape[:2])
     return {index: start_of(_cell(cells, (*index, 0)), on.periods) for index in indices}
 
@@ -440,13 +437,15 @@ def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
     return Chunk(chunk.index, direction, **spans)
 
 
-def _empty_record(spec: SweepSpec, chunk: Chunk) -> _Arrays:
-    length = schema.sizes(spec)
+def empty_record(
+    chunk: Chunk | Block, arrays: Iterable[schema.Array], sizes: Mapping[str, int]
+) -> dict[str, NDArray[Any]]:
+    """The arrays of a chunk, filled with the values of cells that are not computed."""
     return {
         array.name: np.full(
-            (*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.fill, dtype=array.dtype
+            (*chunk.shape, *(sizes[dim] for dim in array.extra_dims)), array.fill, array.dtype
         )
-        for array in schema.arrays(spec)
+        for array in arrays
     }
 
 
@@ -456,15 +455,15 @@ def _cells(spec: SweepSpec, chunk: Chunk) -> _Arrays:
     return dict(zip(AXES, np.meshgrid(*values, indexing="ij"), strict=True))
 
 
-def _in_visiting_order(spec: SweepSpec, chunk: Chunk, array: NDArray[Any]) -> NDArray[Any]:
-    """A view of a chunk's array with the cells of a line, in the order of the ramp, along its third axis.
+def _in_visiting_order(spec: SweepSpec, chunk: Chunk, arrays: _Arrays) -> _Arrays:
+    """Views of a chunk's arrays with the cells of a line, in the order of the ramp, along their third axis.
 
     From rest all cells form one line; on a ramp there is one line for each pair of the other two parameters.
     """
     if spec.ramp_axis is None:
-        return array.reshape(1, 1, chunk.cells, *array.shape[3:])
-    along = np.moveaxis(array, AXES.index(spec.ramp_axis), 2)
-    return along[:, :, ::-1] if spec.directions[chunk.direction] == "down" else along
+        return {name: array.reshape(1, 1, chunk.cells, *array.shape[3:]) for name, array in arrays.items()}
+    axis, step = AXES.index(spec.ramp_axis), -1 if spec.directions[chunk.direction] == "down" else 1
+    return {name: np.moveaxis(array, axis, 2)[:, :, ::step] for name, array in arrays.items()}
 
 
 def compile_kernels() -> None:

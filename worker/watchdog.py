@@ -9,9 +9,8 @@ import faulthandler
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from io import UnsupportedOperation
 from typing import Any, Final
 
@@ -46,7 +45,7 @@ CANCEL_GRACE_SECONDS: Final = 1.0
 MEMORY_SHARE: Final = 0.9
 #: Seconds for the last event to reach the scheduler before the process ends.
 REPORT_SECONDS: Final = 0.2
-#: If the watchdog itself cannot run, the process ends this long after the chunk's time limit.
+#: If no thread can run Python any more, the process ends this long after the chunk's time limit.
 HARD_LIMIT_SECONDS: Final = 5.0
 #: The longest timer that faulthandler accepts.
 LONGEST_SECONDS: Final = 1e6
@@ -72,8 +71,7 @@ def run_watched(
 
     try:
         _compile(spec, store_url, worker)  # not on the chunk's time
-        hard_limit = _hard_limit(seconds + HARD_LIMIT_SECONDS)
-        with hard_limit, Watchdog(worker, store_url, seconds, terminate), with_options(options):
+        with Watchdog(worker, store_url, seconds, terminate), with_options(options):
             return run_task(spec, chunk, store_url)
     except (ChunkCancelled, ChunkPaused) as stopped:
         return stopped
@@ -109,10 +107,14 @@ class Watchdog:
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
 
     def __enter__(self) -> None:
+        with contextlib.suppress(AttributeError, RuntimeError, UnsupportedOperation, ValueError):  # no stderr
+            seconds = min(self._seconds + HARD_LIMIT_SECONDS, LONGEST_SECONDS)
+            faulthandler.dump_traceback_later(seconds, exit=True)
         self._thread.start()
 
     def __exit__(self, *_: object) -> None:
         self._over.set()
+        faulthandler.cancel_dump_traceback_later()
 
     def _watch(self) -> None:
         while not self._over.wait(CHECK_SECONDS):
@@ -141,14 +143,3 @@ class Watchdog:
             with contextlib.suppress(Exception):  # e.g. a bucket out of reach: no reason to end
                 self._flag_seen = (self._flag_seen or now) if store.is_cancelled(self._url) else None
         return self._flag_seen is not None and now - self._flag_seen > CANCEL_GRACE_SECONDS
-
-
-@contextmanager
-def _hard_limit(seconds: float) -> Iterator[None]:
-    """End the process after `seconds`, even if its threads can no longer run Python."""
-    with contextlib.suppress(AttributeError, RuntimeError, UnsupportedOperation, ValueError):  # no stderr
-        faulthandler.dump_traceback_later(min(seconds, LONGEST_SECONDS), exit=True)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()

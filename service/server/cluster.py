@@ -2,6 +2,8 @@
 
 import importlib
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,13 +16,14 @@ from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
 
 
-def connect(settings: Settings, marker: str) -> Dask:
-    """A connection to the cluster; its `close` closes a cluster created for it. Raises ClusterLost.
+@contextmanager
+def connected_cluster(settings: Settings, marker: str) -> Iterator[Dask]:
+    """A connection to the cluster during the block; closes a cluster created for it. Raises ClusterLost.
 
     marker: the mark of the stores, by which workers prove their access.
     """
     name = settings.cluster
-    return Dask(
+    cluster = Dask(
         settings.scheduler if name is None else CreatedCluster(partial(_create, name), name),
         scheduler_file=settings.scheduler_file,
         security=_tls(settings),
@@ -28,6 +31,10 @@ def connect(settings: Settings, marker: str) -> Dask:
         memory=settings.worker_memory,
         stores=(settings.stores_url, marker),
     )
+    try:
+        yield cluster
+    finally:
+        cluster.close()
 
 
 def _create(name: str) -> Any:
@@ -35,14 +42,23 @@ def _create(name: str) -> Any:
     module, _, function = name.partition(":")
     # For a scheduler in this process; a remote one must be started with these settings.
     dask.config.set(SCHEDULER_SETTINGS)
-    # The current folder comes last: anyone who can write to it could name a file like a library.
+    with _current_folder_last():
+        imported = importlib.import_module(module)
+    return getattr(imported, function)()
+
+
+@contextmanager
+def _current_folder_last() -> Iterator[None]:
+    """Look for modules in the current folder too, after all other places, during the block.
+
+    Anyone who can write to that folder could otherwise name a file like a library that is imported later.
+    """
     folder = str(Path.cwd())
     sys.path.append(folder)
     try:
-        imported = importlib.import_module(module)
+        yield
     finally:
         sys.path.remove(folder)
-    return getattr(imported, function)()
 
 
 def _tls(settings: Settings) -> Any:

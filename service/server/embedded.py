@@ -14,7 +14,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
@@ -26,7 +26,7 @@ from service.api.app import TITLE, create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotComputed, NotStarted
 from service.jobs.stores.adoption import open_ledger
-from service.server.cluster import connect
+from service.server.cluster import connected_cluster
 from service.server.logging import log_to_stderr, quiet_libraries
 from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings
@@ -276,12 +276,12 @@ def _computing(settings: Settings, marker: str, executor: Executor | None) -> It
     if executor is not None:
         yield executor
         return
-    with _startup_errors():
-        try:
-            cluster = connect(settings, marker)
-        except ClusterLost as error:
-            raise NotStarted(str(error)) from error
-    with closing(cluster):
+    with ExitStack() as stack:
+        with _startup_errors():
+            try:
+                cluster = stack.enter_context(connected_cluster(settings, marker))
+            except ClusterLost as error:
+                raise NotStarted(str(error)) from error
         yield cluster
 
 

@@ -33,7 +33,6 @@ from worker.basins.schema import (
     OF_ATTRACTORS,
     array,
     bytes_per_cell,
-    empty_record,
     grid_layout,
     sizes_of_attractors,
 )
@@ -45,7 +44,7 @@ from worker.grid_plan import Block, GridPlan
 from worker.plan import LONGEST_SECONDS, TARGET_SECONDS
 from worker.schema import Layout
 from worker.spec import AXES
-from worker.tasks import OPTIONS, ChunkReport
+from worker.tasks import OPTIONS, ChunkReport, empty_record
 
 #: Stored attractors of a cell: first those that most drops reach, then those found by following others.
 MAX_ATTRACTORS: Final = 8

@@ -20,7 +20,6 @@ from worker.basins.schema import (
     OF_ATTRACTORS,
     array,
     bytes_per_cell,
-    empty_record,
     grid_layout,
     sizes_of_attractors,
 )
@@ -32,7 +31,7 @@ from worker.grid_plan import Block, GridPlan
 from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS
 from worker.schema import Array, Layout
 from worker.spec import AXES, SweepSpec
-from worker.tasks import OPTIONS, ChunkReport
+from worker.tasks import OPTIONS, ChunkReport, empty_record
 
 #: Stored attractors of a cell, the largest basins first. Starts of others count as undecided.
 MAX_ATTRACTORS: Final = 32

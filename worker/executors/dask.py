@@ -177,13 +177,14 @@ class Dask:
         present = self._present = threads or {}
         if present:
             self._roster.keep(present)
-        refused = self._roster.refused
+        refused = dict(self._roster.refused)
+        useful = sum(count for worker, count in present.items() if worker not in refused)
         self._state = ClusterState(
             threads is not None,
-            sum(present.values()) - sum(present.get(each.worker, 0) for each in refused),
+            useful,
             self._target.planned(),
             self._connection.fault,
-            tuple(map(str, refused)),
+            tuple(refused.values()),
         )
         self._count_time = time.monotonic()
         for task in list(self._unfinished):
@@ -194,8 +195,7 @@ class Dask:
         """Workers where a failed chunk has not failed yet; empty for all, or if there are none."""
         if not (failed_on := self._roster.failed_on(chunk)):
             return ()
-        useless = {refused.worker for refused in self._roster.refused}
-        return tuple(sorted(self._present.keys() - failed_on - useless))
+        return tuple(sorted(self._present.keys() - failed_on - self._roster.refused.keys()))
 
     def _submit(
         self, call: _Call, priority: float, chunk: Hashable = None, others: tuple[str, ...] = ()

@@ -87,8 +87,7 @@ class WorkerAdmission(WorkerPlugin):
         if worker.status == Status.closing:
             _log_event(worker, leaving=True)
             if worker.nanny is not None:
-                await _pause_chunks(worker)
-                os._exit(0)
+                await _end(worker, 0)
 
     async def _judge_worker(self, worker: Any) -> None:
         """Admit or refuse the worker; a refused one is judged again later."""
@@ -129,11 +128,7 @@ class WorkerAdmission(WorkerPlugin):
         """On SIGTERM: report it, let chunks pause, then end as SIGTERM would."""
         _log_event(worker, leaving=True)
         _set_available(worker, available=False)
-        worker.loop.add_callback(self._end, worker)
-
-    async def _end(self, worker: Any) -> None:
-        await _pause_chunks(worker)
-        os._exit(128 + signal.SIGTERM)
+        worker.loop.add_callback(_end, worker, 128 + signal.SIGTERM)
 
 
 def facts() -> dict[str, str]:
@@ -219,15 +214,15 @@ def _log_event(worker: Any, **what: Any) -> None:
     worker.log_event(ROSTER, {**event, **what})
 
 
-async def _pause_chunks(worker: Any) -> None:
-    """Make this worker's chunks store their progress, and wait until they have."""
-    if (tasks := sys.modules.get("worker.tasks")) is None:
-        return  # refused, perhaps because this import fails
-    tasks.LEAVING.set()
-    deadline = time.monotonic() + PAUSE_SECONDS
-    await asyncio.sleep(REPORT_SECONDS)
-    while worker.active_threads and time.monotonic() < deadline:
-        await asyncio.sleep(0.02)
+async def _end(worker: Any, status: int) -> None:
+    """End this process, once its chunks have stored their progress."""
+    if (tasks := sys.modules.get("worker.tasks")) is not None:  # else refused, perhaps for this import
+        tasks.LEAVING.set()
+        deadline = time.monotonic() + PAUSE_SECONDS
+        await asyncio.sleep(REPORT_SECONDS)
+        while worker.active_threads and time.monotonic() < deadline:
+            await asyncio.sleep(0.02)
+    os._exit(status)
 
 
 def _quiet_when_closing(worker: Any) -> None:

@@ -7,7 +7,7 @@ another counts against the first; a worker that computes a chunk clears its coun
 import logging
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Hashable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 log = logging.getLogger(__name__)
 
@@ -18,23 +18,11 @@ REST_SECONDS: Final = 60.0
 _REMEMBERED: Final = 10_000
 
 
-class Refused(NamedTuple):
-    """A worker that may not compute."""
-
-    worker: str  # its address
-    host: str
-    process: int
-    reason: str
-
-    def __str__(self) -> str:
-        return f"worker {self.worker} on {self.host} (process {self.process}): {self.reason}"
-
-
 class Roster:
     """Workers by address. Pure; its methods are called from one thread, those that only read from any."""
 
     def __init__(self) -> None:
-        self._refused: dict[str, Refused] = {}
+        self.refused: dict[str, str] = {}  # workers refused now or when last present, and why
         self._hosts: OrderedDict[Hashable, str] = OrderedDict()
         self._leaving: OrderedDict[Hashable, None] = OrderedDict()
         self._failed_on: OrderedDict[Hashable, set[str]] = OrderedDict()  # workers, by chunk
@@ -45,25 +33,20 @@ class Roster:
         address = event["worker"]
         _remember(self._hosts, address, event["host"])
         if "refused" in event:
-            refused = Refused(address, event["host"], event["process"], event["refused"])
-            if self._refused.get(address) != refused:
+            refused = f"worker {self.describe(address)} (process {event['process']}): {event['refused']}"
+            if self.refused.get(address) != refused:
                 log.warning("refused: %s", refused)
-            self._refused[address] = refused
+            self.refused[address] = refused
         elif "admitted" in event:
-            if self._refused.pop(address, None) is not None:
-                log.info("worker %s on %s is admitted now", address, event["host"])
+            if self.refused.pop(address, None) is not None:
+                log.info("worker %s is admitted now", self.describe(address))
         elif "leaving" in event:
             _remember(self._leaving, address, None)
 
-    @property
-    def refused(self) -> tuple[Refused, ...]:
-        """Workers refused now, or when last present."""
-        return tuple(self._refused.values())
-
     def keep(self, present: Collection[str]) -> None:
         """Forget refused workers that are not `present`."""
-        for address in self._refused.keys() - present:
-            self._refused.pop(address, None)
+        for address in self.refused.keys() - present:
+            self.refused.pop(address, None)
 
     def is_leaving(self, address: str) -> bool:
         """Whether a worker has reported that it must leave."""

@@ -4,7 +4,6 @@ pytest -n 0 tests/system/service/test_tls.py
 """
 
 import json
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,7 @@ from scripted import wait_for
 from stores import marked
 
 from service.jobs.model import JobState
-from service.server.cluster import connect
+from service.server.cluster import connected_cluster
 from service.settings import Settings
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
@@ -65,7 +64,7 @@ def test_a_scheduler_of_tls_takes_those_with_certificates_alone(tmp_path: Path):
             scheduler_ca=files["ca"], scheduler_cert=files["cert"], scheduler_key=files["key"],
         )  # fmt: skip
         with (
-            closing(connect(settings, marked(settings.data)[1])) as executor,
+            connected_cluster(settings, marked(settings.data)[1]) as executor,
             running(tmp_path / "data", executor) as service,
         ):
             job = service.submit(costing(chunks=8, seconds=0.1))

@@ -18,7 +18,6 @@ from kernel.models.rigid import plate
 from kernel.params import STATE_FIELDS, Line, Outcome
 from worker import store, studies, tasks
 from worker.basins.attractors import Attractor, Found, Request, find
-from worker.basins.schema import empty_record
 from worker.basins.spec import UNTIL, BasinSpec
 from worker.basins.starts import starts_of
 from worker.basins.study import (
@@ -33,7 +32,7 @@ from worker.basins.study import (
     sizes,
 )
 from worker.spec import SpecError
-from worker.tasks import ChunkCancelled, ChunkPaused
+from worker.tasks import ChunkCancelled, ChunkPaused, empty_record
 
 GOLDEN = json.loads((paths.GOLDEN / "basins.json").read_text())
 
