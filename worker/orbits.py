@@ -26,7 +26,7 @@ from worker.spec import LARGEST, SMALLEST
 from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
 from worker.spec.errors import BrokenRuleError, describe
 from worker.spec.specification import Specification
-from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport, empty_record, report_of
+from worker.tasks import ChunkReport, Work, empty_record
 
 #: Maximum modes of a specification or an answer, and maximum plate periods of a mode.
 MAX_MODES: Final = 6
@@ -263,16 +263,12 @@ def run_chunk(spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
     store.check_chunk(store_url, chunk, ARRAYS)
     record = empty_record(chunk, ARRAYS, _sizes(spec))
     xi, omega = (spec.axis_values(axis)[span] for axis, span in zip(_DIMS, chunk.slices, strict=True))
-    next_check = -math.inf
+    work = Work(store_url, chunk.index, record, began, math.inf)
     for i, j in np.ndindex(chunk.shape):
-        if time.perf_counter() > next_check:
-            if store.is_cancelled(store_url):
-                raise ChunkCancelled(f"cancelled: {store_url}")
-            next_check = time.perf_counter() + CANCEL_SECONDS
+        work.check_cancelled()
         _compute(spec, float(omega[j]), float(xi[i]), {name: x[i, j : j + 1] for name, x in record.items()})
-    seconds = time.perf_counter() - began
-    stored = store.write_chunk(store_url, chunk, record)
-    return report_of(chunk, record, stored, (time.perf_counter() - began, seconds))
+    work.kernel_seconds = time.perf_counter() - began
+    return work.write(chunk, record)
 
 
 def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[Any]]) -> None:

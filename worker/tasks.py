@@ -121,17 +121,6 @@ class ChunkReport:
     bytes: int | None = None  # stored, of all arrays; None if unknown
 
 
-def report_of(
-    chunk: Chunk | Block, record: Mapping[str, NDArray[Any]], stored: store.Stored,
-    seconds: tuple[float, float], computed: int | None = None,
-) -> ChunkReport:  # fmt: skip
-    """The report of a stored chunk. `seconds`: in all, and in the kernel."""
-    outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
-    return ChunkReport(
-        chunk.index, chunk.cells, *seconds, stored.checksum, tuple(outcomes.tolist()), computed, stored.bytes
-    )
-
-
 #: Position of a line among the lines of its chunk.
 _LineIndex = tuple[int, int]
 _Arrays = dict[str, NDArray[Any]]
@@ -239,7 +228,7 @@ class Work:
         self._began, self._slice_seconds = began, slice_seconds
         self._slice_began = time.thread_time()
         self._next_check = -math.inf  # next check of the cancel flag
-        self._steps, self._kernel_seconds = FIRST_STEPS, 0.0
+        self._steps, self.kernel_seconds = FIRST_STEPS, 0.0
         self.done = 0
         self._before = np.zeros(2)  # `seconds` of earlier slices
         self._under_way: _Arrays = {}  # the line at which the chunk paused
@@ -274,7 +263,7 @@ class Work:
     @property
     def seconds(self) -> tuple[float, float]:
         """Seconds since the chunk began, without pauses, and the part in the kernel."""
-        return time.perf_counter() - self._began + self._before[0], self._kernel_seconds + self._before[1]
+        return time.perf_counter() - self._began + self._before[0], self.kernel_seconds + self._before[1]
 
     def compute(self, run: LineRun) -> Line:
         """Compute a line to its end. Raises ChunkCancelled, ChunkPaused."""
@@ -291,18 +280,33 @@ class Work:
         stored = store.write_chunk(self._url, chunk, record)
         if self._has_checkpoint:
             store.remove_checkpoint(self._url, self._chunk)
-        return report_of(chunk, record, stored, self.seconds, computed)
+        outcomes = tuple(np.bincount(record["outcome"].ravel(), minlength=len(Outcome)).tolist())
+        seconds, kernel_seconds = self.seconds
+        return ChunkReport(
+            chunk.index,
+            chunk.cells,
+            seconds,
+            kernel_seconds,
+            stored.checksum,
+            outcomes,
+            computed,
+            stored.bytes,
+        )
 
-    def _advance(self, run: LineRun) -> bool:
-        """Compute a part of a line; whether the line is done."""
+    def check_cancelled(self) -> None:
+        """Raise ChunkCancelled if the cancel flag is set; looks every CANCEL_SECONDS."""
         if time.perf_counter() > self._next_check:
             if store.is_cancelled(self._url):
                 raise ChunkCancelled(f"cancelled: {self._url}")
             self._next_check = time.perf_counter() + CANCEL_SECONDS
+
+    def _advance(self, run: LineRun) -> bool:
+        """Compute a part of a line; whether the line is done."""
+        self.check_cancelled()
         before = time.perf_counter()
         done = run.advance(self._steps)
         took = time.perf_counter() - before
-        self._kernel_seconds += took
+        self.kernel_seconds += took
         low, high = LOOK_SECONDS
         steps = self._steps * (2 if took < low else 1) // (2 if took > high else 1)
         self._steps = min(max(steps, 1), MOST_STEPS)

@@ -7,6 +7,8 @@ A worker that cannot unpickle a plugin ends, so the plugins are sent as the text
 versions of this project and of Python. At its top it imports the standard library and distributed only.
 """
 
+from __future__ import annotations
+
 import asyncio
 import importlib
 import logging
