@@ -61,6 +61,8 @@ class Target:
     Its methods are called from the connection's threads, one at a time.
     """
 
+    is_own = False  # whether the service made the cluster: `refill` and `close` are for these
+
     def __init__(self, cluster: Any) -> None:
         self.cluster = cluster
         self._next_refill = 0.0
@@ -73,7 +75,11 @@ class Target:
         """Note that the result of `find` does not answer."""
 
     def refill(self) -> None:
-        """Replace lost workers of a cluster that `close` closes; does not block."""
+        """Replace lost workers of a cluster of fixed size; adaptive clusters do so themselves."""
+        now, cluster = time.monotonic(), self.cluster
+        if self.is_own and now >= self._next_refill and hasattr(cluster, "worker_spec"):
+            self._next_refill = now + REFILL_SECONDS
+            asyncio.run_coroutine_threadsafe(_start_missing(cluster), cluster.loop.asyncio_loop)
 
     def planned(self) -> int | None:
         """Number of workers that the cluster should have; None if unknown."""
@@ -82,7 +88,21 @@ class Target:
         return None
 
     def close(self) -> None:
-        """Close what `find` has created."""
+        if self.is_own:
+            cluster, self.cluster = self.cluster, None
+            if hasattr(cluster, "close"):
+                cluster.close()
+
+
+async def _start_missing(cluster: Any) -> None:
+    """Await the cluster, which makes distributed start its missing workers."""
+    for name, worker in list(cluster.workers.items()):
+        if getattr(worker, "status", None) in (Status.closed, Status.failed):  # it was not restarted
+            del cluster.workers[name]
+    if missing := len(cluster.worker_spec) - len(cluster.workers):
+        log.warning("%d of %d workers are lost; starting others", missing, len(cluster.worker_spec))
+        with contextlib.suppress(Exception):  # distributed logs it; the next check tries again
+            await cluster
 
 
 class SchedulerFile(Target):
@@ -104,42 +124,14 @@ class SchedulerFile(Target):
             time.sleep(0.1)
 
 
-class _Own(Target):
-    """A cluster that belongs to the service, which replaces its lost workers and closes it."""
-
-    def refill(self) -> None:
-        """Replace lost workers of a cluster of fixed size; adaptive clusters do so themselves."""
-        now, cluster = time.monotonic(), self.cluster
-        if now >= self._next_refill and hasattr(cluster, "worker_spec"):
-            self._next_refill = now + REFILL_SECONDS
-            asyncio.run_coroutine_threadsafe(_start_missing(cluster), cluster.loop.asyncio_loop)
-
-    def close(self) -> None:
-        cluster, self.cluster = self.cluster, None
-        if hasattr(cluster, "close"):
-            cluster.close()
-
-
-async def _start_missing(cluster: Any) -> None:
-    """Await the cluster, which makes distributed start its missing workers."""
-    for name, worker in list(cluster.workers.items()):
-        if getattr(worker, "status", None) in (
-            Status.closed,
-            Status.failed,
-        ):  # a nanny that could not restart it
-            del cluster.workers[name]
-    if missing := len(cluster.worker_spec) - len(cluster.workers):
-        log.warning("%d of %d workers are lost; starting others", missing, len(cluster.worker_spec))
-        with contextlib.suppress(Exception):  # distributed logs it; the next check tries again
-            await cluster
-
-
-class CreatedCluster(_Own):
+class CreatedCluster(Target):
     """A cluster returned by `function()`, created again when it has ended or its scheduler does not answer.
 
     `name` is for messages. A function that fails is called again after FIRST_PAUSE seconds, doubled each time
     up to LONGEST_PAUSE.
     """
+
+    is_own = True
 
     def __init__(self, function: Callable[[], Any], name: str) -> None:
         super().__init__(None)
@@ -183,7 +175,7 @@ class CreatedCluster(_Own):
         self._next_refill = time.monotonic() + REFILL_SECONDS
 
 
-class LocalWorkers(_Own):
+class LocalWorkers(Target):
     """A scheduler in this process, and `workers` processes with one thread each, on loopback only.
 
     Scheduler, nannies and workers run any code they receive, and every user of the machine can reach their
@@ -194,6 +186,8 @@ class LocalWorkers(_Own):
     Each process may use `memory` bytes (None: an equal share of the machine's). A process that dies is
     restarted by its nanny. Sets the Dask settings that its scheduler needs in this process.
     """
+
+    is_own = True
 
     def __init__(self, workers: int, memory: int | None) -> None:
         super().__init__(None)
