@@ -11,11 +11,11 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
 from kernel.trajectory import sample
 from worker import schema, store
-from worker.cost import cells_at_once
+from worker.cost import Cost, cells_at_once
 from worker.grid_plan import Block
 from worker.plan import Chunk
 from worker.refinement import Beyond, Refinement, surroundings
@@ -50,7 +50,7 @@ KEPT_BYTES: Final = 16 * 2**20
 class ChunkOptions:
     """How a chunk is computed; changes no result."""
 
-    slice_seconds: float = SLICE_SECONDS
+    slice_seconds: float = math.inf  # core-seconds after which it pauses
     begins: bool = False  # the chunk's first task: no checkpoint to look for
 
 
@@ -121,29 +121,44 @@ class ChunkReport:
     bytes: int | None = None  # stored, of all arrays; None if unknown
 
 
+class Study(NamedTuple):
+    """A kind of study: five functions, all pure but `task`."""
+
+    #: The specification from plain JSON values. Raises a `SpecError` that names every broken rule.
+    parse: Callable[[object], Any]
+    #: The chunks of a specification, of `chunk_shape` or of a shape that the study chooses; many may be longer,
+    #: up to about `longest` core-seconds each.
+    plan: Callable[..., Any]
+    #: The layout of the store, of a specification and a chunk shape.
+    variables: Callable[[Any, tuple[int, ...]], schema.Layout]
+    #: The cost of a specification and its plan; computes and allocates nothing.
+    estimate: Callable[[Any, Any], Cost]
+    #: Computes one chunk and stores it at an address, in a worker process; again, it writes the same bytes.
+    #: Raises a `TaskError` or a `store.StoreError`. A task that takes longer than the slice of `OPTIONS`
+    #: should store its progress and raise `ChunkPaused`: it is called again.
+    task: Callable[[Any, Any, str], ChunkReport]
+
+
 #: Position of a line among the lines of its chunk.
 _LineIndex = tuple[int, int]
 _Arrays = dict[str, NDArray[Any]]
 
 
-def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: float = math.inf) -> ChunkReport:
+def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     """Compute every cell of `chunk` and store it; the store must exist.
 
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
-    `slice_seconds` core-seconds, `PredecessorMissing`, or a `store.StoreError`. In each case the
-    chunk's cells stay missing and the chunk can be run again.
+    the slice of `OPTIONS`, `PredecessorMissing`, or a `store.StoreError`. In each case the chunk's cells stay
+    missing and the chunk can be run again.
     """
-    began = time.perf_counter()
-    # Fail before computing, which can take minutes.
-    store.check_chunk(store_url, chunk, schema.arrays(spec))
-    record = empty_record(_surrounded(spec, chunk), schema.arrays(spec), schema.sizes(spec))
-    slice_seconds = max(slice_seconds, sum(array.nbytes for array in record.values()) / KEPT_BYTES)
-    work = Work(store_url, chunk.index, record, began, slice_seconds)
+    arrays = schema.arrays(spec)
+    record = empty_record(_surrounded(spec, chunk), arrays, schema.sizes(spec))
+    work = Work(store_url, chunk, arrays, record)
     if spec.refine is None:
         _compute_lines(spec, chunk, work, _starts(spec, chunk, store_url))
-        return work.write(chunk, record)
+        return work.write(record)
     record = _refine_tile(spec, spec.refine, chunk, work)
-    return work.write(chunk, record, int(record[schema.COMPUTED.name].sum()))
+    return work.write(record, int(record[schema.COMPUTED.name].sum()))
 
 
 def _compute_lines(
@@ -218,21 +233,24 @@ def _compute(spec: SweepSpec, work: "Work", cells: _Arrays, starts: list[Start |
 class Work:
     """Computes a chunk's lines and looks at the clock and the cancel flag between parts of a line.
 
-    The parts do not affect the results. `record`: the chunk's arrays, with its `done` first lines.
+    The parts do not affect the results. `record`: the chunk's arrays, with its `done` first lines. Raises the
+    StoreError of storing it now: computing can take minutes.
     """
 
     def __init__(
-        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
+        self, store_url: str, chunk: Chunk | Block, arrays: Iterable[schema.Array], record: _Arrays
     ) -> None:
+        self._began, self._slice_began = time.perf_counter(), time.thread_time()
+        store.check_chunk(store_url, chunk, arrays)
         self._url, self._chunk, self.record = store_url, chunk, record
-        self._began, self._slice_seconds = began, slice_seconds
-        self._slice_began = time.thread_time()
+        kept_seconds = sum(array.nbytes for array in record.values()) / KEPT_BYTES
+        self._slice_seconds = max(OPTIONS.get().slice_seconds, kept_seconds)
         self._next_check = -math.inf  # next check of the cancel flag
         self._steps, self.kernel_seconds = FIRST_STEPS, 0.0
         self.done = 0
         self._before = np.zeros(2)  # `seconds` of earlier slices
         self._under_way: _Arrays = {}  # the line at which the chunk paused
-        saved = None if OPTIONS.get().begins else store.read_checkpoint(store_url, chunk)
+        saved = None if OPTIONS.get().begins else store.read_checkpoint(store_url, chunk.index)
         self._has_checkpoint = saved is not None
         if saved is not None:
             with self._discarding_checkpoint():
@@ -275,11 +293,11 @@ class Work:
             self.pause_if_due(run.save())
         return run.line
 
-    def write(self, chunk: Chunk | Block, record: _Arrays, computed: int | None = None) -> ChunkReport:
+    def write(self, record: _Arrays, computed: int | None = None) -> ChunkReport:
         """Store the chunk's arrays and remove its checkpoint."""
-        stored = store.write_chunk(self._url, chunk, record)
+        chunk, stored = self._chunk, store.write_chunk(self._url, self._chunk, record)
         if self._has_checkpoint:
-            store.remove_checkpoint(self._url, self._chunk)
+            store.remove_checkpoint(self._url, chunk.index)
         outcomes = tuple(np.bincount(record["outcome"].ravel(), minlength=len(Outcome)).tolist())
         seconds, kernel_seconds = self.seconds
         return ChunkReport(
@@ -322,9 +340,10 @@ class Work:
             return
         arrays = self._save() | {_LINE + name: array for name, array in under_way.items()}
         try:
-            store.write_checkpoint(self._url, self._chunk, arrays)
+            store.write_checkpoint(self._url, self._chunk.index, arrays)
         except _UNWRITABLE as error:
-            log.warning("chunk %d cannot pause, its checkpoint cannot be written: %s", self._chunk, error)
+            index = self._chunk.index
+            log.warning("chunk %d cannot pause, its checkpoint cannot be written: %s", index, error)
             self._slice_seconds = math.inf
             return
         raise ChunkPaused(f"paused after {self._slice_seconds:g} s: {self._url}")
@@ -335,7 +354,7 @@ class Work:
         try:
             yield
         except (KeyError, ValueError) as error:
-            store.remove_checkpoint(self._url, self._chunk)
+            store.remove_checkpoint(self._url, self._chunk.index)
             raise ChunkPaused(f"begins anew, its checkpoint is not of this release: {error}") from error
 
 

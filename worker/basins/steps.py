@@ -1,6 +1,6 @@
 """A chunk computed in steps, each of one or more runs of many starts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 import numpy as np
@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from kernel.line import LineRun
 from kernel.params import Line
 from worker.basins.spec import GridSpec
+from worker.grid_plan import Block
+from worker.schema import Array
 from worker.tasks import Work, plate_of
 
 _ANSWER: Final = "answer/"
@@ -19,12 +21,10 @@ _Arrays = dict[str, NDArray[Any]]
 class Steps(Work):
     """The record of a chunk, its finished steps, and the answers of the step under way."""
 
-    def __init__(
-        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
-    ) -> None:
+    def __init__(self, store_url: str, chunk: Block, arrays: Iterable[Array], record: _Arrays) -> None:
         self._answers: list[_Arrays] = []
         self._answered = 0
-        super().__init__(store_url, chunk, record, began, slice_seconds)
+        super().__init__(store_url, chunk, arrays, record)
 
     def answer(self, run: Callable[[], LineRun], reduce: Callable[[Line], _Arrays]) -> _Arrays:
         """The part that `reduce` keeps of the step's next run, computed now or before.

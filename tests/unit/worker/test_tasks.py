@@ -15,7 +15,15 @@ from worker import store, tasks
 from worker.plan import Plan, make_plan
 from worker.schema import layout
 from worker.spec import AXES, SweepSpec
-from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport, PredecessorMissing, run_chunk
+from worker.tasks import (
+    ChunkCancelled,
+    ChunkOptions,
+    ChunkPaused,
+    ChunkReport,
+    PredecessorMissing,
+    run_chunk,
+    with_options,
+)
 
 RECORD = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")
 
@@ -191,7 +199,8 @@ def run_slices(spec: SweepSpec, chunk, url: str) -> tuple[ChunkReport, int]:
     pauses = 0
     while True:
         try:
-            return run_chunk(spec, chunk, url, slice_seconds=0.0), pauses
+            with with_options(ChunkOptions(0.0)):
+                return run_chunk(spec, chunk, url), pauses
         except ChunkPaused:
             pauses += 1
 
@@ -222,8 +231,8 @@ def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     plan, url = stored(tmp_path, spec, (2, 3, 10))
     done = 0
     while done < 2:
-        with pytest.raises(ChunkPaused, match="paused after"):
-            run_chunk(spec, plan[0], url, slice_seconds=0.0)
+        with pytest.raises(ChunkPaused, match="paused after"), with_options(ChunkOptions(0.0)):
+            run_chunk(spec, plan[0], url)
         done = store.read_checkpoint(url, 0)["done"]
     assert not store.read_slice(url, ["outcome"])["outcome"].any()
     return spec, plan, url
