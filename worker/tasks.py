@@ -126,8 +126,8 @@ class Study(NamedTuple):
 
     #: The specification from plain JSON values. Raises a `SpecError` that names every broken rule.
     parse: Callable[[object], Any]
-    #: The chunks of a specification, of `chunk_shape` or of a shape that the study chooses; many may be longer,
-    #: up to about `longest` core-seconds each.
+    #: The chunks of a specification, of `chunk_shape` or of a shape that the study chooses. Many chunks may
+    #: be longer, up to about `longest` core-seconds each.
     plan: Callable[..., Any]
     #: The layout of the store, of a specification and a chunk shape.
     variables: Callable[[Any, tuple[int, ...]], schema.Layout]

@@ -187,7 +187,7 @@ class Dask:
             tuple(refused.values()),
         )
         self._count_time = time.monotonic()
-        for task in list(self._unfinished):
+        for task in list(self._unfinished) if threads is not None else ():
             if task.others and task.worker is None and not present.keys() & task.others:
                 self._fail(task, WorkerLeft("the workers on which it had not failed are gone"))
 
