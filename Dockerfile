@@ -35,7 +35,7 @@ USER 10001
 
 # Compiled once here instead of by the first jobs. On another processor what was compiled before optimisation
 # is optimised and emitted anew, in a third of the time.
-RUN python -m worker.precompile
+RUN python -m worker.kernel_cache
 
 # The root file system may be read-only (docker run --read-only --tmpfs /tmp): what is written lies in these
 # volumes and /tmp. A new volume of the cache begins with what was compiled above.

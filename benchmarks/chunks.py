@@ -183,10 +183,6 @@ class Simulated:
         """Call a function."""
         return self._thread.submit(function, *arguments)
 
-    def ready(self) -> bool:
-        """Always true."""
-        return True
-
     def workers(self) -> int:
         """The number of simulated workers."""
         return self._workers

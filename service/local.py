@@ -28,7 +28,7 @@ from service.client.specification import Specification, body
 from service.errors import InvalidRequest, RunFailed
 from service.formats import EXPORTS, ExportFormat
 from worker.kernel_cache import use_cache
-from worker.temporary import temporary_folder
+from worker.ownership import temporary_folder
 
 if TYPE_CHECKING:
     import xarray

@@ -2,6 +2,7 @@
 
 import json
 import platform
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -34,22 +35,17 @@ def software() -> Software:
 @cache
 def processor() -> str:
     """Kind of processor, and its name where Linux tells it: `x86_64, AMD EPYC 7B13`."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
-    except OSError:
-        lines = []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return ", ".join(filter(None, (platform.machine(), next(names, ""))))
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(errors="replace").splitlines():
+            if line.startswith("model name"):
+                return f"{platform.machine()}, {line.partition(':')[2].strip()}"
+    return platform.machine()
 
 
 def with_this_run(runs: str, now: float) -> str:
     """A job's runs, as JSON, with that of this process, unless the last one was on the same software."""
     known: list[dict[str, Any]] = json.loads(runs)
-    here = {
-        "release": software().release,
-        "python": software().python,
-        "libraries": software().libraries,
-        "processor": processor(),
-    }
+    here = software()._asdict() | {"processor": processor()}
+    del here["kernel_version"]
     same = known and {**known[-1], "began": None} == {**here, "began": None}
     return runs if same or len(known) >= MAX_RUNS else json.dumps([*known, {**here, "began": now}])

@@ -3,13 +3,18 @@
 DIGEST identifies the kernel's sources and the compiler. ROOT is the argument of `use_cache`, else
 `NUMBA_CACHE_DIR`, else `bouncing-spring` in the user's cache folder. Anyone who can write to ROOT decides
 what code runs here, so it is created for this user alone and refused if others own it or can write to it.
+
+`python -m worker.kernel_cache` compiles every kernel into the default cache.
 """
 
+import fcntl
 import hashlib
 import os
 import platform
 import shutil
+import sys
 import tempfile
+import threading
 import time
 from contextlib import suppress
 from importlib.metadata import version
@@ -19,8 +24,12 @@ from typing import Final
 
 from worker.ownership import PRIVATE_FOLDER, NotOurs, check_unshared
 
+#: The argument before ROOT with which a worker starts this module when idle.
+BESIDE: Final = "--beside"
+
 _VARIABLE: Final = "NUMBA_CACHE_DIR"
 _USED: Final = "used"
+_LOCK: Final = "compiling"
 _OLD_SECONDS: Final = 14 * 24 * 3600
 
 
@@ -50,41 +59,34 @@ def default_root() -> Path:
     """The folder of all caches by default."""
     if configured := os.environ.get(_VARIABLE):
         return Path(configured)
-    return Path(os.environ.get("XDG_CACHE_HOME") or _home() / ".cache") / "bouncing-spring"
-
-
-def _home() -> Path:
+    if caches := os.environ.get("XDG_CACHE_HOME"):
+        return Path(caches, "bouncing-spring")
     try:
-        return Path.home()
+        return Path.home() / ".cache" / "bouncing-spring"
     except RuntimeError:  # in a container the user may have no entry in the password database
         return Path(tempfile.mkdtemp(prefix="bouncing-spring-"))
 
 
 def _cache_folder(root: Path) -> Path:
     """The folder of this kernel's cache in `root`, or in a temporary folder where that cannot be written."""
-    digest = _digest()
+    compiler = platform.python_version(), platform.machine(), version("numba"), version("llvmlite")
+    digest = digest_of("kernel", *compiler)
     try:
-        _check(root)
+        check_unshared(root)
         folder = root / digest
         _make(folder)
         (folder / _USED).touch()  # its time is that of the last use
+    except NotOurs as error:
+        raise CacheRefused(
+            f"the kernel cache {root} is not safe to use: {error}, so others could run code here; remove it, "
+            f"and it is made anew for you alone, or set {_VARIABLE} to a folder of your own"
+        ) from error
     except OSError:  # no home, a read-only disk
         folder = Path(tempfile.mkdtemp(prefix="bouncing-spring-")) / digest
         _make(folder)
     else:
         _remove_old(root, keep=folder)
     return folder
-
-
-def _check(root: Path) -> None:
-    """Raise CacheRefused if other users own or can write to `root`, or anything in it."""
-    try:
-        check_unshared(root)
-    except NotOurs as error:
-        raise CacheRefused(
-            f"the kernel cache {root} is not safe to use: {error}, so others could run code here; remove it, "
-            f"and it is made anew for you alone, or set {_VARIABLE} to a folder of your own"
-        ) from error
 
 
 def _make(folder: Path) -> None:
@@ -102,17 +104,44 @@ def _remove_old(root: Path, keep: Path) -> None:
                 shutil.rmtree(used.parent, ignore_errors=True)
 
 
-def _digest() -> str:
-    """An identifier of the kernel's sources, of Python and of the compiler.
+def digest_of(package: str, *more: str) -> str:
+    """Digest of the contents of a package's sources; not of their times, which differ between machines.
 
-    Raises ModuleNotFoundError if there is no kernel.
+    Raises ModuleNotFoundError if there is no such package.
     """
-    if (package := find_spec("kernel")) is None:
-        raise ModuleNotFoundError("No module named 'kernel'", name="kernel")
-    folder = Path(next(iter(package.submodule_search_locations or ())))
-    compiler = [platform.python_version(), platform.machine(), version("numba"), version("llvmlite")]
-    digest = hashlib.sha256(" ".join(compiler).encode())
+    if (found := find_spec(package)) is None:
+        raise ModuleNotFoundError(f"No module named '{package}'", name=package)
+    folder = Path(next(iter(found.submodule_search_locations or ())))
+    digest = hashlib.sha256(" ".join(more).encode())
     for source in sorted(folder.rglob("*.py")):
         content = source.read_bytes()
         digest.update(f"{source.relative_to(folder)} {len(content)}\n".encode() + content)
     return digest.hexdigest()[:16]
+
+
+def _compile_beside(root: str) -> None:
+    """Compile at the lowest priority, in one process of a cache, until standard input is closed."""
+
+    def end_with_parent() -> None:
+        os.read(0, 1)
+        os._exit(0)
+
+    os.nice(19)
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    with (use_cache(root or None) / _LOCK).open("a") as lock, suppress(BlockingIOError):
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _compile_all()
+
+
+def _compile_all() -> None:
+    from worker.tasks import compile_kernels  # noqa: PLC0415 - loads every library that computes
+
+    compile_kernels()
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == [BESIDE]:
+        _compile_beside(sys.argv[2])
+    else:
+        use_cache()
+        _compile_all()

@@ -17,7 +17,6 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from kernel.branches.events import POINTS as GRID
 from kernel.branches.events import Branch, Events, Kind, branch_and_events
 from kernel.params import KERNEL_VERSION, KernelInputError, Outcome
-from worker import store
 from worker.cost import Cost
 from worker.grid_plan import Block, GridPlan
 from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS
@@ -26,7 +25,7 @@ from worker.spec import LARGEST, SMALLEST
 from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
 from worker.spec.errors import BrokenRuleError, describe
 from worker.spec.specification import Specification
-from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport, report_of
+from worker.tasks import ChunkReport, Study, Work, empty_record
 
 #: Maximum modes of a specification or an answer, and maximum plate periods of a mode.
 MAX_MODES: Final = 6
@@ -150,7 +149,9 @@ class OrbitsSpec(Specification):
         return len(self.axis_values("xi")), len(self.axis_values("omega"))
 
 
-def make_plan(spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
+def make_plan(
+    spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+) -> GridPlan:
     """Chunks of `chunk_shape` cells along (xi, omega); by default rows of omega, about a second of work.
 
     Raises ValueError for a size below 1.
@@ -259,30 +260,14 @@ def run_chunk(spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
 
     Raises ChunkCancelled or a `store.StoreError`; then nothing of the chunk was written.
     """
-    began = time.perf_counter()
-    store.check_chunk(store_url, chunk, ARRAYS)
-    record = _empty_record(spec, chunk)
+    record = empty_record(chunk, ARRAYS, _sizes(spec))
     xi, omega = (spec.axis_values(axis)[span] for axis, span in zip(_DIMS, chunk.slices, strict=True))
-    next_check = -math.inf
+    work, began = Work(store_url, chunk, ARRAYS, record), time.perf_counter()
     for i, j in np.ndindex(chunk.shape):
-        if time.perf_counter() > next_check:
-            if store.is_cancelled(store_url):
-                raise ChunkCancelled(f"cancelled: {store_url}")
-            next_check = time.perf_counter() + CANCEL_SECONDS
+        work.check_cancelled()
         _compute(spec, float(omega[j]), float(xi[i]), {name: x[i, j : j + 1] for name, x in record.items()})
-    seconds = time.perf_counter() - began
-    stored = store.write_chunk(store_url, chunk, record)
-    return report_of(chunk, record, stored, (time.perf_counter() - began, seconds))
-
-
-def _empty_record(spec: OrbitsSpec, chunk: Block) -> dict[str, NDArray[Any]]:
-    sizes = _sizes(spec)
-    return {
-        array.name: np.full(
-            (*chunk.shape, *(sizes[dim] for dim in array.dims[len(_DIMS) :])), array.fill, array.dtype
-        )
-        for array in ARRAYS
-    }
+    work.kernel_seconds = time.perf_counter() - began
+    return work.write(record)
 
 
 def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[Any]]) -> None:
@@ -341,31 +326,10 @@ def _stored_rows(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
     return np.asarray(order[even])
 
 
-class OrbitsStudy:
-    """Grids of springs."""
-
-    def parse(self, data: object) -> OrbitsSpec:
-        return OrbitsSpec.parse(data)
-
-    def plan(
-        self, spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
-    ) -> GridPlan:
-        return make_plan(spec, chunk_shape)
-
-    def variables(self, spec: OrbitsSpec, chunk_shape: tuple[int, ...]) -> Layout:
-        return layout(spec, chunk_shape)
-
-    def estimate(self, spec: OrbitsSpec, plan: GridPlan) -> Cost:
-        cells = plan.cells
-        return Cost(
-            cells=cells,
-            chunks=len(plan),
-            bytes=cells * bytes_per_cell(spec),
-            core_seconds=estimate_seconds(spec),
-        )
-
-    def task(self, spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
-        return run_chunk(spec, chunk, store_url)
+def estimate(spec: OrbitsSpec, plan: GridPlan) -> Cost:
+    """The cost, by the points of all branches."""
+    size = plan.cells * bytes_per_cell(spec)
+    return Cost(cells=plan.cells, chunks=len(plan), bytes=size, core_seconds=estimate_seconds(spec))
 
 
-ORBITS: Final = OrbitsStudy()
+ORBITS: Final = Study(OrbitsSpec.parse, make_plan, layout, estimate, run_chunk)

@@ -5,7 +5,11 @@ Imports the standard library only: the kernel cache is checked before anything e
 
 import logging
 import os
+import shutil
 import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +21,8 @@ _OTHERS_WRITE: Final = 0o022
 #: The permissions of a folder, and of a file, for one user alone.
 PRIVATE_FOLDER: Final = 0o700
 PRIVATE_FILE: Final = 0o600
+
+_temporary: Final[set[Path]] = set()
 
 
 class NotOurs(Exception):
@@ -56,39 +62,46 @@ def check_unshared(root: Path) -> None:
         status = root.stat()
     except FileNotFoundError:
         return
-    _check(root, status, _OTHERS_WRITE)
     for above in root.resolve().parents:
         mode = above.stat().st_mode
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
             raise NotOurs(f"{above} can be written by every user of this machine, who could replace {root}")
-    _check_inside(root, _reachable(status))
-
-
-def _check_inside(folder: Path, forbidden: int) -> None:
-    try:
-        entries = [(path, path.lstat()) for path in folder.iterdir()] if folder.is_dir() else []
-    except FileNotFoundError:  # another process has just replaced or moved it
-        _check_inside(folder, forbidden)
-        return
-    for path, status in entries:
-        if stat.S_ISLNK(status.st_mode):
-            raise NotOurs(f"{path} is a link: its target may belong to another user")
-        _check(path, status, forbidden)
-        if stat.S_ISDIR(status.st_mode):
-            _check_inside(path, forbidden & _reachable(status))
-
-
-def _reachable(status: os.stat_result) -> int:
-    """Permissions that are forbidden inside a folder: none if others cannot enter it."""
-    return _OTHERS_WRITE if status.st_mode & _OTHERS else 0
+    _check(root, status, _OTHERS_WRITE)
 
 
 def _check(path: Path, status: os.stat_result, forbidden: int) -> None:
+    """Check a file, or a folder and everything in it. `forbidden`: permissions that it must not give."""
     if not _is_ours(status):
         raise NotOurs(f"{path} belongs to another user")
     if status.st_mode & forbidden:
         raise NotOurs(f"{path} can be written by other users (mode {stat.S_IMODE(status.st_mode):04o})")
+    if not stat.S_ISDIR(status.st_mode):
+        return
+    for inner in path.iterdir():
+        with suppress(FileNotFoundError):  # another process has just replaced or moved it
+            inner_status = inner.lstat()
+            if stat.S_ISLNK(inner_status.st_mode):
+                raise NotOurs(f"{inner} is a link: its target may belong to another user")
+            _check(inner, inner_status, forbidden if status.st_mode & _OTHERS else 0)
 
 
 def _is_ours(status: os.stat_result) -> bool:
     return status.st_uid in (os.geteuid(), 0)
+
+
+@contextmanager
+def temporary_folder(prefix: str) -> Iterator[Path]:
+    """A new folder for this user alone, removed at the end of the block."""
+    folder = Path(tempfile.mkdtemp(prefix=prefix))
+    _temporary.add(folder)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _temporary.discard(folder)
+
+
+def remove_temporary_folders() -> None:
+    """Remove all temporary folders in use, because the process ends at once."""
+    for folder in list(_temporary):
+        shutil.rmtree(folder, ignore_errors=True)

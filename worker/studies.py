@@ -1,8 +1,8 @@
-"""Kinds of study: the protocol of what a job computes, and its implementation for sweeps.
+"""Kinds of study: what a job computes.
 
 A study parses its specification, plans its chunks, declares its stored variables, estimates its cost, and
 computes one chunk. Ledger, queue, executors, store, progress, cancelling and repair use only these five
-methods.
+functions (`tasks.Study`).
 
 Another kind of study is a package of its own and a row of STUDIES; its queries and routes are in the service
 (see docs/architecture.md).
@@ -14,15 +14,13 @@ from typing import Any, Final, Protocol
 from worker import schema, tasks
 from worker.basins.multistability import MULTISTABILITY
 from worker.basins.study import BASINS
-from worker.cost import Cost, estimate
+from worker.cost import estimate
 from worker.orbits import ORBITS
 from worker.plan import LONGEST_SECONDS, make_plan
-from worker.plan import Chunk as SweepChunk
 from worker.plan import Plan as SweepPlan
-from worker.schema import Layout
 from worker.spec import SweepSpec, parsing
 from worker.store import HasSlices
-from worker.tasks import ChunkReport
+from worker.tasks import ChunkReport, Study
 
 
 class Spec(Protocol):
@@ -82,56 +80,19 @@ class Plan(Protocol):
         """Index of the chunk at these coordinates in the store's grid of chunks."""
 
 
-class Study(Protocol):
-    """A kind of study. All methods except `task` are pure."""
-
-    def parse(self, data: object) -> Any:
-        """The specification from plain JSON values. Raises a `SpecError` that names every broken rule."""
-
-    def plan(
-        self, spec: Any, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
-    ) -> Any:
-        """The chunks, of `chunk_shape` or of a shape that the study chooses.
-
-        Many chunks may be longer, up to about `longest` core-seconds each.
-        """
-
-    def variables(self, spec: Any, chunk_shape: tuple[int, ...]) -> Layout:
-        """The layout of the store."""
-
-    def estimate(self, spec: Any, plan: Any) -> Cost:
-        """The cost; computes and allocates nothing."""
-
-    def task(self, spec: Any, chunk: Any, store_url: str) -> ChunkReport:
-        """Compute one chunk and store it, in a worker process; repeated, it writes the same bytes.
-
-        Raises a `tasks.TaskError` or a `store.StoreError`. A task that takes longer than the slice of
-        `tasks.OPTIONS` should store its progress and raise `tasks.ChunkPaused`: it is called again.
-        """
+def _plan_sweep(
+    spec: SweepSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+) -> SweepPlan:
+    return make_plan(spec, chunk_shape=chunk_shape, longest=longest)
 
 
-class SweepStudy:
-    """Parameter sweeps from rest or along a ramp."""
-
-    def parse(self, data: object) -> SweepSpec:
-        return SweepSpec.parse(data)
-
-    def plan(
-        self, spec: SweepSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
-    ) -> SweepPlan:
-        return make_plan(spec, chunk_shape=chunk_shape, longest=longest)
-
-    def variables(self, spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
-        return schema.layout(spec, chunk_shape)
-
-    def estimate(self, spec: SweepSpec, plan: SweepPlan) -> Cost:
-        return estimate(spec, len(plan))
-
-    def task(self, spec: SweepSpec, chunk: SweepChunk, store_url: str) -> ChunkReport:
-        return tasks.run_chunk(spec, chunk, store_url, tasks.OPTIONS.get().slice_seconds)
-
-
-SWEEP: Final = SweepStudy()
+SWEEP: Final = Study(
+    parse=SweepSpec.parse,
+    plan=_plan_sweep,
+    variables=schema.layout,
+    estimate=lambda spec, plan: estimate(spec, len(plan)),
+    task=tasks.run_chunk,
+)
 
 #: Every kind of study by the `kind` of its specification's `protocol`.
 STUDIES: Final[dict[str, Study]] = {

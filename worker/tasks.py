@@ -3,11 +3,6 @@
 A chunk that takes longer than a time slice pauses: its progress is kept in a checkpoint, from which the next
 task of the same chunk continues. So no chunk, however long its cells are, keeps a worker from others for
 longer than a slice.
-
-TaskError               why a chunk was not computed
-├── ChunkCancelled      the cancel flag of the store is set
-├── ChunkPaused         its time slice is over; the next task continues
-└── PredecessorMissing  the previous chunk of the ramp is not stored
 """
 
 import importlib
@@ -16,11 +11,11 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +25,7 @@ from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
 from kernel.trajectory import sample
 from worker import schema, store
-from worker.cost import cells_at_once
+from worker.cost import Cost, cells_at_once
 from worker.grid_plan import Block
 from worker.plan import Chunk
 from worker.refinement import Beyond, Refinement, surroundings
@@ -55,14 +50,14 @@ KEPT_BYTES: Final = 16 * 2**20
 class ChunkOptions:
     """How a chunk is computed; changes no result."""
 
-    slice_seconds: float = SLICE_SECONDS
+    slice_seconds: float = math.inf  # core-seconds after which it pauses
     begins: bool = False  # the chunk's first task: no checkpoint to look for
 
 
-_USUAL: Final = ChunkOptions()
+USUAL: Final = ChunkOptions()
 
 #: For the chunk that this thread computes.
-OPTIONS: Final[ContextVar[ChunkOptions]] = ContextVar("options", default=_USUAL)
+OPTIONS: Final[ContextVar[ChunkOptions]] = ContextVar("options", default=USUAL)
 
 #: Set in a worker process that was told to leave: its chunks pause at once, so that nothing is lost.
 LEAVING: Final = threading.Event()
@@ -80,7 +75,7 @@ LOOK_SECONDS: Final = (0.02, 0.1)
 _UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 
 #: Names of a checkpoint's arrays; then the prefixes of the line under way and of the record.
-_DONE: Final = "lines_done"
+_DONE: Final = "done"
 _SECONDS: Final = "seconds"
 _LINE: Final = "line/"
 _RECORD: Final = "record/"
@@ -126,15 +121,22 @@ class ChunkReport:
     bytes: int | None = None  # stored, of all arrays; None if unknown
 
 
-def report_of(
-    chunk: Chunk | Block, record: Mapping[str, NDArray[Any]], stored: store.Stored,
-    seconds: tuple[float, float], computed: int | None = None,
-) -> ChunkReport:  # fmt: skip
-    """The report of a stored chunk. `seconds`: in all, and in the kernel."""
-    outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
-    return ChunkReport(
-        chunk.index, chunk.cells, *seconds, stored.checksum, tuple(outcomes.tolist()), computed, stored.bytes
-    )
+class Study(NamedTuple):
+    """A kind of study: five functions, all pure but `task`."""
+
+    #: The specification from plain JSON values. Raises a `SpecError` that names every broken rule.
+    parse: Callable[[object], Any]
+    #: The chunks of a specification, of `chunk_shape` or of a shape that the study chooses. Many chunks may
+    #: be longer, up to about `longest` core-seconds each.
+    plan: Callable[..., Any]
+    #: The layout of the store, of a specification and a chunk shape.
+    variables: Callable[[Any, tuple[int, ...]], schema.Layout]
+    #: The cost of a specification and its plan; computes and allocates nothing.
+    estimate: Callable[[Any, Any], Cost]
+    #: Computes one chunk and stores it at an address, in a worker process; again, it writes the same bytes.
+    #: Raises a `TaskError` or a `store.StoreError`. A task that takes longer than the slice of `OPTIONS`
+    #: should store its progress and raise `ChunkPaused`: it is called again.
+    task: Callable[[Any, Any, str], ChunkReport]
 
 
 #: Position of a line among the lines of its chunk.
@@ -142,79 +144,68 @@ _LineIndex = tuple[int, int]
 _Arrays = dict[str, NDArray[Any]]
 
 
-def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: float = math.inf) -> ChunkReport:
+def report_of(
+    chunk: Any, record: Mapping[str, NDArray[Any]], stored: store.Stored, seconds: tuple[float, float],
+    computed: int | None = None,
+) -> ChunkReport:  # fmt: skip
+    """The report of a stored chunk. `seconds`: in all, and in the kernel."""
+    outcomes = tuple(np.bincount(record["outcome"].ravel(), minlength=len(Outcome)).tolist())
+    return ChunkReport(chunk.index, chunk.cells, *seconds, stored.checksum, outcomes, computed, stored.bytes)
+
+
+def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     """Compute every cell of `chunk` and store it; the store must exist.
 
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
-    `slice_seconds` core-seconds, `PredecessorMissing`, or a `store.StoreError`. In each case the
-    chunk's cells stay missing and the chunk can be run again.
+    the slice of `OPTIONS`, `PredecessorMissing`, or a `store.StoreError`. In each case the chunk's cells stay
+    missing and the chunk can be run again.
     """
-    began = time.perf_counter()
-    # Fail before computing, which can take minutes.
-    store.check_chunk(store_url, chunk, schema.arrays(spec))
-    record = _empty_record(spec, _surrounded(spec, chunk))
-    slice_seconds = max(slice_seconds, sum(array.nbytes for array in record.values()) / KEPT_BYTES)
-    work = _SweepWork(store_url, chunk.index, record, began, slice_seconds)
+    arrays = schema.arrays(spec)
+    record = empty_record(_surrounded(spec, chunk), arrays, schema.sizes(spec))
+    work = Work(store_url, chunk, arrays, record)
     if spec.refine is None:
-        _compute_lines(spec, chunk, record, work, _starts(spec, chunk, store_url))
-    else:
-        record = _refine_tile(spec, spec.refine, chunk, record, work)
-    computed = None if spec.refine is None else int(record[schema.COMPUTED.name].sum())
-    return work.write(chunk, record, computed)
+        _compute_lines(spec, chunk, work, _starts(spec, chunk, store_url))
+        return work.write(record)
+    record = _refine_tile(spec, spec.refine, chunk, work)
+    return work.write(record, int(record[schema.COMPUTED.name].sum()))
 
 
 def _compute_lines(
-    spec: SweepSpec,
-    chunk: Chunk,
-    record: _Arrays,
-    work: "_SweepWork",
-    starts: Mapping[_LineIndex, Start | None],
+    spec: SweepSpec, chunk: Chunk, work: "Work", starts: Mapping[_LineIndex, Start | None]
 ) -> None:
-    """Compute every cell of a chunk, line by line or many lines side by side."""
-    lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
-    cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
-    groups = _groups(spec, list(np.ndindex(lines["outcome"].shape[:2])))
-    for group in groups[work.lines_done :]:
-        gamma, omega, xi = (
-            np.concatenate([cells[axis][index] for index in group]) for axis in ("gamma", "omega", "xi")
-        )
-        with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-            done = work.compute(_line_run(spec, gamma, omega, xi, [starts.get(index) for index in group]))
+    """Compute every cell of a chunk, line by line or all lines side by side."""
+    lines, cells = (_in_visiting_order(spec, chunk, arrays) for arrays in (work.record, _cells(spec, chunk)))
+    indices = list(np.ndindex(lines["outcome"].shape[:2]))
+    groups = [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
+    for group in groups[work.done :]:
+        line_cells = {axis: np.concatenate([cells[axis][index] for index in group]) for axis in AXES}
+        done = _compute(spec, work, line_cells, [starts.get(index) for index in group])
         for name, array in lines.items():
             for index, part in zip(group, np.split(getattr(done, name), len(group)), strict=True):
                 array[index] = part
-        work.finish_line(last=group is groups[-1])
+        work.finish(last=group is groups[-1])
 
 
-def _groups(spec: SweepSpec, indices: list[_LineIndex]) -> list[list[_LineIndex]]:
-    """The lines of a chunk in groups computed side by side; a group is a line of the checkpoint."""
-    return [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
-
-
-def _refine_tile(
-    spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays, work: "_SweepWork"
-) -> _Arrays:
+def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, work: "Work") -> _Arrays:
     """Compute the cells that a tile needs, each round of the refinement as one line, and fill in the others.
 
-    record: of the tile and its surroundings; returns the tile's alone. Rounds that an earlier task computed
-    are in the record; the refinement repeats them from there.
+    The work's record is of the tile and its surroundings; returns the tile's alone. Rounds that an earlier
+    task computed are in the record; the refinement repeats them from there.
     """
-    around = _surrounded(spec, chunk)
+    around, record = _surrounded(spec, chunk), work.record
     flat = {name: array.reshape(around.cells, *array.shape[3:]) for name, array in record.items()}
     cells = {name: array.ravel() for name, array in _cells(spec, around).items()}
     computed = flat[schema.COMPUTED.name]
     tile = Refinement((chunk.shape[1], chunk.shape[2]), refine, _beyond(spec, chunk))
-    finished = work.lines_done
+    finished = work.done
     for number in itertools.count():
         if not tile.cells.size:
             break
         if number >= finished:
-            gamma, omega, xi = (cells[axis][tile.cells] for axis in ("gamma", "omega", "xi"))
-            with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-                done = work.compute(_line_run(spec, gamma, omega, xi, []))
+            done = _compute(spec, work, {axis: cells[axis][tile.cells] for axis in AXES}, [])
             for name, array in flat.items():
                 array[tile.cells] = 1 if array is computed else getattr(done, name)
-            work.finish_line()
+            work.finish()
         tile.split(*(record[name][0] for name in schema.MODE_ARRAYS))
     result = {name: array[:, *tile.inside] for name, array in record.items()}
     source = tile.sources()
@@ -238,43 +229,68 @@ def _surrounded(spec: SweepSpec, chunk: Chunk) -> Chunk:
     return replace(chunk, omega=(top - above, bottom + below), gamma=(first - left, last + right))
 
 
+def _compute(spec: SweepSpec, work: "Work", cells: _Arrays, starts: list[Start | None]) -> Line:
+    """Compute a line to its end; any error notes its cells."""
+    try:
+        return work.compute(_line_run(spec, cells["gamma"], cells["omega"], cells["xi"], starts))
+    except Exception as error:
+        spans = [f"{name} {cells[name][0]:g} to {cells[name][-1]:g}" for name in ("gamma", "omega", "xi")]
+        error.add_note(f"in the cells {', '.join(spans)}")
+        raise
+
+
 class Work:
     """Computes a chunk's lines and looks at the clock and the cancel flag between parts of a line.
 
-    The parts do not affect the results. A kind of study returns its finished arrays from `_save` and takes
-    them back in `_restore`.
+    The parts do not affect the results. `record`: the chunk's arrays, with its `done` first lines. Raises the
+    StoreError of storing it now: computing can take minutes.
     """
 
-    def __init__(self, store_url: str, chunk: int, began: float, slice_seconds: float) -> None:
-        self._url, self._chunk = store_url, chunk
-        self._began, self._slice_seconds = began, slice_seconds
-        self._slice_began = time.thread_time()
+    def __init__(
+        self, store_url: str, chunk: Chunk | Block, arrays: Iterable[schema.Array], record: _Arrays
+    ) -> None:
+        self._began, self._slice_began = time.perf_counter(), time.thread_time()
+        store.check_chunk(store_url, chunk, arrays)
+        self._url, self._chunk, self.record = store_url, chunk, record
+        kept_seconds = sum(array.nbytes for array in record.values()) / KEPT_BYTES
+        self._slice_seconds = max(OPTIONS.get().slice_seconds, kept_seconds)
         self._next_check = -math.inf  # next check of the cancel flag
-        self._steps, self._kernel_seconds = FIRST_STEPS, 0.0
+        self._steps, self.kernel_seconds = FIRST_STEPS, 0.0
+        self.done = 0
         self._before = np.zeros(2)  # `seconds` of earlier slices
         self._under_way: _Arrays = {}  # the line at which the chunk paused
-        saved = None if OPTIONS.get().begins else store.read_checkpoint(store_url, chunk)
+        saved = None if OPTIONS.get().begins else store.read_checkpoint(store_url, chunk.index)
         self._has_checkpoint = saved is not None
         if saved is not None:
             with self._discarding_checkpoint():
-                self._before = saved[_SECONDS].reshape(2)
                 self._restore(saved)
-            self._under_way = {
-                name.removeprefix(_LINE): saved[name] for name in saved if name.startswith(_LINE)
-            }
 
     def _save(self) -> _Arrays:
-        """The finished arrays of the chunk; their names do not begin with `line/`."""
-        raise NotImplementedError
+        """The arrays of a checkpoint, but for the line under way."""
+        record = self.record if self.done else {}
+        return {
+            _SECONDS: np.array(self.seconds),
+            _DONE: np.array(self.done),
+            **{_RECORD + name: array for name, array in record.items()},
+        }
 
     def _restore(self, saved: _Arrays) -> None:
-        """Take back the arrays of `_save`. Raises KeyError or ValueError for any others."""
-        raise NotImplementedError
+        """Take back the arrays of a checkpoint. Raises KeyError or ValueError for any others."""
+        self._before, self.done = saved[_SECONDS].reshape(2), int(saved[_DONE])
+        for name, array in self.record.items() if self.done else ():
+            array[...] = saved[_RECORD + name]
+        self._under_way = {name.removeprefix(_LINE): saved[name] for name in saved if name.startswith(_LINE)}
+
+    def finish(self, *, last: bool = False) -> None:
+        """Note that a line is in the record. Raises ChunkPaused, unless it was the last."""
+        self.done += 1
+        if not last:
+            self.pause_if_due({})
 
     @property
     def seconds(self) -> tuple[float, float]:
         """Seconds since the chunk began, without pauses, and the part in the kernel."""
-        return time.perf_counter() - self._began + self._before[0], self._kernel_seconds + self._before[1]
+        return time.perf_counter() - self._began + self._before[0], self.kernel_seconds + self._before[1]
 
     def compute(self, run: LineRun) -> Line:
         """Compute a line to its end. Raises ChunkCancelled, ChunkPaused."""
@@ -286,27 +302,27 @@ class Work:
             self.pause_if_due(run.save())
         return run.line
 
-    def write(self, chunk: Chunk | Block, record: _Arrays, computed: int | None = None) -> ChunkReport:
+    def write(self, record: _Arrays, computed: int | None = None) -> ChunkReport:
         """Store the chunk's arrays and remove its checkpoint."""
-        stored = store.write_chunk(self._url, chunk, record)
-        self.remove_checkpoint()
+        chunk, stored = self._chunk, store.write_chunk(self._url, self._chunk, record)
+        if self._has_checkpoint:
+            store.remove_checkpoint(self._url, chunk.index)
         return report_of(chunk, record, stored, self.seconds, computed)
 
-    def remove_checkpoint(self) -> None:
-        """Remove the chunk's checkpoint, once its results are stored."""
-        if self._has_checkpoint:
-            store.remove_checkpoint(self._url, self._chunk)
-
-    def _advance(self, run: LineRun) -> bool:
-        """Compute a part of a line; whether the line is done."""
+    def check_cancelled(self) -> None:
+        """Raise ChunkCancelled if the cancel flag is set; looks every CANCEL_SECONDS."""
         if time.perf_counter() > self._next_check:
             if store.is_cancelled(self._url):
                 raise ChunkCancelled(f"cancelled: {self._url}")
             self._next_check = time.perf_counter() + CANCEL_SECONDS
+
+    def _advance(self, run: LineRun) -> bool:
+        """Compute a part of a line; whether the line is done."""
+        self.check_cancelled()
         before = time.perf_counter()
         done = run.advance(self._steps)
         took = time.perf_counter() - before
-        self._kernel_seconds += took
+        self.kernel_seconds += took
         low, high = LOOK_SECONDS
         steps = self._steps * (2 if took < low else 1) // (2 if took > high else 1)
         self._steps = min(max(steps, 1), MOST_STEPS)
@@ -320,12 +336,12 @@ class Work:
         """
         if not LEAVING.is_set() and time.thread_time() - self._slice_began <= self._slice_seconds:
             return
-        arrays = {_SECONDS: np.array(self.seconds)} | self._save()
-        arrays |= {_LINE + name: array for name, array in under_way.items()}
+        arrays = self._save() | {_LINE + name: array for name, array in under_way.items()}
         try:
-            store.write_checkpoint(self._url, self._chunk, arrays)
+            store.write_checkpoint(self._url, self._chunk.index, arrays)
         except _UNWRITABLE as error:
-            log.warning("chunk %d cannot pause, its checkpoint cannot be written: %s", self._chunk, error)
+            index = self._chunk.index
+            log.warning("chunk %d cannot pause, its checkpoint cannot be written: %s", index, error)
             self._slice_seconds = math.inf
             return
         raise ChunkPaused(f"paused after {self._slice_seconds:g} s: {self._url}")
@@ -336,47 +352,8 @@ class Work:
         try:
             yield
         except (KeyError, ValueError) as error:
-            self.remove_checkpoint()
+            store.remove_checkpoint(self._url, self._chunk.index)
             raise ChunkPaused(f"begins anew, its checkpoint is not of this release: {error}") from error
-
-
-class _SweepWork(Work):
-    """The work of a sweep's chunk. `record`: the chunk's arrays, with the lines that are done."""
-
-    def __init__(
-        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
-    ) -> None:
-        self._record, self.lines_done = record, 0
-        super().__init__(store_url, chunk, began, slice_seconds)
-
-    def finish_line(self, *, last: bool = False) -> None:
-        """Note that the line is in the record. Raises ChunkPaused, unless it was the last."""
-        self.lines_done += 1
-        if not last:
-            self.pause_if_due({})
-
-    def _save(self) -> _Arrays:
-        arrays: _Arrays = {_DONE: np.array(self.lines_done)}
-        if self.lines_done:
-            arrays |= {_RECORD + name: array for name, array in self._record.items()}
-        return arrays
-
-    def _restore(self, saved: _Arrays) -> None:
-        self.lines_done = int(saved[_DONE])
-        if self.lines_done:
-            for name, array in self._record.items():
-                array[...] = saved[_RECORD + name]
-
-
-@contextmanager
-def _noting_cells(**axes: NDArray[np.float64]) -> Iterator[None]:
-    """Add the cells to any error as a note."""
-    try:
-        yield
-    except Exception as error:
-        spans = [f"{name} {values[0]:g} to {values[-1]:g}" for name, values in axes.items()]
-        error.add_note(f"in the cells {', '.join(spans)}")
-        raise
 
 
 def run_cells(
@@ -431,20 +408,13 @@ def plate_of(
     return kernel.plate(**model.plate_arguments(gamma, omega, xi))
 
 
-def _start(state: NDArray[np.float64], outcome: int, cell: Cell) -> Start | None:
-    """The start of the next cell on a ramp; None after a diverged cell, to start from rest."""
-    return None if outcome == Outcome.DIVERGED else Start(np.ascontiguousarray(state), cell)
-
-
 def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, Start | None]:
     """The start of each line of a ramp's chunk; empty if all lines start from rest."""
     layer = _layer_before(spec, chunk)
     if layer is None:
         return _starts_on_cycles(spec, chunk)
     stored = store.read_chunk(store_url, layer, ("end_state", "outcome"))
-    previous = {
-        name: _in_visiting_order(spec, layer, array) for name, array in (stored | _cells(spec, layer)).items()
-    }
+    previous = _in_visiting_order(spec, layer, stored | _cells(spec, layer))
     if np.any(previous["outcome"] == Outcome.MISSING):
         raise PredecessorMissing(
             f"chunk {chunk.index} continues chunk {chunk.after} of the ramp, which is not stored"
@@ -457,16 +427,20 @@ def _starts_on_cycles(spec: SweepSpec, chunk: Chunk) -> dict[_LineIndex, Start |
     on = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
     if on is None:
         return {}
-    cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
-    return {
-        index: start_of(Cell(*(float(cells[name][(*index, 0)]) for name in Cell._fields)), on.periods)
-        for index in np.ndindex(cells["gamma"].shape[:2])
-    }
+    cells = _in_visiting_order(spec, chunk, _cells(spec, chunk))
+    indices = np.ndindex(cells["gamma"].shape[:2])
+    return {index: start_of(_cell(cells, (*index, 0)), on.periods) for index in indices}
 
 
 def _start_at(arrays: _Arrays, index: tuple[int, ...]) -> Start | None:
-    cell = Cell(*(float(arrays[name][index]) for name in Cell._fields))
-    return _start(arrays["end_state"][index], arrays["outcome"][index], cell)
+    """The start of the next cell on a ramp; None after a diverged cell, to start from rest."""
+    if arrays["outcome"][index] == Outcome.DIVERGED:
+        return None
+    return Start(np.ascontiguousarray(arrays["end_state"][index]), _cell(arrays, index))
+
+
+def _cell(arrays: _Arrays, index: tuple[int, ...]) -> Cell:
+    return Cell(*(float(arrays[name][index]) for name in Cell._fields))
 
 
 def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
@@ -484,13 +458,15 @@ def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
     return Chunk(chunk.index, direction, **spans)
 
 
-def _empty_record(spec: SweepSpec, chunk: Chunk) -> _Arrays:
-    length = schema.sizes(spec)
+def empty_record(
+    chunk: Chunk | Block, arrays: Iterable[schema.Array], sizes: Mapping[str, int]
+) -> dict[str, NDArray[Any]]:
+    """The arrays of a chunk, filled with the values of cells that are not computed."""
     return {
         array.name: np.full(
-            (*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.fill, dtype=array.dtype
+            (*chunk.shape, *(sizes[dim] for dim in array.extra_dims)), array.fill, array.dtype
         )
-        for array in schema.arrays(spec)
+        for array in arrays
     }
 
 
@@ -500,15 +476,15 @@ def _cells(spec: SweepSpec, chunk: Chunk) -> _Arrays:
     return dict(zip(AXES, np.meshgrid(*values, indexing="ij"), strict=True))
 
 
-def _in_visiting_order(spec: SweepSpec, chunk: Chunk, array: NDArray[Any]) -> NDArray[Any]:
-    """A view of a chunk's array with the cells of a line, in the order of the ramp, along its third axis.
+def _in_visiting_order(spec: SweepSpec, chunk: Chunk, arrays: _Arrays) -> _Arrays:
+    """Views of a chunk's arrays with the cells of a line, in the order of the ramp, along their third axis.
 
     From rest all cells form one line; on a ramp there is one line for each pair of the other two parameters.
     """
     if spec.ramp_axis is None:
-        return array.reshape(1, 1, chunk.cells, *array.shape[3:])
-    along = np.moveaxis(array, AXES.index(spec.ramp_axis), 2)
-    return along[:, :, ::-1] if spec.directions[chunk.direction] == "down" else along
+        return {name: array.reshape(1, 1, chunk.cells, *array.shape[3:]) for name, array in arrays.items()}
+    axis, step = AXES.index(spec.ramp_axis), -1 if spec.directions[chunk.direction] == "down" else 1
+    return {name: np.moveaxis(array, axis, 2)[:, :, ::step] for name, array in arrays.items()}
 
 
 def compile_kernels() -> None:
@@ -518,19 +494,21 @@ def compile_kernels() -> None:
         contact: Any = model.fields(kind=kind)
         plate = plate_of(contact, axis, axis, axis)
         for exponents in {0, dimension(plate)}:
-            LineRun(
-                axis, axis, axis, plate=plate, carry=False, settle=0, observe=1, keep=1, exponents=exponents
-            ).advance()
+            _run_briefly(axis, axis, axis, plate=plate, carry=False, exponents=exponents)
         sample(Cell(1.0, 1.0, 1.0), plate, None, periods=1, samples=1)
 
 
-def compile_for(spec: SweepSpec) -> None:
-    """Compile or load the kernels of the sweep.
+def compile_for(spec: Any) -> None:
+    """Compile or load the kernels of a study, if it has a contact model.
 
     Once compiled, this takes a fraction of a millisecond: one plate period of the first cell.
     """
-    gamma, omega, xi = (spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi"))
-    LineRun(
-        gamma, omega, xi, plate=plate_of(spec.model, gamma, omega, xi),
-        carry=spec.ramp_axis is not None, settle=0, observe=1, keep=1, exponents=spec.exponents,
-    ).advance()  # fmt: skip
+    if hasattr(spec, "model"):
+        cell = [spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi")]
+        carry = getattr(spec, "ramp_axis", None) is not None
+        plate = plate_of(spec.model, *cell)
+        _run_briefly(*cell, plate=plate, carry=carry, exponents=getattr(spec, "exponents", 0))
+
+
+def _run_briefly(*cell: NDArray[np.float64], **options: Any) -> None:
+    LineRun(*cell, settle=0, observe=1, keep=1, **options).advance()

@@ -9,10 +9,8 @@ import faulthandler
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, wait
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from io import UnsupportedOperation
 from typing import Any, Final
 
@@ -20,10 +18,9 @@ from distributed import get_worker
 
 from kernel.numerics.compilation import compilations
 from worker import store
-from worker.basins.spec import GridSpec
-from worker.spec import SweepSpec
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import (
+    USUAL,
     ChunkCancelled,
     ChunkOptions,
     ChunkPaused,
@@ -48,15 +45,14 @@ CANCEL_GRACE_SECONDS: Final = 1.0
 MEMORY_SHARE: Final = 0.9
 #: Seconds for the last event to reach the scheduler before the process ends.
 REPORT_SECONDS: Final = 0.2
-#: If the watchdog itself cannot run, the process ends this long after the chunk's time limit.
+#: If no thread can run Python any more, the process ends this long after the chunk's time limit.
 HARD_LIMIT_SECONDS: Final = 5.0
 #: The longest timer that faulthandler accepts.
 LONGEST_SECONDS: Final = 1e6
-_USUAL: Final = ChunkOptions()
 
 
 def run_watched(
-    spec: Spec, chunk: Chunk, store_url: str, seconds: float, options: ChunkOptions = _USUAL
+    spec: Spec, chunk: Chunk, store_url: str, seconds: float, options: ChunkOptions = USUAL
 ) -> ChunkReport | TaskError:
     """`studies.run_task` under a watchdog.
 
@@ -73,40 +69,26 @@ def run_watched(
         time.sleep(REPORT_SECONDS)
         os._exit(1)
 
-    sweep = spec.sweep() if isinstance(spec, GridSpec) else spec
-    if isinstance(sweep, SweepSpec):
-        try:
-            _compile(sweep, store_url, partial(worker.log_event, TOPIC))  # not on the chunk's time
-        except ChunkCancelled as cancelled:
-            return cancelled
-    hard_limit = _hard_limit(seconds + HARD_LIMIT_SECONDS)
-    with hard_limit, Watchdog(worker, store_url, seconds, terminate), with_options(options):
-        try:
+    try:
+        _compile(spec, store_url, worker)  # not on the chunk's time
+        with Watchdog(worker, store_url, seconds, terminate), with_options(options):
             return run_task(spec, chunk, store_url)
-        except (ChunkCancelled, ChunkPaused) as stopped:
-            return stopped
+    except (ChunkCancelled, ChunkPaused) as stopped:
+        return stopped
 
 
-def _compile(sweep: SweepSpec, store_url: str, log_event: Callable[[dict[str, Any]], None]) -> None:
-    """Compile or load the kernels of the sweep. Raises ChunkCancelled if its job is cancelled meanwhile.
+def _compile(spec: Spec, store_url: str, worker: Any) -> None:
+    """Compile or load the kernels of the study. Raises ChunkCancelled if its job is cancelled meanwhile.
 
     Compilation can take a minute and cannot be interrupted: after a cancel its thread continues, for later
     chunks. Events report the kernel being compiled and the store.
     """
-    compiled: Future[None] = Future()
-
-    def compile_in_thread() -> None:
-        try:
-            compile_for(sweep)
-        except BaseException as error:  # noqa: BLE001 - the waiting thread raises it again
-            compiled.set_exception(error)
-        else:
-            compiled.set_result(None)
-
-    threading.Thread(target=compile_in_thread, name="compile", daemon=True).start()
+    thread = ThreadPoolExecutor(1, "compile")
+    compiled = thread.submit(compile_for, spec)
+    thread.shutdown(wait=False)
     while not wait([compiled], FLAG_SECONDS).done:
         for kernel, began in compilations():
-            log_event({"compiling": kernel, "began": began, "store": store_url})
+            worker.log_event(TOPIC, {"compiling": kernel, "began": began, "store": store_url})
         with contextlib.suppress(OSError):  # a bucket out of reach is no reason to stop
             if store.is_cancelled(store_url):
                 raise ChunkCancelled(f"cancelled: {store_url}")
@@ -125,10 +107,14 @@ class Watchdog:
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
 
     def __enter__(self) -> None:
+        with contextlib.suppress(AttributeError, RuntimeError, UnsupportedOperation, ValueError):  # no stderr
+            seconds = min(self._seconds + HARD_LIMIT_SECONDS, LONGEST_SECONDS)
+            faulthandler.dump_traceback_later(seconds, exit=True)
         self._thread.start()
 
     def __exit__(self, *_: object) -> None:
         self._over.set()
+        faulthandler.cancel_dump_traceback_later()
 
     def _watch(self) -> None:
         while not self._over.wait(CHECK_SECONDS):
@@ -157,14 +143,3 @@ class Watchdog:
             with contextlib.suppress(Exception):  # e.g. a bucket out of reach: no reason to end
                 self._flag_seen = (self._flag_seen or now) if store.is_cancelled(self._url) else None
         return self._flag_seen is not None and now - self._flag_seen > CANCEL_GRACE_SECONDS
-
-
-@contextmanager
-def _hard_limit(seconds: float) -> Iterator[None]:
-    """End the process after `seconds`, even if its threads can no longer run Python."""
-    with contextlib.suppress(AttributeError, RuntimeError, UnsupportedOperation, ValueError):  # no stderr
-        faulthandler.dump_traceback_later(min(seconds, LONGEST_SECONDS), exit=True)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()

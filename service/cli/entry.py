@@ -15,7 +15,7 @@ from contextlib import suppress
 from types import FrameType
 from typing import Final
 
-from worker import temporary
+from worker.ownership import remove_temporary_folders
 
 #: Seconds that a command may take to end orderly after Ctrl-C.
 GRACE_SECONDS: Final = 1.2
@@ -62,7 +62,7 @@ def _end_now(*_: object) -> None:
     """End this process with all that it has started, and remove its temporary folders."""
     for process in multiprocessing.active_children():
         process.kill()
-    temporary.remove_all()
+    remove_temporary_folders()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):  # nobody reads it
             stream.flush()

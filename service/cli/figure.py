@@ -83,7 +83,7 @@ def _service(workers: int | None, data: str | None, token: str | None) -> Iterat
     DataFolderBusy.
     """
     from service.errors import DataFolderBusy
-    from worker.temporary import temporary_folder
+    from worker.ownership import temporary_folder
 
     folder = Path(data) if data else data_folder()
     if (url := find_service(folder)) is not None:

@@ -11,7 +11,8 @@ from service.jobs.prepare import JobPreparer
 from service.jobs.transactions import Pace
 from worker.cost import Cost
 from worker.spec.errors import SpecError
-from worker.studies import Plan, Study, study_of
+from worker.studies import Plan, study_of
+from worker.tasks import Study
 
 #: Number of recent jobs whose speed counts, and maximum characters of their specifications.
 RECENT_JOBS: Final = 20

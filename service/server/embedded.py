@@ -34,12 +34,10 @@ from service.server.logging import log_to_stderr, quiet_libraries
 from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings
 from service.views import registry
-from worker.executors.admission import Probe
 from worker.executors.base import Executor
-from worker.executors.connection import SCHEDULER_SETTINGS
+from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
-from worker.executors.targets import CreatedCluster
 from worker.kernel_cache import CacheRefused
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
 
@@ -270,7 +268,7 @@ def connected_cluster(settings: Settings, marker: str) -> Dask:
         security=tls,
         workers=settings.workers,
         memory=settings.worker_memory,
-        stores=Probe(settings.stores_url, marker),
+        stores=(settings.stores_url, marker),
     )
 
 

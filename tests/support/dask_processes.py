@@ -14,7 +14,7 @@ import psutil
 from paths import CACHE, ROOT
 from scripted import free_port, wait_for
 
-from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
+from worker.executors.clusters import SCHEDULER_SETTINGS, environment_variable
 
 LOOPBACK = ["--host", "127.0.0.1", "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
 

@@ -23,7 +23,7 @@ from worker.executors.dask import Dask
 from worker.kernel_cache import use_cache
 from worker.plan import Chunk
 from worker.spec import SweepSpec
-from worker.tasks import ChunkReport, run_chunk
+from worker.tasks import USUAL, ChunkReport, run_chunk, with_options
 
 #: Seconds until the report of the chunk before has left the worker. If it were lost with the worker, that
 #: chunk would count as the cause and be computed again.
@@ -71,7 +71,8 @@ def run_harmed(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     harm, _, index = spec.name.partition(":")
     if harm in HARMS and chunk.index == int(index):
         HARMS[harm]()
-    return run_chunk(spec, chunk, store_url)
+    with with_options(USUAL):  # in one piece
+        return run_chunk(spec, chunk, store_url)
 
 
 class Stuck(WorkerPlugin):
@@ -131,4 +132,4 @@ def pids(executor: Dask, workers: int = 2) -> list[int]:
 
 def wait_until_ready(executor: Dask) -> None:
     """Wait until both workers are ready."""
-    wait_for(lambda: executor.ready() and executor.workers() == 2)
+    wait_for(lambda: executor.workers() == 2)

@@ -71,9 +71,6 @@ class Held:
         """A call that is never computed."""
         return Future()
 
-    def ready(self) -> bool:
-        return self.capacity > 0
-
     def workers(self) -> int:
         return self.capacity
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from service.jobs.stores.adoption import open_ledger
 from service.settings import Settings
 from worker import store
-from worker.executors.admission import Probe
 from worker.schema import Layout
 from worker.store import HasSlices
 
@@ -26,8 +25,8 @@ def files(folder: str | Path) -> dict[str, bytes]:
     return contents
 
 
-def marked(data: Path) -> Probe:
+def marked(data: Path) -> tuple[str, str]:
     """What marks the stores of a data folder, which is made, as its service's."""
     settings = Settings(data=data)
     with open_ledger(settings) as ledger, ledger.reading() as reading:
-        return Probe(settings.stores_url, reading.marker()[0])
+        return settings.stores_url, reading.marker()[0]

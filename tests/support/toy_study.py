@@ -19,7 +19,7 @@ from worker import store
 from worker.cost import Cost
 from worker.schema import Array, Layout
 from worker.spec.axes import Strict
-from worker.tasks import ChunkReport
+from worker.tasks import ChunkReport, Study
 
 
 class Divisors(Strict):
@@ -90,54 +90,49 @@ class ToyPlan(Sequence[ToyChunk]):
         return coords[0]
 
 
-class ToyStudy:
-    """The five answers."""
-
-    def parse(self, data: object) -> ToySpec:
-        return ToySpec.model_validate(data)
-
-    def plan(
-        self, spec: ToySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = 30.0
-    ) -> ToyPlan:
-        return ToyPlan(spec.last, (chunk_shape or (7,))[:1])
-
-    def variables(self, spec: ToySpec, chunk_shape: tuple[int, ...]) -> Layout:
-        return Layout(
-            chunk_sizes={"number": chunk_shape[0]},
-            coordinates={"number": np.arange(1.0, spec.last + 1)},
-            extra_sizes={"smallest": 2},
-            arrays=(
-                Array("count", ("number",), "<i4", 0, {"long_name": "number of divisors"}),
-                Array("divisor", ("number", "smallest"), "<i4", 0, {"long_name": "the smallest two"}),
-                Array("outcome", ("number",), "|u1", 0, {"long_name": "whether it is computed"}),
-            ),
-            attributes={"title": spec.name, "spec": spec.as_submitted()},
-            identity={"job": spec.job_id("toy"), "chunk_shape": list(chunk_shape)},
-        )
-
-    def estimate(self, spec: ToySpec, plan: ToyPlan) -> Cost:
-        return Cost(cells=plan.cells, chunks=len(plan), bytes=13 * plan.cells, core_seconds=1e-6 * plan.cells)
-
-    def task(self, spec: ToySpec, chunk: ToyChunk, store_url: str) -> ChunkReport:
-        began = time.perf_counter()
-        numbers = range(chunk.first + 1, chunk.last + 1)
-        divisors = [[d for d in range(1, n + 1, spec.protocol.step) if n % d == 0] for n in numbers]
-        record = {
-            "count": np.array([len(found) for found in divisors], np.int32),
-            "divisor": np.array([[*found, 0][:2] for found in divisors], np.int32),
-            "outcome": np.full(chunk.cells, Outcome.PERIODIC, np.uint8),
-        }
-        stored = store.write_chunk(store_url, chunk, record)
-        took = time.perf_counter() - began
-        return ChunkReport(
-            chunk.index,
-            chunk.cells,
-            took,
-            took,
-            stored.checksum,
-            (0, chunk.cells, 0, 0, 0, 0),
-            bytes=stored.bytes,
-        )
+def plan(spec: ToySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = 30.0) -> ToyPlan:
+    return ToyPlan(spec.last, (chunk_shape or (7,))[:1])
 
 
-TOY = ToyStudy()
+def variables(spec: ToySpec, chunk_shape: tuple[int, ...]) -> Layout:
+    return Layout(
+        chunk_sizes={"number": chunk_shape[0]},
+        coordinates={"number": np.arange(1.0, spec.last + 1)},
+        extra_sizes={"smallest": 2},
+        arrays=(
+            Array("count", ("number",), "<i4", 0, {"long_name": "number of divisors"}),
+            Array("divisor", ("number", "smallest"), "<i4", 0, {"long_name": "the smallest two"}),
+            Array("outcome", ("number",), "|u1", 0, {"long_name": "whether it is computed"}),
+        ),
+        attributes={"title": spec.name, "spec": spec.as_submitted()},
+        identity={"job": spec.job_id("toy"), "chunk_shape": list(chunk_shape)},
+    )
+
+
+def estimate(spec: ToySpec, plan: ToyPlan) -> Cost:
+    return Cost(cells=plan.cells, chunks=len(plan), bytes=13 * plan.cells, core_seconds=1e-6 * plan.cells)
+
+
+def task(spec: ToySpec, chunk: ToyChunk, store_url: str) -> ChunkReport:
+    began = time.perf_counter()
+    numbers = range(chunk.first + 1, chunk.last + 1)
+    divisors = [[d for d in range(1, n + 1, spec.protocol.step) if n % d == 0] for n in numbers]
+    record = {
+        "count": np.array([len(found) for found in divisors], np.int32),
+        "divisor": np.array([[*found, 0][:2] for found in divisors], np.int32),
+        "outcome": np.full(chunk.cells, Outcome.PERIODIC, np.uint8),
+    }
+    stored = store.write_chunk(store_url, chunk, record)
+    took = time.perf_counter() - began
+    return ChunkReport(
+        chunk.index,
+        chunk.cells,
+        took,
+        took,
+        stored.checksum,
+        (0, chunk.cells, 0, 0, 0, 0),
+        bytes=stored.bytes,
+    )
+
+
+TOY = Study(ToySpec.model_validate, plan, variables, estimate, task)

@@ -40,7 +40,7 @@ def test_topology_is_a_scheduler_two_workers_and_the_service_that_the_image_runs
 
 
 def test_scheduler_has_the_settings_that_the_service_needs():
-    from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
+    from worker.executors.clusters import SCHEDULER_SETTINGS, environment_variable
 
     environment = SERVICES["scheduler"]["environment"]
     assert {name: float(value) for name, value in environment.items()} == {
@@ -122,7 +122,7 @@ def test_clusters_of_the_documents_are_closed():
 
 
 def test_pods_speak_tls_and_are_reached_by_each_other_only():
-    from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
+    from worker.executors.clusters import SCHEDULER_SETTINGS, environment_variable
 
     things = list(yaml.safe_load_all((ROOT / "docs" / "kubernetes.yaml").read_text()))
     (cluster,) = (thing["spec"] for thing in things if thing["kind"] == "DaskCluster")

@@ -15,8 +15,6 @@ The destinations of starts are stored for both directions: two attractors of nei
 if each leads to the other.
 """
 
-import math
-import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
@@ -26,14 +24,12 @@ from numpy.typing import NDArray
 
 from kernel.cell import rescale
 from kernel.params import Line, Outcome
-from worker import store
 from worker.basins.attractors import CYCLE_FLIGHTS, SAME_CYCLE, counted
 from worker.basins.schema import (
     COMPUTED_OR_UNDECIDED,
     OF_ATTRACTORS,
     array,
     bytes_per_cell,
-    empty_record,
     grid_layout,
     sizes_of_attractors,
 )
@@ -45,7 +41,7 @@ from worker.grid_plan import Block, GridPlan
 from worker.plan import LONGEST_SECONDS, TARGET_SECONDS
 from worker.schema import Layout
 from worker.spec import AXES
-from worker.tasks import OPTIONS, ChunkReport
+from worker.tasks import ChunkReport, Study, empty_record
 
 #: Stored attractors of a cell: first those that most drops reach, then those found by following others.
 MAX_ATTRACTORS: Final = 8
@@ -190,7 +186,7 @@ class _Search:
         for _ in range(ROUNDS):
             steps += [partial(self._follow, "next_up", j, j + 1) for j in range(gammas - 1)]
             steps += [partial(self._follow, "next_down", j, j - 1) for j in range(gammas - 1, 0, -1)]
-        for step in steps[self._work.steps_done :]:
+        for step in steps[self._work.done :]:
             step()
             self._work.finish_step()
 
@@ -318,7 +314,9 @@ def cell_cost(spec: MultistabilitySpec) -> float:
     return _runs(spec) * cell_seconds(spec.sweep())
 
 
-def make_plan(spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
+def make_plan(
+    spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+) -> GridPlan:
     """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
 
     Raises ValueError for sizes below 1, or for parts of lines.
@@ -333,20 +331,16 @@ def make_plan(spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = No
     return plan
 
 
-def run_chunk(
-    spec: MultistabilitySpec, chunk: Block, store_url: str, slice_seconds: float = math.inf
-) -> ChunkReport:
+def run_chunk(spec: MultistabilitySpec, chunk: Block, store_url: str) -> ChunkReport:
     """Compute the lines of `chunk` and store them; the store must exist.
 
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
-    `slice_seconds` core-seconds, or a `store.StoreError`.
+    the slice of `tasks.OPTIONS`, or a `store.StoreError`.
     """
-    began = time.perf_counter()
-    store.check_chunk(store_url, chunk, _ARRAYS)
     record = empty_record(chunk, _ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS))
     cycles = np.full((*chunk.shape, MAX_ATTRACTORS, CYCLE), np.nan)
     kept = record | {"cycle": cycles}
-    work = Steps(store_url, chunk.index, kept, began, slice_seconds)
+    work = Steps(store_url, chunk, _ARRAYS, kept)
     _Search(spec, chunk, _Cells(kept), work).run()
     for name in ("next_up", "next_down"):
         record[name][record[name] == NOT_STARTED] = NOWHERE  # found too late to be followed
@@ -354,37 +348,18 @@ def run_chunk(
     record["outcome"][...] = np.where(
         record["attractor_count"] > 0, Outcome.PERIODIC, Outcome.UNRESOLVED
     ).astype(np.uint8)
-    return work.write(chunk, record)
+    return work.write(record)
 
 
-class MultistabilityStudy:
-    """Attractors followed along gamma."""
-
-    def parse(self, data: object) -> MultistabilitySpec:
-        return MultistabilitySpec.parse(data)
-
-    def plan(
-        self,
-        spec: MultistabilitySpec,
-        chunk_shape: tuple[int, ...] | None = None,
-        longest: float = LONGEST_SECONDS,
-    ) -> GridPlan:
-        return make_plan(spec, chunk_shape)
-
-    def variables(self, spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:
-        return layout(spec, chunk_shape)
-
-    def estimate(self, spec: MultistabilitySpec, plan: GridPlan) -> Cost:
-        return Cost(
-            cells=plan.cells,
-            chunks=len(plan),
-            bytes=plan.cells * bytes_per_cell(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
-            core_seconds=plan.cells * cell_cost(spec),
-            longest_core_seconds=plan.cells * _runs(spec) * period_seconds(spec.sweep()) * spec.until,
-        )
-
-    def task(self, spec: MultistabilitySpec, chunk: Block, store_url: str) -> ChunkReport:
-        return run_chunk(spec, chunk, store_url, OPTIONS.get().slice_seconds)
+def estimate(spec: MultistabilitySpec, plan: GridPlan) -> Cost:
+    """The cost, by that of a sweep's cells."""
+    return Cost(
+        cells=plan.cells,
+        chunks=len(plan),
+        bytes=plan.cells * bytes_per_cell(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
+        core_seconds=plan.cells * cell_cost(spec),
+        longest_core_seconds=plan.cells * _runs(spec) * period_seconds(spec.sweep()) * spec.until,
+    )
 
 
-MULTISTABILITY: Final = MultistabilityStudy()
+MULTISTABILITY: Final = Study(MultistabilitySpec.parse, make_plan, layout, estimate, run_chunk)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker.basins.spec import GridSpec
-from worker.grid_plan import Block
 from worker.schema import COORDINATES, OUTCOME, OUTCOME_FLAGS, Array, Layout, common_attributes
 from worker.spec import AXES
 
@@ -59,16 +58,6 @@ def sizes_of_attractors(spec: GridSpec, attractors: int) -> dict[str, int]:
 def bytes_per_cell(arrays: tuple[Array, ...], sizes: Mapping[str, int]) -> int:
     """Stored bytes per cell before compression."""
     return sum(np.dtype(a.dtype).itemsize * math.prod(sizes[dim] for dim in a.extra_dims) for a in arrays)
-
-
-def empty_record(
-    chunk: Block, arrays: tuple[Array, ...], sizes: Mapping[str, int]
-) -> dict[str, NDArray[Any]]:
-    """The arrays of a chunk, filled with the values of cells that are not computed."""
-    return {
-        a.name: np.full((*chunk.shape, *(sizes[dim] for dim in a.extra_dims)), a.fill, a.dtype)
-        for a in arrays
-    }
 
 
 def grid_layout(

@@ -1,6 +1,6 @@
 """A chunk computed in steps, each of one or more runs of many starts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 import numpy as np
@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from kernel.line import LineRun
 from kernel.params import Line
 from worker.basins.spec import GridSpec
+from worker.grid_plan import Block
+from worker.schema import Array
 from worker.tasks import Work, plate_of
 
-_STEPS: Final = "steps_done"
-_RECORD: Final = "record/"
 _ANSWER: Final = "answer/"
 
 _Arrays = dict[str, NDArray[Any]]
@@ -21,13 +21,10 @@ _Arrays = dict[str, NDArray[Any]]
 class Steps(Work):
     """The record of a chunk, its finished steps, and the answers of the step under way."""
 
-    def __init__(
-        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
-    ) -> None:
-        self._record, self.steps_done = record, 0
+    def __init__(self, store_url: str, chunk: Block, arrays: Iterable[Array], record: _Arrays) -> None:
         self._answers: list[_Arrays] = []
         self._answered = 0
-        super().__init__(store_url, chunk, began, slice_seconds)
+        super().__init__(store_url, chunk, arrays, record)
 
     def answer(self, run: Callable[[], LineRun], reduce: Callable[[Line], _Arrays]) -> _Arrays:
         """The part that `reduce` keeps of the step's next run, computed now or before.
@@ -42,20 +39,17 @@ class Steps(Work):
 
     def finish_step(self) -> None:
         """Note that the step's results are in the record."""
-        self.steps_done += 1
+        self.done += 1
         self._answers, self._answered = [], 0
 
     def _save(self) -> _Arrays:
-        arrays: _Arrays = {_STEPS: np.array(self.steps_done)}
-        arrays |= {_RECORD + name: array for name, array in self._record.items()}
+        arrays = super()._save()
         for number, answer in enumerate(self._answers):
             arrays |= {f"{_ANSWER}{number}/{name}": array for name, array in answer.items()}
         return arrays
 
     def _restore(self, saved: _Arrays) -> None:
-        self.steps_done = int(saved[_STEPS])
-        for name, array in self._record.items():
-            array[...] = saved[_RECORD + name]
+        super()._restore(saved)
         answers: dict[int, _Arrays] = {}
         for name, array in saved.items():
             if name.startswith(_ANSWER):

@@ -4,7 +4,6 @@ A task computes whole cells, since attractors are distinguished among all starts
 """
 
 import math
-import time
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -12,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Line, Outcome
-from worker import store
 from worker.basins.attractors import Found, Request, Rules, find
 from worker.basins.schema import (
     COMPUTED_OR_UNDECIDED,
@@ -20,7 +18,6 @@ from worker.basins.schema import (
     OF_ATTRACTORS,
     array,
     bytes_per_cell,
-    empty_record,
     grid_layout,
     sizes_of_attractors,
 )
@@ -32,7 +29,7 @@ from worker.grid_plan import Block, GridPlan
 from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS
 from worker.schema import Array, Layout
 from worker.spec import AXES, SweepSpec
-from worker.tasks import OPTIONS, ChunkReport
+from worker.tasks import ChunkReport, Study, empty_record
 
 #: Stored attractors of a cell, the largest basins first. Starts of others count as undecided.
 MAX_ATTRACTORS: Final = 32
@@ -108,7 +105,9 @@ def start_seconds(spec: BasinSpec) -> float:
     return cell_seconds(_of_starts(spec))
 
 
-def make_plan(spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
+def make_plan(
+    spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+) -> GridPlan:
     """Chunks of `chunk_shape` cells along (xi, omega, gamma); by default rows of gamma, about a second.
 
     Raises ValueError for a size below 1.
@@ -123,19 +122,17 @@ def make_plan(spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None) -> Gr
     return GridPlan(spec.shape, chunk_shape)
 
 
-def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: float = math.inf) -> ChunkReport:
+def run_chunk(spec: BasinSpec, chunk: Block, store_url: str) -> ChunkReport:
     """Compute every cell of `chunk` and store it; the store must exist.
 
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
-    `slice_seconds` core-seconds, or a `store.StoreError`.
+    the slice of `tasks.OPTIONS`, or a `store.StoreError`.
     """
-    began = time.perf_counter()
-    store.check_chunk(store_url, chunk, arrays(spec))
     record = empty_record(chunk, arrays(spec), sizes(spec))
     values = [spec.axis_values(axis)[span] for axis, span in zip(AXES, chunk.slices, strict=True)]
-    work = Steps(store_url, chunk.index, record, began, slice_seconds)
+    work = Steps(store_url, chunk, arrays(spec), record)
     for number, index in enumerate(np.ndindex(chunk.shape)):
-        if number < work.steps_done:
+        if number < work.done:
             continue
         xi, omega, gamma = (float(axis[i]) for axis, i in zip(values, index, strict=True))
         found = find(starts_of(spec, gamma, omega, xi), rules_of(spec), _runner(spec, gamma, omega, xi, work))
@@ -144,7 +141,7 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
         )
         _fill_in_numbers(spec, found, record, index)
         work.finish_step()
-    return work.write(chunk, record)
+    return work.write(record)
 
 
 def rules_of(spec: BasinSpec) -> Rules:
@@ -209,32 +206,16 @@ def entropies(ids: NDArray[np.uint8]) -> tuple[float, float]:
     return float(entropy.mean()), float(entropy[mixed].mean()) if mixed.any() else 0.0
 
 
-class BasinStudy:
-    """Basins of attraction."""
-
-    def parse(self, data: object) -> BasinSpec:
-        return BasinSpec.parse(data)
-
-    def plan(
-        self, spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
-    ) -> GridPlan:
-        return make_plan(spec, chunk_shape)
-
-    def variables(self, spec: BasinSpec, chunk_shape: tuple[int, ...]) -> Layout:
-        return layout(spec, chunk_shape)
-
-    def estimate(self, spec: BasinSpec, plan: GridPlan) -> Cost:
-        starts = plan.cells * spec.protocol.rows * spec.protocol.columns
-        return Cost(
-            cells=plan.cells,
-            chunks=len(plan),
-            bytes=plan.cells * bytes_per_cell(arrays(spec), sizes(spec)),
-            core_seconds=starts * start_seconds(spec),
-            longest_core_seconds=starts * period_seconds(_of_starts(spec)) * spec.until,
-        )
-
-    def task(self, spec: BasinSpec, chunk: Block, store_url: str) -> ChunkReport:
-        return run_chunk(spec, chunk, store_url, OPTIONS.get().slice_seconds)
+def estimate(spec: BasinSpec, plan: GridPlan) -> Cost:
+    """The cost, by that of a sweep's cells."""
+    starts = plan.cells * spec.protocol.rows * spec.protocol.columns
+    return Cost(
+        cells=plan.cells,
+        chunks=len(plan),
+        bytes=plan.cells * bytes_per_cell(arrays(spec), sizes(spec)),
+        core_seconds=starts * start_seconds(spec),
+        longest_core_seconds=starts * period_seconds(_of_starts(spec)) * spec.until,
+    )
 
 
-BASINS: Final = BasinStudy()
+BASINS: Final = Study(BasinSpec.parse, make_plan, layout, estimate, run_chunk)

@@ -4,14 +4,12 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from worker.studies import Chunk, Spec
-from worker.tasks import ChunkOptions, ChunkReport
+from worker.tasks import USUAL, ChunkOptions, ChunkReport
 
 Result = TypeVar("Result")
-
-USUAL: Final = ChunkOptions()
 
 
 @dataclass(frozen=True)
@@ -92,9 +90,6 @@ class Executor(Protocol):
 
         Raises ExecutorError if there is no cluster to submit to.
         """
-
-    def ready(self) -> bool:
-        """Whether a task submitted now would start on some worker; returns within seconds."""
 
     def workers(self) -> int:
         """The number of tasks that run at once; 0 without workers. May be a second old."""

@@ -1,17 +1,8 @@
-"""Errors of the executor, not of the task.
-
-ExecutorError
-├── WorkerDied      its worker process died while running it, or was terminated because of it
-├── WorkerLost      its worker process died before the task began
-├── WorkerLeft      its worker was told to leave, by a batch queue, its lifetime or an operator
-├── WorkerRefused   its worker may not compute: it differs from the service, or does not see the stores
-├── ReportMismatch  its worker reported another chunk than the one it was given
-└── ClusterLost     the scheduler is gone, or was never reached
-"""
+"""Errors of the executor: a task has no result, although it raised nothing itself."""
 
 
 class ExecutorError(Exception):
-    """An error of the executor: the task has no result but raised nothing itself."""
+    """An error of the executor, not of the task."""
 
 
 class WorkerDied(ExecutorError):
@@ -27,7 +18,7 @@ class WorkerLeft(ExecutorError):
 
 
 class WorkerRefused(ExecutorError):
-    """The worker was not admitted; the message gives the reason."""
+    """The worker may not compute: it differs from the service, or does not see the stores."""
 
 
 class ReportMismatch(ExecutorError):

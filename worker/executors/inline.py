@@ -7,9 +7,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from kernel.numerics.compilation import compilations
-from worker.executors.base import USUAL, ClusterState, Compiling, Result
+from worker.executors.base import ClusterState, Compiling, Result
 from worker.studies import Chunk, Spec, run_task
-from worker.tasks import ChunkOptions, ChunkReport, with_options
+from worker.tasks import USUAL, ChunkOptions, ChunkReport, with_options
 
 
 class Inline:
@@ -38,9 +38,6 @@ class Inline:
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
         return self._threads.submit(function, *arguments)
-
-    def ready(self) -> bool:
-        return self._open
 
     def workers(self) -> int:
         return self._workers if self._open else 0

@@ -32,13 +32,11 @@ from worker.store.side_files import clear_cancelled as clear_cancelled
 from worker.store.side_files import is_cancelled as is_cancelled
 from worker.store.side_files import read_checkpoint as read_checkpoint
 from worker.store.side_files import read_marker as read_marker
-from worker.store.side_files import read_spec as read_spec
 from worker.store.side_files import remove_checkpoint as remove_checkpoint
 from worker.store.side_files import set_cancelled as set_cancelled
 from worker.store.side_files import sweep_leftovers as sweep_leftovers
 from worker.store.side_files import write_checkpoint as write_checkpoint
 from worker.store.side_files import write_marker as write_marker
-from worker.store.side_files import write_spec as write_spec
 from worker.store.store import Stored as Stored
 from worker.store.store import check_chunk as check_chunk
 from worker.store.store import create as create

@@ -1,4 +1,4 @@
-"""Small files beside a store's arrays: marker, cancel flag, checkpoints, specifications."""
+"""Small files beside a store's arrays: marker, cancel flag, checkpoints."""
 
 import hashlib
 import io
@@ -125,22 +125,3 @@ def checkpoints_in(url: str) -> list[int]:
 def remove_checkpoint(url: str, chunk: int) -> None:
     """Remove a chunk's checkpoint, if there is one."""
     backend.delete(url, f"{_CHECKPOINT}{chunk}")
-
-
-def write_spec(url: str, text: str) -> str:
-    """Write a specification into a store and return its digest; earlier ones stay.
-
-    Raises OSError, or one of `store.UNREACHABLE`.
-    """
-    digest = hashlib.sha256(text.encode()).hexdigest()
-    if read_spec(url, digest) is None:
-        backend.put(url, f".spec-{digest[:16]}", text.encode())
-    return digest
-
-
-def read_spec(url: str, digest: str) -> str | None:
-    """The specification with this digest; None if it is missing or damaged."""
-    content = backend.read_key(url, f".spec-{digest[:16]}")
-    if content is None or hashlib.sha256(content).hexdigest() != digest:
-        return None
-    return content.decode()

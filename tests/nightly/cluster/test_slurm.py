@@ -30,10 +30,9 @@ from slurm import Slurm, missing, slurm_running
 from stores import marked
 
 from service.jobs.model import JobRecord, JobState
-from worker.executors.connection import SCHEDULER_SETTINGS
+from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
-from worker.executors.targets import CreatedCluster
 from worker.kernel_cache import use_cache
 from worker.spec import SweepSpec
 

@@ -49,7 +49,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
     executor = Dask(address, timeout=60)
     counting, readiness = Counting(executor), Readiness(executor)
     try:
-        wait_for(lambda: executor.ready() and executor.workers() == 2, seconds=90)
+        wait_for(lambda: executor.workers() == 2, seconds=90)
         with running(tmp_path / "data", counting) as service:
             job = service.submit(costing(chunks=150, seconds=0.1))
 
@@ -74,7 +74,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
             thawed = goes_on(time.monotonic())
             repetition.check()
 
-            wait_for(lambda: executor.ready() and executor.workers() == 2, status, 90)
+            wait_for(lambda: executor.workers() == 2, status, 90)
             killed = time.monotonic()
             restarted.process.kill()
             wait_for(readiness.fault)
@@ -103,14 +103,14 @@ def test_lost_schedulers_leave_no_connections(scheduler: tuple[Restarted, str]):
     executor = Dask(address, timeout=60)
 
     def connected() -> bool:
-        return executor.ready() and executor.workers() == 2
+        return executor.workers() == 2
 
     try:
         wait_for(connected, seconds=90)
         before = psutil.Process().num_fds()
         for _ in range(6):
             restarted.process.kill()
-            wait_for(lambda: not executor.ready())
+            wait_for(lambda: not executor.state().connected)
             wait_for(connected, seconds=90)
         wait_for(lambda: psutil.Process().num_fds() <= before + 2, seconds=30)
     finally:

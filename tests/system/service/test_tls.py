@@ -65,7 +65,7 @@ def test_a_scheduler_of_tls_takes_those_with_certificates_alone(tmp_path: Path):
             scheduler_ca=files["ca"], scheduler_cert=files["cert"], scheduler_key=files["key"],
         )  # fmt: skip
         with (
-            closing(connected_cluster(settings, marked(settings.data).content)) as executor,
+            closing(connected_cluster(settings, marked(settings.data)[1])) as executor,
             running(tmp_path / "data", executor) as service,
         ):
             job = service.submit(costing(chunks=8, seconds=0.1))

@@ -1,6 +1,5 @@
 """Workers that differ from the service get no chunk, beside one that computes; the reason names them."""
 
-import pickle
 import shutil
 import socket
 import threading
@@ -22,9 +21,9 @@ from stores import marked
 from service.api.monitoring import Readiness
 from service.jobs.model import JobState
 from worker import store
-from worker.executors.admission import Probe, Requirements, facts, run_if_admitted
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost, WorkerRefused
+from worker.executors.plugins import WorkerAdmission, facts
 from worker.kernel_cache import use_cache
 from worker.tasks import ChunkCancelled, ChunkPaused
 
@@ -114,7 +113,7 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
         (with_two_threads, "it has 2 threads: start it with --nthreads 1"),
         (without_the_folder, "it does not see the service's stores in "),
         (on_a_read_only_folder, "it cannot write into "),
-        (without_the_project, "cannot load bouncing-spring: ModuleNotFoundError: No module named 'worker'"),
+        (without_the_project, "it cannot load the kernel: ModuleNotFoundError: No module named 'kernel'"),
         (with_broken_numba, "it cannot load the kernel: ImportError: no libnumba.so"),
     ],
 )
@@ -179,7 +178,7 @@ def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_
             done = service.job(job).chunks_done
             wait_for(lambda: service.job(job).chunks_done >= done + 3, processes.log, PATIENCE)
             assert executor.workers() == 1
-            assert len(executor._connection.threads_of()) == 2
+            assert len(executor._connection.worker_threads()) == 2
             (tmp_path / "tree" / "installed").touch()
             wait_for(
                 lambda: executor.workers() == 2 and not executor.state().refused, processes.log, PATIENCE
@@ -229,18 +228,11 @@ def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(
 
 
 def test_what_a_process_is_judged_by(tmp_path: Path):
-    url = str(tmp_path / "stores")
-    content = "ours"
+    url, content, here = str(tmp_path / "stores"), "ours", facts()
     store.write_marker(url, content)
-    here = facts()
-    try:
-        assert Requirements(here, Probe(url, content)).judge(1) == ""
-        assert run_if_admitted(pickle.dumps((sum, [1, 2]))) == 3
-        assert "does not see" in Requirements(here, Probe(url, "other")).judge(1)
-        for name in here:
-            reason = Requirements(here | {name: "other"}).judge(1)
-            assert reason == f"its {name} is {here[name]}, the service's other"
-        assert isinstance(run_if_admitted(b"not to be unpickled here"), WorkerRefused)
-        assert "4 threads" in Requirements(here).judge(4)
-    finally:
-        Requirements(here).judge(1)  # this process computes for other tests
+    assert WorkerAdmission(here, (url, content)).judge(1) == ""
+    assert "does not see" in WorkerAdmission(here, (url, "other")).judge(1)
+    for name in here:
+        reason = WorkerAdmission(here | {name: "other"}).judge(1)
+        assert reason == f"its {name} is {here[name]}, the service's other"
+    assert "4 threads" in WorkerAdmission(here).judge(4)

@@ -14,10 +14,9 @@ from scripted import wait_for
 
 from service.api.monitoring import Readiness
 from service.jobs.model import JobState
-from worker.executors.connection import SCHEDULER_SETTINGS
+from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
-from worker.executors.targets import CreatedCluster
 from worker.kernel_cache import use_cache
 
 PATIENCE = 180.0
@@ -123,7 +122,7 @@ def test_what_the_connection_swallows_is_lost_with_it(
     executor = Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)
     try:
         with monkeypatch.context() as patched:
-            patched.setattr(executor._bundles, "add", swallowed)
+            patched.setattr(executor, "_bundled", swallowed)
             call = executor.call(len, "abc")
             assert sent.wait(PATIENCE)
         made[0].close()

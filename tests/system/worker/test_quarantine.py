@@ -16,7 +16,7 @@ from worker import store, watchdog
 from worker.executors import dask
 from worker.executors.dask import Dask
 from worker.executors.errors import WorkerLeft
-from worker.executors.quarantine import MARKS, Quarantine
+from worker.executors.roster import MARKS
 from worker.kernel_cache import use_cache
 from worker.plan import make_plan
 from worker.schema import layout
@@ -68,36 +68,19 @@ def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
         spec, url = costing(chunks=1), str(tmp_path / "sweep.zarr")
         plan = make_plan(spec)
         store.create(url, layout(spec, plan.chunk_shape))
-        executor._quarantine.failed((url, 0), first)
+        executor._roster.failed((url, 0), first)
         executor._connection.client.run(leave, workers=[second], on_error="ignore")
-        try:
-            report = executor.submit(spec, plan[0], url).result(PATIENCE)
-        except WorkerLeft:
-            report = executor.submit(spec, plan[0], url).result(PATIENCE)
-        assert report.index == 0
+        futures = [executor.submit(spec, plan[0], url)]
+
+        def computed() -> bool:
+            """As the service does: asks for the state, and submits again."""
+            if executor.state().connected and futures[-1].done():
+                if not isinstance(futures[-1].exception(), WorkerLeft):
+                    return True
+                futures.append(executor.submit(spec, plan[0], url))
+            return False
+
+        wait_for(computed, seconds=PATIENCE)
+        assert futures[-1].result().index == 0
     finally:
         executor.close()
-
-
-def test_a_chunk_that_fails_everywhere_is_a_mark_against_nobody():
-    quarantine = Quarantine()
-    for worker in ("a", "b", "c"):
-        quarantine.failed("chunk", worker)
-    assert quarantine.failed_on("chunk") == {"a", "b", "c"}
-    assert quarantine.failed_on("other") == frozenset()
-
-
-def test_marks_in_a_row_lead_to_a_rest():
-    quarantine = Quarantine()
-    for chunk in range(MARKS):
-        quarantine.failed(chunk, "bad")
-    assert [quarantine.computed(chunk, "good") for chunk in range(MARKS)] == [[], [], ["bad"]]
-    assert quarantine.failed_on(0) == frozenset()
-
-
-def test_a_chunk_computed_clears_the_marks():
-    quarantine = Quarantine()
-    for chunk in range(2 * MARKS):
-        quarantine.failed(chunk, "unlucky")
-        assert quarantine.computed(chunk, "good") == []
-        assert quarantine.computed("another", "unlucky") == []

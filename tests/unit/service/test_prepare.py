@@ -18,6 +18,7 @@ from service.jobs import prepare
 from service.jobs.prepare import JobPreparer
 from service.settings import Settings
 from worker import plan as planning
+from worker import studies
 from worker.analysis.model_selection import ModelChoice
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
@@ -35,7 +36,9 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
         return call
 
-    monkeypatch.setattr(SweepSpec, "parse", counted("parsed", SweepSpec.parse))
+    sweeps = studies.SWEEP._replace(parse=counted("parsed", SweepSpec.parse))
+    for kind in ("rest", "ramp"):
+        monkeypatch.setitem(studies.STUDIES, kind, sweeps)
     real = planning.make_plan
     for name, module in list(sys.modules.items()):
         if name.startswith(("service.", "worker.")) and getattr(module, "make_plan", None) is real:

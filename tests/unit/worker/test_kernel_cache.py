@@ -39,17 +39,17 @@ def test_a_cache_is_made_for_this_user_alone(tmp_path):
 
 
 def test_a_copy_of_the_sources_has_the_same_digest_and_a_change_another(tmp_path, monkeypatch):
-    before = kernel_cache._digest()
+    before = kernel_cache.digest_of("kernel")
     shutil.copytree(ROOT / "kernel", tmp_path / "kernel")
     monkeypatch.setattr(
         kernel_cache,
         "find_spec",
         lambda name: SimpleNamespace(submodule_search_locations=[str(tmp_path / "kernel")]),
     )
-    assert kernel_cache._digest() == before
+    assert kernel_cache.digest_of("kernel") == before
     with (tmp_path / "kernel" / "numerics" / "quartic.py").open("a") as source:
         source.write("# another digit\n")
-    assert kernel_cache._digest() != before
+    assert kernel_cache.digest_of("kernel") != before
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from worker.schema import MODE_ARRAYS, layout
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecInvalid, SpecTooLarge
 from worker.spec.refine import COARSEST, MAX_COARSEST, MAX_MODE_PERIODS, SETTLE_UNTIL, Refine
-from worker.tasks import ChunkPaused, run_chunk
+from worker.tasks import ChunkOptions, ChunkPaused, run_chunk, with_options
 
 #: A plane with the threshold, modes, chaos and tongues; rows and columns that no number of blocks fits.
 SPACE: dict[str, Any] = {
@@ -267,7 +267,8 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
     for chunk in plan:
         while True:
             try:
-                run_chunk(spec, chunk, str(url), 0.0)
+                with with_options(ChunkOptions(0.0)):
+                    run_chunk(spec, chunk, str(url))
             except ChunkPaused:
                 pauses += 1
                 assert pauses < 10_000

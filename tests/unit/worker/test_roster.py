@@ -9,8 +9,8 @@ from distributed import Status
 from tables import for_each
 
 from worker.executors.base import ClusterState
-from worker.executors.demand import HANDLER, Demand
-from worker.executors.roster import Roster
+from worker.executors.plugins import DEMAND, Demand
+from worker.executors.roster import MARKS, Roster
 
 
 def event(worker: str, **what: Any) -> dict[str, Any]:
@@ -23,20 +23,42 @@ def test_a_refused_worker_is_listed_until_it_is_admitted_or_gone(caplog: pytest.
     roster.note(event("a", refused="its numpy is 1"))
     assert caplog.text.count("refused: worker a") == 1
     roster.note(event("b", refused="no kernel"))
-    assert [(one.worker, one.host, one.process, one.reason) for one in roster.refused] == [
-        ("a", "host of a", 7, "its numpy is 1"),
-        ("b", "host of b", 7, "no kernel"),
-    ]
-    assert str(roster.refused[1]) == "worker b on host of b (process 7): no kernel"
+    assert roster.refused == {
+        "a": "worker a on host of a (process 7): its numpy is 1",
+        "b": "worker b on host of b (process 7): no kernel",
+    }
     roster.note(event("a", refused="another reason"))
     assert "another reason" in caplog.text
-    assert [one.reason for one in roster.refused] == ["another reason", "no kernel"]
+    assert roster.refused["a"].endswith("another reason")
     roster.note(event("a", admitted=True))
-    assert [one.worker for one in roster.refused] == ["b"]
     roster.keep({"b", "c"})
-    assert [one.worker for one in roster.refused] == ["b"]
+    assert list(roster.refused) == ["b"]
     roster.keep({"c"})
-    assert roster.refused == ()
+    assert roster.refused == {}
+
+
+def test_a_chunk_that_fails_everywhere_is_a_mark_against_nobody():
+    roster = Roster()
+    for worker in ("a", "b", "c"):
+        roster.failed("chunk", worker)
+    assert roster.failed_on("chunk") == {"a", "b", "c"}
+    assert roster.failed_on("other") == frozenset()
+
+
+def test_marks_in_a_row_lead_to_a_rest():
+    roster = Roster()
+    for chunk in range(MARKS):
+        roster.failed(chunk, "bad")
+    assert [roster.computed(chunk, "good") for chunk in range(MARKS)] == [[], [], ["bad"]]
+    assert roster.failed_on(0) == frozenset()
+
+
+def test_a_chunk_computed_clears_the_marks():
+    roster = Roster()
+    for chunk in range(2 * MARKS):
+        roster.failed(chunk, "unlucky")
+        assert roster.computed(chunk, "good") == []
+        assert roster.computed("another", "unlucky") == []
 
 
 @for_each(
@@ -66,7 +88,7 @@ def scheduler() -> SimpleNamespace:
 def test_a_cluster_shall_have_workers_for_what_is_left(scheduler: SimpleNamespace):
     demand = Demand()
     asyncio.run(demand.start(scheduler))
-    target, tell = scheduler.handlers["adaptive_target"], scheduler.handlers[HANDLER]
+    target, tell = scheduler.handlers["adaptive_target"], scheduler.handlers[DEMAND]
     assert scheduler.adaptive_target("5s") == target("5s") == 2
     tell(client="one", seconds=20.0, tasks=100)
     assert target("5s") == 4 + 1  # and one for that which is paused
@@ -89,5 +111,5 @@ def test_it_is_never_less_than_the_tasks_need(scheduler: SimpleNamespace):
     scheduler.adaptive_target = lambda _: 9
     demand = Demand()
     asyncio.run(demand.start(scheduler))
-    scheduler.handlers[HANDLER](client="one", seconds=20.0, tasks=100)
+    scheduler.handlers[DEMAND](client="one", seconds=20.0, tasks=100)
     assert scheduler.adaptive_target("5s") == 9

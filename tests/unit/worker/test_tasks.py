@@ -15,7 +15,15 @@ from worker import store, tasks
 from worker.plan import Plan, make_plan
 from worker.schema import layout
 from worker.spec import AXES, SweepSpec
-from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport, PredecessorMissing, run_chunk
+from worker.tasks import (
+    ChunkCancelled,
+    ChunkOptions,
+    ChunkPaused,
+    ChunkReport,
+    PredecessorMissing,
+    run_chunk,
+    with_options,
+)
 
 RECORD = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")
 
@@ -125,9 +133,13 @@ def test_ramp_without_predecessor_is_refused_and_writes_nothing(tmp_path, small_
 
 
 def test_after_a_diverged_cell_a_ramp_starts_from_rest():
-    state, cell = np.zeros(len(STATE_FIELDS)), Cell(1.0, 1.0, 1.0)
-    assert tasks._start(state, Outcome.DIVERGED, cell) is None
-    assert tasks._start(state, Outcome.UNRESOLVED, cell) is not None
+    cell = {name: np.ones(2) for name in Cell._fields}
+    end = cell | {
+        "end_state": np.zeros((2, len(STATE_FIELDS))),
+        "outcome": np.array([Outcome.DIVERGED, Outcome.PERIODIC]),
+    }
+    assert tasks._start_at(end, (0,)) is None
+    assert tasks._start_at(end, (1,)).cell == Cell(1.0, 1.0, 1.0)
 
 
 def test_report_counts_what_became_of_the_cells(tmp_path, small_spec):
@@ -187,7 +199,8 @@ def run_slices(spec: SweepSpec, chunk, url: str) -> tuple[ChunkReport, int]:
     pauses = 0
     while True:
         try:
-            return run_chunk(spec, chunk, url, slice_seconds=0.0), pauses
+            with with_options(ChunkOptions(0.0)):
+                return run_chunk(spec, chunk, url), pauses
         except ChunkPaused:
             pauses += 1
 
@@ -218,9 +231,9 @@ def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     plan, url = stored(tmp_path, spec, (2, 3, 10))
     done = 0
     while done < 2:
-        with pytest.raises(ChunkPaused, match="paused after"):
-            run_chunk(spec, plan[0], url, slice_seconds=0.0)
-        done = store.read_checkpoint(url, 0)["lines_done"]
+        with pytest.raises(ChunkPaused, match="paused after"), with_options(ChunkOptions(0.0)):
+            run_chunk(spec, plan[0], url)
+        done = store.read_checkpoint(url, 0)["done"]
     assert not store.read_slice(url, ["outcome"])["outcome"].any()
     return spec, plan, url
 
@@ -278,10 +291,13 @@ def test_chunks_of_a_worker_that_leaves_pause_at_once(tmp_path, monkeypatch, sma
     assert run_chunk(spec, plan[0], url).outcomes[Outcome.MISSING] == 0
 
 
-def test_an_error_names_the_cells():
-    with (
-        pytest.raises(ValueError, match="no") as caught,
-        tasks._noting_cells(gamma=np.array([1.0, 2.0, 3.5]), xi=np.array([0.05])),
-    ):
+def test_an_error_names_the_cells(tmp_path, monkeypatch, small_spec):
+    def fail(*_: object) -> None:
         raise ValueError("no")
-    assert caught.value.__notes__ == ["in the cells gamma 1 to 3.5, xi 0.05 to 0.05"]
+
+    spec = small_spec(gamma=[1.0, 2.0, 3.5], omega=0.5, xi=0.05)
+    plan, url = stored(tmp_path, spec)
+    monkeypatch.setattr(tasks, "_line_run", fail)
+    with pytest.raises(ValueError, match="no") as caught:
+        run_chunk(spec, plan[0], url)
+    assert caught.value.__notes__ == ["in the cells gamma 1 to 3.5, omega 0.5 to 0.5, xi 0.05 to 0.05"]

@@ -7,16 +7,16 @@ from typing import Any
 
 import pytest
 
-from worker.executors import targets
+from worker.executors import clusters
+from worker.executors.clusters import FIRST_PAUSE, UNANSWERED, CreatedCluster, SchedulerFile
 from worker.executors.errors import ClusterLost
-from worker.executors.targets import FIRST_PAUSE, UNANSWERED, CreatedCluster, SchedulerFile
 
 
 @pytest.fixture
 def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The time, which the test sets."""
     now = [1000.0]
-    monkeypatch.setattr(targets, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=lambda _: None))
+    monkeypatch.setattr(clusters, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=lambda _: None))
     return now
 
 
@@ -41,7 +41,7 @@ def test_a_scheduler_file_is_waited_for_at_first_and_read_each_time(
         now[0] += 1.0
         file.write_text(next(contents))
 
-    monkeypatch.setattr(targets.time, "sleep", sleep)
+    monkeypatch.setattr(clusters.time, "sleep", sleep)
     target = SchedulerFile(file, timeout=4.5)
     assert target.find() == "tcp://a:1"
     file.write_text(json.dumps({"address": "tcp://b:2"}))

@@ -1,0 +1,248 @@
+"""Clusters to connect to: by address, by scheduler file, created by a function, or on this machine."""
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import Any, Final
+
+import dask
+from distributed import LocalCluster, Security, Status, system
+
+from worker.executors.errors import ClusterLost
+from worker.ownership import temporary_folder
+
+log = logging.getLogger(__name__)
+
+#: Dask settings that a scheduler needs: the service itself retries tasks, and a task must wait at the
+#: scheduler for the first free worker.
+SCHEDULER_SETTINGS: Final[dict[str, float]] = {
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.worker-saturation": 1.0,
+}
+#: Errors when no scheduler can be reached: a time-out is an OSError, a scheduler file may be half written.
+NO_SCHEDULER: Final = (OSError, ValueError, KeyError, TypeError)
+#: A cluster is replaced after this many unanswered connections in a row.
+UNANSWERED: Final = 3
+#: Seconds until a failed function is called again: the first pause, doubled each time, and the longest.
+FIRST_PAUSE, LONGEST_PAUSE = 1.0, 60.0
+#: Seconds between checks for lost workers.
+REFILL_SECONDS: Final = 5.0
+#: The states of a Dask cluster that no longer computes.
+_ENDED: Final = frozenset({"closed", "closing", "failed"})
+LOOPBACK: Final = "127.0.0.1"
+#: Workers still running after CLOSE_SECONDS are killed, and those that replaced them after KILL_SECONDS.
+CLOSE_SECONDS, KILL_SECONDS = 1.5, 0.1
+#: distributed drops a worker for good if it is not back this long after a death. That can take longer on a
+#: busy machine, so this is switched off.
+_LOST_WORKER_SETTINGS: Final = {"distributed.deploy.lost-worker-timeout": "1000 days"}
+#: Schedulers and workers always listen for HTTP; without routes they have nothing but an empty sitemap.
+_NO_HTTP: Final[dict[str, list[str]]] = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
+
+
+def environment_variable(setting: str) -> str:
+    """The environment variable that sets a Dask setting."""
+    return "DASK_" + setting.replace(".", "__").replace("-", "_").upper()
+
+
+class Target:
+    """What a connection connects to: a scheduler's address, or a cluster object that its owner closes.
+
+    Its methods are called from the connection's threads, one at a time.
+    """
+
+    is_own = False  # whether the service made the cluster: `refill` and `close` are for these
+
+    def __init__(self, cluster: Any) -> None:
+        self.cluster = cluster
+        self._next_refill = 0.0
+
+    def find(self) -> Any:
+        """The scheduler's address, or a cluster object. Raises ClusterLost, or one of NO_SCHEDULER."""
+        return self.cluster
+
+    def unanswered(self) -> None:
+        """Note that the result of `find` does not answer."""
+
+    def refill(self) -> None:
+        """Replace lost workers of a cluster of fixed size; adaptive clusters do so themselves."""
+        now, cluster = time.monotonic(), self.cluster
+        if self.is_own and now >= self._next_refill and hasattr(cluster, "worker_spec"):
+            self._next_refill = now + REFILL_SECONDS
+            asyncio.run_coroutine_threadsafe(_start_missing(cluster), cluster.loop.asyncio_loop)
+
+    def planned(self) -> int | None:
+        """Number of workers that the cluster should have; None if unknown."""
+        with contextlib.suppress(Exception):
+            return len(self.cluster.plan)
+        return None
+
+    def close(self) -> None:
+        if self.is_own:
+            cluster, self.cluster = self.cluster, None
+            if hasattr(cluster, "close"):
+                cluster.close()
+
+
+async def _start_missing(cluster: Any) -> None:
+    """Await the cluster, which makes distributed start its missing workers."""
+    for name, worker in list(cluster.workers.items()):
+        if getattr(worker, "status", None) in (Status.closed, Status.failed):  # it was not restarted
+            del cluster.workers[name]
+    if missing := len(cluster.worker_spec) - len(cluster.workers):
+        log.warning("%d of %d workers are lost; starting others", missing, len(cluster.worker_spec))
+        with contextlib.suppress(Exception):  # distributed logs it; the next check tries again
+            await cluster
+
+
+class SchedulerFile(Target):
+    """A scheduler whose address is in a file. Waits `timeout` seconds for the file at first."""
+
+    def __init__(self, file: Path, timeout: float) -> None:
+        super().__init__(None)
+        self._file, self._deadline = file, time.monotonic() + timeout
+
+    def find(self) -> str:
+        """The address in the file; distributed itself would wait for the file indefinitely."""
+        while True:
+            try:
+                return str(json.loads(self._file.read_text())["address"])
+            except NO_SCHEDULER as error:
+                if time.monotonic() > self._deadline:
+                    reason = f"no scheduler has written its address to {self._file}: {error}"
+                    raise ClusterLost(reason) from error
+            time.sleep(0.1)
+
+
+class CreatedCluster(Target):
+    """A cluster returned by `function()`, created again when it has ended or its scheduler does not answer.
+
+    `name` is for messages. A function that fails is called again after FIRST_PAUSE seconds, doubled each time
+    up to LONGEST_PAUSE.
+    """
+
+    is_own = True
+
+    def __init__(self, function: Callable[[], Any], name: str) -> None:
+        super().__init__(None)
+        self._function, self._name = function, name
+        self._unanswered = 0  # connections in a row
+        self._pause, self._next_try, self._failure = 0.0, 0.0, ""
+
+    def find(self) -> Any:
+        status = getattr(self.cluster, "status", None)
+        if getattr(status, "name", status) in _ENDED:
+            self._discard("it has ended")
+        if self.cluster is None:
+            self._create()
+        return self.cluster
+
+    def unanswered(self) -> None:
+        self._unanswered += 1
+        if self.cluster is not None and self._unanswered >= UNANSWERED:
+            self._discard("its scheduler does not answer")
+
+    def _discard(self, why: str) -> None:
+        log.warning("the cluster of %s is made again: %s", self._name, why)
+        with contextlib.suppress(Exception):  # the rest cannot be closed either
+            self.close()
+        self._postpone()
+
+    def _postpone(self) -> None:
+        self._pause = min(2 * self._pause, LONGEST_PAUSE) if self._pause else FIRST_PAUSE
+        self._next_try = time.monotonic() + self._pause
+
+    def _create(self) -> None:
+        if (wait := self._next_try - time.monotonic()) > 0:
+            raise ClusterLost(f"no cluster from {self._name}{self._failure}; made again in {wait:.0f} s")
+        try:
+            self.cluster = self._function()
+        except Exception as error:
+            self._failure = f": {type(error).__name__}: {error}"
+            self._postpone()
+            raise ClusterLost(f"no cluster from {self._name}{self._failure}") from error
+        self._pause, self._failure, self._unanswered = 0.0, "", 0
+        self._next_refill = time.monotonic() + REFILL_SECONDS
+
+
+class LocalWorkers(Target):
+    """A scheduler in this process, and `workers` processes with one thread each, on loopback only.
+
+    Scheduler, nannies and workers run any code they receive, and every user of the machine can reach their
+    ports. So they use TLS with a certificate known to this cluster's processes only, valid for a year; their
+    HTTP servers have no pages; and only this user can enter the folder of the workers' files: distributed's
+    own folder can be made by another user first, and workers search it for modules before anything else.
+
+    Each process may use `memory` bytes (None: an equal share of the machine's). A process that dies is
+    restarted by its nanny. Sets the Dask settings that its scheduler needs in this process.
+    """
+
+    is_own = True
+
+    def __init__(self, workers: int, memory: int | None) -> None:
+        super().__init__(None)
+        dask.config.set(SCHEDULER_SETTINGS | _LOST_WORKER_SETTINGS)
+        self._stack = contextlib.ExitStack()
+        try:
+            folder = str(self._stack.enter_context(temporary_folder("bouncing-spring-dask-")))
+            with dask.config.set(_NO_HTTP | {"temporary-directory": folder}):  # of the scheduler
+                self.cluster = LocalCluster(  # type: ignore[no-untyped-call]
+                    n_workers=0,
+                    threads_per_worker=1,
+                    processes=True,
+                    host=LOOPBACK,
+                    security=Security.temporary(),  # type: ignore[no-untyped-call]
+                    dashboard_address=f"{LOOPBACK}:0",
+                    scheduler_kwargs={"dashboard": False},  # there by default if bokeh is installed
+                    # distributed's default depends on the cores, not on the number of processes.
+                    memory_limit=memory or system.MEMORY_LIMIT // workers,
+                    local_directory=folder,  # of the workers, later replacements included
+                    config=_NO_HTTP,
+                )
+                self.cluster.sync(self._start_workers, workers)
+        except BaseException:
+            self.close()
+            raise
+
+    async def _start_workers(self, workers: int) -> None:
+        """Start all workers, in the cluster's event loop, and wait until they have joined.
+
+        A terminal's Ctrl-C goes to all processes of a command, but only this one should handle it: threads
+        and processes inherit the signals that the event loop's thread blocks.
+        """
+        resource_tracker.ensure_running()  # starting it later would unblock Ctrl-C
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        self.cluster.scale(workers)
+        await self.cluster
+
+    def close(self) -> None:
+        """Stop all processes; kill any still running after CLOSE_SECONDS."""
+        if self.cluster is not None:
+            ended = threading.Event()
+            killing = threading.Thread(target=_kill_until, args=(ended, self.cluster))
+            killing.start()
+            super().close()
+            ended.set()
+            killing.join()
+        self._stack.close()
+
+
+def _kill_until(ended: threading.Event, cluster: Any) -> None:
+    """Kill the processes and their replacements after CLOSE_SECONDS, until the cluster has ended."""
+    seconds = CLOSE_SECONDS
+    while not ended.wait(seconds):
+        for nanny in list(cluster.workers.values()):
+            if nanny.pid:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(nanny.pid, signal.SIGKILL)
+        seconds = KILL_SECONDS

@@ -1,0 +1,311 @@
+"""Plugins for a cluster's workers and scheduler: they admit workers, and say how many there should be.
+
+A worker with another kernel computes other numbers; one without the stores, or unable to load the kernel,
+fails every chunk. Such workers are refused before their first chunk, with the reason.
+
+A worker that cannot unpickle a plugin ends, so the plugins are sent as the text of this module, also to other
+versions of this project and of Python. At its top it imports the standard library and distributed only.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import logging
+import math
+import os
+import pickle
+import platform
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import dask
+from dask.utils import parse_timedelta
+from distributed import SchedulerPlugin, Status, WorkerPlugin, get_worker
+
+#: The topic under which workers log events, each with "worker", "host" and "process", and one of "refused"
+#: (why), "admitted" and "leaving".
+ROSTER: Final = "bouncing-spring-workers"
+#: The name of the scheduler's handler to which a service reports the remaining work.
+DEMAND: Final = "bouncing_spring_demand"
+#: Seconds between checks of a refused worker: its folder may be mounted late.
+JUDGE_SECONDS: Final = 5.0
+#: Seconds for the last event to reach the scheduler before the process ends, and the longest that chunks may
+#: take to pause before that.
+REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
+#: A worker that has been idle for this long compiles the kernels that nobody has asked for yet.
+IDLE_SECONDS: Final = 60.0
+#: Libraries on whose versions stored numbers or bytes depend.
+_LIBRARIES: Final = ("numpy", "numba", "zarr", "numcodecs")
+
+
+def _as_text(name: str, *arguments: Any) -> Any:
+    """What unpickles as the object of this class in the text of this module."""
+    names = {"__name__": __name__, "text": Path(__file__).read_text("utf-8"), "arguments": arguments}
+    return eval, (f"exec(text) or {name}(*arguments)", names)
+
+
+class WorkerAdmission(WorkerPlugin):
+    """Admits or refuses every worker that starts or joins, and ends its process quickly.
+
+    A worker must have the `facts` of the service (its own `facts()`), and see the mark of the `stores`: their
+    address and the mark's content. `cache`: the folder of the kernel caches; None: that of
+    `worker.kernel_cache`. A refused worker stays without tasks until it meets the requirements.
+    """
+
+    name = "bouncing-spring-kernels"
+
+    def __init__(
+        self, facts: Mapping[str, str], stores: tuple[str, str] | None = None, cache: str | None = None
+    ) -> None:
+        self._facts, self._stores, self._cache = facts, stores, cache
+        self.refusal = ""  # why the worker is refused
+        self._removed = False
+        self._began = 0.0  # time.monotonic() when the last task began
+        self._compiling: subprocess.Popen[bytes] | None = None
+
+    def __reduce__(self) -> Any:
+        return _as_text(type(self).__name__, self._facts, self._stores, self._cache)
+
+    async def setup(self, worker: Any) -> None:
+        """Called by distributed in the worker's process."""
+        _quiet_when_closing(worker)
+        await self._judge_worker(worker)
+        if worker.nanny is not None and threading.current_thread() is threading.main_thread():
+            # Batch queues end all processes of a job at once: this one too, and not through its nanny.
+            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._leave, worker)
+        worker.loop.call_later(IDLE_SECONDS, self._use_idle_time, worker)
+
+    def transition(self, key: Any, start: str, finish: str, **_: Any) -> None:
+        """Called by distributed when a task changes its state; a task that begins ends the idle time."""
+        if finish == "executing":
+            self._began = time.monotonic()
+            self._stop_compiling()
+
+    def _use_idle_time(self, worker: Any) -> None:
+        """Compile all kernels in a process of the lowest priority after IDLE_SECONDS without a task."""
+        if self._removed:
+            return
+        if worker.state.executing or self.refusal or time.monotonic() - self._began < IDLE_SECONDS:
+            worker.loop.call_later(IDLE_SECONDS, self._use_idle_time, worker)
+            return
+        from worker.kernel_cache import BESIDE  # noqa: PLC0415 - see above
+
+        command = [sys.executable, "-m", "worker.kernel_cache", BESIDE, self._cache or ""]
+        null = subprocess.DEVNULL
+        self._compiling = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=null, stderr=null)
+
+    def _stop_compiling(self) -> None:
+        """End the process; finished kernels stay in the cache."""
+        if self._compiling is not None:
+            self._compiling.kill()
+            self._compiling.communicate()
+            self._compiling = None
+
+    async def teardown(self, worker: Any) -> None:
+        """Called by distributed when the plugin is replaced or the worker closes; then ends the process.
+
+        A closing worker would first finish the chunk it computes and then free all compiled code, which
+        takes seconds. Nothing is lost: the chunk pauses, and the service knows that the worker was told to
+        leave. Without a nanny, nobody would notice that the process has ended.
+        """
+        self._removed = True
+        self._stop_compiling()
+        if worker.status == Status.closing:
+            _log_event(worker, leaving=True)
+            if worker.nanny is not None:
+                await _end(worker, 0)
+
+    async def _judge_worker(self, worker: Any) -> None:
+        """Admit or refuse the worker; a refused one is judged again later."""
+        if self._removed:
+            return
+        self.refusal = await asyncio.to_thread(self.judge, worker.state.nthreads)
+        _set_available(worker, available=not self.refusal)
+        if self.refusal:
+            _log_event(worker, refused=self.refusal)
+            worker.loop.call_later(JUDGE_SECONDS, self._judge_worker, worker)
+        else:
+            _log_event(worker, admitted=True)
+
+    def judge(self, threads: int) -> str:
+        """Why this process may not compute `threads` chunks at once; empty if it may."""
+        importlib.invalidate_caches()  # modules may have been installed since
+        try:
+            own = facts()
+            wrong = [
+                f"its {name} is {own.get(name)}, the service's {expected}"
+                for name, expected in self._facts.items()
+                if own.get(name) != expected
+            ]
+            if threads != 1:
+                wrong.append(f"it has {threads} threads: start it with --nthreads 1")
+            if self._stores is not None and (unseen := _unseen(*self._stores)):
+                wrong.append(unseen)
+            if not wrong:
+                from worker.kernel_cache import use_cache  # noqa: PLC0415 - see above
+
+                use_cache(self._cache)
+                importlib.import_module("worker.tasks")
+        except Exception as error:  # noqa: BLE001 - any error means that it cannot compute
+            wrong = [f"it cannot load the kernel: {_one_line(error)}"]
+        return "; ".join(wrong)
+
+    def _leave(self, worker: Any) -> None:
+        """On SIGTERM: report it, let chunks pause, then end as SIGTERM would."""
+        _log_event(worker, leaving=True)
+        _set_available(worker, available=False)
+        worker.loop.add_callback(_end, worker, 128 + signal.SIGTERM)
+
+
+def facts() -> dict[str, str]:
+    """What the stored bytes depend on in this process, by name.
+
+    Of the processor only its kind counts: the kernel's operations are rounded correctly everywhere
+    (docs/accuracy.md).
+    """
+    from kernel.params import KERNEL_VERSION  # noqa: PLC0415 - see above
+    from worker.kernel_cache import digest_of  # noqa: PLC0415
+
+    return {
+        "kernel version": KERNEL_VERSION,
+        **{f"package {name}": digest_of(name) for name in ("kernel", "worker")},
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        **{name: version(name) for name in _LIBRARIES},
+        "kind of processor": platform.machine(),
+    }
+
+
+def _unseen(url: str, mark: str) -> str:
+    """Why the stores' folder is another one or unusable; empty if it is the service's."""
+    try:
+        from worker import store  # noqa: PLC0415 - see above
+
+        found = store.read_marker(url)
+    except Exception as error:  # noqa: BLE001 - without the stores it cannot compute
+        return f"it cannot read {url}, where the stores are: {_one_line(error)}"
+    if found != mark:
+        return f"it does not see the service's stores in {url}: share that folder, under the same path"
+    return "" if store.is_writable(url) else f"it cannot write into {url}, where the stores are"
+
+
+def _one_line(error: Exception) -> str:
+    """The error on one line; numpy's have many."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def run_if_admitted(call: bytes) -> Any:
+    """Call a function pickled with its arguments; returns WorkerRefused on a refused worker.
+
+    The scheduler gives a refused worker no tasks, but may have done so before the worker was judged. Such
+    a worker may be unable to unpickle them.
+    """
+    if reason := refusal(get_worker()):
+        from worker.executors.errors import WorkerRefused  # noqa: PLC0415 - see above
+
+        return WorkerRefused(reason)
+    function, *arguments = pickle.loads(call)
+    return function(*arguments)
+
+
+def refusal(dask_worker: Any) -> str:
+    """Why a worker is refused; empty if it is admitted."""
+    return getattr(dask_worker.plugins.get(WorkerAdmission.name), "refusal", "")
+
+
+def rest(seconds: float, dask_worker: Any) -> None:
+    """Take no task for `seconds`, unless the worker leaves; run on a worker by the service."""
+
+    def end() -> None:
+        if dask_worker.status == Status.running:
+            _set_available(dask_worker, available=True)
+
+    _set_available(dask_worker, available=False)
+    dask_worker.loop.call_later(seconds, end)
+
+
+def _set_available(worker: Any, *, available: bool) -> None:
+    """Allow or forbid the scheduler to give this worker tasks.
+
+    The worker itself is not paused: that would hold up the tasks it already has, and its memory monitor
+    would end the pause.
+    """
+    status = (Status.running if available else Status.paused).name
+    stimulus = f"bouncing-spring-{time.time()}"
+    worker.batched_send({"op": "worker-status-change", "status": status, "stimulus_id": stimulus})
+
+
+def _log_event(worker: Any, **what: Any) -> None:
+    """Report something about this worker to the service, under `ROSTER`."""
+    event = {"worker": worker.address, "host": socket.gethostname(), "process": os.getpid()}
+    worker.log_event(ROSTER, {**event, **what})
+
+
+async def _end(worker: Any, status: int) -> None:
+    """End this process, once its chunks have stored their progress."""
+    if (tasks := sys.modules.get("worker.tasks")) is not None:  # else refused, perhaps for this import
+        tasks.LEAVING.set()
+        deadline = time.monotonic() + PAUSE_SECONDS
+        await asyncio.sleep(REPORT_SECONDS)
+        while worker.active_threads and time.monotonic() < deadline:
+            await asyncio.sleep(0.02)
+    os._exit(status)
+
+
+def _quiet_when_closing(worker: Any) -> None:
+    """Drop a closing worker's log messages about the tasks and connections that end with it."""
+
+    def is_open(record: logging.LogRecord) -> bool:
+        return worker.status not in (Status.closing, Status.closing_gracefully, Status.closed)
+
+    for handler in logging.getLogger("distributed").handlers:
+        handler.addFilter(is_open)
+
+
+class Demand(SchedulerPlugin):
+    """Makes the scheduler ask an adaptive cluster for as many workers as the services' jobs need.
+
+    The scheduler counts its own tasks, but a service submits only a few chunks per worker. With `seconds`
+    core-seconds left and Dask's `target-duration` T the workers are seconds / T, at most as many as chunks
+    could run at once, plus one for each refused or resting worker.
+    """
+
+    name = "bouncing-spring-demand"
+    idempotent = True
+
+    def __init__(self) -> None:
+        self._needs: dict[str, tuple[float, int]] = {}  # core-seconds and chunks, by client
+
+    def __reduce__(self) -> Any:
+        return _as_text(type(self).__name__)
+
+    async def start(self, scheduler: Any) -> None:
+        """Called by distributed in the scheduler's process."""
+        self._scheduler, self._by_tasks = scheduler, scheduler.adaptive_target
+        scheduler.adaptive_target = self._target
+        scheduler.handlers["adaptive_target"] = self._target
+        scheduler.handlers[DEMAND] = self._set
+
+    def remove_client(self, scheduler: Any, client: str) -> None:
+        """Called by distributed: a service that has left needs nothing."""
+        self._needs.pop(client, None)
+
+    def _set(self, client: str, seconds: float, tasks: int) -> None:
+        self._needs[client] = (seconds, tasks)
+
+    def _target(self, target_duration: Any = None) -> int:
+        """Replaces `Scheduler.adaptive_target`; never less than that."""
+        by_tasks: int = self._by_tasks(target_duration)
+        duration = parse_timedelta(target_duration or dask.config.get("distributed.adaptive.target-duration"))
+        needs = self._needs.values()
+        wanted: int = sum(min(tasks, math.ceil(seconds / duration)) for seconds, tasks in needs)
+        paused: int = sum(worker.status == Status.paused for worker in self._scheduler.workers.values())
+        return max(by_tasks, wanted + paused) if wanted else by_tasks
