@@ -11,8 +11,7 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from contextvars import ContextVar
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
@@ -35,13 +34,16 @@ MUCH: Final = 16 * 2**20
 IDLE_SECONDS: Final = 20.0
 
 
-class Asker:
-    """The client of an answer. When it has left, the process that computes for it ends."""
+def _do_nothing() -> None: ...
 
-    def __init__(self) -> None:
+
+class Asker:
+    """The client of an answer, by its connection. When it has left, what computes for it ends."""
+
+    def __init__(self, connection: object = None) -> None:
         self._lock = threading.Lock()
-        self._process: _Process | None = None
-        self.left = False
+        self._stop: Callable[[], None] = _do_nothing
+        self.connection, self.left = connection, False
 
     def run(self, work: Callable[[], Result]) -> Result:
         """Run `work`, whose answers from `Processes` are all for this client."""
@@ -55,24 +57,22 @@ class Asker:
         """End the current computation, and begin no other."""
         with self._lock:
             self.left = True
-            if self._process is not None:
-                self._process.stop()
+            self._stop()
 
-    @contextmanager
-    def waits_for(self, process: "_Process") -> Iterator[None]:
-        """During the block the process computes for this client. Raises OSError if it has left."""
+    def on_leave(self, stop: Callable[[], None]) -> None:
+        """Call `stop`, and no earlier one, when the client leaves; at once if it has left."""
         with self._lock:
+            self._stop = stop
             if self.left:
-                raise OSError("nobody waits for the answer")
-            self._process = process
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._process = None
+                stop()
 
 
 _ASKER: Final[ContextVar[Asker | None]] = ContextVar("asker", default=None)
+
+
+def asker() -> Asker:
+    """The client for which this thread computes; one that never leaves outside of `Asker.run`."""
+    return _ASKER.get() or Asker()
 
 
 class Background(Protocol):
@@ -111,11 +111,14 @@ class Processes:
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         process: _Process | None = None
-        kept = 0
+        kept, client = 0, asker()
         try:
             process = self._take()
-            with (_ASKER.get() or Asker()).waits_for(process):
-                succeeded, value, kept = process.call(function, arguments)
+            client.on_leave(process.stop)
+            succeeded, value, kept = process.call(function, arguments)
+            client.on_leave(_do_nothing)
+            if client.left:
+                raise EOFError("it was stopped")
         except (EOFError, OSError) as error:
             kept = self._most_kept + 1
             raise NotComputed("the process that computed the answer has died: repeat the request") from error

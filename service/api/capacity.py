@@ -271,7 +271,7 @@ async def _unless_gone(request: Request, acquiring: Coroutine[Any, Any, Lease]) 
 
 async def _answer(request: Request, lease: Lease, work: Callable[[], Response]) -> Response:
     """The answer of `work`; stops computing if the client closes its connection."""
-    asker = Asker()
+    asker = Asker(request.client)
     computed = asyncio.ensure_future(lease.run(functools.partial(asker.run, work)))
     gone = asyncio.ensure_future(_gone(request))
     try:

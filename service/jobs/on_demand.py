@@ -1,20 +1,22 @@
 """Results that workers compute while a request waits, kept for later requests.
 
 A request that waits longer than a short time-out raises Pending, which the API answers with 202; the work
-continues, and a later request for the same result gets it. Work that nobody has requested for
-ABANDONED_SECONDS is dropped. Jobs keep at least half of the workers, or of a single one's time, and in the
-long run fifteen sixteenths of the workers' time.
+continues, and a later request for the same result gets it. It stops when every client that asked for it has
+left during a request, or has not asked for ABANDONED_SECONDS. Jobs keep at least half of the workers, or of
+a single one's time, and in the long run fifteen sixteenths of the workers' time.
 """
 
 import threading
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Sequence
-from concurrent.futures import Future, InvalidStateError, wait
+from concurrent.futures import CancelledError, Future, InvalidStateError, wait
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, NamedTuple, Protocol
 
+from service.background import asker
 from service.errors import Busy, NotComputed
 from worker.executors.base import Executor, Result
 from worker.executors.errors import ExecutorError
@@ -60,8 +62,8 @@ class OnDemandCache:
     """Results computed by workers on request. Its methods may be called from any thread.
 
     `max_pending`: results that may be computed at a time; `timeout`: seconds that a request waits;
-    `jobs_compute`: whether jobs have chunks to compute; `abandoned`: seconds without a request after
-    which the parts of a result that have not begun are withdrawn.
+    `jobs_compute`: whether jobs have chunks to compute; `abandoned`: seconds without a request after which a
+    client does not count.
     """
 
     def __init__(
@@ -74,10 +76,9 @@ class OnDemandCache:
     ) -> None:
         self._workers = _ShareOfTheWorkers(executor, jobs_compute)
         self._max_pending, self._timeout, self._abandoned = max_pending, timeout, abandoned
-        self._asked: dict[Hashable, float] = {}  # when each result that is computed was last asked for
         self._looks: threading.Timer | None = None
         self._closed = False
-        self._results: OrderedDict[Hashable, Sequence[Future[Any]]] = OrderedDict()
+        self._results: OrderedDict[Hashable, _Result] = OrderedDict()
         self._lock = threading.Lock()
 
     def get(self, key: Hashable, submit: Submit) -> list[Any]:
@@ -86,16 +87,19 @@ class OnDemandCache:
         Raises Pending after the time-out, Busy if too many results are being computed, NotComputed if there
         are no workers or they were lost, and the errors of the work itself.
         """
-        parts = self._parts(key, submit)
-        done, left = wait(parts, timeout=self._timeout)
+        client = asker()
+        result = self._asked(key, client.connection, submit)
+        client.on_leave(partial(self._leave, key, client.connection))
+        done, left = wait(result.parts, timeout=self._timeout)
         if left:
-            self._give_up_unless_asked_again(key)
-            raise Pending(len(done), len(parts))
+            raise Pending(len(done), len(result.parts))
         try:
-            return [part.result() for part in parts]
+            return [part.result() for part in result.parts]
         except BaseException as error:
-            self._forget(key, parts)
-            if isinstance(error, ExecutorError):
+            with self._lock:
+                if self._results.get(key) is result:  # no other request has restarted it
+                    del self._results[key]
+            if isinstance(error, ExecutorError | CancelledError):
                 raise NotComputed(
                     f"the workers that computed it were lost ({error}): repeat the request"
                 ) from error
@@ -107,57 +111,79 @@ class OnDemandCache:
             self._closed = True
             if self._looks is not None:
                 self._looks.cancel()
-            for parts in self._results.values():
-                for part in parts:
-                    part.cancel()
+            for result in self._results.values():
+                result.cancel()
 
-    def _give_up_unless_asked_again(self, key: Hashable) -> None:
+    def _asked(self, key: Hashable, connection: object, submit: Submit) -> "_Result":
+        """The result, begun if none is kept, with the client among those who ask for it."""
         with self._lock:
-            self._asked[key] = time.monotonic()
-            self._look_later()
+            if key not in self._results:
+                if sum(not result.done for result in self._results.values()) >= self._max_pending:
+                    raise Busy(f"{self._max_pending} results are being computed already, which is the limit")
+                try:
+                    self._results[key] = _Result(submit(self._workers), {})
+                except ExecutorError as error:
+                    raise NotComputed(
+                        f"no worker can compute it now ({error}): repeat the request"
+                    ) from error
+                done = (other for other, result in self._results.items() if result.done and other != key)
+                for other in list(done)[: max(len(self._results) - MAX_RESULTS, 0)]:
+                    del self._results[other]
+            self._results.move_to_end(key)
+            result = self._results[key]
+            if not result.done:
+                result.askers[connection] = time.monotonic()
+                self._look_later()
+            return result
+
+    def _leave(self, key: Hashable, connection: object) -> None:
+        with self._lock:
+            if key in self._results:
+                self._results[key].askers.pop(connection, None)
+        self._withdraw()
 
     def _look_later(self) -> None:
-        if self._looks is None and self._asked and not self._closed:
+        if self._looks is None and not self._closed:
             self._looks = threading.Timer(self._abandoned / 4, self._look)
             self._looks.daemon = True
             self._looks.start()
 
     def _look(self) -> None:
-        """Withdraw results that nobody has requested lately."""
-        withdrawn: list[Future[Any]] = []
+        """Forget the clients that have not asked lately."""
+        until = time.monotonic() - self._abandoned
+        with self._lock:
+            for result in self._results.values():
+                result.askers = {one: asked for one, asked in result.askers.items() if asked >= until}
+        self._withdraw()
         with self._lock:
             self._looks = None
-            for key, asked in list(self._asked.items()):
-                if _done(self._results.get(key, ())):
-                    del self._asked[key]
-                elif time.monotonic() - asked > self._abandoned:
-                    withdrawn += self._results.pop(key)
-                    del self._asked[key]
-            self._look_later()
-        for part in withdrawn:  # outside of the lock: callbacks of futures may begin other work
-            part.cancel()
+            if not all(result.done for result in self._results.values()):
+                self._look_later()
 
-    def _parts(self, key: Hashable, submit: Submit) -> Sequence["Future[Any]"]:
+    def _withdraw(self) -> None:
+        """Stop computing results without clients."""
         with self._lock:
-            if key in self._results:
-                self._results.move_to_end(key)
-                return self._results[key]
-            if sum(not _done(parts) for parts in self._results.values()) >= self._max_pending:
-                raise Busy(f"{self._max_pending} results are being computed already, which is the limit")
-            try:
-                parts = self._results[key] = submit(self._workers)
-            except ExecutorError as error:
-                raise NotComputed(f"no worker can compute it now ({error}): repeat the request") from error
-            done = (other for other, parts in self._results.items() if _done(parts) and other != key)
-            for other in list(done)[: max(len(self._results) - MAX_RESULTS, 0)]:
-                del self._results[other]
-            return parts
+            unwanted = [key for key, result in self._results.items() if not (result.askers or result.done)]
+            withdrawn = [self._results.pop(key) for key in unwanted]
+        for result in withdrawn:  # outside of the lock: callbacks of futures may begin other work
+            result.cancel()
 
-    def _forget(self, key: Hashable, parts: Sequence["Future[Any]"]) -> None:
-        """Forget a failed result, unless another request has restarted it."""
-        with self._lock:
-            if self._results.get(key) is parts:
-                del self._results[key]
+
+@dataclass
+class _Result:
+    """The parts of a result, and when each client, by its connection, last asked for them."""
+
+    parts: Sequence["Future[Any]"]
+    askers: dict[object, float]
+
+    @property
+    def done(self) -> bool:
+        return all(part.done() for part in self.parts)
+
+    def cancel(self) -> None:
+        for part in self.parts:
+            if part.cancel():
+                part.set_running_or_notify_cancel()  # wakes those who wait
 
 
 class _Call(NamedTuple):
@@ -260,7 +286,3 @@ class _ShareOfTheWorkers:
 def _cancel_too(computed: "Future[Any]", future: "Future[Any]") -> None:
     if future.cancelled():
         computed.cancel()
-
-
-def _done(parts: Sequence["Future[Any]"]) -> bool:
-    return all(part.done() for part in parts)

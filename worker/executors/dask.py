@@ -36,6 +36,7 @@ from worker.executors.targets import CreatedCluster, Fixed, SchedulerFile, Targe
 from worker.executors.worker_plugin import PreparedWorker, rest
 from worker.studies import Chunk, Spec
 from worker.tasks import ChunkOptions, ChunkReport, TaskError
+from worker.watchdog import call_while_wanted
 
 log = logging.getLogger(__name__)
 
@@ -145,7 +146,7 @@ class Dask:
         )
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
-        return self._submit(function, *arguments, priority=CALL_PRIORITY)
+        return self._submit(call_while_wanted, function, *arguments, priority=CALL_PRIORITY)
 
     def ready(self) -> bool:
         self._count()

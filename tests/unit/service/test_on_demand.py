@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from scripted import wait_for
 
+from service.background import Asker
 from service.errors import Busy, NotComputed
 from service.jobs import on_demand
 from service.jobs.on_demand import OnDemandCache, Pending
@@ -58,6 +59,22 @@ def test_a_result_that_nobody_asks_for_any_more_is_given_up():
         cache.get("key", submit)
     assert len(pool.futures) == 4
     cache.close()
+
+
+def test_a_result_is_given_up_when_the_last_client_leaves():
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01)
+    clients = [Asker(1), Asker(2)]
+    for client in clients:
+        with pytest.raises(Pending):
+            client.run(lambda: cache.get("key", submit))
+    for client in clients:
+        assert not any(future.cancelled() for future in pool.futures)
+        client.leave()
+    assert all(future.cancelled() for future in pool.futures)
+    with pytest.raises(NotComputed):
+        clients[0].run(lambda: cache.get("key", submit))
+    assert len(pool.futures) == 4
 
 
 @pytest.mark.parametrize(
