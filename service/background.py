@@ -16,7 +16,7 @@ from contextvars import ContextVar
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 from service.errors import NotComputed
 from worker.kernel_cache import use_cache
@@ -75,23 +75,11 @@ def asker() -> Asker:
     return _ASKER.get() or Asker()
 
 
-class Background(Protocol):
-    """Computes answers. May be used from any thread."""
-
-    def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
-        """`function(*arguments)`, which must be picklable. Raises its errors, and NotComputed."""
-
-    def close(self) -> None:
-        """End all computations."""
-
-
 class InThisProcess:
     """Computes in the caller's thread: for tests, and for services of a single user."""
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         return function(*arguments)
-
-    def close(self) -> None: ...
 
 
 class Processes:
@@ -157,18 +145,11 @@ class Processes:
             if process is not None and kept <= self._most_kept and not self._closed:
                 self._idle.append((time.monotonic(), process))
                 self._changed.notify()
-                if len(self._idle) > 1:
-                    self._end_later()
+                timer = threading.Timer(self._idle_seconds, self._end_idle)
+                timer.daemon = True
+                timer.start()
                 return
-        if process is not None:
-            self._end(process)
-        else:
-            self._free_place()
-
-    def _end_later(self) -> None:
-        timer = threading.Timer(self._idle_seconds, self._end_idle)
-        timer.daemon = True
-        timer.start()
+        self._end(process)
 
     def _end_idle(self) -> None:
         """End the processes that have been idle for long, but not the one that was busy last."""
@@ -179,16 +160,18 @@ class Processes:
         for process in long:
             self._end(process)
 
-    def _end(self, process: "_Process") -> None:
-        process.end()
+    def _end(self, process: "_Process | None") -> None:
+        if process is not None:
+            process.end()
         with self._changed:
-            self._started.discard(process)
-        self._free_place()
-
-    def _free_place(self) -> None:
-        with self._changed:
+            self._started -= {process}
             self._may_start += 1
             self._changed.notify()
+
+
+#: What computes answers: `run(function, *arguments)` raises the errors of the function, and NotComputed. May
+#: be used from any thread; for processes the function and its arguments must be picklable.
+Background = InThisProcess | Processes
 
 
 class _Process:

@@ -1,8 +1,6 @@
 """GET /v1/jobs/{job_id}/NAME for every result of a job, GET /v1/NAME for every one of a spring."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
-from functools import partial
 from inspect import cleandoc
 from itertools import groupby
 from operator import itemgetter
@@ -20,7 +18,6 @@ from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES
 from service.jobs.model import JobRecord
-from service.jobs.on_demand import Caller
 from service.results.selection import BASE_MEMORY, Stored
 from service.views.registry import SPRINGS, VIEWS, admit, answer
 from service.views.view import Call, Estimate, View
@@ -109,14 +106,10 @@ def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]
         reads = study is not None and any(study.url in call for call in step)
         key = (step, study.chunks_done if study is not None and reads else 0)
         try:
-            results += service.on_demand.get(key, partial(_submitted, step))
+            results += service.on_demand.get(key, step)
         except KernelInputError as error:
             raise InvalidRequest.of(error.argument, error.rule) from error
     return results
-
-
-def _submitted(calls: Sequence[Call], workers: Caller) -> list["Future[Any]"]:
-    return [workers.call(*call) for call in calls]
 
 
 def _of_job(view: View) -> Callable[..., Any]:
