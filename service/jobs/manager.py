@@ -144,7 +144,7 @@ class JobManager:
                 self.preparer.seed(record, spec, plan)
                 for version in ledger.other_versions():
                     if outdated := ledger.find(spec.job_id(version)):
-                        ledger.replace(outdated, job.id)
+                        ledger.update(outdated, replaced_by=job.id)
             if key is not None and ledger.key(key) is None:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:
@@ -205,7 +205,7 @@ class JobManager:
     def pin(self, job_id: str, pinned: bool) -> JobRecord:
         """Pin a job, or unpin it. Raises UnknownJob."""
         with self._ledger.writing() as ledger:
-            ledger.pin(_existing(ledger.find(job_id), job_id), pinned)
+            ledger.update(_existing(ledger.find(job_id), job_id), pinned=pinned)
             return _existing(ledger.find(job_id), job_id)
 
     def delete(self, job_id: str) -> None:
@@ -260,7 +260,7 @@ class JobManager:
         job = _new_job(spec, plan, owner)
         new = ledger.find(job.id) is None
         accepted = accept(ledger, job)
-        ledger.replace(outdated, job.id)
+        ledger.update(outdated, replaced_by=job.id)
         record = _existing(ledger.find(job.id), job.id)
         if new:
             self.preparer.seed(record, spec, plan)
@@ -295,7 +295,7 @@ class JobManager:
         elif existing.state in RESUMABLE:
             ledger.queue(existing, job.owner)
         elif existing.cancel_requested:
-            ledger.set_cancel_requested(existing, False)
+            ledger.update(existing, cancel_requested=False)
         else:
             return False
         return True
@@ -318,7 +318,7 @@ def _cancel(ledger: WriteTransaction, job: JobRecord) -> None:
     if job.state is JobState.QUEUED:
         ledger.finish(job, JobState.CANCELLED, time.time())
     elif job.state is JobState.RUNNING:
-        ledger.set_cancel_requested(job, True)
+        ledger.update(job, cancel_requested=True)
     elif job.state is not JobState.CANCELLED:
         raise IllegalTransition(f"the job is {job.state}: only a queued or running job can be cancelled")
 

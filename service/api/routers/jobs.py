@@ -84,8 +84,8 @@ def _submitted(submission: Submission) -> Response:
 def _cost(service: ServiceDep, spec: Any) -> Response:
     plan = service.manager.check(spec)
     with service.ledger.reading() as ledger:
-        paces = ledger.paces(estimates.RECENT_JOBS, estimates.MAX_SPEC_CHARS)
-    cost = estimates.cost(spec, plan, paces, service.manager.preparer)
+        measured = ledger.measured(estimates.RECENT_JOBS, estimates.MAX_SPEC_CHARS)
+    cost = estimates.cost(spec, plan, measured, service.manager.preparer)
     cost = cost.model_copy(update={"workers": service.manager.workers()})
     return Response(cost.model_dump_json(), media_type="application/json")
 

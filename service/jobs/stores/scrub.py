@@ -127,7 +127,7 @@ class Scrubber:
                 return
             self._verify(job)
             with self._ledger.writing() as ledger:
-                ledger.finish_verification(job, time.time())
+                ledger.update(job, verified=time.time())
         except _Stopping:
             return
         except LedgerUnavailable:

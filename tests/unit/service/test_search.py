@@ -46,7 +46,7 @@ def _accept(writing: Any, number: int) -> None:
     if state in (JobState.DONE, JobState.FAILED):
         writing.finish(writing.find(job_id), state, 86_400.0 * number + 2 + number % 3 * 1e6)
     if number % 5 == 0:
-        writing.pin(writing.find(job_id), True)
+        writing.update(writing.find(job_id), pinned=True)
 
 
 def _all(ledger: Ledger) -> list[JobRecord]:
