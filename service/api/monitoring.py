@@ -117,9 +117,9 @@ class _JobsCollector(Collector):
         yield GaugeMetricFamily(
             "bounce_chunks_in_flight",
             "Chunks that workers compute, or that wait for one.",
-            self._manager.chunks_in_flight,
+            self._manager.supervisor.in_flight(),
         )
-        tally = self._manager.tally
+        tally = self._manager.supervisor.tally
         yield CounterMetricFamily(
             "bounce_chunks_computed", "Chunks computed since the start.", tally.computed
         )
@@ -146,9 +146,10 @@ class _JobsCollector(Collector):
         yield GaugeMetricFamily(
             "bounce_core_seconds_remaining",
             "Core-seconds that the unfinished jobs will take, by the cost table.",
-            self._manager.remaining_seconds,
+            self._manager.supervisor.remaining_seconds,
         )
-        verified, damaged = self._manager.scrubbed
+        scrubber = self._manager.scrubber
+        verified, damaged = scrubber.verified_chunks, scrubber.damaged_chunks
         yield CounterMetricFamily(
             "bounce_chunks_verified", "Stored chunks whose checksums were verified since the start.", verified
         )

@@ -14,12 +14,11 @@ from service.jobs.ledger import NOT_LOCAL, Ledger
 from service.jobs.ledger_files import network_file_system
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer, first_cells
-from service.jobs.retry import ChunkCounts
 from service.jobs.stores.deletion import Deleter
 from service.jobs.stores.repair import Repairer
 from service.jobs.stores.scrub import Scrubber
 from service.jobs.supervisor import Supervisor
-from service.jobs.transactions import WriteTransaction
+from service.jobs.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
 from worker.cost import check_size
 from worker.executors.base import Compiling, Executor
@@ -45,45 +44,21 @@ class JobManager:
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
         self.preparer = JobPreparer(settings)
-        self._deleter = Deleter(ledger, settings, self._wake)
-        self._supervisor = Supervisor(ledger, executor, settings, self.preparer, self._deleter.repeat)
-        self.repairer = Repairer(ledger, self.preparer, self._supervisor.invalidating, self._deleter.repeat)
-        self._scrubber = Scrubber(ledger, settings, self.preparer, self.repairer, self.is_computing)
+        self._deleter = Deleter(ledger, settings, self._on_freed)
+        self.supervisor = Supervisor(ledger, executor, settings, self.preparer, self._deleter.repeat)
+        self.repairer = Repairer(ledger, self.preparer, self.supervisor.invalidating, self._deleter.repeat)
+        self.scrubber = Scrubber(
+            ledger, settings, self.preparer, self.repairer, lambda: self.supervisor.in_flight() > 0
+        )
 
-    def is_computing(self) -> bool:
-        """Whether chunks of jobs are in flight."""
-        return self.chunks_in_flight > 0
-
-    @property
-    def chunks_in_flight(self) -> int:
-        """Chunks of jobs that workers compute or that wait for one."""
-        return self._supervisor.in_flight()
-
-    @property
-    def cluster_fault(self) -> str | None:
-        """Why no chunk was computed when last checked; None if chunks are. Does not block."""
-        return self._supervisor.cluster.explanation
+    def _on_freed(self) -> None:
+        self.supervisor.wake()
 
     def compiling(self, job: JobRecord) -> Compiling | None:
         """The kernel that a worker compiles for a job before its first chunk. Does not block."""
         if job.state is not JobState.RUNNING or job.chunks_done == job.chunks_total:
             return None
         return self._executor.compiling(self._settings.store_of(job.id))
-
-    @property
-    def tally(self) -> ChunkCounts:
-        """Counts of returned chunks since the start."""
-        return self._supervisor.tally
-
-    @property
-    def remaining_seconds(self) -> float:
-        """Core-seconds that the unfinished jobs will take, by the cost table, as last estimated."""
-        return self._supervisor.remaining_seconds
-
-    @property
-    def scrubbed(self) -> tuple[int, int]:
-        """Stored chunks verified since the start, and those found damaged."""
-        return self._scrubber.verified_chunks, self._scrubber.damaged_chunks
 
     def start(self) -> None:
         """Continue every job that was queued or running when the service last stopped.
@@ -92,25 +67,25 @@ class JobManager:
         """
         self._replace_outdated()
         self._deleter.start()  # before the others notice missing stores and nothing is written
-        self._scrubber.start()
-        self._supervisor.start()
+        self.scrubber.start()
+        self.supervisor.start()
 
     def stop(self) -> None:
         """Stop computing; unfinished jobs continue at the next start."""
         deadline = time.monotonic() + STOP_SECONDS
-        self._scrubber.stop(STOP_SECONDS)
-        for part in (self._supervisor, self._deleter):
+        self.scrubber.stop(STOP_SECONDS)
+        for part in (self.supervisor, self._deleter):
             part.stop(max(deadline - time.monotonic(), 0.1))
 
     @property
     def unknown_stores(self) -> list[str]:
         """Addresses of stores unknown to the ledger, as found at the start."""
-        return sorted({*self._scrubber.unknown_stores, *self._deleter.kept})
+        return sorted({*self.scrubber.unknown_stores, *self._deleter.kept})
 
     def notices(self) -> list[str]:
         """What an operator should know, although jobs are computed."""
         notices = []
-        if refused := len(self._supervisor.cluster.refused):
+        if refused := len(self.supervisor.cluster.refused):
             notices.append(f"workers refused: {refused}; the log names them")
         if unknown := len(self.unknown_stores):
             notices.append(
@@ -121,12 +96,6 @@ class JobManager:
             notices.append(f"the data folder is on a network file system ({network}): {NOT_LOCAL}")
         return notices
 
-    def _is_verified(self, job_id: str) -> bool:
-        return self._scrubber.is_verified(job_id)
-
-    def _wake(self) -> None:
-        self._supervisor.wake()
-
     def submit(self, spec: Any, key: str | None = None, owner: str | None = None) -> Submission:
         """Accept a study, or return its existing job; a failed or cancelled one is resumed.
 
@@ -134,36 +103,44 @@ class JobManager:
         the job since. `owner`: the name of the caller's access token, if it has one.
         Raises SpecTooLarge, QueueFull, KeyReused.
         """
-        plan = self.check(spec)
-        job = _new_job(spec, plan, owner)
+        job = self._new_job(spec, owner)
         with self._ledger.writing() as ledger:
             new = ledger.find(job.id) is None
             accepted = not self._is_repeated(ledger, job, key) and self._accept(ledger, job)
-            record = _existing(ledger.find(job.id), job.id)
-            if new:  # before the commit: the supervisor finds the job prepared
-                self.preparer.seed(record, spec, plan)
-                for version in ledger.other_versions():
-                    if outdated := ledger.find(spec.job_id(version)):
-                        ledger.update(outdated, replaced_by=job.id)
+            record = _existing(ledger, job.id)
+            for version in ledger.other_versions() if new else ():
+                if outdated := ledger.find(spec.job_id(version)):
+                    ledger.update(outdated, replaced_by=job.id)
             if key is not None and ledger.key(key) is None:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:
-            self._supervisor.wake()
+            self.supervisor.wake()
         return Submission(record, accepted)
 
     def check(self, spec: Any) -> Plan:
         """The plan of a study. Raises SpecTooLarge if it would not be accepted."""
-        study = study_of(spec)
-        plan = self.preparer.plan(spec)
-        cost = study.estimate(spec, plan)
-        limits = self._settings
+        plan, limits = self.preparer.plan(spec), self._settings
         check_size(
-            cost,
+            study_of(spec).estimate(spec, plan),
             max_cells=limits.max_cells,
             max_bytes=limits.max_bytes,
             max_core_seconds=limits.max_core_seconds,
         )
         return plan
+
+    def _new_job(self, spec: Any, owner: str | None) -> NewJob:
+        plan = self.check(spec)
+        return NewJob(
+            id=spec.job_id(KERNEL_VERSION),
+            name=spec.name,
+            spec=json.dumps(spec.as_submitted()),
+            kernel_version=KERNEL_VERSION,
+            chunk_shape=plan.chunk_shape,
+            chunks_total=len(plan),
+            cells_total=plan.cells,
+            first_cells=first_cells(spec, plan),
+            owner=owner,
+        )
 
     def workers(self) -> int:
         """The number of tasks that run at once; may be a second old."""
@@ -176,9 +153,16 @@ class JobManager:
         done or failed.
         """
         with self._ledger.writing() as ledger:
-            _cancel(ledger, _existing(ledger.find(job_id), job_id))
-            record = _existing(ledger.find(job_id), job_id)
-        self._supervisor.wake()
+            job = _existing(ledger, job_id)
+            if job.state is JobState.QUEUED:
+                ledger.finish(job, JobState.CANCELLED, time.time())
+            elif job.state is JobState.RUNNING:
+                ledger.update(job, cancel_requested=True)
+            elif job.state is not JobState.CANCELLED:
+                rule = "only a queued or running job can be cancelled"
+                raise IllegalTransition(f"the job is {job.state}: {rule}")
+            record = _existing(ledger, job_id)
+        self.supervisor.wake()
         return record
 
     def resume(self, job_id: str, owner: str | None = None) -> Submission:
@@ -189,24 +173,24 @@ class JobManager:
         as `submit`, and SpecError if this release does not accept its specification.
         """
         with self._ledger.writing() as ledger:
-            job = _existing(ledger.find(job_id), job_id)
+            job = _existing(ledger, job_id)
             if job.state is JobState.DONE:
                 again = ": submit the sweep again to compute it anew" if job.outdated else ""
                 raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
             if job.outdated:
-                record, accepted = self._replace(ledger, job, from_json(job.spec), owner, self._accept)
+                resumed = self._replace(ledger, job, owner, self._accept)
             else:
                 accepted = self._accept(ledger, replace(job, owner=owner))
-                record = _existing(ledger.find(job_id), job_id)
-        if accepted:
-            self._supervisor.wake()
-        return Submission(record, accepted)
+                resumed = Submission(_existing(ledger, job_id), accepted)
+        if resumed.accepted:
+            self.supervisor.wake()
+        return resumed
 
     def pin(self, job_id: str, pinned: bool) -> JobRecord:
         """Pin a job, or unpin it. Raises UnknownJob."""
         with self._ledger.writing() as ledger:
-            ledger.update(_existing(ledger.find(job_id), job_id), pinned=pinned)
-            return _existing(ledger.find(job_id), job_id)
+            ledger.update(_existing(ledger, job_id), pinned=pinned)
+            return _existing(ledger, job_id)
 
     def delete(self, job_id: str) -> None:
         """Remove a job; its results are removed in the background, if necessary after the next start.
@@ -214,7 +198,7 @@ class JobManager:
         Raises UnknownJob, and IllegalTransition while workers may write: cancel the job first.
         """
         with self._ledger.writing() as ledger:
-            job = _existing(ledger.find(job_id), job_id)
+            job = _existing(ledger, job_id)
             if job.state in UNFINISHED:
                 raise IllegalTransition(
                     f"the job is {job.state}: cancel it first, and wait until it is cancelled"
@@ -237,7 +221,7 @@ class JobManager:
             return
         versions = f"kernel version {job.kernel_version} began it, this release computes {KERNEL_VERSION}"
         try:
-            successor, _ = self._replace(ledger, job, from_json(job.spec), job.owner, self._admit)
+            successor, _ = self._replace(ledger, job, job.owner, self._admit)
             fate = f"job {successor.id} computes all of it anew"
         except SpecError as error:
             fate = f"it cannot start anew: {error}"
@@ -248,23 +232,17 @@ class JobManager:
         self,
         ledger: WriteTransaction,
         outdated: JobRecord,
-        spec: Any,
         owner: str | None,
         accept: Callable[[WriteTransaction, NewJob], bool],
     ) -> Submission:
         """The current version's job for an outdated job's study, inserted or resumed by `accept`.
 
-        Raises as `accept`, and SpecTooLarge.
+        Raises as `accept`, SpecError, and SpecTooLarge.
         """
-        plan = self.check(spec)
-        job = _new_job(spec, plan, owner)
-        new = ledger.find(job.id) is None
+        job = self._new_job(from_json(outdated.spec), owner)
         accepted = accept(ledger, job)
         ledger.update(outdated, replaced_by=job.id)
-        record = _existing(ledger.find(job.id), job.id)
-        if new:
-            self.preparer.seed(record, spec, plan)
-        return Submission(record, accepted)
+        return Submission(_existing(ledger, job.id), accepted)
 
     def _is_repeated(self, ledger: WriteTransaction, job: NewJob, key: str | None) -> bool:
         """Whether this request was made before with this key."""
@@ -314,17 +292,8 @@ class JobManager:
             )
 
 
-def _cancel(ledger: WriteTransaction, job: JobRecord) -> None:
-    if job.state is JobState.QUEUED:
-        ledger.finish(job, JobState.CANCELLED, time.time())
-    elif job.state is JobState.RUNNING:
-        ledger.update(job, cancel_requested=True)
-    elif job.state is not JobState.CANCELLED:
-        raise IllegalTransition(f"the job is {job.state}: only a queued or running job can be cancelled")
-
-
-def _existing(job: JobRecord | None, job_id: str) -> JobRecord:
-    if job is None:
+def _existing(ledger: ReadTransaction, job_id: str) -> JobRecord:
+    if (job := ledger.find(job_id)) is None:
         raise UnknownJob.of(job_id)
     return job
 
@@ -332,17 +301,3 @@ def _existing(job: JobRecord | None, job_id: str) -> JobRecord:
 def _fingerprint(job: NewJob) -> str:
     """Digest of a submission, its name included, independent of the JSON's layout."""
     return hashlib.sha256(job.spec.encode()).hexdigest()
-
-
-def _new_job(spec: Any, plan: Plan, owner: str | None) -> NewJob:
-    return NewJob(
-        id=spec.job_id(KERNEL_VERSION),
-        name=spec.name,
-        spec=json.dumps(spec.as_submitted()),
-        kernel_version=KERNEL_VERSION,
-        chunk_shape=plan.chunk_shape,
-        chunks_total=len(plan),
-        cells_total=plan.cells,
-        first_cells=first_cells(spec, plan),
-        owner=owner,
-    )

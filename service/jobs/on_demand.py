@@ -66,8 +66,8 @@ class OnDemandCache:
     """Results computed by workers on request. Its methods may be called from any thread.
 
     `max_pending`: results that may be computed at a time; `timeout`: seconds that a request waits;
-    `jobs_compute`: whether jobs have chunks to compute; `abandoned`: seconds without a request after which a
-    client does not count.
+    `jobs_compute`: the number of jobs' chunks in flight; `abandoned`: seconds without a request after which
+    a client does not count.
 
     At most half of the workers, at least one, compute calls, which an executor begins before the chunks of
     jobs. Beside jobs calls use up a credit of CREDIT_SECONDS, which grows by SHARE of the workers' time;
@@ -79,7 +79,7 @@ class OnDemandCache:
         executor: Executor,
         max_pending: int = MAX_PENDING,
         timeout: float = 2.0,
-        jobs_compute: Callable[[], bool] = lambda: False,
+        jobs_compute: Callable[[], int] = lambda: 0,
         abandoned: float = ABANDONED_SECONDS,
     ) -> None:
         self._executor, self._jobs_compute = executor, jobs_compute

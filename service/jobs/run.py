@@ -35,7 +35,7 @@ class JobRun:
         policy: RetryPolicy,
         paused: Iterable[int] = (),
     ) -> None:
-        self.job, self.prepared = job, prepared
+        self.job, self.prepared, self.seq = job, prepared, job.seq
         self.stopping = job.cancel_requested  # a cancel is being carried out
         self.flagged = False  # its store has the cancel flag
         self.refused = False  # the executor refused a chunk; nothing is submitted until the next sync
@@ -43,16 +43,14 @@ class JobRun:
         self.turns: set[int] = set()  # chunks in flight that were submitted as the job's turn
         self.unsaved_reports: list[ChunkReport] = []  # of chunks that are stored and not yet marked
         self._policy = policy
-        self._begun = set(paused)  # chunks that may have a checkpoint
+        self.begun = set(paused)  # chunks that may have a checkpoint
         self._ready_queue = ReadyQueue(predecessors(prepared.plan), done)
-        self._cell_seconds = prepared.cell_seconds
         self.chunk_seconds = prepared.core_seconds / len(prepared.plan)  # on average, by the cost table
-        self._cells_in_flight = 0
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
         self.unsaved_damage: set[int] = set()  # chunks to unmark: their stored end states are damaged
         self._failures: list[Failure] = []
-        self._saved_failures = 0  # how many of them are in the ledger
+        self.unsaved_failures: list[Failure] = []
         self._fatal = False
 
     # Submitting
@@ -79,25 +77,15 @@ class JobRun:
         """The next chunk to compute."""
         return self.prepared.plan[self._ready_queue.pop()]
 
-    def begins(self, chunk: int) -> bool:
-        """Whether no run has submitted the chunk before."""
-        return chunk not in self._begun
-
-    def add_in_flight(self, chunk: Chunk, future: "Future[ChunkReport]") -> None:
+    def add_in_flight(self, chunk: int, future: "Future[ChunkReport]") -> None:
         """Note that the executor has taken a chunk."""
-        self.in_flight[chunk.index] = future
-        self._begun.add(chunk.index)
-        self._cells_in_flight += chunk.cells
+        self.in_flight[chunk] = future
+        self.begun.add(chunk)
 
     def remove_in_flight(self, chunk: int) -> None:
         """Note that a chunk has come back from the executor, with or without a report."""
         del self.in_flight[chunk]
         self.turns.discard(chunk)
-        self._cells_in_flight -= self.prepared.plan[chunk].cells
-
-    def longest_seconds(self, chunk: Chunk) -> float:
-        """Core-seconds of a chunk if all cells settle for as long as allowed, by the cost table."""
-        return chunk.cells * self.prepared.longest_cell_seconds
 
     @property
     def remaining_seconds(self) -> float:
@@ -118,7 +106,7 @@ class JobRun:
     @property
     def seconds_in_flight(self) -> float:
         """Core-seconds of the chunks in flight, by the cost table."""
-        return self._cells_in_flight * self._cell_seconds
+        return len(self.in_flight) * self.chunk_seconds
 
     # Chunks that came back without a report
 
@@ -147,7 +135,9 @@ class JobRun:
         self._fatal = self._fatal or action is Action.FATAL
         if action in (Action.GIVE_UP, Action.FATAL):
             cells = self.prepared.describe(self.prepared.plan[chunk])
-            self._failures.append(_failure(chunk, cells, error, self._tries[chunk]))
+            failure = _failure(chunk, cells, error, self._tries[chunk])
+            self._failures.append(failure)
+            self.unsaved_failures.append(failure)
         else:
             # a refused chunk goes first too, so that it uses up its own tries and not those of every chunk
             self._ready_queue.requeue(chunk, first=action is Action.CONTINUE or self.refused)
@@ -163,18 +153,13 @@ class JobRun:
         """Whether there are reports, failures or damaged chunks missing from the ledger."""
         return bool(self.unsaved_reports or self.unsaved_failures or self.unsaved_damage)
 
-    @property
-    def unsaved_failures(self) -> list[Failure]:
-        """Failures missing from the ledger."""
-        return self._failures[self._saved_failures :]
-
     def mark_saved(self) -> None:
         """Note that all reports, failures and damaged chunks are in the ledger."""
         self._ready_queue.complete(report.index for report in self.unsaved_reports)
-        self._begun.difference_update(report.index for report in self.unsaved_reports)
+        self.begun.difference_update(report.index for report in self.unsaved_reports)
         self.unsaved_reports.clear()
         self.unsaved_damage.clear()
-        self._saved_failures = len(self._failures)
+        self.unsaved_failures.clear()
 
     # The end
 

@@ -4,6 +4,7 @@ It sleeps until it is woken (by a submission, a cancel, a returned chunk) or a h
 Everything that it holds in memory can be rebuilt from the ledger.
 """
 
+import heapq
 import logging
 import math
 import threading
@@ -12,14 +13,12 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager, suppress
-from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, cast
 
 from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord, JobState
-from service.jobs.model_selection import ModelSelector
 from service.jobs.prepare import JobPreparer
 from service.jobs.ready_queue import Rotation
 from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
@@ -27,8 +26,9 @@ from service.jobs.run import JobRun, text_of
 from service.jobs.transactions import Unfinished
 from service.settings import Settings
 from worker import store
+from worker.analysis.model_selection import ModelChoice, choose, is_open, resolved
 from worker.executors.base import ClusterState, Executor
-from worker.executors.errors import ReportMismatch
+from worker.executors.errors import ExecutorError, ReportMismatch, WorkerDied
 from worker.store import StoreConflict
 from worker.studies import Chunk
 from worker.tasks import SLICE_SECONDS, ChunkOptions, ChunkPaused, ChunkReport
@@ -48,30 +48,18 @@ TURN_PRIORITY: Final = 0.0
 PASSED_SECONDS: Final = 10.0
 #: Runs of a job abandoned after unforeseen errors before the job fails.
 MAX_BROKEN_RUNS: Final = 3
+#: Workers that may die while choosing one model before the job fails.
+MAX_CHOICE_DEATHS: Final = 3
 #: Without workers the ledger is synced after this share of a heartbeat, so that new workers get chunks soon.
 IDLE_SHARE: Final = 0.25
 
 
-class ChunkFinished(NamedTuple):
-    """A chunk's future has ended, with a report, an error or a cancellation."""
-
-    job_id: str
-    chunk: int
-    future: "Future[ChunkReport]"
-
-
-class ChunksInvalidated(NamedTuple):
-    """Chunks were unmarked in the ledger: their stored bytes are damaged."""
+class Message(NamedTuple):
+    """Chunks have come back from the executor, or were unmarked in the ledger because of damage."""
 
     job_id: str
     chunks: Sequence[int]
-
-
-class Sync(NamedTuple):
-    """The ledger has changed."""
-
-
-Message = ChunkFinished | ChunksInvalidated | Sync
+    future: "Future[ChunkReport] | None" = None  # of the chunk that came back
 
 
 class Waiting(NamedTuple):
@@ -111,9 +99,10 @@ class Supervisor:
         self.tally = ChunkCounts()
         self.cluster = ClusterState(connected=True, workers=1)  # as the last sync found it
         self.remaining_seconds = 0.0  # core-seconds of unfinished jobs, by the cost table
-        self._selector = ModelSelector(ledger, executor, preparer, self.wake)
-        self._inbox: SimpleQueue[Message] = SimpleQueue()
-        self._messages: deque[Message] = deque()  # received but not processed
+        self._choosing: dict[str, Future[ModelChoice]] = {}  # a worker chooses the model, by job id
+        self._deaths: Counter[str] = Counter()  # of workers that chose a model, by job id
+        self._inbox: SimpleQueue[Message | None] = SimpleQueue()  # None: the ledger has changed
+        self._messages: deque[Message | None] = deque()  # received but not processed
         self._runs: dict[str, JobRun] = {}
         self._broken: Counter[str] = Counter()  # runs abandoned after an unforeseen error, by job
         self._waiting: dict[str, Waiting] = {}  # by job id, in order, as the last sync found them
@@ -137,7 +126,7 @@ class Supervisor:
 
     def wake(self) -> None:
         """Sync with the ledger now. Call it after changing the ledger."""
-        self._inbox.put(Sync())
+        self._inbox.put(None)
 
     @contextmanager
     def invalidating(self, job_id: str) -> Iterator[list[int]]:
@@ -157,7 +146,7 @@ class Supervisor:
                 self._invalidating[job_id] -= 1
                 self._invalidating += Counter()  # without those at zero
             if chunks:
-                self._inbox.put(ChunksInvalidated(job_id, chunks))
+                self._inbox.put(Message(job_id, chunks))
             self.wake()
 
     def stop(self, seconds: float) -> None:
@@ -170,30 +159,26 @@ class Supervisor:
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                self._messages.extend(self._receive())
+                self._receive()
                 self._ledger.check()  # nothing is stored either while the ledger is replaced
                 self._step()
-            except LedgerUnavailable as error:  # the next step writes the rest
+            except Exception as error:  # the next step writes the rest
                 pause = self._settings.heartbeat_seconds
-                log.error("supervisor step failed; retrying in %g s: %s", pause, error)
+                is_defect = not isinstance(error, LedgerUnavailable)
+                log.error("supervisor step failed; retrying in %g s: %s", pause, error, exc_info=is_defect)
                 self._stop.wait(pause)
-                self.wake()
-            except Exception:
-                log.exception("supervisor step failed")
-                self._stop.wait(self._settings.heartbeat_seconds)
                 self.wake()
         for run in self._runs.values():
             self._abandon(run)
 
-    def _receive(self) -> list[Message]:
-        """All received messages; waits for the first, or until the next sync is due."""
-        try:
-            messages = [self._inbox.get(timeout=max(self._next_sync - time.monotonic(), 0))]
-        except Empty:
-            return [Sync()]
-        while not self._inbox.empty():
-            messages.append(self._inbox.get())
-        return messages if time.monotonic() < self._next_sync else [*messages, Sync()]
+    def _receive(self) -> None:
+        """Wait for a message, or until the next sync is due."""
+        with suppress(Empty):
+            self._messages.append(self._inbox.get(timeout=max(self._next_sync - time.monotonic(), 0)))
+            while True:
+                self._messages.append(self._inbox.get_nowait())
+        if time.monotonic() >= self._next_sync:
+            self._messages.append(None)
 
     def _step(self) -> None:
         """Apply messages to the state in memory, then save it to the ledger, now or in a later step.
@@ -203,10 +188,9 @@ class Supervisor:
         sync = False
         while self._messages:
             message = self._messages.popleft()
-            if isinstance(message, Sync):
+            if message is None:
                 sync = True
-            elif message.job_id in self._runs:
-                run = self._runs[message.job_id]
+            elif (run := self._runs.get(message.job_id)) is not None:
                 with self._contained(run):
                     self._take(run, message)
         for run in list(self._runs.values()):
@@ -240,20 +224,27 @@ class Supervisor:
 
     # Chunks that came back
 
-    def _take(self, run: JobRun, message: ChunkFinished | ChunksInvalidated) -> None:
-        if isinstance(message, ChunksInvalidated):
-            run.invalidate(message.chunks)
-        elif run.in_flight.get(message.chunk) is message.future:  # not from an abandoned run
-            self._on_finished(run, message)
-
-    def _on_finished(self, run: JobRun, finished: ChunkFinished) -> None:
+    def _take(self, run: JobRun, message: Message) -> None:
         """Keep a chunk's report, or handle its error."""
-        chunk = finished.chunk
-        error = _error_of(finished.future) or _mismatch(run.prepared.plan[chunk], finished.future.result())
-        self._account(run, finished, error)
+        future, [chunk, *_] = message.future, message.chunks
+        if future is None:
+            run.invalidate(message.chunks)
+            return
+        if run.in_flight.get(chunk) is not future:  # from an abandoned run
+            return
+        error = CancelledError() if future.cancelled() else future.exception()
+        report = None if error else future.result()
+        if report is not None and (mismatch := _mismatch(run.prepared.plan[chunk], report)):
+            error, report = mismatch, None
+        # The rotation counts at most a slice.
+        seconds = report.seconds if report else run.chunk_seconds
+        seconds = min(math.inf if isinstance(error, ChunkPaused) else seconds, self._rotation.slice_seconds)
+        if chunk in run.turns:
+            self._rotation.end_turn(run.chunk_seconds, seconds)
+        else:
+            self._rotation.earn(seconds)
         run.remove_in_flight(chunk)
-        if error is None:
-            report = finished.future.result()
+        if report is not None:
             run.unsaved_reports.append(report)
             self.tally.add_computed(report.seconds)
             return
@@ -261,7 +252,7 @@ class Supervisor:
             prepared = run.prepared
             with suppress(OSError, *store.UNREACHABLE):  # the next try reports the error
                 store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes)
-        self._on_error(run, chunk, error)
+        self._on_error(run, chunk, cast(BaseException, error))
 
     def _on_error(self, run: JobRun, chunk: int, error: BaseException) -> None:
         """Carry out the retry policy's decision on a chunk without a report."""
@@ -272,18 +263,6 @@ class Supervisor:
         if action is Action.PAUSE:
             self._slots = 0
         run.apply(chunk, action, error, recompute_predecessor)
-
-    def _account(self, run: JobRun, finished: ChunkFinished, error: BaseException | None) -> None:
-        """Report a chunk's time since submission to the rotation: at most a slice."""
-        if error is None:
-            seconds = min(finished.future.result().seconds, self._rotation.slice_seconds)
-        else:
-            longest = self._rotation.slice_seconds
-            seconds = longest if isinstance(error, ChunkPaused) else min(run.chunk_seconds, longest)
-        if finished.chunk in run.turns:
-            self._rotation.end_turn(run.chunk_seconds, seconds)
-        else:
-            self._rotation.earn(seconds)
 
     def _save(self, run: JobRun) -> None:
         """Write the changes of a job's chunks to the ledger, in one transaction.
@@ -391,10 +370,9 @@ class Supervisor:
             if job is None or ledger.is_occupied(job_id):
                 return  # deleted meanwhile, or an earlier deletion is not complete
         try:
-            selected = self._selector.select(job)
-            if selected is None:
-                return  # the selector wakes this thread when the model is chosen
-            run = self._open(selected)
+            if (chosen := self._chosen(job)) is None:
+                return  # this thread is woken when the model is chosen
+            run = self._open(chosen)
         except store.UNREACHABLE as error:
             log.warning("job %s cannot start yet, its bucket does not answer: %s", job_id, error)
             raise
@@ -411,6 +389,34 @@ class Supervisor:
         if self._mark_running(job):
             self._runs[job_id] = run
             log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
+
+    def _chosen(self, job: JobRecord) -> JobRecord | None:
+        """The job with its model chosen; None until a worker has chosen one.
+
+        It is chosen once, before the first chunk, so that one model computes the whole job. A choice lost
+        with its worker is repeated, with the same result. Raises the errors of choosing.
+        """
+        submitted = self._preparer.prepare(job).submitted
+        if job.choice is not None or not is_open(submitted):
+            return job
+        try:
+            if job.id not in self._choosing:
+                self._choosing[job.id] = self._executor.call(choose, submitted)
+                self._choosing[job.id].add_done_callback(lambda _: self.wake())
+            if not self._choosing[job.id].done():
+                return None
+            choice = self._choosing.pop(job.id).result()
+        except (ExecutorError, CancelledError) as error:  # the next sync tries again
+            log.warning("job %s: choosing its model failed: %s", job.id, error)
+            self._deaths[job.id] += isinstance(error, WorkerDied)
+            if self._deaths[job.id] < MAX_CHOICE_DEATHS:
+                return None
+            del self._deaths[job.id]
+            raise
+        plan = self._preparer.plan(resolved(submitted, choice))  # chunks for the cost of the chosen model
+        with self._ledger.writing() as ledger:
+            ledger.choose(job, choice.model_dump_json(), plan.chunk_shape, len(plan))
+            return ledger.find(job.id)
 
     def _open(self, job: JobRecord) -> JobRun:
         """The run of a job with a chosen model: its store created, nothing in flight.
@@ -509,36 +515,28 @@ class Supervisor:
 
     def _next_smallest(self) -> JobRun | None:
         """The job with the least left to compute among those that may submit a chunk."""
-        runs = self._runs.values()
-        all_count, all_seconds = (
-            sum(len(run.in_flight) for run in runs),
-            sum(run.seconds_in_flight for run in runs),
-        )
-        if self._is_full(all_count / MAX_TIMES_IN_FLIGHT, all_seconds / MAX_TIMES_IN_FLIGHT):
+        runs = sorted(self._runs.values(), key=_order)
+        all_count = sum(len(run.in_flight) for run in runs) / MAX_TIMES_IN_FLIGHT
+        if self._is_full(all_count, sum(run.seconds_in_flight for run in runs) / MAX_TIMES_IN_FLIGHT):
             return None
-        count, seconds = 0, 0.0  # in flight for jobs with less left
-        for run in [*sorted(self._runs.values(), key=_order), None]:
-            while self._waiting and not (
-                run is not None and _order(run) < next(iter(self._waiting.values()))
-            ):
-                job = next(iter(self._waiting.values()))
-                if not self._make_room(job.remaining_seconds):
-                    break
-                started = self._start_waiting(job)
-                if started is not None:
+        count, seconds, has_room = 0, 0.0, True  # in flight for jobs with less left
+        jobs: list[list[JobRun | Waiting]] = [[*runs], [*self._waiting.values()]]
+        for job in heapq.merge(*jobs, key=_order):
+            if isinstance(job, JobRun):
+                count, seconds = count + len(job.in_flight), seconds + job.seconds_in_flight
+                if self._is_full(count, seconds):
+                    return None
+                if job.may_submit:
+                    return job
+            elif has_room and job.id in self._waiting:
+                has_room = self._make_room(job.remaining_seconds)
+                if has_room and (started := self._start_waiting(job)) is not None:
                     return started
-            if run is None:
-                break
-            count, seconds = count + len(run.in_flight), seconds + run.seconds_in_flight
-            if self._is_full(count, seconds):
-                break
-            if run.may_submit:
-                return run
         return None
 
     def _make_room(self, remaining_seconds: float) -> bool:
         """Make room in memory for a job with this much left; an idle job with more left leaves."""
-        if len(self._runs) + self._selector.pending < self._settings.active_jobs:
+        if len(self._runs) + len(self._choosing) < self._settings.active_jobs:
             return True
         idle = [run for run in self._runs.values() if run.is_idle and run.may_submit]
         leaving = max(idle, key=_order, default=None)
@@ -576,38 +574,32 @@ class Supervisor:
         waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
         priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
         chunk = run.pop()
-        seconds = self._time_limit(run, chunk)
+        longest = self._settings.chunk_slack * chunk.cells * run.prepared.longest_cell_seconds
         try:
             future = self._executor.submit(
                 run.prepared.spec,
                 chunk,
                 run.prepared.store_url,
-                seconds=seconds,
+                seconds=max(self._settings.chunk_seconds, longest),
                 priority=priority,
-                options=ChunkOptions(self._rotation.slice_seconds, begins=run.begins(chunk.index)),
+                options=ChunkOptions(self._rotation.slice_seconds, begins=chunk.index not in run.begun),
             )
         except Exception as error:  # noqa: BLE001 - the retry policy decides
             log.warning("the executor refused a chunk, retrying at the next sync: %s", error)
             run.refused = True
             self._on_error(run, chunk.index, error)
             return
-        run.add_in_flight(chunk, future)
+        run.add_in_flight(chunk.index, future)
         if is_turn:
             run.turns.add(chunk.index)
             self._rotation.begin_turn(run.job.id, run.chunk_seconds)
-        future.add_done_callback(partial(self._post_finished, run.job.id, chunk.index))
-
-    def _time_limit(self, run: JobRun, chunk: Chunk) -> float:
-        """Seconds that a chunk may take from its start before its worker is replaced."""
-        return max(self._settings.chunk_seconds, self._settings.chunk_slack * run.longest_seconds(chunk))
-
-    def _post_finished(self, job_id: str, chunk: int, future: "Future[ChunkReport]") -> None:
-        self._inbox.put(ChunkFinished(job_id, chunk, future))
+        message = Message(run.job.id, [chunk.index], future)
+        future.add_done_callback(lambda _: self._inbox.put(message))
 
 
-def _order(run: JobRun) -> tuple[float, int]:
-    """The order of jobs in memory, like that of waiting jobs: by their remaining work."""
-    return run.remaining_seconds, run.job.seq
+def _order(job: "JobRun | Waiting") -> tuple[float, int]:
+    """The order of jobs: by their remaining work."""
+    return job.remaining_seconds, job.seq
 
 
 def _two_digits(value: float) -> float:
@@ -616,11 +608,6 @@ def _two_digits(value: float) -> float:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return math.ceil(value / unit) * unit
-
-
-def _error_of(future: "Future[ChunkReport]") -> BaseException | None:
-    """Why an ended future has no report; None if it has one."""
-    return CancelledError() if future.cancelled() else future.exception()
 
 
 def _mismatch(chunk: Chunk, report: ChunkReport) -> ReportMismatch | None:

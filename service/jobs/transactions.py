@@ -30,6 +30,10 @@ from worker.tasks import ChunkReport
 #: Chunks whose verification is recorded together.
 VERIFIED_PAGE: Final = 512
 
+#: Recent jobs whose speed counts, and maximum characters of their specifications.
+RECENT_JOBS: Final = 20
+RECENT_CHARS: Final = 20_000
+
 Column = str | bytes | float | bool | None
 
 
@@ -158,8 +162,8 @@ class ReadTransaction:
         row = self._row(sql, key, KERNEL_VERSION)
         return Key(*row) if row else None
 
-    def measured(self, jobs: int, max_spec_chars: int) -> list[JobRecord]:
-        """The last `jobs` with measured times and a specification of limited length.
+    def measured(self) -> list[JobRecord]:
+        """The last RECENT_JOBS with measured times and a specification of at most RECENT_CHARS.
 
         Only for this release's kernel, as versions differ in speed. Times of adopted chunks are unknown.
         """
@@ -167,7 +171,7 @@ class ReadTransaction:
             "SELECT * FROM jobs WHERE cells_timed > 0 AND length(spec) <= ? AND kernel_version = ?"
             " ORDER BY seq DESC LIMIT ?"
         )
-        return [_record(row) for row in self._rows(sql, max_spec_chars, KERNEL_VERSION, jobs)]
+        return [_record(row) for row in self._rows(sql, RECENT_CHARS, KERNEL_VERSION, RECENT_JOBS)]
 
     def marker(self) -> tuple[str, bool]:
         """The mark of this ledger's stores, and whether they were marked."""
@@ -259,9 +263,9 @@ class WriteTransaction(ReadTransaction):
         """Start the job, or continue it after a restart of the service."""
         if job.state is not JobState.RUNNING:
             check_transition(job.state, JobState.RUNNING)
-        runs, started = with_this_run(job.runs, now), job.started or now
-        columns = {"started": started, "run_started": now, "run_cells": job.cells_done, "runs": runs}
-        self.update(job, state=JobState.RUNNING, **columns)
+        runs, first = with_this_run(job.runs, now), job.started or now
+        state = JobState.RUNNING
+        self.update(job, state=state, started=first, run_started=now, run_cells=job.cells_done, runs=runs)
 
     def finish(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> None:
         """End the job as done, failed or cancelled."""

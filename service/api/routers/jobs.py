@@ -11,7 +11,6 @@ from service.api import parameters, schemas
 from service.api.conditional import NOT_MODIFIED, job_headers, not_modified
 from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep
 from service.api.schemas import JobView, job_view, problem_responses
-from service.jobs import cost as estimates
 from service.jobs.manager import Submission
 from service.jobs.model import UNFINISHED, Failure, JobRecord
 from worker.cost import Cost
@@ -84,8 +83,8 @@ def _submitted(submission: Submission) -> Response:
 def _cost(service: ServiceDep, spec: Any) -> Response:
     plan = service.manager.check(spec)
     with service.ledger.reading() as ledger:
-        measured = ledger.measured(estimates.RECENT_JOBS, estimates.MAX_SPEC_CHARS)
-    cost = estimates.cost(spec, plan, measured, service.manager.preparer)
+        measured = ledger.measured()
+    cost = service.manager.preparer.cost(spec, plan, measured)
     cost = cost.model_copy(update={"workers": service.manager.workers()})
     return Response(cost.model_dump_json(), media_type="application/json")
 
@@ -114,7 +113,7 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
     job = find_job(job_id, service)  # called, not a dependency: FastAPI would use a second thread for it
     with service.ledger.reading() as ledger:
         failures = ledger.failures(job)
-    notice = service.manager.cluster_fault if job.state in UNFINISHED else None
+    notice = service.manager.supervisor.cluster.explanation if job.state in UNFINISHED else None
     compiling = service.manager.compiling(job)
     headers = job_headers(job, len(failures), notice, compiling)
     if seconds := _retry_after(job):

@@ -61,7 +61,7 @@ def compute(folder: Path, *specs: SweepSpec) -> list[str]:
 
 
 def scrubbed(service: Running) -> tuple[str, ...]:
-    service.manager._scrubber._thread.join()
+    service.manager.scrubber._thread.join()
     return tuple(Path(url).name for url in service.manager.unknown_stores)
 
 

@@ -136,7 +136,7 @@ def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Pat
     assert len(ids(data / "ledger.sqlite")) == 1
     assert (data / "ledger.sqlite").stat().st_mode & 0o777 == 0o600
     with running(data, Held(capacity=0)) as service:
-        service.manager._scrubber._thread.join()
+        service.manager.scrubber._thread.join()
         assert len(service.manager.unknown_stores) == 2
         assert "stores that the ledger does not know: 2" in service.manager.notices()[0]
     answer = bounce("adopt", "--all", "--data", str(data))
@@ -197,7 +197,7 @@ def test_deletions_of_a_backup_are_forgotten(folder: Path):
         backup.backup(data / "ledger.sqlite", folder / "later.sqlite")
     backup.restore(data / "ledger.sqlite", folder / "later.sqlite")
     with running(data, Held(capacity=0)) as service:
-        service.manager._scrubber._thread.join()
+        service.manager.scrubber._thread.join()
         assert [Path(url).stem for url in service.manager.unknown_stores] == [job.id]
         assert Path(service.settings.store_of(job.id)).exists()
 

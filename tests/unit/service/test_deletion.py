@@ -76,7 +76,7 @@ def test_a_store_that_hangs_holds_nobody_up(
 ):
     hang = hanging(name)
     with running(done, inline) as service:
-        service.manager._scrubber._thread.join()  # it would repair what is being removed
+        service.manager.scrubber._thread.join()  # it would repair what is being removed
         service.manager.delete(JOB)
         assert hang.reached.wait(DEADLINE)
         service.until(service.submit(sweep(omega=0.6)), JobState.DONE)
@@ -95,7 +95,7 @@ def test_a_job_waits_while_its_address_has_results_of_a_deleted_one(
 ):
     hang, held = hanging("rename_for_deletion"), Held()
     with running(done, held, heartbeat_seconds=0.02) as service:
-        service.manager._scrubber._thread.join()  # it would repair what is being removed
+        service.manager.scrubber._thread.join()  # it would repair what is being removed
         service.manager.delete(JOB)
         assert hang.reached.wait(DEADLINE)
         again, other = service.submit(sweep()), service.submit(sweep(omega=0.6))
@@ -145,7 +145,7 @@ def test_a_store_made_after_its_deletion_stays(done: Path, inline: Inline):
     record_deletion(done, age=3600.0)
     with running(done, inline) as service:
         wait_for(lambda: service.pending_deletions() == 0)
-        service.manager._scrubber._thread.join()
+        service.manager.scrubber._thread.join()
         assert [Path(url).name for url in service.manager.unknown_stores] == [f"{JOB}.zarr"]
         assert service.manager._deleter.kept == [service.settings.store_of(JOB)]
     assert names(done) == [f"{JOB}.zarr"]
@@ -156,7 +156,7 @@ def test_a_running_job_is_not_touched_by_the_deletion_of_its_predecessor(
 ):
     hang = hanging("remove")
     with closing(Scripted()) as executor, running(done, executor) as service:
-        service.manager._scrubber._thread.join()  # it would repair what is being removed
+        service.manager.scrubber._thread.join()  # it would repair what is being removed
         service.manager.delete(JOB)
         assert hang.reached.wait(DEADLINE)
         again = service.until(service.submit(sweep()), JobState.DONE)
@@ -178,6 +178,6 @@ def test_metadata_repaired_while_the_job_is_deleted_does_not_stay(
         wait_for(lambda: service.pending_deletions() == 0)
         assert names(done) == []
         hang.go_on.set()
-        service.manager._scrubber._thread.join()
+        service.manager.scrubber._thread.join()
         wait_for(lambda: service.pending_deletions() == 0)
         assert names(done) == []

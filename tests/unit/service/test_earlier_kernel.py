@@ -98,7 +98,7 @@ def test_the_done_job_is_read_as_it_was_written(folder: Path):
         assert read(client, f"{DONE}/threshold").attrs["complete"]
         opened = xarray.open_zarr(store_of(folder, "done"))
         assert opened.attrs["kernel_version"] == "1"
-        wait_for(lambda: client.app.state.service.manager._is_verified(IDS["done"]))  # type: ignore[attr-defined]
+        wait_for(lambda: client.app.state.service.manager.scrubber.is_verified(IDS["done"]))  # type: ignore[attr-defined]
     assert files(store_of(folder, "done")) == before
     assert stored_checksums(folder, "done") == recorded_checksums(folder, "done")
 
@@ -216,7 +216,7 @@ def test_a_chunk_damaged_before_the_start_is_given_up(folder: Path):
 def test_a_chunk_damaged_later_is_reported_once_and_missing_from_then_on(folder: Path):
     with service(folder, Held()) as client:
         manager = client.app.state.service.manager  # type: ignore[attr-defined]
-        wait_for(lambda: manager._is_verified(IDS["done"]))
+        wait_for(lambda: manager.scrubber.is_verified(IDS["done"]))
         flip(store_of(folder, "done") / "flight_time/c.0.0.0.0.0")
         refused = client.get(f"{DONE}/diagram", params={"omega": 0.5})
         assert refused.status_code == 503

@@ -166,8 +166,8 @@ def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):
     with service(tmp_path, Held(capacity=0)) as client:
         here = client.post("/v1/jobs", json=sweep().as_submitted()).headers["Location"]
         manager = client.app.state.service.manager  # type: ignore[attr-defined]
-        wait_for(lambda: manager.cluster_fault is not None)
-        assert get(client, here)["notice"] == manager.cluster_fault
+        wait_for(lambda: manager.supervisor.cluster.explanation is not None)
+        assert get(client, here)["notice"] == manager.supervisor.cluster.explanation
         client.post(f"{here}/cancel")
         wait_for(lambda: bool(get(client, here)["state"] == "cancelled"))
         assert get(client, here)["notice"] is None

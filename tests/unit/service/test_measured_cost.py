@@ -8,7 +8,6 @@ import pytest
 from ledgers import record
 from scripted import small
 
-from service.jobs.cost import cost
 from service.jobs.model import JobRecord, JobState
 from service.jobs.prepare import JobPreparer
 from service.settings import Settings
@@ -41,7 +40,7 @@ def pace(spec: SweepSpec, seconds: float, expected: float, text: str | None = No
 
 def ratio(preparer: JobPreparer, *measured: JobRecord, spec: SweepSpec = SPEC) -> float | None:
     """The measured cost over that of the table; None if the cost is the table's."""
-    found, table = cost(spec, make_plan(spec), measured, preparer), by_table(spec)
+    found, table = preparer.cost(spec, make_plan(spec), measured), by_table(spec)
     if found.basis == "table":
         assert found == table
         return None

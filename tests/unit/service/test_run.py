@@ -35,7 +35,7 @@ def run(tmp_path: Path) -> JobRun:
 
 def submit(run: JobRun) -> int:
     chunk = run.pop()
-    run.add_in_flight(chunk, Future())
+    run.add_in_flight(chunk.index, Future())
     return chunk.index
 
 
@@ -69,13 +69,13 @@ def test_nothing_is_submitted_while_something_is_unsaved(run: JobRun):
 
 def test_a_chunk_begins_once_unless_it_has_a_checkpoint(run: JobRun):
     paused = JobRun(run.job, run.prepared, np.zeros(12, np.bool_), POLICY, paused=[0])
-    assert [paused.begins(chunk) for chunk in (0, 1)] == [False, True]
+    assert paused.begun == {0}
     chunk = submit(run)
-    assert not run.begins(chunk)
+    assert chunk in run.begun
     fail(run, chunk, Action.CONTINUE, ValueError("paused"))
-    assert not run.begins(chunk)
+    assert chunk in run.begun
     finish(run, submit(run))
-    assert run.begins(chunk)  # once stored it has no checkpoint
+    assert chunk not in run.begun  # once stored it has no checkpoint
 
 
 def test_tries_and_losses_are_counted_per_chunk(run: JobRun):

@@ -60,7 +60,7 @@ def scrubbing(folder: Path, computing: bool = False, **options: Any) -> Iterator
 def done(tmp_path: Path, inline: Inline) -> JobRecord:
     """A job that is done, in a data folder in which nothing was verified."""
     with running(tmp_path, inline) as service:
-        service.manager._scrubber._thread.join()
+        service.manager.scrubber._thread.join()
         return service.until(service.submit(SPEC), JobState.DONE)
 
 
