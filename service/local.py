@@ -18,7 +18,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, nullcontext
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -352,7 +351,6 @@ def _wait(
 
 
 def _status(record: "JobRecord") -> JobStatus:
-    progress = record.progress(time.time())
     status = JobStatus()
     status._update(
         {
@@ -360,7 +358,7 @@ def _status(record: "JobRecord") -> JobStatus:
             "name": record.name,
             "state": str(record.state),
             "error": record.error,
-            "progress": asdict(progress) | {"percent": progress.percent, "eta_seconds": progress.eta_seconds},
+            "progress": record.progress(time.time()),
         }
     )
     return status

@@ -131,7 +131,7 @@ class _JobsCollector(Collector):
             "Chunks that came back without a result, by action and kind of error.",
             labels=["action", "error"],
         )
-        for (action, error), number in tally.returned.items():
+        for (action, error), number in list(tally.returned.items()):
             returned.add_metric([action, error], number)
         yield returned
         durations = HistogramMetricFamily(

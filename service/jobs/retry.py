@@ -124,7 +124,7 @@ class ChunkCounts:
         self.computed = 0
         self.seconds = 0.0  # of workers, for these
         self._by_seconds = [0] * (len(BUCKET_SECONDS) + 1)
-        self._returned: Counter[tuple[str, str]] = Counter()
+        self.returned: Counter[tuple[str, str]] = Counter()  # without a report, by action and kind of error
 
     def add_computed(self, seconds: float) -> None:
         """Count a chunk that came back with a report."""
@@ -132,16 +132,7 @@ class ChunkCounts:
         self.seconds += seconds
         self._by_seconds[bisect_left(BUCKET_SECONDS, seconds)] += 1
 
-    def add_returned(self, action: Action, error: BaseException) -> None:
-        """Count a chunk that came back without a report."""
-        self._returned[action.value, type(error).__name__] += 1
-
     @property
     def by_seconds(self) -> list[tuple[float, int]]:
         """Number of computed chunks up to each of BUCKET_SECONDS, and of all."""
         return list(zip((*BUCKET_SECONDS, math.inf), accumulate(self._by_seconds), strict=True))
-
-    @property
-    def returned(self) -> dict[tuple[str, str], int]:
-        """Chunks that came back without a report, by action and kind of error."""
-        return dict(self._returned)

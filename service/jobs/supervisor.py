@@ -257,7 +257,7 @@ class Supervisor:
     def _on_error(self, run: JobRun, chunk: int, error: BaseException) -> None:
         """Carry out the retry policy's decision on a chunk without a report."""
         action, recompute_predecessor = self._policy.decide(error, run.history(chunk))
-        self.tally.add_returned(action, error)
+        self.tally.returned[action.value, type(error).__name__] += 1
         if action in FAILED_TRIES:
             log.warning("job %s, chunk %d: %s", run.job.id, chunk, text_of(error))
         if action is Action.PAUSE:

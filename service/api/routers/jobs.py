@@ -230,6 +230,6 @@ def _job_response(
 
 def _retry_after(job: JobRecord) -> int | None:
     """Seconds until the next poll, more for jobs that take longer; None if that is less than one."""
-    left = job.progress(time.time()).eta_seconds if job.state in UNFINISHED else None
+    left = job.eta_seconds(time.time()) if job.state in UNFINISHED else None
     seconds = 0 if left is None else int(min(left * _RETRY_FRACTION, _MAX_RETRY_AFTER))
     return seconds or None

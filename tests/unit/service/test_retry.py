@@ -121,7 +121,3 @@ def test_chunks_are_counted_by_what_they_took_and_by_how_they_came_back():
     assert tally.seconds == pytest.approx(601.026)
     counts = [2, 3, 3, 3, 4, 4, 4, 4, 4, 5, 6]
     assert tally.by_seconds == list(zip((*BUCKET_SECONDS, math.inf), counts, strict=True))
-    tally.add_returned(Action.RETRY, ValueError("no"))
-    tally.add_returned(Action.RETRY, ValueError("again"))
-    tally.add_returned(Action.PAUSE, ClusterLost("gone"))
-    assert tally.returned == {("retry", "ValueError"): 2, ("pause", "ClusterLost"): 1}
