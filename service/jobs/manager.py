@@ -4,7 +4,6 @@ import hashlib
 import json
 import logging
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -96,20 +95,40 @@ class JobManager:
             notices.append(f"the data folder is on a network file system ({network}): {NOT_LOCAL}")
         return notices
 
-    def submit(self, spec: Any, key: str | None = None, owner: str | None = None) -> Submission:
+    def submit(
+        self,
+        spec: Any,
+        key: str | None = None,
+        owner: str | None = None,
+        *,
+        replaces: JobRecord | None = None,
+        limited: bool = True,
+    ) -> Submission:
         """Accept a study, or return its existing job; a failed or cancelled one is resumed.
 
         `key`: an idempotency key; a repeated request with the same key changes nothing, whatever happened to
-        the job since. `owner`: the name of the caller's access token, if it has one.
-        Raises SpecTooLarge, QueueFull, KeyReused.
+        the job since. `owner`: the name of the caller's access token, if it has one. `replaces`: an outdated
+        job of the same study. Raises SpecTooLarge, KeyReused, and QueueFull if `limited`.
         """
-        job = self._new_job(spec, owner)
+        plan = self.check(spec)
+        job = NewJob(
+            id=spec.job_id(KERNEL_VERSION),
+            name=spec.name,
+            spec=json.dumps(spec.as_submitted()),
+            kernel_version=KERNEL_VERSION,
+            chunk_shape=plan.chunk_shape,
+            chunks_total=len(plan),
+            cells_total=plan.cells,
+            first_cells=first_cells(spec, plan),
+            owner=owner,
+        )
         with self._ledger.writing() as ledger:
             new = ledger.find(job.id) is None
-            accepted = not self._is_repeated(ledger, job, key) and self._accept(ledger, job)
+            accepted = not self._is_repeated(ledger, job, key) and self._accept(ledger, job, limited)
             record = _existing(ledger, job.id)
-            for version in ledger.other_versions() if new else ():
-                if outdated := ledger.find(spec.job_id(version)):
+            versions = ledger.other_versions() if new else []
+            for outdated in [replaces, *(ledger.find(spec.job_id(version)) for version in versions)]:
+                if outdated is not None:
                     ledger.update(outdated, replaced_by=job.id)
             if key is not None and ledger.key(key) is None:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
@@ -127,20 +146,6 @@ class JobManager:
             max_core_seconds=limits.max_core_seconds,
         )
         return plan
-
-    def _new_job(self, spec: Any, owner: str | None) -> NewJob:
-        plan = self.check(spec)
-        return NewJob(
-            id=spec.job_id(KERNEL_VERSION),
-            name=spec.name,
-            spec=json.dumps(spec.as_submitted()),
-            kernel_version=KERNEL_VERSION,
-            chunk_shape=plan.chunk_shape,
-            chunks_total=len(plan),
-            cells_total=plan.cells,
-            first_cells=first_cells(spec, plan),
-            owner=owner,
-        )
 
     def workers(self) -> int:
         """The number of tasks that run at once; may be a second old."""
@@ -172,19 +177,19 @@ class JobManager:
         Raises UnknownJob, QueueFull, and IllegalTransition if the job is done; for a new job also
         as `submit`, and SpecError if this release does not accept its specification.
         """
+        with self._ledger.reading() as reading:
+            job = _existing(reading, job_id)
+        if job.state is JobState.DONE:
+            again = ": submit the sweep again to compute it anew" if job.outdated else ""
+            raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
+        if job.outdated:
+            return self.submit(from_json(job.spec), owner=owner, replaces=job)
         with self._ledger.writing() as ledger:
-            job = _existing(ledger, job_id)
-            if job.state is JobState.DONE:
-                again = ": submit the sweep again to compute it anew" if job.outdated else ""
-                raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
-            if job.outdated:
-                resumed = self._replace(ledger, job, owner, self._accept)
-            else:
-                accepted = self._accept(ledger, replace(job, owner=owner))
-                resumed = Submission(_existing(ledger, job_id), accepted)
-        if resumed.accepted:
+            accepted = self._accept(ledger, replace(job, owner=owner))
+            record = _existing(ledger, job_id)
+        if accepted:
             self.supervisor.wake()
-        return resumed
+        return Submission(record, accepted)
 
     def pin(self, job_id: str, pinned: bool) -> JobRecord:
         """Pin a job, or unpin it. Raises UnknownJob."""
@@ -207,67 +212,42 @@ class JobManager:
         self._deleter.wake()
 
     def _replace_outdated(self) -> None:
-        """End the unfinished jobs of other kernel versions, and accept their studies as new jobs."""
-        with self._ledger.reading() as ledger:
-            outdated = ledger.outdated_unfinished()
+        """End the unfinished jobs of other kernel versions; accept their studies anew unless cancelled."""
+        with self._ledger.reading() as reading:
+            outdated = reading.outdated_unfinished()
         for job in outdated:
+            state, reason = JobState.CANCELLED, None
+            if not job.cancel_requested:
+                try:
+                    spec = from_json(job.spec)
+                    successor, _ = self.submit(spec, owner=job.owner, replaces=job, limited=False)
+                    fate = f"job {successor.id} computes all of it anew"
+                except SpecError as error:
+                    fate = f"it cannot start anew: {error}"
+                began = (
+                    f"kernel version {job.kernel_version} began it, this release computes {KERNEL_VERSION}"
+                )
+                state, reason = JobState.FAILED, f"{began}, this release computes {KERNEL_VERSION}: {fate}"
+                log.warning("job %s ends: %s", job.id, reason)
             with self._ledger.writing() as ledger:
-                self._retire(ledger, job)
-
-    def _retire(self, ledger: WriteTransaction, job: JobRecord) -> None:
-        """End an outdated job. A requested cancel is carried out; then nothing replaces the job."""
-        if job.cancel_requested:
-            ledger.finish(job, JobState.CANCELLED, time.time())
-            return
-        versions = f"kernel version {job.kernel_version} began it, this release computes {KERNEL_VERSION}"
-        try:
-            successor, _ = self._replace(ledger, job, job.owner, self._admit)
-            fate = f"job {successor.id} computes all of it anew"
-        except SpecError as error:
-            fate = f"it cannot start anew: {error}"
-        log.warning("job %s ends: %s: %s", job.id, versions, fate)
-        ledger.finish(job, JobState.FAILED, time.time(), f"{versions}: {fate}")
-
-    def _replace(
-        self,
-        ledger: WriteTransaction,
-        outdated: JobRecord,
-        owner: str | None,
-        accept: Callable[[WriteTransaction, NewJob], bool],
-    ) -> Submission:
-        """The current version's job for an outdated job's study, inserted or resumed by `accept`.
-
-        Raises as `accept`, SpecError, and SpecTooLarge.
-        """
-        job = self._new_job(from_json(outdated.spec), owner)
-        accepted = accept(ledger, job)
-        ledger.update(outdated, replaced_by=job.id)
-        return Submission(_existing(ledger, job.id), accepted)
+                ledger.finish(job, state, time.time(), reason)
 
     def _is_repeated(self, ledger: WriteTransaction, job: NewJob, key: str | None) -> bool:
         """Whether this request was made before with this key."""
         ledger.forget_keys(time.time() - self._settings.key_seconds)
         used = ledger.key(key) if key is not None else None
-        if used is not None and used.body != _fingerprint(job):
+        if used not in (None, _fingerprint(job)):
             raise KeyReused(
                 "the Idempotency-Key was used for another specification less than "
                 f"{self._settings.key_seconds:g} s ago: take a new key"
             )
         return used is not None
 
-    def _accept(self, ledger: WriteTransaction, job: NewJob) -> bool:
-        """Insert or resume a job, or revoke its cancel request; whether anything changed.
-
-        Raises QueueFull.
-        """
+    def _accept(self, ledger: WriteTransaction, job: NewJob, limited: bool = True) -> bool:
+        """Insert or resume a job, or revoke its cancel request; whether anything changed."""
         existing = ledger.find(job.id)
-        if existing is None or existing.state in RESUMABLE:
+        if limited and (existing is None or existing.state in RESUMABLE):
             self._check_queue(ledger, job.owner)
-        return self._admit(ledger, job)
-
-    def _admit(self, ledger: WriteTransaction, job: NewJob) -> bool:
-        """As `_accept`, but without the limit on queued jobs."""
-        existing = ledger.find(job.id)
         if existing is None:
             ledger.insert(job, time.time())
         elif existing.state in RESUMABLE:
@@ -279,13 +259,12 @@ class JobManager:
         return True
 
     def _check_queue(self, ledger: WriteTransaction, owner: str | None) -> None:
+        """Raises QueueFull."""
         unfinished, limit = ledger.count(UNFINISHED), self._settings.max_queue
         if unfinished >= limit:
             raise QueueFull(f"{unfinished} jobs are queued or running already, at most {limit} may be")
-        if owner is None:
-            return
-        own, limit = ledger.count(UNFINISHED, owner), self._settings.max_queue_per_token
-        if own >= limit:
+        own = 0 if owner is None else ledger.count(UNFINISHED, owner)
+        if own >= (limit := self._settings.max_queue_per_token):
             raise QueueFull(
                 f"{own} jobs of the token {owner} are queued or running already, "
                 f"at most {limit} of one token may be (max_queue_per_token)"

@@ -128,12 +128,8 @@ class JobRecord(NewJob):
         """What users see of the job's progress at `now`, in seconds since 1970."""
         to_come = self.chunks_total - self.chunks_done
         needed = self.cells_computed + -(-self.first_cells * to_come // max(self.chunks_total, 1))
-        return {
-            "chunks_done": self.chunks_done,
-            "chunks_total": self.chunks_total,
-            "cells_done": self.cells_done,
-            "cells_total": self.cells_total,
-            "cells_settling": self.cells_settling,
+        names = ("chunks_done", "chunks_total", "cells_done", "cells_total", "cells_settling")
+        return {name: getattr(self, name) for name in names} | {
             # Adaptive maps: those computed, and those known to be needed, which grow with the first rounds of
             # the remaining chunks.
             "cells_computed": self.cells_computed if self.first_cells else None,

@@ -73,18 +73,9 @@ class PreparedJob:
         """Metadata and coordinates of the store by key; None for an outdated job."""
         return None if self.outdated else store.metadata_of(self.layout, self.attributes)
 
-    @property
-    def core_seconds(self) -> float:
-        """Core-seconds of the whole job, by the cost table."""
-        return self._cost.core_seconds
-
     @cached_property
-    def longest_cell_seconds(self) -> float:
-        """Core-seconds of a cell that settles for as long as allowed, by the cost table."""
-        return (self._cost.longest_core_seconds or self._cost.core_seconds) / self._cost.cells
-
-    @cached_property
-    def _cost(self) -> Cost:
+    def cost(self) -> Cost:
+        """The job's cost by the cost table."""
         return self.study.estimate(self.spec, self.plan)
 
     def read_file(self, key: str) -> bytes | None:

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple, cast
 
 from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
-from service.jobs.model import UNFINISHED, JobRecord, JobState
+from service.jobs.model import UNFINISHED, JobRecord, JobState, summary_of
 from service.jobs.prepare import JobPreparer
 from service.jobs.ready_queue import Rotation
 from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
@@ -181,10 +181,7 @@ class Supervisor:
             self._messages.append(None)
 
     def _step(self) -> None:
-        """Apply messages to the state in memory, then save it to the ledger, now or in a later step.
-
-        Raises LedgerUnavailable. Any other error concerns only its own job.
-        """
+        """Apply messages to the state in memory, then save it to the ledger. Raises LedgerUnavailable."""
         sync = False
         while self._messages:
             message = self._messages.popleft()
@@ -205,10 +202,7 @@ class Supervisor:
 
     @contextmanager
     def _contained(self, run: JobRun) -> Iterator[None]:
-        """Let an error end only one job's run. The next sync rebuilds the run from the ledger.
-
-        Raises LedgerUnavailable, which is no job's fault.
-        """
+        """Let an error, except of the ledger, end only one job's run; the next sync rebuilds it."""
         try:
             yield
         except LedgerUnavailable:
@@ -228,7 +222,7 @@ class Supervisor:
         """Keep a chunk's report, or handle its error."""
         future, [chunk, *_] = message.future, message.chunks
         if future is None:
-            run.invalidate(message.chunks)
+            run.queue.invalidate(message.chunks)
             return
         if run.in_flight.get(chunk) is not future:  # from an abandoned run
             return
@@ -265,10 +259,7 @@ class Supervisor:
         run.apply(chunk, action, error, recompute_predecessor)
 
     def _save(self, run: JobRun) -> None:
-        """Write the changes of a job's chunks to the ledger, in one transaction.
-
-        The run keeps them until the transaction has succeeded, so that a later step can write them.
-        """
+        """Write the changes of a job's chunks to the ledger; until that succeeds the run keeps them."""
         if run.has_unsaved:
             if run.unsaved_reports:
                 store.sync_folders(run.prepared.store_url, run.prepared.layout)
@@ -277,7 +268,7 @@ class Supervisor:
                 ledger.note_failures(run.job, run.unsaved_failures)
                 unmarked = ledger.unmark(run.job, run.unsaved_damage) if run.unsaved_damage else []
             run.mark_saved()
-            run.invalidate(unmarked)
+            run.queue.invalidate(unmarked)
 
     def _abandon(self, run: JobRun) -> None:
         """Cancel waiting chunks and make workers stop the others; the next start computes them."""
@@ -319,15 +310,10 @@ class Supervisor:
             # The other stores are in the same bucket and would wait too. The next sync tries again.
             log.warning("the bucket of the stores does not answer: %s", error)
         self._update_waiting(unfinished)
-        self._withdraw_stopped(cluster)
+        if cluster.connected and not cluster.workers:  # none of these will begin
+            for future in [x for run in self._runs.values() if run.stopped for x in run.in_flight.values()]:
+                future.cancel()
         self._ask_for_workers()
-
-    def _withdraw_stopped(self, cluster: ClusterState) -> None:
-        """Without workers, take back the chunks of stopped jobs: none will begin."""
-        if cluster.connected and not cluster.workers:
-            for run in self._runs.values():
-                for future in list(run.in_flight.values()) if run.stopped else ():
-                    future.cancel()
 
     def _ask_for_workers(self) -> None:
         """Report the remaining work, rounded to two digits so that it rarely changes."""
@@ -337,7 +323,7 @@ class Supervisor:
         self.remaining_seconds += sum(job.remaining_seconds for job in waiting)
         seconds = sum(run.remaining_seconds for run in runs) + sum(job.remaining_seconds for job in waiting)
         at_once = sum(run.at_once for run in runs) + len(waiting)
-        self._executor.ask_for(_two_digits(seconds), int(_two_digits(at_once)))
+        self._executor.ask_for(float(f"{seconds:.1e}"), int(float(f"{at_once:.1e}")))
 
     def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
         """Sort the jobs that may start, and update the rotation."""
@@ -356,15 +342,12 @@ class Supervisor:
         """Core-seconds of a whole job; 0 if it cannot be prepared, which its start will report."""
         job = self._ledger.find(job_id)
         try:
-            return 0.0 if job is None else self._preparer.prepare(job).core_seconds
+            return 0.0 if job is None else self._preparer.prepare(job).cost.core_seconds
         except Exception:  # noqa: BLE001 - it concerns this job alone
             return 0.0
 
     def _start_job(self, job_id: str) -> None:
-        """Create a job's store and add the job to the running ones; a job that cannot start fails.
-
-        A job whose chunks are being invalidated starts later. Raises one of `store.UNREACHABLE`.
-        """
+        """Run a job, or fail it if it cannot start. Raises one of `store.UNREACHABLE`."""
         with self._ledger.reading() as ledger:
             job = ledger.find(job_id)
             if job is None or ledger.is_occupied(job_id):
@@ -384,18 +367,14 @@ class Supervisor:
             reason = f"the job cannot start: {type(error).__name__}: {error}{hint}"
             self._finish(job, JobState.FAILED, reason)
             return
-        if job_id in self._invalidating:  # checked after the run has read the marked chunks
+        if job_id in self._invalidating:  # it starts later; checked after the run has read the marked chunks
             return
         if self._mark_running(job):
             self._runs[job_id] = run
             log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
 
     def _chosen(self, job: JobRecord) -> JobRecord | None:
-        """The job with its model chosen; None until a worker has chosen one.
-
-        It is chosen once, before the first chunk, so that one model computes the whole job. A choice lost
-        with its worker is repeated, with the same result. Raises the errors of choosing.
-        """
+        """The job with its model, which a worker chooses before the first chunk; None until it has."""
         submitted = self._preparer.prepare(job).submitted
         if job.choice is not None or not is_open(submitted):
             return job
@@ -419,10 +398,7 @@ class Supervisor:
             return ledger.find(job.id)
 
     def _open(self, job: JobRecord) -> JobRun:
-        """The run of a job with a chosen model: its store created, nothing in flight.
-
-        Raises SpecError, StoreError, OSError, or one of `store.UNREACHABLE`.
-        """
+        """The run of a job with a chosen model, and its store. Raises SpecError, StoreError, OSError."""
         prepared = self._preparer.prepare(job)
         store.create(prepared.store_url, prepared.layout, prepared.attributes)
         store.clear_cancelled(prepared.store_url)
@@ -441,12 +417,7 @@ class Supervisor:
         return False
 
     def _apply_cancel(self, run: JobRun, requested: bool) -> None:
-        """Apply or revoke a cancel request, by the flag at the store that workers check.
-
-        The job ends when every chunk in flight has come back, so that nothing can write. If the flag cannot
-        be set, they are computed to their end; if it cannot be removed, the job waits.
-        Raises one of `store.UNREACHABLE`.
-        """
+        """Apply or revoke a cancel request by the store's flag. Raises one of `store.UNREACHABLE`."""
         if run.flagged == run.stopping == requested:
             return
         try:
@@ -463,7 +434,7 @@ class Supervisor:
             return
         with suppress(OSError):  # else leftovers of killed workers are removed at the next start
             store.sweep_leftovers(run.prepared.store_url)
-        if self._finish(run.job, state, run.error if state is JobState.FAILED else None):
+        if self._finish(run.job, state, summary_of(run.failures) if state is JobState.FAILED else None):
             del self._runs[run.job.id]
             self._broken.pop(run.job.id, None)
             log.info("job %s is %s", run.job.id, state)
@@ -558,29 +529,23 @@ class Supervisor:
         return run if run is not None and run.may_submit else None
 
     def _is_full(self, count: float, seconds: float) -> bool:
-        """Whether `count` chunks of `seconds` core-seconds in all are enough in flight.
-
-        More short chunks are sent, up to `window_seconds` of work, so that workers do not wait for them.
-        """
+        """Whether `count` chunks of `seconds` core-seconds in all are enough: of short ones more are sent."""
         enough = self._settings.window_seconds * self._slots / self._settings.window
         return count >= self._slots and (seconds >= enough or count >= MAX_IN_FLIGHT)
 
     def _send(self, run: JobRun, is_turn: bool) -> None:
-        """Submit a job's next chunk to the executor.
-
-        Without a cluster nothing is submitted until the next sync. Any other error is a failed try of the
-        chunk, and its job, but no other, submits nothing until the next sync.
-        """
+        """Submit a job's next chunk. After an error the job submits nothing until the next sync."""
         waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
         priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
-        chunk = run.pop()
-        longest = self._settings.chunk_slack * chunk.cells * run.prepared.longest_cell_seconds
+        chunk = run.prepared.plan[run.queue.pop()]
+        cost = run.prepared.cost
+        longest = (cost.longest_core_seconds or cost.core_seconds) / cost.cells * chunk.cells
         try:
             future = self._executor.submit(
                 run.prepared.spec,
                 chunk,
                 run.prepared.store_url,
-                seconds=max(self._settings.chunk_seconds, longest),
+                seconds=max(self._settings.chunk_seconds, self._settings.chunk_slack * longest),
                 priority=priority,
                 options=ChunkOptions(self._rotation.slice_seconds, begins=chunk.index not in run.begun),
             )
@@ -600,14 +565,6 @@ class Supervisor:
 def _order(job: "JobRun | Waiting") -> tuple[float, int]:
     """The order of jobs: by their remaining work."""
     return job.remaining_seconds, job.seq
-
-
-def _two_digits(value: float) -> float:
-    """The value rounded up to two significant digits."""
-    if value <= 0.0:
-        return 0.0
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return math.ceil(value / unit) * unit
 
 
 def _mismatch(chunk: Chunk, report: ChunkReport) -> ReportMismatch | None:

@@ -65,13 +65,6 @@ class Deletion(NamedTuple):
     step: DeletionStep
 
 
-class Key(NamedTuple):
-    """The use of an idempotency key."""
-
-    body: str  # the body's fingerprint
-    job_id: str
-
-
 class StoredChunk(NamedTuple):
     """The ledger's record of a done chunk's stored bytes."""
 
@@ -150,17 +143,14 @@ class ReadTransaction:
         row = self._row("SELECT seq FROM sqlite_sequence WHERE name = 'jobs'")
         return int(row[0]) if row else 0
 
-    def key(self, key: str) -> Key | None:
-        """The use of an idempotency key, if it is remembered.
+    def key(self, key: str) -> str | None:
+        """The fingerprint of the body with which an idempotency key was used, if it is remembered.
 
         Keys of outdated jobs do not count: the same request now makes another job.
         """
-        sql = (
-            "SELECT keys.body, jobs.id FROM keys JOIN jobs ON keys.job = jobs.seq"
-            " WHERE key = ? AND kernel_version = ?"
-        )
+        sql = "SELECT body FROM keys JOIN jobs ON job = seq WHERE key = ? AND kernel_version = ?"
         row = self._row(sql, key, KERNEL_VERSION)
-        return Key(*row) if row else None
+        return str(row[0]) if row else None
 
     def measured(self) -> list[JobRecord]:
         """The last RECENT_JOBS with measured times and a specification of at most RECENT_CHARS.
