@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import PreparedJob
-from service.jobs.ready_queue import NONE, ReadyQueue
+from service.jobs.ready_queue import ReadyQueue
 from service.jobs.retry import FAILED_TRIES, Action, History, RetryPolicy
 from worker.executors.errors import ExecutorError
 from worker.tasks import ChunkReport
@@ -44,8 +44,7 @@ class JobRun:
         self._policy = policy
         self.begun = set(paused)  # chunks that may have a checkpoint
         plan = prepared.plan
-        # The predecessor of each chunk, without creating the chunks.
-        self.queue = ReadyQueue(np.maximum(np.arange(len(plan)) - plan.lines, NONE), done)
+        self.queue = ReadyQueue(plan.lines, done)
         self.chunk_seconds = prepared.cost.core_seconds / len(plan)  # on average, by the cost table
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
