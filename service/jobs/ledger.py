@@ -314,14 +314,9 @@ def check(connection: sqlite3.Connection, path: Path, seconds: float = CHECK_SEC
     connection.set_progress_handler(lambda: int(time.monotonic() > deadline), 100_000)
     try:
         version = connection.execute("PRAGMA user_version").fetchone()[0]
-        if version > VERSION:
-            raise LedgerUnusable(
-                f"the ledger is of version {version}, this service knows up to {VERSION}: use a newer one"
-            )
-        if 0 < version < VERSION:
-            raise LedgerUnusable(
-                f"the ledger is of version {version}, from before release 0.2.0: move the data folder away"
-            )
+        if version not in (0, VERSION):
+            rule = f"this service needs version {VERSION}: use the release that wrote it, or another folder"
+            raise LedgerUnusable(f"the ledger is of version {version}, {rule}")
         # Not `quick_check`: with a log of another copy, indices can name rows missing from the tables.
         [first, *_] = connection.execute("PRAGMA integrity_check(1)").fetchone()
         if first != "ok":

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import chain
 from operator import attrgetter
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
+
+from pydantic import Field, TypeAdapter
 
 from service.jobs.model import JobRecord, JobState
 
 #: Longest text to search for, in characters.
 MAX_TEXT: Final = 200
-
-#: Above all numbers of a cursor, and within SQLite's range.
-_MAX: Final = 1 << 62
 
 
 class InvalidCursor(ValueError):
@@ -52,6 +51,12 @@ _COLUMNS: Final = {
     JobOrder.NAME: _Column("name COLLATE NOCASE", attrgetter("name"), "ASC"),
     JobOrder.LARGEST: _Column("cells_total", attrgetter("cells_total")),
 }
+
+
+#: Order, sort key and `seq` in a cursor; numbers within SQLite's range.
+_CURSOR: Final = TypeAdapter(
+    tuple[JobOrder, str | Annotated[float, Field(ge=0, lt=2**62)], Annotated[int, Field(ge=0, lt=2**62)]]
+)
 
 
 @dataclass(frozen=True)
@@ -104,13 +109,10 @@ class JobSearch:
     def read_cursor(self, text: str) -> Position:
         """The position of a cursor in this order. Raises InvalidCursor for other texts."""
         try:
-            order, value, seq = json.loads(base64.urlsafe_b64decode(text + "=" * (-len(text) % 4)))
-            if isinstance(value, str):
-                value.encode()  # raises UnicodeEncodeError for half of a surrogate pair
-        except (ValueError, TypeError, RecursionError) as error:
+            content = base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
+            order, value, seq = _CURSOR.validate_json(content, strict=True)
+        except ValueError as error:
             raise InvalidCursor(text) from error
-        is_number = isinstance(value, int | float) and abs(value) <= _MAX
-        is_value = isinstance(value, str) if self.order is JobOrder.NAME else is_number
-        if order != self.order or not is_value or type(seq) is not int or abs(seq) > _MAX:
+        if order is not self.order or isinstance(value, str) is not (order is JobOrder.NAME):
             raise InvalidCursor(text)
         return Position(value, seq)

@@ -62,15 +62,6 @@ class Message(NamedTuple):
     future: "Future[ChunkReport] | None" = None  # of the chunk that came back
 
 
-class Waiting(NamedTuple):
-    """An unfinished job that is not in memory; ordered by its remaining work."""
-
-    remaining_seconds: float  # core-seconds, by the cost table
-    seq: int
-    id: str
-    chunk_seconds: float  # of a chunk, on average
-
-
 class Supervisor:
     """Computes the ledger's unfinished jobs on an executor until it is stopped.
 
@@ -105,7 +96,7 @@ class Supervisor:
         self._messages: deque[Message | None] = deque()  # received but not processed
         self._runs: dict[str, JobRun] = {}
         self._broken: Counter[str] = Counter()  # runs abandoned after an unforeseen error, by job
-        self._waiting: dict[str, Waiting] = {}  # by job id, in order, as the last sync found them
+        self._waiting: dict[str, Unfinished] = {}  # by job id, in order, as the last sync found them
         self._core_seconds: dict[str, float] = {}  # of each unfinished job as a whole, by the cost table
         self._rotation = Rotation(SLICE_SECONDS)
         self._invalidating: Counter[str] = Counter()  # callers of `invalidating`, by job
@@ -296,9 +287,6 @@ class Supervisor:
             submitting.refused = False
         with self._ledger.reading() as ledger:
             unfinished = ledger.unfinished(self._settings.max_queue)
-        for job in unfinished:
-            if job.cancel_requested and job.id in self._runs:
-                self._runs[job.id].stopping = True
         try:
             for job in unfinished:
                 run = self._runs.get(job.id)
@@ -317,25 +305,21 @@ class Supervisor:
 
     def _ask_for_workers(self) -> None:
         """Report the remaining work, rounded to two digits so that it rarely changes."""
-        runs = [run for run in self._runs.values() if run.at_once]
-        waiting = self._waiting.values()
-        self.remaining_seconds = sum(run.remaining_seconds for run in self._runs.values())
-        self.remaining_seconds += sum(job.remaining_seconds for job in waiting)
+        runs, waiting = self._runs.values(), self._waiting.values()
         seconds = sum(run.remaining_seconds for run in runs) + sum(job.remaining_seconds for job in waiting)
-        at_once = sum(run.at_once for run in runs) + len(waiting)
+        self.remaining_seconds, at_once = seconds, sum(run.at_once for run in runs) + len(waiting)
         self._executor.ask_for(float(f"{seconds:.1e}"), int(float(f"{at_once:.1e}")))
 
     def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
         """Sort the jobs that may start, and update the rotation."""
         estimates = self._core_seconds
         self._core_seconds = {job.id: estimates.get(job.id) or self._estimate(job.id) for job in unfinished}
-        waiting = []
-        for job in unfinished:
-            if job.id not in self._runs:
-                chunk_seconds = self._core_seconds[job.id] / job.chunks_total
-                remaining_seconds = (job.chunks_total - job.chunks_done) * chunk_seconds
-                waiting.append(Waiting(remaining_seconds, job.seq, job.id, chunk_seconds))
-        self._waiting = {job.id: job for job in sorted(waiting)}
+        waiting = [
+            job._replace(chunk_seconds=self._core_seconds[job.id] / job.chunks_total)
+            for job in unfinished
+            if job.id not in self._runs
+        ]
+        self._waiting = {job.id: job for job in sorted(waiting, key=_order)}
         self._rotation.update({job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)})
 
     def _estimate(self, job_id: str) -> float:
@@ -418,6 +402,7 @@ class Supervisor:
 
     def _apply_cancel(self, run: JobRun, requested: bool) -> None:
         """Apply or revoke a cancel request by the store's flag. Raises one of `store.UNREACHABLE`."""
+        run.stopping = run.stopping or requested
         if run.flagged == run.stopping == requested:
             return
         try:
@@ -491,7 +476,7 @@ class Supervisor:
         if self._is_full(all_count, sum(run.seconds_in_flight for run in runs) / MAX_TIMES_IN_FLIGHT):
             return None
         count, seconds, has_room = 0, 0.0, True  # in flight for jobs with less left
-        jobs: list[list[JobRun | Waiting]] = [[*runs], [*self._waiting.values()]]
+        jobs: list[list[JobRun | Unfinished]] = [[*runs], [*self._waiting.values()]]
         for job in heapq.merge(*jobs, key=_order):
             if isinstance(job, JobRun):
                 count, seconds = count + len(job.in_flight), seconds + job.seconds_in_flight
@@ -517,7 +502,7 @@ class Supervisor:
         self.wake()  # the next sync finds it waiting
         return True
 
-    def _start_waiting(self, job: Waiting) -> JobRun | None:
+    def _start_waiting(self, job: Unfinished) -> JobRun | None:
         """Start a waiting job; None if it cannot submit a chunk before the next sync."""
         del self._waiting[job.id]
         try:
@@ -562,7 +547,7 @@ class Supervisor:
         future.add_done_callback(lambda _: self._inbox.put(message))
 
 
-def _order(job: "JobRun | Waiting") -> tuple[float, int]:
+def _order(job: "JobRun | Unfinished") -> tuple[float, int]:
     """The order of jobs: by their remaining work."""
     return job.remaining_seconds, job.seq
 

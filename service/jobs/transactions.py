@@ -46,6 +46,12 @@ class Unfinished(NamedTuple):
     chunks_done: int
     chunks_total: int
     owner: str | None  # the name of the access token that submitted it
+    chunk_seconds: float = 0.0  # core-seconds of a chunk, by the cost table; known to the supervisor
+
+    @property
+    def remaining_seconds(self) -> float:
+        """Core-seconds of the remaining chunks, by the cost table."""
+        return (self.chunks_total - self.chunks_done) * self.chunk_seconds
 
 
 class DeletionStep(IntEnum):
