@@ -145,9 +145,10 @@ class Processes:
             if process is not None and kept <= self._most_kept and not self._closed:
                 self._idle.append((time.monotonic(), process))
                 self._changed.notify()
-                timer = threading.Timer(self._idle_seconds, self._end_idle)
-                timer.daemon = True
-                timer.start()
+                if len(self._idle) > 1:
+                    timer = threading.Timer(self._idle_seconds, self._end_idle)
+                    timer.daemon = True
+                    timer.start()
                 return
         self._end(process)
 

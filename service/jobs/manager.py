@@ -224,10 +224,8 @@ class JobManager:
                     fate = f"job {successor.id} computes all of it anew"
                 except SpecError as error:
                     fate = f"it cannot start anew: {error}"
-                began = (
-                    f"kernel version {job.kernel_version} began it, this release computes {KERNEL_VERSION}"
-                )
-                state, reason = JobState.FAILED, f"{began}, this release computes {KERNEL_VERSION}: {fate}"
+                versions = f"{job.kernel_version} began it, this release computes {KERNEL_VERSION}"
+                state, reason = JobState.FAILED, f"kernel version {versions}: {fate}"
                 log.warning("job %s ends: %s", job.id, reason)
             with self._ledger.writing() as ledger:
                 ledger.finish(job, state, time.time(), reason)
