@@ -375,6 +375,10 @@ class WriteTransaction(ReadTransaction):
         """Record which chunks of a page were verified. `verified`: as from `verified_chunks`."""
         self._insert("verified", job.seq, page, np.packbits(verified).tobytes())
 
+    def finish_verification(self, job: JobRecord, now: float) -> None:
+        """Record that all chunks of a job have been verified."""
+        self.update(job, verified=now)
+
     def forget_verification(self, job: JobRecord) -> None:
         """Mark all chunks of a job as unverified."""
         self._do("DELETE FROM verified WHERE job = ?", job.seq)

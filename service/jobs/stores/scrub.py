@@ -127,7 +127,7 @@ class Scrubber:
                 return
             self._verify(job)
             with self._ledger.writing() as ledger:
-                ledger.update(job, verified=time.time())
+                ledger.finish_verification(job, time.time())
         except _Stopping:
             return
         except LedgerUnavailable:
