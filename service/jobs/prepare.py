@@ -29,10 +29,6 @@ MIN_SECONDS: Final = 0.05
 #: Fields of a sweep with stricter rules than under kernel version 1; no reader of results uses them.
 BOUNDED_SINCE: Final = ("settle_tolerance", "name")
 
-#: What a prepared job depends on. `seq` distinguishes a job from a deleted one with the same id; the chunk
-#: shape and the choice change when the model of an `auto` sweep is chosen.
-_Key = tuple[str, int, tuple[int, ...], str | None]
-
 
 @dataclass(frozen=True)
 class PreparedJob:
@@ -110,8 +106,7 @@ class JobPreparer:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._lock = threading.Lock()
-        self._jobs: OrderedDict[_Key, tuple[PreparedJob, int]] = OrderedDict()  # with the characters
-        self._chars = 0
+        self._jobs: OrderedDict[Any, tuple[PreparedJob, int]] = OrderedDict()  # with the characters
 
     def plan(self, spec: Any) -> Plan:
         """The plan of a new study."""
@@ -123,15 +118,16 @@ class JobPreparer:
 
         Raises SpecError for a specification that this version does not accept.
         """
+        # `seq` tells a job from a deleted one with the same id; the others change with the model of `auto`.
         key = job.id, job.seq, job.chunk_shape, job.choice
         with self._lock:  # held while preparing, so that simultaneous requests prepare a job once
             if key not in self._jobs:
                 self._jobs[key] = (self._prepared(job), len(job.spec))
-                self._chars += len(job.spec)
             self._jobs.move_to_end(key)
-            while len(self._jobs) > 1 and (len(self._jobs) > MAX_JOBS or self._chars > MAX_SPEC_CHARS):
-                _, (_, chars) = self._jobs.popitem(last=False)
-                self._chars -= chars
+            while len(self._jobs) > 1 and (
+                len(self._jobs) > MAX_JOBS or sum(chars for _, chars in self._jobs.values()) > MAX_SPEC_CHARS
+            ):
+                self._jobs.popitem(last=False)
             return self._jobs[key][0]
 
     def _prepared(self, job: JobRecord) -> PreparedJob:

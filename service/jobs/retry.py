@@ -105,10 +105,6 @@ class RetryPolicy:
         damaged = history.has_predecessor and isinstance(error, StoreDamaged | PredecessorMissing)
         return Decision(self._after_failed_try(error, history), recompute_predecessor=damaged)
 
-    def stops_job(self, given_up: int, fatal: bool) -> bool:
-        """Whether a job with this many chunks given up submits no more."""
-        return fatal or given_up >= self.failed_chunks
-
     def _after_failed_try(self, error: BaseException, history: History) -> Action:
         last = history.tries + 1 >= self.chunk_tries
         fatal = FATAL_AT_LAST if last else FATAL_ERRNOS

@@ -63,7 +63,7 @@ class JobRun:
     @property
     def stopped(self) -> bool:
         """Whether no further chunk is submitted: the job is being cancelled, or has failed."""
-        return self.stopping or self._policy.stops_job(len(self.failures), self._fatal)
+        return self.stopping or self._fatal or len(self.failures) >= self._policy.failed_chunks
 
     @property
     def _has_ready(self) -> bool:

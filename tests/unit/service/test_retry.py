@@ -106,13 +106,6 @@ def test_a_single_try_is_not_repeated():
     assert policy.decide(WorkerLost("gone"), LAST_LOSS) == Decision(Action.GIVE_UP)
 
 
-@pytest.mark.parametrize(
-    ("given_up", "fatal", "stops"), [(0, False, False), (7, False, False), (8, False, True), (1, True, True)]
-)
-def test_a_job_stops_after_so_many_chunks_or_a_fatal_error(given_up: int, fatal: bool, stops: bool):
-    assert POLICY.stops_job(given_up, fatal) is stops
-
-
 def test_chunks_are_counted_by_what_they_took_and_by_how_they_came_back():
     tally = ChunkCounts()
     for seconds in (0.005, 0.01, 0.011, 1.0, 299.0, 301.0):
