@@ -135,8 +135,7 @@ class Processes:
                 return self._idle.pop()[1]
             self._may_start -= 1
         process = _Process()
-        with self._changed:
-            self._started.add(process)
+        self._started.add(process)
         return process
 
     def _put_back(self, process: "_Process | None", kept: int) -> None:

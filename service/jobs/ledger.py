@@ -12,9 +12,9 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Final, Self
+from typing import IO, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,7 @@ BUSY_SECONDS: Final = 10.0
 CHECK_SECONDS: Final = 10.0
 
 
-class Ledger:
+class Ledger(AbstractContextManager["Ledger"]):
     """The ledger of one data folder; used by one process at a time, by any of its threads.
 
     `has_stores` says whether results are stored beside it: a file of 0 bytes is then no new ledger.
@@ -85,9 +85,6 @@ class Ledger:
                 raise LedgerUnusable(f"{self.path} cannot be used: {error}: {MEND}") from error
             self._files = OpenFiles(self.path)
             self._connections.push(opened.pop_all())
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

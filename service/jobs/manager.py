@@ -242,10 +242,18 @@ class JobManager:
         return used is not None
 
     def _accept(self, ledger: WriteTransaction, job: NewJob, limited: bool = True) -> bool:
-        """Insert or resume a job, or revoke its cancel request; whether anything changed."""
+        """Insert or resume a job, or revoke its cancel; whether anything changed. Raises QueueFull."""
         existing = ledger.find(job.id)
         if limited and (existing is None or existing.state in RESUMABLE):
-            self._check_queue(ledger, job.owner)
+            all_jobs, limit = ledger.count(UNFINISHED), self._settings.max_queue
+            if all_jobs >= limit:
+                raise QueueFull(f"{all_jobs} jobs are queued or running already, at most {limit} may be")
+            own = 0 if job.owner is None else ledger.count(UNFINISHED, job.owner)
+            if own >= (limit := self._settings.max_queue_per_token):
+                raise QueueFull(
+                    f"{own} jobs of the token {job.owner} are queued or running already, "
+                    f"at most {limit} of one token may be (max_queue_per_token)"
+                )
         if existing is None:
             ledger.insert(job, time.time())
         elif existing.state in RESUMABLE:
@@ -255,18 +263,6 @@ class JobManager:
         else:
             return False
         return True
-
-    def _check_queue(self, ledger: WriteTransaction, owner: str | None) -> None:
-        """Raises QueueFull."""
-        unfinished, limit = ledger.count(UNFINISHED), self._settings.max_queue
-        if unfinished >= limit:
-            raise QueueFull(f"{unfinished} jobs are queued or running already, at most {limit} may be")
-        own = 0 if owner is None else ledger.count(UNFINISHED, owner)
-        if own >= (limit := self._settings.max_queue_per_token):
-            raise QueueFull(
-                f"{own} jobs of the token {owner} are queued or running already, "
-                f"at most {limit} of one token may be (max_queue_per_token)"
-            )
 
 
 def _existing(ledger: ReadTransaction, job_id: str) -> JobRecord:

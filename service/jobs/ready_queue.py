@@ -28,17 +28,7 @@ class ReadyQueue:
         self._first: deque[int] = deque()  # requeued chunks that come before all others
         self._later: deque[int] = deque()  # ready since then: successors and requeued chunks
         self._popped: set[int] = set()  # neither requeued nor complete
-        self._remaining = int(np.count_nonzero(~self._done))
-
-    @property
-    def finished(self) -> bool:
-        """Whether every chunk is done."""
-        return self._remaining == 0
-
-    @property
-    def remaining(self) -> int:
-        """Chunks that are not done."""
-        return self._remaining
+        self.remaining = int(np.count_nonzero(~self._done))  # chunks that are not done
 
     @property
     def ready(self) -> int:
@@ -72,7 +62,7 @@ class ReadyQueue:
             self._popped.discard(chunk)
             if not self._done[chunk]:
                 self._done[chunk] = True
-                self._remaining -= 1
+                self.remaining -= 1
                 successor = chunk + self._lines
                 if successor < len(self._done) and self._can_run(successor):
                     self._later.append(successor)
@@ -83,7 +73,7 @@ class ReadyQueue:
         if not undone:
             return
         self._done[undone] = False
-        self._remaining += len(undone)
+        self.remaining += len(undone)
         initial = self._initial[self._initial_popped :]
         self._initial = initial[~np.isin(initial - self._lines, undone)]
         self._initial_popped = 0

@@ -96,11 +96,6 @@ class JobRun:
         counted = any(self._tries.values()) or any(self._collateral_losses.values())
         return not (self.in_flight or self.has_unsaved or self.stopping or self.failures or counted)
 
-    @property
-    def seconds_in_flight(self) -> float:
-        """Core-seconds of the chunks in flight, by the cost table."""
-        return len(self.in_flight) * self.chunk_seconds
-
     # Chunks that came back without a report
 
     def history(self, chunk: int) -> History:
@@ -160,7 +155,7 @@ class JobRun:
         """The state in which the job ends; None while chunks are in flight, unsaved or ready."""
         if self.in_flight or self.has_unsaved or self._has_ready:
             return None
-        if self.queue.finished:
+        if not self.queue.remaining:
             return JobState.DONE
         return JobState.CANCELLED if self.stopping else JobState.FAILED
 

@@ -301,13 +301,10 @@ class Supervisor:
         if cluster.connected and not cluster.workers:  # none of these will begin
             for future in [x for run in self._runs.values() if run.stopped for x in run.in_flight.values()]:
                 future.cancel()
-        self._ask_for_workers()
-
-    def _ask_for_workers(self) -> None:
-        """Report the remaining work, rounded to two digits so that it rarely changes."""
         runs, waiting = self._runs.values(), self._waiting.values()
         seconds = sum(run.remaining_seconds for run in runs) + sum(job.remaining_seconds for job in waiting)
         self.remaining_seconds, at_once = seconds, sum(run.at_once for run in runs) + len(waiting)
+        # Rounded to two digits, so that it rarely changes.
         self._executor.ask_for(float(f"{seconds:.1e}"), int(float(f"{at_once:.1e}")))
 
     def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
@@ -353,9 +350,16 @@ class Supervisor:
             return
         if job_id in self._invalidating:  # it starts later; checked after the run has read the marked chunks
             return
-        if self._mark_running(job):
+        with self._ledger.writing() as ledger:  # it may have been cancelled or deleted meanwhile
+            current = ledger.find(job_id)
+            may_run = current is not None and current.seq == job.seq and current.state in UNFINISHED
+            if may_run:
+                ledger.run(cast(JobRecord, current), time.time())
+        if may_run:
             self._runs[job_id] = run
             log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
+        else:
+            self._after_writing(job)
 
     def _chosen(self, job: JobRecord) -> JobRecord | None:
         """The job with its model, which a worker chooses before the first chunk; None until it has."""
@@ -389,16 +393,6 @@ class Supervisor:
         store.sweep_leftovers(prepared.store_url)
         paused = store.checkpoints_in(prepared.store_url)
         return JobRun(job, prepared, self._ledger.done_mask(job), self._policy, paused)
-
-    def _mark_running(self, job: JobRecord) -> bool:
-        """Whether the job may run: it may have been cancelled or deleted since its store was created."""
-        with self._ledger.writing() as ledger:
-            current = ledger.find(job.id)
-            if current is not None and current.seq == job.seq and current.state in UNFINISHED:
-                ledger.run(current, time.time())
-                return True
-        self._after_writing(job)
-        return False
 
     def _apply_cancel(self, run: JobRun, requested: bool) -> None:
         """Apply or revoke a cancel request by the store's flag. Raises one of `store.UNREACHABLE`."""
@@ -472,14 +466,16 @@ class Supervisor:
     def _next_smallest(self) -> JobRun | None:
         """The job with the least left to compute among those that may submit a chunk."""
         runs = sorted(self._runs.values(), key=_order)
-        all_count = sum(len(run.in_flight) for run in runs) / MAX_TIMES_IN_FLIGHT
-        if self._is_full(all_count, sum(run.seconds_in_flight for run in runs) / MAX_TIMES_IN_FLIGHT):
+        count = sum(len(run.in_flight) for run in runs)
+        seconds = sum(len(run.in_flight) * run.chunk_seconds for run in runs)
+        if self._is_full(count / MAX_TIMES_IN_FLIGHT, seconds / MAX_TIMES_IN_FLIGHT):
             return None
         count, seconds, has_room = 0, 0.0, True  # in flight for jobs with less left
         jobs: list[list[JobRun | Unfinished]] = [[*runs], [*self._waiting.values()]]
         for job in heapq.merge(*jobs, key=_order):
             if isinstance(job, JobRun):
-                count, seconds = count + len(job.in_flight), seconds + job.seconds_in_flight
+                count += len(job.in_flight)
+                seconds += len(job.in_flight) * job.chunk_seconds
                 if self._is_full(count, seconds):
                     return None
                 if job.may_submit:
