@@ -215,9 +215,7 @@ class OnDemandCache:
             if self._jobs_compute():
                 self._credit -= time.monotonic() - began
         with suppress(InvalidStateError):  # cancelled meanwhile
-            if computed.cancelled():
-                future.cancel()
-            elif error := computed.exception():
+            if error := CancelledError() if computed.cancelled() else computed.exception():
                 future.set_exception(error)
             else:
                 future.set_result(computed.result())

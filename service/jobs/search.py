@@ -11,14 +11,11 @@ from typing import Annotated, Final, NamedTuple
 
 from pydantic import Field, TypeAdapter
 
+from service.errors import InvalidRequest
 from service.jobs.model import JobRecord, JobState
 
 #: Longest text to search for, in characters.
 MAX_TEXT: Final = 200
-
-
-class InvalidCursor(ValueError):
-    """A text that is no cursor of a list in this order."""
 
 
 class JobOrder(StrEnum):
@@ -107,12 +104,13 @@ class JobSearch:
         return base64.urlsafe_b64encode(text.encode()).decode().rstrip("=")
 
     def read_cursor(self, text: str) -> Position:
-        """The position of a cursor in this order. Raises InvalidCursor for other texts."""
+        """The position of a cursor in this order. Raises InvalidRequest for other texts."""
+        rule = "should be `next` of the page before, of a list in the same order"
         try:
             content = base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
             order, value, seq = _CURSOR.validate_json(content, strict=True)
         except ValueError as error:
-            raise InvalidCursor(text) from error
+            raise InvalidRequest.of("cursor", rule) from error
         if order is not self.order or isinstance(value, str) is not (order is JobOrder.NAME):
-            raise InvalidCursor(text)
+            raise InvalidRequest.of("cursor", rule)
         return Position(value, seq)

@@ -99,8 +99,7 @@ class Supervisor:
         self._waiting: dict[str, Unfinished] = {}  # by job id, in order, as the last sync found them
         self._core_seconds: dict[str, float] = {}  # of each unfinished job as a whole, by the cost table
         self._rotation = Rotation(SLICE_SECONDS)
-        self._invalidating: Counter[str] = Counter()  # callers of `invalidating`, by job
-        self._invalidating_lock = threading.Lock()
+        self._invalidating: list[str] = []  # the job of each caller of `invalidating`
         self._slots = 0  # limit on chunks in flight
         self._next_sync = time.monotonic()
         self._stop = threading.Event()
@@ -128,14 +127,11 @@ class Supervisor:
         with the old ones.
         """
         chunks: list[int] = []
-        with self._invalidating_lock:
-            self._invalidating[job_id] += 1
+        self._invalidating.append(job_id)
         try:
             yield chunks
         finally:
-            with self._invalidating_lock:
-                self._invalidating[job_id] -= 1
-                self._invalidating += Counter()  # without those at zero
+            self._invalidating.remove(job_id)
             if chunks:
                 self._inbox.put(Message(job_id, chunks))
             self.wake()

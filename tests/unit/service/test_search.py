@@ -12,9 +12,10 @@ from scripted import Held, sweep
 from served import service
 from tables import for_each
 
+from service.errors import InvalidRequest
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState, NewJob
-from service.jobs.search import InvalidCursor, JobOrder, JobSearch
+from service.jobs.search import JobOrder, JobSearch
 
 SWEEP: dict[str, Any] = sweep().as_submitted()
 
@@ -122,7 +123,7 @@ WRONG_CURSORS = (
 @for_each("cursor", WRONG_CURSORS)
 @for_each("order", list(JobOrder))
 def test_a_cursor_of_another_list_is_refused(order: JobOrder, cursor: str):
-    with pytest.raises(InvalidCursor):
+    with pytest.raises(InvalidRequest):
         JobSearch(order=order).read_cursor(cursor)
 
 
