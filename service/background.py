@@ -1,8 +1,4 @@
-"""Processes that compute answers at a lower priority, while the service keeps answering requests.
-
-In the service's own process an answer that takes a second of Python would delay every other request, because
-one thread runs at a time, and it would take as much of the processors as a worker.
-"""
+"""Processes that compute answers at a lower priority, while the service keeps answering requests."""
 
 import ctypes
 import multiprocessing

@@ -1,9 +1,7 @@
 """The ledger: jobs and their done chunks in one SQLite file, the authority on what is done.
 
-With WAL and synchronous=FULL, a transaction's changes are on the disk when it returns.
-One connection writes and one reads, each behind its lock, so that a poll never waits for a commit.
-
-Nothing is written to a damaged file, or to one that is no longer at its path: see `ledger_files`.
+One connection writes and one reads, each behind its lock, so that a poll never waits for a commit. Nothing is
+written to a damaged file, or to one that is no longer at its path: see `ledger_files`.
 """
 
 import fcntl

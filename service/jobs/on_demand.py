@@ -1,9 +1,8 @@
 """Results that workers compute while a request waits, kept for later requests.
 
 A request that waits longer than a short time-out raises Pending, which the API answers with 202; the work
-continues, and a later request for the same result gets it. It stops when every client that asked for it has
-left during a request, or has not asked for ABANDONED_SECONDS. Jobs keep at least half of the workers, or of
-a single one's time, and in the long run fifteen sixteenths of the workers' time.
+continues, and a later request gets it. It stops when every client that asked for it has left during a
+request, or has not asked for ABANDONED_SECONDS.
 """
 
 import threading

@@ -1,7 +1,4 @@
-"""What to compute next: which chunk of a job, and which job. Pure.
-
-A `ReadyQueue` holds a few numbers per chunk, so that a job of a million chunks fits in memory.
-"""
+"""What to compute next: which chunk of a job, and which job. Pure."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,7 +12,7 @@ ROTATION_SHARE: Final = 0.25
 
 
 class ReadyQueue:
-    """The chunks of one job that are not done, in an order in which they can be computed.
+    """The chunks of one job that are not done, in an order in which they can be computed; a few bytes each.
 
     `lines`: chunk i depends on chunk i - lines, if there is one. `done`: (n,) which chunks are already done.
     """

@@ -1,15 +1,4 @@
-"""What to do with a chunk that came back without a report. The only module that classifies errors.
-
-A chunk can come back for five reasons, which count differently:
-
-- its time slice is over: it continues before other chunks of its job begin, and nothing is counted;
-- it was cancelled, the cluster or the bucket was lost, its worker was told to leave or was not admitted: the
-  chunk is requeued and nothing is counted;
-- its worker died while computing another chunk: a collateral loss, counted separately;
-- it failed, or its worker died of it: a failed try, of which each chunk has a limited number;
-- no chunk of the job can be stored, as on a full disk: the job stops at once. A disk may be read-only on one
-  machine alone; then the chunk's tries are used up before.
-"""
+"""What to do with a chunk that came back without a report. The only module that classifies errors."""
 
 import errno
 import math

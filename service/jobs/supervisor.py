@@ -1,8 +1,4 @@
-"""The thread that advances jobs: starts them, keeps workers supplied with chunks, marks stored chunks.
-
-It sleeps until it is woken (by a submission, a cancel, a returned chunk) or a heartbeat has passed.
-Everything that it holds in memory can be rebuilt from the ledger.
-"""
+"""The thread that advances jobs. Everything that it holds in memory can be rebuilt from the ledger."""
 
 import heapq
 import logging

@@ -1,7 +1,4 @@
-"""Reads and changes of the ledger within one transaction.
-
-Only done chunks have a row; a chunk without one is to be computed.
-"""
+"""Reads and changes of the ledger within one transaction. Only done chunks have a row."""
 
 import json
 import sqlite3
@@ -341,7 +338,14 @@ class WriteTransaction(ReadTransaction):
 
     def mark_done(self, job: JobRecord, reports: Iterable[ChunkReport]) -> None:
         """Mark stored chunks as done; marked ones stay as they are."""
-        marked = [report for report in reports if self._insert_chunk(job, report)]
+        marked = []
+        for report in reports:
+            outcomes = json.dumps(report.outcomes, separators=(",", ":"))
+            if self._insert(
+                "chunks", job.seq, report.index, report.cells, report.seconds,
+                bytes.fromhex(report.checksum), outcomes, report.computed, report.bytes, otherwise="IGNORE",
+            ):  # fmt: skip
+                marked.append(report)
         self._add(
             job,
             chunks_done=len(marked),
@@ -388,14 +392,6 @@ class WriteTransaction(ReadTransaction):
         """Record chunks that were given up."""
         for failure in failures:
             self._insert("failures", job.seq, *failure)
-
-    def _insert_chunk(self, job: JobRecord, report: ChunkReport) -> bool:
-        """Insert a chunk; whether it was not marked before."""
-        outcomes = json.dumps(report.outcomes, separators=(",", ":"))
-        return self._insert(
-            "chunks", job.seq, report.index, report.cells, report.seconds, bytes.fromhex(report.checksum),
-            outcomes, report.computed, report.bytes, otherwise="IGNORE",
-        )  # fmt: skip
 
     def _unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
         """Unmark chunks, also as verified; returns those that were marked."""
