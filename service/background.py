@@ -1,8 +1,4 @@
-"""Processes that compute answers at a lower priority, while the service keeps answering requests.
-
-In the service's own process an answer that takes a second of Python would delay every other request, because
-one thread runs at a time, and it would take as much of the processors as a worker.
-"""
+"""Processes that compute answers at a lower priority, while the service keeps answering requests."""
 
 import ctypes
 import multiprocessing
@@ -11,13 +7,12 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from contextvars import ContextVar
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 from service.errors import NotComputed
 from worker.kernel_cache import use_cache
@@ -35,13 +30,16 @@ MUCH: Final = 16 * 2**20
 IDLE_SECONDS: Final = 20.0
 
 
-class Asker:
-    """The client of an answer. When it has left, the process that computes for it ends."""
+def _do_nothing() -> None: ...
 
-    def __init__(self) -> None:
+
+class Asker:
+    """The client of an answer, by its connection. When it has left, what computes for it ends."""
+
+    def __init__(self, connection: object = None) -> None:
         self._lock = threading.Lock()
-        self._process: _Process | None = None
-        self.left = False
+        self._stop: Callable[[], None] = _do_nothing
+        self.connection, self.left = connection, False
 
     def run(self, work: Callable[[], Result]) -> Result:
         """Run `work`, whose answers from `Processes` are all for this client."""
@@ -55,34 +53,22 @@ class Asker:
         """End the current computation, and begin no other."""
         with self._lock:
             self.left = True
-            if self._process is not None:
-                self._process.stop()
+            self._stop()
 
-    @contextmanager
-    def waits_for(self, process: "_Process") -> Iterator[None]:
-        """During the block the process computes for this client. Raises OSError if it has left."""
+    def on_leave(self, stop: Callable[[], None]) -> None:
+        """Call `stop`, and no earlier one, when the client leaves; at once if it has left."""
         with self._lock:
+            self._stop = stop
             if self.left:
-                raise OSError("nobody waits for the answer")
-            self._process = process
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._process = None
+                stop()
 
 
 _ASKER: Final[ContextVar[Asker | None]] = ContextVar("asker", default=None)
 
 
-class Background(Protocol):
-    """Computes answers. May be used from any thread."""
-
-    def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
-        """`function(*arguments)`, which must be picklable. Raises its errors, and NotComputed."""
-
-    def close(self) -> None:
-        """End all computations."""
+def asker() -> Asker:
+    """The client for which this thread computes; one that never leaves outside of `Asker.run`."""
+    return _ASKER.get() or Asker()
 
 
 class InThisProcess:
@@ -90,8 +76,6 @@ class InThisProcess:
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         return function(*arguments)
-
-    def close(self) -> None: ...
 
 
 class Processes:
@@ -111,11 +95,14 @@ class Processes:
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         process: _Process | None = None
-        kept = 0
+        kept, client = 0, asker()
         try:
             process = self._take()
-            with (_ASKER.get() or Asker()).waits_for(process):
-                succeeded, value, kept = process.call(function, arguments)
+            client.on_leave(process.stop)
+            succeeded, value, kept = process.call(function, arguments)
+            client.on_leave(_do_nothing)
+            if client.left:
+                raise EOFError("it was stopped")
         except (EOFError, OSError) as error:
             kept = self._most_kept + 1
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
@@ -144,8 +131,7 @@ class Processes:
                 return self._idle.pop()[1]
             self._may_start -= 1
         process = _Process()
-        with self._changed:
-            self._started.add(process)
+        self._started.add(process)
         return process
 
     def _put_back(self, process: "_Process | None", kept: int) -> None:
@@ -155,17 +141,11 @@ class Processes:
                 self._idle.append((time.monotonic(), process))
                 self._changed.notify()
                 if len(self._idle) > 1:
-                    self._end_later()
+                    timer = threading.Timer(self._idle_seconds, self._end_idle)
+                    timer.daemon = True
+                    timer.start()
                 return
-        if process is not None:
-            self._end(process)
-        else:
-            self._free_place()
-
-    def _end_later(self) -> None:
-        timer = threading.Timer(self._idle_seconds, self._end_idle)
-        timer.daemon = True
-        timer.start()
+        self._end(process)
 
     def _end_idle(self) -> None:
         """End the processes that have been idle for long, but not the one that was busy last."""
@@ -176,16 +156,18 @@ class Processes:
         for process in long:
             self._end(process)
 
-    def _end(self, process: "_Process") -> None:
-        process.end()
+    def _end(self, process: "_Process | None") -> None:
+        if process is not None:
+            process.end()
         with self._changed:
-            self._started.discard(process)
-        self._free_place()
-
-    def _free_place(self) -> None:
-        with self._changed:
+            self._started -= {process}
             self._may_start += 1
             self._changed.notify()
+
+
+#: What computes answers: `run(function, *arguments)` raises the errors of the function, and NotComputed. May
+#: be used from any thread; for processes the function and its arguments must be picklable.
+Background = InThisProcess | Processes
 
 
 class _Process:

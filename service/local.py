@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, nullcontext, suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -124,11 +123,30 @@ def run_to_file(
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
 ) -> JobStatus:
-    """Compute a study as `run` does, write it to a file, and return the job that computed it.
+    """Compute a study as `run` does and write it to a file, which appears once complete.
 
-    `format` is one of `service.formats.EXPORTS` for the whole study, or of a diagram's formats for a `line`
-    of a sweep: the arguments of `Job.diagram`. The file appears once complete. Beside the errors of `run`,
-    raises InvalidRequest for a line that the sweep does not have, TooLarge, NoSpace.
+    Parameters
+    ----------
+    spec, workers, progress
+        As in `run`.
+    output
+        Path of the file.
+    format
+        One of `service.formats.EXPORTS` for the whole study, or of a diagram's formats for a line of a sweep.
+    line
+        The diagram's line: the arguments of `Job.diagram`.
+
+    Returns
+    -------
+    JobStatus
+        The job that computed the study.
+
+    Raises
+    ------
+    InvalidRequest
+        The sweep does not have the line.
+    TooLarge, NoSpace
+        Also raises the errors of `run`.
     """
     use_cache()
     from worker.spec import SweepSpec
@@ -201,7 +219,7 @@ def computed(
     folder.mkdir(mode=0o700, exist_ok=True)
     with (
         open_ledger(settings) as ledger,
-        closing(Inline(workers or len(os.sched_getaffinity(0)))) as executor,
+        closing(Inline(workers or cores())) as executor,
     ):
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
@@ -223,6 +241,11 @@ def _check_folder(ledger: "Ledger", spec: Any, folder: Path) -> None:
         raise FileExistsError(
             errno.EEXIST, "holds a run of another specification; remove it first", str(folder)
         )
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _settings(folder: Path) -> "Settings":
@@ -309,7 +332,6 @@ def _wait(
 
 
 def _status(record: "JobRecord") -> JobStatus:
-    progress = record.progress(time.time())
     status = JobStatus()
     status._update(
         {
@@ -317,7 +339,7 @@ def _status(record: "JobRecord") -> JobStatus:
             "name": record.name,
             "state": str(record.state),
             "error": record.error,
-            "progress": asdict(progress) | {"percent": progress.percent, "eta_seconds": progress.eta_seconds},
+            "progress": record.progress(time.time()),
         }
     )
     return status

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from kernel.interface import dimension
 from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
+from kernel.stopping import check
 from kernel.trajectory import sample
 from worker import schema, store
 from worker.cost import Cost, cells_at_once
@@ -369,7 +370,8 @@ def run_cells(
     None starts from rest. Raises KernelInputError for values that the kernel does not accept.
     """
     run = _line_run(spec, gamma, omega, xi, [start])
-    run.advance()
+    while not run.advance(FIRST_STEPS):
+        check()
     return run.line
 
 

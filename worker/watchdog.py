@@ -17,6 +17,7 @@ from typing import Any, Final
 from distributed import get_worker
 
 from kernel.numerics.compilation import compilations
+from kernel.stopping import Stopped, stopped_if
 from worker import store
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import (
@@ -75,6 +76,14 @@ def run_watched(
             return run_task(spec, chunk, store_url)
     except (ChunkCancelled, ChunkPaused) as stopped:
         return stopped
+
+
+def call_while_wanted(function: Callable[..., Any], *arguments: Any) -> Any:
+    """`function(*arguments)`, which stops between two steps once its task is cancelled."""
+    worker = get_worker()
+    task = worker.state.tasks[worker.get_current_task()]
+    with contextlib.suppress(Stopped), stopped_if(lambda: bool(task.state == "cancelled")):
+        return function(*arguments)
 
 
 def _compile(spec: Spec, store_url: str, worker: Any) -> None:

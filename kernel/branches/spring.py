@@ -15,6 +15,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.stopping import check
+
 #: float64, or complex128 in a complex step.
 Array = NDArray[Any]
 Number = float | complex
@@ -75,7 +77,11 @@ def spring(omega: Number, xi: Number) -> Spring:
 
 
 def free(a: Number, w: Number, t: Array) -> Free:
-    """The free motion of x'' + 2 a x' + w x = 0 at times t >= 0, underdamped, critical or overdamped."""
+    """The free motion of x'' + 2 a x' + w x = 0 at times t >= 0, underdamped, critical or overdamped.
+
+    Every step of every closed form comes here, so that it can be stopped. Raises `stopping.Stopped`.
+    """
+    check()
     d = a * a - w
     decay = np.exp(-a * t)
     square = d * t * t

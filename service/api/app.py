@@ -111,7 +111,7 @@ def _service(
         settings=settings,
         ledger=ledger,
         manager=manager,
-        on_demand=OnDemandCache(executor, jobs_compute=manager.is_computing),
+        on_demand=OnDemandCache(executor, jobs_compute=manager.supervisor.in_flight),
         capacity=Capacity(
             {
                 "read": settings.max_reads,

@@ -194,7 +194,7 @@ def costly(
                 with suppress(asyncio.CancelledError, Busy):
                     (await turn).keep(0)
                 return Response(status_code=CLIENT_GONE)
-            asker = Asker()
+            asker = Asker(request.client)
             work = functools.partial(asker.run, functools.partial(endpoint, **arguments))
             computed: asyncio.Future[Response] = asyncio.ensure_future(turn.result().run(work))
             if await _leaves(request, computed):

@@ -95,7 +95,7 @@ class JobsCollector(Collector):
         with self._ledger.reading() as ledger:
             jobs = [([state], ledger.count((state,))) for state in JobState]
             chunks, cells = ledger.totals()
-        tally, (verified, damaged) = self._manager.tally, self._manager.scrubbed
+        tally, scrubber = self._manager.supervisor.tally, self._manager.scrubber
         yield _labelled(GaugeMetricFamily("bounce_jobs", "Jobs in the ledger.", labels=["state"]), jobs)
         for name, meaning, value in (
             ("bounce_chunks_done", "Chunks marked done, of jobs in the ledger.", chunks),
@@ -104,12 +104,12 @@ class JobsCollector(Collector):
             (
                 "bounce_chunks_in_flight",
                 "Chunks that workers compute, or that wait for one.",
-                self._manager.chunks_in_flight,
+                self._manager.supervisor.in_flight(),
             ),
             (
                 "bounce_core_seconds_remaining",
                 "Core-seconds that the unfinished jobs will take, by the cost table.",
-                self._manager.remaining_seconds,
+                self._manager.supervisor.remaining_seconds,
             ),
         ):
             yield GaugeMetricFamily(name, meaning, value)
@@ -119,9 +119,13 @@ class JobsCollector(Collector):
             (
                 "bounce_chunks_verified",
                 "Stored chunks that were verified since the start.",
-                verified,
+                scrubber.verified_chunks,
             ),
-            ("bounce_chunks_damaged", "Stored chunks that verifying found damaged since the start.", damaged),
+            (
+                "bounce_chunks_damaged",
+                "Stored chunks that verifying found damaged since the start.",
+                scrubber.damaged_chunks,
+            ),
         ):
             yield CounterMetricFamily(name, meaning, value)
         meaning = "Chunks that came back without a result, by action and kind of error."

@@ -10,6 +10,7 @@ import httpx2
 from service.jobs import backup
 from service.jobs.ledger import NOT_LOCAL
 from service.jobs.ledger_files import copies_of, file_system, network_file_system
+from service.local import cores
 from service.settings import Settings
 from service.software import software
 from worker import store
@@ -47,7 +48,7 @@ def _machine(_: Settings) -> Iterator[Finding]:
     ours = f"bouncing-spring {here.release}, kernel version {here.kernel_version}"
     yield Finding("versions", f"{ours}, Python {here.python}, SQLite {backup.SQLITE_VERSION}")
     yield Finding("libraries", ", ".join(f"{name} {number}" for name, number in here.libraries.items()))
-    yield Finding("cores", f"{len(os.sched_getaffinity(0))} of {os.cpu_count()}")
+    yield Finding("cores", f"{cores()} of {os.cpu_count()}")
 
 
 def _cache(_: Settings) -> Iterator[Finding]:

@@ -1,9 +1,7 @@
 """The ledger: jobs and their done chunks in one SQLite file, the authority on what is done.
 
-With WAL and synchronous=FULL, a transaction's changes are on the disk when it returns.
-One connection writes and one reads, each behind its lock, so that a poll never waits for a commit.
-
-Nothing is written to a damaged file, or to one that is no longer at its path: see `ledger_files`.
+One connection writes and one reads, each behind its lock, so that a poll never waits for a commit. Nothing is
+written to a damaged file, or to one that is no longer at its path: see `ledger_files`.
 """
 
 import fcntl
@@ -12,9 +10,9 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Final, Self
+from typing import IO, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +43,7 @@ BUSY_SECONDS: Final = 10.0
 CHECK_SECONDS: Final = 10.0
 
 
-class Ledger:
+class Ledger(AbstractContextManager["Ledger"]):
     """The ledger of one data folder; used by one process at a time, by any of its threads.
 
     `has_stores` says whether results are stored beside it: a file of 0 bytes is then no new ledger.
@@ -86,9 +84,6 @@ class Ledger:
             self._files = OpenFiles(self.path)
             self._connections.push(opened.pop_all())
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
@@ -111,17 +106,10 @@ class Ledger:
 
         Raises LedgerUnavailable, also as `check` does.
         """
-        with self._exclusive(), self._available():
-            self._check_files()
-            try:
-                self._begin()
-                yield WriteTransaction(self._writer)
-                self._writer.execute("COMMIT")
-            except BaseException as error:
-                self._roll_back(error)
-                raise
-            finally:
-                self._files.note_written()
+        with self._exclusive():
+            self._begin()
+            yield WriteTransaction(self._writer)
+            self._writer.execute("COMMIT")
 
     def check(self) -> None:
         """Raise LedgerUnavailable while the file is damaged or replaced, or the stores are missing.
@@ -133,8 +121,7 @@ class Ledger:
             self._stores_fault = None
         except LedgerUnavailable as error:
             self._stores_fault = str(error)
-        with self._exclusive(), self._available():
-            self._check_files()
+        with self._exclusive():
             if self._refused:
                 self._begin()
                 self._writer.execute("ROLLBACK")
@@ -172,10 +159,19 @@ class Ledger:
 
     @contextmanager
     def _exclusive(self) -> Iterator[None]:
+        """Hold the lock of writers, with all files as this process left them. Raises LedgerUnavailable."""
         if not self._write_lock.acquire(timeout=BUSY_SECONDS):
             raise LedgerUnavailable("the ledger does not answer: other transactions take too long")
         try:
-            yield
+            with self._available():
+                self._check_files()
+                try:
+                    yield
+                except BaseException as error:
+                    self._roll_back(error)
+                    raise
+                finally:
+                    self._files.note_written()
         finally:
             self._write_lock.release()
 
@@ -243,40 +239,16 @@ class Ledger:
         When the disk is full nothing else can take them, whereas others could take the space of a removed
         file.
         """
-        with suppress(LedgerUnavailable, sqlite3.Error), self._exclusive():
-            self._check_files()
-            try:
-                pages, size = (self._number(f"PRAGMA {name}") for name in ("freelist_count", "page_size"))
-                if pages * size < RESERVE or size_of(wal_of(self.path)) < RESERVE:
-                    # Two transactions: pages freed in the one that made them are never written.
-                    self._writer.executescript(
-                        "BEGIN IMMEDIATE; DROP TABLE IF EXISTS reserve; CREATE TABLE reserve (content BLOB);"
-                        f"INSERT INTO reserve VALUES (zeroblob({RESERVE + (1 << 16)})); COMMIT;"
-                        "PRAGMA wal_checkpoint(PASSIVE); DROP TABLE reserve; PRAGMA wal_checkpoint(PASSIVE);"
-                    )
-            finally:
-                if self._writer.in_transaction:
-                    self._writer.execute("ROLLBACK")
-                self._files.note_written()
-
-    def shrink(self, pages: int) -> bool:
-        """Return at most `pages` free pages to the file system, but not those of the reserve.
-
-        Whether there are more. Raises LedgerUnavailable.
-        """
-        with self._exclusive(), self._available():
-            self._check_files()
-            try:
-                free, size = (self._number(f"PRAGMA {name}") for name in ("freelist_count", "page_size"))
-                surplus = free - 2 * RESERVE // size
-                if surplus > 0:
-                    self._writer.executescript(f"PRAGMA incremental_vacuum({min(surplus, pages)})")
-            finally:
-                self._files.note_written()
-        return surplus > pages
-
-    def _number(self, query: str) -> int:
-        return int(self._writer.execute(query).fetchone()[0])
+        with suppress(LedgerUnavailable), self._exclusive():
+            pragmas = ("PRAGMA freelist_count", "PRAGMA page_size")
+            pages, size = (int(self._writer.execute(pragma).fetchone()[0]) for pragma in pragmas)
+            if pages * size < RESERVE or size_of(wal_of(self.path)) < RESERVE:
+                # Two transactions: pages freed in the one that made them are never written.
+                self._writer.executescript(
+                    "BEGIN IMMEDIATE; DROP TABLE IF EXISTS reserve; CREATE TABLE reserve (content BLOB);"
+                    f"INSERT INTO reserve VALUES (zeroblob({RESERVE + (1 << 16)})); COMMIT;"
+                    "PRAGMA wal_checkpoint(PASSIVE); DROP TABLE reserve; PRAGMA wal_checkpoint(PASSIVE);"
+                )
 
     def find(self, job_id: str) -> JobRecord | None:
         """The job, if there is one."""
@@ -317,9 +289,6 @@ NOT_LOCAL: Final = (
     "stores may be there (BOUNCE_STORES)"
 )
 
-#: SQLite's number of `PRAGMA auto_vacuum = INCREMENTAL`.
-_INCREMENTAL: Final = 2
-
 #: SQLite's codes for a file with foreign contents.
 _DAMAGE: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 
@@ -340,14 +309,9 @@ def check(connection: sqlite3.Connection, path: Path, seconds: float = CHECK_SEC
     connection.set_progress_handler(lambda: int(time.monotonic() > deadline), 100_000)
     try:
         version = connection.execute("PRAGMA user_version").fetchone()[0]
-        if version > VERSION:
-            raise LedgerUnusable(
-                f"the ledger is of version {version}, this service knows up to {VERSION}: use a newer one"
-            )
-        if 0 < version < VERSION:
-            raise LedgerUnusable(
-                f"the ledger is of version {version}, from before release 0.2.0: move the data folder away"
-            )
+        if version not in (0, VERSION):
+            rule = f"this service needs version {VERSION}: use the release that wrote it, or another folder"
+            raise LedgerUnusable(f"the ledger is of version {version}, {rule}")
         # Not `quick_check`: with a log of another copy, indices can name rows missing from the tables.
         [first, *_] = connection.execute("PRAGMA integrity_check(1)").fetchone()
         if first != "ok":
@@ -377,9 +341,6 @@ def _make_tables(connection: sqlite3.Connection) -> None:
     """Create the tables of a new ledger, whole or not at all."""
     if connection.execute("PRAGMA user_version").fetchone()[0] == VERSION:
         return
-    # Before any table exists: the file shrinks when jobs are deleted.
-    connection.execute(f"PRAGMA auto_vacuum = {_INCREMENTAL}")
-    connection.execute("VACUUM")
     connection.executescript(f"BEGIN IMMEDIATE; {TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
 
 

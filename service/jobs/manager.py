@@ -3,7 +3,6 @@
 import hashlib
 import logging
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -13,11 +12,10 @@ from service.jobs.ledger import NOT_LOCAL, Ledger
 from service.jobs.ledger_files import network_file_system
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer, new_job
-from service.jobs.retry import ChunkCounts
 from service.jobs.stores.deletion import Deleter
 from service.jobs.stores.repair import Scrubber
 from service.jobs.supervisor import Supervisor
-from service.jobs.transactions import WriteTransaction
+from service.jobs.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
 from worker.cost import check_size
 from worker.executors.base import Compiling, Executor
@@ -43,47 +41,21 @@ class JobManager:
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
         self.preparer = JobPreparer(settings)
-        self._deleter = Deleter(ledger, settings, self._wake)
-        self._supervisor = Supervisor(ledger, executor, settings, self.preparer, self._deleter.repeat)
+        self._deleter = Deleter(ledger, settings, self._on_freed)
+        self.supervisor = Supervisor(ledger, executor, settings, self.preparer, self._deleter.repeat)
         self.scrubber = Scrubber(
-            ledger, settings, self.preparer, self._supervisor.invalidating, self._deleter.repeat,
-            self.is_computing,
+            ledger, settings, self.preparer, self.supervisor.invalidating, self._deleter.repeat,
+            lambda: self.supervisor.in_flight() > 0,
         )  # fmt: skip
 
-    def is_computing(self) -> bool:
-        """Whether chunks of jobs are in flight."""
-        return self.chunks_in_flight > 0
-
-    @property
-    def chunks_in_flight(self) -> int:
-        """Chunks of jobs that workers compute or that wait for one."""
-        return self._supervisor.in_flight()
-
-    @property
-    def cluster_fault(self) -> str | None:
-        """Why no chunk was computed when last checked; None if chunks are. Does not block."""
-        return self._supervisor.cluster.explanation
+    def _on_freed(self) -> None:
+        self.supervisor.wake()
 
     def compiling(self, job: JobRecord) -> Compiling | None:
         """The kernel that a worker compiles for a job before its first chunk. Does not block."""
         if job.state is not JobState.RUNNING or job.chunks_done == job.chunks_total:
             return None
         return self._executor.compiling(self._settings.store_of(job.id))
-
-    @property
-    def tally(self) -> ChunkCounts:
-        """Counts of returned chunks since the start."""
-        return self._supervisor.tally
-
-    @property
-    def remaining_seconds(self) -> float:
-        """Core-seconds that the unfinished jobs will take, by the cost table, as last estimated."""
-        return self._supervisor.remaining_seconds
-
-    @property
-    def scrubbed(self) -> tuple[int, int]:
-        """Stored chunks verified since the start, and those found damaged."""
-        return self.scrubber.verified_chunks, self.scrubber.damaged_chunks
 
     def start(self) -> None:
         """Continue every job that was queued or running when the service last stopped.
@@ -93,13 +65,13 @@ class JobManager:
         self._replace_outdated()
         self._deleter.start()  # before the others notice missing stores and nothing is written
         self.scrubber.start()
-        self._supervisor.start()
+        self.supervisor.start()
 
     def stop(self) -> None:
         """Stop computing; unfinished jobs continue at the next start."""
         deadline = time.monotonic() + STOP_SECONDS
         self.scrubber.stop(STOP_SECONDS)
-        for part in (self._supervisor, self._deleter):
+        for part in (self.supervisor, self._deleter):
             part.stop(max(deadline - time.monotonic(), 0.1))
 
     @property
@@ -110,7 +82,7 @@ class JobManager:
     def notices(self) -> list[str]:
         """What an operator should know, although jobs are computed."""
         notices = []
-        if refused := len(self._supervisor.cluster.refused):
+        if refused := len(self.supervisor.cluster.refused):
             notices.append(f"workers refused: {refused}; the log names them")
         if unknown := len(self.unknown_stores):
             notices.append(
@@ -121,41 +93,42 @@ class JobManager:
             notices.append(f"the data folder is on a network file system ({network}): {NOT_LOCAL}")
         return notices
 
-    def _wake(self) -> None:
-        self._supervisor.wake()
-
-    def submit(self, spec: Any, key: str | None = None, owner: str | None = None) -> Submission:
+    def submit(
+        self,
+        spec: Any,
+        key: str | None = None,
+        owner: str | None = None,
+        *,
+        replaces: JobRecord | None = None,
+        limited: bool = True,
+    ) -> Submission:
         """Accept a study, or return its existing job; a failed or cancelled one is resumed.
 
         `key`: an idempotency key; a repeated request with the same key changes nothing, whatever happened to
-        the job since. `owner`: the name of the caller's access token, if it has one.
-        Raises SpecTooLarge, QueueFull, KeyReused.
+        the job since. `owner`: the name of the caller's access token, if it has one. `replaces`: an outdated
+        job of the same study. Raises SpecTooLarge, KeyReused, and QueueFull if `limited`.
         """
         plan = self.check(spec)
         job = new_job(spec, plan, owner)
         with self._ledger.writing() as ledger:
             new = ledger.find(job.id) is None
-            accepted = not self._is_repeated(ledger, job, key) and self._accept(ledger, job)
-            record = _existing(ledger.find(job.id), job.id)
-            if new:  # before the commit: the supervisor finds the job prepared
-                self.preparer.seed(record, spec, plan)
-                for version in ledger.other_versions():
-                    if outdated := ledger.find(spec.job_id(version)):
-                        ledger.replace(outdated, job.id)
+            accepted = not self._is_repeated(ledger, job, key) and self._accept(ledger, job, limited)
+            record = _existing(ledger, job.id)
+            versions = ledger.other_versions() if new else []
+            for outdated in [replaces, *(ledger.find(spec.job_id(version)) for version in versions)]:
+                if outdated is not None:
+                    ledger.update(outdated, replaced_by=job.id)
             if key is not None and ledger.key(key) is None:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:
-            self._supervisor.wake()
+            self.supervisor.wake()
         return Submission(record, accepted)
 
     def check(self, spec: Any) -> Plan:
         """The plan of a study. Raises SpecTooLarge if it would not be accepted."""
-        study = study_of(spec)
-        plan = self.preparer.plan(spec)
-        cost = study.estimate(spec, plan)
-        limits = self._settings
+        plan, limits = self.preparer.plan(spec), self._settings
         check_size(
-            cost,
+            study_of(spec).estimate(spec, plan),
             max_cells=limits.max_cells,
             max_bytes=limits.max_bytes,
             max_core_seconds=limits.max_core_seconds,
@@ -173,9 +146,16 @@ class JobManager:
         done or failed.
         """
         with self._ledger.writing() as ledger:
-            _cancel(ledger, _existing(ledger.find(job_id), job_id))
-            record = _existing(ledger.find(job_id), job_id)
-        self._supervisor.wake()
+            job = _existing(ledger, job_id)
+            if job.state is JobState.QUEUED:
+                ledger.finish(job, JobState.CANCELLED, time.time())
+            elif job.state is JobState.RUNNING:
+                ledger.update(job, cancel_requested=True)
+            elif job.state is not JobState.CANCELLED:
+                rule = "only a queued or running job can be cancelled"
+                raise IllegalTransition(f"the job is {job.state}: {rule}")
+            record = _existing(ledger, job_id)
+        self.supervisor.wake()
         return record
 
     def resume(self, job_id: str, owner: str | None = None) -> Submission:
@@ -185,25 +165,25 @@ class JobManager:
         Raises UnknownJob, QueueFull, and IllegalTransition if the job is done; for a new job also
         as `submit`, and SpecError if this release does not accept its specification.
         """
+        with self._ledger.reading() as reading:
+            job = _existing(reading, job_id)
+        if job.state is JobState.DONE:
+            again = ": submit the sweep again to compute it anew" if job.outdated else ""
+            raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
+        if job.outdated:
+            return self.submit(from_json(job.spec), owner=owner, replaces=job)
         with self._ledger.writing() as ledger:
-            job = _existing(ledger.find(job_id), job_id)
-            if job.state is JobState.DONE:
-                again = ": submit the sweep again to compute it anew" if job.outdated else ""
-                raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
-            if job.outdated:
-                record, accepted = self._replace(ledger, job, from_json(job.spec), owner, self._accept)
-            else:
-                accepted = self._accept(ledger, replace(job, owner=owner))
-                record = _existing(ledger.find(job_id), job_id)
+            accepted = self._accept(ledger, replace(job, owner=owner))
+            record = _existing(ledger, job_id)
         if accepted:
-            self._supervisor.wake()
+            self.supervisor.wake()
         return Submission(record, accepted)
 
     def pin(self, job_id: str, pinned: bool) -> JobRecord:
         """Pin a job, or unpin it. Raises UnknownJob."""
         with self._ledger.writing() as ledger:
-            ledger.pin(_existing(ledger.find(job_id), job_id), pinned)
-            return _existing(ledger.find(job_id), job_id)
+            ledger.update(_existing(ledger, job_id), pinned=pinned)
+            return _existing(ledger, job_id)
 
     def delete(self, job_id: str) -> None:
         """Remove a job; its results are removed in the background, if necessary after the next start.
@@ -211,7 +191,7 @@ class JobManager:
         Raises UnknownJob, and IllegalTransition while workers may write: cancel the job first.
         """
         with self._ledger.writing() as ledger:
-            job = _existing(ledger.find(job_id), job_id)
+            job = _existing(ledger, job_id)
             if job.state in UNFINISHED:
                 raise IllegalTransition(
                     f"the job is {job.state}: cancel it first, and wait until it is cancelled"
@@ -220,108 +200,61 @@ class JobManager:
         self._deleter.wake()
 
     def _replace_outdated(self) -> None:
-        """End the unfinished jobs of other kernel versions, and accept their studies as new jobs."""
-        with self._ledger.reading() as ledger:
-            outdated = ledger.outdated_unfinished()
+        """End the unfinished jobs of other kernel versions; accept their studies anew unless cancelled."""
+        with self._ledger.reading() as reading:
+            outdated = reading.outdated_unfinished()
         for job in outdated:
+            state, reason = JobState.CANCELLED, None
+            if not job.cancel_requested:
+                try:
+                    spec = from_json(job.spec)
+                    successor, _ = self.submit(spec, owner=job.owner, replaces=job, limited=False)
+                    fate = f"job {successor.id} computes all of it anew"
+                except SpecError as error:
+                    fate = f"it cannot start anew: {error}"
+                versions = f"{job.kernel_version} began it, this release computes {KERNEL_VERSION}"
+                state, reason = JobState.FAILED, f"kernel version {versions}: {fate}"
+                log.warning("job %s ends: %s", job.id, reason)
             with self._ledger.writing() as ledger:
-                self._retire(ledger, job)
-
-    def _retire(self, ledger: WriteTransaction, job: JobRecord) -> None:
-        """End an outdated job. A requested cancel is carried out; then nothing replaces the job."""
-        if job.cancel_requested:
-            ledger.finish(job, JobState.CANCELLED, time.time())
-            return
-        versions = f"kernel version {job.kernel_version} began it, this release computes {KERNEL_VERSION}"
-        try:
-            successor, _ = self._replace(ledger, job, from_json(job.spec), job.owner, self._admit)
-            fate = f"job {successor.id} computes all of it anew"
-        except SpecError as error:
-            fate = f"it cannot start anew: {error}"
-        log.warning("job %s ends: %s: %s", job.id, versions, fate)
-        ledger.finish(job, JobState.FAILED, time.time(), f"{versions}: {fate}")
-
-    def _replace(
-        self,
-        ledger: WriteTransaction,
-        outdated: JobRecord,
-        spec: Any,
-        owner: str | None,
-        accept: Callable[[WriteTransaction, NewJob], bool],
-    ) -> Submission:
-        """The current version's job for an outdated job's study, inserted or resumed by `accept`.
-
-        Raises as `accept`, and SpecTooLarge.
-        """
-        plan = self.check(spec)
-        job = new_job(spec, plan, owner)
-        new = ledger.find(job.id) is None
-        accepted = accept(ledger, job)
-        ledger.replace(outdated, job.id)
-        record = _existing(ledger.find(job.id), job.id)
-        if new:
-            self.preparer.seed(record, spec, plan)
-        return Submission(record, accepted)
+                ledger.finish(job, state, time.time(), reason)
 
     def _is_repeated(self, ledger: WriteTransaction, job: NewJob, key: str | None) -> bool:
         """Whether this request was made before with this key."""
         ledger.forget_keys(time.time() - self._settings.key_seconds)
         used = ledger.key(key) if key is not None else None
-        if used is not None and used.body != _fingerprint(job):
+        if used not in (None, _fingerprint(job)):
             raise KeyReused(
                 "the Idempotency-Key was used for another specification less than "
                 f"{self._settings.key_seconds:g} s ago: take a new key"
             )
         return used is not None
 
-    def _accept(self, ledger: WriteTransaction, job: NewJob) -> bool:
-        """Insert or resume a job, or revoke its cancel request; whether anything changed.
-
-        Raises QueueFull.
-        """
+    def _accept(self, ledger: WriteTransaction, job: NewJob, limited: bool = True) -> bool:
+        """Insert or resume a job, or revoke its cancel; whether anything changed. Raises QueueFull."""
         existing = ledger.find(job.id)
-        if existing is None or existing.state in RESUMABLE:
-            self._check_queue(ledger, job.owner)
-        return self._admit(ledger, job)
-
-    def _admit(self, ledger: WriteTransaction, job: NewJob) -> bool:
-        """As `_accept`, but without the limit on queued jobs."""
-        existing = ledger.find(job.id)
+        if limited and (existing is None or existing.state in RESUMABLE):
+            all_jobs, limit = ledger.count(UNFINISHED), self._settings.max_queue
+            if all_jobs >= limit:
+                raise QueueFull(f"{all_jobs} jobs are queued or running already, at most {limit} may be")
+            own = 0 if job.owner is None else ledger.count(UNFINISHED, job.owner)
+            if own >= (limit := self._settings.max_queue_per_token):
+                raise QueueFull(
+                    f"{own} jobs of the token {job.owner} are queued or running already, "
+                    f"at most {limit} of one token may be (max_queue_per_token)"
+                )
         if existing is None:
             ledger.insert(job, time.time())
         elif existing.state in RESUMABLE:
             ledger.queue(existing, job.owner)
         elif existing.cancel_requested:
-            ledger.set_cancel_requested(existing, False)
+            ledger.update(existing, cancel_requested=False)
         else:
             return False
         return True
 
-    def _check_queue(self, ledger: WriteTransaction, owner: str | None) -> None:
-        unfinished, limit = ledger.count(UNFINISHED), self._settings.max_queue
-        if unfinished >= limit:
-            raise QueueFull(f"{unfinished} jobs are queued or running already, at most {limit} may be")
-        if owner is None:
-            return
-        own, limit = ledger.count(UNFINISHED, owner), self._settings.max_queue_per_token
-        if own >= limit:
-            raise QueueFull(
-                f"{own} jobs of the token {owner} are queued or running already, "
-                f"at most {limit} of one token may be (max_queue_per_token)"
-            )
 
-
-def _cancel(ledger: WriteTransaction, job: JobRecord) -> None:
-    if job.state is JobState.QUEUED:
-        ledger.finish(job, JobState.CANCELLED, time.time())
-    elif job.state is JobState.RUNNING:
-        ledger.set_cancel_requested(job, True)
-    elif job.state is not JobState.CANCELLED:
-        raise IllegalTransition(f"the job is {job.state}: only a queued or running job can be cancelled")
-
-
-def _existing(job: JobRecord | None, job_id: str) -> JobRecord:
-    if job is None:
+def _existing(ledger: ReadTransaction, job_id: str) -> JobRecord:
+    if (job := ledger.find(job_id)) is None:
         raise UnknownJob.of(job_id)
     return job
 

@@ -46,39 +46,6 @@ def check_transition(old: JobState, new: JobState) -> None:
 
 
 @dataclass(frozen=True)
-class Progress:
-    """The progress of a job.
-
-    `run_seconds` and `run_cells` count from the job's last start, so that stopped time does not slow the
-    estimate of the remaining time.
-    """
-
-    chunks_done: int
-    chunks_total: int
-    cells_done: int
-    cells_total: int
-    run_seconds: float = 0.0
-    run_cells: int = 0
-    cells_settling: int = 0  # of those done
-    #: Adaptive maps, else None: computed cells among those done, and cells known to be needed, which grow
-    #: with the first rounds of the remaining chunks.
-    cells_computed: int | None = None
-    cells_needed: int | None = None
-
-    @property
-    def percent(self) -> float:
-        """Cells done in percent, rounded down to a tenth, so that 100 means all."""
-        return 1000 * self.cells_done // max(self.cells_total, 1) / 10
-
-    @property
-    def eta_seconds(self) -> float | None:
-        """Estimated remaining seconds at the rate of this run; None while there is no rate."""
-        if self.run_cells <= 0 or self.run_seconds <= 0:
-            return None
-        return (self.cells_total - self.cells_done) * self.run_seconds / self.run_cells
-
-
-@dataclass(frozen=True)
 class NewJob:
     """A job to accept."""
 
@@ -150,26 +117,26 @@ class JobRecord(NewJob):
         facts = (self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
         return (self.id, *facts, self.notice, self.owner, self.pinned)
 
-    def progress(self, now: float) -> Progress:
-        """The progress at `now`, in seconds since 1970; a job that is not running has no rate."""
-        running = self.state is JobState.RUNNING and self.run_started is not None
-        return Progress(
-            self.chunks_done,
-            self.chunks_total,
-            self.cells_done,
-            self.cells_total,
-            run_seconds=now - (self.run_started or now) if running else 0.0,
-            run_cells=self.cells_done - self.run_cells if running else 0,
-            cells_settling=self.cells_settling,
-            cells_computed=self.cells_computed if self.first_cells else None,
-            cells_needed=self._cells_needed if self.first_cells else None,
-        )
+    def eta_seconds(self, now: float) -> float | None:
+        """Estimated remaining seconds at the rate since the last start; None without a rate."""
+        cells, seconds = self.cells_done - self.run_cells, now - (self.run_started or now)
+        if self.state is not JobState.RUNNING or cells <= 0 or seconds <= 0:
+            return None
+        return (self.cells_total - self.cells_done) * seconds / cells
 
-    @property
-    def _cells_needed(self) -> int:
-        """Computed cells, and the first rounds' share of the remaining chunks."""
+    def progress(self, now: float) -> dict[str, float | None]:
+        """What users see of the job's progress at `now`, in seconds since 1970."""
         to_come = self.chunks_total - self.chunks_done
-        return self.cells_computed + -(-self.first_cells * to_come // max(self.chunks_total, 1))
+        needed = self.cells_computed + -(-self.first_cells * to_come // max(self.chunks_total, 1))
+        names = ("chunks_done", "chunks_total", "cells_done", "cells_total", "cells_settling")
+        return {name: getattr(self, name) for name in names} | {
+            # Adaptive maps: those computed, and those known to be needed, which grow with the first rounds of
+            # the remaining chunks.
+            "cells_computed": self.cells_computed if self.first_cells else None,
+            "cells_needed": needed if self.first_cells else None,
+            "percent": 1000 * self.cells_done // max(self.cells_total, 1) / 10,  # 100 means all
+            "eta_seconds": self.eta_seconds(now),
+        }
 
 
 class Failure(NamedTuple):

@@ -1,51 +1,39 @@
 """Results that workers compute while a request waits, kept for later requests.
 
 A request that waits longer than a short time-out raises Pending, which the API answers with 202; the work
-continues, and a later request for the same result gets it. Work that nobody has requested for
-ABANDONED_SECONDS is dropped. Jobs keep at least half of the workers, or of a single one's time, and in the
-long run fifteen sixteenths of the workers' time.
+continues, and a later request gets it. It stops when every client that asked for it has left during a
+request, or has not asked for ABANDONED_SECONDS.
 """
 
 import threading
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Sequence
-from concurrent.futures import Future, InvalidStateError, wait
+from concurrent.futures import CancelledError, Future, InvalidStateError, wait
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final
 
+from service.background import asker
 from service.errors import Busy, NotComputed
-from worker.executors.base import Executor, Result
+from worker.executors.base import Executor
 from worker.executors.errors import ExecutorError
 
 #: Number of results kept, the last requested.
 MAX_RESULTS: Final = 64
-
 #: Results computed at a time.
 MAX_PENDING: Final = 4
-
-#: Seconds without a request after which a result is dropped: longer than the minute between two requests of a
-#: page in a hidden tab.
+#: Seconds without a request after which a client does not count: longer than the minute between two requests
+#: of a page in a hidden tab.
 ABANDONED_SECONDS: Final = 75.0
 
 #: Long-run share of the workers' time for calls while chunks of jobs are computed.
 SHARE: Final = 1 / 16
 #: Core-seconds of calls computed beside jobs before the share applies.
 CREDIT_SECONDS: Final = 5.0
-#: Seconds until calls that have used up their share are checked again.
+#: Seconds between two checks for clients that have not asked lately, and for calls whose turn has come.
 LOOK_SECONDS: Final = 0.2
-
-
-class Caller(Protocol):
-    """Runs functions on workers: an executor, or the wrapper of one in `OnDemandCache`."""
-
-    def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
-        """Run `function(*arguments)` on a worker."""
-
-
-#: Submits the parts of a result; may raise an ExecutorError.
-Submit = Callable[[Caller], Sequence["Future[Any]"]]
 
 
 class Pending(Exception):
@@ -56,12 +44,33 @@ class Pending(Exception):
         self.done, self.total = done, total
 
 
+@dataclass
+class _Result:
+    """The parts of a result, and when each client, by its connection, last asked for them."""
+
+    parts: Sequence["Future[Any]"]
+    askers: dict[object, float]
+
+    @property
+    def done(self) -> bool:
+        return all(part.done() for part in self.parts)
+
+    def cancel(self) -> None:
+        for part in self.parts:
+            if part.cancel():
+                part.set_running_or_notify_cancel()  # wakes those who wait
+
+
 class OnDemandCache:
     """Results computed by workers on request. Its methods may be called from any thread.
 
     `max_pending`: results that may be computed at a time; `timeout`: seconds that a request waits;
-    `jobs_compute`: whether jobs have chunks to compute; `abandoned`: seconds without a request after
-    which the parts of a result that have not begun are withdrawn.
+    `jobs_compute`: the number of jobs' chunks in flight; `abandoned`: seconds without a request after which
+    a client does not count.
+
+    At most half of the workers, at least one, compute calls, which an executor begins before the chunks of
+    jobs. Beside jobs calls use up a credit of CREDIT_SECONDS, which grows by SHARE of the workers' time;
+    without credit the next one waits. Otherwise endless calls would keep half of the workers.
     """
 
     def __init__(
@@ -69,198 +78,148 @@ class OnDemandCache:
         executor: Executor,
         max_pending: int = MAX_PENDING,
         timeout: float = 2.0,
-        jobs_compute: Callable[[], bool] = lambda: False,
+        jobs_compute: Callable[[], int] = lambda: 0,
         abandoned: float = ABANDONED_SECONDS,
     ) -> None:
-        self._workers = _ShareOfTheWorkers(executor, jobs_compute)
+        self._executor, self._jobs_compute = executor, jobs_compute
         self._max_pending, self._timeout, self._abandoned = max_pending, timeout, abandoned
-        self._asked: dict[Hashable, float] = {}  # when each result that is computed was last asked for
-        self._looks: threading.Timer | None = None
-        self._closed = False
-        self._results: OrderedDict[Hashable, Sequence[Future[Any]]] = OrderedDict()
         self._lock = threading.Lock()
+        self._results: OrderedDict[Hashable, _Result] = OrderedDict()
+        self._waiting: deque[tuple[Future[Any], Sequence[Any]]] = deque()  # parts and their calls
+        self._workers = self._running = 0
+        self._credit, self._credited = CREDIT_SECONDS, time.monotonic()
+        self._look: threading.Timer | None = None
+        self._closed = False
 
-    def get(self, key: Hashable, submit: Submit) -> list[Any]:
-        """The parts of a result; calls `submit` if none is kept under `key`.
+    def get(self, key: Hashable, calls: Sequence[Sequence[Any]]) -> list[Any]:
+        """The results of functions with their arguments; calls them if none are kept under `key`.
 
         Raises Pending after the time-out, Busy if too many results are being computed, NotComputed if there
         are no workers or they were lost, and the errors of the work itself.
         """
-        parts = self._parts(key, submit)
-        done, left = wait(parts, timeout=self._timeout)
+        client = asker()
+        self._workers = self._executor.workers()
+        result = self._asked(key, client.connection, calls)
+        self._start()
+        client.on_leave(partial(self._leave, key, client.connection))
+        done, left = wait(result.parts, timeout=self._timeout)
         if left:
-            self._give_up_unless_asked_again(key)
-            raise Pending(len(done), len(parts))
+            raise Pending(len(done), len(result.parts))
         try:
-            return [part.result() for part in parts]
+            return [part.result() for part in result.parts]
         except BaseException as error:
-            self._forget(key, parts)
-            if isinstance(error, ExecutorError):
-                raise NotComputed(
-                    f"the workers that computed it were lost ({error}): repeat the request"
-                ) from error
+            with self._lock:
+                if self._results.get(key) is result:  # no other request has restarted it
+                    del self._results[key]
+            if isinstance(error, ExecutorError | CancelledError):
+                raise NotComputed(f"no worker has computed it ({error}): repeat the request") from error
             raise
 
     def close(self) -> None:
         """Cancel results still being computed."""
         with self._lock:
             self._closed = True
-            if self._looks is not None:
-                self._looks.cancel()
-            for parts in self._results.values():
-                for part in parts:
-                    part.cancel()
+            results = list(self._results.values())
+        for result in results:
+            result.cancel()
 
-    def _give_up_unless_asked_again(self, key: Hashable) -> None:
+    def _asked(self, key: Hashable, connection: object, calls: Sequence[Sequence[Any]]) -> _Result:
+        """The result, new if none is kept, with the client among those who ask for it."""
         with self._lock:
-            self._asked[key] = time.monotonic()
-            self._look_later()
+            if key not in self._results:
+                if sum(not result.done for result in self._results.values()) >= self._max_pending:
+                    raise Busy(f"{self._max_pending} results are being computed already, which is the limit")
+                done = [other for other, result in self._results.items() if result.done]
+                for other in done[: max(len(self._results) + 1 - MAX_RESULTS, 0)]:
+                    del self._results[other]
+                self._results[key] = _Result([Future() for _ in calls], {})
+                self._waiting.extend(zip(self._results[key].parts, calls, strict=True))
+            self._results.move_to_end(key)
+            result = self._results[key]
+            if not result.done:
+                result.askers[connection] = time.monotonic()
+                self._look_later()
+            return result
 
-    def _look_later(self) -> None:
-        if self._looks is None and self._asked and not self._closed:
-            self._looks = threading.Timer(self._abandoned / 4, self._look)
-            self._looks.daemon = True
-            self._looks.start()
-
-    def _look(self) -> None:
-        """Withdraw results that nobody has requested lately."""
-        withdrawn: list[Future[Any]] = []
-        with self._lock:
-            self._looks = None
-            for key, asked in list(self._asked.items()):
-                if _done(self._results.get(key, ())):
-                    del self._asked[key]
-                elif time.monotonic() - asked > self._abandoned:
-                    withdrawn += self._results.pop(key)
-                    del self._asked[key]
-            self._look_later()
-        for part in withdrawn:  # outside of the lock: callbacks of futures may begin other work
-            part.cancel()
-
-    def _parts(self, key: Hashable, submit: Submit) -> Sequence["Future[Any]"]:
+    def _leave(self, key: Hashable, connection: object) -> None:
         with self._lock:
             if key in self._results:
-                self._results.move_to_end(key)
-                return self._results[key]
-            if sum(not _done(parts) for parts in self._results.values()) >= self._max_pending:
-                raise Busy(f"{self._max_pending} results are being computed already, which is the limit")
-            try:
-                parts = self._results[key] = submit(self._workers)
-            except ExecutorError as error:
-                raise NotComputed(f"no worker can compute it now ({error}): repeat the request") from error
-            done = (other for other, parts in self._results.items() if _done(parts) and other != key)
-            for other in list(done)[: max(len(self._results) - MAX_RESULTS, 0)]:
-                del self._results[other]
-            return parts
+                self._results[key].askers.pop(connection, None)
+        self._withdraw()
 
-    def _forget(self, key: Hashable, parts: Sequence["Future[Any]"]) -> None:
-        """Forget a failed result, unless another request has restarted it."""
+    def _look_later(self) -> None:
+        if self._look is None and not self._closed:
+            self._look = threading.Timer(min(LOOK_SECONDS, self._abandoned), self._on_look)
+            self._look.daemon = True
+            self._look.start()
+
+    def _on_look(self) -> None:
+        """Forget the clients that have not asked lately, and begin calls."""
+        until = time.monotonic() - self._abandoned
         with self._lock:
-            if self._results.get(key) is parts:
-                del self._results[key]
-
-
-class _Call(NamedTuple):
-    future: "Future[Any]"
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
-
-
-class _ShareOfTheWorkers:
-    """Limits concurrent calls to half of the workers, at least one; the others wait here.
-
-    An executor begins calls before the chunks of jobs. All calls at once would stop every job, and endless
-    calls would keep half of the workers. So beside jobs calls use up a credit of CREDIT_SECONDS, which
-    grows by SHARE of the workers' time; without credit the next one waits.
-    """
-
-    def __init__(self, executor: Executor, jobs_compute: Callable[[], bool]) -> None:
-        self._executor, self._jobs_compute = executor, jobs_compute
-        self._lock = threading.Lock()
-        self._waiting: deque[_Call] = deque()
-        self._limit, self._running = 1, 0
-        self._workers_count = 0
-        self._credit, self._credited = CREDIT_SECONDS, time.monotonic()
-        self._later: threading.Timer | None = None
-
-    def call(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
-        """Run `function(*arguments)` on a worker in its turn; may be called from any thread.
-
-        Raises ExecutorError if its turn has come and there is no cluster.
-        """
-        self._workers_count = self._executor.workers()
-        self._limit = max(1, self._workers_count // 2)
-        call = _Call(Future(), function, arguments)
-        with self._lock:
-            self._waiting.append(call)
+            self._look = None
+            for result in self._results.values():
+                result.askers = {one: asked for one, asked in result.askers.items() if asked >= until}
+            if not all(result.done for result in self._results.values()):
+                self._look_later()
+        self._withdraw()
         self._start()
-        if call.future.done() and isinstance(error := call.future.exception(), ExecutorError):
-            raise error
-        return call.future
+
+    def _withdraw(self) -> None:
+        """Stop computing results without clients."""
+        with self._lock:
+            unwanted = [key for key, result in self._results.items() if not (result.askers or result.done)]
+            withdrawn = [self._results.pop(key) for key in unwanted]
+        for result in withdrawn:  # outside of the lock: callbacks of futures may begin other calls
+            result.cancel()
 
     def _start(self) -> None:
-        while (call := self._next()) is not None:
+        """Begin the calls whose turn it is."""
+        while (part := self._next()) is not None:
+            future, call = part
             began = time.monotonic()
             try:
-                computed = self._executor.call(call.function, *call.arguments)
+                computed = self._executor.call(*call)
             except Exception as error:  # noqa: BLE001 - the caller gets the error
-                self._end(began, call.future.set_exception, error)
+                computed = Future()
+                computed.set_exception(error)
+                self._end(future, began, computed)
                 continue
-            call.future.add_done_callback(partial(_cancel_too, computed))
-            computed.add_done_callback(partial(self._finished, call.future, began))
+            future.add_done_callback(partial(_cancel_too, computed))
+            computed.add_done_callback(partial(self._on_computed, future, began))
 
-    def _next(self) -> _Call | None:
+    def _next(self) -> "tuple[Future[Any], Sequence[Any]] | None":
+        """A part and its call, if one may begin."""
         with self._lock:
-            while self._waiting and self._running < self._limit:
-                if self._waiting[0].future.cancelled():
-                    self._waiting.popleft()
-                elif self._may_begin():
-                    self._running += 1
-                    return self._waiting.popleft()
-                else:
-                    return None
-            return None
+            while self._waiting and self._waiting[0][0].cancelled():
+                self._waiting.popleft()
+            if not self._waiting or self._running >= max(1, self._workers // 2):
+                return None
+            now = time.monotonic()
+            earned = SHARE * self._workers * (now - self._credited)
+            self._credit, self._credited = min(self._credit + earned, CREDIT_SECONDS), now
+            if self._credit <= 0.0 and self._jobs_compute():
+                return None
+            self._running += 1
+            return self._waiting.popleft()
 
-    def _may_begin(self) -> bool:
-        """Whether jobs leave a call its turn now; if not, check again later."""
-        now = time.monotonic()
-        earned = SHARE * self._workers_count * (now - self._credited)
-        self._credit, self._credited = min(self._credit + earned, CREDIT_SECONDS), now
-        if self._credit > 0.0 or not self._jobs_compute():
-            return True
-        if self._later is None:
-            self._later = threading.Timer(LOOK_SECONDS, self._look_again)
-            self._later.daemon = True
-            self._later.start()
-        return False
-
-    def _look_again(self) -> None:
-        with self._lock:
-            self._later = None
+    def _on_computed(self, future: "Future[Any]", began: float, computed: "Future[Any]") -> None:
+        self._end(future, began, computed)
         self._start()
 
-    def _finished(self, future: "Future[Any]", began: float, computed: "Future[Any]") -> None:
-        if computed.cancelled():
-            self._end(began, future.cancel)
-        elif error := computed.exception():
-            self._end(began, future.set_exception, error)
-        else:
-            self._end(began, future.set_result, computed.result())
-        self._start()
-
-    def _end(self, began: float, end: Callable[..., Any], *value: Any) -> None:
+    def _end(self, future: "Future[Any]", began: float, computed: "Future[Any]") -> None:
+        """End a part as its call has ended."""
         with self._lock:
             self._running -= 1
             if self._jobs_compute():
                 self._credit -= time.monotonic() - began
         with suppress(InvalidStateError):  # cancelled meanwhile
-            end(*value)
+            if error := CancelledError() if computed.cancelled() else computed.exception():
+                future.set_exception(error)
+            else:
+                future.set_result(computed.result())
 
 
 def _cancel_too(computed: "Future[Any]", future: "Future[Any]") -> None:
     if future.cancelled():
         computed.cancel()
-
-
-def _done(parts: Sequence["Future[Any]"]) -> bool:
-    return all(part.done() for part in parts)

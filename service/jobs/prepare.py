@@ -1,13 +1,9 @@
-"""A job prepared to run or to be read: its specification parsed, its plan made, once per job.
-
-Supervisor, scrubber and every request for results need the same four values of a job.
-`JobPreparer` creates them once and keeps them; a submission passes in its specification and plan.
-"""
+"""A job prepared to run or to be read: its specification parsed and its plan made once; a study's cost."""
 
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
@@ -20,6 +16,7 @@ from worker.analysis.model_selection import ModelChoice, resolved
 from worker.cost import Cost
 from worker.refinement import first_round
 from worker.schema import Layout
+from worker.spec.errors import SpecError
 from worker.studies import Chunk, Plan, from_json, parse, study_of
 from worker.tasks import Study
 
@@ -27,12 +24,11 @@ from worker.tasks import Study
 MAX_JOBS: Final = 128
 MAX_SPEC_CHARS: Final = 8_000_000
 
+#: Minimum core-seconds that measure a contact model: in less, starting up dominates.
+MIN_SECONDS: Final = 0.05
+
 #: Fields of a sweep with stricter rules than under kernel version 1; no reader of results uses them.
 BOUNDED_SINCE: Final = ("settle_tolerance", "name")
-
-#: What a prepared job depends on. `seq` distinguishes a job from a deleted one with the same id; the chunk
-#: shape and the choice change when the model of an `auto` sweep is chosen.
-_Key = tuple[str, int, tuple[int, ...], str | None]
 
 
 @dataclass(frozen=True)
@@ -74,23 +70,9 @@ class PreparedJob:
         """Metadata and coordinates of the store by key; None for an outdated job."""
         return None if self.outdated else store.metadata_of(self.layout, self.attributes)
 
-    @property
-    def core_seconds(self) -> float:
-        """Core-seconds of the whole job, by the cost table."""
-        return self._cost.core_seconds
-
     @cached_property
-    def cell_seconds(self) -> float:
-        """Mean core-seconds of a cell, by the cost table."""
-        return self._cost.core_seconds / self._cost.cells
-
-    @cached_property
-    def longest_cell_seconds(self) -> float:
-        """Core-seconds of a cell that settles for as long as allowed, by the cost table."""
-        return (self._cost.longest_core_seconds or self._cost.core_seconds) / self._cost.cells
-
-    @cached_property
-    def _cost(self) -> Cost:
+    def cost(self) -> Cost:
+        """The job's cost by the cost table."""
         return self.study.estimate(self.spec, self.plan)
 
     def read_file(self, key: str) -> bytes | None:
@@ -135,8 +117,7 @@ class JobPreparer:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._lock = threading.Lock()
-        self._jobs: OrderedDict[_Key, tuple[PreparedJob, int]] = OrderedDict()  # with the characters
-        self._chars = 0
+        self._jobs: OrderedDict[Any, tuple[PreparedJob, int]] = OrderedDict()  # with the characters
 
     def plan(self, spec: Any) -> Plan:
         """The plan of a new study."""
@@ -148,48 +129,66 @@ class JobPreparer:
 
         Raises SpecError for a specification that this version does not accept.
         """
+        # `seq` tells a job from a deleted one with the same id; the others change with the model of `auto`.
+        key = job.id, job.seq, job.chunk_shape, job.choice
         with self._lock:  # held while preparing, so that simultaneous requests prepare a job once
-            known = self._jobs.get(_key(job))
-            if known is not None:
-                self._jobs.move_to_end(_key(job))
-                return known[0]
-            return self._keep(job, parse_stored(job.spec, job.kernel_version), None)
+            if key not in self._jobs:
+                self._jobs[key] = (self._prepared(job), len(job.spec))
+            self._jobs.move_to_end(key)
+            while len(self._jobs) > 1 and (
+                len(self._jobs) > MAX_JOBS or sum(chars for _, chars in self._jobs.values()) > MAX_SPEC_CHARS
+            ):
+                self._jobs.popitem(last=False)
+            return self._jobs[key][0]
 
-    def seed(self, job: JobRecord, submitted: Any, plan: Plan) -> None:
-        """Keep what the caller has already prepared of the job.
-
-        `submitted`: the parsed `job.spec`; `plan`: in chunks of `job.chunk_shape`.
-        """
-        with self._lock:
-            self._keep(job, submitted, plan)
-
-    def _keep(self, job: JobRecord, submitted: Any, plan: Plan | None) -> PreparedJob:
-        choice = choice_of(job)
-        prepared = PreparedJob(
+    def _prepared(self, job: JobRecord) -> PreparedJob:
+        submitted, choice = parse_stored(job.spec, job.kernel_version), choice_of(job)
+        return PreparedJob(
             job_id=job.id,
             submitted=submitted,
             spec=submitted if choice is None else resolved(submitted, choice),
-            plan=_plan(job, submitted) if plan is None else plan,
+            plan=study_of(submitted).plan(submitted, job.chunk_shape),
             store_url=self._settings.store_of(job.id),
             attributes={} if choice is None else {"model": choice.model, "choice": choice.reproducible()},
             outdated=job.outdated,
         )
-        _, replaced = self._jobs.pop(_key(job), (None, 0))
-        self._jobs[_key(job)] = (prepared, len(job.spec))
-        self._chars += len(job.spec) - replaced
-        while len(self._jobs) > 1 and (len(self._jobs) > MAX_JOBS or self._chars > MAX_SPEC_CHARS):
-            _, (_, chars) = self._jobs.popitem(last=False)
-            self._chars -= chars
-        return prepared
+
+    def cost(self, spec: Any, plan: Plan, measured: Sequence[JobRecord]) -> Cost:
+        """The cost of a study before it is computed.
+
+        Core-seconds come from the speed of those of the `measured` jobs that have the same contact model,
+        relative to the cost table, or from the table alone if there are none.
+        """
+        by_table: Cost = study_of(spec).estimate(spec, plan)
+        taken = expected = 0.0
+        for job in measured:
+            try:
+                other = self.prepare(job)
+            except SpecError:  # an older version accepted it
+                continue
+            # An adaptive map's done cells are not all computed: they do not show the speed.
+            if _kind(other.submitted) == _kind(spec) and getattr(other.submitted, "refine", None) is None:
+                taken += job.core_seconds
+                other_table = other.study.estimate(other.submitted, other.plan)
+                expected += job.cells_timed * other_table.core_seconds / other_table.cells
+        if min(taken, expected) < MIN_SECONDS:
+            return by_table
+        scaled = {
+            name: seconds * taken / expected
+            for name in ("core_seconds", "least_core_seconds", "longest_core_seconds")
+            if (seconds := getattr(by_table, name)) is not None
+        }
+        return by_table.model_copy(update={**scaled, "basis": "measured"})
+
+
+def _kind(spec: Any) -> tuple[Study, str | None]:
+    """The kinds with separate speeds: a kind of study, and its contact model if it has one."""
+    return study_of(spec), getattr(getattr(spec, "model", None), "kind", None)
 
 
 def choice_of(job: JobRecord) -> ModelChoice | None:
     """The model chosen for a job; None if it names its model, and until the choice is made."""
     return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
-
-
-def _key(job: JobRecord) -> _Key:
-    return job.id, job.seq, job.chunk_shape, job.choice
 
 
 def parse_stored(text: str, kernel_version: str) -> Any:
@@ -203,8 +202,3 @@ def parse_stored(text: str, kernel_version: str) -> Any:
     kept = {name: fields.pop(name) for name in BOUNDED_SINCE if name in fields}
     spec = parse(fields)
     return spec.model_copy(update=kept) if kept else spec
-
-
-def _plan(job: JobRecord, spec: Any) -> Plan:
-    plan: Plan = study_of(spec).plan(spec, job.chunk_shape)
-    return plan

@@ -1,7 +1,4 @@
-"""What to compute next: which chunk of a job, and which job. Pure.
-
-A `ReadyQueue` holds a few numbers per chunk, so that a job of a million chunks fits in memory.
-"""
+"""What to compute next: which chunk of a job, and which job. Pure."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
@@ -10,43 +7,25 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-#: The predecessor of a chunk without one.
-NONE: Final = -1
-
 #: The share of the workers' time for all jobs in turn; the rest goes to the job with the least left.
 ROTATION_SHARE: Final = 0.25
 
 
 class ReadyQueue:
-    """The chunks of one job that are not done, in an order in which they can be computed.
+    """The chunks of one job that are not done, in an order in which they can be computed; a few bytes each.
 
-    `predecessors`: (n,) integers, the chunk that each chunk depends on, or NONE.
-    `done`: (n,) which chunks are already done.
+    `lines`: chunk i depends on chunk i - lines, if there is one. `done`: (n,) which chunks are already done.
     """
 
-    def __init__(self, predecessors: NDArray[np.int64], done: NDArray[np.bool_]) -> None:
-        self._done = done.copy()
-        self._predecessors = predecessors
-        # Successors of chunk i: the entries of `_by_predecessor` where `_sorted_predecessors` is i.
-        self._by_predecessor = np.argsort(predecessors, kind="stable")
-        self._sorted_predecessors = predecessors[self._by_predecessor]
-        ready = (predecessors == NONE) | self._done[predecessors]
-        self._initial = np.flatnonzero(ready & ~self._done)  # ready from the start
+    def __init__(self, lines: int, done: NDArray[np.bool_]) -> None:
+        self._lines, self._done = lines, done.copy()
+        ready = np.concatenate([np.ones(min(lines, len(done)), np.bool_), done[:-lines]])
+        self._initial = np.flatnonzero(ready & ~done)  # ready from the start
         self._initial_popped = 0  # how many of them are popped
         self._first: deque[int] = deque()  # requeued chunks that come before all others
         self._later: deque[int] = deque()  # ready since then: successors and requeued chunks
         self._popped: set[int] = set()  # neither requeued nor complete
-        self._remaining = int(np.count_nonzero(~self._done))
-
-    @property
-    def finished(self) -> bool:
-        """Whether every chunk is done."""
-        return self._remaining == 0
-
-    @property
-    def remaining(self) -> int:
-        """Chunks that are not done."""
-        return self._remaining
+        self.remaining = int(np.count_nonzero(~self._done))  # chunks that are not done
 
     @property
     def ready(self) -> int:
@@ -80,8 +59,10 @@ class ReadyQueue:
             self._popped.discard(chunk)
             if not self._done[chunk]:
                 self._done[chunk] = True
-                self._remaining -= 1
-                self._later.extend(self._pending_successors(chunk))
+                self.remaining -= 1
+                successor = chunk + self._lines
+                if successor < len(self._done) and self._can_run(successor):
+                    self._later.append(successor)
 
     def invalidate(self, chunks: Iterable[int]) -> None:
         """Queue done chunks again; their successors wait for them again."""
@@ -89,23 +70,16 @@ class ReadyQueue:
         if not undone:
             return
         self._done[undone] = False
-        self._remaining += len(undone)
+        self.remaining += len(undone)
         initial = self._initial[self._initial_popped :]
-        self._initial = initial[~np.isin(self._predecessors[initial], undone)]
+        self._initial = initial[~np.isin(initial - self._lines, undone)]
         self._initial_popped = 0
         self._first = deque(filter(self._can_run, self._first))
         self._later = deque(filter(self._can_run, [*self._later, *undone]))
 
     def _can_run(self, chunk: int) -> bool:
-        predecessor = self._predecessors[chunk]
-        ready = predecessor == NONE or bool(self._done[predecessor])
+        ready = chunk < self._lines or bool(self._done[chunk - self._lines])
         return ready and not self._done[chunk] and chunk not in self._popped
-
-    def _pending_successors(self, chunk: int) -> Iterator[int]:
-        low, high = np.searchsorted(self._sorted_predecessors, [chunk, chunk + 1])
-        successors = self._by_predecessor[low:high]
-        pending = ~self._done[successors]
-        return (int(chunk) for chunk in successors[pending] if chunk not in self._popped)
 
 
 class Rotation:

@@ -1,15 +1,4 @@
-"""What to do with a chunk that came back without a report. The only module that classifies errors.
-
-A chunk can come back for five reasons, which count differently:
-
-- its time slice is over: it continues before other chunks of its job begin, and nothing is counted;
-- it was cancelled, the cluster or the bucket was lost, its worker was told to leave or was not admitted: the
-  chunk is requeued and nothing is counted;
-- its worker died while computing another chunk: a collateral loss, counted separately;
-- it failed, or its worker died of it: a failed try, of which each chunk has a limited number;
-- no chunk of the job can be stored, as on a full disk: the job stops at once. A disk may be read-only on one
-  machine alone; then the chunk's tries are used up before.
-"""
+"""What to do with a chunk that came back without a report. The only module that classifies errors."""
 
 import errno
 import math
@@ -105,10 +94,6 @@ class RetryPolicy:
         damaged = history.has_predecessor and isinstance(error, StoreDamaged | PredecessorMissing)
         return Decision(self._after_failed_try(error, history), recompute_predecessor=damaged)
 
-    def stops_job(self, given_up: int, fatal: bool) -> bool:
-        """Whether a job with this many chunks given up submits no more."""
-        return fatal or given_up >= self.failed_chunks
-
     def _after_failed_try(self, error: BaseException, history: History) -> Action:
         last = history.tries + 1 >= self.chunk_tries
         fatal = FATAL_AT_LAST if last else FATAL_ERRNOS
@@ -124,7 +109,7 @@ class ChunkCounts:
         self.computed = 0
         self.seconds = 0.0  # of workers, for these
         self._by_seconds = [0] * (len(BUCKET_SECONDS) + 1)
-        self._returned: Counter[tuple[str, str]] = Counter()
+        self.returned: Counter[tuple[str, str]] = Counter()  # without a report, by action and kind of error
 
     def add_computed(self, seconds: float) -> None:
         """Count a chunk that came back with a report."""
@@ -132,16 +117,7 @@ class ChunkCounts:
         self.seconds += seconds
         self._by_seconds[bisect_left(BUCKET_SECONDS, seconds)] += 1
 
-    def add_returned(self, action: Action, error: BaseException) -> None:
-        """Count a chunk that came back without a report."""
-        self._returned[action.value, type(error).__name__] += 1
-
     @property
     def by_seconds(self) -> list[tuple[float, int]]:
         """Number of computed chunks up to each of BUCKET_SECONDS, and of all."""
         return list(zip((*BUCKET_SECONDS, math.inf), accumulate(self._by_seconds), strict=True))
-
-    @property
-    def returned(self) -> dict[tuple[str, str], int]:
-        """Chunks that came back without a report, by action and kind of error."""
-        return dict(self._returned)

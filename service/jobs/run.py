@@ -9,12 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from service.jobs.model import Failure, JobRecord, JobState, summary_of
+from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import PreparedJob
-from service.jobs.ready_queue import NONE, ReadyQueue
+from service.jobs.ready_queue import ReadyQueue
 from service.jobs.retry import FAILED_TRIES, Action, History, RetryPolicy
 from worker.executors.errors import ExecutorError
-from worker.studies import Chunk, Plan
 from worker.tasks import ChunkReport
 
 #: Maximum characters of a traceback kept, from its end.
@@ -35,7 +34,7 @@ class JobRun:
         policy: RetryPolicy,
         paused: Iterable[int] = (),
     ) -> None:
-        self.job, self.prepared = job, prepared
+        self.job, self.prepared, self.seq = job, prepared, job.seq
         self.stopping = job.cancel_requested  # a cancel is being carried out
         self.flagged = False  # its store has the cancel flag
         self.refused = False  # the executor refused a chunk; nothing is submitted until the next sync
@@ -43,82 +42,59 @@ class JobRun:
         self.turns: set[int] = set()  # chunks in flight that were submitted as the job's turn
         self.unsaved_reports: list[ChunkReport] = []  # of chunks that are stored and not yet marked
         self._policy = policy
-        self._begun = set(paused)  # chunks that may have a checkpoint
-        self._ready_queue = ReadyQueue(predecessors(prepared.plan), done)
-        self._cell_seconds = prepared.cell_seconds
-        self.chunk_seconds = prepared.core_seconds / len(prepared.plan)  # on average, by the cost table
-        self._cells_in_flight = 0
+        self.begun = set(paused)  # chunks that may have a checkpoint
+        plan = prepared.plan
+        self.queue = ReadyQueue(plan.lines, done)
+        self.chunk_seconds = prepared.cost.core_seconds / len(plan)  # on average, by the cost table
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
         self.unsaved_damage: set[int] = set()  # chunks to unmark: their stored end states are damaged
-        self._failures: list[Failure] = []
-        self._saved_failures = 0  # how many of them are in the ledger
+        self.failures: list[Failure] = []
+        self.unsaved_failures: list[Failure] = []
         self._fatal = False
 
     # Submitting
 
     @property
     def may_submit(self) -> bool:
-        """Whether a chunk of this job may be submitted now.
-
-        Not while the ledger cannot be written, as results may be lost.
-        """
+        """Whether a chunk may be submitted now; not while results wait for the ledger, and may be lost."""
         return self._has_ready and not self.refused and not self.has_unsaved
 
     @property
     def stopped(self) -> bool:
         """Whether no further chunk is submitted: the job is being cancelled, or has failed."""
-        return self.stopping or self._policy.stops_job(len(self._failures), self._fatal)
+        return self.stopping or self._fatal or len(self.failures) >= self._policy.failed_chunks
 
     @property
     def _has_ready(self) -> bool:
         """Whether there is a chunk to submit now or later."""
-        return not self.stopped and self._ready_queue.ready > 0
+        return not self.stopped and self.queue.ready > 0
 
-    def pop(self) -> Chunk:
-        """The next chunk to compute."""
-        return self.prepared.plan[self._ready_queue.pop()]
-
-    def begins(self, chunk: int) -> bool:
-        """Whether no run has submitted the chunk before."""
-        return chunk not in self._begun
-
-    def add_in_flight(self, chunk: Chunk, future: "Future[ChunkReport]") -> None:
+    def add_in_flight(self, chunk: int, future: "Future[ChunkReport]") -> None:
         """Note that the executor has taken a chunk."""
-        self.in_flight[chunk.index] = future
-        self._begun.add(chunk.index)
-        self._cells_in_flight += chunk.cells
+        self.in_flight[chunk] = future
+        self.begun.add(chunk)
 
     def remove_in_flight(self, chunk: int) -> None:
         """Note that a chunk has come back from the executor, with or without a report."""
         del self.in_flight[chunk]
         self.turns.discard(chunk)
-        self._cells_in_flight -= self.prepared.plan[chunk].cells
-
-    def longest_seconds(self, chunk: Chunk) -> float:
-        """Core-seconds of a chunk if all cells settle for as long as allowed, by the cost table."""
-        return chunk.cells * self.prepared.longest_cell_seconds
 
     @property
     def remaining_seconds(self) -> float:
         """Core-seconds of the remaining chunks, by the cost table."""
-        return self._ready_queue.remaining * self.chunk_seconds
+        return self.queue.remaining * self.chunk_seconds
 
     @property
     def at_once(self) -> int:
         """Number of chunks that could be computed at once now."""
-        return len(self.in_flight) + (self._ready_queue.ready if self._has_ready else 0)
+        return len(self.in_flight) + (self.queue.ready if self._has_ready else 0)
 
     @property
     def is_idle(self) -> bool:
         """Whether the run has nothing in memory and can be rebuilt from the ledger without loss."""
         counted = any(self._tries.values()) or any(self._collateral_losses.values())
-        return not (self.in_flight or self.has_unsaved or self.stopping or self._failures or counted)
-
-    @property
-    def seconds_in_flight(self) -> float:
-        """Core-seconds of the chunks in flight, by the cost table."""
-        return self._cells_in_flight * self._cell_seconds
+        return not (self.in_flight or self.has_unsaved or self.stopping or self.failures or counted)
 
     # Chunks that came back without a report
 
@@ -146,15 +122,16 @@ class JobRun:
         self._tries[chunk] += action in FAILED_TRIES
         self._fatal = self._fatal or action is Action.FATAL
         if action in (Action.GIVE_UP, Action.FATAL):
-            cells = self.prepared.describe(self.prepared.plan[chunk])
-            self._failures.append(_failure(chunk, cells, error, self._tries[chunk]))
+            # A worker's death has no traceback, as it would be the executor's own.
+            lines = [] if isinstance(error, ExecutorError) else traceback.format_exception(error)
+            trace = "".join(lines)[-MAX_TRACEBACK:] or None
+            place = self.prepared.describe(self.prepared.plan[chunk])
+            failure = Failure(chunk, place, text_of(error), trace, self._tries[chunk])
+            self.failures.append(failure)
+            self.unsaved_failures.append(failure)
         else:
             # a refused chunk goes first too, so that it uses up its own tries and not those of every chunk
-            self._ready_queue.requeue(chunk, first=action is Action.CONTINUE or self.refused)
-
-    def invalidate(self, chunks: Iterable[int]) -> None:
-        """Compute done chunks again."""
-        self._ready_queue.invalidate(chunks)
+            self.queue.requeue(chunk, first=action is Action.CONTINUE or self.refused)
 
     # Saving to the ledger
 
@@ -163,18 +140,13 @@ class JobRun:
         """Whether there are reports, failures or damaged chunks missing from the ledger."""
         return bool(self.unsaved_reports or self.unsaved_failures or self.unsaved_damage)
 
-    @property
-    def unsaved_failures(self) -> list[Failure]:
-        """Failures missing from the ledger."""
-        return self._failures[self._saved_failures :]
-
     def mark_saved(self) -> None:
         """Note that all reports, failures and damaged chunks are in the ledger."""
-        self._ready_queue.complete(report.index for report in self.unsaved_reports)
-        self._begun.difference_update(report.index for report in self.unsaved_reports)
+        self.queue.complete(report.index for report in self.unsaved_reports)
+        self.begun.difference_update(report.index for report in self.unsaved_reports)
         self.unsaved_reports.clear()
         self.unsaved_damage.clear()
-        self._saved_failures = len(self._failures)
+        self.unsaved_failures.clear()
 
     # The end
 
@@ -183,14 +155,9 @@ class JobRun:
         """The state in which the job ends; None while chunks are in flight, unsaved or ready."""
         if self.in_flight or self.has_unsaved or self._has_ready:
             return None
-        if self._ready_queue.finished:
+        if not self.queue.remaining:
             return JobState.DONE
         return JobState.CANCELLED if self.stopping else JobState.FAILED
-
-    @property
-    def error(self) -> str | None:
-        """The first failure and the number of others."""
-        return summary_of(self._failures)
 
 
 def text_of(error: BaseException) -> str:
@@ -198,16 +165,3 @@ def text_of(error: BaseException) -> str:
     notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
     kind = "" if isinstance(error, ExecutorError) else f"{type(error).__name__}: "
     return f"{kind}{error}{notes}"
-
-
-def _failure(chunk: int, cells: str, error: BaseException, tries: int) -> Failure:
-    """The record of an error. A worker's death has no traceback, as it would be the executor's own."""
-    if isinstance(error, ExecutorError):
-        return Failure(chunk, cells, text_of(error), None, tries)
-    trace = "".join(traceback.format_exception(error))[-MAX_TRACEBACK:]
-    return Failure(chunk, cells, text_of(error), trace, tries)
-
-
-def predecessors(plan: Plan) -> NDArray[np.int64]:
-    """(n,) the predecessor of each chunk, or NONE: `Chunk.after` without creating the chunks."""
-    return np.maximum(np.arange(len(plan)) - plan.lines, NONE)

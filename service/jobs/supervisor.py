@@ -1,9 +1,6 @@
-"""The thread that advances jobs: starts them, keeps workers supplied with chunks, marks stored chunks.
+"""The thread that advances jobs. Everything that it holds in memory can be rebuilt from the ledger."""
 
-It sleeps until it is woken (by a submission, a cancel, a returned chunk) or a heartbeat has passed.
-Everything that it holds in memory can be rebuilt from the ledger.
-"""
-
+import heapq
 import logging
 import math
 import threading
@@ -12,14 +9,12 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager, suppress
-from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, cast
 
 from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
-from service.jobs.model import UNFINISHED, JobRecord, JobState
-from service.jobs.model_selection import ModelSelector
+from service.jobs.model import UNFINISHED, JobRecord, JobState, summary_of
 from service.jobs.prepare import JobPreparer
 from service.jobs.ready_queue import Rotation
 from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
@@ -27,8 +22,9 @@ from service.jobs.run import JobRun, text_of
 from service.jobs.transactions import Unfinished
 from service.settings import Settings
 from worker import store
+from worker.analysis.model_selection import ModelChoice, choose, is_open, resolved
 from worker.executors.base import ClusterState, Executor
-from worker.executors.errors import ReportMismatch
+from worker.executors.errors import ExecutorError, ReportMismatch, WorkerDied
 from worker.store import StoreConflict
 from worker.studies import Chunk
 from worker.tasks import SLICE_SECONDS, ChunkOptions, ChunkPaused, ChunkReport
@@ -48,39 +44,18 @@ TURN_PRIORITY: Final = 0.0
 PASSED_SECONDS: Final = 10.0
 #: Runs of a job abandoned after unforeseen errors before the job fails.
 MAX_BROKEN_RUNS: Final = 3
+#: Workers that may die while choosing one model before the job fails.
+MAX_CHOICE_DEATHS: Final = 3
 #: Without workers the ledger is synced after this share of a heartbeat, so that new workers get chunks soon.
 IDLE_SHARE: Final = 0.25
 
 
-class ChunkFinished(NamedTuple):
-    """A chunk's future has ended, with a report, an error or a cancellation."""
-
-    job_id: str
-    chunk: int
-    future: "Future[ChunkReport]"
-
-
-class ChunksInvalidated(NamedTuple):
-    """Chunks were unmarked in the ledger: their stored bytes are damaged."""
+class Message(NamedTuple):
+    """Chunks have come back from the executor, or were unmarked in the ledger because of damage."""
 
     job_id: str
     chunks: Sequence[int]
-
-
-class Sync(NamedTuple):
-    """The ledger has changed."""
-
-
-Message = ChunkFinished | ChunksInvalidated | Sync
-
-
-class Waiting(NamedTuple):
-    """An unfinished job that is not in memory; ordered by its remaining work."""
-
-    remaining_seconds: float  # core-seconds, by the cost table
-    seq: int
-    id: str
-    chunk_seconds: float  # of a chunk, on average
+    future: "Future[ChunkReport] | None" = None  # of the chunk that came back
 
 
 class Supervisor:
@@ -111,16 +86,16 @@ class Supervisor:
         self.tally = ChunkCounts()
         self.cluster = ClusterState(connected=True, workers=1)  # as the last sync found it
         self.remaining_seconds = 0.0  # core-seconds of unfinished jobs, by the cost table
-        self._selector = ModelSelector(ledger, executor, preparer, self.wake)
-        self._inbox: SimpleQueue[Message] = SimpleQueue()
-        self._messages: deque[Message] = deque()  # received but not processed
+        self._choosing: dict[str, Future[ModelChoice]] = {}  # a worker chooses the model, by job id
+        self._deaths: Counter[str] = Counter()  # of workers that chose a model, by job id
+        self._inbox: SimpleQueue[Message | None] = SimpleQueue()  # None: the ledger has changed
+        self._messages: deque[Message | None] = deque()  # received but not processed
         self._runs: dict[str, JobRun] = {}
         self._broken: Counter[str] = Counter()  # runs abandoned after an unforeseen error, by job
-        self._waiting: dict[str, Waiting] = {}  # by job id, in order, as the last sync found them
+        self._waiting: dict[str, Unfinished] = {}  # by job id, in order, as the last sync found them
         self._core_seconds: dict[str, float] = {}  # of each unfinished job as a whole, by the cost table
         self._rotation = Rotation(SLICE_SECONDS)
-        self._invalidating: Counter[str] = Counter()  # callers of `invalidating`, by job
-        self._invalidating_lock = threading.Lock()
+        self._invalidating: list[str] = []  # the job of each caller of `invalidating`
         self._slots = 0  # limit on chunks in flight
         self._next_sync = time.monotonic()
         self._stop = threading.Event()
@@ -137,7 +112,7 @@ class Supervisor:
 
     def wake(self) -> None:
         """Sync with the ledger now. Call it after changing the ledger."""
-        self._inbox.put(Sync())
+        self._inbox.put(None)
 
     @contextmanager
     def invalidating(self, job_id: str) -> Iterator[list[int]]:
@@ -148,16 +123,13 @@ class Supervisor:
         with the old ones.
         """
         chunks: list[int] = []
-        with self._invalidating_lock:
-            self._invalidating[job_id] += 1
+        self._invalidating.append(job_id)
         try:
             yield chunks
         finally:
-            with self._invalidating_lock:
-                self._invalidating[job_id] -= 1
-                self._invalidating += Counter()  # without those at zero
+            self._invalidating.remove(job_id)
             if chunks:
-                self._inbox.put(ChunksInvalidated(job_id, chunks))
+                self._inbox.put(Message(job_id, chunks))
             self.wake()
 
     def stop(self, seconds: float) -> None:
@@ -170,43 +142,35 @@ class Supervisor:
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                self._messages.extend(self._receive())
+                self._receive()
                 self._ledger.check()  # nothing is stored either while the ledger is replaced
                 self._step()
-            except LedgerUnavailable as error:  # the next step writes the rest
+            except Exception as error:  # the next step writes the rest
                 pause = self._settings.heartbeat_seconds
-                log.error("supervisor step failed; retrying in %g s: %s", pause, error)
+                is_defect = not isinstance(error, LedgerUnavailable)
+                log.error("supervisor step failed; retrying in %g s: %s", pause, error, exc_info=is_defect)
                 self._stop.wait(pause)
-                self.wake()
-            except Exception:
-                log.exception("supervisor step failed")
-                self._stop.wait(self._settings.heartbeat_seconds)
                 self.wake()
         for run in self._runs.values():
             self._abandon(run)
 
-    def _receive(self) -> list[Message]:
-        """All received messages; waits for the first, or until the next sync is due."""
-        try:
-            messages = [self._inbox.get(timeout=max(self._next_sync - time.monotonic(), 0))]
-        except Empty:
-            return [Sync()]
-        while not self._inbox.empty():
-            messages.append(self._inbox.get())
-        return messages if time.monotonic() < self._next_sync else [*messages, Sync()]
+    def _receive(self) -> None:
+        """Wait for a message, or until the next sync is due."""
+        with suppress(Empty):
+            self._messages.append(self._inbox.get(timeout=max(self._next_sync - time.monotonic(), 0)))
+            while True:
+                self._messages.append(self._inbox.get_nowait())
+        if time.monotonic() >= self._next_sync:
+            self._messages.append(None)
 
     def _step(self) -> None:
-        """Apply messages to the state in memory, then save it to the ledger, now or in a later step.
-
-        Raises LedgerUnavailable. Any other error concerns only its own job.
-        """
+        """Apply messages to the state in memory, then save it to the ledger. Raises LedgerUnavailable."""
         sync = False
         while self._messages:
             message = self._messages.popleft()
-            if isinstance(message, Sync):
+            if message is None:
                 sync = True
-            elif message.job_id in self._runs:
-                run = self._runs[message.job_id]
+            elif (run := self._runs.get(message.job_id)) is not None:
                 with self._contained(run):
                     self._take(run, message)
         for run in list(self._runs.values()):
@@ -221,10 +185,7 @@ class Supervisor:
 
     @contextmanager
     def _contained(self, run: JobRun) -> Iterator[None]:
-        """Let an error end only one job's run. The next sync rebuilds the run from the ledger.
-
-        Raises LedgerUnavailable, which is no job's fault.
-        """
+        """Let an error, except of the ledger, end only one job's run; the next sync rebuilds it."""
         try:
             yield
         except LedgerUnavailable:
@@ -240,20 +201,27 @@ class Supervisor:
 
     # Chunks that came back
 
-    def _take(self, run: JobRun, message: ChunkFinished | ChunksInvalidated) -> None:
-        if isinstance(message, ChunksInvalidated):
-            run.invalidate(message.chunks)
-        elif run.in_flight.get(message.chunk) is message.future:  # not from an abandoned run
-            self._on_finished(run, message)
-
-    def _on_finished(self, run: JobRun, finished: ChunkFinished) -> None:
+    def _take(self, run: JobRun, message: Message) -> None:
         """Keep a chunk's report, or handle its error."""
-        chunk = finished.chunk
-        error = _error_of(finished.future) or _mismatch(run.prepared.plan[chunk], finished.future.result())
-        self._account(run, finished, error)
+        future, [chunk, *_] = message.future, message.chunks
+        if future is None:
+            run.queue.invalidate(message.chunks)
+            return
+        if run.in_flight.get(chunk) is not future:  # from an abandoned run
+            return
+        error = CancelledError() if future.cancelled() else future.exception()
+        report = None if error else future.result()
+        if report is not None and (mismatch := _mismatch(run.prepared.plan[chunk], report)):
+            error, report = mismatch, None
+        # The rotation counts at most a slice.
+        seconds = report.seconds if report else run.chunk_seconds
+        seconds = min(math.inf if isinstance(error, ChunkPaused) else seconds, self._rotation.slice_seconds)
+        if chunk in run.turns:
+            self._rotation.end_turn(run.chunk_seconds, seconds)
+        else:
+            self._rotation.earn(seconds)
         run.remove_in_flight(chunk)
-        if error is None:
-            report = finished.future.result()
+        if report is not None:
             run.unsaved_reports.append(report)
             self.tally.add_computed(report.seconds)
             return
@@ -261,35 +229,20 @@ class Supervisor:
             prepared = run.prepared
             with suppress(OSError, *store.UNREACHABLE):  # the next try reports the error
                 store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes)
-        self._on_error(run, chunk, error)
+        self._on_error(run, chunk, cast(BaseException, error))
 
     def _on_error(self, run: JobRun, chunk: int, error: BaseException) -> None:
         """Carry out the retry policy's decision on a chunk without a report."""
         action, recompute_predecessor = self._policy.decide(error, run.history(chunk))
-        self.tally.add_returned(action, error)
+        self.tally.returned[action.value, type(error).__name__] += 1
         if action in FAILED_TRIES:
             log.warning("job %s, chunk %d: %s", run.job.id, chunk, text_of(error))
         if action is Action.PAUSE:
             self._slots = 0
         run.apply(chunk, action, error, recompute_predecessor)
 
-    def _account(self, run: JobRun, finished: ChunkFinished, error: BaseException | None) -> None:
-        """Report a chunk's time since submission to the rotation: at most a slice."""
-        if error is None:
-            seconds = min(finished.future.result().seconds, self._rotation.slice_seconds)
-        else:
-            longest = self._rotation.slice_seconds
-            seconds = longest if isinstance(error, ChunkPaused) else min(run.chunk_seconds, longest)
-        if finished.chunk in run.turns:
-            self._rotation.end_turn(run.chunk_seconds, seconds)
-        else:
-            self._rotation.earn(seconds)
-
     def _save(self, run: JobRun) -> None:
-        """Write the changes of a job's chunks to the ledger, in one transaction.
-
-        The run keeps them until the transaction has succeeded, so that a later step can write them.
-        """
+        """Write the changes of a job's chunks to the ledger; until that succeeds the run keeps them."""
         if run.has_unsaved:
             if run.unsaved_reports:
                 store.sync_folders(run.prepared.store_url, run.prepared.layout)
@@ -298,7 +251,7 @@ class Supervisor:
                 ledger.note_failures(run.job, run.unsaved_failures)
                 unmarked = ledger.unmark(run.job, run.unsaved_damage) if run.unsaved_damage else []
             run.mark_saved()
-            run.invalidate(unmarked)
+            run.queue.invalidate(unmarked)
 
     def _abandon(self, run: JobRun) -> None:
         """Cancel waiting chunks and make workers stop the others; the next start computes them."""
@@ -326,9 +279,6 @@ class Supervisor:
             submitting.refused = False
         with self._ledger.reading() as ledger:
             unfinished = ledger.unfinished(self._settings.max_queue)
-        for job in unfinished:
-            if job.cancel_requested and job.id in self._runs:
-                self._runs[job.id].stopping = True
         try:
             for job in unfinished:
                 run = self._runs.get(job.id)
@@ -340,61 +290,45 @@ class Supervisor:
             # The other stores are in the same bucket and would wait too. The next sync tries again.
             log.warning("the bucket of the stores does not answer: %s", error)
         self._update_waiting(unfinished)
-        self._withdraw_stopped(cluster)
-        self._ask_for_workers()
-
-    def _withdraw_stopped(self, cluster: ClusterState) -> None:
-        """Without workers, take back the chunks of stopped jobs: none will begin."""
-        if cluster.connected and not cluster.workers:
-            for run in self._runs.values():
-                for future in list(run.in_flight.values()) if run.stopped else ():
-                    future.cancel()
-
-    def _ask_for_workers(self) -> None:
-        """Report the remaining work, rounded to two digits so that it rarely changes."""
-        runs = [run for run in self._runs.values() if run.at_once]
-        waiting = self._waiting.values()
-        self.remaining_seconds = sum(run.remaining_seconds for run in self._runs.values())
-        self.remaining_seconds += sum(job.remaining_seconds for job in waiting)
+        if cluster.connected and not cluster.workers:  # none of these will begin
+            for future in [x for run in self._runs.values() if run.stopped for x in run.in_flight.values()]:
+                future.cancel()
+        runs, waiting = self._runs.values(), self._waiting.values()
         seconds = sum(run.remaining_seconds for run in runs) + sum(job.remaining_seconds for job in waiting)
-        at_once = sum(run.at_once for run in runs) + len(waiting)
-        self._executor.ask_for(_two_digits(seconds), int(_two_digits(at_once)))
+        self.remaining_seconds, at_once = seconds, sum(run.at_once for run in runs) + len(waiting)
+        # Rounded to two digits, so that it rarely changes.
+        self._executor.ask_for(float(f"{seconds:.1e}"), int(float(f"{at_once:.1e}")))
 
     def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
         """Sort the jobs that may start, and update the rotation."""
         estimates = self._core_seconds
         self._core_seconds = {job.id: estimates.get(job.id) or self._estimate(job.id) for job in unfinished}
-        waiting = []
-        for job in unfinished:
-            if job.id not in self._runs:
-                chunk_seconds = self._core_seconds[job.id] / job.chunks_total
-                remaining_seconds = (job.chunks_total - job.chunks_done) * chunk_seconds
-                waiting.append(Waiting(remaining_seconds, job.seq, job.id, chunk_seconds))
-        self._waiting = {job.id: job for job in sorted(waiting)}
+        waiting = [
+            job._replace(chunk_seconds=self._core_seconds[job.id] / job.chunks_total)
+            for job in unfinished
+            if job.id not in self._runs
+        ]
+        self._waiting = {job.id: job for job in sorted(waiting, key=_order)}
         self._rotation.update({job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)})
 
     def _estimate(self, job_id: str) -> float:
         """Core-seconds of a whole job; 0 if it cannot be prepared, which its start will report."""
         job = self._ledger.find(job_id)
         try:
-            return 0.0 if job is None else self._preparer.prepare(job).core_seconds
+            return 0.0 if job is None else self._preparer.prepare(job).cost.core_seconds
         except Exception:  # noqa: BLE001 - it concerns this job alone
             return 0.0
 
     def _start_job(self, job_id: str) -> None:
-        """Create a job's store and add the job to the running ones; a job that cannot start fails.
-
-        A job whose chunks are being invalidated starts later. Raises one of `store.UNREACHABLE`.
-        """
+        """Run a job, or fail it if it cannot start. Raises one of `store.UNREACHABLE`."""
         with self._ledger.reading() as ledger:
             job = ledger.find(job_id)
             if job is None or ledger.is_occupied(job_id):
                 return  # deleted meanwhile, or an earlier deletion is not complete
         try:
-            selected = self._selector.select(job)
-            if selected is None:
-                return  # the selector wakes this thread when the model is chosen
-            run = self._open(selected)
+            if (chosen := self._chosen(job)) is None:
+                return  # this thread is woken when the model is chosen
+            run = self._open(chosen)
         except store.UNREACHABLE as error:
             log.warning("job %s cannot start yet, its bucket does not answer: %s", job_id, error)
             raise
@@ -406,17 +340,45 @@ class Supervisor:
             reason = f"the job cannot start: {type(error).__name__}: {error}{hint}"
             self._finish(job, JobState.FAILED, reason)
             return
-        if job_id in self._invalidating:  # checked after the run has read the marked chunks
+        if job_id in self._invalidating:  # it starts later; checked after the run has read the marked chunks
             return
-        if self._mark_running(job):
+        with self._ledger.writing() as ledger:  # it may have been cancelled or deleted meanwhile
+            current = ledger.find(job_id)
+            may_run = current is not None and current.seq == job.seq and current.state in UNFINISHED
+            if may_run:
+                ledger.run(cast(JobRecord, current), time.time())
+        if may_run:
             self._runs[job_id] = run
             log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
+        else:
+            self._after_writing(job)
+
+    def _chosen(self, job: JobRecord) -> JobRecord | None:
+        """The job with its model, which a worker chooses before the first chunk; None until it has."""
+        submitted = self._preparer.prepare(job).submitted
+        if job.choice is not None or not is_open(submitted):
+            return job
+        try:
+            if job.id not in self._choosing:
+                self._choosing[job.id] = self._executor.call(choose, submitted)
+                self._choosing[job.id].add_done_callback(lambda _: self.wake())
+            if not self._choosing[job.id].done():
+                return None
+            choice = self._choosing.pop(job.id).result()
+        except (ExecutorError, CancelledError) as error:  # the next sync tries again
+            log.warning("job %s: choosing its model failed: %s", job.id, error)
+            self._deaths[job.id] += isinstance(error, WorkerDied)
+            if self._deaths[job.id] < MAX_CHOICE_DEATHS:
+                return None
+            del self._deaths[job.id]
+            raise
+        plan = self._preparer.plan(resolved(submitted, choice))  # chunks for the cost of the chosen model
+        with self._ledger.writing() as ledger:
+            ledger.choose(job, choice.model_dump_json(), plan.chunk_shape, len(plan))
+            return ledger.find(job.id)
 
     def _open(self, job: JobRecord) -> JobRun:
-        """The run of a job with a chosen model: its store created, nothing in flight.
-
-        Raises SpecError, StoreError, OSError, or one of `store.UNREACHABLE`.
-        """
+        """The run of a job with a chosen model, and its store. Raises SpecError, StoreError, OSError."""
         prepared = self._preparer.prepare(job)
         store.create(prepared.store_url, prepared.layout, prepared.attributes)
         store.clear_cancelled(prepared.store_url)
@@ -424,23 +386,9 @@ class Supervisor:
         paused = store.checkpoints_in(prepared.store_url)
         return JobRun(job, prepared, self._ledger.done_mask(job), self._policy, paused)
 
-    def _mark_running(self, job: JobRecord) -> bool:
-        """Whether the job may run: it may have been cancelled or deleted since its store was created."""
-        with self._ledger.writing() as ledger:
-            current = ledger.find(job.id)
-            if current is not None and current.seq == job.seq and current.state in UNFINISHED:
-                ledger.run(current, time.time())
-                return True
-        self._after_writing(job)
-        return False
-
     def _apply_cancel(self, run: JobRun, requested: bool) -> None:
-        """Apply or revoke a cancel request, by the flag at the store that workers check.
-
-        The job ends when every chunk in flight has come back, so that nothing can write. If the flag cannot
-        be set, they are computed to their end; if it cannot be removed, the job waits.
-        Raises one of `store.UNREACHABLE`.
-        """
+        """Apply or revoke a cancel request by the store's flag. Raises one of `store.UNREACHABLE`."""
+        run.stopping = run.stopping or requested
         if run.flagged == run.stopping == requested:
             return
         try:
@@ -457,7 +405,7 @@ class Supervisor:
             return
         with suppress(OSError):  # else leftovers of killed workers are removed at the next start
             store.sweep_leftovers(run.prepared.store_url)
-        if self._finish(run.job, state, run.error if state is JobState.FAILED else None):
+        if self._finish(run.job, state, summary_of(run.failures) if state is JobState.FAILED else None):
             del self._runs[run.job.id]
             self._broken.pop(run.job.id, None)
             log.info("job %s is %s", run.job.id, state)
@@ -509,36 +457,30 @@ class Supervisor:
 
     def _next_smallest(self) -> JobRun | None:
         """The job with the least left to compute among those that may submit a chunk."""
-        runs = self._runs.values()
-        all_count, all_seconds = (
-            sum(len(run.in_flight) for run in runs),
-            sum(run.seconds_in_flight for run in runs),
-        )
-        if self._is_full(all_count / MAX_TIMES_IN_FLIGHT, all_seconds / MAX_TIMES_IN_FLIGHT):
+        runs = sorted(self._runs.values(), key=_order)
+        count = sum(len(run.in_flight) for run in runs)
+        seconds = sum(len(run.in_flight) * run.chunk_seconds for run in runs)
+        if self._is_full(count / MAX_TIMES_IN_FLIGHT, seconds / MAX_TIMES_IN_FLIGHT):
             return None
-        count, seconds = 0, 0.0  # in flight for jobs with less left
-        for run in [*sorted(self._runs.values(), key=_order), None]:
-            while self._waiting and not (
-                run is not None and _order(run) < next(iter(self._waiting.values()))
-            ):
-                job = next(iter(self._waiting.values()))
-                if not self._make_room(job.remaining_seconds):
-                    break
-                started = self._start_waiting(job)
-                if started is not None:
+        count, seconds, has_room = 0, 0.0, True  # in flight for jobs with less left
+        jobs: list[list[JobRun | Unfinished]] = [[*runs], [*self._waiting.values()]]
+        for job in heapq.merge(*jobs, key=_order):
+            if isinstance(job, JobRun):
+                count += len(job.in_flight)
+                seconds += len(job.in_flight) * job.chunk_seconds
+                if self._is_full(count, seconds):
+                    return None
+                if job.may_submit:
+                    return job
+            elif has_room and job.id in self._waiting:
+                has_room = self._make_room(job.remaining_seconds)
+                if has_room and (started := self._start_waiting(job)) is not None:
                     return started
-            if run is None:
-                break
-            count, seconds = count + len(run.in_flight), seconds + run.seconds_in_flight
-            if self._is_full(count, seconds):
-                break
-            if run.may_submit:
-                return run
         return None
 
     def _make_room(self, remaining_seconds: float) -> bool:
         """Make room in memory for a job with this much left; an idle job with more left leaves."""
-        if len(self._runs) + self._selector.pending < self._settings.active_jobs:
+        if len(self._runs) + len(self._choosing) < self._settings.active_jobs:
             return True
         idle = [run for run in self._runs.values() if run.is_idle and run.may_submit]
         leaving = max(idle, key=_order, default=None)
@@ -548,7 +490,7 @@ class Supervisor:
         self.wake()  # the next sync finds it waiting
         return True
 
-    def _start_waiting(self, job: Waiting) -> JobRun | None:
+    def _start_waiting(self, job: Unfinished) -> JobRun | None:
         """Start a waiting job; None if it cannot submit a chunk before the next sync."""
         del self._waiting[job.id]
         try:
@@ -560,67 +502,42 @@ class Supervisor:
         return run if run is not None and run.may_submit else None
 
     def _is_full(self, count: float, seconds: float) -> bool:
-        """Whether `count` chunks of `seconds` core-seconds in all are enough in flight.
-
-        More short chunks are sent, up to `window_seconds` of work, so that workers do not wait for them.
-        """
+        """Whether `count` chunks of `seconds` core-seconds in all are enough: of short ones more are sent."""
         enough = self._settings.window_seconds * self._slots / self._settings.window
         return count >= self._slots and (seconds >= enough or count >= MAX_IN_FLIGHT)
 
     def _send(self, run: JobRun, is_turn: bool) -> None:
-        """Submit a job's next chunk to the executor.
-
-        Without a cluster nothing is submitted until the next sync. Any other error is a failed try of the
-        chunk, and its job, but no other, submits nothing until the next sync.
-        """
+        """Submit a job's next chunk. After an error the job submits nothing until the next sync."""
         waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
         priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
-        chunk = run.pop()
-        seconds = self._time_limit(run, chunk)
+        chunk = run.prepared.plan[run.queue.pop()]
+        cost = run.prepared.cost
+        longest = (cost.longest_core_seconds or cost.core_seconds) / cost.cells * chunk.cells
         try:
             future = self._executor.submit(
                 run.prepared.spec,
                 chunk,
                 run.prepared.store_url,
-                seconds=seconds,
+                seconds=max(self._settings.chunk_seconds, self._settings.chunk_slack * longest),
                 priority=priority,
-                options=ChunkOptions(self._rotation.slice_seconds, begins=run.begins(chunk.index)),
+                options=ChunkOptions(self._rotation.slice_seconds, begins=chunk.index not in run.begun),
             )
         except Exception as error:  # noqa: BLE001 - the retry policy decides
             log.warning("the executor refused a chunk, retrying at the next sync: %s", error)
             run.refused = True
             self._on_error(run, chunk.index, error)
             return
-        run.add_in_flight(chunk, future)
+        run.add_in_flight(chunk.index, future)
         if is_turn:
             run.turns.add(chunk.index)
             self._rotation.begin_turn(run.job.id, run.chunk_seconds)
-        future.add_done_callback(partial(self._post_finished, run.job.id, chunk.index))
-
-    def _time_limit(self, run: JobRun, chunk: Chunk) -> float:
-        """Seconds that a chunk may take from its start before its worker is replaced."""
-        return max(self._settings.chunk_seconds, self._settings.chunk_slack * run.longest_seconds(chunk))
-
-    def _post_finished(self, job_id: str, chunk: int, future: "Future[ChunkReport]") -> None:
-        self._inbox.put(ChunkFinished(job_id, chunk, future))
+        message = Message(run.job.id, [chunk.index], future)
+        future.add_done_callback(lambda _: self._inbox.put(message))
 
 
-def _order(run: JobRun) -> tuple[float, int]:
-    """The order of jobs in memory, like that of waiting jobs: by their remaining work."""
-    return run.remaining_seconds, run.job.seq
-
-
-def _two_digits(value: float) -> float:
-    """The value rounded up to two significant digits."""
-    if value <= 0.0:
-        return 0.0
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return math.ceil(value / unit) * unit
-
-
-def _error_of(future: "Future[ChunkReport]") -> BaseException | None:
-    """Why an ended future has no report; None if it has one."""
-    return CancelledError() if future.cancelled() else future.exception()
+def _order(job: "JobRun | Unfinished") -> tuple[float, int]:
+    """The order of jobs: by their remaining work."""
+    return job.remaining_seconds, job.seq
 
 
 def _mismatch(chunk: Chunk, report: ChunkReport) -> ReportMismatch | None:

@@ -107,10 +107,11 @@ class Limited(H11Protocol):
     def connection_made(self, transport: Any) -> None:
         """Called by the event loop."""
         super().connection_made(transport)
-        milliseconds = int(1000 * min(self.stall, 2e6))
-        transport.get_extra_info("socket").setsockopt(
-            socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds
-        )
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
+            milliseconds = int(1000 * min(self.stall, 2e6))
+            transport.get_extra_info("socket").setsockopt(
+                socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds
+            )
         if len(self.connections) > self.limit:
             transport.write(_FULL_RESPONSE)
             transport.close()

@@ -59,8 +59,9 @@ class Executor(Protocol):
     nor keeps its result once the future has ended; the caller submits again. A task whose future failed
     may still have run, and may still be running, so tasks must be idempotent.
 
-    **Cancellation.** Cancelling a future withdraws a task that has not begun. A chunk that has begun ends
-    early if the cancel flag of its store is set (`worker.store.set_cancelled`).
+    **Cancellation.** Cancelling a future withdraws a task that has not begun, and stops a call that has
+    between two steps (`kernel.stopping`). A chunk that has begun ends early if the cancel flag of
+    its store is set (`worker.store.set_cancelled`).
 
     **Thread safety.** All methods may be called from any thread. Callbacks of futures run in a thread of
     the executor and must return quickly.

@@ -31,7 +31,7 @@ from worker.executors.plugins import WorkerAdmission, facts, refusal, rest, run_
 from worker.executors.roster import MARKS, REST_SECONDS, Roster
 from worker.studies import Chunk, Spec
 from worker.tasks import USUAL, ChunkOptions, ChunkReport, TaskError
-from worker.watchdog import run_watched
+from worker.watchdog import call_while_wanted, run_watched
 
 log = logging.getLogger(__name__)
 
@@ -145,7 +145,7 @@ class Dask:
         return self._submit(call, priority, identity, self._others(identity))
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
-        return self._submit(_Call(function, *arguments), CALL_PRIORITY)
+        return self._submit(_Call(call_while_wanted, function, *arguments), CALL_PRIORITY)
 
     def workers(self) -> int:
         return self.state().workers

@@ -3,10 +3,12 @@
 import math
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, InvalidStateError, ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any
 
 from kernel.numerics.compilation import compilations
+from kernel.stopping import check, stopped_if
 from worker.executors.base import ClusterState, Compiling, Result
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import USUAL, ChunkOptions, ChunkReport, with_options
@@ -37,7 +39,10 @@ class Inline:
         return self._threads.submit(_run, spec, chunk, store_url, options)
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
-        return self._threads.submit(function, *arguments)
+        result: Future[Result] = Future()
+        task = self._threads.submit(_call, result, function, arguments)
+        task.add_done_callback(lambda task: task.cancelled() and result.cancel())
+        return result
 
     def workers(self) -> int:
         return self._workers if self._open else 0
@@ -55,6 +60,16 @@ class Inline:
     def close(self) -> None:
         self._open = False
         self._threads.shutdown(cancel_futures=True)
+
+
+def _call(result: "Future[Result]", function: Callable[..., Result], arguments: tuple[Any, ...]) -> None:
+    """End the future with the function's result or error, unless it is cancelled meanwhile."""
+    with suppress(InvalidStateError), stopped_if(result.cancelled):
+        try:
+            check()
+            result.set_result(function(*arguments))
+        except BaseException as error:  # noqa: BLE001 - the caller gets the error
+            result.set_exception(error)
 
 
 def _run(spec: Spec, chunk: Chunk, store_url: str, options: ChunkOptions) -> ChunkReport:

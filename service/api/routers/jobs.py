@@ -10,7 +10,6 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from service.api import parameters, schemas
 from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep, tag
 from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
-from service.jobs import cost as estimates
 from service.jobs.manager import Submission
 from service.jobs.model import UNFINISHED, Failure, JobRecord
 from worker.cost import Cost
@@ -72,8 +71,8 @@ def _submitted(submission: Submission) -> Response:
 def _cost(service: ServiceDep, spec: Any) -> Response:
     plan = service.manager.check(spec)
     with service.ledger.reading() as ledger:
-        paces = ledger.paces(estimates.RECENT_JOBS, estimates.MAX_SPEC_CHARS)
-    cost = estimates.cost(spec, plan, paces, service.manager.preparer)
+        measured = ledger.measured()
+    cost = service.manager.preparer.cost(spec, plan, measured)
     cost = cost.model_copy(update={"workers": service.manager.workers()})
     return Response(cost.model_dump_json(), media_type="application/json")
 
@@ -102,7 +101,7 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
     job = find_job(job_id, service)  # called, not a dependency: FastAPI would use a second thread for it
     with service.ledger.reading() as ledger:
         failures = ledger.failures(job)
-    notice = service.manager.cluster_fault if job.state in UNFINISHED else None
+    notice = service.manager.supervisor.cluster.explanation if job.state in UNFINISHED else None
     compiling = service.manager.compiling(job)
     headers = {"Retry-After": str(seconds)} if (seconds := _retry_after(job)) else {}
     compiled = None if compiling is None else round(compiling.seconds)
@@ -223,5 +222,5 @@ def _job_response(
 
 def _retry_after(job: JobRecord) -> int:
     """Seconds until the next poll: a twentieth of the estimated time left, at most 10; 0 if finished."""
-    left = job.progress(time.time()).eta_seconds if job.state in UNFINISHED else None
+    left = job.eta_seconds(time.time()) if job.state in UNFINISHED else None
     return int(min((left or 0.0) / 20.0, 10.0))

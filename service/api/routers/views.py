@@ -4,8 +4,6 @@ And one cell in motion, whose specification is a body: POST /v1/trajectories.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
-from functools import partial
 from inspect import cleandoc
 from itertools import groupby
 from operator import itemgetter
@@ -23,7 +21,6 @@ from service.api.schemas import NOT_MODIFIED, PENDING_RESPONSE, content, json_bo
 from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES, DatasetFormat
 from service.jobs.model import JobRecord
-from service.jobs.on_demand import Caller
 from service.results.selection import BASE_MEMORY, Stored
 from service.views.registry import SPRINGS, VIEWS, admit, answer, motion
 from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
@@ -107,14 +104,10 @@ def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]
         reads = study is not None and any(study.url in call for call in step)
         key = (step, study.chunks_done if study is not None and reads else 0)
         try:
-            results += service.on_demand.get(key, partial(_submitted, step))
+            results += service.on_demand.get(key, step)
         except KernelInputError as error:
             raise InvalidRequest.of(error.argument, error.rule) from error
     return results
-
-
-def _submitted(calls: Sequence[Call], workers: Caller) -> list["Future[Any]"]:
-    return [workers.call(*call) for call in calls]
 
 
 async def _no_job() -> None:

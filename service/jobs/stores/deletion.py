@@ -19,10 +19,9 @@ from worker import store
 
 log = logging.getLogger(__name__)
 
-#: Chunks of a deleted job forgotten in one transaction, and ledger pages returned at once; other writers wait
-#: a few milliseconds at most, and write in between.
+#: Chunks of a deleted job forgotten in one transaction; other writers wait a few milliseconds at most, and
+#: write in between.
 CHUNKS_FORGOTTEN: Final = 2_000
-PAGES_FREED: Final = 200
 #: Seconds between two of these steps, for other writers.
 YIELD_SECONDS: Final = 0.005
 
@@ -122,13 +121,11 @@ class Deleter:
         return True
 
     def _forget_chunks(self, seq: int) -> None:
-        """Forget a deleted job's chunks and return their pages. Raises LedgerUnavailable."""
+        """Forget a deleted job's chunks. Raises LedgerUnavailable."""
         forgotten = CHUNKS_FORGOTTEN
         while forgotten == CHUNKS_FORGOTTEN and not self._stopping.wait(YIELD_SECONDS):
             with self._ledger.writing() as ledger:
                 forgotten = ledger.forget_chunks(seq, CHUNKS_FORGOTTEN)
-        while self._ledger.shrink(PAGES_FREED) and not self._stopping.wait(YIELD_SECONDS):
-            pass
         if self._stopping.is_set():
             raise LedgerUnavailable("the service ends")
 

@@ -177,7 +177,7 @@ def watch(
 
     wait_for(done, slurm.log, seconds=1500)
     ended = service.job(job)
-    returned = service.manager.tally.returned
+    returned = service.manager.supervisor.tally.returned
     say(f"at most {seen.most} allocations, {seen.most_workers} workers at a time; returned: {returned}")
     assert ended.state is JobState.DONE, ended
     assert ended.chunks_done == ended.chunks_total

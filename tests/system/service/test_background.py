@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from http.client import HTTPConnection
 from pathlib import Path
 
 import psutil
@@ -22,6 +23,7 @@ from service.background import NICER, InThisProcess, Processes
 from service.errors import InvalidRequest, NotComputed
 from service.server.web_server import limited
 from service.settings import Settings
+from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 from worker.store import StoreDamaged
 
@@ -149,3 +151,24 @@ def test_what_is_computed_for_a_client_that_leaves_ends(tmp_path: Path, monkeypa
                 wait_for(lambda: sum(busy.cpu_times()[:2]) > 0.1)
             wait_for(lambda: leases.used == 0 and not busy.is_running())
             assert processes.run(divmod, 17, 5) == (3, 2)
+
+
+def test_a_worker_stops_what_it_computes_when_the_last_client_leaves(tmp_path: Path):
+    """The curves take minutes."""
+    curves = "/v1/curves?xi=0.01&omega_start=0.3&omega_stop=2&modes=1-6"
+    with closing(Dask(workers=1)) as executor:
+        app = create_app(Settings(data=tmp_path), executor, InThisProcess())
+        with listening(app, limited(DEADLINE, 9)) as address:
+            with closing(HTTPConnection(*address)) as last:
+                with closing(HTTPConnection(*address)) as first:
+                    first.request("GET", curves)
+                    last.request("GET", curves)
+                for _ in range(2):
+                    with last.getresponse() as answer:
+                        assert answer.status == 202
+                        answer.read()
+                    last.request("GET", curves)
+                free = executor.call(divmod, 17, 5)
+                with pytest.raises(TimeoutError):
+                    free.result(0.5)
+            assert free.result(10) == (3, 2)

@@ -135,7 +135,7 @@ def test_a_worker_that_differs_is_refused_beside_one_that_computes(
             assert "tcp://127.0.0.1:" in reason
             assert executor.workers() == 0
             assert readiness.fault() == "no workers yet; jobs wait until there are; workers refused: 1"
-            wait_for(lambda: reason in (service.manager.cluster_fault or ""))
+            wait_for(lambda: reason in (service.manager.supervisor.cluster.explanation or ""))
             assert service.job(job).chunks_done == 0
             processes.worker()
             ended = service.until(job, JobState.DONE, seconds=PATIENCE)

@@ -16,7 +16,6 @@ from service.jobs.model import (
     Failure,
     JobRecord,
     JobState,
-    Progress,
     check_transition,
     summary_of,
 )
@@ -56,22 +55,17 @@ def test_transitions_are_these_and_no_others(old: JobState, new: JobState):
 
 
 def test_percent_is_100_only_when_all_is_done():
-    assert Progress(0, 9, 0, 1_000_000).percent == 0
-    assert Progress(8, 9, 999_999, 1_000_000).percent == 99.9
-    assert Progress(9, 9, 1_000_000, 1_000_000).percent == 100
-    assert Progress(1, 1, 1, 1).percent == 100
+    for done, percent in ((0, 0), (999_999, 99.9), (1_000_000, 100)):
+        assert record(cells_done=done, cells_total=1_000_000).progress(0.0)["percent"] == percent
 
 
 def test_eta_uses_the_rate_of_this_run_alone():
     # 900 of 1000 cells were done before; this run did 20 in 4 s, 80 are left
-    progress = Progress(0, 0, 920, 1000, run_seconds=4.0, run_cells=20)
-    assert progress.eta_seconds == pytest.approx(16.0)
-
-
-def test_eta_is_unknown_without_a_rate():
-    assert Progress(0, 9, 0, 1000, run_seconds=3.0, run_cells=0).eta_seconds is None
-    assert Progress(0, 9, 4, 1000, run_seconds=0.0, run_cells=4).eta_seconds is None
-    assert Progress(5, 9, 500, 1000).eta_seconds is None
+    run = {"cells_total": 1000, "run_cells": 900, "run_started": 100.0}
+    assert record(cells_done=920, **run).eta_seconds(104.0) == pytest.approx(16.0)
+    assert record(cells_done=900, **run).eta_seconds(104.0) is None
+    assert record(cells_done=920, **run).eta_seconds(100.0) is None
+    assert record(cells_done=920, state=JobState.DONE, **run).eta_seconds(104.0) is None
 
 
 @for_each(
@@ -93,7 +87,7 @@ def test_only_a_running_job_that_was_done_before_is_repairing(
 @pytest.mark.parametrize(("first_cells", "needed"), [(100, 40 + 60), (91, 40 + 55)])
 def test_an_adaptive_map_needs_at_least_the_first_rounds_of_the_chunks_to_come(first_cells: int, needed: int):
     progress = record(first_cells=first_cells).progress(104.0)
-    assert (progress.cells_computed, progress.cells_needed) == (40, needed)
+    assert (progress["cells_computed"], progress["cells_needed"]) == (40, needed)
 
 
 @for_each(
@@ -153,8 +147,8 @@ def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):
     with service(tmp_path, Held(capacity=0)) as client:
         here = client.post("/v1/jobs", json=sweep().as_submitted()).headers["Location"]
         manager = client.app.state.service.manager  # type: ignore[attr-defined]
-        wait_for(lambda: manager.cluster_fault is not None)
-        assert get(client, here)["notice"] == manager.cluster_fault
+        wait_for(lambda: manager.supervisor.cluster.explanation is not None)
+        assert get(client, here)["notice"] == manager.supervisor.cluster.explanation
         client.post(f"{here}/cancel")
         wait_for(lambda: bool(get(client, here)["state"] == "cancelled"))
         assert get(client, here)["notice"] is None

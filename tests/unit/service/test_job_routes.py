@@ -71,8 +71,8 @@ def test_the_estimate_uses_the_measured_speed_of_earlier_jobs(tmp_path: Path):
         cost = client.post("/v1/jobs?validate_only=true", json={**work, "xi": 0.2}).json()
         assert cost["basis"] == "measured"
         with client.app.state.service.ledger.reading() as ledger:  # type: ignore[attr-defined]
-            (pace,) = ledger.paces(5, 10_000)
-        assert cost["core_seconds"] == pytest.approx(pace.seconds, rel=1e-9)
+            (job,) = ledger.measured()
+        assert cost["core_seconds"] == pytest.approx(job.core_seconds, rel=1e-9)
         soft = client.post("/v1/jobs?validate_only=true", json={**work, "model": {"kind": "soft"}}).json()
         assert soft["basis"] == "table"
         assert get(client, here)["state"] == "done"

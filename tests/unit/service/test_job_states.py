@@ -214,7 +214,7 @@ class Machine(RuleBasedStateMachine):
     def _stop(self) -> None:
         """Stop as at the end of a process, with all threads."""
         self.manager.stop()
-        for part in (self.manager.scrubber, self.manager._supervisor, self.manager._deleter):
+        for part in (self.manager.scrubber, self.manager.supervisor, self.manager._deleter):
             part._thread.join()
 
     def _settle(self) -> None:
@@ -223,7 +223,7 @@ class Machine(RuleBasedStateMachine):
         def is_settled() -> bool:
             unfinished = any(job.state in UNFINISHED for job in self._jobs())
             in_flight = self.workers.in_flight()
-            return self.manager.chunks_in_flight == in_flight and (in_flight > 0 or not unfinished)
+            return self.manager.supervisor.in_flight() == in_flight and (in_flight > 0 or not unfinished)
 
         wait_for(is_settled)
 

@@ -357,14 +357,14 @@ def test_what_the_service_writes_in_the_moment_its_folder_is_moved_away_is_its_o
 def test_the_reserve_is_inside_the_ledgers_own_files(tmp_path: Path):
     path = tmp_path / "ledger.sqlite"
     with Ledger(path) as ledger:
-        assert ledger._number("PRAGMA freelist_count") * PAGE >= RESERVE
+        assert ledger._writer.execute("PRAGMA freelist_count").fetchone()[0] * PAGE >= RESERVE
         assert path.stat().st_blocks * 512 >= RESERVE
         assert wal_of(path).stat().st_blocks * 512 >= RESERVE
         with ledger.writing() as writing:
             writing._sql.execute("CREATE TABLE used AS SELECT zeroblob(?)", [RESERVE])
-        assert ledger._number("PRAGMA freelist_count") * PAGE < RESERVE
+        assert ledger._writer.execute("PRAGMA freelist_count").fetchone()[0] * PAGE < RESERVE
         ledger.keep_reserve()
-        assert ledger._number("PRAGMA freelist_count") * PAGE >= RESERVE
+        assert ledger._writer.execute("PRAGMA freelist_count").fetchone()[0] * PAGE >= RESERVE
         size = path.stat().st_size
         ledger.keep_reserve()
         assert path.stat().st_size == size

@@ -228,7 +228,7 @@ def test_a_job_that_is_done_is_verified_again_only_after_days(
     def verified() -> int:
         with running(tmp_path, inline, verify_days=days) as service:
             service.manager.scrubber._thread.join(DEADLINE)
-            return service.manager.scrubbed[0]
+            return service.manager.scrubber.verified_chunks
 
     with running(tmp_path, inline) as service:
         service.until(service.submit(sweep()), JobState.DONE)
@@ -353,7 +353,7 @@ def test_what_is_computed_again_is_not_removed_with_the_damaged_files(
 
     def late(*chunk: Any) -> None:
         before = syncs
-        service.manager._supervisor.wake()
+        service.manager.supervisor.wake()
         held.let_go_until(lambda: syncs >= before + 3)
         discard(*chunk)
 
@@ -462,7 +462,7 @@ def test_stopping_is_prompt(tmp_path: Path):
     with running(tmp_path, Held(), heartbeat_seconds=2 * DEADLINE) as service:
         service.until(service.submit(sweep()), JobState.RUNNING)
         service.manager.stop()
-        parts = (service.manager._supervisor, service.manager._deleter, service.manager.scrubber)
+        parts = (service.manager.supervisor, service.manager._deleter, service.manager.scrubber)
         assert not any(part._thread.is_alive() for part in parts)
 
 

@@ -1,5 +1,6 @@
 """The estimated cost of a study: by the speed of earlier jobs of its kind, else by the table."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,10 +8,8 @@ import pytest
 from ledgers import record
 from scripted import small
 
-from service.jobs.cost import cost
-from service.jobs.model import JobState
+from service.jobs.model import JobRecord, JobState
 from service.jobs.prepare import JobPreparer
-from service.jobs.transactions import Pace
 from service.settings import Settings
 from worker.cost import Cost
 from worker.plan import make_plan
@@ -31,17 +30,17 @@ def by_table(spec: SweepSpec) -> Cost:
     return study_of(spec).estimate(spec, make_plan(spec))
 
 
-def pace(spec: SweepSpec, seconds: float, expected: float, text: str | None = None) -> Pace:
+def pace(spec: SweepSpec, seconds: float, expected: float, text: str | None = None) -> JobRecord:
     """A job of which so many cells took `seconds` that the table says `expected`."""
     table = by_table(spec)
-    job = record(spec, state=JobState.DONE, **({} if text is None else {"spec": text}))
     cells: Any = expected * table.cells / table.core_seconds
-    return Pace(job, seconds, cells)
+    job = record(spec, state=JobState.DONE, core_seconds=seconds, cells_timed=cells)
+    return job if text is None else replace(job, spec=text)
 
 
-def ratio(preparer: JobPreparer, *paces: Pace, spec: SweepSpec = SPEC) -> float | None:
+def ratio(preparer: JobPreparer, *measured: JobRecord, spec: SweepSpec = SPEC) -> float | None:
     """The measured cost over that of the table; None if the cost is the table's."""
-    found, table = cost(spec, make_plan(spec), paces, preparer), by_table(spec)
+    found, table = preparer.cost(spec, make_plan(spec), measured), by_table(spec)
     if found.basis == "table":
         assert found == table
         return None

@@ -4,10 +4,12 @@ import time
 from concurrent.futures import Future
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from scripted import wait_for
 
+from service.background import Asker
 from service.errors import Busy, NotComputed
 from service.jobs import on_demand
 from service.jobs.on_demand import OnDemandCache, Pending
@@ -28,9 +30,8 @@ class Pool:
         return self.futures[-1]
 
 
-def submit(executor: Any) -> list[Future[Any]]:
-    """A result of two parts."""
-    return [executor.call(print), executor.call(print)]
+#: A result of two parts.
+TWO = [(print,), (print,)]
 
 
 def test_a_request_that_gives_up_waiting_loses_nothing():
@@ -38,10 +39,10 @@ def test_a_request_that_gives_up_waiting_loses_nothing():
     cache = OnDemandCache(pool, timeout=0.01)
     for number in (0, 1):
         with pytest.raises(Pending) as pending:
-            cache.get("key", submit)
+            cache.get("key", TWO)
         assert (pending.value.done, pending.value.total) == (number, 2)
         pool.futures[number].set_result(number)
-    assert cache.get("key", submit) == [0, 1]
+    assert cache.get("key", TWO) == [0, 1]
     assert len(pool.futures) == 2
 
 
@@ -51,13 +52,29 @@ def test_a_result_that_nobody_asks_for_any_more_is_given_up():
     began = time.monotonic()
     while time.monotonic() - began < 1.0:
         with pytest.raises(Pending):
-            cache.get("key", submit)
+            cache.get("key", TWO)
     assert len(pool.futures) == 2
     wait_for(lambda: all(future.cancelled() for future in pool.futures))
     with pytest.raises(Pending):
-        cache.get("key", submit)
+        cache.get("key", TWO)
     assert len(pool.futures) == 4
     cache.close()
+
+
+def test_a_result_is_given_up_when_the_last_client_leaves():
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01)
+    clients = [Asker(1), Asker(2)]
+    for client in clients:
+        with pytest.raises(Pending):
+            client.run(lambda: cache.get("key", TWO))
+    for client in clients:
+        assert not any(future.cancelled() for future in pool.futures)
+        client.leave()
+    assert all(future.cancelled() for future in pool.futures)
+    with pytest.raises(NotComputed):
+        clients[0].run(lambda: cache.get("key", TWO))
+    assert len(pool.futures) == 4
 
 
 @pytest.mark.parametrize(
@@ -67,13 +84,13 @@ def test_a_result_that_was_lost_or_failed_is_computed_again(error: Exception, ra
     pool = Pool()
     cache = OnDemandCache(pool, timeout=0.01)
     with pytest.raises(Pending):
-        cache.get("key", submit)
+        cache.get("key", TWO)
     pool.futures[0].set_exception(error)
     pool.futures[1].set_result(1)
     with pytest.raises(raised):
-        cache.get("key", submit)
+        cache.get("key", TWO)
     with pytest.raises(Pending):
-        cache.get("key", submit)
+        cache.get("key", TWO)
     assert len(pool.futures) == 4
 
 
@@ -82,13 +99,13 @@ def test_the_number_of_results_being_computed_is_limited():
     cache = OnDemandCache(pool, max_pending=2, timeout=0.01)
     for key in ("one", "two"):
         with pytest.raises(Pending):
-            cache.get(key, submit)
+            cache.get(key, TWO)
     with pytest.raises(Busy, match=r"^2 results are being computed already"):
-        cache.get("three", submit)
+        cache.get("three", TWO)
     for future in pool.futures:
         future.set_result(None)
     with pytest.raises(Pending):
-        cache.get("three", submit)
+        cache.get("three", TWO)
 
 
 def test_only_the_results_requested_last_are_kept(monkeypatch: pytest.MonkeyPatch):
@@ -97,28 +114,27 @@ def test_only_the_results_requested_last_are_kept(monkeypatch: pytest.MonkeyPatc
     cache = OnDemandCache(pool, timeout=0.01)
     for key in ("one", "two", "three"):
         with pytest.raises(Pending):
-            cache.get(key, submit)
+            cache.get(key, TWO)
         for future in pool.futures[-2:]:
             future.set_result(key)
-    assert cache.get("two", submit) == ["two", "two"]
+    assert cache.get("two", TWO) == ["two", "two"]
     with pytest.raises(Pending):
-        cache.get("one", submit)
+        cache.get("one", TWO)
     assert len(pool.futures) == 8
 
 
-def test_without_workers_nothing_is_computed():
-    def refused(_: Any) -> list[Future[Any]]:
-        raise ClusterLost("gone")
-
-    with pytest.raises(NotComputed, match=r"^no worker can compute it now \(gone\): repeat the request$"):
-        OnDemandCache(Pool()).get("key", refused)
+def test_without_workers_nothing_is_computed(monkeypatch: pytest.MonkeyPatch):
+    pool = Pool()
+    monkeypatch.setattr(pool, "call", Mock(side_effect=ClusterLost("gone")))
+    with pytest.raises(NotComputed, match=r"^no worker has computed it \(gone\): repeat the request$"):
+        OnDemandCache(pool).get("key", TWO)
 
 
 def test_closing_cancels_what_is_being_computed():
     pool = Pool()
     cache = OnDemandCache(pool, timeout=0.01)
     with pytest.raises(Pending):
-        cache.get("key", submit)
+        cache.get("key", TWO)
     cache.close()
     assert all(future.cancelled() for future in pool.futures)
 
@@ -129,15 +145,15 @@ def test_jobs_keep_half_of_the_workers(monkeypatch: pytest.MonkeyPatch, workers:
     monkeypatch.setattr(pool, "workers", lambda: workers)
     cache = OnDemandCache(pool, timeout=0.01)
     with pytest.raises(Pending):
-        cache.get("many", lambda executor: [executor.call(print) for _ in range(9)])
+        cache.get("many", [(print,)] * 9)
     with pytest.raises(Pending):
-        cache.get("more", submit)
+        cache.get("more", TWO)
     assert len(pool.futures) == share
     for number in range(11):
         pool.futures[number].set_result(number)
         assert len(pool.futures) == min(number + 1 + share, 11)
-    assert cache.get("many", submit) == list(range(9))
-    assert cache.get("more", submit) == [9, 10]
+    assert cache.get("many", TWO) == list(range(9))
+    assert cache.get("more", TWO) == [9, 10]
 
 
 def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
@@ -149,7 +165,7 @@ def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
     pool = Pool()
     cache = OnDemandCache(pool, timeout=0.01, jobs_compute=lambda: jobs[0])
     with pytest.raises(Pending):
-        cache.get("many", lambda executor: [executor.call(print) for _ in range(16)])
+        cache.get("many", [(print,)] * 16)
     assert len(pool.futures) == 4
     now[0] += 5.0
     for number in range(4):
@@ -160,7 +176,7 @@ def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
     assert len(pool.futures) == 6  # 5 core-seconds too many were used: 4 are earned
     now[0] += 2.0
     wait_for(lambda: len(pool.futures) == 8)
-    now[0] += 100.0
+    now[0] += 60.0
     for number in range(4, 8):
         pool.futures[number].set_result(number)
     assert len(pool.futures) == 8
@@ -168,14 +184,14 @@ def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
     wait_for(lambda: len(pool.futures) == 12)
     for number in range(8, 16):
         pool.futures[number].set_result(number)
-    assert cache.get("many", submit) == list(range(16))
+    assert cache.get("many", TWO) == list(range(16))
 
 
 def test_a_part_that_fails_leaves_its_turn_to_the_next():
     pool = Pool()
     cache = OnDemandCache(pool, timeout=0.01)
     with pytest.raises(Pending):
-        cache.get("many", lambda executor: [executor.call(print) for _ in range(6)])
+        cache.get("many", [(print,)] * 6)
     pool.futures[0].set_exception(ValueError())
     pool.futures[1].cancel()
     assert len(pool.futures) == 6

@@ -7,16 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.jobs.ready_queue import NONE, ROTATION_SHARE, ReadyQueue, Rotation
-from service.jobs.run import predecessors
+from service.jobs.ready_queue import ROTATION_SHARE, ReadyQueue, Rotation
 from worker.plan import make_plan
 from worker.spec import SweepSpec
-
-
-def ready_queue(predecessors: list[int], done: tuple[int, ...] = ()) -> ReadyQueue:
-    mask = np.zeros(len(predecessors), np.bool_)
-    mask[list(done)] = True
-    return ReadyQueue(np.array(predecessors, np.int64), mask)
 
 
 def drain(queue: ReadyQueue) -> list[int]:
@@ -38,23 +31,27 @@ def test_predecessors_are_those_of_the_plans_chunks(
     small_spec: Callable[..., SweepSpec], protocol: dict[str, str]
 ):
     plan = make_plan(small_spec(protocol=protocol), chunk_shape=(1, 2, 3))
-    expected = [NONE if chunk.after is None else chunk.after for chunk in plan.chunks]
-    assert predecessors(plan).tolist() == expected
+    expected = [-1 if chunk.after is None else chunk.after for chunk in plan.chunks]
+    assert [max(index - plan.lines, -1) for index in range(len(plan))] == expected
 
 
 def test_a_million_chunks_take_a_few_bytes_each():
-    many = ReadyQueue(np.full(1_000_000, NONE), np.zeros(1_000_000, np.bool_))
+    many = ReadyQueue(1_000_000, np.zeros(1_000_000, np.bool_))
     assert [many.pop() for _ in range(3)] == [0, 1, 2]
     held = sum(array.nbytes for array in vars(many).values() if isinstance(array, np.ndarray))
-    assert held <= 34e6
+    assert held <= 9e6
 
 
 @given(st.data())
 def test_every_chunk_comes_once_whatever_is_invalidated(data: st.DataObject):
     size = data.draw(st.integers(1, 12))
-    after = [data.draw(st.integers(NONE, index - 1)) for index in range(size)]
+    lines = data.draw(st.integers(1, size))
     done = data.draw(st.sets(st.integers(0, size - 1)))
-    queue, popped = ready_queue(after, tuple(done)), list[int]()
+    queue, popped = ReadyQueue(lines, np.isin(np.arange(size), list(done))), list[int]()
+
+    def may_run(index: int) -> bool:
+        return index < lines or index - lines in done
+
     for _ in range(data.draw(st.integers(0, 40))):
         action = data.draw(st.sampled_from(["pop", "complete", "requeue", "first", "invalidate"]))
         if action == "invalidate":
@@ -64,7 +61,7 @@ def test_every_chunk_comes_once_whatever_is_invalidated(data: st.DataObject):
         elif action == "pop":
             if queue.ready:
                 popped.append(queue.pop())
-                assert after[popped[-1]] == NONE or after[popped[-1]] in done
+                assert may_run(popped[-1])
         elif popped:
             chunk = popped.pop(data.draw(st.integers(0, len(popped) - 1)))
             if action == "complete":
@@ -74,7 +71,7 @@ def test_every_chunk_comes_once_whatever_is_invalidated(data: st.DataObject):
                 queue.requeue(chunk, first=action == "first")
         expected = {
             index for index in range(size)
-            if index not in done and index not in popped and (after[index] == NONE or after[index] in done)
+            if index not in done and index not in popped and may_run(index)
         }  # fmt: skip
         assert queue.ready == len(expected)
         assert queue.remaining == size - len(done)
@@ -84,7 +81,7 @@ def test_every_chunk_comes_once_whatever_is_invalidated(data: st.DataObject):
 
 
 def test_a_chunk_that_paused_comes_before_all_others():
-    queue = ready_queue([NONE] * 3)
+    queue = ReadyQueue(3, np.zeros(3, np.bool_))
     first = queue.pop()
     queue.requeue(queue.pop())
     queue.requeue(first, first=True)

@@ -106,13 +106,6 @@ def test_a_single_try_is_not_repeated():
     assert policy.decide(WorkerLost("gone"), LAST_LOSS) == Decision(Action.GIVE_UP)
 
 
-@pytest.mark.parametrize(
-    ("given_up", "fatal", "stops"), [(0, False, False), (7, False, False), (8, False, True), (1, True, True)]
-)
-def test_a_job_stops_after_so_many_chunks_or_a_fatal_error(given_up: int, fatal: bool, stops: bool):
-    assert POLICY.stops_job(given_up, fatal) is stops
-
-
 def test_chunks_are_counted_by_what_they_took_and_by_how_they_came_back():
     tally = ChunkCounts()
     for seconds in (0.005, 0.01, 0.011, 1.0, 299.0, 301.0):
@@ -121,7 +114,3 @@ def test_chunks_are_counted_by_what_they_took_and_by_how_they_came_back():
     assert tally.seconds == pytest.approx(601.026)
     counts = [2, 3, 3, 3, 4, 4, 4, 4, 4, 5, 6]
     assert tally.by_seconds == list(zip((*BUCKET_SECONDS, math.inf), counts, strict=True))
-    tally.add_returned(Action.RETRY, ValueError("no"))
-    tally.add_returned(Action.RETRY, ValueError("again"))
-    tally.add_returned(Action.PAUSE, ClusterLost("gone"))
-    assert tally.returned == {("retry", "ValueError"): 2, ("pause", "ClusterLost"): 1}

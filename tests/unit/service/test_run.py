@@ -8,7 +8,7 @@ import pytest
 from ledgers import record
 from scripted import small
 
-from service.jobs.model import JobState
+from service.jobs.model import JobState, summary_of
 from service.jobs.prepare import JobPreparer
 from service.jobs.retry import Action, History, RetryPolicy
 from service.jobs.run import JobRun
@@ -34,8 +34,8 @@ def run(tmp_path: Path) -> JobRun:
 
 
 def submit(run: JobRun) -> int:
-    chunk = run.pop()
-    run.add_in_flight(chunk, Future())
+    chunk = run.prepared.plan[run.queue.pop()]
+    run.add_in_flight(chunk.index, Future())
     return chunk.index
 
 
@@ -69,13 +69,13 @@ def test_nothing_is_submitted_while_something_is_unsaved(run: JobRun):
 
 def test_a_chunk_begins_once_unless_it_has_a_checkpoint(run: JobRun):
     paused = JobRun(run.job, run.prepared, np.zeros(12, np.bool_), POLICY, paused=[0])
-    assert [paused.begins(chunk) for chunk in (0, 1)] == [False, True]
+    assert paused.begun == {0}
     chunk = submit(run)
-    assert not run.begins(chunk)
+    assert chunk in run.begun
     fail(run, chunk, Action.CONTINUE, ValueError("paused"))
-    assert not run.begins(chunk)
+    assert chunk in run.begun
     finish(run, submit(run))
-    assert run.begins(chunk)  # once stored it has no checkpoint
+    assert chunk not in run.begun  # once stored it has no checkpoint
 
 
 def test_tries_and_losses_are_counted_per_chunk(run: JobRun):
@@ -104,7 +104,7 @@ def test_a_job_with_too_many_failures_ends_as_failed_with_the_first(run: JobRun)
     run.mark_saved()
     assert run.final_state is JobState.FAILED
     where = "chunk 0 (up, gamma 0.5 to 2.5, omega 0.5, xi 0.05)"
-    assert run.error == f"{where}: ValueError: the spring broke (and 1 more chunk failed)"
+    assert summary_of(run.failures) == f"{where}: ValueError: the spring broke (and 1 more chunk failed)"
 
 
 def test_a_fatal_error_stops_the_job_at_once(run: JobRun):
@@ -125,7 +125,7 @@ def test_a_damaged_predecessor_is_unmarked_and_computed_before_its_successor(run
     assert run.has_unsaved
     assert not run.may_submit
     run.mark_saved()
-    run.invalidate([chunk - 6])
+    run.queue.invalidate([chunk - 6])
     order = []
     while run.may_submit:
         order.append(submit(run))

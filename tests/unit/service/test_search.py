@@ -12,9 +12,10 @@ from scripted import Held, sweep
 from served import service
 from tables import for_each
 
+from service.errors import InvalidRequest
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState, NewJob
-from service.jobs.search import InvalidCursor, JobOrder, JobSearch
+from service.jobs.search import JobOrder, JobSearch
 
 SWEEP: dict[str, Any] = sweep().as_submitted()
 
@@ -46,7 +47,7 @@ def _accept(writing: Any, number: int) -> None:
     if state in (JobState.DONE, JobState.FAILED):
         writing.finish(writing.find(job_id), state, 86_400.0 * number + 2 + number % 3 * 1e6)
     if number % 5 == 0:
-        writing.pin(writing.find(job_id), True)
+        writing.update(writing.find(job_id), pinned=True)
 
 
 def _all(ledger: Ledger) -> list[JobRecord]:
@@ -122,7 +123,7 @@ WRONG_CURSORS = (
 @for_each("cursor", WRONG_CURSORS)
 @for_each("order", list(JobOrder))
 def test_a_cursor_of_another_list_is_refused(order: JobOrder, cursor: str):
-    with pytest.raises(InvalidCursor):
+    with pytest.raises(InvalidRequest):
         JobSearch(order=order).read_cursor(cursor)
 
 

@@ -5,8 +5,23 @@ import threading
 import pytest
 from scripted import DEADLINE, wait_for
 
+from kernel.stopping import check
 from worker.executors.base import ClusterState
 from worker.executors.inline import Inline
+
+
+def test_a_call_stops_when_it_is_cancelled(inline: Inline):
+    begun = threading.Event()
+
+    def endless() -> None:
+        while True:
+            begun.set()
+            check()
+
+    call = inline.call(endless)
+    assert begun.wait(DEADLINE)
+    call.cancel()
+    assert inline.call(len, "abc").result(DEADLINE) == 3
 
 
 def test_what_has_not_begun_is_cancelled_at_the_end_and_nothing_begins_any_more():
