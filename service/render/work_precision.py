@@ -14,8 +14,8 @@ from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
 from service.formats import PictureFormat
-from service.render.style import FONT, TEXT, encode
 from service.software import software
+from service.views.style import FONT, TEXT, encode
 from worker.analysis.work_precision import Measurement
 
 

@@ -161,7 +161,7 @@ def picture(
     origin: Mapping[str, str],
 ) -> bytes:
     """What `draw` draws, `size` in inches; `origin` is in the file's metadata."""
-    from service.render.style import encode
+    from service.views.style import encode
 
     assert draw is not None
     return encode(size, lambda figure: draw(dataset, figure), cast(PictureFormat, format), origin)

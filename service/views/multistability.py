@@ -8,7 +8,7 @@ most first.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.params import Outcome
-from service.results.counting import attractor_label
-from service.results.selection import Stored, check_points, nearest_index, read_stored
-from service.views.variables import coordinate, row, variable
+from service.errors import TooLarge
+from service.views.selection import Stored, attractor_label, nearest_index, read_stored
+from service.views.style import COLOURS, SYMBOLS, UNDECIDED, legend_beside
+from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.multistability import MAX_ATTRACTORS
 from worker.basins.schema import OF_ATTRACTORS
@@ -28,7 +29,6 @@ from worker.basins.spec import MultistabilitySpec
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
 
 #: Cells of one answer, and bytes of memory of each while they are matched.
 MAX_CELLS: Final = 2**16
@@ -90,10 +90,10 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     attractors or more, `several_by_drops` the same without attractors that no drop reaches.
     """
     spec, xi, rows = study.spec, nearest_index(study.spec, "xi", query.xi), slice(None)
+    arrays = read_stored(study, _NAMES, {"xi": xi.index})
     if query.omega is not None:
         at = nearest_index(spec, "omega", query.omega).index
         rows = slice(at, at + 1)
-    arrays = _read(study, _NAMES, xi.index, slice(None))
     ids = _ids(arrays)
     labels, shown, there = _labels(arrays, ids), ids[rows], ids[rows] > 0
     count = np.where(arrays["outcome"] == Outcome.MISSING, -1, arrays["attractor_count"])[rows]
@@ -101,7 +101,7 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     for name in ("fraction", "longest_flight"):
         of_places[name] = np.where(there, arrays[name][rows], np.nan)
     if query.omega is not None:
-        times = _read(study, ("flight_time",), xi.index, rows)["flight_time"]
+        times = read_stored(study, ("flight_time",), {"xi": xi.index, "omega": rows})["flight_time"]
         of_places["flight_time"] = np.where(there[..., np.newaxis], times, np.nan)
     places = max(1, int(np.count_nonzero(there, axis=-1).max()))
     data = {name: variable(_PLANE, values[:, :, :places], _ROWS[name]) for name, values in of_places.items()}
@@ -126,27 +126,18 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
         "several": _several(count, count), "several_by_drops": _several(reached, count),
         "model": spec.model.kind, "complete": study.is_complete(arrays["outcome"]),
     }  # fmt: skip
-    return xarray.Dataset(data, coords, attrs)
-
-
-def _read(
-    study: Stored[MultistabilitySpec], names: Sequence[str], xi: int, rows: slice
-) -> dict[str, NDArray[Any]]:
-    """Arrays over omega, gamma and the attractors of a cell."""
-    _, omegas, gammas = study.spec.shape
-    extra = {"outcome": (), "attractor_count": (), "flight_time": (MAX_ATTRACTORS, study.spec.keep)}
-    shapes = {name: (len(range(omegas)[rows]), gammas, *extra.get(name, (MAX_ATTRACTORS,))) for name in names}
-    # Before there is a store, no cell has an attractor.
-    return read_stored(
-        study, names, {"xi": xi, "omega": rows}, lambda: {name: np.zeros(shapes[name]) for name in names}
-    )
+    return dataset(data, coords, attrs)
 
 
 def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
     """The plane or the line. Raises InvalidRequest as `nearest_index`, TooLarge for more than MAX_CELLS."""
     nearest_index(spec, "xi", query.xi)
     _, omegas, gammas = spec.shape
-    check_points(omegas * gammas, MAX_CELLS, f"{omegas:,} by {gammas:,} cells", None)
+    if omegas * gammas > MAX_CELLS:
+        raise TooLarge(
+            f"the answer would hold up to {omegas * gammas:,} points ({omegas:,} by {gammas:,} cells); the "
+            f"limit is {MAX_CELLS:,}: open the store itself, which has no such limit"
+        )
     lengths = {"omega": omegas, "gamma": gammas, "place": MAX_ATTRACTORS}
     if query.omega is not None:
         nearest_index(spec, "omega", query.omega)
@@ -277,11 +268,7 @@ def _events(
             if not computed[i, j] or not computed[i, j + 1]:
                 continue
             below, above = (
-                {
-                    number: label
-                    for number, label in zip(ids[i, at].tolist(), labels[i, at], strict=True)
-                    if number
-                }
+                {n: label for n, label in zip(ids[i, at].tolist(), labels[i, at], strict=True) if n}
                 for at in (j, j + 1)
             )
             for number in sorted(below.keys() | above.keys()):
@@ -310,45 +297,31 @@ def _target(
 COUNTS: Final = ("#ffffff", "#bbbbbb", "#e8edf2", "#56b4e9", "#d55e00", "#000000")
 _OF_COUNTS: Final = ("not computed", "undecided", "one attractor", "two", "three", "four or more")
 
-#: Colour of the attractors without one of their own.
-OTHERS: Final = "#999999"
+#: Colours by id: none, one of their own for those with most cells, and that of all others.
+_BY_ID: Final = (UNDECIDED, *COLOURS[:-1], "#999999")
 
 
 def draw(found: xarray.Dataset, figure: "Figure") -> None:
     """Two maps, of the number of attractors and of the one that most drops reach; of a line its flights."""
     if "flight_time" in found:
-        _draw_line(found, figure)
-    else:
-        _draw_plane(found, figure)
-
-
-def _draw_plane(found: xarray.Dataset, figure: "Figure") -> None:
+        _draw_line(found, figure.subplots())
+        return
     from matplotlib.patches import Patch
-
-    from service.render.style import SYMBOLS, TEXT
 
     left, right = figure.subplots(1, 2, sharey=True)
     number = np.clip(found["count"].values + 1, 0, len(COUNTS) - 1)
     _map(left, found, number, COUNTS)
-    _legend(left, [Patch(facecolor=COUNTS[n], edgecolor="black", linewidth=0.5, label=_OF_COUNTS[n])
-                   for n in np.unique(number).tolist()])  # fmt: skip
-    first, colours = found.id.values[:, :, 0], _colours()
-    _map(right, found, np.minimum(first, len(colours) - 1), colours)
-    _name_attractors(right, found.sel(attractor=np.intersect1d(found.attractor, first)))
-    left.set_ylabel(SYMBOLS["omega"], **TEXT)
+    legend_beside(left, [Patch(facecolor=COUNTS[n], edgecolor="black", linewidth=0.5, label=_OF_COUNTS[n])
+                         for n in np.unique(number).tolist()])  # fmt: skip
+    first = found.id.values[:, :, 0]
+    _map(right, found, np.minimum(first, len(_BY_ID) - 1), _BY_ID)
+    _name_attractors(right, found.isel(attractor=np.isin(found.attractor, first)))
+    left.set_ylabel(SYMBOLS["omega"])
     several = found.attrs["several"]
     share = "" if np.isnan(several) else f": several in {100.0 * several:.1f} %"
-    left.set_title(f"attractors of a cell{share}", fontsize=11, **TEXT)
-    right.set_title("the attractor that most drops reach", fontsize=11, **TEXT)
-    title = f"{SYMBOLS['xi']} = {found.xi.item():g}  ({found.attrs['model']})"
-    figure.suptitle(title, fontsize=11, **TEXT)
-
-
-def _colours() -> tuple[str, ...]:
-    """Colours by id: none, one of their own for those with most cells, and that of all others."""
-    from service.render.style import COLOURS, UNDECIDED
-
-    return UNDECIDED, *COLOURS[:-1], OTHERS
+    left.set_title(f"attractors of a cell{share}", fontsize=11)
+    right.set_title("the attractor that most drops reach", fontsize=11)
+    figure.suptitle(f"{SYMBOLS['xi']} = {found.xi.item():g}  ({found.attrs['model']})", fontsize=11)
 
 
 def _map(axes: "Axes", found: xarray.Dataset, values: NDArray[np.int64], colours: tuple[str, ...]) -> None:
@@ -359,15 +332,7 @@ def _map(axes: "Axes", found: xarray.Dataset, values: NDArray[np.int64], colours
         _edges(found.gamma.values), _edges(found.omega.values), values, cmap=ListedColormap(list(colours)),
         vmin=-0.5, vmax=len(colours) - 0.5, rasterized=True,
     )  # fmt: skip
-    _label_gamma(axes)
-
-
-def _label_gamma(axes: "Axes") -> None:
-    from service.render.style import SYMBOLS, TEXT
-
-    axes.set_xlabel(SYMBOLS["gamma"], **TEXT)
-    for tick in (*axes.get_xticklabels(), *axes.get_yticklabels()):
-        tick.set(**TEXT)
+    axes.set_xlabel(SYMBOLS["gamma"])
 
 
 def _edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -378,45 +343,34 @@ def _edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([[2.0 * values[0] - middle[0]], middle, [2.0 * values[-1] - middle[-1]]])
 
 
-def _draw_line(found: xarray.Dataset, figure: "Figure") -> None:
+def _draw_line(found: xarray.Dataset, axes: "Axes") -> None:
     """The flights of each attractor in its colour, at 0 without any."""
-    from service.render.style import SYMBOLS, TEXT
-
-    axes, colours = figure.subplots(), _colours()
     ids, times = found.id.values[0], found.flight_time.values[0].copy()
     times[~np.isfinite(times).any(axis=-1), 0] = 0.0
     gamma = np.broadcast_to(found.gamma.values[:, np.newaxis, np.newaxis], times.shape)
     for number in np.unique(ids[ids > 0])[::-1].tolist():
         shown = (ids == number)[..., np.newaxis] & np.isfinite(times)
-        colour = colours[min(number, len(colours) - 1)]
+        colour = _BY_ID[min(number, len(_BY_ID) - 1)]
         axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=2.5, markeredgewidth=0.0)
-    _label_gamma(axes)
-    axes.set_ylabel("flight time (rad)", **TEXT)
+    axes.set_xlabel(SYMBOLS["gamma"])
+    axes.set_ylabel("flight time (rad)")
     values = ", ".join(f"{SYMBOLS[axis]} = {found[axis].item():g}" for axis in ("omega", "xi"))
-    axes.set_title(f"coexisting attractors, {values}  ({found.attrs['model']})", fontsize=11, **TEXT)
+    axes.set_title(f"coexisting attractors, {values}  ({found.attrs['model']})", fontsize=11)
     _name_attractors(axes, found)
 
 
 def _name_attractors(axes: "Axes", found: xarray.Dataset) -> None:
     from matplotlib.patches import Patch
 
-    colours = _colours()
-    own = found.sel(attractor=found.attractor < len(colours) - 1)
-    named = zip(own.attractor.values.tolist(), own.attractor_label.values.tolist(), strict=True)
-    entries = [Patch(color=colours[number], label=f"{number}: mostly {label}") for number, label in named]
-    others = found.sizes["attractor"] - own.sizes["attractor"]
-    if others:
-        entries.append(Patch(color=OTHERS, label=f"{others} more"))
-    _legend(axes, entries)
-
-
-def _legend(axes: "Axes", entries: "list[Patch]") -> None:
-    from service.render.style import FONT
-
-    axes.legend(
-        handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False,
-        prop={"family": FONT, "size": 10},
-    )  # fmt: skip
+    named = zip(found.attractor.values.tolist(), found.attractor_label.values.tolist(), strict=True)
+    entries = [
+        Patch(color=_BY_ID[number], label=f"{number}: mostly {label}")
+        for number, label in named
+        if number < len(_BY_ID) - 1
+    ]
+    if others := found.sizes["attractor"] - len(entries):
+        entries.append(Patch(color=_BY_ID[-1], label=f"{others} more"))
+    legend_beside(axes, entries)
 
 
 VIEW: Final = View(

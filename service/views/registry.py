@@ -12,7 +12,6 @@ from xarray import Dataset
 
 from service.errors import InvalidRequest, NotInstalled, TooLarge
 from service.formats import PICTURES
-from service.results.selection import MAX_READ, Stored
 from service.software import software
 from service.views import (
     basins,
@@ -22,23 +21,23 @@ from service.views import (
     modes,
     multistability,
     orbits,
-    spring_threshold,
     threshold,
     trajectory,
-    words,
 )
+from service.views.selection import MAX_READ, Stored
 from service.views.view import Estimate, Query, View
 
 #: The results of a job, by name.
 VIEWS: Final[dict[str, View]] = {
-    module.VIEW.name: module.VIEW
-    for module in (diagram, modes, threshold, words, basins, multistability, trajectory)
-}
+    view.name: view
+    for view in (
+        diagram.VIEW, modes.VIEW, threshold.VIEW, orbits.WORDS, basins.VIEW, multistability.VIEW,
+        trajectory.VIEW,
+    )
+}  # fmt: skip
 
 #: The results of a spring alone, in closed form.
-SPRINGS: Final[dict[str, View]] = {
-    module.VIEW.name: module.VIEW for module in (spring_threshold, orbits, curves)
-}
+SPRINGS: Final[dict[str, View]] = {view.name: view for view in (threshold.SPRING, orbits.ORBITS, curves.VIEW)}
 
 
 def admit(

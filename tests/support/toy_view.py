@@ -4,7 +4,7 @@ import numpy as np
 import xarray
 
 from kernel.params import Outcome
-from service.results.selection import Stored, nearest_index, read_stored
+from service.views.selection import Stored, nearest_index, read_stored
 from service.views.variables import coordinate, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.schema import CELL_DIMS, Array

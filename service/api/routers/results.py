@@ -18,10 +18,10 @@ from service.api.schemas import content, problem_responses
 from service.errors import NotInStore, OutOfRange
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
-from service.results.provenance import attributes_of
-from service.results.selection import BASE_MEMORY
 from service.views.files import export as export_files
 from service.views.files.blocks import GROUP_BYTES
+from service.views.provenance import attributes_of
+from service.views.selection import BASE_MEMORY
 from worker.store import ROOT
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])

@@ -21,8 +21,8 @@ from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import Caller
-from service.results.selection import BASE_MEMORY, Stored
 from service.views.registry import SPRINGS, VIEWS, admit, answer
+from service.views.selection import BASE_MEMORY, Stored
 from service.views.view import Call, Estimate, View
 
 #: Bytes of memory per number of an answer.

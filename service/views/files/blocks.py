@@ -1,15 +1,13 @@
 """The chunks of a whole study in order, as its files hold them."""
 
 from collections.abc import Iterator, Mapping
-from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import xarray
 from numpy.typing import NDArray
 
-from service.results.counting import LABEL, labelled
-from service.results.selection import Stored, read_stored
+from service.views.selection import LABEL, Stored, labelled, read_stored
 from worker import schema
 from worker.schema import Layout
 from worker.spec import SweepSpec
@@ -39,7 +37,7 @@ def blocks(study: Stored[Any], plan: Plan, layout: Layout) -> Iterator[Block]:
     """
     for chunk in plan:
         cells = dict(zip(layout.chunk_sizes, chunk.slices, strict=True))
-        arrays = read_stored(study, layout.names, cells, partial(_fill_values, layout, cells))
+        arrays = read_stored(study, layout.names, cells)
         if isinstance(study.spec, SweepSpec):
             arrays |= labelled(study.spec, arrays[schema.OUTCOME.name], arrays)
         yield Block(cells, arrays)
@@ -53,12 +51,3 @@ def dataset(spec: Any, layout: Layout, block: Block) -> xarray.Dataset:
         coords[name] = (name, np.array(part.tolist()) if part.dtype.kind == "T" else part)
     variables = {row.name: (row.dims, block.arrays[row.name], row.attrs) for row in exported(spec, layout)}
     return xarray.Dataset(variables, coords)
-
-
-def _fill_values(layout: Layout, cells: Mapping[str, slice]) -> dict[str, NDArray[Any]]:
-    """What the arrays of a chunk hold before any cell is computed."""
-    sizes = {**layout.extra_sizes, **{dim: span.stop - span.start for dim, span in cells.items()}}
-    return {
-        array.name: np.full([sizes[dim] for dim in array.dims], array.fill, array.dtype)
-        for array in layout.arrays
-    }

@@ -18,9 +18,9 @@ import numpy as np
 from service.background import Background
 from service.errors import ExportFailed, InvalidRequest, NoSpace, NotInstalled, TooLarge
 from service.formats import ExportFormat, ExportLayout
-from service.results.selection import Stored
 from service.views.files import netcdf
 from service.views.files.blocks import Block, blocks
+from service.views.selection import Stored
 from worker.schema import Layout
 from worker.studies import Plan, study_of
 
@@ -41,7 +41,7 @@ class Export:
     plan: Plan
     format: ExportFormat
     layout: ExportLayout = "cells"  # what a row of a table is
-    #: What the file says of the job, as `service.results.provenance.attributes_of` gives it.
+    #: What the file says of the job, as `service.views.provenance.attributes_of` gives it.
     attributes: Mapping[str, str | int | float] = field(default_factory=dict)
 
     @property

@@ -17,10 +17,10 @@ from typing import IO, Any, Final
 import numpy as np
 
 from service.errors import ExportFailed
-from service.results.selection import Stored
 from service.views.files import netcdf_writer
 from service.views.files.blocks import Block, exported
 from service.views.files.netcdf_writer import Along, Head, Part, Variable
+from service.views.selection import Stored
 from worker.schema import Array, Layout
 
 #: -P: no module is imported from the current folder.

@@ -8,9 +8,9 @@ from typing import Any, Final
 import pyarrow as pa
 from pyarrow import parquet
 
-from service.results.selection import Stored
 from service.views.encode import record_batch, tables
 from service.views.files.blocks import GROUP_BYTES, Block, dataset
+from service.views.selection import Stored
 from worker import schema
 from worker.schema import Layout
 

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from served import computing, get, occupied
 
 from service.client import BadRequest, Client, Job
-from service.render.style import COLOURS, UNDECIDED
 from service.views import basins
+from service.views.style import COLOURS, UNDECIDED
 
 SPEC: dict[str, Any] = {
     "name": "drops", "gamma": [0.6, 1.27], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},

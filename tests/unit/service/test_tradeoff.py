@@ -13,8 +13,8 @@ from paths import GOLDEN
 
 from service.cli.main import main
 from service.cli.tradeoff import REFERENCES
-from service.render.style import DPI
 from service.render.work_precision import SIZE, compose
+from service.views.style import DPI
 from worker.analysis import work_precision
 from worker.analysis.work_precision import Measurement, Setup
 
