@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 #: Settings of matplotlib. Text is text in an SVG, and embedded as a font in a PDF.
 STYLE: Final[dict[Any, Any]] = {
     "font.family": "STIXGeneral", "mathtext.fontset": "stix",
-    "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True, "ytick.right": True,
+    "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True,
     "svg.hashsalt": "bouncing-spring", "svg.fonttype": "none", "pdf.fonttype": 42,
 }  # fmt: skip
 FONT: Final = "STIXGeneral"

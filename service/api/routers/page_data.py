@@ -15,7 +15,7 @@ from service.api.schemas import problem_responses
 from service.render import answers, binary
 from service.render.answers import Answer
 from service.views import modes
-from service.views.selection import BASE_MEMORY, MAX_READ
+from service.views.selection import BASE_MEMORY, MAX_READ, needs_flights
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["page"])
 
@@ -61,9 +61,11 @@ def get_line(
 
 def _plane_cost(service: ServiceDep, job: JobDep, query: parameters.PlaneViewQuery, request: Request) -> Cost:
     spec = dependencies.sweep(service, job).spec
-    fields = query.model_dump(include={"xi", "direction", "min_flight", "hysteresis"})
-    estimate = modes.estimate(spec, modes.ModesQuery(**fields))
-    memory = min(estimate.points, service.settings.max_points) * _PER_CELL + estimate.memory
+    every = needs_flights(spec, query.min_flight)
+    most = min(service.settings.max_points, MAX_READ // spec.keep if every else MAX_READ)
+    cells = min(len(spec.axis_values("omega")) * len(spec.axis_values("gamma")), most)
+    compared = modes.comparison_memory(spec) if query.hysteresis else 0
+    memory = cells * (_PER_CELL + spec.keep * _PER_FLIGHT * every) + compared
     return dependencies.cost_of_read(service, job, memory, "omega", "gamma")
 
 
