@@ -5,14 +5,12 @@ import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from math import prod
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import xarray
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
-
-from service.formats import PictureFormat
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -164,7 +162,7 @@ def picture(
     from service.views.style import encode
 
     assert draw is not None
-    return encode(size, lambda figure: draw(dataset, figure), cast(PictureFormat, format), origin)
+    return encode(size, lambda figure: draw(dataset, figure), format, origin)
 
 
 DATASETS: Final[dict[str, Callable[..., bytes]]] = {"json": to_json, "bin": to_binary, "nc": to_netcdf}

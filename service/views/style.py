@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final
 
-from service.formats import PictureFormat
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -50,9 +48,7 @@ def legend_beside(axes: "Axes", entries: "list[Patch]", **options: Any) -> None:
     )  # fmt: skip
 
 
-def encode(
-    size: tuple[float, float], draw: "Callable[[Figure], None]", format: PictureFormat, origin: Origin
-) -> bytes:
+def encode(size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Origin) -> bytes:
     """The bytes of a picture that `draw` draws, the same for the same drawing; `size` is in inches.
 
     `origin` is in the file's metadata.
@@ -61,7 +57,7 @@ def encode(
 
 
 def _encode(
-    size: tuple[float, float], draw: "Callable[[Figure], None]", format: PictureFormat, origin: Origin
+    size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Origin
 ) -> bytes:
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -74,7 +70,7 @@ def _encode(
     return file.getvalue()
 
 
-def _metadata(format: PictureFormat, origin: Origin) -> dict[str, str | None]:
+def _metadata(format: str, origin: Origin) -> dict[str, str | None]:
     """The origin under the names that the format has for it, without the time of drawing."""
     program = f"bouncing-spring {origin['release']}"
     described = json.dumps(dict(origin), ensure_ascii=False)
