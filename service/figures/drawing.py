@@ -31,10 +31,9 @@ COLOURS: Final = 96  # of the palette of a PNG
 _UNBREAKABLE: Final = re.compile(
     r"(?<=[=≈]) | (?=[=≈])|(?<=\d) (?=[A%]|rad)|(?<=[⁻³⁶]) (?=A)|(?<=\(\d,) (?=\d)"
 )
-#: What the font lacks.
+#: Superscripts, which the font lacks.
 _RAISED: Final = re.compile("[⁺⁻³⁴⁵⁶]+")
 _PLAIN: Final = str.maketrans("⁺⁻³⁴⁵⁶", "+-3456")
-_INDEXED: Final = re.compile(r"Γ_th")
 
 
 class Verdict(StrEnum):
@@ -100,7 +99,7 @@ class Caption:
 
 def _with_mathtext(line: str) -> str:
     raised = _RAISED.sub(lambda match: f"$^{{{match[0].translate(_PLAIN)}}}$", line)
-    return _INDEXED.sub(r"$\\Gamma_{\\mathrm{th}}$", raised)
+    return raised.replace("Γ_th", r"$\Gamma_{\mathrm{th}}$")
 
 
 class Drawing(NamedTuple):
@@ -135,7 +134,7 @@ class Drawing(NamedTuple):
         return file.getvalue()
 
 
-def mode(bounces: int, periods: int) -> str:
+def named(bounces: int, periods: int) -> str:
     """A mode in the notation of the paper."""
     return f"({bounces}, {periods})"
 

@@ -108,7 +108,7 @@ def _not_constant() -> Claim:
     """The paper: "For ξ = 1, the threshold remains constant and equals to Γ_th = 1"."""
     omega, low = extremum(1.0)
     return compared(
-        bool(np.all(np.abs(threshold(OMEGA_GRID, 1.0) - 1) < 0.01)),
+        np.all(np.abs(threshold(OMEGA_GRID, 1.0) - 1) < 0.01),
         f"for ξ = 1, Γ_th is not constantly 1: {low:.3f} at Ω = {omega:.3f}, 1 at √(4/3) as for every ξ, "
         f"{threshold(MAX_OMEGA, 1.0):.3f} at Ω = {MAX_OMEGA:g}, {threshold(4.0, 1.0):.3f} at Ω = 4, "
         f"{threshold(1e3, 1.0):.3f} far beyond",
@@ -153,32 +153,21 @@ def _sections_caption(onset: xarray.Dataset) -> Caption:
         "Bouncing threshold at ξ = 0.05 (black), and the sections shown in Figs. 7 and 8: dashed, at "
         "constant Ω; dotted, at constant Γ. Circles: where the springs of Fig. 7 began to bounce, ramped up."
     )
-    computed = ", ".join(
-        f"{float(up):.3f} at Ω = {float(omega):g}"
-        for omega, up in zip(onset.omega.values, onset.up.values, strict=True)
-    )
+    pairs = zip(onset.omega.values, onset.up.values, strict=True)
+    computed = ", ".join(f"{up:.3f} at Ω = {omega:g}" for omega, up in pairs)
     (low, gamma), worst = extremum(XI), max_relative_difference(onset)
     lowest = OMEGA_GRID[np.argmin(threshold(OMEGA_GRID, XI))]
-    claims = (
-        compared(worst < 0.02, f"bouncing begins at Γ = {computed}, at most {percent(worst, 1)} from Eq. 25"),
-        compared(
-            bool(abs(lowest - 1) < 0.05),
-            f"a minimum due to resonance, Γ_th = {gamma:.4f} at Ω = {low:.4f}",
-        ),
-        _second_onset(),
-    )
-    return Caption(6, shows, claims)
-
-
-def _second_onset() -> Claim:
-    """Not in the paper: the threshold decreases again beyond its maximum."""
     maximum, _ = extremum(XI, upper=True)
     again = OMEGA_GRID[(maximum < OMEGA_GRID) & (threshold(OMEGA_GRID, XI) < GAMMAS[-1])]
-    where = f"from Ω = {again.min():.2f} on" if len(again) else f"beyond Ω = {MAX_OMEGA:g}"
-    return left_open(
-        f"the threshold falls again beyond Ω = {maximum:.2f}: at Γ = {GAMMAS[-1]:g} springs bounce {where} "
-        "once more"
+    claims = (
+        compared(worst < 0.02, f"bouncing begins at Γ = {computed}, at most {percent(worst, 1)} from Eq. 25"),
+        compared(abs(lowest - 1) < 0.05, f"a minimum due to resonance, Γ_th = {gamma:.4f} at Ω = {low:.4f}"),
+        left_open(
+            f"the threshold falls again beyond Ω = {maximum:.2f}: at Γ = {GAMMAS[-1]:g} springs bounce from "
+            f"Ω = {again.min():.2f} on once more"
+        ),
     )
+    return Caption(6, shows, claims)
 
 
 #: The top of the frame of Fig. 9, above the Γ where the curves differ.
@@ -204,13 +193,7 @@ def figure_9(job: Job, lower: Job) -> Drawing:
         _scales(axes, float(loop.omega[-1]), HYSTERESIS_TOP)
         axes.set_ylabel(SYMBOLS["gamma"])
 
-    return Drawing(_hysteresis_caption(loop, from_lower, gamma_step(job.spec), job.spec), 3.9, draw)
-
-
-def gamma_step(spec: Mapping[str, Any]) -> float:
-    """The step of a ramp over a range of Γ."""
-    gamma = spec["gamma"]
-    return float((gamma["stop"] - gamma["start"]) / (gamma["num"] - 1))
+    return Drawing(_hysteresis_caption(loop, from_lower, job.spec), 3.9, draw)
 
 
 def minima(values: NDArray[np.float64], depth: float) -> list[int]:
@@ -230,38 +213,32 @@ def _rise(values: NDArray[np.float64]) -> float:
     return float(np.nanmax(values[: below[0]] if len(below) else values) - values[0])
 
 
-def _hysteresis_caption(
-    loop: xarray.Dataset, lower: xarray.Dataset, step: float, spec: Mapping[str, Any]
-) -> Caption:
-    at, highest = extremum(XI, upper=True)
+def _hysteresis_caption(loop: xarray.Dataset, lower: xarray.Dataset, spec: Mapping[str, Any]) -> Caption:
+    gamma, (at, highest) = spec["gamma"], extremum(XI, upper=True)
+    step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
     shows = (
         "Threshold at ξ = 0.05 with Γ increased (gray: lowest Γ that bounces) and decreased (black: last Γ "
         f"that bounces) in steps of {step:.2g}, {spec['settle'] + spec['observe']} plate periods each and up "
         f"to {spec['settle_until']:,} while flights still settle, on an ideal plate; dashed, Eq. 25. Its "
         f"maximum, {highest:.1f} at Ω = {at:.3f}, lies outside the frame."
     )
-    return Caption(9, shows, (_on_eq_25(loop), _lower(loop), _several(loop), _coexist(loop, lower, step)))
-
-
-def _on_eq_25(loop: xarray.Dataset) -> Claim:
-    worst = max_relative_difference(loop)
-    return compared(worst < 0.03, f"the gray curve is Eq. 25 (at most {percent(worst, 1)} apart)")
-
-
-def _lower(loop: xarray.Dataset) -> Claim:
-    gain = 1.0 - (loop.down / loop.up).values
-    at = int(np.nanargmax(gain))
-    return compared(
-        bool(gain[at] > 0.1),
-        f"bouncing goes on below it, most at Ω = {float(loop.omega[at]):.2f}: down to "
-        f"Γ = {float(loop.down[at]):.3f} instead of {float(loop.up[at]):.3f}",
+    worst, gain = max_relative_difference(loop), 1.0 - (loop.down / loop.up).values
+    most, lows = int(np.nanargmax(gain)), minima(loop.down.values, MIN_DEPTH)
+    claims = (
+        compared(worst < 0.03, f"the gray curve is Eq. 25 (at most {percent(worst, 1)} apart)"),
+        compared(
+            gain[most] > 0.1,
+            f"bouncing goes on below it, most at Ω = {float(loop.omega[most]):.2f}: down to "
+            f"Γ = {float(loop.down[most]):.3f} instead of {float(loop.up[most]):.3f}",
+        ),
+        compared(
+            len(lows) > 1,
+            f"decreased, it has {len(lows)} minima: "
+            f"Ω = {', '.join(f'{omega:.2f}' for omega in loop.omega.values[lows])}",
+        ),
+        _coexist(loop, lower, step),
     )
-
-
-def _several(loop: xarray.Dataset) -> Claim:
-    indices = minima(loop.down.values, MIN_DEPTH)
-    omegas = ", ".join(f"{float(loop.omega[i]):.2f}" for i in indices)
-    return compared(len(indices) > 1, f"decreased, it has {len(indices)} minima: Ω = {omegas}")
+    return Caption(9, shows, claims)
 
 
 def _coexist(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Claim:
@@ -270,10 +247,8 @@ def _coexist(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Claim:
     moved = np.abs(lower.down.values - same) > STEPS_APART * step
     known = np.isfinite(lower.down.values) & np.isfinite(same)
     slow, fast = (known & side for side in (lower.omega.values < SLOW, lower.omega.values >= SLOW))
-    of_slow = f"{moved[slow].sum()} of {slow.sum()}"
-    of_fast = f"{moved[fast].sum()} of {fast.sum()}"
     return left_open(
         "the amplitude that the ramp down begins with, which may matter where modes coexist: from "
-        f"Γ = 1.2 instead of 3, {of_slow} thresholds below Ω = 0.5 and {of_fast} "
-        "from 0.5 to 0.8 are others",
+        f"Γ = 1.2 instead of 3, {moved[slow].sum()} of {slow.sum()} thresholds below Ω = 0.5 and "
+        f"{moved[fast].sum()} of {fast.sum()} from 0.5 to 0.8 are others",
     )
