@@ -4,6 +4,7 @@ A new result is a module of this package and a row here.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib.util import find_spec
 from math import inf
 from typing import Any, Final
@@ -21,6 +22,7 @@ from service.views import (
     modes,
     multistability,
     orbits,
+    style,
     threshold,
     trajectory,
 )
@@ -96,9 +98,9 @@ def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
 def _encoded(view: View, study: Stored[Any] | None, found: Dataset, format: str) -> bytes:
     about = {"release": software().release} if study is None else study.attributes
     found.attrs = {"Conventions": "CF-1.11", "title": view.summary, **about, **found.attrs}
-    if format in PICTURES:
+    if view.draw is not None and format in PICTURES:
         origin = about if study is None else study.origin
-        return encode.picture(found, view.draw, view.size, format, origin)
+        return style.encode(view.size, partial(view.draw, found), format, origin)
     rows = view.finer_rows if view.finer_rows in found else view.rows
     return encode.ENCODERS[format](found, rows)
 
