@@ -101,9 +101,8 @@ def estimate(spec: BasinSpec, query: BasinQuery) -> Estimate:
     return Estimate({"row": spec.protocol.rows, "column": spec.protocol.columns})
 
 
-#: Attractors named beside the picture, and how many of these have room for two lines each.
+#: Attractors named beside the picture.
 NAMED: Final = 16
-ROOMY: Final = 7
 
 
 def draw(found: xarray.Dataset, figure: "Figure") -> None:
@@ -133,12 +132,10 @@ def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
 def _legend(axes: "Axes", found: xarray.Dataset, colours: list[str]) -> None:
     from matplotlib.patches import Patch
 
-    close = len(colours) > ROOMY
-    columns = (found[f"attractor_{name}"].values for name in ("label", "fraction", "longest_flight"))
-    attractors = list(zip(colours, *columns, strict=True))[:NAMED]
+    columns = (found[f"attractor_{name}"].values.tolist() for name in ("label", "fraction", "longest_flight"))
     entries = [
-        Patch(color=colour, label=f"{label}  {_percent(share)}{_longest(longest, close)}")
-        for colour, label, share, longest in attractors
+        Patch(color=colour, label=f"{label}  {_percent(share)}{f', up to {longest:.4g} rad' * (longest > 0)}")
+        for colour, label, share, longest in list(zip(colours, *columns, strict=True))[:NAMED]
     ]
     undecided = found.undecided.item()
     if undecided > 0.0 or not np.isfinite(undecided):
@@ -146,15 +143,11 @@ def _legend(axes: "Axes", found: xarray.Dataset, colours: list[str]) -> None:
         entries.append(Patch(facecolor=UNDECIDED, edgecolor="black", linewidth=0.5, label=text))
     if len(colours) > NAMED:
         entries.append(Patch(alpha=0.0, label=f"and {len(colours) - NAMED} more"))
-    legend_beside(axes, entries, labelspacing=0.2 if close else None)
+    legend_beside(axes, entries)
 
 
 def _percent(share: float) -> str:
     return f"{100.0 * share:.1f} %" if np.isfinite(share) and share >= 0.001 else f"{100.0 * share:.2g} %"
-
-
-def _longest(flight: float, close: bool) -> str:
-    return f"{', ' if close else chr(10)}up to {flight:.4g} rad" if flight > 0.0 else ""
 
 
 _STORED: Final = stored_arrays(

@@ -43,10 +43,6 @@ _NAMES: Final = (
     "outcome", "attractor_count", *_MODE, "longest_flight", "fraction", "next_up", "next_down",
 )  # fmt: skip
 _OF_PLACES: Final = ("fraction", "longest_flight", "flight_time")
-_OF_EVENTS: Final = tuple(
-    f"event_{name}"
-    for name in ("kind", "attractor", "omega", "gamma_below", "gamma_above", "below", "above", "leads_to")
-)
 
 #: The variables by name; those of a place are of an attractor of a cell.
 _ROWS: Final = {
@@ -70,6 +66,8 @@ _ROWS: Final = {
             comment="0: none"),
     )
 }  # fmt: skip
+
+_OF_EVENTS: Final = tuple(name for name in _ROWS if name.startswith("event_"))
 
 _Arrays = Mapping[str, NDArray[Any]]
 
@@ -151,11 +149,6 @@ def _several(attractors: NDArray[Any], count: NDArray[Any]) -> float:
     return float(np.mean(computed >= 2)) if computed.size else np.nan
 
 
-def _known(arrays: _Arrays, i: int, j: int) -> range:
-    """Indices of the stored attractors of a cell."""
-    return range(min(int(arrays["attractor_count"][i, j]), MAX_ATTRACTORS))
-
-
 def _ids(arrays: _Arrays) -> NDArray[np.int64]:
     """The id of every stored attractor (omega, gamma, id); 0 where there is none."""
     branch = _branches(arrays)
@@ -189,52 +182,46 @@ def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> 
 
 def _branches(arrays: _Arrays) -> NDArray[np.int64]:
     """The branch of every stored attractor (omega, gamma, id), numbered line by line; -1: none."""
-    branch = np.full(arrays["attractor_outcome"].shape, -1, np.int64)
-    branches = 0
-    omegas, gammas = arrays["outcome"].shape
-    for i in range(omegas):
-        for j in range(gammas):
-            for k in _known(arrays, i, j):
-                before = int(arrays["next_down"][i, j, k]) - 1 if j else -1
-                if before >= 0 and arrays["next_up"][i, j - 1, before] == k + 1:
-                    branch[i, j, k] = branch[i, j - 1, before]
-                else:
-                    branch[i, j, k] = branches
-                    branches += 1
+    places = np.arange(MAX_ATTRACTORS)
+    there = places < arrays["attractor_count"][..., np.newaxis]
+    before = np.maximum(arrays["next_down"].astype(np.int64) - 1, 0)
+    goes_on = there & (arrays["next_down"] > 0)
+    goes_on[:, 0] = False
+    goes_on[:, 1:] &= np.take_along_axis(arrays["next_up"][:, :-1], before[:, 1:], axis=2) == places + 1
+    branch = np.where(there, np.cumsum(there & ~goes_on).reshape(there.shape) - 1, -1)
+    for j in range(1, there.shape[1]):
+        same = np.take_along_axis(branch[:, j - 1], before[:, j], axis=1)
+        branch[:, j] = np.where(goes_on[:, j], same, branch[:, j])
     return branch
 
 
 def _votes(arrays: _Arrays, branch: NDArray[np.int64]) -> Mapping[tuple[int, int], int]:
     """In how many cells branches of neighbouring lines are nearest to each other."""
     votes: Counter[tuple[int, int]] = Counter()
+    there = branch >= 0
     for i in range(1, len(branch)):
         for j in range(branch.shape[1]):
-            for k, before in _nearest(arrays, i, j):
+            for k, before in _nearest(arrays, there, i, j):
                 votes[int(branch[i - 1, j, before]), int(branch[i, j, k])] += 1
     return votes
 
 
-def _nearest(arrays: _Arrays, i: int, j: int) -> Iterator[tuple[int, int]]:
+def _nearest(arrays: _Arrays, there: NDArray[np.bool_], i: int, j: int) -> Iterator[tuple[int, int]]:
     """Pairs of attractors of the cells (i, j) and (i - 1, j): of one mode, the nearest flights first."""
     longest = arrays["longest_flight"]
     pairs = sorted(
         (abs(float(longest[i, j, k] - longest[i - 1, j, before])), k, before)
-        for k in _known(arrays, i, j)
-        for before in _known(arrays, i - 1, j)
-        if _mode(arrays, i, j, k) == _mode(arrays, i - 1, j, before)
+        for k in np.flatnonzero(there[i, j]).tolist()
+        for before in np.flatnonzero(there[i - 1, j]).tolist()
+        if all(arrays[name][i, j, k] == arrays[name][i - 1, j, before] for name in _MODE)
     )
-    here, there = set[int](), set[int]()
+    taken, taken_before = set[int](), set[int]()
     for difference, k, before in pairs:
         near = difference <= NEAR or arrays["attractor_outcome"][i, j, k] == Outcome.APERIODIC
-        if near and k not in here and before not in there:
-            here.add(k)
-            there.add(before)
+        if near and k not in taken and before not in taken_before:
+            taken.add(k)
+            taken_before.add(before)
             yield k, before
-
-
-def _mode(arrays: _Arrays, i: int, j: int, k: int) -> tuple[int, int, int]:
-    outcome, bounces, periods = (int(arrays[name][i, j, k]) for name in _MODE)
-    return outcome, bounces, periods
 
 
 def _labels(arrays: _Arrays, ids: NDArray[np.int64]) -> NDArray[np.object_]:

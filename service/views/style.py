@@ -40,12 +40,11 @@ _THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")
 Origin = Mapping[str, str]
 
 
-def legend_beside(axes: "Axes", entries: "list[Patch]", **options: Any) -> None:
+def legend_beside(axes: "Axes", entries: "list[Patch]") -> None:
     """A legend on the right of the axes."""
     axes.legend(
-        handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False,
-        **options,
-    )  # fmt: skip
+        handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False
+    )
 
 
 def encode(size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Origin) -> bytes:

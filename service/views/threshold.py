@@ -52,10 +52,8 @@ class SpringQuery(Query):
     ] = 1e-6
 
 
-@lru_cache(KEPT)
-def predicted(omega: float, xi: float) -> Thresholds:
-    """The thresholds of one spring; `unresolved` or `not searched` where the rule does not decide."""
-    return predict(omega, xi)
+#: The thresholds of one spring; `unresolved` or `not searched` where the rule does not decide.
+predicted: Final = lru_cache(KEPT)(predict)
 
 
 def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xarray.Dataset:
@@ -214,7 +212,13 @@ def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
     xi = nearest_index(spec, "xi", query.xi).value
     omegas, gammas = (len(spec.axis_values(axis)) for axis in ("omega", "gamma"))
     if query.tolerance is not None:
-        _check_cost(spec, omegas)
+        seconds = omegas * TYPICAL_CELLS * cell_seconds(spec, alone=True) * len(spec.directions)
+        if seconds > MAX_SECONDS:
+            rule = (
+                f"refining {omegas:,} values of omega takes about {seconds:.3g} core-seconds, the limit for "
+                f"one answer is {MAX_SECONDS:g}: enough for {int(omegas * MAX_SECONDS / seconds):,} values"
+            )
+            raise InvalidRequest.of("tolerance", rule)
     brief = bool(_left_out(spec, xi, query.predict)) or (
         query.predict == "some" and omegas <= MAX_BRIEF and _seconds(spec, xi, 0.0)[-1] <= BRIEF_SECONDS
     )
@@ -297,16 +301,6 @@ def _refined(data: dict[str, NDArray[Any]], found: Sequence[Refined]) -> dict[st
     if "up_computed" in data:  # refinement computes the cells that decide
         changed["up_computed"] = changed["up_status"] == Status.FOUND
     return changed
-
-
-def _check_cost(spec: SweepSpec, omegas: int) -> None:
-    seconds = TYPICAL_CELLS * cell_seconds(spec, alone=True) * len(spec.directions)  # per omega
-    if omegas * seconds > MAX_SECONDS:
-        rule = (
-            f"refining {omegas:,} values of omega takes about {omegas * seconds:.3g} core-seconds, the limit "
-            f"for one answer is {MAX_SECONDS:g}: enough for {int(MAX_SECONDS / seconds):,} values"
-        )
-        raise InvalidRequest.of("tolerance", rule)
 
 
 def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:

@@ -19,7 +19,6 @@ from service.views.selection import (
     check_kernel,
     directions_of,
     nearest_index,
-    read_direction,
     read_stored,
 )
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
@@ -316,14 +315,7 @@ def compute(study: Stored[_Spec], query: TrajectoryQuery) -> xarray.Dataset:
     stored state is where the computation stopped.
     """
     check_kernel(study.kernel_version)
-    cell = _cell(study.spec, query)
-    at = {axis: nearest_index(study.spec, axis, getattr(query, axis)).index for axis in AXES}
-    state = None
-    if query.attractor is not None:
-        state = _attractor_state(study, query.attractor, at)
-    elif isinstance(study.spec, SweepSpec) and study.spec.ramp_axis is not None:
-        state = _end_state(study, directions_of(study.spec, query.direction)[0], at)
-    return motion(cell, state)
+    return motion(_cell(study.spec, query), _start(study, query))
 
 
 def estimate(spec: _Spec, query: TrajectoryQuery) -> Estimate:
@@ -343,23 +335,35 @@ def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
     elif query.attractor is not None:
         raise InvalidRequest.of("attractor", "must be left out: the job is a sweep, which stores none")
     else:
-        directions_of(spec, query.direction)
+        _direction(spec, query)
         settle = min(spec.settle, MAX_SETTLE) if spec.ramp_axis is None else 0
     sampling = {"settle": settle, "periods": query.periods, "samples": query.samples}
     return TrajectorySpec(**values, model=spec.model, **sampling)
 
 
-def _attractor_state(study: Stored[Any], attractor: int, indices: dict[str, int]) -> NDArray[np.float64]:
-    """The stored state of an attractor of a cell, numbered from 1."""
-    names = ("attractor_outcome", "attractor_state")
-    arrays = read_stored(study, names, indices)
-    stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
-    if attractor > stored:
-        rule = (
-            f"must be from 1 to {stored}: the attractors of this cell" if stored else "this cell has none yet"
-        )
-        raise InvalidRequest.of("attractor", rule)
-    return np.asarray(arrays["attractor_state"][attractor - 1])
+def _start(study: Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] | None:
+    """The stored state of the attractor, or at the end of a ramp's window; None for a cell from rest."""
+    spec = study.spec
+    at = {axis: nearest_index(spec, axis, getattr(query, axis)).index for axis in AXES}
+    if query.attractor is not None:
+        arrays = read_stored(study, ("attractor_outcome", "attractor_state"), at)
+        stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
+        if query.attractor > stored:
+            rule = f"must be from 1 to {stored}: the attractors of this cell"
+            raise InvalidRequest.of("attractor", rule if stored else "this cell has none yet")
+        return np.asarray(arrays["attractor_state"][query.attractor - 1])
+    if not isinstance(spec, SweepSpec) or spec.ramp_axis is None:
+        return None
+    names = (schema.OUTCOME.name, schema.END_STATE.name)
+    arrays = read_stored(study, names, {"direction": _direction(spec, query), **at})
+    if arrays[schema.OUTCOME.name] == Outcome.MISSING:
+        raise InvalidRequest.of("gamma", "this cell is not computed yet; a ramp computes its cells in order")
+    _check_ended("gamma", int(arrays[schema.OUTCOME.name]))
+    return np.asarray(arrays[schema.END_STATE.name])
+
+
+def _direction(spec: SweepSpec, query: TrajectoryQuery) -> int:
+    return spec.directions.index(directions_of(spec, query.direction)[0])
 
 
 def _on_cycle(cell: Cell, point: CyclePoint) -> CycleStart:
@@ -381,15 +385,6 @@ def _check_ended(field: str, outcome: int) -> None:
     if outcome in (Outcome.DIVERGED, Outcome.UNRESOLVED):
         name = Outcome(outcome).name.lower()
         raise InvalidRequest.of(field, f"the cell is {name} before the first sample")
-
-
-def _end_state(sweep: Stored[Any], direction: str, indices: dict[str, int]) -> NDArray[np.float64]:
-    names = (schema.OUTCOME.name, schema.END_STATE.name)
-    arrays = read_direction(sweep, names, direction, indices)
-    if arrays[schema.OUTCOME.name] == Outcome.MISSING:
-        raise InvalidRequest.of("gamma", "this cell is not computed yet; a ramp computes its cells in order")
-    _check_ended("gamma", int(arrays[schema.OUTCOME.name]))
-    return np.asarray(arrays[schema.END_STATE.name])
 
 
 VIEW: Final = View(
