@@ -63,6 +63,6 @@ def figure(
     else:
         service = nullcontext(Address(url, token))
     with service as address, Client(*address, timeout=COMPILE_SECONDS) as client:
-        for target, picture in zip(targets, catalogue.make(figures, client, format), strict=True):
-            write_file(target, picture.content)
-            click.echo(f"{target}\n{picture.caption}\n", err=True)
+        for target, drawing in zip(targets, catalogue.make(figures, client), strict=True):
+            write_file(target, drawing.encoded(format))
+            click.echo(f"{target}\n{drawing.caption}\n", err=True)

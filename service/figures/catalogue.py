@@ -5,14 +5,14 @@ Importing this module does not load matplotlib.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from service import presets
 from service.client import BounceError, Client, Job
 from service.presets import FigurePreset
 
 if TYPE_CHECKING:
-    from service.figures.drawing import Caption, Drawing
+    from service.figures.drawing import Drawing
 
 FIGURES: Final[Mapping[int, FigurePreset]] = {figure.number: figure for figure in presets.FIGURES}
 
@@ -25,13 +25,6 @@ class UnknownFigure(BounceError):
         super().__init__(f"unknown figure {number}; choose one of: {known}")
 
 
-class Picture(NamedTuple):
-    """The bytes of a file, and the caption under the drawing in it."""
-
-    content: bytes
-    caption: "Caption"
-
-
 def figures(selection: str) -> list[FigurePreset]:
     """The figure of this number, or "all". Raises UnknownFigure with those there are."""
     if selection == "all":
@@ -41,21 +34,18 @@ def figures(selection: str) -> list[FigurePreset]:
     return [FIGURES[int(selection)]]
 
 
-def make(
-    selected: Sequence[FigurePreset], client: Client, format: str, *, progress: bool = True
-) -> Iterator[Picture]:
-    """Make the figures in order, as png, svg or pdf. Raises the errors of `service.client`.
+def make(selected: Sequence[FigurePreset], client: Client, *, progress: bool = True) -> Iterator["Drawing"]:
+    """Make the figures in order. Raises the errors of `service.client`.
 
     Sweeps that are computed already come back as jobs in state done. Workers compute the sweeps of later
     figures while earlier ones are drawn.
     """
     submitted = [[client.submit(sweep) for sweep in figure.sweeps] for figure in selected]
     for figure, jobs in zip(selected, submitted, strict=True):
-        made = drawing(figure.number, client, [job.wait(progress=progress) for job in jobs])
-        yield Picture(made.encoded(format), made.caption)
+        yield _drawing(figure.number, client, [job.wait(progress=progress) for job in jobs])
 
 
-def drawing(number: int, client: Client, jobs: Sequence[Job]) -> "Drawing":
+def _drawing(number: int, client: Client, jobs: Sequence[Job]) -> "Drawing":
     """The figure of this number, from its jobs."""
     from service.figures import flights, schematics, thresholds
 

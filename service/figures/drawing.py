@@ -94,12 +94,8 @@ class Caption:
             first, *rest = wrap(unbroken, LETTERS, break_on_hyphens=False)
             bold, mark = heading[:-1].replace(" ", "~"), heading[-1]
             lines += [rf"$\mathbf{{{bold}}}${mark} {first.removeprefix(heading)}", *rest]
-        return [_with_mathtext(line) for line in lines]
-
-
-def _with_mathtext(line: str) -> str:
-    raised = _RAISED.sub(lambda match: f"$^{{{match[0].translate(_PLAIN)}}}$", line)
-    return raised.replace("Γ_th", r"$\Gamma_{\mathrm{th}}$")
+        raised = (_RAISED.sub(lambda match: f"$^{{{match[0].translate(_PLAIN)}}}$", line) for line in lines)
+        return [line.replace("Γ_th", r"$\Gamma_{\mathrm{th}}$") for line in raised]
 
 
 class Drawing(NamedTuple):

@@ -84,11 +84,10 @@ def _coil(axes: Axes, x: float, low: float, high: float) -> None:
 
 def _damper(axes: Axes, x: float, low: float, high: float) -> None:
     middle = (low + high) / 2
-    axes.plot([x, x], [low, middle - 0.3], color="black", linewidth=1)
-    axes.plot([x - 0.17, x - 0.17, x + 0.17, x + 0.17], [middle + 0.22, *[middle - 0.3] * 2, middle + 0.22],
-              color="black", linewidth=1)  # fmt: skip
+    bottom, top = middle - 0.3, middle + 0.22
+    axes.plot([x, x, np.nan, x, x], [low, bottom, np.nan, middle, high], color="black", linewidth=1)
+    axes.plot(x + 0.17 * np.array([-1, -1, 1, 1]), [top, bottom, bottom, top], color="black", linewidth=1)
     axes.plot([x - 0.13, x + 0.13], [middle, middle], color="black", linewidth=1.6)
-    axes.plot([x, x], [middle, high], color="black", linewidth=1)
 
 
 def _gravity(axes: Axes, height: float) -> None:

@@ -94,34 +94,26 @@ def _dampings_caption(onsets: dict[float, xarray.Dataset]) -> Caption:
     lows = {xi: extremum(xi) for xi in (0.2, 0.05, 0.01)}
     omegas = [omega for omega, _ in lows.values()]
     near = ", ".join(f"{gamma:.3f} at Ω = {omega:.3f} (ξ = {xi:g})" for xi, (omega, gamma) in lows.items())
-    claims = (
-        compared(worst < 0.02, f"onsets and Eq. 25 are at most {percent(worst, 1)} apart"),
-        compared(omegas == sorted(omegas), f"the minimum moves to Ω = 1 as ξ decreases: {near}"),
-        _not_constant(),
-        _unmentioned_maximum(),
-        *_as_printed(),
-    )
-    return Caption(5, shows, claims)
-
-
-def _not_constant() -> Claim:
-    """The paper: "For ξ = 1, the threshold remains constant and equals to Γ_th = 1"."""
-    omega, low = extremum(1.0)
-    return compared(
-        np.all(np.abs(threshold(OMEGA_GRID, 1.0) - 1) < 0.01),
-        f"for ξ = 1, Γ_th is not constantly 1: {low:.3f} at Ω = {omega:.3f}, 1 at √(4/3) as for every ξ, "
-        f"{threshold(MAX_OMEGA, 1.0):.3f} at Ω = {MAX_OMEGA:g}, {threshold(4.0, 1.0):.3f} at Ω = 4, "
-        f"{threshold(1e3, 1.0):.3f} far beyond",
-    )
-
-
-def _unmentioned_maximum() -> Claim:
-    """Eq. 25 has a maximum for ξ < 1/√6, near √2 and above Γ_th(√2) = √(1 + 1/(8ξ²))."""
+    at, low = extremum(1.0)
     tops = [(xi, digits, *extremum(xi, upper=True)) for xi, digits in ((0.05, 3), (0.2, 2))]
     where = " and ".join(
         f"{gamma:.{digits}f} at Ω = {omega:.4f} (ξ = {xi:g})" for xi, digits, omega, gamma in tops
     )
-    return left_open(f"beyond the minimum the threshold has a maximum, {where}, and falls to 2 from there on")
+    claims = (
+        compared(worst < 0.02, f"onsets and Eq. 25 are at most {percent(worst, 1)} apart"),
+        compared(omegas == sorted(omegas), f"the minimum moves to Ω = 1 as ξ decreases: {near}"),
+        # The paper: "For ξ = 1, the threshold remains constant and equals to Γ_th = 1".
+        compared(
+            np.all(np.abs(threshold(OMEGA_GRID, 1.0) - 1) < 0.01),
+            f"for ξ = 1, Γ_th is not constantly 1: {low:.3f} at Ω = {at:.3f}, 1 at √(4/3) as for every ξ, "
+            f"{threshold(MAX_OMEGA, 1.0):.3f} at Ω = {MAX_OMEGA:g}, {threshold(4.0, 1.0):.3f} at Ω = 4, "
+            f"{threshold(1e3, 1.0):.3f} far beyond",
+        ),
+        # For ξ < 1/√6, near √2 and above Γ_th(√2) = √(1 + 1/(8ξ²)).
+        left_open(f"beyond the minimum the threshold has a maximum, {where}, and falls to 2 from there on"),
+        *_as_printed(),
+    )
+    return Caption(5, shows, claims)
 
 
 def _as_printed() -> list[Claim]:

@@ -14,7 +14,6 @@ from service.views import orbits
 from service.views.orbits import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Omega, Query, View, Xi
-from worker.orbits import Mode
 from worker.spec.errors import one_of
 
 #: Core-seconds that one answer may take, and those of one mode over the flight times of its branch at the
@@ -105,12 +104,7 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
     for _, periods in modes:
         for spring in springs:
             grid_length(*spring, periods)
-    _check_seconds(*springs[0], modes)
-    return Estimate({"curve": len(modes), "point": _POINTS}, memory=_MEMORY)
-
-
-def _check_seconds(omega: float, xi: float, modes: Sequence[Mode]) -> None:
-    """Raise InvalidRequest for curves that take more than MAX_SECONDS from this spring on."""
+    omega, xi = springs[0]
     seconds = np.cumsum([_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes])
     if seconds[-1] > MAX_SECONDS:
         fitting = int(np.searchsorted(seconds, MAX_SECONDS, "right"))
@@ -119,6 +113,7 @@ def _check_seconds(omega: float, xi: float, modes: Sequence[Mode]) -> None:
             f"one answer is {MAX_SECONDS:g}: ask for the first {fitting}, or take a larger omega"
         )
         raise InvalidRequest.of("modes", rule)
+    return Estimate({"curve": len(modes), "point": _POINTS}, memory=_MEMORY)
 
 
 VIEW: Final = View(

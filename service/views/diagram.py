@@ -16,7 +16,6 @@ from kernel.recount import counted
 from kernel.threshold import threshold
 from service.views.selection import (
     LABEL,
-    GridValue,
     Stored,
     between,
     directions_of,
@@ -60,7 +59,7 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
     unless all of a cell are so short.
     """
     spec, along = study.spec, query.along
-    fixed, window = _fixed(spec, query), _window(spec, query)
+    fixed, window = fixed_axes(spec, along, dict(query)), _window(spec, query)
     part = slice(window.start, window.stop, query.every)
     indices = {along: part, **{axis: at.index for axis, at in fixed.items()}}
     cells = {
@@ -77,10 +76,6 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
     if query.caption:
         found.attrs["caption"] = _caption(spec, found)
     return found
-
-
-def _fixed(spec: SweepSpec, query: DiagramQuery) -> dict[str, GridValue]:
-    return fixed_axes(spec, query.along, {axis: getattr(query, axis) for axis in AXES})
 
 
 def _window(spec: SweepSpec, query: DiagramQuery) -> range:
@@ -110,7 +105,7 @@ def _line(
 
 def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     """All flights that the line can have. Raises InvalidRequest for a line that the sweep does not have."""
-    _fixed(spec, query)
+    fixed_axes(spec, query.along, dict(query))
     directions = directions_of(spec, query.direction)
     lengths = {query.along: len(_window(spec, query)), "flight": spec.keep}
     if len(directions) > 1:

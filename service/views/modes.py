@@ -122,11 +122,21 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     lengths = {axis: part.stop - part.start for axis, part in window.items()}
     memory, most = 0, None
     if needs_flights(spec, query.min_flight):
-        _check_computed(spec, query.min_flight)
+        if spec.refine is not None:
+            rule = (
+                f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where modes of "
+                "these flights change, and those of others change elsewhere; submit the map with "
+                f"micro_flight {query.min_flight:g} instead, or read diagrams, which count other flights "
+                "where cells are computed"
+            )
+            raise InvalidRequest.of("min_flight", rule)
         most = max(1, MAX_READ // spec.keep)
         memory = 100 * spec.keep * min(most, prod(-(-n // query.every) for n in lengths.values()))
     if query.hysteresis:
-        _check_both_ways(spec)
+        if len(spec.directions) < 2:
+            way = "from rest" if spec.ramp_axis is None else f"ramped {spec.directions[0]} only"
+            rule = f'needs a sweep ramped both ways, with the direction "both"; this one is {way}'
+            raise InvalidRequest.of("hysteresis", rule)
         memory += comparison_memory(spec)
     if len(directions) > 1:
         lengths = {"direction": len(directions), **lengths}
@@ -137,25 +147,6 @@ def comparison_memory(spec: SweepSpec) -> int:
     """Bytes of memory that comparing the directions of a plane takes at most."""
     row = len(spec.directions) * spec.keep * len(spec.axis_values("gamma"))
     return min(row * len(spec.axis_values("omega")), max(_COMPARED, row)) * _PER_COMPARED
-
-
-def _check_computed(spec: SweepSpec, min_flight: float | None) -> None:
-    """Raise InvalidRequest for an adaptive map: its modes cannot be found from other flights."""
-    if spec.refine is not None:
-        rule = (
-            f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where modes of these "
-            "flights change, and those of others change elsewhere; submit the map with micro_flight "
-            f"{min_flight:g} instead, or read diagrams, which count other flights where cells are computed"
-        )
-        raise InvalidRequest.of("min_flight", rule)
-
-
-def _check_both_ways(spec: SweepSpec) -> None:
-    """Raise InvalidRequest for a sweep that is not ramped both ways."""
-    if len(spec.directions) < 2:
-        way = "from rest" if spec.ramp_axis is None else f"ramped {spec.directions[0]} only"
-        rule = f'needs a sweep ramped both ways, with the direction "both"; this one is {way}'
-        raise InvalidRequest.of("hysteresis", rule)
 
 
 def _computed_share(study: Stored[SweepSpec], xi: int, direction: str) -> float:

@@ -121,7 +121,7 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     }
     reached = np.count_nonzero(of_places["fraction"] > 0.0, axis=-1)
     attrs = {
-        "several": _several(count, count), "several_by_drops": _several(reached, count),
+        "several": _share(count[count >= 0] >= 2), "several_by_drops": _share(reached[count >= 0] >= 2),
         "model": spec.model.kind, "complete": study.is_complete(arrays["outcome"]),
     }  # fmt: skip
     return dataset(data, coords, attrs)
@@ -143,10 +143,9 @@ def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
     return Estimate(lengths, reads=_PLANE, memory=omegas * gammas * _PER_CELL)
 
 
-def _several(attractors: NDArray[Any], count: NDArray[Any]) -> float:
-    """Share of the computed cells with two attractors or more; NaN if none is computed."""
-    computed = attractors[count >= 0]
-    return float(np.mean(computed >= 2)) if computed.size else np.nan
+def _share(cells: NDArray[np.bool_]) -> float:
+    """Share of the computed cells; NaN if none is computed."""
+    return float(np.mean(cells)) if cells.size else np.nan
 
 
 def _ids(arrays: _Arrays) -> NDArray[np.int64]:

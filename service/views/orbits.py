@@ -24,7 +24,6 @@ from service.views.selection import (
     MAX_READ,
     GridValue,
     Stored,
-    check_metadata,
     directions_of,
     nearest_index,
 )
@@ -298,7 +297,7 @@ def _line(spec: SweepSpec, query: WordsQuery) -> tuple[str, dict[str, GridValue]
 def word_parts(study: Stored[SweepSpec], query: WordsQuery) -> Sequence[Call]:
     """The branches of one line, unless nothing is stored yet."""
     try:
-        check_metadata(study)
+        store.stored_forms(study.url, study.forms)  # raises for a store laid out otherwise
     except store.StoreMissing as error:
         if study.complete:
             raise store.StoreDamaged(str(error)) from error

@@ -126,7 +126,7 @@ def nearest_index(spec: Specification, axis: str, value: float | None) -> GridVa
     return GridValue(index, float(values[index]))
 
 
-def fixed_axes(spec: SweepSpec, along: str, values: Mapping[str, float | None]) -> dict[str, GridValue]:
+def fixed_axes(spec: SweepSpec, along: str, values: Mapping[str, Any]) -> dict[str, GridValue]:
     """The grid values of all axes but `along`. Raises InvalidRequest, also for a value of `along`."""
     if values.get(along) is not None:
         raise InvalidRequest.of(along, "is the axis the diagram goes along; leave it out")
@@ -201,11 +201,6 @@ def read_direction(
 ) -> dict[str, NDArray[Any]]:
     """The named arrays of a sweep in one direction, as `read_stored`."""
     return read_stored(study, names, {"direction": study.spec.directions.index(direction), **indices})
-
-
-def check_metadata(study: Stored[Specification]) -> None:
-    """Raise a `store.StoreError` unless what a worker is to read is laid out as the specification says."""
-    store.stored_forms(study.url, study.forms)
 
 
 def shortest(spec: SweepSpec, min_flight: float | None) -> float:

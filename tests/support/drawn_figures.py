@@ -7,7 +7,6 @@ from typing import Any
 
 import matplotlib as mpl
 import matplotlib.image
-import pytest
 from artists import read_back
 from matplotlib.figure import Figure
 from paths import GOLDEN
@@ -15,7 +14,7 @@ from paths import GOLDEN
 from service import presets
 from service.client import Client
 from service.figures import catalogue
-from service.figures.drawing import Caption, Drawing, Verdict
+from service.figures.drawing import Caption, Verdict
 from service.presets import FigurePreset
 from service.views.style import DPI, STYLE
 
@@ -72,16 +71,10 @@ class Pictures(UserDict[int, Made]):
         self._client = client
 
     def __missing__(self, number: int) -> Made:
-        with pytest.MonkeyPatch.context() as patch:
-            drawings: list[Drawing] = []
-            encoded = Drawing.encoded
-            patch.setattr(
-                Drawing, "encoded", lambda self, *args: drawings.append(self) or encoded(self, *args)
-            )
-            (picture,) = catalogue.make([SMALL_FIGURES[number]], self._client, "png", progress=False)
+        (drawing,) = catalogue.make([SMALL_FIGURES[number]], self._client, progress=False)
         with mpl.rc_context(STYLE):
-            drawings[0].compose(figure := Figure(dpi=DPI, layout="constrained"))
-            self[number] = Made(picture.content, picture.caption, read_back(figure))
+            drawing.compose(figure := Figure(dpi=DPI, layout="constrained"))
+            self[number] = Made(drawing.encoded("png"), drawing.caption, read_back(figure))
         return self[number]
 
 

@@ -96,8 +96,8 @@ def test_picture_has_ink_a_caption_and_a_reasonable_size(pictures: Pictures, num
 @pytest.mark.parametrize("number", [4, 9])
 def test_svg_holds_letters_as_text_and_dots_as_an_image(client: Client, pictures: Pictures, number: int):
     figure = SMALL_FIGURES[number]
-    first, again = catalogue.make([figure, figure], client, "svg", progress=False)
-    content = first.content.decode()
+    first, again = (x.encoded("svg") for x in catalogue.make([figure, figure], client, progress=False))
+    content = first.decode()
     assert first == again
     assert "<svg" in content
     assert "<text" in content
