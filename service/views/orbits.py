@@ -254,7 +254,7 @@ _branch = lru_cache(KEPT)(branch_and_events)
 
 
 def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
-    """All points of the  Raises InvalidRequest for a branch that is too long, or not there."""
+    """All points of the branches. Raises InvalidRequest for a branch that is too long, or not there."""
     lengths = [grid_length(*grid) for grid in _grids(query)]
     sizes = {"branch": len(lengths), "point": max(lengths), "multiplier": 2, "part": 2}
     return Estimate(sizes, memory=sum(lengths) * _PER_POINT)
