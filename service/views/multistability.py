@@ -239,20 +239,13 @@ def _commonest(ids: NDArray[np.int64], labels: NDArray[np.object_]) -> dict[int,
 
 
 def _events(
-    spec: MultistabilitySpec,
-    arrays: _Arrays,
-    ids: NDArray[np.int64],
-    labels: NDArray[np.object_],
-    rows: slice,
+    spec: MultistabilitySpec, arrays: _Arrays, ids: NDArray[np.int64], labels: Any, rows: slice
 ) -> Iterator[tuple[Any, ...]]:
     """Births, deaths and changes of mode between computed cells of some lines, as _OF_EVENTS."""
     computed = arrays["outcome"] != Outcome.MISSING
     omega, gamma = (spec.axis_values(axis).tolist() for axis in _PLANE)
-    omegas, gammas = computed.shape
-    for i in range(omegas)[rows]:
-        for j in range(gammas - 1):
-            if not computed[i, j] or not computed[i, j + 1]:
-                continue
+    for i in range(len(omega))[rows]:
+        for j in np.flatnonzero(computed[i, :-1] & computed[i, 1:]).tolist():
             below, above = (
                 {n: label for n, label in zip(ids[i, at].tolist(), labels[i, at], strict=True) if n}
                 for at in (j, j + 1)
@@ -262,21 +255,12 @@ def _events(
                 if before == after:
                     continue
                 kind, leads_to = "mode", 0
-                if not before:
-                    kind = "birth"
-                    leads_to = _target(arrays["next_down"], ids, (i, j + 1), number, (i, j))
-                elif not after:
-                    kind = "death"
-                    leads_to = _target(arrays["next_up"], ids, (i, j), number, (i, j + 1))
+                if not before or not after:
+                    kind, there, other = ("death", j, j + 1) if before else ("birth", j + 1, j)
+                    leads = arrays["next_up" if before else "next_down"][i, there]
+                    reached = int(leads[ids[i, there] == number][0])
+                    leads_to = int(ids[i, other, reached - 1]) if reached > 0 else 0
                 yield kind, number, omega[i], gamma[j], gamma[j + 1], before, after, leads_to
-
-
-def _target(
-    leads: NDArray[np.int8], ids: NDArray[np.int64], cell: tuple[int, int], number: int, to: tuple[int, int]
-) -> int:
-    """The id of the attractor of the cell `to` that attractor `number` of `cell` leads to; 0: none."""
-    reached = int(leads[cell][ids[cell] == number][0])
-    return int(ids[to][reached - 1]) if reached > 0 else 0
 
 
 #: Colours of cells by their number of attractors: not computed, none, 1, 2, 3, 4 and more.
