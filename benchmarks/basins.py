@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from benchmarks.measuring import describe, options, short, table
 from kernel.params import Line, Outcome
-from service.results.selection import Stored
 from service.views.multistability import MultistabilityQuery, compute
+from service.views.selection import Stored
 from worker import store
 from worker.basins.attractors import Found, counted, find
 from worker.basins.multistability import MULTISTABILITY

@@ -158,10 +158,10 @@ def run_to_file(
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
     from service.files import complete_file
-    from service.results.provenance import attributes_of
-    from service.results.selection import Stored
     from service.views import diagram, files
+    from service.views.provenance import attributes_of
     from service.views.registry import admit, answer
+    from service.views.selection import Stored
     from service.views.view import Query
 
     query: Query = _query(diagram.DiagramQuery, line or {})

@@ -21,8 +21,8 @@ from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
 from service.render.answers import Line
-from service.results.selection import BASE_MEMORY, Stored, Sweep
 from service.settings import Settings
+from service.views.selection import BASE_MEMORY, Stored
 from worker.spec import SweepSpec
 
 
@@ -102,18 +102,17 @@ ResultsJob = Annotated[JobRecord, Depends(_results_job)]
 def stored(service: Service, job: JobRecord) -> Stored[Any]:
     """What a job of any kind computes and where its results are."""
     prepared = service.manager.preparer.prepare(job)
-    kind = Sweep if isinstance(prepared.spec, SweepSpec) else Stored
     done = job.state is JobState.DONE
-    return kind(
+    return Stored(
         prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, job.chunks_done,
         prepared.forms,
     )  # fmt: skip
 
 
-def sweep(service: Service, job: JobRecord) -> Sweep:
+def sweep(service: Service, job: JobRecord) -> Stored[SweepSpec]:
     """What a job computes and where its results are. Raises InvalidRequest for other kinds of study."""
     found = stored(service, job)
-    if not isinstance(found, Sweep):
+    if not isinstance(found.spec, SweepSpec):
         kind = found.spec.protocol.kind
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
     return found

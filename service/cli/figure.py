@@ -69,9 +69,9 @@ def figure(
         if url is None or data is not None:
             url, token = stack.enter_context(_service(workers, data, token))
         client = stack.enter_context(Client(url, token, timeout=COMPILE_SECONDS))
-        for target, picture in zip(targets, catalogue.make(figures, client, format), strict=True):
-            write_file(target, picture.content)
-            click.echo(f"{target}\n{picture.caption}\n", err=True)
+        for target, drawing in zip(targets, catalogue.make(figures, client), strict=True):
+            write_file(target, drawing.encoded(format))
+            click.echo(f"{target}\n{drawing.caption}\n", err=True)
 
 
 @contextmanager

@@ -4,15 +4,15 @@ Importing this module does not load matplotlib.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Final
 
 from service import presets
 from service.client import BounceError, Client, Job
-from service.figures.caption import Caption
 from service.presets import FigurePreset
 
 if TYPE_CHECKING:
-    from service.figures.canvas import Drawing
+    from service.figures.drawing import Drawing
 
 FIGURES: Final[Mapping[int, FigurePreset]] = {figure.number: figure for figure in presets.FIGURES}
 
@@ -25,13 +25,6 @@ class UnknownFigure(BounceError):
         super().__init__(f"unknown figure {number}; choose one of: {known}")
 
 
-class Picture(NamedTuple):
-    """The bytes of a file, and the caption under the drawing in it."""
-
-    content: bytes
-    caption: Caption
-
-
 def figures(selection: str) -> list[FigurePreset]:
     """The figure of this number, or "all". Raises UnknownFigure with those there are."""
     if selection == "all":
@@ -41,31 +34,24 @@ def figures(selection: str) -> list[FigurePreset]:
     return [FIGURES[int(selection)]]
 
 
-def make(
-    selected: Sequence[FigurePreset], client: Client, format: str, *, progress: bool = True
-) -> Iterator[Picture]:
-    """Make the figures in order, as png, svg or pdf. Raises the errors of `service.client`.
+def make(selected: Sequence[FigurePreset], client: Client, *, progress: bool = True) -> Iterator["Drawing"]:
+    """Make the figures in order. Raises the errors of `service.client`.
 
     Sweeps that are computed already come back as jobs in state done. Workers compute the sweeps of later
     figures while earlier ones are drawn.
     """
     submitted = [[client.submit(sweep) for sweep in figure.sweeps] for figure in selected]
     for figure, jobs in zip(selected, submitted, strict=True):
-        drawing = _draw(figure.number, client, [job.wait(progress=progress) for job in jobs])
-        yield Picture(drawing.encoded(format), drawing.caption)
+        yield _drawing(figure.number, client, [job.wait(progress=progress) for job in jobs])
 
 
-def _draw(number: int, client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import ball, canvas, hysteresis, modes, schematics, sections, thresholds
+def _drawing(number: int, client: Client, jobs: Sequence[Job]) -> "Drawing":
+    """The figure of this number, from its jobs."""
+    from service.figures import flights, schematics, thresholds
 
-    with canvas.style():
-        if number == 1:
-            return schematics.draw()
-        if number == 2:
-            return modes.draw(client, *jobs)
-        draw: Mapping[int, Callable[..., Drawing]] = {
-            3: ball.draw_inelastic, 4: ball.draw_elastic, 5: thresholds.draw_dampings,
-            6: thresholds.draw_sections, 7: sections.draw_along_gamma, 8: sections.draw_along_omega,
-            9: hysteresis.draw,
-        }  # fmt: skip
-        return draw[number](*jobs)
+    draw: Mapping[int, Callable[..., Drawing]] = {
+        1: schematics.figure_1, 2: partial(flights.figure_2, client), 3: flights.figure_3,
+        4: flights.figure_4, 5: thresholds.figure_5, 6: thresholds.figure_6, 7: flights.figure_7,
+        8: flights.figure_8, 9: thresholds.figure_9,
+    }  # fmt: skip
+    return draw[number](*jobs)

@@ -2,10 +2,11 @@
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import SubFigure
 from matplotlib.patches import Circle, Rectangle
 
-from service.figures.canvas import BLUE, Drawing, new_drawing
-from service.figures.caption import Caption, compared, left_open
+from service.figures.drawing import Caption, Drawing, compared, left_open
+from service.views.style import BLUE
 
 CAPTION = Caption(
     1,
@@ -29,25 +30,19 @@ BOTH_WAYS = {"arrowstyle": "<->", "linewidth": 0.8}
 ONE_WAY = {"arrowstyle": "-|>", "linewidth": 0.9, "color": "black"}
 
 
-def draw() -> Drawing:
+def figure_1() -> Drawing:
     """The two schematics, side by side on plates of one height."""
-    drawing, area = new_drawing(2.7, CAPTION)
-    left, right = area.subplots(1, 2, sharey=True)
-    for axes, width in ((left, 2.2), (right, 2.2)):
-        axes.set_aspect("equal")
-        axes.set_xlim(-width, width)
-        axes.set_ylim(-1.25, 4.05)
+    return Drawing(CAPTION, 3.6, _draw)
+
+
+def _draw(area: SubFigure) -> None:
+    for axes, model in zip(area.subplots(1, 2, sharey=True), (_ball, _spring), strict=True):
+        axes.set(aspect="equal", xlim=(-2.2, 2.2), ylim=(-1.25, 4.05))
         axes.axis("off")
-        _plate(axes)
-    _ball(left)
-    _spring(right)
-    return drawing
-
-
-def _plate(axes: Axes) -> None:
-    axes.add_patch(Rectangle((-1.7, PLATE - 0.16), 3.4, 0.16, facecolor="black"))
-    axes.annotate("", (-1.35, -1.0), (-1.35, -0.22), arrowprops=BOTH_WAYS)
-    axes.text(-1.15, -0.62, r"$z_p = A\,\cos\,\omega t$", va="center")
+        axes.add_patch(Rectangle((-1.7, PLATE - 0.16), 3.4, 0.16, facecolor="black"))
+        axes.annotate("", (-1.35, -1.0), (-1.35, -0.22), arrowprops=BOTH_WAYS)
+        axes.text(-1.15, -0.62, r"$z_p = A\,\cos\,\omega t$", va="center")
+        model(axes)
 
 
 def _ball(axes: Axes) -> None:
@@ -89,11 +84,10 @@ def _coil(axes: Axes, x: float, low: float, high: float) -> None:
 
 def _damper(axes: Axes, x: float, low: float, high: float) -> None:
     middle = (low + high) / 2
-    axes.plot([x, x], [low, middle - 0.3], color="black", linewidth=1)
-    axes.plot([x - 0.17, x - 0.17, x + 0.17, x + 0.17], [middle + 0.22, *[middle - 0.3] * 2, middle + 0.22],
-              color="black", linewidth=1)  # fmt: skip
+    bottom, top = middle - 0.3, middle + 0.22
+    axes.plot([x, x, np.nan, x, x], [low, bottom, np.nan, middle, high], color="black", linewidth=1)
+    axes.plot(x + 0.17 * np.array([-1, -1, 1, 1]), [top, bottom, bottom, top], color="black", linewidth=1)
     axes.plot([x - 0.13, x + 0.13], [middle, middle], color="black", linewidth=1.6)
-    axes.plot([x, x], [middle, high], color="black", linewidth=1)
 
 
 def _gravity(axes: Axes, height: float) -> None:

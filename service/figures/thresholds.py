@@ -1,75 +1,68 @@
-"""Figs. 5 and 6: the bouncing threshold by Eq. 25 and as computed, and the sections of Figs. 7 and 8."""
+"""Figs. 5, 6 and 9: the bouncing threshold by Eq. 25 and as computed, with Γ increased and decreased."""
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 import xarray
 from matplotlib.axes import Axes
+from matplotlib.figure import SubFigure
+from numpy.typing import NDArray
 
 from kernel.threshold import threshold
 from service.client import Job
-from service.figures.canvas import BLUE, GREEN, ORANGE, RED, Drawing, minor_ticks, new_drawing
-from service.figures.caption import Caption, Claim, compared, left_open, percent
+from service.figures.drawing import Caption, Claim, Drawing, compared, left_open, percent
 from service.presets import DAMPINGS, GAMMAS, OMEGAS, XI
+from service.views.style import BLUE, COLOURS, RED, SYMBOLS
 
-#: Colour, line style and marker of each damping.
-LINE_STYLES: Final = (
-    (BLUE, "-", "o"),
-    (RED, (0, (5, 1.5)), "s"),
-    (GREEN, (0, (1, 1)), "^"),
-    (ORANGE, "-.", "D"),
-)
+#: Line style and marker of each damping.
+LINE_STYLES: Final[Any] = (("-", "o"), ((0, (5, 1.5)), "s"), ((0, (1, 1)), "^"), ("-.", "D"))
 MAX_GAMMA: Final = 3.0
 MAX_OMEGA: Final = 2.0
 OMEGA_GRID: Final = np.linspace(0.005, MAX_OMEGA, 1500)
 
 
-def draw_dampings(job: Job) -> Drawing:
-    """Fig. 5: the curves of four dampings, with the computed thresholds as markers."""
+def figure_5(job: Job) -> Drawing:
+    """The curves of four dampings, with the computed thresholds as markers."""
     onsets = {xi: job.threshold(xi=xi) for xi in DAMPINGS}
-    drawing, area = new_drawing(2.9, _dampings_caption(onsets))
-    axes = area.subplots()
-    for (xi, onset), (colour, line, mark) in zip(onsets.items(), LINE_STYLES, strict=True):
-        axes.plot(OMEGA_GRID, threshold(OMEGA_GRID, xi), color=colour, linestyle=line)
-        inside = onset.sel(omega=onset.up <= MAX_GAMMA)  # whole marks at the frame, none outside it
-        axes.plot(inside.omega, inside.up, linestyle="none", marker=mark, markersize=3.6, clip_on=False,
-                  markerfacecolor="white", markeredgecolor=colour, markeredgewidth=0.9, zorder=3)  # fmt: skip
-        axes.plot([], [], color=colour, linestyle=line, marker=mark, markersize=3.6,
-                  markerfacecolor="white", label=rf"$\xi = {xi:g}$")  # fmt: skip
-    axes.legend(loc="upper left")
-    _scales(axes)
-    return drawing
+
+    def draw(area: SubFigure) -> None:
+        axes = area.subplots()
+        for (xi, onset), (line, mark), colour in zip(onsets.items(), LINE_STYLES, COLOURS, strict=False):
+            style: Any = {"color": colour, "markersize": 4, "markerfacecolor": "white"}
+            axes.plot(OMEGA_GRID, threshold(OMEGA_GRID, xi), linestyle=line, **style)
+            inside = onset.sel(omega=onset.up <= MAX_GAMMA)  # whole marks at the frame, none outside it
+            axes.plot(
+                inside.omega, inside.up, linestyle="none", marker=mark, clip_on=False, zorder=3, **style
+            )
+            axes.plot([], [], linestyle=line, marker=mark, label=rf"{SYMBOLS['xi']} = {xi:g}", **style)
+        axes.legend(loc="upper left", frameon=False)
+        _scales(axes, MAX_OMEGA, MAX_GAMMA)
+
+    return Drawing(_dampings_caption(onsets), 3.9, draw)
 
 
-def draw_sections(job: Job) -> Drawing:
-    """Fig. 6: one curve, and the sections of Figs. 7 and 8; Ω is the vertical axis, as in the paper."""
+def figure_6(job: Job) -> Drawing:
+    """One curve, and the sections of Figs. 7 and 8; Ω is the vertical axis, as in the paper."""
     onset = job.threshold(xi=XI)
-    drawing, area = new_drawing(3.1, _sections_caption(onset))
-    axes = area.subplots()
-    axes.plot(threshold(OMEGA_GRID, XI), OMEGA_GRID, color="black")
-    for letter, omega in zip("abc", OMEGAS, strict=True):
-        axes.axhline(omega, color=RED, linestyle=(0, (5, 2)), linewidth=1)
-        _annotate(axes, f"7{letter}", (0, omega), (9, 2), RED, xycoords=("axes fraction", "data"))
-    for letter, gamma in zip("abc", GAMMAS, strict=True):
-        axes.axvline(gamma, color=GREEN, linestyle=(0, (1, 1.2)), linewidth=1.4)
-        _annotate(axes, f"8{letter}", (gamma, 0), (3, 3), GREEN, xycoords=("data", "axes fraction"))
-    axes.plot([], [], color=RED, linestyle=(0, (5, 2)), label=r"$(\Gamma, \varphi)$, Fig. 7")
-    axes.plot([], [], color=GREEN, linestyle=(0, (1, 1.2)), label=r"$(\Omega, \varphi)$, Fig. 8")
-    axes.plot(onset.up, onset.omega, linestyle="none", marker="o", markersize=4, markerfacecolor="white",
-              markeredgecolor="black", label="computed", zorder=4)  # fmt: skip
-    axes.legend(loc="upper left", frameon=True, framealpha=1, edgecolor="none", borderpad=0.2)
-    axes.set_xlim(0, 3.4)
-    axes.set_ylim(0, MAX_OMEGA)
-    axes.set_xlabel(r"$\Gamma$", labelpad=1)
-    axes.set_ylabel(r"$\Omega$")
-    minor_ticks(axes)
-    return drawing
 
+    def draw(area: SubFigure) -> None:
+        axes = area.subplots()
+        axes.plot(threshold(OMEGA_GRID, XI), OMEGA_GRID, color="black")
+        sections = ((7, OMEGAS, axes.axhline, "--", RED), (8, GAMMAS, axes.axvline, ":", BLUE))
+        for figure, values, line, style, colour in sections:
+            for letter, value in zip("abc", values, strict=True):
+                line(value, color=colour, linestyle=style, linewidth=1)
+                at = (0.05, value) if figure == 7 else (value, 0.05)
+                axes.annotate(f"{figure}{letter}", at, (3, 3), textcoords="offset points", color=colour)
+        axes.plot([], [], color=RED, linestyle="--", label=r"$(\Gamma, \varphi)$, Fig. 7")
+        axes.plot([], [], color=BLUE, linestyle=":", label=r"$(\Omega, \varphi)$, Fig. 8")
+        axes.plot(onset.up, onset.omega, "ko", markersize=4, markerfacecolor="white", label="computed")
+        axes.legend(loc="upper left", framealpha=1, edgecolor="none")
+        _scales(axes, 3.4, MAX_OMEGA)
+        axes.set(xlabel=SYMBOLS["gamma"], ylabel=SYMBOLS["omega"])
 
-def _annotate(
-    axes: Axes, text: str, at: tuple[float, float], offset: tuple[int, int], colour: str, **options: Any
-) -> None:
-    axes.annotate(text, at, offset, textcoords="offset points", color=colour, fontsize=8, **options)
+    return Drawing(_sections_caption(onset), 3.9, draw)
 
 
 def max_relative_difference(onset: xarray.Dataset) -> float:
@@ -87,12 +80,9 @@ def extremum(xi: float, *, upper: bool = False) -> tuple[float, float]:
     return omega, float(threshold(omega, xi))
 
 
-def _scales(axes: Axes) -> None:
-    axes.set_xlim(0, MAX_OMEGA)
-    axes.set_ylim(0, MAX_GAMMA)
-    axes.set_xlabel(r"$\Omega$", labelpad=1)
-    axes.set_ylabel(r"$\Gamma_{\mathrm{th}}$")
-    minor_ticks(axes)
+def _scales(axes: Axes, right: float, top: float) -> None:
+    axes.set(xlim=(0, right), ylim=(0, top), xlabel=SYMBOLS["omega"], ylabel=r"$\Gamma_{\mathrm{th}}$")
+    axes.minorticks_on()
 
 
 def _dampings_caption(onsets: dict[float, xarray.Dataset]) -> Caption:
@@ -104,34 +94,26 @@ def _dampings_caption(onsets: dict[float, xarray.Dataset]) -> Caption:
     lows = {xi: extremum(xi) for xi in (0.2, 0.05, 0.01)}
     omegas = [omega for omega, _ in lows.values()]
     near = ", ".join(f"{gamma:.3f} at Ω = {omega:.3f} (ξ = {xi:g})" for xi, (omega, gamma) in lows.items())
-    claims = (
-        compared(worst < 0.02, f"onsets and Eq. 25 are at most {percent(worst, 1)} apart"),
-        compared(omegas == sorted(omegas), f"the minimum moves to Ω = 1 as ξ decreases: {near}"),
-        _not_constant(),
-        _unmentioned_maximum(),
-        *_as_printed(),
-    )
-    return Caption(5, shows, claims)
-
-
-def _not_constant() -> Claim:
-    """The paper: "For ξ = 1, the threshold remains constant and equals to Γ_th = 1"."""
-    omega, low = extremum(1.0)
-    return compared(
-        bool(np.all(np.abs(threshold(OMEGA_GRID, 1.0) - 1) < 0.01)),
-        f"for ξ = 1, Γ_th is not constantly 1: {low:.3f} at Ω = {omega:.3f}, 1 at √(4/3) as for every ξ, "
-        f"{threshold(MAX_OMEGA, 1.0):.3f} at Ω = {MAX_OMEGA:g}, {threshold(4.0, 1.0):.3f} at Ω = 4, "
-        f"{threshold(1e3, 1.0):.3f} far beyond",
-    )
-
-
-def _unmentioned_maximum() -> Claim:
-    """Eq. 25 has a maximum for ξ < 1/√6, near √2 and above Γ_th(√2) = √(1 + 1/(8ξ²))."""
+    at, low = extremum(1.0)
     tops = [(xi, digits, *extremum(xi, upper=True)) for xi, digits in ((0.05, 3), (0.2, 2))]
     where = " and ".join(
         f"{gamma:.{digits}f} at Ω = {omega:.4f} (ξ = {xi:g})" for xi, digits, omega, gamma in tops
     )
-    return left_open(f"beyond the minimum the threshold has a maximum, {where}, and falls to 2 from there on")
+    claims = (
+        compared(worst < 0.02, f"onsets and Eq. 25 are at most {percent(worst, 1)} apart"),
+        compared(omegas == sorted(omegas), f"the minimum moves to Ω = 1 as ξ decreases: {near}"),
+        # The paper: "For ξ = 1, the threshold remains constant and equals to Γ_th = 1".
+        compared(
+            np.all(np.abs(threshold(OMEGA_GRID, 1.0) - 1) < 0.01),
+            f"for ξ = 1, Γ_th is not constantly 1: {low:.3f} at Ω = {at:.3f}, 1 at √(4/3) as for every ξ, "
+            f"{threshold(MAX_OMEGA, 1.0):.3f} at Ω = {MAX_OMEGA:g}, {threshold(4.0, 1.0):.3f} at Ω = 4, "
+            f"{threshold(1e3, 1.0):.3f} far beyond",
+        ),
+        # For ξ < 1/√6, near √2 and above Γ_th(√2) = √(1 + 1/(8ξ²)).
+        left_open(f"beyond the minimum the threshold has a maximum, {where}, and falls to 2 from there on"),
+        *_as_printed(),
+    )
+    return Caption(5, shows, claims)
 
 
 def _as_printed() -> list[Claim]:
@@ -163,29 +145,102 @@ def _sections_caption(onset: xarray.Dataset) -> Caption:
         "Bouncing threshold at ξ = 0.05 (black), and the sections shown in Figs. 7 and 8: dashed, at "
         "constant Ω; dotted, at constant Γ. Circles: where the springs of Fig. 7 began to bounce, ramped up."
     )
-    computed = ", ".join(
-        f"{float(up):.3f} at Ω = {float(omega):g}"
-        for omega, up in zip(onset.omega.values, onset.up.values, strict=True)
-    )
+    pairs = zip(onset.omega.values, onset.up.values, strict=True)
+    computed = ", ".join(f"{up:.3f} at Ω = {omega:g}" for omega, up in pairs)
     (low, gamma), worst = extremum(XI), max_relative_difference(onset)
     lowest = OMEGA_GRID[np.argmin(threshold(OMEGA_GRID, XI))]
+    maximum, _ = extremum(XI, upper=True)
+    again = OMEGA_GRID[(maximum < OMEGA_GRID) & (threshold(OMEGA_GRID, XI) < GAMMAS[-1])]
     claims = (
         compared(worst < 0.02, f"bouncing begins at Γ = {computed}, at most {percent(worst, 1)} from Eq. 25"),
-        compared(
-            bool(abs(lowest - 1) < 0.05),
-            f"a minimum due to resonance, Γ_th = {gamma:.4f} at Ω = {low:.4f}",
+        compared(abs(lowest - 1) < 0.05, f"a minimum due to resonance, Γ_th = {gamma:.4f} at Ω = {low:.4f}"),
+        left_open(
+            f"the threshold falls again beyond Ω = {maximum:.2f}: at Γ = {GAMMAS[-1]:g} springs bounce from "
+            f"Ω = {again.min():.2f} on once more"
         ),
-        _second_onset(),
     )
     return Caption(6, shows, claims)
 
 
-def _second_onset() -> Claim:
-    """Not in the paper: the threshold decreases again beyond its maximum."""
-    maximum, _ = extremum(XI, upper=True)
-    again = OMEGA_GRID[(maximum < OMEGA_GRID) & (threshold(OMEGA_GRID, XI) < GAMMAS[-1])]
-    where = f"from Ω = {again.min():.2f} on" if len(again) else f"beyond Ω = {MAX_OMEGA:g}"
+#: The top of the frame of Fig. 9, above the Γ where the curves differ.
+HYSTERESIS_TOP: Final = 1.6
+#: Shallower minima, in Γ, come from the steps of the grid.
+MIN_DEPTH: Final = 0.02
+#: Thresholds count as different if they are more steps of Γ apart than this.
+STEPS_APART: Final = 3
+#: Below this Ω the threshold depends on where the ramp down begins.
+SLOW: Final = 0.5
+
+
+def figure_9(job: Job, lower: Job) -> Drawing:
+    """Up and down, with Eq. 25."""
+    loop, from_lower = job.threshold(xi=XI), lower.threshold(xi=XI)
+
+    def draw(area: SubFigure) -> None:
+        axes = area.subplots()
+        axes.plot(loop.omega, loop.up, color="0.7", linewidth=3, label=r"$\Gamma$ increased")
+        axes.plot(loop.omega, loop.down, "ks-", markersize=2, linewidth=0.8, label=r"$\Gamma$ decreased")
+        axes.plot(OMEGA_GRID, threshold(OMEGA_GRID, XI), "--", color=BLUE, linewidth=0.9, label="Eq. 25")
+        axes.legend(loc="upper left", frameon=False)
+        _scales(axes, float(loop.omega[-1]), HYSTERESIS_TOP)
+        axes.set_ylabel(SYMBOLS["gamma"])
+
+    return Drawing(_hysteresis_caption(loop, from_lower, job.spec), 3.9, draw)
+
+
+def minima(values: NDArray[np.float64], depth: float) -> list[int]:
+    """Indices of the local minima from which the values rise by `depth` or more on both sides."""
+    return [
+        i
+        for i in range(1, len(values) - 1)
+        if values[i] <= values[i - 1]
+        and values[i] < values[i + 1]
+        and min(_rise(values[i::-1]), _rise(values[i:])) >= depth
+    ]
+
+
+def _rise(values: NDArray[np.float64]) -> float:
+    """How far the values rise above the first one before they fall below it; NaN among them is no value."""
+    below = np.flatnonzero(values < values[0])
+    return float(np.nanmax(values[: below[0]] if len(below) else values) - values[0])
+
+
+def _hysteresis_caption(loop: xarray.Dataset, lower: xarray.Dataset, spec: Mapping[str, Any]) -> Caption:
+    gamma, (at, highest) = spec["gamma"], extremum(XI, upper=True)
+    step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
+    shows = (
+        "Threshold at ξ = 0.05 with Γ increased (gray: lowest Γ that bounces) and decreased (black: last Γ "
+        f"that bounces) in steps of {step:.2g}, {spec['settle'] + spec['observe']} plate periods each and up "
+        f"to {spec['settle_until']:,} while flights still settle, on an ideal plate; dashed, Eq. 25. Its "
+        f"maximum, {highest:.1f} at Ω = {at:.3f}, lies outside the frame."
+    )
+    worst, gain = max_relative_difference(loop), 1.0 - (loop.down / loop.up).values
+    most, lows = int(np.nanargmax(gain)), minima(loop.down.values, MIN_DEPTH)
+    claims = (
+        compared(worst < 0.03, f"the gray curve is Eq. 25 (at most {percent(worst, 1)} apart)"),
+        compared(
+            gain[most] > 0.1,
+            f"bouncing goes on below it, most at Ω = {float(loop.omega[most]):.2f}: down to "
+            f"Γ = {float(loop.down[most]):.3f} instead of {float(loop.up[most]):.3f}",
+        ),
+        compared(
+            len(lows) > 1,
+            f"decreased, it has {len(lows)} minima: "
+            f"Ω = {', '.join(f'{omega:.2f}' for omega in loop.omega.values[lows])}",
+        ),
+        _coexist(loop, lower, step),
+    )
+    return Caption(9, shows, claims)
+
+
+def _coexist(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Claim:
+    """Not in the paper: whether the threshold depends on the "large amplitude" at the start."""
+    same = loop.down.sel(omega=lower.omega, method="nearest").values
+    moved = np.abs(lower.down.values - same) > STEPS_APART * step
+    known = np.isfinite(lower.down.values) & np.isfinite(same)
+    slow, fast = (known & side for side in (lower.omega.values < SLOW, lower.omega.values >= SLOW))
     return left_open(
-        f"the threshold falls again beyond Ω = {maximum:.2f}: at Γ = {GAMMAS[-1]:g} springs bounce {where} "
-        "once more"
+        "the amplitude that the ramp down begins with, which may matter where modes coexist: from "
+        f"Γ = 1.2 instead of 3, {moved[slow].sum()} of {slow.sum()} thresholds below Ω = 0.5 and "
+        f"{moved[fast].sum()} of {fast.sum()} from 0.5 to 0.8 are others",
     )

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 from service.render import binary
 from service.results import line as lines
-from service.results import mode_map
-from service.results.selection import Sweep
+from service.views import modes
+from service.views.selection import Stored, between, thinning
+from worker.spec import SweepSpec
 
 
 class Answer(NamedTuple):
@@ -42,7 +43,7 @@ class View(NamedTuple):
     most: int  # flights sent as points
 
 
-def packed_line(sweep: Sweep, line: Line, view: View) -> Answer:
+def packed_line(sweep: Stored[SweepSpec], line: Line, view: View) -> Answer:
     """A line in binary form, its flights as points or, if there are too many, as density."""
     cells = lines.read_line(sweep, *line)
     window = lines.window_of(cells, view.left, view.right, view.bottom, view.top, log=view.log)
@@ -68,7 +69,7 @@ def packed_line(sweep: Sweep, line: Line, view: View) -> Answer:
 
 
 def packed_plane(
-    sweep: Sweep,
+    sweep: Stored[SweepSpec],
     xi: float | None,
     direction: str | None,
     gamma: tuple[float | None, float | None],
@@ -78,16 +79,23 @@ def packed_plane(
     hysteresis: bool,
 ) -> Answer:
     """A window of the mode map in binary form."""
-    plane = mode_map.modes_between(
-        sweep, xi, direction, gamma, omega, max_points, min_flight, hysteresis=hysteresis
-    )
+    spec = sweep.spec
+    columns = between(spec.axis_values("gamma"), *gamma)
+    rows = between(spec.axis_values("omega"), *omega)
+    query = modes.ModesQuery(
+        xi=xi, direction=direction or spec.directions[0], min_flight=min_flight, hysteresis=hysteresis,
+        gamma_start=gamma[0], gamma_stop=gamma[1], omega_start=omega[0], omega_stop=omega[1],
+    )  # fmt: skip
+    most = min(max_points, modes.estimate(spec, query).most or max_points)
+    every = thinning((len(rows), len(columns)), 1, most) or 1
+    found = modes.compute(sweep, query.model_copy(update={"every": every}))
     attributes = {
-        "xi": plane.xi,
-        "direction": plane.direction,
-        "complete": plane.complete,
-        "every_gamma": plane.every,
-        "every_omega": plane.every,
-        "min_flight": plane.min_flight,
+        "xi": found.xi.item(),
+        "direction": found.direction.item(),
+        "complete": found.attrs["complete"],
+        "every_gamma": every,
+        "every_omega": every,
+        "min_flight": found.attrs["min_flight"],
     }
-    arrays = {"omega": plane.omega, "gamma": plane.gamma, **plane.arrays}
-    return Answer(binary.packed(attributes, arrays), plane.complete, dense=True)
+    arrays = {name: found[name].values for name in ("omega", "gamma", *found.data_vars)}
+    return Answer(binary.packed(attributes, arrays), bool(found.attrs["complete"]), dense=True)

@@ -10,9 +10,19 @@ from numpy.typing import NDArray
 from kernel.params import Outcome
 from kernel.recount import counted
 from service.errors import InvalidRequest
-from service.results.counting import arrays_of_modes, recounted, shortest
 from service.results.density import Window, density
-from service.results.selection import MAX_READ, Sweep, fixed_axes, read, resolve_direction, thinning
+from service.views.selection import (
+    MAX_READ,
+    Stored,
+    arrays_of_modes,
+    directions_of,
+    fixed_axes,
+    read_direction,
+    recounted,
+    shortest,
+    thinning,
+)
+from worker.spec import SweepSpec
 
 #: Counts above this are sent as this: one byte per bin.
 MAX_COUNT: Final = 255
@@ -43,7 +53,7 @@ class FlightLine:
 
 
 def read_line(
-    sweep: Sweep,
+    sweep: Stored[SweepSpec],
     along: str,
     values: Mapping[str, float | None],
     direction: str | None,
@@ -56,12 +66,12 @@ def read_line(
     """
     spec = sweep.spec
     fixed = fixed_axes(spec, along, values)
-    direction = resolve_direction(spec, direction)
+    direction = directions_of(spec, direction)[0]
     axis = spec.axis_values(along)
     every = thinning((len(axis),), spec.keep, MAX_READ) or len(axis)
     indices = {name: point.index for name, point in fixed.items()} | {along: slice(None, None, every)}
     names = {"flight_time", "flights", *arrays_of_modes(spec, min_flight)}
-    arrays = read(sweep, sorted(names), direction, indices)
+    arrays = read_direction(sweep, sorted(names), direction, indices)
     times = arrays["flight_time"]
     shown = counted(times, arrays["flights"], shortest(spec, min_flight))
     cells = {"values": axis[::every], "shown": np.count_nonzero(shown, axis=1).astype(np.int32)}

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from kernel.labels import label_codes
 from kernel.params import STATE_FIELDS, Outcome
-from service.results.counting import attractor_label
-from service.results.selection import Stored, nearest_index, read_stored
-from service.views.variables import VARIABLES, coordinate, of_attractor, variable
+from service.views.selection import Stored, attractor_label, nearest_index, read_stored
+from service.views.style import COLOURS, SYMBOLS, UNDECIDED, legend_beside
+from service.views.variables import VARIABLES, coordinate, dataset, of_attractor, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.attractors import EXPONENT_WINDOW
 from worker.basins.spec import Basin, BasinSpec
 from worker.basins.study import arrays as stored_arrays
-from worker.basins.study import sizes
 from worker.schema import Array
 from worker.spec import AXES
 
@@ -56,7 +55,7 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
     at = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in reversed(AXES)}
     rows = stored_arrays(spec)
     indices = {axis: point.index for axis, point in at.items()}
-    stored = read_stored(study, [row.name for row in rows], indices, lambda: _not_computed(spec, rows))
+    stored = read_stored(study, [row.name for row in rows], indices)
     count = int((stored["attractor_outcome"] != Outcome.MISSING).sum())
     found = {
         row.name: variable((), values[:count] if "attractor" in row.dims else values, row)
@@ -73,12 +72,10 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
         "state": coordinate("state", np.array(STATE_FIELDS)),
     }
     attrs = {
-        "plane": plane.plane,
-        "height": plane.height,
-        "model": spec.model.kind,
+        "plane": plane.plane, "height": plane.height, "model": spec.model.kind,
         "complete": study.is_complete(stored["outcome"]),
-    }
-    return xarray.Dataset(found, coords, attrs)
+    }  # fmt: skip
+    return dataset(found, coords, attrs)
 
 
 def _as_result(row: Array) -> Array:
@@ -87,12 +84,6 @@ def _as_result(row: Array) -> Array:
         return VARIABLES["attractor_of_start"]
     named = of_attractor(row)
     return VARIABLES.get(named.name, named)
-
-
-def _not_computed(spec: BasinSpec, rows: tuple[Array, ...]) -> dict[str, NDArray[Any]]:
-    """What the arrays of a cell hold before the store exists."""
-    length = sizes(spec)
-    return {row.name: np.full([length[dim] for dim in row.extra_dims], row.fill, row.dtype) for row in rows}
 
 
 def _labels(spec: BasinSpec, stored: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.str_]:
@@ -110,16 +101,13 @@ def estimate(spec: BasinSpec, query: BasinQuery) -> Estimate:
     return Estimate({"row": spec.protocol.rows, "column": spec.protocol.columns})
 
 
-#: Attractors named beside the picture, and how many of these have room for two lines each.
+#: Attractors named beside the picture.
 NAMED: Final = 16
-ROOMY: Final = 7
 
 
 def draw(found: xarray.Dataset, figure: "Figure") -> None:
     """The plane of starts, each in the colour of its attractor."""
     from matplotlib.colors import ListedColormap
-
-    from service.render.style import COLOURS, SYMBOLS, TEXT, UNDECIDED
 
     axes = figure.subplots()
     colours = [COLOURS[i % len(COLOURS)] for i in range(found.sizes["attractor"])]
@@ -128,12 +116,10 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
         extent=(*_ends(found.column.values), *_ends(found.row.values)),
         cmap=ListedColormap([UNDECIDED, *colours]), vmin=-0.5, vmax=len(colours) + 0.5,
     )  # fmt: skip
-    axes.set_xlabel(f"{found.column.long_name} ({found.column.units})", **TEXT)
-    axes.set_ylabel(f"{found.row.long_name} ({found.row.units})", **TEXT)
-    for tick in (*axes.get_xticklabels(), *axes.get_yticklabels()):
-        tick.set(**TEXT)
+    axes.set_xlabel(f"{found.column.long_name} ({found.column.units})")
+    axes.set_ylabel(f"{found.row.long_name} ({found.row.units})")
     values = ", ".join(f"{SYMBOLS[name]} = {found[name].item():g}" for name in ("gamma", "omega", "xi"))
-    axes.set_title(f"{values}  ({found.attrs['model']})", fontsize=11, **TEXT)
+    axes.set_title(f"{values}  ({found.attrs['model']})", fontsize=11)
     _legend(axes, found, colours)
 
 
@@ -146,14 +132,10 @@ def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
 def _legend(axes: "Axes", found: xarray.Dataset, colours: list[str]) -> None:
     from matplotlib.patches import Patch
 
-    from service.render.style import FONT, UNDECIDED
-
-    close = len(colours) > ROOMY
-    columns = (found[f"attractor_{name}"].values for name in ("label", "fraction", "longest_flight"))
-    attractors = list(zip(colours, *columns, strict=True))[:NAMED]
+    columns = (found[f"attractor_{name}"].values.tolist() for name in ("label", "fraction", "longest_flight"))
     entries = [
-        Patch(color=colour, label=f"{label}  {_percent(share)}{_longest(longest, close)}")
-        for colour, label, share, longest in attractors
+        Patch(color=colour, label=f"{label}  {_percent(share)}{f', up to {longest:.4g} rad' * (longest > 0)}")
+        for colour, label, share, longest in list(zip(colours, *columns, strict=True))[:NAMED]
     ]
     undecided = found.undecided.item()
     if undecided > 0.0 or not np.isfinite(undecided):
@@ -161,18 +143,11 @@ def _legend(axes: "Axes", found: xarray.Dataset, colours: list[str]) -> None:
         entries.append(Patch(facecolor=UNDECIDED, edgecolor="black", linewidth=0.5, label=text))
     if len(colours) > NAMED:
         entries.append(Patch(alpha=0.0, label=f"and {len(colours) - NAMED} more"))
-    axes.legend(
-        handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False,
-        prop={"family": FONT, "size": 10}, labelspacing=0.2 if close else None,
-    )  # fmt: skip
+    legend_beside(axes, entries)
 
 
 def _percent(share: float) -> str:
     return f"{100.0 * share:.1f} %" if np.isfinite(share) and share >= 0.001 else f"{100.0 * share:.2g} %"
-
-
-def _longest(flight: float, close: bool) -> str:
-    return f"{', ' if close else chr(10)}up to {flight:.4g} rad" if flight > 0.0 else ""
 
 
 _STORED: Final = stored_arrays(

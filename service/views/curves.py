@@ -10,11 +10,10 @@ from pydantic import Field
 from kernel.branches.curves import CURVES, Curves, Parameter, curves
 from kernel.branches.events import Kind, join_events
 from service.errors import InvalidRequest
-from service.views import branches
-from service.views.branches import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
+from service.views import orbits
+from service.views.orbits import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Omega, Query, View, Xi
-from worker.orbits import Mode
 from worker.spec.errors import one_of
 
 #: Core-seconds that one answer may take, and those of one mode over the flight times of its branch at the
@@ -38,9 +37,9 @@ class CurvesQuery(Query):
     omega_stop: Omega | None = None
     xi_start: Xi | None = None
     xi_stop: Xi | None = None
-    modes: branches.Modes = "1-1,1-2"
+    modes: orbits.Modes = "1-1,1-2"
     kinds: Annotated[str | None, Field(max_length=200, description="such as fold,flip; default: all")] = None
-    gamma_max: branches.GammaMax = 8.0
+    gamma_max: orbits.GammaMax = 8.0
 
 
 def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:
@@ -86,14 +85,14 @@ def compute(study: None, query: CurvesQuery, *found: Curves) -> xarray.Dataset:
     """
     along, fixed, _ = _plane(query)
     top = query.gamma_max
-    pieces = [piece for part in found for curve in part.curves for piece in branches.below(curve, top)]
+    pieces = [piece for part in found for curve in part.curves for piece in orbits.below(curve, top)]
     data = padded((along, "gamma", "flight_time", "admissible"), pieces, ("curve", "point"))
-    data |= event_columns(join_events([branches.rows_of(x.points, x.points.gamma <= top) for x in found]))
+    data |= event_columns(join_events([orbits.rows_of(x.points, x.points.gamma <= top) for x in found]))
     names = ("kind", "bounces", "periods")
     coords = columns("curve", {name: [getattr(piece, name) for piece in pieces] for name in names})
     other = "xi" if along is Parameter.OMEGA else "omega"
     coords |= {other: coordinate(other, fixed)}
-    return branches.dataset(data, coords, along=str(along), gamma_max=top)
+    return orbits.closed_form(data, coords, along=str(along), gamma_max=top)
 
 
 def estimate(spec: None, query: CurvesQuery) -> Estimate:
@@ -105,12 +104,7 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
     for _, periods in modes:
         for spring in springs:
             grid_length(*spring, periods)
-    _check_seconds(*springs[0], modes)
-    return Estimate({"curve": len(modes), "point": _POINTS}, memory=_MEMORY)
-
-
-def _check_seconds(omega: float, xi: float, modes: Sequence[Mode]) -> None:
-    """Raise InvalidRequest for curves that take more than MAX_SECONDS from this spring on."""
+    omega, xi = springs[0]
     seconds = np.cumsum([_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes])
     if seconds[-1] > MAX_SECONDS:
         fitting = int(np.searchsorted(seconds, MAX_SECONDS, "right"))
@@ -119,6 +113,7 @@ def _check_seconds(omega: float, xi: float, modes: Sequence[Mode]) -> None:
             f"one answer is {MAX_SECONDS:g}: ask for the first {fitting}, or take a larger omega"
         )
         raise InvalidRequest.of("modes", rule)
+    return Estimate({"curve": len(modes), "point": _POINTS}, memory=_MEMORY)
 
 
 VIEW: Final = View(

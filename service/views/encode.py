@@ -2,20 +2,15 @@
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from math import prod
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import xarray
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
-
-from service.formats import PictureFormat
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 #: Rows of a table converted at a time.
 ROWS: Final = 2**16
@@ -33,8 +28,14 @@ _to_text: Final = TypeAdapter(Any).dump_json  # NaN and infinities become null
 
 def to_json(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
     """The form of `xarray.Dataset.to_dict` with the dtype of every variable. NaN becomes null."""
-    head, *rest = _to_text(_document(dataset, lambda values: _MARK)).split(_to_text(_MARK))
-    pieces = ((*_json_list(values), after) for values, after in zip(_arrays(dataset), rest, strict=True))
+    arrays: list[NDArray[Any]] = []
+
+    def place(values: NDArray[Any]) -> str:
+        arrays.append(values)
+        return _MARK
+
+    head, *rest = _to_text(_document(dataset, place)).split(_to_text(_MARK))
+    pieces = ((*_json_list(values), after) for values, after in zip(arrays, rest, strict=True))
     return b"".join(chain([head], *pieces))
 
 
@@ -75,17 +76,12 @@ def _aligned(size: int) -> int:
     return -(-size // ALIGNMENT) * ALIGNMENT
 
 
-def _arrays(dataset: xarray.Dataset) -> list[NDArray[Any]]:
-    # Through `variables`: a DataArray takes fifty times as long to make.
-    return [dataset.variables[name].values for name in (*dataset.coords, *dataset.data_vars)]
-
-
 def _document(dataset: xarray.Dataset, data: Callable[[NDArray[Any]], Any]) -> dict[str, Any]:
-    def described(names: Any) -> dict[str, Any]:
-        variables = {str(name): dataset.variables[name] for name in names}
+    # Through `variables`: a DataArray takes fifty times as long to make.
+    def described(names: Iterable[Any]) -> dict[Any, Any]:
         return {
             name: {"dims": v.dims, "attrs": v.attrs, "dtype": _dtype(v.dtype), "data": data(v.values)}
-            for name, v in variables.items()
+            for name, v in ((name, dataset.variables[name]) for name in names)
         }
 
     return {
@@ -153,20 +149,6 @@ def record_batch(columns: Mapping[str, "Column"]) -> Any:
     return pa.record_batch(arrays)
 
 
-def picture(
-    dataset: xarray.Dataset,
-    draw: "Callable[[xarray.Dataset, Figure], None] | None",
-    size: tuple[float, float],
-    format: str,
-    origin: Mapping[str, str],
-) -> bytes:
-    """What `draw` draws, `size` in inches; `origin` is in the file's metadata."""
-    from service.render.style import encode
-
-    assert draw is not None
-    return encode(size, lambda figure: draw(dataset, figure), cast(PictureFormat, format), origin)
-
-
 DATASETS: Final[dict[str, Callable[..., bytes]]] = {"json": to_json, "bin": to_binary, "nc": to_netcdf}
 TABLES: Final[dict[str, Callable[..., bytes]]] = {"csv": to_csv, "parquet": to_parquet}
 ENCODERS: Final = {**DATASETS, **TABLES}
@@ -199,9 +181,9 @@ def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[dict[
     dimension is a column of lists, or without `lists` one column for each position along it. Codes appear
     as their `flag_meanings`.
     """
-    dims = tuple(map(str, dataset[rows].dims))
+    dims = tuple(map(str, dataset.variables[rows].dims))
     for part in _parts(dataset, dims):
-        counted = part[rows].values.ravel()
+        counted = part.variables[rows].values.ravel()
         kept: Rows = np.flatnonzero(~np.isnan(counted)) if counted.dtype.kind == "f" else slice(None)
         yield dict(_columns(part, dims, kept, lists))
 
@@ -221,8 +203,7 @@ def _columns(
 ) -> Iterator[tuple[str, Column]]:
     for dim in dims:
         if dim not in part.coords:
-            index = xarray.Variable((dim,), np.arange(part.sizes[dim], dtype=np.int32))
-            yield dim, _column(part, index, dims, kept)
+            yield dim, Column(_repeated(part, (dim,), np.arange(part.sizes[dim], dtype=np.int32), dims)[kept])
     for name in map(str, (*part.coords, *part.data_vars)):
         variable = part.variables[name]
         extra = [str(dim) for dim in variable.dims if dim not in dims]
@@ -231,7 +212,7 @@ def _columns(
         elif len(extra) == variable.ndim:  # the same for all rows, such as a map of starts
             continue
         elif lists:
-            yield name, _list_column(part, variable, extra, dims, kept)
+            yield name, _list_column(part, variable, dims, kept)
         elif prod(sizes := [part.sizes[dim] for dim in extra]) <= COLUMNS:
             for place in np.ndindex(*sizes):
                 numbers = "_".join(str(i + 1) for i in place)
@@ -247,40 +228,28 @@ def _column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ..
         names = [meanings.get(code, "") for code in range(max(codes) + 1)]
     elif values.dtype.kind in "UOT":
         names, values = values.ravel().tolist(), np.arange(values.size).reshape(values.shape)
-    return Column(_repeated(part, values, variable.dims, dims)[kept], names)
+    return Column(_repeated(part, variable.dims, values, dims)[kept], names)
 
 
 def _list_column(
-    part: xarray.Dataset,
-    variable: xarray.Variable,
-    extra: list[str],
-    dims: tuple[str, ...],
-    kept: Rows,
+    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows
 ) -> Column:
     """The numbers of each row along the other dimensions; of flights without the NaN at the end."""
-    along = [dim for dim in dims if dim in variable.dims]
-    width = prod(part.sizes[dim] for dim in extra)
-    flat = variable.transpose(*along, *extra).values.reshape(*(part.sizes[dim] for dim in along), width)
-    numbers = _repeated(part, flat, (*along, ""), dims)[kept]
+    rows = _repeated(part, variable.dims, variable.values, dims)[kept]
+    numbers = rows.reshape(len(rows), prod(rows.shape[1:]))
     there = np.ones(numbers.shape, bool)
-    if extra[-1] == "flight" and numbers.dtype.kind == "f":
-        finite = ~np.isnan(numbers)
-        last = numbers.shape[1] - np.argmax(finite[:, ::-1], axis=1)
-        there = np.arange(numbers.shape[1]) < np.where(finite.any(axis=1), last, 0)[:, None]
+    if variable.dims[-1] == "flight" and numbers.dtype.kind == "f":
+        # Where this or a later number of the row is there.
+        there = np.logical_or.accumulate(~np.isnan(numbers[:, ::-1]), axis=1)[:, ::-1]
     ends = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int32)
     return Column(numbers[there], ends=ends)
 
 
 def _repeated(
-    part: xarray.Dataset, values: NDArray[Any], own: tuple[Any, ...], dims: tuple[str, ...]
+    part: xarray.Dataset, own: tuple[Any, ...], values: NDArray[Any], dims: tuple[str, ...]
 ) -> NDArray[Any]:
-    """`values` over the dimensions `own`, repeated over all of `dims`: one entry, or one list, per row."""
-    order = [own.index(dim) for dim in dims if dim in own]
-    rest = [axis for axis in range(values.ndim) if axis not in order]
-    moved = values.transpose(*order, *rest)
-    shape = [part.sizes[dim] if dim in own else 1 for dim in dims]
-    wide = moved.reshape(*shape, *moved.shape[len(order) :])
-    rows = tuple(part.sizes[dim] for dim in dims)
-    return np.broadcast_to(wide, (*rows, *wide.shape[len(dims) :])).reshape(
-        prod(rows), *wide.shape[len(dims) :]
-    )
+    """`values` over the dimensions `own`: one entry, or one array, for each row of all `dims`."""
+    extra = [dim for dim in own if dim not in dims]
+    variable: Any = xarray.Variable(own, values)
+    wide = variable.set_dims({dim: part.sizes[dim] for dim in (*dims, *extra)})
+    return np.asarray(wide.values.reshape(prod(wide.shape[: len(dims)]), *wide.shape[len(dims) :]))

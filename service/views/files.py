@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from service.background import Background
 from service.errors import InvalidRequest, NoSpace, NotInstalled, TooLarge
 from service.formats import ExportFormat, ExportLayout
-from service.results.counting import LABEL, labelled
-from service.results.selection import Stored, read_stored
+from service.views.selection import LABEL, labelled
+from service.views.selection import Stored, read_stored
 from service.views.encode import record_batch, tables
 from worker import schema
 from worker.schema import Layout
@@ -54,7 +54,7 @@ class Export:
     plan: Plan
     format: ExportFormat
     layout: ExportLayout = "cells"  # what a row of a table is
-    #: What the file says of the job, as `service.results.provenance.attributes_of` gives it.
+    #: What the file says of the job, as `service.views.provenance.attributes_of` gives it.
     attributes: Mapping[str, str | int | float] = field(default_factory=dict)
 
     @cached_property
@@ -136,21 +136,12 @@ def _blocks(export: Export, folder: Path) -> Iterator[_Block]:
     study, layout = export.study, export.stored
     for chunk in export.plan:
         cells = dict(zip(layout.chunk_sizes, chunk.slices, strict=True))
-        arrays = read_stored(study, layout.names, cells, partial(_fill_values, layout, cells))
+        arrays = read_stored(study, layout.names, cells)
         if isinstance(study.spec, SweepSpec):
             arrays |= labelled(study.spec, arrays[schema.OUTCOME.name], arrays)
         if shutil.disk_usage(folder).free < sum(array.nbytes for array in arrays.values()) + SPARE:
             raise NoSpace(f"no space left for the export file: less than {SPARE:,} bytes would stay free")
         yield cells, arrays
-
-
-def _fill_values(layout: Layout, cells: Mapping[str, slice]) -> dict[str, NDArray[Any]]:
-    """What the arrays of a chunk hold before any cell is computed."""
-    sizes = {**layout.extra_sizes, **{dim: span.stop - span.start for dim, span in cells.items()}}
-    return {
-        array.name: np.full([sizes[dim] for dim in array.dims], array.fill, array.dtype)
-        for array in layout.arrays
-    }
 
 
 class _UnrefusedFile(io.FileIO):

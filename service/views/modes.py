@@ -1,27 +1,65 @@
-"""Mode maps: outcome and mode of every cell of the (omega, gamma) plane at one xi."""
+"""Mode maps: outcome and mode of every cell of the (omega, gamma) plane at one xi, and hysteresis."""
 
+from collections.abc import Mapping
+from enum import IntEnum
+from math import prod
 from typing import Annotated, Any, Final
 
 import numpy as np
 import xarray
+from numpy.typing import NDArray
 from pydantic import Field
 
-from service.results import mode_map
-from service.results.counting import LABEL
-from service.results.hysteresis import check_both_ways
-from service.results.selection import MAX_READ, Stored, directions_of, nearest_index
-from service.views.variables import VARIABLES, coordinate, variable
+from kernel.params import Outcome
+from kernel.recount import counted
+from service.errors import InvalidRequest
+from service.views.selection import (
+    LABEL,
+    MAX_READ,
+    Indices,
+    Stored,
+    arrays_of_modes,
+    between,
+    directions_of,
+    nearest_index,
+    needs_flights,
+    read_direction,
+    recounted,
+    shortest,
+)
+from service.views.variables import VARIABLES, cells_dataset, coordinate, variable
 from service.views.view import Direction, Estimate, Every, MinFlight, Number, Query, View
 from worker import schema
+from worker.schema import COMPUTED, OUTCOME
 from worker.spec import SweepSpec
 
-_ROWS: Final = {
-    row.name: row
-    for row in (
-        *(row for row in schema.RECORD if row.name in schema.MODE_ARRAYS),
-        schema.OUTCOME, LABEL, schema.COMPUTED, VARIABLES["hysteresis"],
-    )
-}  # fmt: skip
+#: Flights of cells with one mode are those of different cycles if they differ by more than this, rad, when
+#: sorted. A cycle is found when its flights repeat within 1e-6 rad; beside a fold they are still 1e-4 away
+#: from where they settle.
+OTHER_FLIGHTS: Final = 1e-3
+
+#: Outcomes that say nothing of the attractor: such cells are not compared.
+_UNKNOWN: Final = (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED, Outcome.SETTLING)
+
+#: Flights of both directions that are compared at a time, and bytes of memory of each: time and phase, what
+#: counts, and their order.
+_COMPARED: Final = MAX_READ // 4
+_PER_COMPARED: Final = 48
+
+_PLANE: Final = ("omega", "gamma")
+_ROWS: Final = (
+    *(row for row in schema.RECORD if row.name in schema.MODE_ARRAYS), OUTCOME, LABEL, COMPUTED,
+)  # fmt: skip
+
+Window = dict[str, slice]
+
+
+class Hysteresis(IntEnum):
+    """How a cell's two directions compare."""
+
+    NONE = 0  # they agree, or one of them is not known
+    MODE = 1  # other outcomes or modes
+    FLIGHTS = 2  # one mode, other flights
 
 
 class ModesQuery(Query):
@@ -32,6 +70,10 @@ class ModesQuery(Query):
     min_flight: MinFlight = None
     every: Every = 1
     hysteresis: Annotated[bool, Field(description="of a sweep ramped both ways: where they differ")] = False
+    gamma_start: Number | None = None
+    gamma_stop: Number | None = None
+    omega_start: Number | None = None
+    omega_stop: Number | None = None
 
 
 def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
@@ -42,54 +84,147 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
     corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
     """
     spec, directions = study.spec, directions_of(study.spec, query.direction)
-    planes = [
-        mode_map.modes(
-            study, query.xi, direction, every=query.every, min_flight=query.min_flight,
-            hysteresis=query.hysteresis and direction == directions[0],
+    xi, window = nearest_index(spec, "xi", query.xi), _window(spec, query)
+    names = arrays_of_modes(spec, query.min_flight)
+    cells = {
+        direction: recounted(
+            spec, read_direction(study, names, direction, {"xi": xi.index, **window}), query.min_flight
         )
         for direction in directions
-    ]  # fmt: skip
-    first, both = planes[0], len(planes) > 1
-    dims = ("direction",) * both + ("omega", "gamma")
-    data = {}
-    for name, values in first.arrays.items():
-        compared = name == "hysteresis"
-        stacked = np.stack([plane.arrays[name] for plane in planes]) if both and not compared else values
-        data[name] = variable(("omega", "gamma") if compared else dims, stacked, _ROWS[name])
-    coords = {
-        "direction": coordinate("direction", list(directions) if both else directions[0]),
-        "xi": coordinate("xi", first.xi),
-        "omega": coordinate("omega", first.omega),
-        "gamma": coordinate("gamma", first.gamma),
     }
+    coords = {"xi": coordinate("xi", xi.value)}
+    coords |= {axis: coordinate(axis, spec.axis_values(axis)[part]) for axis, part in window.items()}
     attrs: dict[str, Any] = {
-        "min_flight": first.min_flight, "every": query.every, "model": spec.model.kind,
-        "complete": all(plane.complete for plane in planes),
+        "min_flight": shortest(spec, query.min_flight), "every": query.every, "model": spec.model.kind,
+        "complete": all(study.is_complete(each["outcome"]) for each in cells.values()),
     }  # fmt: skip
-    if first.computed is not None:
-        attrs["computed_share"] = first.computed
-    return xarray.Dataset(data, coords, attrs)
+    if spec.refine is not None:
+        attrs["computed_share"] = _computed_share(study, xi.index, directions[0])
+    found = cells_dataset(cells, coords, _ROWS, attrs)
+    if query.hysteresis:
+        compared, complete = _hysteresis(study, xi.index, window, query.min_flight)
+        found["hysteresis"] = variable(_PLANE, compared, VARIABLES["hysteresis"])
+        found.attrs["complete"] &= complete
+    return found
+
+
+def _window(spec: SweepSpec, query: ModesQuery) -> Window:
+    """The indices of the cells between the given values of omega and gamma."""
+    ends = {"omega": (query.omega_start, query.omega_stop), "gamma": (query.gamma_start, query.gamma_stop)}
+    parts = {axis: between(spec.axis_values(axis), *values) for axis, values in ends.items()}
+    return {axis: slice(part.start, part.stop, query.every) for axis, part in parts.items()}
 
 
 def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     """All cells of the plane. Raises InvalidRequest for a plane that the sweep does not have."""
     nearest_index(spec, "xi", query.xi)
-    directions = directions_of(spec, query.direction)
+    directions, window = directions_of(spec, query.direction), _window(spec, query)
+    lengths = {axis: part.stop - part.start for axis, part in window.items()}
+    memory, most = 0, None
+    if needs_flights(spec, query.min_flight):
+        if spec.refine is not None:
+            rule = (
+                f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where modes of "
+                "these flights change, and those of others change elsewhere; submit the map with "
+                f"micro_flight {query.min_flight:g} instead, or read diagrams, which count other flights "
+                "where cells are computed"
+            )
+            raise InvalidRequest.of("min_flight", rule)
+        most = max(1, MAX_READ // spec.keep)
+        memory = 100 * spec.keep * min(most, prod(-(-n // query.every) for n in lengths.values()))
     if query.hysteresis:
-        check_both_ways(spec)
-    mode_map.check_min_flight(spec, query.min_flight)
-    lengths = {axis: len(spec.axis_values(axis)) for axis in ("omega", "gamma")}
+        if len(spec.directions) < 2:
+            way = "from rest" if spec.ramp_axis is None else f"ramped {spec.directions[0]} only"
+            rule = f'needs a sweep ramped both ways, with the direction "both"; this one is {way}'
+            raise InvalidRequest.of("hysteresis", rule)
+        memory += comparison_memory(spec)
     if len(directions) > 1:
         lengths = {"direction": len(directions), **lengths}
-    _, flights = mode_map.plane_size(spec, query.min_flight, MAX_READ, query.every)
-    compared = mode_map.comparison_memory(spec) if query.hysteresis else 0
-    return Estimate(
-        lengths, ("omega", "gamma"), query.every, reads=("omega", "gamma"),
-        memory=100 * flights + compared, most=mode_map.most_cells(spec, query.min_flight, MAX_READ),
-    )  # fmt: skip
+    return Estimate(lengths, _PLANE, query.every, reads=_PLANE, memory=memory, most=most)
+
+
+def comparison_memory(spec: SweepSpec) -> int:
+    """Bytes of memory that comparing the directions of a plane takes at most."""
+    row = len(spec.directions) * spec.keep * len(spec.axis_values("gamma"))
+    return min(row * len(spec.axis_values("omega")), max(_COMPARED, row)) * _PER_COMPARED
+
+
+def _computed_share(study: Stored[SweepSpec], xi: int, direction: str) -> float:
+    """The share of an adaptive map's cells at one xi that were computed, of those done.
+
+    Of every cell, also where an answer is thinned: rows and columns of a thinned one are those of blocks'
+    corners, most of which are computed.
+    """
+    spec = study.spec
+    done = computed = 0
+    omegas, gammas = (len(spec.axis_values(axis)) for axis in _PLANE)
+    rows = max(1, MAX_READ // gammas)
+    for low in range(0, omegas, rows):
+        names, some = (OUTCOME.name, COMPUTED.name), slice(low, low + rows)
+        part = read_direction(study, names, direction, {"xi": xi, "omega": some})
+        done += int(np.count_nonzero(part[OUTCOME.name] != Outcome.MISSING))
+        computed += int(np.count_nonzero(part[COMPUTED.name]))
+    return computed / done if done else 0.0
+
+
+def _hysteresis(
+    study: Stored[SweepSpec], xi: int, window: Window, min_flight: float | None
+) -> tuple[NDArray[np.uint8], bool]:
+    """`compare` of the cells of a window, some rows at a time, and whether all are computed both ways."""
+    spec = study.spec
+    names = {*arrays_of_modes(spec, min_flight), "flight_time", "flights"}
+    rows, columns = (range(len(spec.axis_values(axis)))[window[axis]] for axis in _PLANE)
+    at_once = max(1, _COMPARED // (len(spec.directions) * spec.keep * len(columns)))
+    parts, complete = [], True
+    for first in range(0, len(rows), at_once):
+        some = rows[first : first + at_once]
+        indices: Indices = {"xi": xi, **window, "omega": slice(some.start, some.stop, some.step)}
+        up, down = (
+            arrays | recounted(spec, arrays, min_flight)
+            for arrays in (
+                read_direction(study, sorted(names), direction, indices) for direction in spec.directions
+            )
+        )
+        complete &= study.is_complete(up["outcome"]) and study.is_complete(down["outcome"])
+        parts.append(compare(up, down, shortest(spec, min_flight)))
+    return np.concatenate(parts), complete
+
+
+def compare(
+    up: Mapping[str, NDArray[Any]], down: Mapping[str, NDArray[Any]], min_flight: float
+) -> NDArray[np.uint8]:
+    """A `Hysteresis` for each cell, in the shape of `outcome`.
+
+    up, down: `outcome`, `bounces`, `periods` (...) as counted with `min_flight`, rad, the stored
+    `flight_time` (..., keep), rad, and `flights` (...). Cells without a cycle both ways agree: their flights
+    never repeat.
+    """
+    known = ~np.isin(up["outcome"], _UNKNOWN) & ~np.isin(down["outcome"], _UNKNOWN)
+    same = np.logical_and.reduce([up[name] == down[name] for name in ("outcome", "bounces", "periods")])
+    result: NDArray[np.uint8] = np.where(known & ~same, Hysteresis.MODE, Hysteresis.NONE).astype(np.uint8)
+    cycles = same & (up["outcome"] == Outcome.PERIODIC)
+    for bounces in np.unique(up["bounces"][cycles]).tolist():
+        cells = cycles & (up["bounces"] == bounces)
+        ends = [
+            _last(arrays["flight_time"][cells], arrays["flights"][cells], bounces, min_flight)
+            for arrays in (up, down)
+        ]
+        other = np.max(np.abs(ends[0] - ends[1]), axis=1) > OTHER_FLIGHTS
+        result[cells] = np.where(other, Hysteresis.FLIGHTS, Hysteresis.NONE)
+    return result
+
+
+def _last(
+    times: NDArray[np.float64], flights: NDArray[np.int32], count: int, min_flight: float
+) -> NDArray[np.float64]:
+    """(n, count) the last flights that count of stored ones (n, keep), sorted; NaN where there are fewer."""
+    counts = counted(times, flights, min_flight)
+    order = np.argsort(counts, axis=1, kind="stable")[:, -count:]
+    found = np.where(np.take_along_axis(counts, order, 1), np.take_along_axis(times, order, 1), np.nan)
+    return np.sort(found, axis=1)
 
 
 VIEW: Final = View(
     "modes", "Mode map", SweepSpec, ModesQuery, compute, estimate,
-    variables=tuple(_ROWS.values()), rows="outcome",
+    variables=(*_ROWS, VARIABLES["hysteresis"]), rows="outcome",
 )  # fmt: skip

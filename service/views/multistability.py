@@ -8,7 +8,7 @@ most first.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.params import Outcome
-from service.results.counting import attractor_label
-from service.results.selection import Stored, check_points, nearest_index, read_stored
-from service.views.variables import coordinate, row, variable
+from service.errors import TooLarge
+from service.views.selection import Stored, attractor_label, nearest_index, read_stored
+from service.views.style import COLOURS, SYMBOLS, UNDECIDED, legend_beside
+from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.multistability import MAX_ATTRACTORS
 from worker.basins.schema import OF_ATTRACTORS
@@ -28,7 +29,6 @@ from worker.basins.spec import MultistabilitySpec
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
 
 #: Cells of one answer, and bytes of memory of each while they are matched.
 MAX_CELLS: Final = 2**16
@@ -43,10 +43,6 @@ _NAMES: Final = (
     "outcome", "attractor_count", *_MODE, "longest_flight", "fraction", "next_up", "next_down",
 )  # fmt: skip
 _OF_PLACES: Final = ("fraction", "longest_flight", "flight_time")
-_OF_EVENTS: Final = tuple(
-    f"event_{name}"
-    for name in ("kind", "attractor", "omega", "gamma_below", "gamma_above", "below", "above", "leads_to")
-)
 
 #: The variables by name; those of a place are of an attractor of a cell.
 _ROWS: Final = {
@@ -71,6 +67,8 @@ _ROWS: Final = {
     )
 }  # fmt: skip
 
+_OF_EVENTS: Final = tuple(name for name in _ROWS if name.startswith("event_"))
+
 _Arrays = Mapping[str, NDArray[Any]]
 
 
@@ -90,10 +88,10 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     attractors or more, `several_by_drops` the same without attractors that no drop reaches.
     """
     spec, xi, rows = study.spec, nearest_index(study.spec, "xi", query.xi), slice(None)
+    arrays = read_stored(study, _NAMES, {"xi": xi.index})
     if query.omega is not None:
         at = nearest_index(spec, "omega", query.omega).index
         rows = slice(at, at + 1)
-    arrays = _read(study, _NAMES, xi.index, slice(None))
     ids = _ids(arrays)
     labels, shown, there = _labels(arrays, ids), ids[rows], ids[rows] > 0
     count = np.where(arrays["outcome"] == Outcome.MISSING, -1, arrays["attractor_count"])[rows]
@@ -101,7 +99,7 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     for name in ("fraction", "longest_flight"):
         of_places[name] = np.where(there, arrays[name][rows], np.nan)
     if query.omega is not None:
-        times = _read(study, ("flight_time",), xi.index, rows)["flight_time"]
+        times = read_stored(study, ("flight_time",), {"xi": xi.index, "omega": rows})["flight_time"]
         of_places["flight_time"] = np.where(there[..., np.newaxis], times, np.nan)
     places = max(1, int(np.count_nonzero(there, axis=-1).max()))
     data = {name: variable(_PLANE, values[:, :, :places], _ROWS[name]) for name, values in of_places.items()}
@@ -123,30 +121,21 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     }
     reached = np.count_nonzero(of_places["fraction"] > 0.0, axis=-1)
     attrs = {
-        "several": _several(count, count), "several_by_drops": _several(reached, count),
+        "several": _share(count[count >= 0] >= 2), "several_by_drops": _share(reached[count >= 0] >= 2),
         "model": spec.model.kind, "complete": study.is_complete(arrays["outcome"]),
     }  # fmt: skip
-    return xarray.Dataset(data, coords, attrs)
-
-
-def _read(
-    study: Stored[MultistabilitySpec], names: Sequence[str], xi: int, rows: slice
-) -> dict[str, NDArray[Any]]:
-    """Arrays over omega, gamma and the attractors of a cell."""
-    _, omegas, gammas = study.spec.shape
-    extra = {"outcome": (), "attractor_count": (), "flight_time": (MAX_ATTRACTORS, study.spec.keep)}
-    shapes = {name: (len(range(omegas)[rows]), gammas, *extra.get(name, (MAX_ATTRACTORS,))) for name in names}
-    # Before there is a store, no cell has an attractor.
-    return read_stored(
-        study, names, {"xi": xi, "omega": rows}, lambda: {name: np.zeros(shapes[name]) for name in names}
-    )
+    return dataset(data, coords, attrs)
 
 
 def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
     """The plane or the line. Raises InvalidRequest as `nearest_index`, TooLarge for more than MAX_CELLS."""
     nearest_index(spec, "xi", query.xi)
     _, omegas, gammas = spec.shape
-    check_points(omegas * gammas, MAX_CELLS, f"{omegas:,} by {gammas:,} cells", None)
+    if omegas * gammas > MAX_CELLS:
+        raise TooLarge(
+            f"the answer would hold up to {omegas * gammas:,} points ({omegas:,} by {gammas:,} cells); the "
+            f"limit is {MAX_CELLS:,}: open the store itself, which has no such limit"
+        )
     lengths = {"omega": omegas, "gamma": gammas, "place": MAX_ATTRACTORS}
     if query.omega is not None:
         nearest_index(spec, "omega", query.omega)
@@ -154,15 +143,9 @@ def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
     return Estimate(lengths, reads=_PLANE, memory=omegas * gammas * _PER_CELL)
 
 
-def _several(attractors: NDArray[Any], count: NDArray[Any]) -> float:
-    """Share of the computed cells with two attractors or more; NaN if none is computed."""
-    computed = attractors[count >= 0]
-    return float(np.mean(computed >= 2)) if computed.size else np.nan
-
-
-def _known(arrays: _Arrays, i: int, j: int) -> range:
-    """Indices of the stored attractors of a cell."""
-    return range(min(int(arrays["attractor_count"][i, j]), MAX_ATTRACTORS))
+def _share(cells: NDArray[np.bool_]) -> float:
+    """Share of the computed cells; NaN if none is computed."""
+    return float(np.mean(cells)) if cells.size else np.nan
 
 
 def _ids(arrays: _Arrays) -> NDArray[np.int64]:
@@ -198,52 +181,46 @@ def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> 
 
 def _branches(arrays: _Arrays) -> NDArray[np.int64]:
     """The branch of every stored attractor (omega, gamma, id), numbered line by line; -1: none."""
-    branch = np.full(arrays["attractor_outcome"].shape, -1, np.int64)
-    branches = 0
-    omegas, gammas = arrays["outcome"].shape
-    for i in range(omegas):
-        for j in range(gammas):
-            for k in _known(arrays, i, j):
-                before = int(arrays["next_down"][i, j, k]) - 1 if j else -1
-                if before >= 0 and arrays["next_up"][i, j - 1, before] == k + 1:
-                    branch[i, j, k] = branch[i, j - 1, before]
-                else:
-                    branch[i, j, k] = branches
-                    branches += 1
+    places = np.arange(MAX_ATTRACTORS)
+    there = places < arrays["attractor_count"][..., np.newaxis]
+    before = np.maximum(arrays["next_down"].astype(np.int64) - 1, 0)
+    goes_on = there & (arrays["next_down"] > 0)
+    goes_on[:, 0] = False
+    goes_on[:, 1:] &= np.take_along_axis(arrays["next_up"][:, :-1], before[:, 1:], axis=2) == places + 1
+    branch = np.where(there, np.cumsum(there & ~goes_on).reshape(there.shape) - 1, -1)
+    for j in range(1, there.shape[1]):
+        same = np.take_along_axis(branch[:, j - 1], before[:, j], axis=1)
+        branch[:, j] = np.where(goes_on[:, j], same, branch[:, j])
     return branch
 
 
 def _votes(arrays: _Arrays, branch: NDArray[np.int64]) -> Mapping[tuple[int, int], int]:
     """In how many cells branches of neighbouring lines are nearest to each other."""
     votes: Counter[tuple[int, int]] = Counter()
+    there = branch >= 0
     for i in range(1, len(branch)):
         for j in range(branch.shape[1]):
-            for k, before in _nearest(arrays, i, j):
+            for k, before in _nearest(arrays, there, i, j):
                 votes[int(branch[i - 1, j, before]), int(branch[i, j, k])] += 1
     return votes
 
 
-def _nearest(arrays: _Arrays, i: int, j: int) -> Iterator[tuple[int, int]]:
+def _nearest(arrays: _Arrays, there: NDArray[np.bool_], i: int, j: int) -> Iterator[tuple[int, int]]:
     """Pairs of attractors of the cells (i, j) and (i - 1, j): of one mode, the nearest flights first."""
     longest = arrays["longest_flight"]
     pairs = sorted(
         (abs(float(longest[i, j, k] - longest[i - 1, j, before])), k, before)
-        for k in _known(arrays, i, j)
-        for before in _known(arrays, i - 1, j)
-        if _mode(arrays, i, j, k) == _mode(arrays, i - 1, j, before)
+        for k in np.flatnonzero(there[i, j]).tolist()
+        for before in np.flatnonzero(there[i - 1, j]).tolist()
+        if all(arrays[name][i, j, k] == arrays[name][i - 1, j, before] for name in _MODE)
     )
-    here, there = set[int](), set[int]()
+    taken, taken_before = set[int](), set[int]()
     for difference, k, before in pairs:
         near = difference <= NEAR or arrays["attractor_outcome"][i, j, k] == Outcome.APERIODIC
-        if near and k not in here and before not in there:
-            here.add(k)
-            there.add(before)
+        if near and k not in taken and before not in taken_before:
+            taken.add(k)
+            taken_before.add(before)
             yield k, before
-
-
-def _mode(arrays: _Arrays, i: int, j: int, k: int) -> tuple[int, int, int]:
-    outcome, bounces, periods = (int(arrays[name][i, j, k]) for name in _MODE)
-    return outcome, bounces, periods
 
 
 def _labels(arrays: _Arrays, ids: NDArray[np.int64]) -> NDArray[np.object_]:
@@ -262,26 +239,15 @@ def _commonest(ids: NDArray[np.int64], labels: NDArray[np.object_]) -> dict[int,
 
 
 def _events(
-    spec: MultistabilitySpec,
-    arrays: _Arrays,
-    ids: NDArray[np.int64],
-    labels: NDArray[np.object_],
-    rows: slice,
+    spec: MultistabilitySpec, arrays: _Arrays, ids: NDArray[np.int64], labels: Any, rows: slice
 ) -> Iterator[tuple[Any, ...]]:
     """Births, deaths and changes of mode between computed cells of some lines, as _OF_EVENTS."""
     computed = arrays["outcome"] != Outcome.MISSING
     omega, gamma = (spec.axis_values(axis).tolist() for axis in _PLANE)
-    omegas, gammas = computed.shape
-    for i in range(omegas)[rows]:
-        for j in range(gammas - 1):
-            if not computed[i, j] or not computed[i, j + 1]:
-                continue
+    for i in range(len(omega))[rows]:
+        for j in np.flatnonzero(computed[i, :-1] & computed[i, 1:]).tolist():
             below, above = (
-                {
-                    number: label
-                    for number, label in zip(ids[i, at].tolist(), labels[i, at], strict=True)
-                    if number
-                }
+                {n: label for n, label in zip(ids[i, at].tolist(), labels[i, at], strict=True) if n}
                 for at in (j, j + 1)
             )
             for number in sorted(below.keys() | above.keys()):
@@ -289,66 +255,43 @@ def _events(
                 if before == after:
                     continue
                 kind, leads_to = "mode", 0
-                if not before:
-                    kind = "birth"
-                    leads_to = _target(arrays["next_down"], ids, (i, j + 1), number, (i, j))
-                elif not after:
-                    kind = "death"
-                    leads_to = _target(arrays["next_up"], ids, (i, j), number, (i, j + 1))
+                if not before or not after:
+                    kind, there, other = ("death", j, j + 1) if before else ("birth", j + 1, j)
+                    leads = arrays["next_up" if before else "next_down"][i, there]
+                    reached = int(leads[ids[i, there] == number][0])
+                    leads_to = int(ids[i, other, reached - 1]) if reached > 0 else 0
                 yield kind, number, omega[i], gamma[j], gamma[j + 1], before, after, leads_to
-
-
-def _target(
-    leads: NDArray[np.int8], ids: NDArray[np.int64], cell: tuple[int, int], number: int, to: tuple[int, int]
-) -> int:
-    """The id of the attractor of the cell `to` that attractor `number` of `cell` leads to; 0: none."""
-    reached = int(leads[cell][ids[cell] == number][0])
-    return int(ids[to][reached - 1]) if reached > 0 else 0
 
 
 #: Colours of cells by their number of attractors: not computed, none, 1, 2, 3, 4 and more.
 COUNTS: Final = ("#ffffff", "#bbbbbb", "#e8edf2", "#56b4e9", "#d55e00", "#000000")
 _OF_COUNTS: Final = ("not computed", "undecided", "one attractor", "two", "three", "four or more")
 
-#: Colour of the attractors without one of their own.
-OTHERS: Final = "#999999"
+#: Colours by id: none, one of their own for those with most cells, and that of all others.
+_BY_ID: Final = (UNDECIDED, *COLOURS[:-1], "#999999")
 
 
 def draw(found: xarray.Dataset, figure: "Figure") -> None:
     """Two maps, of the number of attractors and of the one that most drops reach; of a line its flights."""
     if "flight_time" in found:
-        _draw_line(found, figure)
-    else:
-        _draw_plane(found, figure)
-
-
-def _draw_plane(found: xarray.Dataset, figure: "Figure") -> None:
+        _draw_line(found, figure.subplots())
+        return
     from matplotlib.patches import Patch
-
-    from service.render.style import SYMBOLS, TEXT
 
     left, right = figure.subplots(1, 2, sharey=True)
     number = np.clip(found["count"].values + 1, 0, len(COUNTS) - 1)
     _map(left, found, number, COUNTS)
-    _legend(left, [Patch(facecolor=COUNTS[n], edgecolor="black", linewidth=0.5, label=_OF_COUNTS[n])
-                   for n in np.unique(number).tolist()])  # fmt: skip
-    first, colours = found.id.values[:, :, 0], _colours()
-    _map(right, found, np.minimum(first, len(colours) - 1), colours)
-    _name_attractors(right, found.sel(attractor=np.intersect1d(found.attractor, first)))
-    left.set_ylabel(SYMBOLS["omega"], **TEXT)
+    legend_beside(left, [Patch(facecolor=COUNTS[n], edgecolor="black", linewidth=0.5, label=_OF_COUNTS[n])
+                         for n in np.unique(number).tolist()])  # fmt: skip
+    first = found.id.values[:, :, 0]
+    _map(right, found, np.minimum(first, len(_BY_ID) - 1), _BY_ID)
+    _name_attractors(right, found.isel(attractor=np.isin(found.attractor, first)))
+    left.set_ylabel(SYMBOLS["omega"])
     several = found.attrs["several"]
     share = "" if np.isnan(several) else f": several in {100.0 * several:.1f} %"
-    left.set_title(f"attractors of a cell{share}", fontsize=11, **TEXT)
-    right.set_title("the attractor that most drops reach", fontsize=11, **TEXT)
-    title = f"{SYMBOLS['xi']} = {found.xi.item():g}  ({found.attrs['model']})"
-    figure.suptitle(title, fontsize=11, **TEXT)
-
-
-def _colours() -> tuple[str, ...]:
-    """Colours by id: none, one of their own for those with most cells, and that of all others."""
-    from service.render.style import COLOURS, UNDECIDED
-
-    return UNDECIDED, *COLOURS[:-1], OTHERS
+    left.set_title(f"attractors of a cell{share}", fontsize=11)
+    right.set_title("the attractor that most drops reach", fontsize=11)
+    figure.suptitle(f"{SYMBOLS['xi']} = {found.xi.item():g}  ({found.attrs['model']})", fontsize=11)
 
 
 def _map(axes: "Axes", found: xarray.Dataset, values: NDArray[np.int64], colours: tuple[str, ...]) -> None:
@@ -359,15 +302,7 @@ def _map(axes: "Axes", found: xarray.Dataset, values: NDArray[np.int64], colours
         _edges(found.gamma.values), _edges(found.omega.values), values, cmap=ListedColormap(list(colours)),
         vmin=-0.5, vmax=len(colours) - 0.5, rasterized=True,
     )  # fmt: skip
-    _label_gamma(axes)
-
-
-def _label_gamma(axes: "Axes") -> None:
-    from service.render.style import SYMBOLS, TEXT
-
-    axes.set_xlabel(SYMBOLS["gamma"], **TEXT)
-    for tick in (*axes.get_xticklabels(), *axes.get_yticklabels()):
-        tick.set(**TEXT)
+    axes.set_xlabel(SYMBOLS["gamma"])
 
 
 def _edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -378,45 +313,34 @@ def _edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([[2.0 * values[0] - middle[0]], middle, [2.0 * values[-1] - middle[-1]]])
 
 
-def _draw_line(found: xarray.Dataset, figure: "Figure") -> None:
+def _draw_line(found: xarray.Dataset, axes: "Axes") -> None:
     """The flights of each attractor in its colour, at 0 without any."""
-    from service.render.style import SYMBOLS, TEXT
-
-    axes, colours = figure.subplots(), _colours()
     ids, times = found.id.values[0], found.flight_time.values[0].copy()
     times[~np.isfinite(times).any(axis=-1), 0] = 0.0
     gamma = np.broadcast_to(found.gamma.values[:, np.newaxis, np.newaxis], times.shape)
     for number in np.unique(ids[ids > 0])[::-1].tolist():
         shown = (ids == number)[..., np.newaxis] & np.isfinite(times)
-        colour = colours[min(number, len(colours) - 1)]
+        colour = _BY_ID[min(number, len(_BY_ID) - 1)]
         axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=2.5, markeredgewidth=0.0)
-    _label_gamma(axes)
-    axes.set_ylabel("flight time (rad)", **TEXT)
+    axes.set_xlabel(SYMBOLS["gamma"])
+    axes.set_ylabel("flight time (rad)")
     values = ", ".join(f"{SYMBOLS[axis]} = {found[axis].item():g}" for axis in ("omega", "xi"))
-    axes.set_title(f"coexisting attractors, {values}  ({found.attrs['model']})", fontsize=11, **TEXT)
+    axes.set_title(f"coexisting attractors, {values}  ({found.attrs['model']})", fontsize=11)
     _name_attractors(axes, found)
 
 
 def _name_attractors(axes: "Axes", found: xarray.Dataset) -> None:
     from matplotlib.patches import Patch
 
-    colours = _colours()
-    own = found.sel(attractor=found.attractor < len(colours) - 1)
-    named = zip(own.attractor.values.tolist(), own.attractor_label.values.tolist(), strict=True)
-    entries = [Patch(color=colours[number], label=f"{number}: mostly {label}") for number, label in named]
-    others = found.sizes["attractor"] - own.sizes["attractor"]
-    if others:
-        entries.append(Patch(color=OTHERS, label=f"{others} more"))
-    _legend(axes, entries)
-
-
-def _legend(axes: "Axes", entries: "list[Patch]") -> None:
-    from service.render.style import FONT
-
-    axes.legend(
-        handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False,
-        prop={"family": FONT, "size": 10},
-    )  # fmt: skip
+    named = zip(found.attractor.values.tolist(), found.attractor_label.values.tolist(), strict=True)
+    entries = [
+        Patch(color=_BY_ID[number], label=f"{number}: mostly {label}")
+        for number, label in named
+        if number < len(_BY_ID) - 1
+    ]
+    if others := found.sizes["attractor"] - len(entries):
+        entries.append(Patch(color=_BY_ID[-1], label=f"{others} more"))
+    legend_beside(axes, entries)
 
 
 VIEW: Final = View(

@@ -1,20 +1,202 @@
-"""Branches of cycles of one bounce at one spring, in closed form."""
+"""Branches of cycles in closed form: of a spring, and of the words that cells of a sweep settled to.
 
-from collections.abc import Sequence
+Also what they share with curves: variables, parameters, and records made into variables. A branch or curve
+is a row along the first dimension, padded beyond its last point.
+"""
+
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Annotated, Final
+from math import prod
+from typing import Annotated, Any, Final, TypeVar
 
+import numpy as np
 import xarray
+from numpy.typing import NDArray
 from pydantic import Field
 
-from kernel.branches.energy import energy
-from kernel.branches.events import Branch, Events, branch_and_events, join_events
-from service.views import branches
-from service.views.branches import BALANCE, BRANCH, EVENTS, ROWS, event_columns, padded, parse_modes
-from service.views.variables import coordinate
-from service.views.view import AT_ONCE_SECONDS, Call, Estimate, Omega, Query, View, Xi
+from kernel.branches.curves import Curve
+from kernel.branches.energy import energy, word_energy
+from kernel.branches.events import Branch, Events, branch_and_events, flight_times, join_events
+from kernel.branches.words import WordBranch
+from kernel.params import KernelInputError
+from service.errors import InvalidRequest, TooLarge
+from service.views.selection import (
+    MAX_READ,
+    GridValue,
+    Stored,
+    directions_of,
+    nearest_index,
+)
+from service.views.variables import ENERGY, coordinate, dataset, row, variable
+from service.views.view import AT_ONCE_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
+from worker import orbits, schema, store
 from worker.analysis.prediction import branch_seconds
-from worker.orbits import MAX_POINTS
+from worker.analysis.words import MAX_WORDS, POINTS, Skipped, Words, continue_words
+from worker.orbits import MAX_GRID, MAX_POINTS, Mode, check_modes, read_mode
+from worker.schema import Array
+from worker.spec import SweepSpec
+from worker.spec.errors import BrokenRuleError
+
+Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
+GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
+WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
+
+Record = TypeVar("Record", Branch, Curve, Events)
+
+#: The contact of every closed form.
+MODEL: Final = "rigid, restitution 0"
+#: `admissible` beyond the last point of a branch or curve.
+MISSING_POINT: Final = 255
+#: Of each branch, and the energy balance of a cycle.
+BRANCH: Final = ("branch_bounces", "branch_periods", "points")
+BALANCE: Final = tuple(each.name for each in ENERGY)
+
+#: Real and imaginary part of both multipliers.
+_PARTS: Final = {"multiplier": 2, "part": 2}
+
+
+def _of_cycle(thing: str, what: str) -> tuple[Array, Array]:
+    return (
+        row(f"{thing}_bounces", (thing,), "<i4", f"bounces of the {what}"),
+        row(f"{thing}_periods", (thing,), "<i4", f"plate periods of the {what}"),
+    )
+
+
+_STORED: Final = {each.name: each for each in orbits.ARRAYS}
+_AXES: Final = {each.name: each.attrs for each in schema.COORDINATES}
+
+#: The variables by name: those that the study `orbits` stores, and others.
+ROWS: Final[Mapping[str, Array]] = _STORED | {
+    each.name: each
+    for each in (
+        _STORED["gamma"]._replace(attrs=_AXES["gamma"] | {"comment": "NaN: no point"}),
+        _STORED["admissible"]._replace(fill=MISSING_POINT, attrs=_STORED["admissible"].attrs | {
+            "comment": f"0: a cycle of the spring; {MISSING_POINT}: no point",
+        }),
+        row("multipliers", ("branch", "point", *_PARTS), "<f8", "Floquet multipliers, the larger first"),
+        *ENERGY,
+        *_of_cycle("branch", "cycles"),
+        row("points", ("branch",), "<i4", "points of the branch"),
+        row("word", ("branch",), "U", "landings of the cycle: s sticks, z takes off again at once"),
+        row("curve_kind", ("curve",), "U", "kind of event"),
+        *_of_cycle("curve", "cycles"),
+        *(Array(axis, ("curve", "point"), "<f8", 0, _AXES[axis]) for axis in ("omega", "xi")),
+        row("event_kind", ("event",), "U", "kind of event"),
+        *(Array(f"event_{axis}", ("event",), "<f8", 0, _AXES[axis]) for axis in ("gamma", "omega", "xi")),
+        row("event_multipliers", ("event", *_PARTS), "<f8", "Floquet multipliers"),
+        row("event_branch", ("event",), "<i4", "index of the branch that the event is on"),
+        Array("skipped_gamma", ("skipped",), "<f8", 0, _AXES["gamma"]),
+        *_of_cycle("skipped", "cell from which no branch was followed"),
+        row("skipped_reason", ("skipped",), "U", "why no branch was followed from the cell"),
+    )
+}  # fmt: skip
+_EVENT: Final = (
+    "kind", "gamma", "omega", "xi", "bounces", "periods", "flight_time", "admissible", "multipliers",
+)  # fmt: skip
+EVENTS: Final = tuple(ROWS[f"event_{name}"] for name in _EVENT)
+
+
+def padded(
+    names: Sequence[str], records: Sequence[Any], dims: tuple[str, ...] = ("branch", "point")
+) -> dict[str, xarray.Variable]:
+    """These fields of every record, of the length of the longest."""
+    return {
+        name: _padded(ROWS[name], [_field(record, name) for record in records],
+                      (*dims, *_PARTS) if name == "multipliers" else dims)
+        for name in names
+    }  # fmt: skip
+
+
+def _padded(about: Array, values: Sequence[NDArray[Any]], dims: tuple[str, ...]) -> xarray.Variable:
+    lengths = [
+        max((each.shape[i] for each in values), default=_PARTS.get(dim, 0)) for i, dim in enumerate(dims[1:])
+    ]
+    if (size := prod((len(values), *lengths))) > MAX_READ:
+        raise TooLarge(
+            f"{len(values):,} of them, as long as the longest, hold {size:,} numbers; the limit is "
+            f"{MAX_READ:,}: take a shorter range, or fewer kinds or modes"
+        )
+    table = np.full((len(values), *lengths), np.nan if about.dtype == "<f8" else about.fill, about.dtype)
+    for line, each in zip(table, values, strict=True):
+        line[tuple(map(slice, each.shape))] = each
+    return xarray.Variable(dims, table, dict(about.attrs))
+
+
+def columns(thing: str, fields: Mapping[str, Any]) -> dict[str, xarray.Variable]:
+    """The fields of a list of events, branches, curves or cells."""
+    names = {field: f"{thing}_{field}" for field in fields}
+    return {name: variable((), fields[field], ROWS[name]) for field, name in names.items()}
+
+
+def event_columns(events: Events) -> dict[str, xarray.Variable]:
+    """The variables of EVENTS."""
+    return columns("event", {name: _field(events, name) for name in _EVENT})
+
+
+def _field(record: Any, name: str) -> NDArray[Any]:
+    if name == "multipliers":
+        return np.stack([record.multiplier.real, record.multiplier.imag], axis=-1)
+    return np.asarray(getattr(record, name))
+
+
+def of_branches(records: Sequence[Branch | WordBranch]) -> dict[str, xarray.Variable]:
+    """Mode and length of each branch."""
+    bounces = [len(x.word) if isinstance(x, WordBranch) else x.bounces for x in records]
+    lengths = {"bounces": bounces, "periods": [x.periods for x in records]}
+    points = variable((), [len(x.gamma) for x in records], ROWS["points"])
+    return {**columns("branch", lengths), "points": points}
+
+
+def closed_form(
+    data: Mapping[str, xarray.Variable],
+    coords: Mapping[str, xarray.Variable],
+    complete: bool = True,
+    **attrs: Any,
+) -> xarray.Dataset:
+    """A result with the attributes of all of them."""
+    part = xarray.Variable(("part",), np.array(["real", "imaginary"]))
+    return dataset(data, {**coords, "part": part}, {"model": MODEL, **attrs, "complete": complete})
+
+
+def parse_modes(text: str) -> tuple[Mode, ...]:
+    """Modes written as `1-1,1-2`: bounces and plate periods, of one bounce each. Raises InvalidRequest."""
+    try:
+        modes = [read_mode(part.strip()) for part in text.split(",")]
+        check_modes(modes)
+    except BrokenRuleError as error:
+        raise InvalidRequest.of("modes", error.rule) from error
+    return tuple(sorted(modes))
+
+
+def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
+    """Flight times of a branch. Raises InvalidRequest above MAX_GRID, and for a spring without branches."""
+    try:
+        needed = len(flight_times(omega, xi, periods, points))
+    except KernelInputError as error:
+        raise InvalidRequest.of(error.argument, error.rule) from error
+    if needed > MAX_GRID:
+        rule = (
+            f"1-{periods} at omega {omega:g} takes a branch of {needed:,} points; the limit is "
+            f"{MAX_GRID:,}: ask for fewer periods, or take a larger omega"
+        )
+        raise InvalidRequest.of("modes", rule)
+    return needed
+
+
+def below(record: Record, gamma_max: float) -> list[Record]:
+    """The connected parts of a branch or curve up to `gamma_max`."""
+    inside = np.concatenate([[False], record.gamma <= gamma_max, [False]])
+    edges = np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
+    return [rows_of(record, slice(low, high)) for low, high in edges]
+
+
+def rows_of(record: Record, rows: slice | NDArray[np.bool_]) -> Record:
+    """A record of these rows of its arrays."""
+    arrays: dict[str, Any] = {
+        name: x[rows] for name, x in record._asdict().items() if isinstance(x, np.ndarray)
+    }
+    return record._replace(**arrays)
+
 
 #: Branches kept in a process, those requested last.
 KEPT: Final = 64
@@ -22,7 +204,7 @@ KEPT: Final = 64
 #: Bytes of a point of a branch, with what is computed on the way to it.
 _PER_POINT: Final = 4_000
 
-_POINT: Final = (
+_OF_POINT: Final = (
     "gamma", "flight_time", "takeoff_phase", "elongation", "elongation_velocity", "impact_velocity",
     "multipliers", "stable", "admissible",
 )  # fmt: skip
@@ -33,13 +215,13 @@ class OrbitsQuery(Query):
 
     omega: Omega
     xi: Xi
-    modes: branches.Modes = "1-1,1-2"
-    gamma_max: branches.GammaMax = 8.0
+    modes: Modes = "1-1,1-2"
+    gamma_max: GammaMax = 8.0
     points: Annotated[int, Field(ge=10, le=MAX_POINTS, description="of each branch, at least")] = 400
-    energy: branches.WithEnergy = False
+    energy: WithEnergy = False
 
 
-def parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
+def orbit_parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
     """The branch of each mode, if they take longer than AT_ONCE_SECONDS together."""
     grids = _grids(query)
     quick = sum(branch_seconds(*grid) for grid in grids) <= AT_ONCE_SECONDS
@@ -51,35 +233,116 @@ def _grids(query: OrbitsQuery) -> list[tuple[float, float, int, int]]:
     return [(query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes)]
 
 
-def compute(study: None, query: OrbitsQuery, *found: tuple[Branch, Events]) -> xarray.Dataset:
+def compute_orbits(study: None, query: OrbitsQuery, *found: tuple[Branch, Events]) -> xarray.Dataset:
     """Branches of cycles of one bounce, and their events.
 
     Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
     `gamma_max` and comes back is several pieces.
     """
     found = found or tuple(_branch(*grid) for grid in _grids(query))
-    pieces = [piece for branch, _ in found for piece in branches.below(branch, query.gamma_max)]
-    data = padded(_POINT, pieces)
+    pieces = [piece for branch, _ in found for piece in below(branch, query.gamma_max)]
+    data = padded(_OF_POINT, pieces)
     if query.energy:
         data |= padded(BALANCE, [energy(x.omega, x.xi, x.periods, x.flight_time) for x in pieces])
-    data |= event_columns(join_events([branches.rows_of(e, e.gamma <= query.gamma_max) for _, e in found]))
-    coords = branches.of_branches(pieces)
+    data |= event_columns(join_events([rows_of(e, e.gamma <= query.gamma_max) for _, e in found]))
+    coords = of_branches(pieces)
     coords |= {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")}
-    return branches.dataset(data, coords, gamma_max=query.gamma_max)
+    return closed_form(data, coords, gamma_max=query.gamma_max)
 
 
 _branch = lru_cache(KEPT)(branch_and_events)
 
 
-def estimate(spec: None, query: OrbitsQuery) -> Estimate:
+def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
     """All points of the branches. Raises InvalidRequest for a branch that is too long, or not there."""
-    lengths = [branches.grid_length(*grid) for grid in _grids(query)]
+    lengths = [grid_length(*grid) for grid in _grids(query)]
     sizes = {"branch": len(lengths), "point": max(lengths), "multiplier": 2, "part": 2}
     return Estimate(sizes, memory=sum(lengths) * _PER_POINT)
 
 
-VIEW: Final = View(
-    "orbits", "Branches of a spring", None, OrbitsQuery, compute, estimate,
-    variables=tuple(ROWS[name] for name in (*_POINT, *BALANCE, *BRANCH)) + EVENTS,
-    rows="gamma", printed=("event_gamma",), parts=parts,
+ORBITS: Final = View(
+    "orbits", "Branches of a spring", None, OrbitsQuery, compute_orbits, estimate_orbits,
+    variables=tuple(ROWS[name] for name in (*_OF_POINT, *BALANCE, *BRANCH)) + EVENTS,
+    rows="gamma", printed=("event_gamma",), parts=orbit_parts,
+)  # fmt: skip
+
+
+#: Bytes of an answer.
+_MEMORY: Final = 16 * 2**20
+#: Of a line without a computed cell.
+_NONE: Final = Words((), (), ())
+
+_OF_WORD: Final = ("gamma", "multipliers", "stable", "admissible")
+_OF_FLIGHT: Final = ("flight_time", "takeoff_phase", "impact_velocity")
+
+
+class WordsQuery(Query):
+    """The spring of the sweep nearest to the given values, and the direction whose cells are continued."""
+
+    omega: Number | None = None
+    xi: Number | None = None
+    direction: Annotated[
+        str | None, Field(description="rest, up or down; default: the first direction of the sweep")
+    ] = None
+    gamma_max: GammaMax = 8.0
+    energy: WithEnergy = False
+
+
+def _line(spec: SweepSpec, query: WordsQuery) -> tuple[str, dict[str, GridValue]]:
+    """Direction and spring of the cells. Raises InvalidRequest."""
+    spring = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in ("omega", "xi")}
+    return directions_of(spec, query.direction)[0], spring
+
+
+def word_parts(study: Stored[SweepSpec], query: WordsQuery) -> Sequence[Call]:
+    """The branches of one line, unless nothing is stored yet."""
+    try:
+        store.stored_forms(study.url, study.forms)  # raises for a store laid out otherwise
+    except store.StoreMissing as error:
+        if study.complete:
+            raise store.StoreDamaged(str(error)) from error
+        return []
+    direction, spring = _line(study.spec, query)
+    indices = (study.spec.directions.index(direction), spring["xi"].index, spring["omega"].index)
+    return [(continue_words, study.spec, study.url, *indices, query.gamma_max, study.complete)]
+
+
+def compute_words(study: Stored[SweepSpec], query: WordsQuery, found: Words = _NONE) -> xarray.Dataset:
+    """Branches of the cycles that cells along Γ settled to.
+
+    Stable and unstable ones, with their events, of the rigid contact without restitution: cells of another
+    contact are a guess from which its cycles are looked for. A worker follows a branch in some tenths of a
+    second. `skipped` are the periodic cells from which no branch was followed.
+    """
+    direction, spring = _line(study.spec, query)
+    data = padded(_OF_WORD, found.branches) | padded(
+        _OF_FLIGHT, found.branches, ("branch", "point", "flight")
+    )
+    if query.energy:
+        data |= padded(BALANCE, [word_energy(branch) for branch in found.branches])
+    data |= event_columns(join_events(found.events))
+    on = np.repeat(np.arange(len(found.events)), [len(events.gamma) for events in found.events])
+    data |= columns("event", {"branch": on})
+    data |= columns("skipped", {name: [getattr(x, name) for x in found.skipped] for name in Skipped._fields})
+    coords = of_branches(found.branches)
+    coords |= {"word": variable((), [branch.word for branch in found.branches], ROWS["word"])}
+    coords |= {axis: coordinate(axis, at.value) for axis, at in spring.items()}
+    coords |= {"direction": coordinate("direction", direction)}
+    return closed_form(data, coords, study.complete, gamma_max=query.gamma_max)
+
+
+def estimate_words(spec: SweepSpec, query: WordsQuery) -> Estimate:
+    """The points of as many branches as are followed. Raises InvalidRequest for a line that is not there."""
+    _line(spec, query)
+    sizes = {"branch": MAX_WORDS, "point": 2 * POINTS, "multiplier": 2, "part": 2}
+    return Estimate(sizes, memory=_MEMORY, small=False)
+
+
+WORDS: Final = View(
+    "orbits", "Branches of a sweep's cycles", SweepSpec, WordsQuery, compute_words, estimate_words,
+    variables=(
+        *(ROWS[name] for name in (*_OF_WORD, *_OF_FLIGHT, *BALANCE, *BRANCH, "word")),
+        *EVENTS, ROWS["event_branch"], *(ROWS[f"skipped_{name}"] for name in Skipped._fields),
+    ),
+    rows="flight_time", printed=("event_gamma", "skipped_gamma"), parts=word_parts,
 )  # fmt: skip

@@ -4,6 +4,7 @@ A new result is a module of this package and a row here.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib.util import find_spec
 from math import inf
 from typing import Any, Final
@@ -12,7 +13,6 @@ from xarray import Dataset
 
 from service.errors import InvalidRequest, NotInstalled, TooLarge
 from service.formats import PICTURES
-from service.results.selection import MAX_READ, Stored
 from service.software import software
 from service.views import (
     basins,
@@ -22,23 +22,24 @@ from service.views import (
     modes,
     multistability,
     orbits,
-    spring_threshold,
+    style,
     threshold,
     trajectory,
-    words,
 )
+from service.views.selection import MAX_READ, Stored
 from service.views.view import Estimate, Query, View
 
 #: The results of a job, by name.
 VIEWS: Final[dict[str, View]] = {
-    module.VIEW.name: module.VIEW
-    for module in (diagram, modes, threshold, words, basins, multistability, trajectory)
-}
+    view.name: view
+    for view in (
+        diagram.VIEW, modes.VIEW, threshold.VIEW, orbits.WORDS, basins.VIEW, multistability.VIEW,
+        trajectory.VIEW,
+    )
+}  # fmt: skip
 
 #: The results of a spring alone, in closed form.
-SPRINGS: Final[dict[str, View]] = {
-    module.VIEW.name: module.VIEW for module in (spring_threshold, orbits, curves)
-}
+SPRINGS: Final[dict[str, View]] = {view.name: view for view in (threshold.SPRING, orbits.ORBITS, curves.VIEW)}
 
 
 def admit(
@@ -97,9 +98,9 @@ def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
 def _encoded(view: View, study: Stored[Any] | None, found: Dataset, format: str) -> bytes:
     about = {"release": software().release} if study is None else study.attributes
     found.attrs = {"Conventions": "CF-1.11", "title": view.summary, **about, **found.attrs}
-    if format in PICTURES:
+    if view.draw is not None and format in PICTURES:
         origin = about if study is None else study.origin
-        return encode.picture(found, view.draw, view.size, format, origin)
+        return style.encode(view.size, partial(view.draw, found), format, origin)
     rows = view.finer_rows if view.finer_rows in found else view.rows
     return encode.ENCODERS[format](found, rows)
 

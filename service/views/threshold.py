@@ -1,4 +1,4 @@
-"""The thresholds of a sweep per omega: on its grid, refined beyond it by workers, and in closed form."""
+"""Thresholds of a spring in closed form, and of a sweep per omega: on its grid, refined, and predicted."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -14,17 +14,85 @@ from kernel.branches.thresholds import Thresholds
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
-from service.results.mode_map import plane
-from service.results.selection import MAX_READ, ROUNDING, Stored, check_kernel, nearest_index
-from service.views.spring_threshold import CONTACT, predicted
-from service.views.variables import coordinate, row, variable
-from service.views.view import AT_ONCE_SECONDS, Call, Estimate, Number, Query, View
-from worker.analysis.prediction import predict_each, predict_from_cells, prediction_seconds
+from service.views.selection import MAX_READ, ROUNDING, Stored, check_kernel, nearest_index, read_direction
+from service.views.variables import ENERGY, coordinate, dataset, row, variable
+from service.views.view import AT_ONCE_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
+from worker.analysis.prediction import predict, predict_each, predict_from_cells, prediction_seconds
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, on_grid, refine
 from worker.cost import cell_seconds
 from worker.schema import COMPUTED
 from worker.spec import SweepSpec
 from worker.spec.contact_models import Rigid
+
+#: The contact of the closed form.
+CONTACT: Final = "rigid, restitution 0"
+
+#: Springs whose thresholds are kept: the least recently used one makes room.
+KEPT: Final = 4096
+
+_OF_SPRING: Final = (
+    row("threshold", (), "<f8", "Γ at which rest ends, Eq. 25", comment="NaN: at none"),
+    row("jump", (), "<f8", "Γ of the fold at which flights leap on the way up"),
+    row("down", (), "<f8", "lowest Γ at which anything bounces for ever", comment="NaN: not decided"),
+    row("cause", (), "U", "what ends bouncing at down"),
+    row("reason", (), "U", "why down is not decided"),
+    row("lifetime", (), "<f8", "life of bouncing at Γ = down - delta", "plate periods"),
+    row("delta", (), "<f8", "Γ below down"),
+    *ENERGY,
+)
+
+
+class SpringQuery(Query):
+    """A spring, and how far below the fold it bounces."""
+
+    omega: Omega
+    xi: Xi
+    delta: Annotated[
+        Number, Field(ge=1e-15, le=0.1, description="Γ below `down` for which the lifetime is told")
+    ] = 1e-6
+
+
+#: The thresholds of one spring; `unresolved` or `not searched` where the rule does not decide.
+predicted: Final = lru_cache(KEPT)(predict)
+
+
+def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xarray.Dataset:
+    """Where one spring begins and ceases to bounce.
+
+    In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which anything bounces
+    for ever, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
+    `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
+    is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
+    fold. A worker computes what takes longer than a second.
+    """
+    found = computed[0] if computed else predicted(query.omega, query.xi)
+    data: dict[str, Any] = {
+        "threshold": found.gamma_th if np.isfinite(found.gamma_th) else np.nan,
+        "jump": found.jump, "down": found.down, "cause": found.cause, "reason": found.reason,
+    }  # fmt: skip
+    if found.fold is not None:
+        data |= {"lifetime": lifetime(found.fold, query.delta), "delta": query.delta}
+    if found.energy is not None:
+        data |= {name: values[0] for name, values in found.energy._asdict().items()}
+    return dataset(
+        {row.name: variable((), data.get(row.name, np.nan), row) for row in _OF_SPRING},
+        {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")},
+        {"model": CONTACT, "complete": True},
+    )
+
+
+def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
+    """The prediction, if it takes long."""
+    if prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS:
+        return ()
+    return [(predict, query.omega, query.xi)]
+
+
+SPRING: Final = View(
+    "threshold", "Thresholds of a spring", None, SpringQuery, compute_spring,
+    lambda spec, query: Estimate({}), variables=_OF_SPRING, parts=spring_parts,
+)  # fmt: skip
+
 
 #: Values of omega that one worker call refines: small enough to share out, large enough to be worth a call.
 BLOCK: Final = 16
@@ -96,9 +164,9 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     `prediction` names; a descent ends there or earlier, on another cycle. Workers predict what takes longer
     than a second.
     """
-    spec, xi = study.spec, nearest_index(study.spec, "xi", query.xi).value
-    omega = spec.axis_values("omega")
-    data, complete = _on_grid(study, xi)
+    spec, at = study.spec, nearest_index(study.spec, "xi", query.xi)
+    omega, xi = spec.axis_values("omega"), at.value
+    data, complete = _on_grid(study, at.index)
     refined = [part for part in computed if isinstance(part, Refined)]
     if query.tolerance is not None:
         data |= _refined(data, refined)
@@ -106,15 +174,26 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     why_not = _left_out(spec, xi, query.predict)
     if not (each or why_not):
         each = [predicted(value, xi) for value in omega.tolist()]
-    data |= _compared(study, query, data["down"], each) if each else _not_predicted(len(omega), why_not)
+    pairs = zip(data["down"].tolist(), each, strict=bool(each))
+    found: dict[str, Any] = {
+        "predicted_jump": [prediction.jump for prediction in each],
+        "predicted_down": [prediction.down for prediction in each],
+        "cause": [prediction.cause for prediction in each],
+        "difference": [_difference(spec, query.tolerance, *pair) for pair in pairs],
+    }
+    nothing = {"predicted_jump": np.nan, "predicted_down": np.nan, "cause": why_not, "difference": ""}
+    data |= found if each else {name: np.full(len(omega), value) for name, value in nothing.items()}
     analytic = threshold(omega, xi)
     data["analytic"] = np.where(np.isfinite(analytic), analytic, np.nan)
-    attrs: dict[str, Any] = {
-        "prediction": _contact(study, query), "model": spec.model.kind, "complete": complete,
-    }  # fmt: skip
+    contact = f"{CONTACT}: the contact of the sweep"
+    if not _is_ideal(spec):
+        contact = f"{CONTACT}: not the contact of the sweep, which is {spec.model.kind}"
+    if query.predict == "words" and study.chunks_done:
+        contact += "; words continued from its cells: others may reach lower"
+    attrs: dict[str, Any] = {"prediction": contact, "model": spec.model.kind, "complete": complete}
     if query.tolerance is not None:
         attrs["tolerance"] = query.tolerance
-    return xarray.Dataset(
+    return dataset(
         {row.name: variable(("omega",), data[row.name], row) for row in _ROWS if row.name in data},
         {"omega": coordinate("omega", omega), "xi": coordinate("xi", xi)},
         attrs,
@@ -133,7 +212,13 @@ def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
     xi = nearest_index(spec, "xi", query.xi).value
     omegas, gammas = (len(spec.axis_values(axis)) for axis in ("omega", "gamma"))
     if query.tolerance is not None:
-        _check_cost(spec, omegas)
+        seconds = omegas * TYPICAL_CELLS * cell_seconds(spec, alone=True) * len(spec.directions)
+        if seconds > MAX_SECONDS:
+            rule = (
+                f"refining {omegas:,} values of omega takes about {seconds:.3g} core-seconds, the limit for "
+                f"one answer is {MAX_SECONDS:g}: enough for {int(omegas * MAX_SECONDS / seconds):,} values"
+            )
+            raise InvalidRequest.of("tolerance", rule)
     brief = bool(_left_out(spec, xi, query.predict)) or (
         query.predict == "some" and omegas <= MAX_BRIEF and _seconds(spec, xi, 0.0)[-1] <= BRIEF_SECONDS
     )
@@ -158,7 +243,7 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
         calls += [(refine, spec, study.url, at.index, block, query.tolerance) for block in blocks]
     if _left_out(spec, at.value, query.predict):
         return calls
-    words = _with_words(study, query)
+    words = query.predict == "words" and study.chunks_done > 0  # before the first chunk there are none
     seconds = _seconds(spec, at.value, WORDS_SECONDS if words else 0.0)
     if query.predict == "some" and seconds[-1] <= AT_ONCE_SECONDS:
         return calls
@@ -171,46 +256,36 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
     return calls
 
 
-def _on_grid(study: Stored[SweepSpec], xi: float) -> tuple[dict[str, NDArray[Any]], bool]:
-    """The thresholds to the grid in gamma and their statuses, and whether every cell is done."""
+def _on_grid(study: Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]], bool]:
+    """The thresholds to the grid in gamma and their statuses, and whether every cell is done.
+
+    Of an adaptive map also whether both cells beside each threshold were computed.
+    """
     spec = study.spec
-    omegas = len(spec.axis_values("omega"))
-    data: dict[str, NDArray[Any]] = {}
-    for name in ("up", "down"):
-        data |= {name: np.full(omegas, np.nan), f"{name}_status": np.full(omegas, Status.NOT_RAMPED.value)}
-    complete = True
-    for direction in spec.directions:
-        found, done = _in_direction(study, xi, direction)
-        data |= found
-        complete = complete and done
-    return data, complete
-
-
-def _in_direction(
-    study: Stored[SweepSpec], xi: float, direction: str
-) -> tuple[dict[str, NDArray[Any]], bool]:
-    """As `_on_grid`; of an adaptive map whether both cells beside each threshold were computed."""
-    spec, down = study.spec, direction == "down"
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
-    endless = endless_rest(spec, omega, xi)
-    names = ("outcome",) if spec.refine is None else ("outcome", COMPUTED.name)
-    lowest, statuses, complete = np.full(len(omega), np.nan), [], True
-    both_computed = np.zeros(len(omega), bool)
-    rows = max(1, MAX_READ // len(gamma))
-    for low in range(0, len(omega), rows):
-        part = plane(study, xi, direction, names, slice(low, low + rows))
-        complete = complete and part.complete
-        for i, outcome in enumerate(part.arrays["outcome"], low):
-            found = on_grid(outcome, down, bool(endless[i]))
-            statuses.append(found.status.value)
-            if found.status is Status.FOUND and found.bouncing is not None:
-                lowest[i] = gamma[found.bouncing]
-                if spec.refine is not None:
-                    beside = part.arrays[COMPUTED.name][i - low, found.bouncing - 1 : found.bouncing + 1]
-                    both_computed[i] = bool(beside.all())
-    name = "down" if down else "up"
-    data = {name: lowest, f"{name}_status": np.array(statuses)}
-    return data | ({} if spec.refine is None else {"up_computed": both_computed}), complete
+    endless = endless_rest(spec, omega, float(spec.axis_values("xi")[xi]))
+    adaptive = spec.refine is not None
+    names = ("outcome", COMPUTED.name) if adaptive else ("outcome",)
+    data: dict[str, NDArray[Any]] = {"up_computed": np.zeros(len(omega), bool)} if adaptive else {}
+    for name in ("up", "down"):
+        data[name] = np.full(len(omega), np.nan)
+        data[f"{name}_status"] = np.full(len(omega), Status.NOT_RAMPED.value, object)
+    complete, rows = True, max(1, MAX_READ // len(gamma))
+    for direction in spec.directions:
+        down = direction == "down"
+        name = "down" if down else "up"
+        for low in range(0, len(omega), rows):
+            part = read_direction(study, names, direction, {"xi": xi, "omega": slice(low, low + rows)})
+            complete = complete and study.is_complete(part["outcome"])
+            for i, outcome in enumerate(part["outcome"], low):
+                found = on_grid(outcome, down, bool(endless[i]))
+                data[f"{name}_status"][i] = found.status.value
+                if found.status is Status.FOUND and found.bouncing is not None:
+                    data[name][i] = gamma[found.bouncing]
+                    if adaptive:
+                        beside = part[COMPUTED.name][i - low, found.bouncing - 1 : found.bouncing + 1]
+                        data["up_computed"][i] = bool(beside.all())
+    return data, complete
 
 
 def _refined(data: dict[str, NDArray[Any]], found: Sequence[Refined]) -> dict[str, NDArray[Any]]:
@@ -222,20 +297,10 @@ def _refined(data: dict[str, NDArray[Any]], found: Sequence[Refined]) -> dict[st
         for name in ("up", "down"):
             status = data[f"{name}_status"]
             changed[name] = np.full(len(status), np.nan)
-            changed[f"{name}_status"] = np.where(status == Status.FOUND, Status.MISSING, status)
+            changed[f"{name}_status"] = np.where(status == Status.FOUND, Status.MISSING.value, status)
     if "up_computed" in data:  # refinement computes the cells that decide
         changed["up_computed"] = changed["up_status"] == Status.FOUND
     return changed
-
-
-def _check_cost(spec: SweepSpec, omegas: int) -> None:
-    seconds = TYPICAL_CELLS * cell_seconds(spec, alone=True) * len(spec.directions)  # per omega
-    if omegas * seconds > MAX_SECONDS:
-        rule = (
-            f"refining {omegas:,} values of omega takes about {omegas * seconds:.3g} core-seconds, the limit "
-            f"for one answer is {MAX_SECONDS:g}: enough for {int(MAX_SECONDS / seconds):,} values"
-        )
-        raise InvalidRequest.of("tolerance", rule)
 
 
 def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
@@ -267,42 +332,9 @@ def _seconds(spec: SweepSpec, xi: float, words: float) -> NDArray[np.float64]:
     return np.cumsum([words + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
 
 
-def _with_words(study: Stored[SweepSpec], query: ThresholdQuery) -> bool:
-    """Whether words of the cells are followed: before the first chunk there are none."""
-    return query.predict == "words" and study.chunks_done > 0
-
-
 def _is_ideal(spec: SweepSpec) -> bool:
     """Whether a sweep's contact is that of the closed form."""
     return isinstance(spec.model, Rigid) and spec.model.restitution == 0.0
-
-
-def _contact(study: Stored[SweepSpec], query: ThresholdQuery) -> str:
-    """What is predicted, and whether that is the sweep's contact."""
-    text = f"{CONTACT}: the contact of the sweep"
-    if not _is_ideal(study.spec):
-        text = f"{CONTACT}: not the contact of the sweep, which is {study.spec.model.kind}"
-    words = "; words continued from its cells: others may reach lower"
-    return text + words if _with_words(study, query) else text
-
-
-def _not_predicted(omegas: int, why: str) -> dict[str, Any]:
-    none = np.full(omegas, np.nan)
-    texts = {"cause": np.full(omegas, why), "difference": np.full(omegas, "")}
-    return {"predicted_jump": none, "predicted_down": none, **texts}
-
-
-def _compared(
-    study: Stored[SweepSpec], query: ThresholdQuery, down: NDArray[np.float64], each: Sequence[Thresholds]
-) -> dict[str, Any]:
-    """The predictions, one per omega, and the reasons why what the sweep found differs from them."""
-    pairs = zip(down.tolist(), each, strict=True)
-    return {
-        "predicted_jump": [prediction.jump for prediction in each],
-        "predicted_down": [prediction.down for prediction in each],
-        "cause": [prediction.cause for prediction in each],
-        "difference": [_difference(study.spec, query.tolerance, *pair) for pair in pairs],
-    }
 
 
 def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction: Thresholds) -> str:

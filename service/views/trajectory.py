@@ -14,15 +14,14 @@ from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
-from service.results.selection import (
+from service.views.selection import (
     Stored,
     check_kernel,
+    directions_of,
     nearest_index,
-    read,
     read_stored,
-    resolve_direction,
 )
-from service.views.variables import coordinate, row, variable
+from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
 from worker import schema
 from worker.basins.spec import MAX_HEIGHT, BasinSpec, MultistabilitySpec
@@ -160,8 +159,6 @@ class TrajectorySpec(Document):
 
 
 _LENGTH: Final = "plate amplitudes"
-_WORK: Final = "m A² ω²"
-_MOMENTUM: Final = "m A ω"
 
 #: The variables by name. Those of a cycle are of a start on one, the energies of a cycle of one bounce on a
 #: rigid plate without restitution.
@@ -182,13 +179,7 @@ _ROWS: Final = {
         row("cycle_multipliers", ("multiplier", "part"), "<f8", "Floquet multipliers, real and imaginary"),
         row("cycle_stable", (), "?", "whether both multipliers are inside the unit circle"),
         row("cycle_admissible", (), "|u1", "0, or the sum of the conditions that fail"),
-        row("energy_plate_contact", (), "<f8", "work of the plate in contact", _WORK),
-        row("energy_plate_impact", (), "<f8", "work of the plate at the impact", _WORK),
-        row("energy_dashpot", (), "<f8", "energy that the dashpot takes", _WORK),
-        row("energy_impact", (), "<f8", "energy that the impact takes", _WORK),
-        row("energy_force", (), "<f8", "momentum that the contact force gives", _MOMENTUM),
-        row("energy_impulse", (), "<f8", "momentum that the impact gives", _MOMENTUM),
-        row("energy_weight", (), "<f8", "momentum that gravity takes", _MOMENTUM),
+        *(each._replace(name=f"energy_{each.name}") for each in ENERGY),
     )
 }  # fmt: skip
 
@@ -221,8 +212,8 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
 
     Raises InvalidRequest where the cell has no answer to settle to, or no such cycle.
     """
-    gamma, omega, xi = (np.array([value]) for value in (spec.gamma, spec.omega, spec.xi))
     cell = Cell(spec.gamma, spec.omega, spec.xi)
+    gamma, omega, xi = (np.array([value]) for value in cell)
     values: dict[str, Any] = {}
     if isinstance(spec.start, CyclePoint):
         start, cycle = _on_cycle(cell, spec.start)
@@ -239,7 +230,9 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
         place = (np.array(spec.start.elongation), np.array(spec.start.velocity))
         state = contact_states(spec.model, (spec.gamma, spec.omega, spec.xi), *place)
     if state is None and spec.settle:
-        state = _settled(spec.sweep(), gamma, omega, xi)
+        line = run_cells(spec.sweep(), gamma, omega, xi, None)
+        _check_ended("settle", line.outcome[0])
+        state = line.end_state[0]
     plate = plate_of(spec.model, gamma, omega, xi)
     path = sample(cell, plate, state, periods=spec.periods, samples=spec.samples)
     length = float(penetration_of(spec.model, gamma, omega)[0]) / DEPTH_OVER_LENGTH
@@ -251,7 +244,7 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
     }  # fmt: skip
     coords = {axis: coordinate(axis, getattr(spec, axis)) for axis in AXES}
     about = {"long_name": "plate phase, with whole periods added", "units": "rad"}
-    return xarray.Dataset(
+    return dataset(
         {name: variable((), values[name], each) for name, each in _ROWS.items() if name in values},
         {"phase": coordinate("phase", path.phase, **about), **coords},
         {"rest_length": length, "model": spec.model.kind, "complete": path.complete},
@@ -309,14 +302,7 @@ def compute(study: Stored[_Spec], query: TrajectoryQuery) -> xarray.Dataset:
     stored state is where the computation stopped.
     """
     check_kernel(study.kernel_version)
-    cell = _cell(study.spec, query)
-    at = {axis: nearest_index(study.spec, axis, getattr(query, axis)).index for axis in AXES}
-    state = None
-    if query.attractor is not None:
-        state = _attractor_state(study, query.attractor, at)
-    elif isinstance(study.spec, SweepSpec) and study.spec.ramp_axis is not None:
-        state = _end_state(study, resolve_direction(study.spec, query.direction), at)
-    return motion(cell, state)
+    return motion(_cell(study.spec, query), _start(study, query))
 
 
 def estimate(spec: _Spec, query: TrajectoryQuery) -> Estimate:
@@ -336,23 +322,35 @@ def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
     elif query.attractor is not None:
         raise InvalidRequest.of("attractor", "must be left out: the job is a sweep, which stores none")
     else:
-        resolve_direction(spec, query.direction)
+        _direction(spec, query)
         settle = min(spec.settle, MAX_SETTLE) if spec.ramp_axis is None else 0
     sampling = {"settle": settle, "periods": query.periods, "samples": query.samples}
     return TrajectorySpec(**values, model=spec.model, **sampling)
 
 
-def _attractor_state(study: Stored[Any], attractor: int, indices: dict[str, int]) -> NDArray[np.float64]:
-    """The stored state of an attractor of a cell, numbered from 1."""
-    names = ("attractor_outcome", "attractor_state")
-    arrays = read_stored(study, names, indices, lambda: {"attractor_outcome": np.zeros(0)})
-    stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
-    if attractor > stored:
-        rule = (
-            f"must be from 1 to {stored}: the attractors of this cell" if stored else "this cell has none yet"
-        )
-        raise InvalidRequest.of("attractor", rule)
-    return np.asarray(arrays["attractor_state"][attractor - 1])
+def _start(study: Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] | None:
+    """The stored state of the attractor, or at the end of a ramp's window; None for a cell from rest."""
+    spec = study.spec
+    at = {axis: nearest_index(spec, axis, getattr(query, axis)).index for axis in AXES}
+    if query.attractor is not None:
+        arrays = read_stored(study, ("attractor_outcome", "attractor_state"), at)
+        stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
+        if query.attractor > stored:
+            rule = f"must be from 1 to {stored}: the attractors of this cell"
+            raise InvalidRequest.of("attractor", rule if stored else "this cell has none yet")
+        return np.asarray(arrays["attractor_state"][query.attractor - 1])
+    if not isinstance(spec, SweepSpec) or spec.ramp_axis is None:
+        return None
+    names = (schema.OUTCOME.name, schema.END_STATE.name)
+    arrays = read_stored(study, names, {"direction": _direction(spec, query), **at})
+    if arrays[schema.OUTCOME.name] == Outcome.MISSING:
+        raise InvalidRequest.of("gamma", "this cell is not computed yet; a ramp computes its cells in order")
+    _check_ended("gamma", int(arrays[schema.OUTCOME.name]))
+    return np.asarray(arrays[schema.END_STATE.name])
+
+
+def _direction(spec: SweepSpec, query: TrajectoryQuery) -> int:
+    return spec.directions.index(directions_of(spec, query.direction)[0])
 
 
 def _on_cycle(cell: Cell, point: CyclePoint) -> CycleStart:
@@ -369,28 +367,11 @@ def _on_cycle(cell: Cell, point: CyclePoint) -> CycleStart:
     return found
 
 
-def _settled(
-    sweep: SweepSpec, gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    line = run_cells(sweep, gamma, omega, xi, None)
-    _check_ended("settle", line.outcome[0])
-    return np.asarray(line.end_state[0])
-
-
 def _check_ended(field: str, outcome: int) -> None:
     """Raise InvalidRequest unless the cell's window ended where its samples are to begin."""
     if outcome in (Outcome.DIVERGED, Outcome.UNRESOLVED):
         name = Outcome(outcome).name.lower()
         raise InvalidRequest.of(field, f"the cell is {name} before the first sample")
-
-
-def _end_state(sweep: Stored[Any], direction: str, indices: dict[str, int]) -> NDArray[np.float64]:
-    names = (schema.OUTCOME.name, schema.END_STATE.name)
-    arrays = read(sweep, names, direction, indices)
-    if arrays[schema.OUTCOME.name] == Outcome.MISSING:
-        raise InvalidRequest.of("gamma", "this cell is not computed yet; a ramp computes its cells in order")
-    _check_ended("gamma", int(arrays[schema.OUTCOME.name]))
-    return np.asarray(arrays[schema.END_STATE.name])
 
 
 VIEW: Final = View(

@@ -10,8 +10,8 @@ import xarray
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.formats import PICTURES
-from service.results.selection import thinning
 from service.views import encode
+from service.views.selection import thinning
 from worker.schema import Array
 
 if TYPE_CHECKING:

@@ -7,16 +7,16 @@ from typing import Any
 
 import matplotlib as mpl
 import matplotlib.image
-import pytest
 from artists import read_back
-from matplotlib.ticker import AutoMinorLocator
+from matplotlib.figure import Figure
 from paths import GOLDEN
 
 from service import presets
 from service.client import Client
-from service.figures import canvas, catalogue
-from service.figures.caption import Caption, Verdict
+from service.figures import catalogue
+from service.figures.drawing import Caption, Verdict
 from service.presets import FigurePreset
+from service.views.style import DPI, STYLE
 
 #: docs/model.md, section 5: the last Γ that bounces on the way down, by Ω.
 DESCENDING = {0.56: 0.743, 0.6: 0.554, 0.62: 0.508, 0.66: 0.6, 0.7: 0.671}
@@ -61,7 +61,6 @@ class Made:
     content: bytes
     caption: Caption
     drawn: list[str]
-    minor_ticks: list[bool]  # whether each of its axes has them
 
 
 class Pictures(UserDict[int, Made]):
@@ -72,23 +71,10 @@ class Pictures(UserDict[int, Made]):
         self._client = client
 
     def __missing__(self, number: int) -> Made:
-        with pytest.MonkeyPatch.context() as patch:
-            drawings: list[canvas.Drawing] = []
-            encoded = canvas.Drawing.encoded
-            patch.setattr(
-                canvas.Drawing, "encoded", lambda self, *args: drawings.append(self) or encoded(self, *args)
-            )
-            (picture,) = catalogue.make([SMALL_FIGURES[number]], self._client, "png", progress=False)
-        (drawing,) = drawings
-        with mpl.rc_context(canvas.STYLE):
-            minor = [
-                all(
-                    isinstance(axis.get_minor_locator(), AutoMinorLocator)
-                    for axis in (axes.xaxis, axes.yaxis)
-                )
-                for axes in drawing.figure.axes
-            ]
-            self[number] = Made(picture.content, picture.caption, read_back(drawing.figure), minor)
+        (drawing,) = catalogue.make([SMALL_FIGURES[number]], self._client, progress=False)
+        with mpl.rc_context(STYLE):
+            drawing.compose(figure := Figure(dpi=DPI, layout="constrained"))
+            self[number] = Made(drawing.encoded("png"), drawing.caption, read_back(figure))
         return self[number]
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import xarray
 
 from kernel.params import Outcome
-from service.results.selection import Stored, nearest_index, read_stored
-from service.views.variables import coordinate, variable
+from service.views.selection import Stored, nearest_index, read_stored
+from service.views.variables import coordinate, dataset, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.schema import CELL_DIMS, Array
 from worker.spec import SweepSpec
@@ -22,16 +22,14 @@ class OutcomesQuery(Query):
 def compute(study: Stored[SweepSpec], query: OutcomesQuery) -> xarray.Dataset:
     """Cells of each outcome at every gamma, over all omega."""
     spec, xi = study.spec, nearest_index(study.spec, "xi", query.xi)
-    shape = [len(spec.axis_values(axis)) for axis in ("omega", "gamma")]
-    indices = {"direction": 0, "xi": xi.index}
-    outcome = read_stored(study, ["outcome"], indices, lambda: {"outcome": np.zeros(shape, "u1")})["outcome"]
+    outcome = read_stored(study, ["outcome"], {"direction": 0, "xi": xi.index})["outcome"]
     counts = np.stack([(outcome == kind).sum(axis=0) for kind in Outcome], axis=1)
     coords = {
         "gamma": coordinate("gamma", spec.axis_values("gamma")), "xi": coordinate("xi", xi.value),
         "kind": coordinate("kind", [kind.name.lower() for kind in Outcome]),
     }  # fmt: skip
-    complete = bool(np.all(outcome != Outcome.MISSING)) and not study.repairing
-    return xarray.Dataset({"count": variable(("gamma",), counts, COUNT)}, coords, {"complete": complete})
+    complete = study.is_complete(outcome)
+    return dataset({"count": variable(("gamma",), counts, COUNT)}, coords, {"complete": complete})
 
 
 def estimate(spec: SweepSpec, query: OutcomesQuery) -> Estimate:

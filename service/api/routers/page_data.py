@@ -14,8 +14,8 @@ from service.api.dependencies import JobDep, ServiceDep
 from service.api.schemas import problem_responses
 from service.render import answers, binary
 from service.render.answers import Answer
-from service.results.mode_map import comparison_memory, plane_size
-from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
+from service.views import modes
+from service.views.selection import BASE_MEMORY, MAX_READ, needs_flights
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["page"])
 
@@ -27,7 +27,8 @@ _PACKED: Final[dict[str, Any]] = {"content": {binary.MEDIA_TYPE: {}}}
 
 
 def _line_cost(service: ServiceDep, job: JobDep, query: parameters.LineViewQuery, request: Request) -> Cost:
-    flights = line_flights(dependencies.sweep(service, job).spec, query.along)
+    spec = dependencies.sweep(service, job).spec
+    flights = len(spec.axis_values(query.along)) * spec.keep
     points, pixels = min(flights, MAX_READ) * _PER_FLIGHT, query.width * query.height * 16
     taken = points + pixels * (flights > query.most)
     cost = dependencies.cost_of_read(service, job, taken, query.along)
@@ -60,9 +61,11 @@ def get_line(
 
 def _plane_cost(service: ServiceDep, job: JobDep, query: parameters.PlaneViewQuery, request: Request) -> Cost:
     spec = dependencies.sweep(service, job).spec
-    cells, flights = plane_size(spec, query.min_flight, service.settings.max_points)
-    compared = comparison_memory(spec) if query.hysteresis else 0
-    memory = cells * _PER_CELL + flights * _PER_FLIGHT + compared
+    every = needs_flights(spec, query.min_flight)
+    most = min(service.settings.max_points, MAX_READ // spec.keep if every else MAX_READ)
+    cells = min(len(spec.axis_values("omega")) * len(spec.axis_values("gamma")), most)
+    compared = modes.comparison_memory(spec) if query.hysteresis else 0
+    memory = cells * (_PER_CELL + spec.keep * _PER_FLIGHT * every) + compared
     return dependencies.cost_of_read(service, job, memory, "omega", "gamma")
 
 

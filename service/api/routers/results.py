@@ -15,9 +15,9 @@ from service.api.dependencies import JobDep, ResultsJob, ServiceDep
 from service.api.schemas import NOT_MODIFIED, content, problem_responses
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
-from service.results.provenance import attributes_of
-from service.results.selection import BASE_MEMORY
 from service.views import files
+from service.views.provenance import attributes_of
+from service.views.selection import BASE_MEMORY
 from worker.store import ROOT
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])

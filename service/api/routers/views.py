@@ -21,8 +21,8 @@ from service.api.schemas import NOT_MODIFIED, PENDING_RESPONSE, content, json_bo
 from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES, DatasetFormat
 from service.jobs.model import JobRecord
-from service.results.selection import BASE_MEMORY, Stored
 from service.views.registry import SPRINGS, VIEWS, admit, answer, motion
+from service.views.selection import BASE_MEMORY, Stored
 from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
 from service.views.view import Call, Estimate, View
 

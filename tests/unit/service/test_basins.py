@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from served import computing, get, occupied
 
 from service.client import BadRequest, Client, Job
-from service.render.style import COLOURS, UNDECIDED
 from service.views import basins
+from service.views.style import COLOURS, UNDECIDED
 
 SPEC: dict[str, Any] = {
     "name": "drops", "gamma": [0.6, 1.27], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
@@ -129,7 +129,7 @@ def test_every_start_is_a_pixel_in_the_colour_of_its_attractor(found: xarray.Dat
 
 def test_the_legend_names_attractors_and_what_is_undecided(found: xarray.Dataset):
     fractions = [f"{100 * share:.1f} %" for share in found.attractor_fraction.values]
-    named = [(COLOURS[i], f"(1,1)  {fractions[i]}\nup to {FLIGHTS[i]:.4g} rad") for i in (0, 1)]
+    named = [(COLOURS[i], f"(1,1)  {fractions[i]}, up to {FLIGHTS[i]:.4g} rad") for i in (0, 1)]
     assert legend(found) == named
     assert legend(found.assign(undecided=0.25))[2:] == [(UNDECIDED, "undecided  25.0 %")]
     none = found.isel(attractor=slice(0)).assign(undecided=np.nan)

@@ -26,9 +26,9 @@ from service.api.app import create_app
 from service.api.capacity import CLIENT_GONE, PIECE, Capacity, Cost, Lease, costly
 from service.api.routers import views
 from service.errors import Busy
-from service.results.mode_map import comparison_memory
 from service.server.web_server import limited
 from service.settings import Settings
+from service.views.modes import comparison_memory
 from worker.spec import SweepSpec
 
 MB = 2**20

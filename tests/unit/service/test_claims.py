@@ -7,7 +7,7 @@ import numpy as np
 import xarray
 
 from kernel.params import Outcome
-from service.figures import ball
+from service.figures.flights import compare
 
 
 def diagram(values: Sequence[float], axis: str = "gamma", **cells: Any) -> xarray.Dataset:
@@ -35,9 +35,9 @@ def test_cycles_are_compared_cell_by_cell_where_both_are_periodic():
     others = [[7.0, 2.0, 1.5], [3.25, np.nan, np.nan], [1.0, 1.0, np.nan], [4.0, 4.0, np.nan]]
     first = modes((2, 2), (1, 1), (2, 1), (1, 1), times=times)
     second = modes((2, 2), (1, 1), (2, 2), (2, 1), times=others)
-    compared = ball.compare(first, second)
+    compared = compare(first, second)
     assert (compared.periodic, compared.same) == (4, 2)
     assert compared.deviations.tolist() == [0.5, 0.25]  # in the order of the times within a cycle, too
     assert str(compared) == "2 of 4 periodic cells are in the same mode"
     aperiodic = modes((2, 2), (1, 1), (2, 1), (1, 1), times=times, periodic=False)
-    assert ball.compare(first, aperiodic)[:2] == ball.compare(aperiodic, first)[:2] == (0, 0)
+    assert compare(first, aperiodic)[:2] == compare(aperiodic, first)[:2] == (0, 0)

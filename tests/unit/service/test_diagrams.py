@@ -3,6 +3,7 @@
 import csv
 import io
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from kernel.threshold import threshold
-from service.render.style import BLUE, GREY, RED
-from service.views import diagram, encode
+from service.views import diagram, encode, style
+from service.views.style import BLUE, GREY, RED
 from service.views.variables import variable
 from worker import schema
 
@@ -160,4 +161,4 @@ def test_pictures_may_be_drawn_by_many_at_once():
 
 
 def picture(found: xarray.Dataset) -> bytes:
-    return encode.picture(found, diagram.draw, diagram.SIZE, "png", {"release": "0.2.0"})
+    return style.encode(diagram.SIZE, partial(diagram.draw, found), "png", {"release": "0.2.0"})

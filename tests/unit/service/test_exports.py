@@ -19,9 +19,9 @@ from kernel.labels import LABELS
 from kernel.params import KERNEL_VERSION, Outcome
 from service.background import InThisProcess
 from service.errors import NoSpace
-from service.results.selection import Sweep
 from service.software import processor, software
 from service.views import files
+from service.views.selection import Stored
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
@@ -137,7 +137,7 @@ def whole(done: Done) -> files.Export:
     job = done.client.app.state.service.ledger.find(done.here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
     url = done.client.app.state.service.settings.store_of(job.id)  # type: ignore[attr-defined]
     spec = SweepSpec(**RAMP)
-    return files.Export(Sweep(spec, url), make_plan(spec, chunk_shape=job.chunk_shape), "parquet")
+    return files.Export(Stored(spec, url), make_plan(spec, chunk_shape=job.chunk_shape), "parquet")
 
 
 def test_files_are_written_where_this_user_alone_finds_them(whole: files.Export, tmp_path: Path):

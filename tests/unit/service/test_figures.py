@@ -5,11 +5,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from tables import for_each
 
-from service.figures import catalogue, hysteresis, schematics
-from service.figures.caption import Caption, compared, left_open
+from service.figures import catalogue, schematics
+from service.figures.drawing import Caption, compared, left_open
+from service.figures.thresholds import minima
 from worker.spec import SweepSpec
 
 
@@ -56,7 +58,7 @@ def test_an_unknown_figure_names_those_there_are(which: str):
     ],
 )
 def test_minima_have_a_minimal_depth(values: Sequence[float], indices: list[int]):
-    assert hysteresis.minima(np.array(values, float), 0.5) == indices
+    assert minima(np.array(values, float), 0.5) == indices
 
 
 def test_caption_sorts_claims():
@@ -72,7 +74,8 @@ def test_caption_sorts_claims():
 
 
 def test_figure_1_has_a_ball_of_one_mass_and_a_spring_of_two_above_the_plate():
-    for axes, number in zip(schematics.draw().figure.axes, (1, 2), strict=True):
+    schematics.figure_1().compose(figure := Figure())
+    for axes, number in zip(figure.axes, (1, 2), strict=True):
         masses = [patch for patch in axes.patches if isinstance(patch, Circle)]
         assert len(masses) == number
         assert min(mass.center[1] - mass.radius for mass in masses) > schematics.PLATE

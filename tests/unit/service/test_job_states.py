@@ -21,9 +21,9 @@ from service.errors import IllegalTransition, LedgerUnavailable, UnknownJob
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import UNFINISHED, JobRecord, JobState
-from service.results.selection import Sweep
 from service.settings import Settings
 from service.views import diagram
+from service.views.selection import Stored
 from worker import store
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLeft, WorkerLost
 from worker.plan import Chunk
@@ -168,7 +168,7 @@ class Machine(RuleBasedStateMachine):
         job = self._find(number)
         if job is None:
             return
-        results = Sweep(SWEEPS[number], self._url(number), job.state is JobState.DONE)
+        results = Stored(SWEEPS[number], self._url(number), job.state is JobState.DONE)
         line = diagram.compute(results, diagram.DiagramQuery())
         assert line.attrs["complete"] or job.state is not JobState.DONE
 

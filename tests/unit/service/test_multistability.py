@@ -16,9 +16,9 @@ from served import computing
 from kernel.params import Outcome
 from service.client import BadRequest, Client, Job
 from service.errors import InvalidRequest
-from service.results.selection import Stored
 from service.views import trajectory
 from service.views.multistability import MultistabilityQuery, compute
+from service.views.selection import Stored
 from service.views.trajectory import TrajectoryQuery
 from worker import store
 from worker.basins.spec import MultistabilitySpec

@@ -26,10 +26,10 @@ from paths import GOLDEN, ROOT
 from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.client import accessor
-from service.render.style import DPI
-from service.results.counting import LABEL
 from service.tradeoff import SIZE, Measurement, compose
 from service.views import diagram, multistability
+from service.views.selection import LABEL
+from service.views.style import DPI, STYLE
 from worker.spec import SweepSpec
 
 DRAWN = GOLDEN / "pictures.json"
@@ -89,7 +89,7 @@ def diagrams(cells: int, directions: list[str], **attrs: Any) -> Draw:
     spec = SweepSpec(**CELL | {"gamma": [0.5, 3.5], "omega": 0.5})
     both = xarray.concat([found] * len(directions), xarray.Variable("direction", directions))
     found = both.assign_coords(found.coords) if len(directions) > 1 else both.isel(direction=0)
-    found.attrs["caption"] = diagram._caption(spec, found.attrs, found)
+    found.attrs["caption"] = diagram._caption(spec, found)
     return lambda figure: diagram.draw(found, figure)
 
 
@@ -160,7 +160,7 @@ PICTURES: dict[str, tuple[tuple[float, float], Draw]] = {
 
 def drawn(name: str) -> list[str]:
     size, draw = PICTURES[name]
-    with mpl.rc_context(mpl.rcParamsDefault):
+    with mpl.rc_context(mpl.rcParamsDefault), mpl.rc_context({} if name.startswith("client") else STYLE):
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
         draw(figure)
         return read_back(figure)

@@ -13,14 +13,13 @@ from tables import for_each
 from kernel.params import Outcome
 from service.errors import InvalidRequest, TooLarge
 from service.results import line as lines
-from service.results import mode_map, selection
-from service.results.counting import MODE_ARRAYS
-from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis, compare
-from service.results.selection import Sweep
+from service.views import selection
+from service.views.modes import OTHER_FLIGHTS, Hysteresis, compare
 from service.views.registry import VIEWS, admit
+from service.views.selection import Stored
 from worker import schema, store
 from worker.plan import make_plan
-from worker.schema import layout
+from worker.schema import MODE_ARRAYS, layout
 from worker.spec import SweepSpec
 from worker.store import backend
 from worker.tasks import run_chunk
@@ -28,36 +27,36 @@ from worker.tasks import run_chunk
 ARRAYS = tuple(array.name for array in (*schema.RECORD, schema.OUTCOME))
 
 
-def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Sweep:
+def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Stored:
     """A store of the sweep with its first `chunks` chunks (or all) computed, a cell or few each."""
     plan = make_plan(spec, chunk_shape=(1, 2, 5))
     url = str(folder / "store.zarr")
     store.create(url, layout(spec, plan.chunk_shape))
     for chunk in plan.chunks[:chunks]:
         run_chunk(spec, chunk, url)
-    return Sweep(spec, url)
+    return Stored(spec, url)
 
 
 @pytest.fixture(scope="module")
-def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Stored:
     return computed(tmp_path_factory.mktemp("sweep"), spec())
 
 
-def diagram(sweep: Sweep, max_points: int = 1_000_000, **fields: Any) -> xarray.Dataset:
+def diagram(sweep: Stored, max_points: int = 1_000_000, **fields: Any) -> xarray.Dataset:
     return answer("diagram", sweep, max_points, fields)
 
 
-def modes(sweep: Sweep, max_points: int = 1_000_000, **fields: Any) -> xarray.Dataset:
+def modes(sweep: Stored, max_points: int = 1_000_000, **fields: Any) -> xarray.Dataset:
     return answer("modes", sweep, max_points, fields)
 
 
-def answer(name: str, sweep: Sweep, max_points: int, fields: dict[str, Any]) -> xarray.Dataset:
+def answer(name: str, sweep: Stored, max_points: int, fields: dict[str, Any]) -> xarray.Dataset:
     view = VIEWS[name]
     query, _ = admit(view, sweep.spec, view.query(**fields), "json", max_points)
     return view.compute(sweep, query)
 
 
-def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.ndarray) -> Sweep:
+def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.ndarray) -> Stored:
     """A store whose outcomes, (direction, xi, omega, gamma), are `outcomes`; other arrays are 0 or given."""
     plan = make_plan(spec, chunk_shape=spec.shape[1:])
     url = str(folder / "made.zarr")
@@ -73,7 +72,7 @@ def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.n
             for name, values in {**others, "outcome": outcomes}.items()
         }
         store.write_chunk(url, chunk, record | given)
-    return Sweep(spec, url)
+    return Stored(spec, url)
 
 
 # Lines
@@ -83,7 +82,7 @@ def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.n
     ("along", "values"),
     [("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.05})],
 )
-def test_a_line_is_the_stores_own(sweep: Sweep, along: str, values: dict[str, float]):
+def test_a_line_is_the_stores_own(sweep: Stored, along: str, values: dict[str, float]):
     line = diagram(sweep, along=along, min_flight=0, **values)
     assert {axis: line[axis].item() for axis in values} == values
     assert line[along].values.tolist() == sweep.spec.axis_values(along).tolist()
@@ -95,7 +94,7 @@ def test_a_line_is_the_stores_own(sweep: Sweep, along: str, values: dict[str, fl
     assert line.attrs["complete"]
 
 
-def test_fixed_values_snap_to_the_grid(sweep: Sweep):
+def test_fixed_values_snap_to_the_grid(sweep: Stored):
     for asked, snapped in (((0.59, 0.1), [0.5, 0.05]), ((0.61, 0.2), [0.7, 0.26])):
         line = diagram(sweep, omega=asked[0], xi=asked[1])
         assert [line.omega.item(), line.xi.item()] == snapped
@@ -110,7 +109,9 @@ def test_fixed_values_snap_to_the_grid(sweep: Sweep):
         ({"omega": 0.5, "xi": 0.05, "direction": "up"}, "direction", "must be 'rest' in this sweep"),
     ],
 )
-def test_a_parameter_outside_the_grid_is_named(sweep: Sweep, values: dict[str, float], field: str, rule: str):
+def test_a_parameter_outside_the_grid_is_named(
+    sweep: Stored, values: dict[str, float], field: str, rule: str
+):
     with pytest.raises(InvalidRequest) as error:
         diagram(sweep, **values)
     assert [problem.field for problem in error.value.problems] == [field]
@@ -118,7 +119,7 @@ def test_a_parameter_outside_the_grid_is_named(sweep: Sweep, values: dict[str, f
 
 
 def test_the_only_value_of_an_axis_may_be_left_out(tmp_path: Path):
-    queued = Sweep(spec(omega=0.5, xi=0.26), str(tmp_path))
+    queued = Stored(spec(omega=0.5, xi=0.26), str(tmp_path))
     assert [diagram(queued)[axis].item() for axis in ("omega", "xi")] == [0.5, 0.26]
     with pytest.raises(InvalidRequest, match=r"xi: must be within .*, which is at 0\.26 alone, not 0\.3"):
         diagram(queued, xi=0.3)
@@ -140,7 +141,7 @@ def test_a_sweep_ramped_both_ways_has_both_directions_unless_one_is_selected(tmp
         np.testing.assert_array_equal(planes[name][1], modes(both, xi=0.05, direction="down")[name])
 
 
-def test_flights_that_do_not_count_are_missing_in_their_place(sweep: Sweep):
+def test_flights_that_do_not_count_are_missing_in_their_place(sweep: Stored):
     """All of a cell count where all are short."""
     point = {"omega": 1.0, "xi": 0.05}
     whole, line = (diagram(sweep, min_flight=shortest, **point) for shortest in (0, 3))
@@ -161,7 +162,7 @@ def test_a_caption_says_how_the_cells_were_computed(tmp_path: Path):
 
 
 def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
-    queued = Sweep(spec(omega=0.5, xi=0.26), str(tmp_path / "nothing.zarr"))
+    queued = Stored(spec(omega=0.5, xi=0.26), str(tmp_path / "nothing.zarr"))
     line = diagram(queued)
     assert not line.attrs["complete"]
     assert not line.outcome.any()
@@ -185,7 +186,7 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return seen
 
 
-def test_only_the_chunks_that_a_line_touches_are_read(sweep: Sweep, reads: list[str]):
+def test_only_the_chunks_that_a_line_touches_are_read(sweep: Stored, reads: list[str]):
     diagram(sweep, omega=0.7, xi=0.26)
     chunks = {key for key in reads if key.startswith("flight_time/c.")}
     assert chunks == {f"flight_time/c.0.1.0.{gamma}.0" for gamma in (0, 1)}
@@ -195,7 +196,7 @@ def test_only_the_chunks_that_a_line_touches_are_read(sweep: Sweep, reads: list[
     assert chunks == {f"flight_time/c.0.0.{omega}.0.0" for omega in (0, 1)}
 
 
-def test_points_are_counted_before_anything_is_read(sweep: Sweep, reads: list[str]):
+def test_points_are_counted_before_anything_is_read(sweep: Stored, reads: list[str]):
     point = {"omega": 0.5, "xi": 0.05}
     assert diagram(sweep, 80, **point).attrs["complete"]
     reads.clear()
@@ -207,7 +208,7 @@ def test_points_are_counted_before_anything_is_read(sweep: Sweep, reads: list[st
 
 
 @for_each(("max_points", "every"), [(80, 1), (79, 2), (40, 2), (39, 3), (8, 10), (7, None)])
-def test_a_refusal_names_the_thinning_that_fits(sweep: Sweep, max_points: int, every: int | None):
+def test_a_refusal_names_the_thinning_that_fits(sweep: Stored, max_points: int, every: int | None):
     """Ten values of gamma of eight flights: the least `every` that fits, and one less is refused."""
     point = {"omega": 0.5, "xi": 0.05}
     assert selection.thinning((10,), 8, max_points) == every
@@ -222,7 +223,7 @@ def test_a_refusal_names_the_thinning_that_fits(sweep: Sweep, max_points: int, e
 
 
 @for_each("every", [1, 2, 3, 4, 7, 10, 99])
-def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
+def test_every_nth_cell_is_the_one_of_the_whole(sweep: Stored, every: int):
     for along, point in (("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.26})):
         whole = diagram(sweep, along=along, **point).isel({along: slice(None, None, every)})
         xarray.testing.assert_equal(diagram(sweep, along=along, every=every, **point), whole)
@@ -260,13 +261,12 @@ def test_an_empty_window_is_refused(edges: Any, log: bool, rule: str):
     [(1.0, 2.0, [1.0, 1.5, 2.0]), (None, 1.0, [0.5, 1.0]), (1.6, 1.8, [1.5])],
 )
 def test_a_window_of_a_plane_has_the_cells_inside(
-    sweep: Sweep, low: float | None, high: float | None, inside: list[float]
+    sweep: Stored, low: float | None, high: float | None, inside: list[float]
 ):
-    window = mode_map.modes_between(sweep, 0.05, None, (low, high), (0.6, None), 1000)
-    assert window.gamma.tolist() == inside
-    assert window.omega.tolist() == [0.7, 1.0]
-    assert window.arrays["outcome"].shape == (2, len(inside))
-    assert window.every == 1
+    window = modes(sweep, xi=0.05, gamma_start=low, gamma_stop=high, omega_start=0.6)
+    assert window.gamma.values.tolist() == inside
+    assert window.omega.values.tolist() == [0.7, 1.0]
+    assert window.outcome.shape == (2, len(inside))
 
 
 #: Around the fold of Omega = 0.6 and, at larger Gamma, the flights that leap on the way up.
@@ -278,7 +278,7 @@ BOTH_WAYS: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def both_ways(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+def both_ways(tmp_path_factory: pytest.TempPathFactory) -> Stored:
     return computed(tmp_path_factory.mktemp("both"), SweepSpec(**BOTH_WAYS))
 
 
@@ -289,7 +289,7 @@ def cycle(cell: dict[str, Any]) -> list[float]:
     return sorted(longer[len(longer) - int(cell["bounces"]) :])
 
 
-def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Sweep):
+def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Stored):
     names = ("flight_time", "outcome", "bounces", "periods")
     up, down = (store.read_slice(both_ways.url, names, direction=i, xi=0) for i in (0, 1))
     expected = np.zeros((3, 15), int)
@@ -309,12 +309,13 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Swee
         assert found.hysteresis.values.tolist() == expected.tolist()
         assert found.attrs["complete"]
     assert set(expected.ravel().tolist()) == {0, 1, 2}
-    window = mode_map.modes_between(both_ways, None, "up", (0.6, 1.0), (0.59, 0.7), 1000, hysteresis=True)
+    ends = {"gamma_start": 0.6, "gamma_stop": 1.0, "omega_start": 0.59, "omega_stop": 0.7}
+    window = modes(both_ways, direction="up", hysteresis=True, **ends)
     columns = [i for i, gamma in enumerate(both_ways.spec.axis_values("gamma")) if 0.6 <= gamma <= 1.0]
-    assert window.arrays["hysteresis"].tolist() == expected[1:][:, columns].tolist()
+    assert window.hysteresis.values.tolist() == expected[1:][:, columns].tolist()
 
 
-def test_cycles_of_one_mode_are_other_cycles_if_a_flight_differs(both_ways: Sweep):
+def test_cycles_of_one_mode_are_other_cycles_if_a_flight_differs(both_ways: Stored):
     """By more than OTHER_FLIGHTS, among those of the cycle; the last cell has none."""
     times = np.tile([3.0, 2.0], (5, 1))
     up = {
@@ -325,12 +326,12 @@ def test_cycles_of_one_mode_are_other_cycles_if_a_flight_differs(both_ways: Swee
         "flights": np.full(5, 2, np.int32),
     }
     changed = times + np.array([[0.0, 0.0], [0.0, 0.9e-3], [-1.1e-3, 0.0], [1.0, 0.0], [1.0, 1.0]])
-    found = compare(both_ways.spec, up, up | {"flight_time": changed}, None)
+    found = compare(up, up | {"flight_time": changed}, both_ways.spec.micro_flight)
     assert found.tolist() == [0, 0, Hysteresis.FLIGHTS, 0, 0]
     unknown = up | {"outcome": np.array([0, 1, Outcome.SETTLING, 1, Outcome.UNRESOLVED], np.uint8)}
     shorter = unknown | {"bounces": np.array([1, 1, 1, 1, 0], np.int32)}
-    assert compare(both_ways.spec, up, shorter, None).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
-    assert compare(both_ways.spec, shorter, up, None).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
+    assert compare(up, shorter, 0.05).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
+    assert compare(shorter, up, 0.05).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
 
 
 def test_cells_of_one_direction_alone_have_no_hysteresis(tmp_path: Path):

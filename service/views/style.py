@@ -1,20 +1,25 @@
-"""What the service's pictures share: letters, symbols, colours, resolution, and how a figure becomes a file.
+"""What the pictures share: letters, symbols, colours, resolution, and how a figure becomes a file.
 
-The figures of the paper (`service.figures`) keep a style of their own: they are drawn for a printed column
-in a process that has only the client, which must not import the service.
+Does not import matplotlib, which only a process that draws loads.
 """
 
 import io
 import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import matplotlib as mpl
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
 
-from service.formats import PictureFormat
-
+#: Settings of matplotlib. Text is text in an SVG, and embedded as a font in a PDF.
+STYLE: Final[dict[Any, Any]] = {
+    "font.family": "STIXGeneral", "mathtext.fontset": "stix",
+    "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True,
+    "svg.hashsalt": "bouncing-spring", "svg.fonttype": "none", "pdf.fonttype": 42,
+}  # fmt: skip
 FONT: Final = "STIXGeneral"
 TEXT: Final[dict[str, Any]] = {"fontfamily": FONT, "math_fontfamily": "stix"}
 SYMBOLS: Final = {"gamma": r"$\Gamma$", "omega": r"$\Omega$", "xi": r"$\xi$"}
@@ -35,20 +40,28 @@ _THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")
 Origin = Mapping[str, str]
 
 
-def encode(
-    size: tuple[float, float], draw: Callable[[Figure], None], format: PictureFormat, origin: Origin
-) -> bytes:
+def legend_beside(axes: "Axes", entries: "list[Patch]") -> None:
+    """A legend on the right of the axes."""
+    axes.legend(
+        handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False
+    )
+
+
+def encode(size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Origin) -> bytes:
     """The bytes of a picture that `draw` draws, the same for the same drawing; `size` is in inches.
 
-    `origin` is in the file's metadata. Text is text in an SVG, and embedded as a font in a PDF.
+    `origin` is in the file's metadata.
     """
     return _THREAD.submit(_encode, size, draw, format, origin).result()
 
 
 def _encode(
-    size: tuple[float, float], draw: Callable[[Figure], None], format: PictureFormat, origin: Origin
+    size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Origin
 ) -> bytes:
-    with mpl.rc_context({"svg.hashsalt": "bouncing-spring", "svg.fonttype": "none", "pdf.fonttype": 42}):
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
         draw(figure)
         file = io.BytesIO()
@@ -56,7 +69,7 @@ def _encode(
     return file.getvalue()
 
 
-def _metadata(format: PictureFormat, origin: Origin) -> dict[str, str | None]:
+def _metadata(format: str, origin: Origin) -> dict[str, str | None]:
     """The origin under the names that the format has for it, without the time of drawing."""
     program = f"bouncing-spring {origin['release']}"
     described = json.dumps(dict(origin), ensure_ascii=False)

@@ -1,0 +1,257 @@
+"""Selects and reads cells of a stored study: grid indices, directions, thinning, and which flights count.
+
+Flights up to `min_flight` do not count, unless all of a cell are so short. The default is the `micro_flight`
+the sweep was classified with; for another value outcome and mode are found anew from the stored flights.
+"""
+
+import json
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any, Final, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.labels import LABELS, UNSTABLE, label_codes
+from kernel.params import KERNEL_VERSION, Outcome
+from kernel.recount import Modes, recount
+from service.errors import InvalidRequest, OutdatedJob
+from service.software import software
+from worker import schema, store
+from worker.schema import MODE_ARRAYS
+from worker.spec import AXES, SweepSpec
+from worker.spec.errors import one_of
+from worker.spec.specification import Specification
+from worker.studies import study_of
+
+#: Flights, or outcomes, held in memory for one picture or one summary; longer lines are thinned.
+MAX_READ: Final = 8_000_000
+
+#: Bytes of memory that reading takes beside the arrays of the answer: chunks, before a part of them is kept.
+BASE_MEMORY: Final = 16 * 2**20
+
+#: Rounding that is forgiven at the ends of an axis, relative to the larger of its two ends.
+ROUNDING: Final = 1e-9
+
+#: Indices by cell dimension: an integer drops the dimension, a slice keeps it.
+Indices = Mapping[str, int | slice]
+Arrays = Mapping[str, NDArray[Any]]
+
+_Spec_co = TypeVar("_Spec_co", bound=Specification, covariant=True)
+
+#: What an answer has beside the stored arrays where exponents are stored.
+LABEL: Final = schema.Array(
+    "label", schema.CELL_DIMS, "|u1", 0,
+    {
+        "long_name": "outcome, with aperiodic and unstable cells told apart by Lyapunov exponents",
+        "units": "1",
+        "flag_values": list(range(len(LABELS))),
+        "flag_meanings": " ".join(LABELS),
+    },
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Stored(Generic[_Spec_co]):
+    """The specification of a job's study as it is computed, and the address of its store."""
+
+    spec: _Spec_co
+    url: str
+    complete: bool = False  # the job is done: a missing chunk is damage, not work to come
+    kernel_version: str = KERNEL_VERSION  # that computed it
+    repairing: bool = False  # damage was found: no answer is complete until the job is done again
+    job: str | None = None  # its id
+    chunks_done: int = 0
+    #: How its arrays are stored; None of another kernel version, whose store alone knows.
+    forms: Mapping[str, store.ArrayForm] | None = None
+
+    def is_complete(self, outcome: NDArray[np.uint8]) -> bool:
+        """Whether all these cells are computed, and no damage is being repaired."""
+        return not self.repairing and bool(np.all(outcome != Outcome.MISSING))
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Attributes of a picture of these results: job and versions, a comment if the kernel is not ours."""
+        job = {} if self.job is None else {"job": self.job}
+        attributes = {**job, "kernel_version": self.kernel_version, "release": software().release}
+        if self.kernel_version != KERNEL_VERSION:
+            attributes["comment"] = (
+                f"computed by kernel version {self.kernel_version}; "
+                f"the release that wrote this file computes version {KERNEL_VERSION}"
+            )
+        return attributes
+
+    @property
+    def origin(self) -> dict[str, str]:
+        """The attributes and the specification, as JSON."""
+        return {**self.attributes, "spec": json.dumps(self.spec.as_submitted(), ensure_ascii=False)}
+
+
+def check_kernel(version: str) -> None:
+    """Raise OutdatedJob if `version` computed cells that this release would continue with its own kernel."""
+    if version != KERNEL_VERSION:
+        raise OutdatedJob(
+            f"the sweep was computed by kernel version {version}; this release computes version "
+            f"{KERNEL_VERSION}: submit the sweep again, or read what is stored"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class GridValue:
+    """A value of a grid axis and its index."""
+
+    index: int
+    value: float
+
+
+def nearest_index(spec: Specification, axis: str, value: float | None) -> GridValue:
+    """The grid value nearest to `value`; None selects the value of an axis that has only one.
+
+    Raises InvalidRequest for a value outside the axis, and for None where the axis has several values.
+    """
+    values = spec.axis_values(axis)
+    low, high = float(values[0]), float(values[-1])
+    if value is None:
+        if len(values) > 1:
+            rule = f"is required: the sweep has {len(values):,} values from {low:g} to {high:g}"
+            raise InvalidRequest.of(axis, rule)
+        return GridValue(0, low)
+    slack = ROUNDING * max(abs(low), abs(high))
+    if not low - slack <= value <= high + slack:
+        extent = f"from {low!r} to {high!r}" if len(values) > 1 else f"at {low!r} alone"
+        raise InvalidRequest.of(axis, f"must be within the sweep, which is {extent}, not {value!r}")
+    index = int(np.argmin(np.abs(values - value)))
+    return GridValue(index, float(values[index]))
+
+
+def fixed_axes(spec: SweepSpec, along: str, values: Mapping[str, Any]) -> dict[str, GridValue]:
+    """The grid values of all axes but `along`. Raises InvalidRequest, also for a value of `along`."""
+    if values.get(along) is not None:
+        raise InvalidRequest.of(along, "is the axis the diagram goes along; leave it out")
+    return {axis: nearest_index(spec, axis, values.get(axis)) for axis in reversed(AXES) if axis != along}
+
+
+def directions_of(spec: SweepSpec, direction: str | None) -> tuple[str, ...]:
+    """`direction` alone, or all of the sweep if None. Raises InvalidRequest for one that the sweep lacks."""
+    if direction is None:
+        return tuple(spec.directions)
+    if direction not in spec.directions:
+        raise InvalidRequest.of("direction", f"must be {one_of(spec.directions)} in this sweep")
+    return (direction,)
+
+
+def between(values: NDArray[np.float64], start: float | None, stop: float | None) -> range:
+    """Indices of the values between two, None being the end; if there are none, the one nearest."""
+    first, last = float(values[0]) if start is None else start, float(values[-1]) if stop is None else stop
+    low = int(np.searchsorted(values, first, side="left"))
+    high = int(np.searchsorted(values, last, side="right"))
+    nearest = int(np.argmin(np.abs(values - 0.5 * (first + last))))
+    return range(low, high) if low < high else range(nearest, nearest + 1)
+
+
+def thinning(lengths: Sequence[int], points_per_cell: int, max_points: int) -> int | None:
+    """The smallest n for which every n-th cell along all the axes gives at most `max_points` points.
+
+    None if a single cell has more.
+    """
+    steps = range(1, max(lengths) + 1)
+    first = bisect_left(
+        steps, True, key=lambda every: points_per_cell * prod(-(-n // every) for n in lengths) <= max_points
+    )
+    return steps[first] if first < len(steps) else None
+
+
+def read_stored(
+    study: Stored[Specification], names: Sequence[str], indices: Indices
+) -> dict[str, NDArray[Any]]:
+    """The named arrays of a study at `indices`, whole along the dimensions not named there.
+
+    Cells that are not computed, and variables that an earlier kernel did not store, hold fill values. Raises
+    a `store.StoreError`.
+    """
+    try:
+        stored = names
+        if study.forms is None:
+            there = store.stored_forms(study.url, None)
+            stored = [name for name in names if name in there]
+        found = store.read_slice(study.url, stored, **indices, complete=study.complete, forms=study.forms)
+    except store.StoreMissing as error:
+        if study.complete:
+            raise store.StoreDamaged(str(error)) from error
+        found = {}  # The job is still queued: its store is created with the first chunk.
+    return found if len(found) == len(names) else _fill_values(study.spec, names, indices) | found
+
+
+def _fill_values(spec: Any, names: Sequence[str], indices: Indices) -> dict[str, NDArray[Any]]:
+    """What the named arrays hold before any cell is computed."""
+    layout, values = study_of(spec).variables(spec, (1, 1, 1)), {}
+    for array in layout.arrays:
+        if array.name in names:
+            lengths = zip(array.dims, layout.shape(array), strict=True)
+            parts = [range(length)[indices.get(dim, slice(None))] for dim, length in lengths]
+            shape = [len(part) for part in parts if isinstance(part, range)]
+            values[array.name] = np.full(shape, array.fill, array.dtype)
+    return values
+
+
+def read_direction(
+    study: Stored[SweepSpec], names: Sequence[str], direction: str, indices: Indices
+) -> dict[str, NDArray[Any]]:
+    """The named arrays of a sweep in one direction, as `read_stored`."""
+    return read_stored(study, names, {"direction": study.spec.directions.index(direction), **indices})
+
+
+def shortest(spec: SweepSpec, min_flight: float | None) -> float:
+    """The flight in rad above which flights count: `min_flight`, or the sweep's own."""
+    return spec.micro_flight if min_flight is None else min_flight
+
+
+def needs_flights(spec: SweepSpec, min_flight: float | None) -> bool:
+    """Whether outcome and mode have to be found anew from the stored flights."""
+    return shortest(spec, min_flight) != spec.micro_flight
+
+
+def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...]:
+    """The stored arrays that `recounted` needs."""
+    flights = ("flight_time", "takeoff_phase", "flights") if needs_flights(spec, min_flight) else ()
+    exponents = (schema.LYAPUNOV.name,) if spec.exponents else ()
+    computed = () if spec.refine is None else (schema.COMPUTED.name,)
+    return (*flights, *MODE_ARRAYS, *exponents, *computed)
+
+
+def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict[str, NDArray[Any]]:
+    """MODE_ARRAYS by name if flights longer than `min_flight` (rad) count, and LABEL if there are exponents.
+
+    Of an adaptive map also `computed`: the other cells have no flights, and keep the mode of their block.
+    `arrays` are those of any cells, at least `arrays_of_modes`.
+    """
+    modes = {name: arrays[name] for name in MODE_ARRAYS}
+    if needs_flights(spec, min_flight):
+        times, phases = (
+            np.ascontiguousarray(arrays[name]).reshape(-1, spec.keep)
+            for name in ("flight_time", "takeoff_phase")
+        )
+        bounces, periods = (arrays[name].ravel().astype(np.int32) for name in ("bounces", "periods"))
+        stored = Modes(arrays["outcome"].ravel(), bounces, periods)  # kernel version 1 stored 16 bits
+        found = recount(
+            times, phases, arrays["flights"].ravel(), stored, spec.micro_flight, shortest(spec, min_flight)
+        )
+        modes = {name: getattr(found, name).reshape(arrays["flights"].shape) for name in MODE_ARRAYS}
+    computed = {} if spec.refine is None else {schema.COMPUTED.name: arrays[schema.COMPUTED.name]}
+    return modes | labelled(spec, modes[schema.OUTCOME.name], arrays) | computed
+
+
+def labelled(spec: SweepSpec, outcome: NDArray[np.uint8], arrays: Arrays) -> dict[str, NDArray[Any]]:
+    """The array LABEL by name; nothing where no exponents are stored."""
+    if not spec.exponents:
+        return {}
+    return {LABEL.name: label_codes(outcome, arrays[schema.LYAPUNOV.name], spec.observe)}
+
+
+def attractor_label(code: int, bounces: int, periods: int) -> str:
+    """rest, a mode as (3,4), or the label of an aperiodic attractor; `code`: an outcome or a label's."""
+    if code in (Outcome.PERIODIC, UNSTABLE):
+        return f"({bounces},{periods})" + (" unstable" if code == UNSTABLE else "")
+    return "rest" if code == Outcome.AT_REST else LABELS[code]
