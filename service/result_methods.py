@@ -45,6 +45,8 @@ class ResultMethods(ABC):
         direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
         min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
+        start: Annotated[float | None, "smallest value of the axis"] = None,
+        stop: Annotated[float | None, "largest value of the axis"] = None,
         caption: Annotated[bool, "of a picture: how it was computed, above it"] = True,
     ) -> "xarray.Dataset":
         """The flights of the cells along an axis.
@@ -66,6 +68,10 @@ class ResultMethods(ABC):
             rad; shorter flights do not count, unless all of a cell are; default: micro_flight
         every : int
             return every n-th value only
+        start : float | None
+            smallest value of the axis
+        stop : float | None
+            largest value of the axis
         caption : bool
             of a picture: how it was computed, above it
 
@@ -92,7 +98,7 @@ class ResultMethods(ABC):
         TooLarge
             Names what fits.
         """
-        return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, caption=caption)
+        return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, start=start, stop=stop, caption=caption)
 
     def modes(
         self,
@@ -101,6 +107,10 @@ class ResultMethods(ABC):
         min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
         hysteresis: Annotated[bool, "of a sweep ramped both ways: where they differ"] = False,
+        gamma_start: float | None = None,
+        gamma_stop: float | None = None,
+        omega_start: float | None = None,
+        omega_stop: float | None = None,
     ) -> "xarray.Dataset":
         """Outcome, bounces and plate periods of every cell.
 
@@ -119,6 +129,10 @@ class ResultMethods(ABC):
             return every n-th value only
         hysteresis : bool
             of a sweep ramped both ways: where they differ
+        gamma_start : float | None
+        gamma_stop : float | None
+        omega_start : float | None
+        omega_stop : float | None
 
         Returns
         -------
@@ -139,7 +153,7 @@ class ResultMethods(ABC):
         TooLarge
             Names what fits.
         """
-        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis)
+        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis, gamma_start=gamma_start, gamma_stop=gamma_stop, omega_start=omega_start, omega_stop=omega_stop)
 
     def threshold(
         self,

@@ -16,7 +16,7 @@ from service.api.middleware.body_limit import BodyLimit
 from service.api.middleware.head import HeadAsGet
 from service.api.monitoring import Metrics, Readiness
 from service.api.progress_stream import ProgressStream
-from service.api.routers import docs, health, jobs, model, page, page_data, results, views
+from service.api.routers import docs, health, jobs, model, page, results, views
 from service.background import Background, InThisProcess
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
@@ -69,7 +69,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
             metrics=metrics,
         ),
     )
-    for module in (jobs, results, model, health, docs, page, page_data):
+    for module in (jobs, results, model, health, docs, page):
         app.include_router(module.router)
     for router in views.routes():
         app.include_router(router)

@@ -17,7 +17,6 @@ from service.api.capacity import (
     ListenerLimit,
 )
 from service.api.monitoring import Metrics, Readiness
-from service.api.parameters import LineQuery
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
 from service.errors import InvalidRequest, UnknownJob, WrongMediaType
@@ -25,7 +24,6 @@ from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
-from service.render.answers import Line
 from service.results.selection import BASE_MEMORY, Stored, Sweep
 from service.settings import Settings
 from worker.spec import SweepSpec
@@ -112,12 +110,6 @@ def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> 
     chunks = prod(-(-length // size) for length, size in sizes)
     few = chunks <= FEW_CHUNKS and chunks * layout.chunk_bytes <= SMALL_CHUNKS
     return Cost(BASE_MEMORY + memory, few and memory <= SMALL_ANSWER)
-
-
-def line(query: LineQuery) -> Line:
-    """The line that a query asks for."""
-    values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
-    return Line(query.along, values, query.direction, query.min_flight)
 
 
 async def reject_repeated_parameters(request: Request) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -16,19 +16,6 @@ from service.jobs.model import JobState
 from service.jobs.search import MAX_TEXT, InvalidCursor, JobOrder, JobSearch, Position
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.studies import STUDIES
-
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: return every n-th value only")]
-Pixels = Annotated[int, Field(ge=1, le=4096)]
-MinFlight = Annotated[
-    Number | None,
-    Field(
-        ge=0, description="rad; shorter flights do not count, unless all of a cell are; default: micro_flight"
-    ),
-]
-Direction = Annotated[
-    str | None, Field(description="rest, up or down; default: the first direction of the sweep")
-]
 
 
 class Query(BaseModel):
@@ -120,28 +107,6 @@ class MotionQuery(Query):
     format: DatasetFormat = "json"
 
 
-class LineQuery(Query):
-    """One line of the grid along one axis; the other axes are fixed at the nearest grid value."""
-
-    along: Literal["gamma", "omega", "xi"] = "gamma"
-    gamma: Number | None = None
-    omega: Number | None = None
-    xi: Number | None = None
-    direction: Direction = None
-    min_flight: MinFlight = None
-
-
-class PlaneQuery(Query):
-    """Plane of the grid at the nearest value of ξ, in one direction."""
-
-    xi: Number | None = None
-    direction: Direction = None
-    min_flight: MinFlight = None
-    hysteresis: bool = Field(
-        False, description="of a sweep ramped both ways: where its directions differ as well"
-    )
-
-
 class ExportQuery(Query):
     """Format of the file, and what its rows are."""
 
@@ -151,25 +116,3 @@ class ExportQuery(Query):
         description="of parquet: a row for every cell, of basins and multistability for every attractor of a "
         "cell; or for each of their flights",
     )
-
-
-class LineViewQuery(LineQuery):
-    """A line and a window of it: left and right in units of the axis, bottom and top in rad."""
-
-    left: Number | None = None
-    right: Number | None = None
-    bottom: Number = 0.0
-    top: Number | None = None
-    log: bool = Field(False, description="columns at equal ratios")
-    width: Pixels = 800
-    height: Pixels = 400
-    most: Annotated[int, Field(ge=0, le=1_000_000, description="flights sent as points")] = 250_000
-
-
-class PlaneViewQuery(PlaneQuery):
-    """A plane and a window of it: left and right in Γ, bottom and top in Ω."""
-
-    left: Number | None = None
-    right: Number | None = None
-    bottom: Number | None = None
-    top: Number | None = None

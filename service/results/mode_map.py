@@ -18,7 +18,6 @@ from service.results.selection import (
     nearest_index,
     read,
     resolve_direction,
-    thinning,
 )
 from worker import schema
 from worker.spec import SweepSpec
@@ -61,42 +60,24 @@ def modes(
     every: int = 1,
     min_flight: float | None = None,
     hysteresis: bool = False,
+    omega: range | None = None,
+    gamma: range | None = None,
 ) -> Plane:
     """The mode map at the grid's xi nearest to `xi`, every n-th cell of both axes.
+
+    `omega` and `gamma` are the indices of a part of the axes; None is all.
 
     `min_flight` is in rad; None is the sweep's `micro_flight`, whose modes are stored, for another value the
     flights are read. With `hysteresis`, of a sweep ramped both ways, the array of that name is a `Hysteresis`
     for each cell. Raises InvalidRequest as `selection.nearest_index` and `check_min_flight`.
     """
-    part = slice(None, None, every)
-    found = _recounted_plane(sweep, xi, direction, min_flight, part, part)
+    spec = sweep.spec
+    axes = (omega or range(len(spec.axis_values("omega"))), gamma or range(len(spec.axis_values("gamma"))))
+    parts = [slice(part.start, part.stop, every) for part in axes]
+    found = _recounted_plane(sweep, xi, direction, min_flight, *parts)
     if hysteresis:
-        found = _compared(sweep, found, min_flight, part, part)
+        found = _compared(sweep, found, min_flight, *parts)
     return replace(found, every=every, computed=_computed_share(sweep, xi, found.direction))
-
-
-def modes_between(
-    sweep: Stored[SweepSpec],
-    xi: float | None,
-    direction: str | None,
-    gamma: tuple[float | None, float | None],
-    omega: tuple[float | None, float | None],
-    max_points: int,
-    min_flight: float | None = None,
-    *,
-    hysteresis: bool = False,
-) -> Plane:
-    """The mode map between two values of gamma and of omega; None is the end of the axis.
-
-    Thinned to what `modes` can hold, with `min_flight` and `hysteresis` as there. Raises InvalidRequest as
-    `selection.nearest_index`.
-    """
-    columns = _between(sweep.spec.axis_values("gamma"), *gamma)
-    rows = _between(sweep.spec.axis_values("omega"), *omega)
-    every = thinning((len(rows), len(columns)), 1, most_cells(sweep.spec, min_flight, max_points)) or 1
-    part = (slice(rows.start, rows.stop, every), slice(columns.start, columns.stop, every))
-    found = _recounted_plane(sweep, xi, direction, min_flight, *part)
-    return replace(_compared(sweep, found, min_flight, *part) if hysteresis else found, every=every)
 
 
 def plane(
@@ -210,12 +191,3 @@ def _computed_share(sweep: Stored[SweepSpec], xi: float | None, direction: str) 
         done += int(np.count_nonzero(part[schema.OUTCOME.name] != Outcome.MISSING))
         computed += int(np.count_nonzero(part[schema.COMPUTED.name]))
     return computed / done if done else 0.0
-
-
-def _between(values: NDArray[np.float64], low: float | None, high: float | None) -> range:
-    """Indices of the values between two; of the one nearest to their middle if there are none."""
-    first, last = float(values[0]) if low is None else low, float(values[-1]) if high is None else high
-    start = int(np.searchsorted(values, first, side="left"))
-    stop = int(np.searchsorted(values, last, side="right"))
-    nearest = int(np.argmin(np.abs(values - 0.5 * (first + last))))
-    return range(start, stop) if start < stop else range(nearest, nearest + 1)

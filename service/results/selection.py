@@ -136,9 +136,13 @@ def directions_of(spec: SweepSpec, direction: str | None) -> tuple[str, ...]:
     return tuple(spec.directions) if direction is None else (resolve_direction(spec, direction),)
 
 
-def line_flights(spec: SweepSpec, along: str, every: int = 1) -> int:
-    """The most flights of a line in one direction."""
-    return -(-len(spec.axis_values(along)) // every) * spec.keep
+def between(values: NDArray[np.float64], start: float | None, stop: float | None) -> range:
+    """Indices of the values between two, None being the end; if there are none, the one nearest."""
+    first, last = float(values[0]) if start is None else start, float(values[-1]) if stop is None else stop
+    low = int(np.searchsorted(values, first, side="left"))
+    high = int(np.searchsorted(values, last, side="right"))
+    nearest = int(np.argmin(np.abs(values - 0.5 * (first + last))))
+    return range(low, high) if low < high else range(nearest, nearest + 1)
 
 
 def thinning(lengths: Sequence[int], points_per_cell: int, max_points: int) -> int | None:

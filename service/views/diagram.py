@@ -15,7 +15,7 @@ from kernel.recount import counted
 from kernel.threshold import threshold
 from service.results.counting import LABEL, recounted, shortest
 from service.results.density import Window, density
-from service.results.selection import Stored, directions_of, fixed_axes, read
+from service.results.selection import Stored, between, directions_of, fixed_axes, read
 from service.views.variables import coordinate, variable
 from service.views.view import Direction, Estimate, Every, MinFlight, Number, Query, View
 from worker import schema
@@ -37,6 +37,8 @@ class DiagramQuery(Query):
     direction: Direction = None
     min_flight: MinFlight = None
     every: Every = 1
+    start: Annotated[Number | None, Field(description="smallest value of the axis")] = None
+    stop: Annotated[Number | None, Field(description="largest value of the axis")] = None
     caption: Annotated[bool, Field(description="of a picture: how it was computed, above it")] = True
 
 
@@ -50,7 +52,9 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
     spec, along = study.spec, query.along
     fixed = fixed_axes(spec, along, {axis: getattr(query, axis) for axis in AXES})
     directions = directions_of(spec, query.direction)
-    indices = {axis: at.index for axis, at in fixed.items()} | {along: slice(None, None, query.every)}
+    window = between(spec.axis_values(along), query.start, query.stop)
+    part = slice(window.start, window.stop, query.every)
+    indices = {axis: at.index for axis, at in fixed.items()} | {along: part}
     lines = [_line(study, direction, indices, query.min_flight) for direction in directions]
     both = len(directions) > 1
     dims = ("direction", along) if both else (along,)
@@ -59,7 +63,7 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
     coords = {
         "direction": coordinate("direction", list(directions) if both else directions[0]),
         **{axis: coordinate(axis, at.value) for axis, at in fixed.items()},
-        along: coordinate(along, spec.axis_values(along)[:: query.every]),
+        along: coordinate(along, spec.axis_values(along)[part]),
     }
     attrs: dict[str, Any] = {
         "along": along, "min_flight": shortest(spec, query.min_flight), "every": query.every,
@@ -97,7 +101,8 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     """All flights that the line can have. Raises InvalidRequest for a line that the sweep does not have."""
     fixed_axes(spec, query.along, {axis: getattr(query, axis) for axis in AXES})
     directions = directions_of(spec, query.direction)
-    lengths = {query.along: len(spec.axis_values(query.along)), "flight": spec.keep}
+    window = between(spec.axis_values(query.along), query.start, query.stop)
+    lengths = {query.along: len(window), "flight": spec.keep}
     if len(directions) > 1:
         lengths = {"direction": len(directions), **lengths}
     return Estimate(lengths, (query.along,), query.every, reads=(query.along,))

@@ -9,7 +9,7 @@ from pydantic import Field
 from service.results import mode_map
 from service.results.counting import LABEL
 from service.results.hysteresis import check_both_ways
-from service.results.selection import MAX_READ, Stored, directions_of, nearest_index
+from service.results.selection import MAX_READ, Stored, between, directions_of, nearest_index
 from service.views.variables import VARIABLES, coordinate, variable
 from service.views.view import Direction, Estimate, Every, MinFlight, Number, Query, View
 from worker import schema
@@ -32,6 +32,10 @@ class ModesQuery(Query):
     min_flight: MinFlight = None
     every: Every = 1
     hysteresis: Annotated[bool, Field(description="of a sweep ramped both ways: where they differ")] = False
+    gamma_start: Number | None = None
+    gamma_stop: Number | None = None
+    omega_start: Number | None = None
+    omega_stop: Number | None = None
 
 
 def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
@@ -42,10 +46,11 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
     corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
     """
     spec, directions = study.spec, directions_of(study.spec, query.direction)
+    window = _window(spec, query)
     planes = [
         mode_map.modes(
             study, query.xi, direction, every=query.every, min_flight=query.min_flight,
-            hysteresis=query.hysteresis and direction == directions[0],
+            hysteresis=query.hysteresis and direction == directions[0], **window,
         )
         for direction in directions
     ]  # fmt: skip
@@ -71,6 +76,12 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
     return xarray.Dataset(data, coords, attrs)
 
 
+def _window(spec: SweepSpec, query: ModesQuery) -> dict[str, range]:
+    """The indices of the cells between the given values of omega and gamma."""
+    ends = {"omega": (query.omega_start, query.omega_stop), "gamma": (query.gamma_start, query.gamma_stop)}
+    return {axis: between(spec.axis_values(axis), *values) for axis, values in ends.items()}
+
+
 def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     """All cells of the plane. Raises InvalidRequest for a plane that the sweep does not have."""
     nearest_index(spec, "xi", query.xi)
@@ -78,7 +89,7 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     if query.hysteresis:
         check_both_ways(spec)
     mode_map.check_min_flight(spec, query.min_flight)
-    lengths = {axis: len(spec.axis_values(axis)) for axis in ("omega", "gamma")}
+    lengths = {axis: len(part) for axis, part in _window(spec, query).items()}
     if len(directions) > 1:
         lengths = {"direction": len(directions), **lengths}
     _, flights = mode_map.plane_size(spec, query.min_flight, MAX_READ, query.every)

@@ -11,8 +11,8 @@ import { Plot } from "../plot/plot.js";
 import { Player } from "../motion/player.js";
 import { Portraits } from "../motion/portraits.js";
 import { ComputingNote, MAP_PERIODS, MAP_SAMPLES, PERIODS, SAMPLES, describe, requestTrajectory } from "../motion/trajectory.js";
-import { branchLegend, drawBranches, requestBranches } from "../views/closed-form.js";
-import { drawThreshold } from "../views/diagram-content.js";
+import { branchLegend, branchesPath, drawBranches, readBranches } from "../views/closed-form.js";
+import { drawThreshold } from "../views/diagram.js";
 
 const RANGES = { gamma: { min: 0.1, max: 8, step: 0.01 }, omega: { min: 0.1, max: 2, step: 0.005 }, xi: { min: 0, max: 1, step: 0.005 } };
 const START = { gamma: 2.3, omega: 0.5, xi: 0.26 }; // Fig. 2b
@@ -122,12 +122,12 @@ export class Explore {
     const { omega, xi } = this.values;
     try {
       const [branches, thresholds] = await Promise.all([
-        requestBranches({ omega, xi }, RANGES.gamma.max, { signal }),
+        requestDataset(branchesPath({ omega, xi }, RANGES.gamma.max), { signal }),
         requestDataset(`/v1/threshold?${query({ omega, xi })}`, { signal }),
       ]);
       if (this.closed) return;
       this.#showError(null);
-      this.branches = branches;
+      this.branches = readBranches(branches);
       if (isClose(omega, this.values.omega) && isClose(xi, this.values.xi)) this.closedForm = thresholds;
       this.#describe();
       this.plot.draw();
@@ -145,14 +145,14 @@ export class Explore {
       const trajectory = await requestTrajectory("/v1/trajectories", { method: "POST", body: { ...body, periods: PERIODS, samples: SAMPLES } });
       if (this.closed) return;
       this.player.show(trajectory);
-      this.flights = trajectory.flights.flight_time;
+      this.flights = trajectory.flights;
       this.shownGamma = gamma;
       this.readout.textContent = describe(trajectory);
       this.portraits.show({ trajectory });
       this.plot.redraw();
       if (gamma !== this.values.gamma || omega !== this.values.omega || xi !== this.values.xi) return; // moved on meanwhile
       const long = await requestTrajectory("/v1/trajectories", { method: "POST", body: { ...body, periods: MAP_PERIODS, samples: MAP_SAMPLES } });
-      if (!this.closed) this.portraits.show({ flights: long.flights.flight_time });
+      if (!this.closed) this.portraits.show({ flights: long.flights });
     } catch (error) {
       this.#showError(error);
     } finally {

@@ -1,18 +1,15 @@
-// The panel beside a view of a sweep: the trajectory of the selected cell.
+// The panel beside a view of a sweep: the trajectory of the selected cell, and all its values.
 
-import { query } from "../lib/api.js";
-import { cycleText } from "../lib/cycles.js";
+import { query, requestBlob, requestDataset } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { csv, downloads, fileName, originOf } from "../lib/downloads.js";
+import { downloads, fileName } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
-import { SYMBOL } from "../lib/physics.js";
-import { startOf } from "../lib/starts.js";
-import { pngOf, svgOf } from "../plot/export.js";
+import { SYMBOL, cycleText, startOf } from "../lib/physics.js";
 import { Portraits } from "./portraits.js";
 import { Player } from "./player.js";
 import { ComputingNote, MAP_PERIODS, MAP_SAMPLES, PERIODS, SAMPLES, START_PERIODS, describe, requestTrajectory } from "./trajectory.js";
 
-const COLUMNS = ["plate", "z1", "z2", "force"];
+const MAX_LISTED = 8; // numbers of a variable
 
 export class TrajectoryPanel {
   player = null;
@@ -37,10 +34,15 @@ export class TrajectoryPanel {
     else this.root.replaceChildren(this.#header(cell), this.computing.element);
     this.computing.show();
     try {
-      const trajectory = await this.#request(job, cell, signal);
+      const [path, options] = addressOf(job, cell);
+      const trajectory = await requestTrajectory(path, { ...options, signal });
       this.#play(job, { ...cell, ...trajectory });
-      if (startOf(cell.direction)) this.portraits.show({ flights: trajectory.flights.flight_time });
-      else this.#showReturnMap(job, cell, signal);
+      this.files.replaceChildren(this.#downloads(job, cell, path, options));
+      if (startOf(cell.direction)) this.portraits.show({ flights: trajectory.flights });
+      else {
+        this.#showReturnMap(job, cell, signal);
+        this.#showValues(job, cell, signal).catch(() => {}); // the panel is complete without them
+      }
     } catch (error) {
       if (error.name === "AbortError") return;
       this.#stop();
@@ -54,30 +56,25 @@ export class TrajectoryPanel {
     }
   }
 
-  /** The motion of a cell as the sweep left it, or of a start; of a cycle, on an ideal plate. */
-  #request(job, { direction, ...cell }, signal) {
-    const start = startOf(direction);
-    if (start?.kind === "attractor") {
-      const parameters = query({ ...cell, attractor: start.number, periods: START_PERIODS, samples: SAMPLES });
-      return requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
-    }
-    const model = start?.kind === "cycle" ? { kind: "rigid" } : job.spec.model;
-    const periods = start?.kind === "cycle" ? PERIODS : START_PERIODS;
-    if (start) return requestTrajectory("/v1/trajectories", { method: "POST", signal, body: { ...cell, start, model, periods, samples: SAMPLES } });
-    const parameters = query({ ...cell, direction, periods: PERIODS, samples: SAMPLES });
-    return requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
-  }
-
   /** The motion of a cell for so long that its flights make a return map; the panel is complete without it. */
   async #showReturnMap(job, cell, signal) {
     const { portraits } = this;
     try {
       const parameters = query({ ...cell, periods: MAP_PERIODS, samples: MAP_SAMPLES });
       const { flights } = await requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
-      portraits.show({ flights: flights.flight_time });
+      portraits.show({ flights });
     } catch (error) {
       if (error.name !== "AbortError") portraits.fail(error);
     }
+  }
+
+  /** All variables that the diagram has of the cell. */
+  async #showValues(job, { gamma, ...cell }, signal) {
+    const result = await requestDataset(`/v1/jobs/${job.id}/diagram?${query({ ...cell, start: gamma, stop: gamma })}`, { signal });
+    const rows = Object.values(result).filter(({ attrs }) => attrs?.long_name);
+    this.values.hidden = false;
+    this.values.replaceChildren(h("summary", {}, "All values of the cell"), h("table", {}, h("tbody", {}, rows.map((variable) =>
+      h("tr", {}, h("th", { scope: "row" }, variable.attrs.long_name), h("td", {}, valueText(variable)))))));
   }
 
   hide() {
@@ -99,11 +96,13 @@ export class TrajectoryPanel {
     if (!this.player) {
       const container = h("div", {});
       this.readout = h("p", { className: "readout" });
-      this.root.replaceChildren(this.#header(trajectory), this.computing.element, container, this.readout, this.#downloads(job));
+      this.values = h("details", {});
+      this.files = h("div", {});
+      this.root.replaceChildren(this.#header(trajectory), this.computing.element, container, this.readout, this.values, this.files);
       this.player = new Player(container);
       this.portraits = new Portraits(this.root);
     }
-    this.trajectory = trajectory;
+    this.values.hidden = true;
     this.#describeCell(trajectory);
     this.readout.textContent = trajectory.cycle ? `On the ${cycleText(trajectory.cycle)}. ${describe(trajectory)}` : describe(trajectory);
     this.player.show(trajectory);
@@ -125,15 +124,36 @@ export class TrajectoryPanel {
     this.about.textContent = `${values.join(", ")}, ${startText(direction)}`;
   }
 
-  #downloads(job) {
-    const name = (extension) => () => fileName(job, `trajectory-${number(this.trajectory.gamma)}-${number(this.trajectory.omega)}`, extension);
-    const rows = () => this.trajectory.phase.map((phase, i) => [phase, ...COLUMNS.map((column) => this.trajectory[column][i])]);
+  #downloads(job, { gamma, omega }, path, options) {
+    const name = (extension) => () => fileName(job, `trajectory-${number(gamma)}-${number(omega)}`, extension);
+    const file = (format) => () => requestBlob(`${path}${path.includes("?") ? "&" : "?"}format=${format}`, options);
     return downloads([
-      ["PNG", name("png"), async () => pngOf(this.player.plot, { origin: await originOf(job) })],
-      ["SVG", name("svg"), async () => svgOf(this.player.plot, { origin: await originOf(job) })],
-      ["CSV", name("csv"), () => csv(["phase_rad", ...COLUMNS], rows())],
+      ["PNG", name("png"), () => this.player.plot.png()],
+      ...(options.body ? [] : [["CSV", name("csv"), file("csv")]]),
+      ["NetCDF", name("nc"), file("nc")],
     ]);
   }
+}
+
+/** The path and options of a request for the motion of a cell as the sweep left it, or of a start; of a cycle, on an ideal plate. */
+function addressOf(job, { direction, ...cell }) {
+  const start = startOf(direction);
+  if (start && start.kind !== "attractor") {
+    const [model, periods] = start.kind === "cycle" ? [{ kind: "rigid" }, PERIODS] : [job.spec.model, START_PERIODS];
+    return ["/v1/trajectories", { method: "POST", body: { ...cell, start, model, periods, samples: SAMPLES } }];
+  }
+  const parameters = start ? { attractor: start.number, periods: START_PERIODS } : { direction, periods: PERIODS };
+  return [`/v1/jobs/${job.id}/trajectory?${query({ ...cell, ...parameters, samples: SAMPLES })}`, {}];
+}
+
+/** The value of a variable of one cell, or its numbers, with units; of codes their meaning. */
+function valueText({ data, attrs: { units = "1", flag_values: codes, flag_meanings: meanings } }) {
+  const values = typeof data === "object" ? Array.from(data) : [data];
+  const texts = values.filter((value) => !Number.isNaN(value)).map((value) => {
+    if (codes) return meanings.split(" ")[codes.indexOf(value)].replaceAll("_", " ");
+    return typeof value === "number" ? number(value, 6) : String(value);
+  });
+  return `${texts.slice(0, MAX_LISTED).join(", ")}${texts.length > MAX_LISTED ? " …" : ""}${units === "1" || !texts.length ? "" : ` ${units}`}` || "–";
 }
 
 function startText(direction) {

@@ -22,15 +22,11 @@ export const requestTrajectory = async (path, options = {}) => read(await reques
 /** A trajectory from its Dataset, its phases since the first sample: those of a drop begin at the plate's phase. */
 function read({ attrs, ...found }) {
   const list = (name) => Array.from(found[name].data, (value) => (Number.isNaN(value) ? null : value));
-  const { data: multipliers } = found.cycle_multipliers ?? {};
+  const named = (names, value) => Object.fromEntries(names.map((name) => [name, value(name)]));
   return {
-    ...attrs, phase: list("phase").map((value, i, [first]) => value - first), ...Object.fromEntries(["plate", "z1", "z2", "force", "in_flight"].map((name) => [name, list(name)])),
-    ...Object.fromEntries(["gamma", "omega", "xi"].map((name) => [name, found[name].data])),
-    flights: { flight_time: list("flight_time") },
-    cycle: multipliers && {
-      ...Object.fromEntries(["bounces", "periods", "flight_time", "stable"].map((name) => [name, found[`cycle_${name}`].data])),
-      multipliers: [[multipliers[0], multipliers[1]], [multipliers[2], multipliers[3]]],
-    },
+    ...attrs, ...named(["plate", "z1", "z2", "in_flight"], list), ...named(["gamma", "omega", "xi"], (name) => found[name].data),
+    phase: list("phase").map((value, i, [first]) => value - first), flights: list("flight_time"),
+    cycle: found.cycle_multipliers && named(["bounces", "periods", "flight_time", "stable", "multipliers"], (name) => found[`cycle_${name}`].data),
   };
 }
 
@@ -39,7 +35,7 @@ export const periodsOf = ({ phase }) => Math.round(phase.at(-1) / TWO_PI);
 
 /** The flights of a trajectory in words. */
 export function describe({ phase, flights, complete }) {
-  const times = flights.flight_time.filter((time) => time > MIN_FLIGHT);
+  const times = flights.filter((time) => time > MIN_FLIGHT);
   const listed = times.slice(0, MAX_LISTED).map((time) => number(time, 4)).join(", ");
   const text = times.length
     ? `${plural(times.length, "complete flight")} in ${periodsOf({ phase })} plate periods: ${listed}${times.length > MAX_LISTED ? " …" : ""} rad.`

@@ -1,4 +1,4 @@
-// Drawing on a 2D context: a canvas's own, or the SvgContext of export.js, which records the same calls as SVG.
+// Drawing on the 2D context of a canvas.
 
 /** Canvas pixels per CSS pixel, at most two: more costs time and shows no difference. */
 export const pixelRatio = () => Math.min(devicePixelRatio || 1, 2);

@@ -6,68 +6,56 @@ const MAX_DOTS = 4000; // flights in view
 const MIN_OPACITY = [0.42, 0.9]; // of a single flight: in a density of overlapping flights, and of mostly single ones
 const SATURATION = 24; // flights on one pixel that are drawn fully opaque
 
+/** The flights of a cell of a line that count: NaN stands for the others. */
+export const flightsIn = ({ flight_time: times, keep }, cell) => times.subarray(cell * keep, (cell + 1) * keep).filter(Number.isFinite);
+
 /**
- * Draw lines (see views/line-data.js) over each other, each in `colourOf(line)`. All but the last are drawn with
+ * Draw lines {values, flight_time, keep} over each other, each in `colourOf(line)`. All but the last are drawn with
  * larger dots, which remain visible where two directions agree.
  */
 export function drawFlights(ctx, box, lines, colourOf) {
-  const areFew = lines.every((line) => line.arrays.flight_time) && lines.reduce((n, line) => n + inView(box, line).flights, 0) <= MAX_DOTS;
-  lines.forEach((line, i) => {
-    const isLarge = i < lines.length - 1;
-    const colour = colourOf(line);
-    if (line.arrays.density) drawDensity(ctx, box, line.arrays.density, line.window, colour);
-    else if (areFew) drawDots(ctx, box, line, colour, isLarge);
-    else drawDensity(ctx, box, densityOf(box, line, isLarge), null, colour);
-  });
+  const cells = lines.map((line) => cellsInView(box, line));
+  const areFew = lines.reduce((sum, line, i) => sum + line.keep * cells[i].length, 0) <= 8 * MAX_DOTS
+    && lines.reduce((sum, line, i) => sum + cells[i].reduce((n, cell) => n + flightsIn(line, cell).length, 0), 0) <= MAX_DOTS;
+  lines.forEach((line, i) => (areFew ? drawDots : drawDensity)(ctx, box, line, cells[i], colourOf(line), i < lines.length - 1));
 }
 
-/** The numbers of cells and flights between the left and right border of the box. */
-function inView(box, { arrays: { values, shown } }) {
-  let [cells, flights] = [0, 0];
-  for (let i = 0; i < values.length; i++) {
-    if (values[i] < box.x.low || values[i] > box.x.high) continue;
-    cells++;
-    flights += shown[i];
-  }
-  return { cells, flights };
+/** The cells between the left and right border of the box. */
+function cellsInView(box, { values }) {
+  const cells = [];
+  for (let i = 0; i < values.length; i++) if (values[i] >= box.x.low && values[i] <= box.x.high) cells.push(i);
+  return cells;
 }
 
-function drawDots(ctx, box, line, colour, isLarge) {
-  const { arrays: { values, flight_time: times }, starts } = line;
-  const radius = Math.min(2.4, Math.max(1, box.width / 3 / inView(box, line).cells)) * (isLarge ? 1.5 : 1);
+function drawDots(ctx, box, line, cells, colour, isLarge) {
+  const radius = Math.min(2.4, Math.max(1, box.width / 3 / cells.length)) * (isLarge ? 1.5 : 1);
   ctx.globalAlpha = isLarge ? 0.75 : 0.9;
-  // The flights of a periodic cell repeat: one dot stands for all within half a pixel.
-  for (let i = 0; i < values.length; i++) {
-    if (values[i] < box.x.low || values[i] > box.x.high) continue;
-    const x = box.x.pixel(values[i]);
-    const drawn = new Set();
-    for (let j = starts[i]; j < starts[i + 1]; j++) {
-      const y = Math.round(2 * box.y.pixel(times[j])) / 2;
-      if (drawn.has(y)) continue;
-      drawn.add(y);
-      disc(ctx, colour, x, y, radius);
-    }
+  for (const cell of cells) {
+    // The flights of a periodic cell repeat: one dot stands for all within half a pixel.
+    const heights = new Set(Array.from(flightsIn(line, cell), (time) => Math.round(2 * box.y.pixel(time)) / 2));
+    for (const y of heights) disc(ctx, colour, box.x.pixel(line.values[cell]), y, radius);
   }
   ctx.globalAlpha = 1;
 }
 
-/** Flights per pixel of the box, counted as service/results/density.py counts them for longer lines. */
-function densityOf(box, line, isLarge) {
+/** Flights per pixel: the more, the more opaque. */
+function drawDensity(ctx, box, { values, flight_time: times, keep }, cells, colour, isLarge) {
   const [width, height] = [Math.round(box.width * box.ratio), Math.round(box.height * box.ratio)];
-  const counts = new Uint16Array(width * height);
-  const { arrays: { values, flight_time: times }, starts } = line;
+  const counted = new Uint16Array(width * height);
   const rowsPerRad = height / (box.y.high - box.y.low);
-  for (let i = 0; i < values.length; i++) {
-    const column = Math.min(width - 1, Math.floor(((box.x.pixel(values[i]) - box.left) / box.width) * width));
-    if (!(column >= 0) || values[i] > box.x.high) continue;
-    for (let j = starts[i]; j < starts[i + 1]; j++) {
-      const row = Math.floor((times[j] - box.y.low) * rowsPerRad);
-      if (row >= 0 && row < height) counts[row * width + column]++;
+  for (const cell of cells) {
+    const column = Math.min(width - 1, Math.floor(((box.x.pixel(values[cell]) - box.left) / box.width) * width));
+    for (let j = cell * keep; j < (cell + 1) * keep; j++) {
+      const row = height - 1 - Math.floor((times[j] - box.y.low) * rowsPerRad);
+      if (row >= 0 && row < height) counted[row * width + column]++; // NaN is no row
     }
   }
   // Cells further apart than pixels need a mark larger than one pixel.
-  const size = Math.round(Math.min(2.5 * box.ratio, Math.max(1, (1.6 * width) / inView(box, line).cells))) + (isLarge ? 1 : 0);
-  return { counts: size > 1 ? dilated(counts, width, height, size) : counts, width, height };
+  const size = Math.round(Math.min(2.5 * box.ratio, Math.max(1, (1.6 * width) / cells.length))) + (isLarge ? 1 : 0);
+  const counts = size > 1 ? dilated(counted, width, height, size) : counted;
+  const shades = shadesOf(counts, colour);
+  const fill = (pixels) => counts.forEach((n, i) => { if (n) pixels[i] = shades[Math.min(n, SATURATION)]; });
+  bitmap(ctx, width, height, fill, box.left, box.top, box.left + box.width, box.top + box.height);
 }
 
 /** Each count spread over a square of `size` × `size` pixels; the highest count wins. */
@@ -86,22 +74,6 @@ function dilated(counts, width, height, size) {
     }
   }
   return result;
-}
-
-/** Draw counts, whose first row is the shortest flights, over the window they were counted in (null: the whole box). */
-function drawDensity(ctx, box, { counts, width, height }, window, colour) {
-  const shades = shadesOf(counts, colour);
-  const fill = (pixels) => {
-    for (let row = 0; row < height; row++) {
-      const target = (height - 1 - row) * width;
-      for (let column = 0; column < width; column++) {
-        const n = counts[row * width + column];
-        if (n) pixels[target + column] = shades[Math.min(n, SATURATION)];
-      }
-    }
-  };
-  const { x0, x1, y0, y1 } = window ?? { x0: box.x.low, x1: box.x.high, y0: box.y.low, y1: box.y.high };
-  bitmap(ctx, width, height, fill, box.x.pixel(x0), box.y.pixel(y1), box.x.pixel(x1), box.y.pixel(y0));
 }
 
 /** The colour of each count: the more flights, the more opaque. */

@@ -14,8 +14,7 @@ const BELOW = 10; // px under a plot that ends within the viewport
  *   x: {label, low, high, log}, y: {label, low, high, log, periods (mark whole plate periods)},
  *   layers: [(ctx, box) => …], cursor: (ctx, box) => …,
  *   title, message (shown in the middle of an empty plot),
- *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide], …],
- *   colours: [[name, theme => colour], …], a legend below the plot in exported files.
+ *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide], …].
  * Dispatches "drawn" on its element after each drawing.
  */
 export class Plot {
@@ -55,9 +54,22 @@ export class Plot {
     const room = this.#room();
     const height = Math.round(Math.max(Math.min(this.minHeight, room), Math.min(width * this.ratio, room)));
     const ctx = resizedContext(this.canvas, width, height);
-    this.box = this.paint(ctx, width, height, theme(), pixelRatio());
+    const content = this.content();
+    this.box = content && boxOf(ctx, content, width, height, theme(), pixelRatio());
+    if (content) this.#paint(ctx, content);
     this.drawCursor();
     this.element.dispatchEvent(new Event("drawn"));
+  }
+
+  #paint(ctx, content) {
+    const { box } = this;
+    ctx.fillStyle = box.theme.surface;
+    ctx.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    if (content.y.periods) drawPeriods(ctx, box);
+    clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
+    if (content.message) drawMessage(ctx, box, content.message);
+    drawFrame(ctx, box, content);
+    drawHeadings(ctx, box, content);
   }
 
   /** The height that a plot may take: up to the bottom of the viewport where it begins high enough for that. */
@@ -73,26 +85,16 @@ export class Plot {
     return this.element.getBoundingClientRect().top + scrollY;
   }
 
+  /** What is drawn, as a PNG. */
+  png() {
+    return new Promise((resolve) => this.canvas.toBlob(resolve, "image/png"));
+  }
+
   drawCursor() {
     if (!this.canvas.width) return;
     const ctx = resizedContext(this.cursor, this.canvas.clientWidth, this.canvas.clientHeight);
     const content = this.content();
     if (!this.box || !content?.cursor) return;
     clipped(ctx, this.box, () => content.cursor(ctx, this.box));
-  }
-
-  /** Draw the whole plot on `ctx`, bitmaps at `ratio` pixels per unit; returns the plot box. */
-  paint(ctx, width, height, theme, ratio) {
-    ctx.fillStyle = theme.surface;
-    ctx.fillRect(0, 0, width, height);
-    const content = this.content();
-    if (!content) return null;
-    const box = boxOf(ctx, content, width, height, theme, ratio);
-    if (content.y.periods) drawPeriods(ctx, box);
-    clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
-    if (content.message) drawMessage(ctx, box, content.message);
-    drawFrame(ctx, box, content);
-    drawHeadings(ctx, box, content);
-    return box;
   }
 }

@@ -2,15 +2,15 @@
 // selected, and access from elsewhere.
 
 import { link } from "../lib/address.js";
-import { requestBlob, requestJson } from "../lib/api.js";
+import { requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { downloads, fileName, netcdf } from "../lib/downloads.js";
+import { downloads, wholeSweep } from "../lib/downloads.js";
 import { count, duration, number, plural, time } from "../lib/format.js";
 import { axisValues, isSweep } from "../lib/physics.js";
 import { Snippets } from "../lib/snippets.js";
 
 export class Details {
-  constructor(root, { job }) {
+  constructor(root, { sources: [{ job }] }) {
     this.root = root;
     this.snippets = new Snippets("JSON");
     this.update(job);
@@ -73,10 +73,7 @@ function files(job) {
   return [
     h("p", {}, "The bifurcation diagram as a file:"),
     h("pre", { tabindex: "0" }, diagramCommand(job)),
-    downloads([
-      ["NetCDF", () => fileName(job, "sweep", "nc"), netcdf(job)],
-      ["Parquet", () => fileName(job, "sweep", "parquet"), () => requestBlob(`/v1/jobs/${job.id}/export?format=parquet`)],
-    ]),
+    downloads(wholeSweep(job, [["NetCDF", "nc"], ["Parquet", "parquet"]])),
   ];
 }
 

@@ -1,15 +1,16 @@
 // One sweep: its progress, a tab each for diagram, mode map, thresholds and details, and a selected cell's trajectory.
 
-import { addressValue, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
+import { cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestJson } from "../lib/api.js";
 import { announce, h } from "../lib/dom.js";
-import { AXES, axisValues, directionsOf, isSweep } from "../lib/physics.js";
+import { AXES, axisValues, isSweep } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
+import { sourceOf } from "./plot-view.js";
 import { ProgressBar, UNFINISHED, notice, settling, showActions, summary, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
@@ -139,7 +140,6 @@ export class JobView {
 
   #showTab() {
     const { path, query } = currentAddress();
-    const { spec } = this.job;
     const tabs = this.#tabs();
     const current = tabs[path[2]] ? path[2] : this.#defaultTab();
     const target = (tab, parameters) => link(["job", this.id, tab], Object.fromEntries(SHARED.map((name) => [name, parameters[name]])));
@@ -151,13 +151,7 @@ export class JobView {
     this.view?.close();
     this.#showError(this.#failure());
     const [, View] = tabs[current];
-    this.view = new View(this.panel, {
-      job: this.job,
-      grid: Object.fromEntries(AXES.filter((axis) => axis in spec).map((axis) => [axis, axisValues(spec[axis])])),
-      directions: directionsOf(spec),
-      onSelect: (cell) => this.#select(cell),
-      selected: () => this.cell,
-    });
+    this.view = new View(this.panel, { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell });
   }
 
   /** The views of this kind of study. */
@@ -173,9 +167,8 @@ export class JobView {
   }
 
   /** The address holds the selected cell, and its axis values for the sliders of the other tabs. */
-  #select({ direction, ...cell }) {
-    const [gamma, omega, xi] = AXES.map((axis) => addressValue(cell[axis]));
-    setQuery({ gamma, omega, xi, cell: [gamma, omega, xi, direction].join(",") });
+  #select(cell) {
+    setQuery(cellQuery(cell));
     this.#showSelectedCell();
     // On narrow screens the trajectory is below the plot.
     if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" });

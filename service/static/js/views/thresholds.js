@@ -1,16 +1,13 @@
 // Thresholds in Γ against Ω: where bouncing begins on the ramp up and ends on the ramp down, with Eq. 25.
 
-import { addressValue, setQuery } from "../lib/address.js";
-import { query, requestDataset } from "../lib/api.js";
-import { hasCycles } from "../lib/cycles.js";
+import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { csv } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
-import { axisLabel, clampIndex, initialValue, isLog, nearestIndex, threshold } from "../lib/physics.js";
+import { axisLabel, clampIndex, hasCycles, isLog, nearestIndex, threshold } from "../lib/physics.js";
 import { directionColour } from "../plot/colours.js";
 import { circle, disc, polyline, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
-import { ClosedFormBox, drawFolds, foldLegend, requestFolds } from "./closed-form.js";
+import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
@@ -38,49 +35,34 @@ const UNDECIDED = new Set(["unresolved", "diverged", "settling"]);
 /** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
 export class Thresholds extends PlotView {
   name = "thresholds";
-  folds = null; // curves of folds over Ω; null where they are not shown
 
   constructor(root, view) {
     super(view);
-    this.xi = initialValue(this.grid.xi, this.initial.xi);
-    const onMove = (_, value) => {
-      this.xi = value;
-      setQuery({ xi: addressValue(value) });
-      this.load();
-    };
-    const canHaveFolds = hasCycles(this.job) && this.grid.omega.length > 1;
-    this.closedForm = canHaveFolds && new ClosedFormBox("Folds", this.initial.folds === "1", (checked) => {
-      setQuery({ folds: checked ? 1 : null });
-      this.load();
-    });
-    const controls = h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, onMove), this.closedForm?.element);
+    this.closedForm = hasCycles(this.job) && this.grid.omega.length > 1 && foldsOver(this);
+    const controls = h("div", { className: "controls" }, sliders(this, ["xi"]), this.closedForm?.element);
     this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT });
   }
 
-  async request(signal) {
-    const found = await requestDataset(`/v1/jobs/${this.job.id}/threshold?${query({ xi: this.xi })}`, { signal });
-    const columns = COLUMNS.map((name) => [name, Array.from(found[name].data, (value) => (Number.isNaN(value) ? null : value))]);
-    this.thresholds = { xi: found.xi.data, complete: found.attrs.complete, ...Object.fromEntries(columns) };
-    await this.#loadFolds(signal);
-    return { xi: this.thresholds.xi, folds: Boolean(this.folds) };
+  paths() {
+    return [this.filePath()];
   }
 
-  /** The folds, if they are to be shown. Workers compute them, which takes some seconds: the thresholds are drawn first. */
-  async #loadFolds(signal) {
-    if (!this.closedForm?.checked) this.folds = null;
-    if (!this.closedForm?.checked || this.folds?.xi === this.thresholds.xi) return;
-    const { omega, gamma } = this.grid;
-    this.folds = null;
-    this.plot.draw();
-    this.closedForm.note.textContent = "computing …";
-    try {
-      this.folds = await requestFolds(this.thresholds.xi, [omega[0], omega.at(-1)], gamma.at(-1), { signal });
-      this.closedForm.note.textContent = "";
-    } catch (error) {
-      this.closedForm.note.textContent = "";
-      if (!error.status || error.status === 401) throw error;
-      this.closedForm.note.textContent = error.message;
-    }
+  filePath() {
+    return `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi })}`;
+  }
+
+  read([result]) {
+    const columns = COLUMNS.map((name) => [name, Array.from(result[name].data, (value) => (Number.isNaN(value) ? null : value))]);
+    this.thresholds = { xi: result.xi.data, complete: result.attrs.complete, ...Object.fromEntries(columns) };
+    this.closedForm?.update?.();
+  }
+
+  get folds() {
+    return this.closedForm?.data ?? null;
+  }
+
+  shown() {
+    return { xi: this.thresholds.xi, folds: Boolean(this.folds) };
   }
 
   whole() {
@@ -103,7 +85,6 @@ export class Thresholds extends PlotView {
   }
 
   content() {
-    if (!this.thresholds) return null;
     const { x0, x1, y0, y1 } = this.visible();
     const { omega, xi, complete } = this.thresholds;
     return {
@@ -164,17 +145,16 @@ export class Thresholds extends PlotView {
   }
 
   nearest(x, y) {
-    return this.thresholds ? { index: nearestIndex(this.thresholds.omega, x), y } : null;
+    return { index: nearestIndex(this.thresholds.omega, x), y };
   }
 
   step(current, right) {
-    if (!this.thresholds) return null;
     const n = this.thresholds.omega.length;
     return { index: current ? clampIndex(current.index + right, n) : n >> 1 };
   }
 
-  centre() {
-    return this.current ? this.thresholds.omega[this.current.index] : undefined;
+  at({ index, y }) {
+    return [this.thresholds.omega[index], y];
   }
 
   describe({ index }) {
@@ -202,12 +182,6 @@ export class Thresholds extends PlotView {
     const isNearerDown = down[index] !== null && Math.abs(down[index] - gamma) < Math.abs((up[index] ?? Infinity) - gamma);
     const direction = isNearerDown ? "down" : this.directions[0];
     return { gamma: this.grid.gamma[nearestIndex(this.grid.gamma, gamma)], omega: omega[index], xi, direction };
-  }
-
-  table() {
-    const { omega, xi, analytic, up, down, up_status, down_status, predicted_jump: jump, predicted_down: end, cause } = this.thresholds;
-    return csv(["omega", "xi", "eq_25", "up", "up_status", "down", "down_status", "predicted_jump", "predicted_down", "cause"],
-      omega.map((value, i) => [value, xi, analytic[i], up[i], up_status[i], down[i], down_status[i], jump[i], end[i], cause[i]]));
   }
 }
 
