@@ -1,8 +1,8 @@
 // Several sweeps compared: in one diagram, or side by side as diagrams or mode maps with the same axes and one pointer.
 
 import { cellQuery, currentQuery, link, navigate, setQuery, windowQuery } from "../lib/address.js";
-import { isHandledElsewhere, requestJson } from "../lib/api.js";
-import { h } from "../lib/dom.js";
+import { requestJson } from "../lib/api.js";
+import { h, problemLine } from "../lib/dom.js";
 import { isSweep } from "../lib/physics.js";
 import { branchColour, theme } from "../plot/colours.js";
 import { legendEntry } from "../views/cells.js";
@@ -22,12 +22,12 @@ export class Compare {
   constructor(root, { query }) {
     document.title = "Comparison · Bouncing spring";
     this.ids = idsOf(query);
-    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.problem = problemLine();
     this.controls = h("div", { className: "controls" });
     this.legend = h("ul", { className: "compared", "aria-label": "Sweeps" });
     this.panel = h("section", { className: "panel" });
     root.replaceChildren(h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")), h("h1", { tabindex: "-1" }, "Comparison"),
-      this.problem, this.legend, this.controls, this.panel);
+      this.problem.element, this.legend, this.controls, this.panel);
     this.refresh();
   }
 
@@ -54,10 +54,10 @@ export class Compare {
       if (this.closed) return;
       const others = jobs.filter(({ spec }) => !isSweep(spec)).map(titleOf).join(", ");
       if (jobs.filter(({ spec }) => isSweep(spec)).length < 2) throw new Error(`Only sweeps have diagrams to compare; other studies: ${others}.`);
-      this.#showError(others ? new Error(`Left out, because only sweeps have diagrams: ${others}.`) : null);
+      this.problem.show(others ? new Error(`Left out, because only sweeps have diagrams: ${others}.`) : null);
       this.#start(jobs.filter(({ spec }) => isSweep(spec)));
     } catch (error) {
-      this.#showError(error);
+      this.problem.show(error);
     }
   }
 
@@ -100,11 +100,5 @@ export class Compare {
     const windows = this.views.filter(({ isLoaded }) => isLoaded).map((view) => view.whole());
     const of = (name, choose) => choose(...windows.map((window) => window[name]));
     return { x0: of("x0", Math.min), x1: of("x1", Math.max), y0: of("y0", Math.min), y1: of("y1", Math.max) };
-  }
-
-  #showError(error) {
-    if (this.closed || (error && isHandledElsewhere(error))) return;
-    this.problem.hidden = !error;
-    this.problem.textContent = error?.message ?? "";
   }
 }

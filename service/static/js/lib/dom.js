@@ -1,4 +1,6 @@
-// Building elements, dialogs, screen-reader announcements, and limiting how often a function runs.
+// Building elements, dialogs, errors, screen-reader announcements, and limiting how often a function runs.
+
+import { isHandledElsewhere } from "./api.js";
 
 const PROPERTIES = new Set(["className", "textContent", "value", "checked", "disabled", "hidden", "open", "selected"]);
 
@@ -13,6 +15,17 @@ export function h(tag, props = {}, ...children) {
   }
   element.append(...children.flat(2).filter((child) => child !== null && child !== undefined && child !== false));
   return element;
+}
+
+/** A line for an error, which `show(error)` shows and `show(null)` hides; not one that the banner or the token dialog shows. */
+export function problemLine() {
+  const element = h("p", { className: "problem", role: "alert", hidden: true });
+  const show = (error) => {
+    if (error && isHandledElsewhere(error)) return;
+    element.hidden = !error;
+    element.textContent = error?.message ?? "";
+  };
+  return { element, show };
 }
 
 /** Announce `text` to screen readers. */

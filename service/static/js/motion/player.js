@@ -2,18 +2,24 @@
 
 import { h } from "../lib/dom.js";
 import { TWO_PI } from "../lib/physics.js";
+import { theme } from "../plot/colours.js";
+import { disc, polyline, resizedContext } from "../plot/drawing.js";
 import { Plot } from "../plot/plot.js";
-import { drawInstant } from "./animation.js";
+import { scale } from "../plot/scale.js";
 import { heightsOf } from "./height-plot.js";
-import { PERIODS, periodsOf } from "./trajectory.js";
 
 const SECONDS_PER_PERIOD = 1.6; // at full speed
 const SPEEDS = [1, 0.5, 0.25, 0.1];
+const RADIUS = 11; // of a mass, px
+const COILS = 9;
+
+/** The plate periods that a trajectory spans. */
+export const periodsOf = ({ phase }) => Math.round(phase.at(-1) / TWO_PI);
 
 export class Player {
   phase = 0; // rad since the first sample
   speed = 1;
-  periods = PERIODS; // of the trajectory
+  periods = 1; // of the trajectory
   playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 
   constructor(root) {
@@ -21,7 +27,7 @@ export class Player {
     const figure = h("figure", { className: "heights" });
     this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // enabled by show()
     this.position = h("input", {
-      type: "range", min: 0, max: PERIODS, step: 0.005, value: 0, "aria-label": "Plate periods since the first sample",
+      type: "range", min: 0, max: 1, step: 0.005, value: 0, "aria-label": "Plate periods since the first sample",
       oninput: () => {
         this.play(false);
         this.phase = this.position.valueAsNumber * TWO_PI;
@@ -83,4 +89,46 @@ export class Player {
       h("select", { onchange: (event) => { this.speed = Number(event.target.value); } },
         SPEEDS.map((speed) => h("option", { value: speed }, `× ${speed}`))));
   }
+}
+
+/** Draw the `heights` of height-plot.js at `phase` on a canvas as high as the plot beside it. */
+function drawInstant(canvas, heights, phase, height) {
+  const width = canvas.clientWidth;
+  const ctx = resizedContext(canvas, width, height);
+  const colours = theme();
+  const y = scale(heights.low, heights.high, height - 46, 12).pixel; // the margins of the plot
+  const { plate, lower, upper, inFlight } = heights.at(phase);
+  const middle = width / 2;
+  drawPlate(ctx, middle, y(plate), width, colours);
+  if (lower === null) return;
+  // The height of a mass is that of its lower edge, so that contact with the plate is visible.
+  const lowerY = y(lower) - RADIUS;
+  const upperY = heights.isBall ? lowerY : Math.min(y(upper) - RADIUS, lowerY - 2 * RADIUS - 4);
+  if (!heights.isBall) {
+    drawSpring(ctx, middle, lowerY - RADIUS, upperY + RADIUS, colours);
+    disc(ctx, colours.up, middle, upperY, RADIUS);
+  }
+  disc(ctx, colours["lower-mass"], middle, lowerY, RADIUS);
+  ctx.fillStyle = colours.muted;
+  ctx.font = `italic ${Math.min(13, width / 6.5)}px ${colours.serif}`;
+  ctx.textAlign = "center";
+  ctx.fillText(inFlight ? "in flight" : "on the plate", middle, height - 8);
+}
+
+function drawPlate(ctx, middle, y, width, colours) {
+  const half = Math.min(width / 2 - 8, 60);
+  ctx.fillStyle = colours.text;
+  ctx.fillRect(middle - half, y, 2 * half, 5);
+  ctx.fillRect(middle - 2, y, 4, 26);
+}
+
+function drawSpring(ctx, x, from, to, colours) {
+  const points = [[x, from]];
+  const straight = (to - from) * 0.08; // at each end
+  for (let i = 0; i <= COILS * 2; i++) {
+    const fraction = (i + 0.5) / (COILS * 2 + 1);
+    points.push([x + (i % 2 ? 8 : -8), from + straight + (to - from - 2 * straight) * fraction]);
+  }
+  points.push([x, to]);
+  polyline(ctx, colours.muted, 1.6, points);
 }

@@ -1,8 +1,8 @@
 // One sweep: its progress, a tab each for diagram, mode map, thresholds and details, and a selected cell's trajectory.
 
 import { cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
-import { isHandledElsewhere, requestJson } from "../lib/api.js";
-import { announce, h } from "../lib/dom.js";
+import { requestJson } from "../lib/api.js";
+import { announce, h, problemLine } from "../lib/dom.js";
 import { AXES, axisValues, isSweep } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
@@ -35,13 +35,13 @@ export class JobView {
     this.bar = new ProgressBar();
     this.actions = h("div", { className: "actions" });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
-    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.problem = problemLine();
     this.panel = h("section", { className: "panel" });
     this.aside = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
     root.replaceChildren(
       h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
       h("header", { className: "job" }, this.heading, this.about, this.bar.element, this.actions, this.notice, this.settling),
-      this.problem, this.tabs, h("div", { className: "columns" }, this.panel, this.aside));
+      this.problem.element, this.tabs, h("div", { className: "columns" }, this.panel, this.aside));
     this.trajectory = new TrajectoryPanel(this.aside, { onClose: () => this.#closeTrajectory() });
     this.#poll(true);
   }
@@ -99,7 +99,7 @@ export class JobView {
   /** An error of the service may be temporary; when the service is unreachable, main.js calls refresh() once it is back. */
   #pollFailed(error, redraw) {
     if (this.closed) return;
-    this.#showError(error);
+    this.problem.show(error);
     if (error.status >= 500) this.#pollAfter(SLOW_POLL_MS, redraw);
     if (error.status !== 404 || this.job) return;
     this.heading.textContent = "No such sweep";
@@ -122,7 +122,7 @@ export class JobView {
     this.settling.hidden = !unsettled.length;
     this.settling.replaceChildren(...unsettled);
     this.bar.show(job);
-    this.#showError(this.#failure());
+    this.problem.show(this.#failure());
     showActions(this.actions, job, {
       onChange: (changed) => {
         if (changed.id !== this.id) {
@@ -134,7 +134,7 @@ export class JobView {
         this.#pollAfter(POLL_MS / 2);
       },
       onDelete: () => navigate([]),
-      onError: (error) => this.#showError(error),
+      onError: (error) => this.problem.show(error),
     });
   }
 
@@ -149,7 +149,7 @@ export class JobView {
         onclick: (event) => { event.currentTarget.href = target(tab, currentQuery()); }, // sliders may have moved since
       }, title)));
     this.view?.close();
-    this.#showError(this.#failure());
+    this.problem.show(this.#failure());
     const [, View] = tabs[current];
     this.view = new View(this.panel, { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell });
   }
@@ -191,11 +191,5 @@ export class JobView {
 
   #failure() {
     return this.job.error ? new Error(`The sweep failed: ${this.job.error}`) : null;
-  }
-
-  #showError(error) {
-    if (error && isHandledElsewhere(error)) return;
-    this.problem.hidden = !error;
-    this.problem.textContent = error?.message ?? "";
   }
 }

@@ -1,7 +1,7 @@
 // The mode map: the outcome of every cell of a (Γ, Ω) plane, with the threshold of Eq. 25.
 
 import { currentQuery, navigate, setQuery } from "../lib/address.js";
-import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
+import { query, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, ordinal, plural } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, axisLabel, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
@@ -60,9 +60,7 @@ export class Modes extends PlaneView {
       const job = await requestJson(`/v1/jobs/${this.job.id}/refine`, { method: "POST", body });
       navigate(["job", job.id, "modes"]);
     } catch (error) {
-      if (isHandledElsewhere(error)) return;
-      this.refined.hidden = false;
-      this.refined.textContent = error.message;
+      this.problem.show(error);
     } finally {
       this.refineButton.disabled = false;
     }

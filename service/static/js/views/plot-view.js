@@ -2,7 +2,7 @@
 
 import { currentQuery, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestDataset } from "../lib/api.js";
-import { announce, gestures, h, latest } from "../lib/dom.js";
+import { announce, gestures, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
 import { AXES, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
 import { onThemeChange } from "../plot/colours.js";
@@ -83,11 +83,11 @@ export class PlotView {
   build(root, { controls, label, hint, ratio, below = [] }) {
     this.hint = gestures(hint);
     this.readout = h("p", { className: "readout" }, this.hint);
-    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.problem = problemLine();
     const figure = h("figure", {});
     const zoom = (window) => setQuery(windowQuery(window));
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
-    root.replaceChildren(controls, this.problem, figure, ...below, this.readout, this.unzoom, this.#downloads());
+    root.replaceChildren(controls, this.problem.element, figure, ...below, this.readout, this.unzoom, this.#downloads());
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null), ratio });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),
@@ -159,8 +159,7 @@ export class PlotView {
   /** An error takes the place of the plot unless earlier data are still shown. */
   #showError(error) {
     if (this.closing.signal.aborted || (error && isHandledElsewhere(error))) return;
-    this.problem.hidden = !error;
-    this.problem.textContent = error?.message ?? "";
+    this.problem.show(error);
     this.plot.element.hidden = this.readout.hidden = Boolean(error) && !this.isLoaded;
     if (error?.status === 503) this.timer = setTimeout(() => this.load(), RETRY_MS);
     else if (error && !error.status) throw error;
