@@ -82,15 +82,3 @@ export function latest(work) {
     }
   };
 }
-
-const isTouch = () => matchMedia("(hover: none)").matches;
-
-/** A hint for the mouse in words for fingers, where the device has no pointer that hovers. */
-export function gestures(text) {
-  if (!isTouch()) return text;
-  return text
-    .replace(/Point at a (\w+) to read (\w+(?: \w+)?), click to/, "Tap a $1 to read $2 and to")
-    .replace("Point at", "Tap").replace(/\bclick to\b/g, "tap to").replace(/\bClick\b/g, "Tap").replace(/\bclick\b/g, "tap")
-    .replace("drag to zoom", "drag sideways to zoom")
-    .replace(", double-click to reset the zoom", "");
-}

@@ -4,16 +4,10 @@ import { announce, h } from "./dom.js";
 
 const COPIED_MS = 2000;
 
-/** `spec` as a Python expression, with its own words for true, false and null. */
-function python(value, indent = "    ") {
-  if (value === null) return "None";
-  if (typeof value === "boolean") return value ? "True" : "False";
-  if (typeof value === "string") return JSON.stringify(value);
-  if (typeof value !== "object") return String(value);
-  if (Array.isArray(value)) return `[${value.map((item) => python(item)).join(", ")}]`;
-  const entries = Object.entries(value).map(([name, item]) => `${JSON.stringify(name)}: ${python(item, "")}`);
-  return indent ? `{\n${entries.map((entry) => `${indent}${entry},\n`).join("")}}` : `{${entries.join(", ")}}`;
-}
+const PYTHON = { null: "None", true: "True", false: "False" };
+
+/** A specification as a Python expression: JSON with Python's words, which stand at the ends of lines. */
+const python = (spec) => JSON.stringify(spec, null, 4).replace(/\b(null|true|false)(,?)$/gm, (_, word, comma) => PYTHON[word] + comma);
 
 /** A value in TOML; objects inline. TOML has no null: fields without a value are left out. */
 function toml(value) {
@@ -22,21 +16,18 @@ function toml(value) {
   return `{ ${Object.entries(value).filter(([, item]) => item !== null).map(([name, item]) => `${name} = ${toml(item)}`).join(", ")} }`;
 }
 
-/** The address for the shell and Python, unless it is the default one. */
-const address = () => location.origin;
-
 const LANGUAGES = {
   Python: (spec) => `from service.client import Client
 
 spec = ${python(spec)}
-with Client("${address()}") as client:
+with Client("${location.origin}") as client:
     job = client.submit(spec).wait()
     job.plot()
 `,
-  TOML: (spec) => `# bounce submit sweep.toml --wait --url ${address()}
+  TOML: (spec) => `# bounce submit sweep.toml --wait --url ${location.origin}
 ${Object.entries(spec).filter(([, value]) => value !== null).map(([name, value]) => `${name} = ${toml(value)}`).join("\n")}
 `,
-  curl: (spec) => `curl ${address()}/v1/jobs -H "Content-Type: application/json" -d '${JSON.stringify(spec).replaceAll("'", "'\\''")}'
+  curl: (spec) => `curl ${location.origin}/v1/jobs -H "Content-Type: application/json" -d '${JSON.stringify(spec).replaceAll("'", "'\\''")}'
 `,
   JSON: (spec) => `${JSON.stringify(spec, null, 2)}\n`,
 };

@@ -3,7 +3,7 @@
 import { bitmap, disc, rgba32 } from "./drawing.js";
 
 const MAX_DOTS = 4000; // flights in view
-const MIN_OPACITY = [0.42, 0.9]; // of a single flight: in a density of overlapping flights, and of mostly single ones
+const FAINTEST = 0.5; // opacity of a single flight, as in the service's pictures
 const SATURATION = 24; // flights on one pixel that are drawn fully opaque
 
 /** The flights of a cell of a line that count: NaN stands for the others. */
@@ -15,8 +15,7 @@ export const flightsIn = ({ flight_time: times, keep }, cell) => times.subarray(
  */
 export function drawFlights(ctx, box, lines, colourOf) {
   const cells = lines.map((line) => cellsInView(box, line));
-  const areFew = lines.reduce((sum, line, i) => sum + line.keep * cells[i].length, 0) <= 8 * MAX_DOTS
-    && lines.reduce((sum, line, i) => sum + cells[i].reduce((n, cell) => n + flightsIn(line, cell).length, 0), 0) <= MAX_DOTS;
+  const areFew = cells.flat().length <= MAX_DOTS && lines.flatMap((line, i) => cells[i].map((cell) => flightsIn(line, cell).length)).reduce((sum, n) => sum + n, 0) <= MAX_DOTS;
   lines.forEach((line, i) => (areFew ? drawDots : drawDensity)(ctx, box, line, cells[i], colourOf(line), i < lines.length - 1));
 }
 
@@ -38,54 +37,23 @@ function drawDots(ctx, box, line, cells, colour, isLarge) {
   ctx.globalAlpha = 1;
 }
 
-/** Flights per pixel: the more, the more opaque. */
+/** Flights per pixel, each on a square of pixels where cells are further apart: the more, the more opaque. */
 function drawDensity(ctx, box, { values, flight_time: times, keep }, cells, colour, isLarge) {
   const [width, height] = [Math.round(box.width * box.ratio), Math.round(box.height * box.ratio)];
-  const counted = new Uint16Array(width * height);
+  const size = Math.round(Math.min(2.5 * box.ratio, Math.max(1, (1.6 * width) / cells.length))) + (isLarge ? 1 : 0);
+  const counts = new Uint16Array(width * height);
   const rowsPerRad = height / (box.y.high - box.y.low);
+  const first = (at, length) => Math.max(0, Math.min(length - size, Math.floor(at - (size - 1) / 2)));
   for (const cell of cells) {
-    const column = Math.min(width - 1, Math.floor(((box.x.pixel(values[cell]) - box.left) / box.width) * width));
+    const column = first(((box.x.pixel(values[cell]) - box.left) / box.width) * width, width);
     for (let j = cell * keep; j < (cell + 1) * keep; j++) {
-      const row = height - 1 - Math.floor((times[j] - box.y.low) * rowsPerRad);
-      if (row >= 0 && row < height) counted[row * width + column]++; // NaN is no row
+      if (!(times[j] >= box.y.low && times[j] <= box.y.high)) continue; // NaN is none
+      const row = first(height - 1 - (times[j] - box.y.low) * rowsPerRad, height);
+      for (let r = row; r < row + size; r++) for (let c = column; c < column + size; c++) counts[r * width + c]++;
     }
   }
-  // Cells further apart than pixels need a mark larger than one pixel.
-  const size = Math.round(Math.min(2.5 * box.ratio, Math.max(1, (1.6 * width) / cells.length))) + (isLarge ? 1 : 0);
-  const counts = size > 1 ? dilated(counted, width, height, size) : counted;
-  const shades = shadesOf(counts, colour);
+  const opacity = (n) => FAINTEST + ((1 - FAINTEST) * Math.log(Math.max(n, 1))) / Math.log(SATURATION);
+  const shades = Uint32Array.from({ length: SATURATION + 1 }, (_, n) => rgba32(colour, opacity(n)));
   const fill = (pixels) => counts.forEach((n, i) => { if (n) pixels[i] = shades[Math.min(n, SATURATION)]; });
   bitmap(ctx, width, height, fill, box.left, box.top, box.left + box.width, box.top + box.height);
-}
-
-/** Each count spread over a square of `size` × `size` pixels; the highest count wins. */
-function dilated(counts, width, height, size) {
-  const result = new Uint16Array(counts.length);
-  const before = (size - 1) >> 1;
-  for (let row = 0; row < height; row++) {
-    for (let column = 0; column < width; column++) {
-      const n = counts[row * width + column];
-      if (!n) continue;
-      for (let r = Math.max(0, row - before); r < Math.min(height, row - before + size); r++) {
-        for (let c = Math.max(0, column - before); c < Math.min(width, column - before + size); c++) {
-          if (result[r * width + c] < n) result[r * width + c] = n;
-        }
-      }
-    }
-  }
-  return result;
-}
-
-/** The colour of each count: the more flights, the more opaque. */
-function shadesOf(counts, colour) {
-  let [nonzero, single, highest] = [0, 0, 2];
-  for (let i = 0; i < counts.length; i++) {
-    if (counts[i]) nonzero++;
-    if (counts[i] === 1) single++;
-    if (counts[i] > highest) highest = counts[i];
-  }
-  const lowest = MIN_OPACITY[0] + (MIN_OPACITY[1] - MIN_OPACITY[0]) * (single / Math.max(nonzero, 1));
-  const saturated = Math.log(Math.min(highest, SATURATION));
-  const opacity = (n) => Math.min(1, lowest + (1 - lowest) * (Math.log(Math.max(n, 1)) / saturated));
-  return Uint32Array.from({ length: SATURATION + 1 }, (_, n) => rgba32(colour, opacity(n)));
 }

@@ -5,9 +5,7 @@ import { onThemeChange, theme } from "./colours.js";
 import { clipped, pixelRatio, resizedContext } from "./drawing.js";
 import { boxOf, drawFrame, drawHeadings, drawMessage, drawPeriods } from "./frame.js";
 
-const MAX_VIEWPORT_SHARE = 0.66; // of the viewport's height
-const SMALLEST = 200; // px, of a plot that would else end below the viewport
-const BELOW = 10; // px under a plot that ends within the viewport
+const MAX_VIEWPORT_SHARE = 0.6; // of the viewport's height
 
 /**
  * `content()` returns what to draw, null before anything is loaded:
@@ -29,16 +27,12 @@ export class Plot {
     this.closing = new AbortController();
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(this.element);
-    // What appears above a plot moves it down, and out of the viewport.
-    this.moves = new ResizeObserver(() => this.above !== undefined && Math.abs(this.#above() - this.above) > 1 && this.redraw());
-    this.moves.observe(document.body);
     onThemeChange(() => this.redraw(), this.closing.signal);
   }
 
   close() {
     this.closing.abort();
     this.observer.disconnect();
-    this.moves.disconnect();
     cancelAnimationFrame(this.frame);
   }
 
@@ -51,8 +45,7 @@ export class Plot {
   draw() {
     const width = this.element.clientWidth;
     if (!width) return;
-    const room = this.#room();
-    const height = Math.round(Math.max(Math.min(this.minHeight, room), Math.min(width * this.ratio, room)));
+    const height = Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, innerHeight * MAX_VIEWPORT_SHARE)));
     const ctx = resizedContext(this.canvas, width, height);
     const content = this.content();
     this.box = content && boxOf(ctx, content, width, height, theme(), pixelRatio());
@@ -69,20 +62,7 @@ export class Plot {
     clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
     if (content.message) drawMessage(ctx, box, content.message);
     drawFrame(ctx, box, content);
-    drawHeadings(ctx, box, content);
-  }
-
-  /** The height that a plot may take: up to the bottom of the viewport where it begins high enough for that. */
-  #room() {
-    const share = innerHeight * MAX_VIEWPORT_SHARE;
-    this.above = this.#above();
-    const left = innerHeight - this.above - BELOW;
-    return left >= SMALLEST ? Math.min(share, left) : Math.max(share, this.minHeight);
-  }
-
-  /** The height of all that is above the plot on the page. */
-  #above() {
-    return this.element.getBoundingClientRect().top + scrollY;
+    drawHeadings(ctx, box);
   }
 
   /** What is drawn, as a PNG. */

@@ -1,4 +1,4 @@
-// The list of sweeps: found by name, state, model and date, in pages; several of them pinned, compared or deleted.
+// The list of sweeps: found by name, state and model, in pages; several of them compared or deleted.
 
 import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
@@ -30,11 +30,10 @@ export class SweepList {
     const labelled = (title, control) => h("label", { className: "option" }, `${title} `, control);
     const choice = (name, title, options) => labelled(title,
       h("select", { name, onchange: find }, options.map(([key, text]) => h("option", { value: key, selected: key === (query[name] ?? "") }, text))));
-    const day = (name, title) => labelled(title, h("input", { type: "date", name, value: query[name] ?? "", onchange: find }));
     const button = (title, work) => h("button", { type: "button", className: "quiet", onclick: work }, title);
     this.filters = h("form", { className: "controls filters", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
       labelled("Find", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", value: query.search ?? "", oninput: debounced(TYPING_MS, find) })),
-      choice("state", "State", STATES), choice("model", "Contact", MODELS), day("from", "From"), day("to", "to"), choice("order", "Order", ORDERS));
+      choice("state", "State", STATES), choice("model", "Contact", MODELS), choice("order", "Order", ORDERS));
     this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });
     this.chosen = h("span", { className: "note", role: "status" });
     this.compare = button("Compare", () => navigate(["compare"], { jobs: [...this.selected.keys()].join() }));
@@ -91,10 +90,10 @@ export class SweepList {
     this.timer = setTimeout(() => this.refresh(), milliseconds);
   }
 
-  /** The parameters of a request for jobs, except which page. Days are those of the reader's clock. */
+  /** The parameters of a request for jobs, except which page. */
   #wanted() {
-    const { search, from, to, ...choices } = Object.fromEntries(new FormData(this.filters));
-    return { search: search.trim(), ...choices, created_from: dayStart(from, 0), created_before: dayStart(to, 1) };
+    const { search, ...choices } = Object.fromEntries(new FormData(this.filters));
+    return { search: search.trim(), ...choices };
   }
 
   #find() {
@@ -240,12 +239,4 @@ export class SweepList {
 /** Change a text that is announced, only where it differs. */
 function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
-}
-
-/** The beginning of a day "2026-11-21" of the reader's clock, `later` days on, as a time; "" without a day. */
-function dayStart(day, later) {
-  if (!day) return "";
-  const [year, month, date] = day.split("-").map(Number);
-  const start = new Date(year, month - 1, date + later);
-  return Number.isNaN(start.getTime()) ? "" : start.toISOString();
 }

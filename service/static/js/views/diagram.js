@@ -2,7 +2,7 @@
 
 import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
-import { gestures, h } from "../lib/dom.js";
+import { h } from "../lib/dom.js";
 import { number, ordinal, plural } from "../lib/format.js";
 import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, clampIndex, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
 import { branchColour, directionColour, theme } from "../plot/colours.js";
@@ -15,7 +15,7 @@ import { PlotView } from "./plot-view.js";
 import { titleOf } from "./progress.js";
 
 const MAX_FLIGHTS = 400_000; // of a line that are requested at once; of a longer one, every n-th cell
-const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom, double-click to reset the zoom.";
+const HINT = "Point at a cell to read it, press to show its trajectory, drag to zoom.";
 const MAX_CIRCLES = 200;
 const MAX_LISTED = 6; // flights listed one by one
 const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell are not listed
@@ -220,7 +220,7 @@ export class Diagram extends PlotView {
   }
 
   describe(cell) {
-    if (cell.branch) return gestures(`${describeCycle(cell)} · click to see it move`);
+    if (cell.branch) return `${describeCycle(cell)} · press to see it move`;
     if (this.sources.length === 1) return describeCell(cell, this.lines.length > 1);
     return this.#atCurrent().map((each) => h("span", { className: "entry" }, swatch(this.#colour(each.line, theme())),
       `${titleOf(each.line.source.job)}: ${describeCell(each, each.line.source.directions.length > 1)} `));

@@ -3,7 +3,7 @@
 import { cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
 import { announce, h, problemLine } from "../lib/dom.js";
-import { AXES, axisValues, isSweep } from "../lib/physics.js";
+import { AXES, isSweep } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
 import { Details } from "./details.js";
@@ -20,10 +20,8 @@ const STUDY_TABS = { // by the kind of study; others have their details alone
   multistability: { attractors: ["Diagram", AttractorDiagram], map: ["Map", AttractorMap], details: TABS.details },
 };
 const SHARED = [...AXES, "cell", "min"]; // query parameters that all tabs understand
-const POLL_MS = 600;
-const SLOW_POLL_MS = 3000; // for sweeps that take minutes, and after errors
-const LONG_SECONDS = 300;
-const MIN_KEPT_FLIGHTS = 4; // with fewer per cell, thresholds tell more than a diagram
+const POLL_MS = 1000;
+const ERROR_POLL_MS = 3000;
 
 export class JobView {
   constructor(root, { path }) {
@@ -75,7 +73,7 @@ export class JobView {
     try {
       job = await requestJson(`/v1/jobs/${this.id}`);
     } catch (error) {
-      this.#pollFailed(error, redraw);
+      if (!this.closed) this.#pollFailed(error, redraw);
       return;
     }
     if (this.closed) return;
@@ -87,7 +85,7 @@ export class JobView {
     if (isFirst) this.show();
     else if (hasChanged || redraw) this.view?.update(job);
     if (redraw && !isFirst) this.#showSelectedCell(); // its request may have failed
-    if (UNFINISHED.has(job.state)) this.#pollAfter(this.#interval());
+    if (UNFINISHED.has(job.state)) this.#pollAfter(POLL_MS);
   }
 
   /** Replaces a poll that is due already. */
@@ -98,17 +96,12 @@ export class JobView {
 
   /** An error of the service may be temporary; when the service is unreachable, main.js calls refresh() once it is back. */
   #pollFailed(error, redraw) {
-    if (this.closed) return;
     this.problem.show(error);
-    if (error.status >= 500) this.#pollAfter(SLOW_POLL_MS, redraw);
+    if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404 || this.job) return;
     this.heading.textContent = "No such sweep";
     document.title = "No such sweep · Bouncing spring";
     this.bar.element.hidden = true;
-  }
-
-  #interval() {
-    return (this.job.progress.eta_seconds ?? 0) > LONG_SECONDS ? SLOW_POLL_MS : POLL_MS;
   }
 
   #describe() {
@@ -141,7 +134,7 @@ export class JobView {
   #showTab() {
     const { path, query } = currentAddress();
     const tabs = this.#tabs();
-    const current = tabs[path[2]] ? path[2] : this.#defaultTab();
+    const current = tabs[path[2]] ? path[2] : Object.keys(tabs)[0];
     const target = (tab, parameters) => link(["job", this.id, tab], Object.fromEntries(SHARED.map((name) => [name, parameters[name]])));
     this.tabs.replaceChildren(...Object.entries(tabs).map(([tab, [title]]) =>
       h("a", {
@@ -156,14 +149,8 @@ export class JobView {
 
   /** The views of this kind of study. */
   #tabs() {
-    if (isSweep(this.job.spec)) return TABS;
-    return STUDY_TABS[this.job.spec.protocol.kind] ?? { details: TABS.details };
-  }
-
-  #defaultTab() {
-    if (!isSweep(this.job.spec)) return Object.keys(this.#tabs())[0];
-    const { keep, omega } = this.job.spec;
-    return keep < MIN_KEPT_FLIGHTS && axisValues(omega).length > 2 ? "thresholds" : "diagram";
+    const { spec } = this.job;
+    return isSweep(spec) ? TABS : (STUDY_TABS[spec.protocol.kind] ?? { details: TABS.details });
   }
 
   /** The address holds the selected cell, and its axis values for the sliders of the other tabs. */

@@ -12,7 +12,7 @@ import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { titleOf } from "./progress.js";
 
 const MAX_CELLS = 1_000_000; // requested at once; of a larger map, every n-th along both axes
-const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom. Modes are (bounces, plate periods).";
+const HINT = "Point at a cell to read it, press to show its trajectory, drag to zoom. Modes are (bounces, plate periods).";
 const DASH = [7, 4];
 const HATCH = 9; // px between the lines over cells whose directions differ; each is two lines, of text and of surface
 const HATCH_LINE = 1.6; // px, of either

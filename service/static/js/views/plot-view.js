@@ -2,7 +2,7 @@
 
 import { currentQuery, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestDataset } from "../lib/api.js";
-import { announce, gestures, h, latest, problemLine } from "../lib/dom.js";
+import { announce, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
 import { AXES, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
 import { onThemeChange } from "../plot/colours.js";
@@ -81,7 +81,7 @@ export class PlotView {
 
   /** Build the view and start loading; `below` is placed between plot and readout. */
   build(root, { controls, label, hint, ratio, below = [] }) {
-    this.hint = gestures(hint);
+    this.hint = hint;
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
     const figure = h("figure", {});

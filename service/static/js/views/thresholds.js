@@ -5,15 +5,14 @@ import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { axisLabel, clampIndex, hasCycles, isLog, nearestIndex, threshold } from "../lib/physics.js";
 import { directionColour } from "../plot/colours.js";
-import { circle, disc, polyline, verticalLine } from "../plot/drawing.js";
+import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
 const DASH = [7, 4];
-const HINT = "Point at a frequency to read it, click to show a trajectory, drag to zoom, double-click to reset the zoom.";
-const ARROW = 15; // px
+const HINT = "Point at a frequency to read it, press to show a trajectory, drag to zoom.";
 const BESIDE = 4; // px from the frequency: both directions may lie beyond the same edge
 
 /** What the readout says of a threshold that is not a number, by its status; `grid` are the values of Γ. */
@@ -29,7 +28,7 @@ const REASONS = {
 };
 /** What is read of each frequency; numbers that are not there are null. */
 const COLUMNS = ["omega", "analytic", "up", "up_status", "down", "down_status", "predicted_jump", "predicted_down", "cause", "difference"];
-const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where an arrow points, in pixels down
+const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a pointer points: 1 down
 const UNDECIDED = new Set(["unresolved", "diverged", "settling"]);
 
 /** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
@@ -135,7 +134,7 @@ export class Thresholds extends PlotView {
         line(ctx, x, y, colour, 1.2);
         drawMarker(ctx, [x + 12, y], 3.4, colour, key, theme.surface);
       }]),
-      ...(this.#edges().length ? [["beyond the grid", (ctx, x, y, theme) => drawArrow(ctx, x + 12, y - ARROW / 2, 1, theme.muted, theme.surface, "up")]] : []),
+      ...(this.#edges().length ? [["beyond the grid", (ctx, x, y, theme) => drawPointer(ctx, x + 12, y - 4, 1, theme.muted)]] : []),
       ...(this.#has(UNDECIDED) ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
     ];
   }
@@ -211,27 +210,17 @@ function drawMarker(ctx, [x, y], size, colour, key, background) {
   polyline(ctx, colour, 1.6, [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]]);
 }
 
-/** Where a threshold lies beyond the grid, an open marker with an arrow at its edge; a cross where a cell left it open. */
+/** A triangle at the edge of the grid that points to where a threshold lies; a cross where a cell left it open. */
 function drawOpen(ctx, box, omega, statuses, gamma, colour, key) {
   statuses.forEach((status, i) => {
     const x = box.x.pixel(omega[i]) + (key === "up" ? -BESIDE : BESIDE);
     if (UNDECIDED.has(status)) drawCross(ctx, x, box.top + box.height - 8, colour);
-    else if (BEYOND[status]) drawArrow(ctx, x, box.y.pixel(BEYOND[status] > 0 ? gamma[0] : gamma.at(-1)), BEYOND[status], colour, box.theme.surface, key);
+    else if (BEYOND[status]) drawPointer(ctx, x, box.y.pixel(BEYOND[status] > 0 ? gamma[0] : gamma.at(-1)), BEYOND[status], colour);
   });
 }
 
-/** An open circle on the way up, an open square on the way down, and an arrow from it, down where `sign` is 1. */
-function drawArrow(ctx, x, y, sign, colour, background, key) {
-  const tip = y + sign * ARROW;
-  polyline(ctx, colour, 1.4, [[x, y], [x, tip]]);
-  polyline(ctx, colour, 1.4, [[x - 3, tip - sign * 4], [x, tip], [x + 3, tip - sign * 4]]);
-  if (key === "down") {
-    drawMarker(ctx, [x, y], 3, colour, key, background);
-    return;
-  }
-  disc(ctx, background, x, y, 3.4);
-  circle(ctx, colour, 1.4, x, y, 3.4);
-}
+/** Down where `sign` is 1. */
+const drawPointer = (ctx, x, y, sign, colour) => polygon(ctx, colour, [[x - 4, y], [x + 4, y], [x, y + 9 * sign]]);
 
 function drawCross(ctx, x, y, colour) {
   polyline(ctx, colour, 1.4, [[x - 3.5, y - 3.5], [x + 3.5, y + 3.5]]);
