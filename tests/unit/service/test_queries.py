@@ -12,8 +12,7 @@ from tables import for_each
 
 from kernel.params import Outcome
 from service.errors import InvalidRequest, TooLarge
-from service.results import line as lines
-from service.results import mode_map, selection
+from service.results import selection
 from service.results.counting import MODE_ARRAYS
 from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis, compare
 from service.results.selection import Sweep
@@ -230,27 +229,6 @@ def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
     xarray.testing.assert_equal(modes(sweep, xi=0.05, every=every), whole_map)
 
 
-# A line for the page
-
-TWO_FLIGHTS = lines.FlightLine(
-    fixed={}, direction="rest", cells={"values": np.array([0.5, 1.0, 2.0]), "outcome": np.array([3, 0, 1])},
-    flights=np.array([3.0, 7.0], np.float32), every=1, min_flight=0.0,
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("edges", "log", "rule"),
-    [
-        ((0.0, 1.0, 0.0, None), True, "left: must be above 0 on a logarithmic axis, not 0.0"),
-        ((1.0, 0.9, 0.0, None), False, "right: must not be below left, which is 1.0"),
-        ((None, None, 3.0, 2.9), False, "top: must not be below bottom, which is 3.0"),
-    ],
-)
-def test_an_empty_window_is_refused(edges: Any, log: bool, rule: str):
-    with pytest.raises(InvalidRequest, match=rule):
-        lines.window_of(TWO_FLIGHTS, *edges, log=log)
-
-
 # Planes
 
 
@@ -261,11 +239,10 @@ def test_an_empty_window_is_refused(edges: Any, log: bool, rule: str):
 def test_a_window_of_a_plane_has_the_cells_inside(
     sweep: Sweep, low: float | None, high: float | None, inside: list[float]
 ):
-    window = mode_map.modes_between(sweep, 0.05, None, (low, high), (0.6, None), 1000)
-    assert window.gamma.tolist() == inside
-    assert window.omega.tolist() == [0.7, 1.0]
-    assert window.arrays["outcome"].shape == (2, len(inside))
-    assert window.every == 1
+    window = modes(sweep, xi=0.05, gamma_start=low, gamma_stop=high, omega_start=0.6)
+    assert window.gamma.values.tolist() == inside
+    assert window.omega.values.tolist() == [0.7, 1.0]
+    assert window.outcome.shape == (2, len(inside))
 
 
 #: Around the fold of Omega = 0.6 and, at larger Gamma, the flights that leap on the way up.
@@ -308,9 +285,10 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Swee
         assert found.hysteresis.values.tolist() == expected.tolist()
         assert found.attrs["complete"]
     assert set(expected.ravel().tolist()) == {0, 1, 2}
-    window = mode_map.modes_between(both_ways, None, "up", (0.6, 1.0), (0.59, 0.7), 1000, hysteresis=True)
+    ends = {"gamma_start": 0.6, "gamma_stop": 1.0, "omega_start": 0.59, "omega_stop": 0.7}
+    window = modes(both_ways, direction="up", hysteresis=True, **ends)
     columns = [i for i, gamma in enumerate(both_ways.spec.axis_values("gamma")) if 0.6 <= gamma <= 1.0]
-    assert window.arrays["hysteresis"].tolist() == expected[1:][:, columns].tolist()
+    assert window.hysteresis.values.tolist() == expected[1:][:, columns].tolist()
 
 
 def test_cycles_of_one_mode_are_other_cycles_if_a_flight_differs(both_ways: Sweep):

@@ -30,7 +30,8 @@ export const queryChanges = new EventTarget();
 /** Change query parameters without a new history entry; null removes one. */
 export function setQuery(changes) {
   pending ??= currentAddress();
-  pending.query = { ...pending.query, ...changes };
+  const entries = Object.entries({ ...pending.query, ...changes }).filter(([, value]) => value !== null && value !== undefined);
+  pending.query = Object.fromEntries(entries.map(([name, value]) => [name, String(value)])); // as read from the address
   write(link(pending.path, pending.query));
   queryChanges.dispatchEvent(new Event("change"));
 }

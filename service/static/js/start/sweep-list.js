@@ -4,7 +4,7 @@ import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
 import { announce, confirmed, debounced, h, problemLine } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
-import { ProgressBar, UNFINISHED, notice, showActions, summary, titleOf } from "../views/progress.js";
+import { JobSummary, UNFINISHED, titleOf } from "../views/progress.js";
 
 const PAGE_SIZE = 25;
 const MAX_PINNED = 100; // shown above the first page
@@ -149,32 +149,25 @@ export class SweepList {
     const box = h("input", { type: "checkbox", onchange: () => this.#select([job], box.checked) });
     const pin = h("button", { type: "button", className: "quiet pin", onclick: () => this.#pin(job) });
     const name = h("a", {});
-    const about = h("p", { className: "summary" });
     const time = h("span", { className: "note" });
-    const bar = new ProgressBar();
-    const buttons = h("div", { className: "actions" });
-    const other = h("p", { className: "notice", hidden: true });
     const error = h("p", { className: "problem", hidden: true });
-    const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h3", {}, name), about), bar.element, time, buttons, other, error);
+    const parts = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#onDelete(), error: (failure) => this.showError(failure) });
+    const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h3", {}, name), parts.about),
+      parts.progress, time, parts.actions, parts.notice, error);
     const update = (current) => {
       job = current;
       if (this.selected.has(job.id)) this.selected.set(job.id, job);
+      parts.show(job);
       box.setAttribute("aria-label", `Select ${titleOf(job)}`);
       box.checked = this.selected.has(job.id);
       pin.textContent = job.pinned ? "★" : "☆";
       pin.setAttribute("aria-label", `Pin ${titleOf(job)}`);
       pin.setAttribute("aria-pressed", String(job.pinned));
       pin.title = job.pinned ? "Unpin" : "Pin: show it above the others";
-      name.textContent = titleOf(job);
       name.href = link(["job", job.id]);
-      if (!about.hasChildNodes() || job.choice) about.replaceChildren(...summary(job));
       time.textContent = ago(job.finished ?? job.created);
-      bar.show(job);
-      other.hidden = !job.notice;
-      other.replaceChildren(...notice(job));
       error.hidden = !job.error;
       error.textContent = job.error ?? "";
-      showActions(buttons, job, { onChange: () => this.refresh(), onDelete: () => this.#onDelete(), onError: (failure) => this.showError(failure) });
     };
     return { element, update };
   }

@@ -11,7 +11,7 @@ import { Diagram } from "./diagram.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
 import { sourceOf } from "./plot-view.js";
-import { ProgressBar, UNFINISHED, notice, settling, showActions, summary, titleOf } from "./progress.js";
+import { JobSummary, UNFINISHED, settling, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
 const TABS = { diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
@@ -27,18 +27,17 @@ export class JobView {
   constructor(root, { path }) {
     this.id = path[1];
     this.heading = h("h1", { tabindex: "-1" }, "…");
-    this.about = h("p", { className: "summary" });
-    this.notice = h("p", { className: "notice", hidden: true });
+    this.summary = new JobSummary(this.heading, {
+      change: (job) => this.#onChange(job), delete: () => navigate([]), error: (error) => this.problem.show(error),
+    });
     this.settling = h("p", { className: "notice settling", hidden: true });
-    this.bar = new ProgressBar();
-    this.actions = h("div", { className: "actions" });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     this.problem = problemLine();
     this.panel = h("section", { className: "panel" });
     this.aside = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
     root.replaceChildren(
       h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
-      h("header", { className: "job" }, this.heading, this.about, this.bar.element, this.actions, this.notice, this.settling),
+      h("header", { className: "job" }, this.heading, this.summary.about, this.summary.progress, this.summary.actions, this.summary.notice, this.settling),
       this.problem.element, this.tabs, h("div", { className: "columns" }, this.panel, this.aside));
     this.trajectory = new TrajectoryPanel(this.aside, { onClose: () => this.#closeTrajectory() });
     this.#poll(true);
@@ -101,34 +100,27 @@ export class JobView {
     if (error.status !== 404 || this.job) return;
     this.heading.textContent = "No such sweep";
     document.title = "No such sweep · Bouncing spring";
-    this.bar.element.hidden = true;
+    this.summary.progress.hidden = true;
   }
 
   #describe() {
     const { job } = this;
-    this.heading.textContent = titleOf(job);
     document.title = `${titleOf(job)} · Bouncing spring`;
-    this.about.replaceChildren(...summary(job));
-    this.notice.hidden = !job.notice;
-    this.notice.replaceChildren(...notice(job));
+    this.summary.show(job);
     const unsettled = settling(job);
     this.settling.hidden = !unsettled.length;
     this.settling.replaceChildren(...unsettled);
-    this.bar.show(job);
     this.problem.show(this.#failure());
-    showActions(this.actions, job, {
-      onChange: (changed) => {
-        if (changed.id !== this.id) {
-          navigate(["job", changed.id]); // of another kernel version: resumed, it starts anew as another
-          return;
-        }
-        this.job = changed;
-        this.#describe();
-        this.#pollAfter(POLL_MS / 2);
-      },
-      onDelete: () => navigate([]),
-      onError: (error) => this.problem.show(error),
-    });
+  }
+
+  #onChange(job) {
+    if (job.id !== this.id) {
+      navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
+      return;
+    }
+    this.job = job;
+    this.#describe();
+    this.#pollAfter(POLL_MS / 2);
   }
 
   #showTab() {

@@ -14,22 +14,10 @@ import { PlotView } from "./plot-view.js";
 const DASH = [7, 4];
 const HINT = "Point at a frequency to read it, press to show a trajectory, drag to zoom.";
 const BESIDE = 4; // px from the frequency: both directions may lie beyond the same edge
-
-/** What the readout says of a threshold that is not a number, by its status; `grid` are the values of Γ. */
-const REASONS = {
-  "below the grid": (grid) => `bounces already at the lowest Γ, ${number(grid[0])}: start lower`,
-  "above the grid": (grid) => `at rest up to the highest Γ, ${number(grid.at(-1))}: end higher`,
-  "never bounces": () => "never bounces",
-  "not refined": () => "not refined",
-  missing: () => "not computed yet",
-  unresolved: () => "the cell that decides is unresolved",
-  diverged: () => "the cell that decides diverged",
-  settling: () => "the cell that decides was still settling: give it more time",
-};
+const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a triangle points: 1 down
+const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell that decides
 /** What is read of each frequency; numbers that are not there are null. */
-const COLUMNS = ["omega", "analytic", "up", "up_status", "down", "down_status", "predicted_jump", "predicted_down", "cause", "difference"];
-const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a pointer points: 1 down
-const UNDECIDED = new Set(["unresolved", "diverged", "settling"]);
+const COLUMNS = ["omega", "analytic", "up", "up_status", "down", "down_status", "predicted_down", "cause", "difference"];
 
 /** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
 export class Thresholds extends PlotView {
@@ -53,6 +41,17 @@ export class Thresholds extends PlotView {
   read([result]) {
     const columns = COLUMNS.map((name) => [name, Array.from(result[name].data, (value) => (Number.isNaN(value) ? null : value))]);
     this.thresholds = { xi: result.xi.data, complete: result.attrs.complete, ...Object.fromEntries(columns) };
+    const { up, down, up_status: upStatus, down_status: downStatus } = this.thresholds;
+    const isRest = this.directions[0] === "rest";
+    this.series = [
+      { name: isRest ? "from rest" : "ramp up", direction: isRest ? "rest" : "up", values: up, statuses: upStatus },
+      { name: "ramp down", direction: "down", values: down, statuses: downStatus },
+    ].filter(({ statuses }) => statuses.some((status) => status !== "not ramped"));
+    const { gamma } = this.grid;
+    const all = new Set([...upStatus, ...downStatus]);
+    this.isUndecided = UNDECIDED.some((status) => all.has(status));
+    this.edges = [...(all.has("below the grid") ? [gamma[0]] : []), ...(all.has("above the grid") ? [gamma.at(-1)] : [])];
+    this.found = [...up, ...down].filter((value) => value !== null);
     this.closedForm?.update?.();
   }
 
@@ -66,41 +65,24 @@ export class Thresholds extends PlotView {
 
   whole() {
     const { omega, xi } = this.thresholds;
-    const [x0, x1] = extent(omega[0], omega[omega.length - 1]);
-    const computed = [...this.#computed(), ...this.#edges()];
-    const highest = Math.max(...(computed.length ? computed : [threshold(x0, xi), 1]));
-    return { x0, x1, y0: 0, y1: 1.12 * highest };
-  }
-
-  #computed() {
-    return [...this.thresholds.up, ...this.thresholds.down].filter((value) => value !== null);
-  }
-
-  /** The Γ of the grid's edges that some threshold lies beyond. */
-  #edges() {
-    const { gamma } = this.grid;
-    const statuses = new Set([...this.thresholds.up_status, ...this.thresholds.down_status]);
-    return [statuses.has("below the grid") && gamma[0], statuses.has("above the grid") && gamma.at(-1)].filter(Boolean);
+    const [x0, x1] = extent(omega[0], omega.at(-1));
+    const drawn = [...this.found, ...this.edges];
+    return { x0, x1, y0: 0, y1: 1.12 * Math.max(...(drawn.length ? drawn : [threshold(x0, xi), 1])) };
   }
 
   content() {
     const { x0, x1, y0, y1 } = this.visible();
     const { omega, xi, complete } = this.thresholds;
+    const isEmpty = !this.found.length && !this.edges.length;
     return {
       x: { label: axisLabel("omega"), low: x0, high: x1, log: isLog(this.job.spec.omega) },
       y: { label: "threshold Γ", low: y0, high: y1 },
       title: `ξ = ${number(xi)}`,
       legend: this.#legend(),
-      message: this.#message(complete),
+      message: isEmpty ? (complete ? "No threshold in this sweep" : "No bouncing cell is computed yet") : null,
       layers: [(ctx, box) => this.folds && drawFolds(ctx, box, this.folds), (ctx, box) => this.#draw(ctx, box)],
       cursor: (ctx, box) => this.current && verticalLine(ctx, box, box.x.pixel(omega[this.current.index]), box.theme.cursor),
     };
-  }
-
-  /** Why there is nothing to draw. */
-  #message(complete) {
-    if (this.#computed().length || this.#edges().length) return null;
-    return complete ? "No threshold in this sweep" : "No bouncing cell is computed yet";
   }
 
   #draw(ctx, box) {
@@ -111,17 +93,15 @@ export class Thresholds extends PlotView {
       return [x, box.y.pixel(threshold(box.x.value(x), xi))];
     });
     polyline(ctx, box.theme.threshold, 1.6, curve, DASH);
-    for (const { key, direction } of this.#series()) {
+    for (const { direction, values, statuses } of this.series) {
       const colour = directionColour(direction, box.theme);
-      drawSeries(ctx, box, omega, this.thresholds[key], colour, key);
-      drawOpen(ctx, box, omega, this.thresholds[`${key}_status`], this.grid.gamma, colour, key);
+      drawSeries(ctx, box, omega, values, colour, direction);
+      statuses.forEach((status, i) => {
+        const x = box.x.pixel(omega[i]) + (direction === "down" ? BESIDE : -BESIDE);
+        if (UNDECIDED.includes(status)) drawCross(ctx, x, box.top + box.height - 8, colour);
+        else if (BEYOND[status]) drawTriangle(ctx, x, box.y.pixel(BEYOND[status] > 0 ? this.grid.gamma[0] : this.grid.gamma.at(-1)), BEYOND[status], colour);
+      });
     }
-  }
-
-  /** The computed series: their key in the response, name and direction. */
-  #series() {
-    const up = this.directions[0] === "rest" ? { key: "up", name: "from rest", direction: "rest" } : { key: "up", name: "ramp up", direction: "up" };
-    return [up, { key: "down", name: "ramp down", direction: "down" }].filter(({ key }) => this.thresholds[`${key}_status`].some((status) => status !== "not ramped"));
   }
 
   #legend() {
@@ -129,18 +109,13 @@ export class Thresholds extends PlotView {
     return [
       ["Eq. 25", (ctx, x, y, theme) => line(ctx, x, y, theme.threshold, 1.6, DASH)],
       ...(this.folds ? foldLegend() : []),
-      ...this.#series().map(({ key, name, direction }) => [name, (ctx, x, y, theme) => {
-        const colour = directionColour(direction, theme);
-        line(ctx, x, y, colour, 1.2);
-        drawMarker(ctx, [x + 12, y], 3.4, colour, key, theme.surface);
+      ...this.series.map(({ name, direction }) => [name, (ctx, x, y, theme) => {
+        line(ctx, x, y, directionColour(direction, theme), 1.2);
+        drawMarker(ctx, [x + 12, y], 3.4, directionColour(direction, theme), direction, theme.surface);
       }]),
-      ...(this.#edges().length ? [["beyond the grid", (ctx, x, y, theme) => drawPointer(ctx, x + 12, y - 4, 1, theme.muted)]] : []),
-      ...(this.#has(UNDECIDED) ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
+      ...(this.edges.length ? [["beyond the grid", (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4, 1, theme.muted)]] : []),
+      ...(this.isUndecided ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
     ];
-  }
-
-  #has(statuses) {
-    return [...this.thresholds.up_status, ...this.thresholds.down_status].some((status) => statuses.has(status));
   }
 
   nearest(x, y) {
@@ -156,22 +131,14 @@ export class Thresholds extends PlotView {
     return [this.thresholds.omega[index], y];
   }
 
+  /** The thresholds, or why there is none, and where the closed form says that bouncing ends and why the sweep differs. */
   describe({ index }) {
-    const { omega, analytic } = this.thresholds;
-    const parts = [`Ω = ${number(omega[index])}`, `Eq. 25: Γ = ${number(analytic[index], 4)}`];
-    for (const { key, name } of this.#series()) {
-      const value = this.thresholds[key][index];
-      parts.push(`${name}: ${value === null ? REASONS[this.thresholds[`${key}_status`][index]](this.grid.gamma) : number(value, 4)}`);
-    }
-    return [...parts, ...this.#predictionText(index)].join(" · ");
-  }
-
-  /** Where the closed form says that bouncing ends and why, or why it does not, and why the sweep differs. */
-  #predictionText(index) {
-    const { predicted_down: down, cause, difference } = this.thresholds;
-    if (!this.closedForm) return [];
-    if (down[index] === null) return [`closed form: ${cause[index]}`];
-    return [`closed form: bouncing ends at ${number(down[index], 6)} (${cause[index]})`, ...(difference[index] ? [difference[index]] : [])];
+    const { omega, analytic, predicted_down: down, cause, difference } = this.thresholds;
+    const found = this.series.map(({ name, values, statuses }) => `${name}: ${values[index] === null ? statuses[index] : number(values[index], 4)}`);
+    const parts = [`Ω = ${number(omega[index])}`, `Eq. 25: Γ = ${number(analytic[index], 4)}`, ...found];
+    if (this.closedForm && down[index] === null) parts.push(`closed form: ${cause[index]}`);
+    else if (this.closedForm) parts.push(`closed form: bouncing ends at ${number(down[index], 6)} (${cause[index]})`, difference[index]);
+    return parts.filter(Boolean).join(" · ");
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
@@ -185,42 +152,32 @@ export class Thresholds extends PlotView {
 }
 
 /** Markers joined by lines, interrupted where values are missing. */
-function drawSeries(ctx, box, omega, values, colour, key) {
-  let run = [];
-  const runs = [run];
+function drawSeries(ctx, box, omega, values, colour, direction) {
+  const runs = [[]];
   values.forEach((value, i) => {
-    if (value === null) runs.push((run = []));
-    else run.push([box.x.pixel(omega[i]), box.y.pixel(value)]);
+    if (value === null) runs.push([]);
+    else runs.at(-1).push([box.x.pixel(omega[i]), box.y.pixel(value)]);
   });
   const size = Math.min(3.4, Math.max(1.6, 260 / omega.length));
   for (const points of runs) {
     if (points.length > 1) polyline(ctx, colour, 1.2, points);
-    for (const point of points) drawMarker(ctx, point, size, colour, key, box.theme.surface);
+    for (const point of points) drawMarker(ctx, point, size, colour, direction, box.theme.surface);
   }
 }
 
 /** A disc on the way up, a hollow square on the way down: distinct without colour too. */
-function drawMarker(ctx, [x, y], size, colour, key, background) {
-  if (key === "up") {
+function drawMarker(ctx, [x, y], size, colour, direction, background) {
+  if (direction !== "down") {
     disc(ctx, colour, x, y, size);
     return;
   }
-  ctx.fillStyle = background;
-  ctx.fillRect(x - size, y - size, 2 * size, 2 * size);
-  polyline(ctx, colour, 1.6, [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]]);
+  const square = [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]];
+  polygon(ctx, background, square);
+  polyline(ctx, colour, 1.6, square);
 }
 
-/** A triangle at the edge of the grid that points to where a threshold lies; a cross where a cell left it open. */
-function drawOpen(ctx, box, omega, statuses, gamma, colour, key) {
-  statuses.forEach((status, i) => {
-    const x = box.x.pixel(omega[i]) + (key === "up" ? -BESIDE : BESIDE);
-    if (UNDECIDED.has(status)) drawCross(ctx, x, box.top + box.height - 8, colour);
-    else if (BEYOND[status]) drawPointer(ctx, x, box.y.pixel(BEYOND[status] > 0 ? gamma[0] : gamma.at(-1)), BEYOND[status], colour);
-  });
-}
-
-/** Down where `sign` is 1. */
-const drawPointer = (ctx, x, y, sign, colour) => polygon(ctx, colour, [[x - 4, y], [x + 4, y], [x, y + 9 * sign]]);
+/** At the edge of the grid, towards where a threshold lies: down where `sign` is 1. */
+const drawTriangle = (ctx, x, y, sign, colour) => polygon(ctx, colour, [[x - 4, y], [x + 4, y], [x, y + 9 * sign]]);
 
 function drawCross(ctx, x, y, colour) {
   polyline(ctx, colour, 1.4, [[x - 3.5, y - 3.5], [x + 3.5, y + 3.5]]);
