@@ -193,8 +193,8 @@ def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, ad
         row.get_by_role("button", name="Cancel").click()
         row.locator("[data-state=cancelled]").wait_for()
         screenshot(page, "sweeps")
+        page.once("dialog", lambda dialog: dialog.accept())
         row.get_by_role("button", name="Delete").click()
-        page.get_by_role("dialog").get_by_role("button", name="Delete").click()
         row.wait_for(state="detached")
         page.wait_for_function("() => document.activeElement.id === 'sweeps'")
 
@@ -418,7 +418,7 @@ def test_a_map_of_too_many_cells_is_thinned_until_it_is_zoomed(browser: Any, tmp
     spec = {**axes, "xi": 0.05, "model": {"kind": "rigid"}, "settle": 2, "observe": 8, "keep": 8}
     with computing_at(tmp_path, max_points=1000) as address:
         job = done(address, spec)
-        with opened(browser, view(address, job, "modes")) as page:
+        with opened(browser, view(address, job, "modes"), expected=("413",)) as page:
             note = page.get_by_text("Shown: every 2nd")
             note.wait_for()
             page.locator(".panel .plot").focus()

@@ -14,14 +14,13 @@ import { summary, titleOf } from "../views/progress.js";
 
 const MAX_SWEEPS = 6; // more cannot be told apart by colour
 const LAYOUTS = { overlay: "overlaid", side: "side by side", maps: "mode maps" };
-const idsOf = ({ jobs = "" }) => [...new Set(jobs.split(",").filter(Boolean))];
 
 export class Compare {
   views = [];
 
   constructor(root, { query }) {
     document.title = "Comparison · Bouncing spring";
-    this.ids = idsOf(query);
+    this.ids = [...new Set((query.jobs ?? "").split(",").filter(Boolean))];
     this.problem = problemLine();
     this.controls = h("div", { className: "controls" });
     this.legend = h("ul", { className: "compared", "aria-label": "Sweeps" });
@@ -30,12 +29,6 @@ export class Compare {
       this.problem.element, this.legend, this.controls, this.panel);
     this.refresh();
   }
-
-  handles({ path, query }) {
-    return path[0] === "compare" && idsOf(query).join() === this.ids.join();
-  }
-
-  show() {}
 
   close() {
     this.closed = true;

@@ -126,10 +126,6 @@ export class Explore {
     this.load();
   }
 
-  handles({ path }) {
-    return path[0] === "explore";
-  }
-
   show() {
     queryChanges.dispatchEvent(new Event("change"));
   }

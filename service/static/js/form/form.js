@@ -27,10 +27,6 @@ export class SweepForm {
     this.#load();
   }
 
-  handles({ path }) {
-    return path[0] === "new";
-  }
-
   show() {
     this.edited.clear();
     this.#load();

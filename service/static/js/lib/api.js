@@ -73,15 +73,12 @@ async function send(path, { method = "GET", body, signal, priority = "auto" }, t
 async function sleepWhileBusy(ms, signal) {
   const tell = (change) => connection.dispatchEvent(new CustomEvent("waiting", { detail: { requests: (waiting += change) } }));
   tell(1);
-  try {
-    await new Promise((resolve) => {
-      const timer = setTimeout(resolve, ms);
-      signal?.addEventListener("abort", () => (clearTimeout(timer), resolve()), { once: true });
-    });
-    signal?.throwIfAborted();
-  } finally {
-    tell(-1);
-  }
+  await sleep(ms, signal).finally(() => tell(-1));
+}
+
+async function sleep(ms, signal) {
+  await new Promise((resolve) => setTimeout(resolve, ms));
+  signal?.throwIfAborted();
 }
 
 export async function requestJson(path, options) {
@@ -96,8 +93,7 @@ async function whenComputed(path, options = {}) {
   for (;;) {
     const response = await request(path, options);
     if (response.status !== 202) return response;
-    await new Promise((resolve) => setTimeout(resolve, POLL_MS));
-    options.signal?.throwIfAborted();
+    await sleep(POLL_MS, options.signal);
   }
 }
 

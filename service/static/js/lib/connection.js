@@ -17,7 +17,7 @@ export function watchConnection(onRestored) {
     if (retrying) return;
     retrying = true;
     banner.hidden = false;
-    retry(() => {
+    retry().then(() => {
       retrying = false;
       banner.hidden = true;
       announce("The service answers again.");
@@ -52,11 +52,11 @@ export function watchConnection(onRestored) {
   });
 }
 
-async function retry(done) {
-  try {
-    await request("/healthz", { timeout: TIMEOUT_MS });
-    done();
-  } catch {
-    setTimeout(() => retry(done), RETRY_MS);
+/** Ends when the service answers. */
+async function retry() {
+  for (;;) {
+    const isThere = await request("/healthz", { timeout: TIMEOUT_MS }).then(() => true, () => false);
+    if (isThere) return;
+    await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
   }
 }

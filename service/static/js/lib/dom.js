@@ -1,4 +1,4 @@
-// Building elements, dialogs, errors, screen-reader announcements, and limiting how often a function runs.
+// Building elements, errors, screen-reader announcements, and limiting how often a function runs.
 
 import { isHandledElsewhere } from "./api.js";
 
@@ -31,16 +31,6 @@ export function problemLine() {
 /** Announce `text` to screen readers. */
 export function announce(text) {
   document.getElementById("status").textContent = text;
-}
-
-/** Ask for confirmation in a dialog; resolves to whether the button labelled `action` was pressed. */
-export function confirmed(question, action) {
-  const dialog = document.getElementById("confirm");
-  dialog.querySelector("p").textContent = question;
-  dialog.querySelector("[value=yes]").textContent = action;
-  dialog.returnValue = "";
-  dialog.showModal();
-  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
 }
 
 /** `work`, called only after `milliseconds` without another call. `cancel()` drops a pending call. */

@@ -2,8 +2,6 @@
 
 import { announce, h } from "./dom.js";
 
-const COPIED_MS = 2000;
-
 const PYTHON = { null: "None", true: "True", false: "False" };
 
 /** A specification as a Python expression: JSON with Python's words, which stand at the ends of lines. */
@@ -36,9 +34,9 @@ ${Object.entries(spec).filter(([, value]) => value !== null).map(([name, value])
 export class Snippets {
   constructor(language = "Python") {
     this.select = h("select", { "aria-label": "Language", onchange: () => this.#update() }, Object.keys(LANGUAGES).map((name) => h("option", { value: name, selected: name === language }, name)));
-    this.button = h("button", { type: "button", className: "quiet", onclick: () => this.#copy() }, "Copy");
+    const copy = h("button", { type: "button", className: "quiet", onclick: () => this.#copy() }, "Copy");
     this.text = h("pre", { tabindex: "0", role: "region", "aria-label": "The specification as text" });
-    this.element = h("div", { className: "snippets" }, h("div", { className: "controls" }, h("label", { className: "option" }, "As ", this.select), this.button), this.text);
+    this.element = h("div", { className: "snippets" }, h("div", { className: "controls" }, h("label", { className: "option" }, "As ", this.select), copy), this.text);
   }
 
   show(spec) {
@@ -50,21 +48,10 @@ export class Snippets {
     this.text.textContent = LANGUAGES[this.select.value](this.spec);
   }
 
-  /** Copies the text; where the browser does not allow that (a service without https), selects it. */
+  /** Copies the text, and selects it, for browsers that do not allow that (a service without https). */
   async #copy() {
-    try {
-      await navigator.clipboard.writeText(this.text.textContent);
-      this.#say("Copied");
-    } catch {
-      getSelection().selectAllChildren(this.text);
-      this.#say("Selected: copy it with the keyboard");
-    }
-  }
-
-  #say(text) {
-    announce(text);
-    this.button.textContent = text;
-    clearTimeout(this.timer);
-    this.timer = setTimeout(() => { this.button.textContent = "Copy"; }, COPIED_MS);
+    getSelection().selectAllChildren(this.text);
+    await navigator.clipboard?.writeText(this.text.textContent).catch(() => {});
+    announce("Selected, and copied where the browser allows it.");
   }
 }

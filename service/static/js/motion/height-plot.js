@@ -15,8 +15,8 @@ export function heightsOf(trajectory) {
   const isBall = trajectory.model === "ball";
   const length = isBall ? 0 : drawnLength(trajectory);
   const lower = trajectory.z2;
-  const upper = trajectory.z1.map((z1, i) => (z1 === null ? null : isBall ? lower[i] : z1 - trajectory.rest_length + length));
-  const values = [...trajectory.plate, ...lower, ...upper].filter((value) => value !== null);
+  const upper = isBall ? lower : trajectory.z1.map((z1) => z1 - trajectory.rest_length + length);
+  const values = [...trajectory.plate, ...lower, ...upper].filter(Number.isFinite);
   const [low, high] = [Math.min(...values), Math.max(...values)];
   const heights = {
     isBall, phase: trajectory.phase, plate: trajectory.plate, lower, upper, inFlight: trajectory.in_flight,
@@ -32,7 +32,7 @@ export function heightsOf(trajectory) {
  * trajectory where that can be seen, and long enough for the ends not to cross.
  */
 function drawnLength({ z1, z2, rest_length: rest }) {
-  const maxCompression = -Math.min(...z1.map((value, i) => (value === null ? 0 : value - rest - z2[i])));
+  const maxCompression = -Math.min(...z1.map((value, i) => value - rest - z2[i]).filter(Number.isFinite));
   const minLength = Math.max(MIN_LENGTH, 1 + 1.3 * maxCompression);
   return Math.min(Math.max(rest, minLength), Math.max(minLength, MAX_LENGTH));
 }
@@ -40,7 +40,7 @@ function drawnLength({ z1, z2, rest_length: rest }) {
 function contentOf(heights, currentPhase) {
   const { phase, plate, lower, upper, isBall } = heights;
   const periods = phase.map((value) => value / TWO_PI);
-  const points = (box, values) => values.map((value, i) => [box.x.pixel(periods[i]), box.y.pixel(value ?? NaN)]).filter(([, y]) => Number.isFinite(y));
+  const points = (box, values) => values.map((value, i) => [box.x.pixel(periods[i]), box.y.pixel(value)]).filter(([, y]) => Number.isFinite(y));
   return {
     x: { label: "time (plate periods)", low: 0, high: periods[periods.length - 1] },
     y: { label: "height / A", low: heights.low, high: heights.high },
@@ -60,11 +60,11 @@ function contentOf(heights, currentPhase) {
   };
 }
 
-/** Heights at a phase, linear between two samples; null after the end of the computed trajectory. */
+/** Heights at a phase, linear between two samples; NaN after the end of the computed trajectory. */
 function interpolated({ phase, plate, lower, upper, inFlight }, at) {
   const step = phase[1] - phase[0];
   const i = Math.min(Math.floor(at / step), phase.length - 2);
   const fraction = Math.min(Math.max((at - phase[i]) / step, 0), 1);
-  const between = (values) => (values[i] === null || values[i + 1] === null ? null : values[i] + fraction * (values[i + 1] - values[i]));
+  const between = (values) => values[i] + fraction * (values[i + 1] - values[i]);
   return { plate: between(plate), lower: between(lower), upper: between(upper), inFlight: inFlight[i] };
 }

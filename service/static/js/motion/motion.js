@@ -91,10 +91,10 @@ export class Motion {
   }
 }
 
-/** A trajectory from its Dataset: lists, with null after its end; its phases since the first sample, as those of a drop begin at the plate's phase. */
+/** A trajectory from its Dataset: lists, with NaN after its end; its phases since the first sample, as those of a drop begin at the plate's phase. */
 async function request(path, options) {
   const { attrs, ...found } = await requestDataset(path, { ...options, waits: true, timeout: TIMEOUT_MS });
-  const list = (name) => Array.from(found[name].data, (value) => (Number.isNaN(value) ? null : value));
+  const list = (name) => Array.from(found[name].data);
   const named = (names, value) => Object.fromEntries(names.map((name) => [name, value(name)]));
   return {
     ...attrs, ...named(["plate", "z1", "z2", "in_flight"], list), ...named(["gamma", "omega", "xi"], (name) => found[name].data),

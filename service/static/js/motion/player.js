@@ -100,7 +100,7 @@ function drawInstant(canvas, heights, phase, height) {
   const { plate, lower, upper, inFlight } = heights.at(phase);
   const middle = width / 2;
   drawPlate(ctx, middle, y(plate), width, colours);
-  if (lower === null) return;
+  if (Number.isNaN(lower)) return;
   // The height of a mass is that of its lower edge, so that contact with the plate is visible.
   const lowerY = y(lower) - RADIUS;
   const upperY = heights.isBall ? lowerY : Math.min(y(upper) - RADIUS, lowerY - 2 * RADIUS - 4);

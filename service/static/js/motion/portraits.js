@@ -74,7 +74,7 @@ function returnMap(flights) {
 
 /** The elongation of the spring and its velocity, in plate amplitudes, and once per plate period a dot. */
 function phasePortrait({ phase, z1, z2, rest_length: rest }) {
-  const elongation = z1.map((value, i) => (value === null ? NaN : value - z2[i] - rest));
+  const elongation = z1.map((value, i) => value - z2[i] - rest);
   const step = phase[1] - phase[0];
   const points = phase.map((_, i) => [elongation[i], (elongation[i + 1] - elongation[i - 1]) / (2 * step)]);
   const known = points.filter(([, velocity]) => Number.isFinite(velocity));

@@ -1,5 +1,6 @@
 // What surrounds a plot's data: frame, ticks, labels, title and legend.
 
+import { TWO_PI } from "../lib/physics.js";
 import { polyline } from "./drawing.js";
 import { scale, ticks } from "./scale.js";
 
@@ -8,7 +9,6 @@ const LEGEND_SPACE = 50; // px, of an entry's symbol and the spaces around it
 const HEADING_HEIGHT = 22; // px, of a line of the title or the legend
 const HEADING_MARGIN = 92; // px, left and right of them
 const NARROW = 520; // px: below this width, margins and ticks are smaller
-const TWO_PI = 2 * Math.PI;
 
 /** The plot box: the data area between the margins, in pixels, and the scales of its axes. */
 export function boxOf(ctx, content, width, height, theme, ratio) {

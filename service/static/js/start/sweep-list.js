@@ -2,7 +2,7 @@
 
 import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
-import { announce, confirmed, debounced, h, problemLine } from "../lib/dom.js";
+import { announce, debounced, h, problemLine } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
 import { JobSummary, UNFINISHED, titleOf } from "../views/progress.js";
 
@@ -213,7 +213,7 @@ export class SweepList {
     const names = finished.slice(0, MAX_NAMED).map((job) => `“${titleOf(job)}”`).join(", ");
     const more = finished.length > MAX_NAMED ? ` and ${count(finished.length - MAX_NAMED)} more` : "";
     const rest = running ? ` ${plural(running, "sweep")} still computed ${running === 1 ? "is" : "are"} kept.` : "";
-    if (!(await confirmed(`Delete ${plural(finished.length, "sweep")} and ${finished.length === 1 ? "its" : "their"} results: ${names}${more}?${rest}`, "Delete"))) return;
+    if (!confirm(`Delete ${plural(finished.length, "sweep")} and ${finished.length === 1 ? "its" : "their"} results: ${names}${more}?${rest}`)) return;
     const failed = [];
     for (const job of finished) {
       try {

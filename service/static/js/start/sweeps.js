@@ -25,12 +25,6 @@ export class Sweeps {
     this.refresh();
   }
 
-  handles({ path }) {
-    return path.length === 0;
-  }
-
-  show() {}
-
   close() {
     this.preview.close();
     this.sweeps.close();

@@ -30,10 +30,6 @@ export class Basin extends PlaneView {
     });
   }
 
-  paths() {
-    return [this.filePath()];
-  }
-
   filePath() {
     return `/v1/jobs/${this.job.id}/basins?${query(this.place)}`;
   }

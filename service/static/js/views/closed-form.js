@@ -85,13 +85,7 @@ export function foldsOver(view) {
 /** Draw the folds of cycles that the spring has, and mark cusps and the like. */
 export function drawFolds(ctx, box, { curves, points }) {
   for (const { omega, gamma, admissible } of curves) {
-    let run = [];
-    const runs = [run];
-    omega.forEach((value, i) => {
-      if (admissible[i]) runs.push((run = []));
-      else run.push([box.x.pixel(value), box.y.pixel(gamma[i])]);
-    });
-    for (const part of runs.filter(({ length }) => length > 1)) polyline(ctx, box.theme.branch, 1.8, part);
+    polyline(ctx, box.theme.branch, 1.8, Array.from(omega, (value, i) => (admissible[i] ? null : [box.x.pixel(value), box.y.pixel(gamma[i])])));
   }
   const labels = [];
   for (const point of points.filter(({ admissible }) => admissible === 0)) drawEvent(ctx, box, point.omega, point.gamma, point, labels);

@@ -14,17 +14,8 @@ export class Details {
     this.root = root;
     this.snippets = new Snippets("JSON");
     this.update(job);
-    this.#load();
-  }
-
-  /** What the service runs on; the details are shown without it until it answers. */
-  async #load() {
-    try {
-      this.software = await requestJson("/v1/software");
-      this.update(this.job);
-    } catch {
-      // Another view reports that the service does not answer; the rest of the details does not need this.
-    }
+    // The details are shown without what the service runs on until it answers; another view reports that it does not.
+    requestJson("/v1/software").then((software) => { this.software = software; this.update(this.job); }, () => {});
   }
 
   close() {}

@@ -43,11 +43,6 @@ export class JobView {
     this.#poll(true);
   }
 
-  /** Whether an address belongs to this view. */
-  handles({ path }) {
-    return path[0] === "job" && path[1] === this.id;
-  }
-
   /** Show the tab and the cell that the address names. */
   show() {
     if (!this.job) return; // the first poll shows it

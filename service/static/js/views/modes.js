@@ -32,8 +32,7 @@ export class Modes extends PlaneView {
       title: "Start an adaptive sweep of the visible window, on a grid four times as fine",
     }, "Refine this window");
     this.legend = h("ul", { className: "legend", "aria-label": "Modes: (bounces, plate periods)" });
-    this.thinning = h("p", { className: "note", hidden: true });
-    this.refined = h("p", { className: "note", role: "status", hidden: true });
+    this.note = h("p", { className: "note", role: "status" });
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, ["xi"]),
         this.isTwoWay && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
@@ -41,7 +40,7 @@ export class Modes extends PlaneView {
         !this.isAdaptive && !this.isFollower && minFlightInput(this.job),
         this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
         this.refineButton),
-      label: `Mode map of ${titleOf(this.job)}`, hint: HINT, ratio: 0.6, below: [this.thinning, this.refined, this.legend],
+      label: `Mode map of ${titleOf(this.job)}`, hint: HINT, ratio: 0.6, below: [this.note, this.legend],
     });
   }
 
@@ -104,15 +103,11 @@ export class Modes extends PlaneView {
     const total = this.classes.ofCell.length;
     this.legend.replaceChildren(...this.classes.present.map(({ id, name, cells }) =>
       legendEntry(modeColour(id, theme().dark), name, " ", h("small", {}, percentage(cells / total)))));
-    const note = this.isAdaptive ? this.#computedText() : this.#hysteresisText();
-    this.refined.hidden = !note;
-    this.refined.textContent = note;
-    this.thinning.hidden = this.attrs.every === 1;
-    this.thinning.textContent = `Shown: every ${ordinal(this.attrs.every)} Γ and Ω. Zoom in for more detail.`;
-  }
-
-  #computedText() {
-    return `Adaptive map: ${percentage(this.attrs.computed_share)} of the cells were computed; the others have the mode of their block.`;
+    const { every, computed_share: share } = this.attrs;
+    const thinned = every > 1 ? `Shown: every ${ordinal(every)} Γ and Ω. Zoom in for more detail. ` : "";
+    this.note.textContent = thinned + (this.isAdaptive
+      ? `Adaptive map: ${percentage(share)} of the cells were computed; the others have the mode of their block.`
+      : this.#hysteresisText());
   }
 
   /** In how many of the cells shown up and down differ. */

@@ -30,10 +30,6 @@ class AttractorView extends PlaneView {
     });
   }
 
-  paths() {
-    return [this.filePath()];
-  }
-
   filePath() {
     const { place } = this;
     return `/v1/jobs/${this.job.id}/multistability?${query(Object.fromEntries(this.axes.map((axis) => [axis, place[axis]])))}`;

@@ -33,7 +33,7 @@ async function requestFitting(path, options) {
 /**
  * A view of one source or several around a Plot. Its state is the query of the page's address. A subclass defines
  *   name             part of the names of its files
- *   paths()          the addresses of the results to show
+ *   paths()          optional; the addresses of the results to show, if they are not those of filePath()
  *   read(results)    takes their Datasets (see requestDataset)
  *   shown()          the parameters now shown, as an object
  *   filePath(source) the address of the result of a source that is downloaded
@@ -117,6 +117,10 @@ export class PlotView {
   }
 
   showLegend() {}
+
+  paths() {
+    return this.sources.map((source) => this.filePath(source));
+  }
 
   sourceOf() {
     return this.source;

@@ -2,7 +2,7 @@
 
 import { link } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
-import { confirmed, h } from "../lib/dom.js";
+import { h } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
 import { AXES, SYMBOL, axisValues, isSweep } from "../lib/physics.js";
 
@@ -108,7 +108,7 @@ function showActions(root, job, on) {
 }
 
 async function run(action, job, button, on) {
-  if (action === "delete" && !(await confirmed(`Delete “${titleOf(job)}” and its results?`, "Delete"))) return;
+  if (action === "delete" && !confirm(`Delete “${titleOf(job)}” and its results?`)) return;
   button.disabled = true;
   try {
     const changed = await requestJson(`/v1/jobs/${job.id}${action === "delete" ? "" : `/${action}`}`, { method: action === "delete" ? "DELETE" : "POST" });

@@ -30,10 +30,6 @@ export class Thresholds extends PlotView {
     this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT });
   }
 
-  paths() {
-    return [this.filePath()];
-  }
-
   filePath() {
     return `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi })}`;
   }
@@ -153,16 +149,10 @@ export class Thresholds extends PlotView {
 
 /** Markers joined by lines, interrupted where values are missing. */
 function drawSeries(ctx, box, omega, values, colour, direction) {
-  const runs = [[]];
-  values.forEach((value, i) => {
-    if (value === null) runs.push([]);
-    else runs.at(-1).push([box.x.pixel(omega[i]), box.y.pixel(value)]);
-  });
+  const points = values.map((value, i) => (value === null ? null : [box.x.pixel(omega[i]), box.y.pixel(value)]));
   const size = Math.min(3.4, Math.max(1.6, 260 / omega.length));
-  for (const points of runs) {
-    if (points.length > 1) polyline(ctx, colour, 1.2, points);
-    for (const point of points) drawMarker(ctx, point, size, colour, direction, box.theme.surface);
-  }
+  polyline(ctx, colour, 1.2, points);
+  for (const point of points.filter(Boolean)) drawMarker(ctx, point, size, colour, direction, box.theme.surface);
 }
 
 /** A disc on the way up, a hollow square on the way down: distinct without colour too. */
