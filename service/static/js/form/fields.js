@@ -34,27 +34,18 @@ const labelled = (text, control) => h("label", {}, h("span", {}, text), control)
 /** A check box, a choice, a text or a number of the schema; an empty input means the default, which is its placeholder. */
 export function schemaField(name, { title, about, type, choices, default: initial }, id = name) {
   const [label, explanation] = TEXTS[name] ?? [title, about];
-  if (type === "boolean") {
-    const box = h("input", { type: "checkbox", "data-field": id });
-    return {
-      element: h("label", { className: "plain" }, h("span", {}, label), box, h("small", {}, explanation)),
-      read: () => (box.checked === initial ? null : box.checked), write: (value) => { box.checked = value ?? initial; }, setDefault() {},
-    };
-  }
-  if (choices) {
-    const select = h("select", { "data-field": id }, choices.map((value) => h("option", { value }, value)));
-    return {
-      element: labelled(label, select),
-      read: () => (select.value === initial ? null : select.value), write: (value) => { select.value = value ?? initial; }, setDefault() {},
-    };
-  }
-  const isText = type === "string";
-  const input = h("input", { ...NUMBER_INPUT, ...(isText ? { inputmode: "text", maxlength: 200, size: 32 } : {}), "data-field": id });
-  const setDefault = (value) => { input.placeholder = String(value ?? NULL_DEFAULTS[name] ?? ""); };
+  const isNumber = type !== "boolean" && type !== "string" && !choices;
+  const control = choices ? h("select", { "data-field": id }, choices.map((value) => h("option", { value }, value)))
+    : type === "boolean" ? h("input", { type: "checkbox", "data-field": id })
+    : h("input", { ...NUMBER_INPUT, ...(isNumber ? {} : { inputmode: "text", maxlength: 200, size: 32 }), "data-field": id });
+  const property = type === "boolean" ? "checked" : "value";
+  const setDefault = (value) => { if (isNumber) control.placeholder = String(value ?? NULL_DEFAULTS[name] ?? ""); };
   setDefault(initial);
   return {
-    element: h("label", { className: "plain" }, h("span", {}, label), input, h("small", {}, explanation)),
-    read: () => (isText ? input.value || null : parseNumber(input.value)), write: (value) => { input.value = String(value ?? ""); }, setDefault,
+    element: h("label", { className: "plain" }, h("span", {}, label), control, h("small", {}, explanation)),
+    read: () => (isNumber ? parseNumber(control.value) : control[property] === (initial ?? "") ? null : control[property]),
+    write: (value) => { control[property] = isNumber ? String(value ?? "") : (value ?? initial ?? ""); },
+    setDefault,
   };
 }
 

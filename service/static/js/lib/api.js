@@ -47,7 +47,7 @@ export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } 
   }
 }
 
-async function send(path, { method = "GET", body, signal, priority = "auto" }, timeout) {
+async function send(path, { method = "GET", body, signal }, timeout) {
   const headers = {};
   if (body !== undefined) headers["Content-Type"] = "application/json";
   const token = sessionStorage.getItem(TOKEN_KEY);
@@ -57,7 +57,6 @@ async function send(path, { method = "GET", body, signal, priority = "auto" }, t
   try {
     response = await fetch(path, {
       method,
-      priority,
       headers,
       body: body === undefined ? undefined : JSON.stringify(body),
       signal: signal ? AbortSignal.any([signal, timer]) : timer,

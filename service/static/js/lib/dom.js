@@ -48,27 +48,22 @@ const ABORT_AFTER_MS = 150;
 
 /**
  * `work(signal, ...args)`, one run at a time. Of the calls made during a run only the last is kept; it starts when
- * the run ends, and the run is aborted through its signal if it takes longer than ABORT_AFTER_MS.
+ * the run ends, and the run is aborted through its signal if it takes ABORT_AFTER_MS longer.
  */
 export function latest(work) {
-  let controller = null; // of the current run
-  let started;
-  let pending = null;
-  return async function run(...args) {
-    if (controller) {
-      if (!pending) setTimeout((stale) => stale.abort(), Math.max(0, started + ABORT_AFTER_MS - performance.now()), controller);
-      pending = args;
+  let running = null; // the controller of the current run
+  let next = null;
+  return async (...args) => {
+    next = args;
+    if (running) {
+      setTimeout((stale) => stale.abort(), ABORT_AFTER_MS, running);
       return;
     }
-    controller = new AbortController();
-    started = performance.now();
-    try {
-      await work(controller.signal, ...args);
-    } finally {
-      controller = null;
-      const next = pending;
-      pending = null;
-      if (next) run(...next);
+    while (next) {
+      const current = next;
+      next = null;
+      running = new AbortController();
+      await work(running.signal, ...current).finally(() => { running = null; });
     }
   };
 }

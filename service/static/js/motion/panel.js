@@ -81,7 +81,7 @@ export class TrajectoryPanel {
     const name = (extension) => () => fileName(job, `trajectory-${number(gamma)}-${number(omega)}`, extension);
     const file = (format) => () => requestBlob(`${path}${path.includes("?") ? "&" : "?"}format=${format}`, options);
     return downloads([
-      ["PNG", name("png"), () => this.motion.player.plot.png()],
+      ["PNG", name("png"), () => this.motion.player.plot.png([])],
       ...(options.body ? [] : [["CSV", name("csv"), file("csv")]]),
       ["NetCDF", name("nc"), file("nc")],
     ]);

@@ -121,15 +121,3 @@ export function drawHeadings(ctx, { left, headings, theme }) {
     ctx.fillText(name, left + x + (drawSymbol ? 30 : 0), y);
   }
 }
-
-/** A sentence in the middle of an empty plot: why it is empty. */
-export function drawMessage(ctx, { left, top, width, height, theme }, message) {
-  ctx.font = `italic ${FONT_SIZE + 3}px ${theme.serif}`;
-  ctx.textAlign = "center";
-  ctx.textBaseline = "middle";
-  const boxWidth = Math.min(ctx.measureText(message).width + 24, width - 12);
-  ctx.fillStyle = theme.surface;
-  ctx.fillRect(left + width / 2 - boxWidth / 2, top + height / 2 - 16, boxWidth, 32);
-  ctx.fillStyle = theme.muted;
-  ctx.fillText(message, left + width / 2, top + height / 2, width - 16);
-}

@@ -3,7 +3,7 @@
 import { h } from "../lib/dom.js";
 import { onThemeChange, theme } from "./colours.js";
 import { clipped, pixelRatio, resizedContext } from "./drawing.js";
-import { boxOf, drawFrame, drawHeadings, drawMessage, drawPeriods } from "./frame.js";
+import { boxOf, drawFrame, drawHeadings, drawPeriods } from "./frame.js";
 
 const MAX_VIEWPORT_SHARE = 0.6; // of the viewport's height
 
@@ -22,7 +22,8 @@ export class Plot {
     this.minHeight = minHeight;
     this.canvas = h("canvas", { "aria-hidden": "true" });
     this.cursor = h("canvas", { "aria-hidden": "true", className: "cursor" });
-    this.element = h("div", { className: "plot", tabindex: "0", role: "application", "aria-label": label }, this.canvas, this.cursor);
+    this.message = h("p", { className: "message", hidden: true });
+    this.element = h("div", { className: "plot", tabindex: "0", role: "application", "aria-label": label }, this.canvas, this.cursor, this.message);
     root.append(this.element);
     this.closing = new AbortController();
     this.observer = new ResizeObserver(() => this.redraw());
@@ -50,6 +51,8 @@ export class Plot {
     const content = this.content();
     this.box = content && boxOf(ctx, content, width, height, theme(), pixelRatio());
     if (content) this.#paint(ctx, content);
+    this.message.textContent = content?.message ?? "";
+    this.message.hidden = !content?.message;
     this.drawCursor();
     this.element.dispatchEvent(new Event("drawn"));
   }
@@ -60,14 +63,28 @@ export class Plot {
     ctx.fillRect(0, 0, this.canvas.width, this.canvas.height);
     if (content.y.periods) drawPeriods(ctx, box);
     clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
-    if (content.message) drawMessage(ctx, box, content.message);
     drawFrame(ctx, box, content);
     drawHeadings(ctx, box);
   }
 
-  /** What is drawn, as a PNG. */
-  png() {
-    return new Promise((resolve) => this.canvas.toBlob(resolve, "image/png"));
+  /** What is drawn, as a PNG, with a legend of `colours` below it: [[name, colour], …]. */
+  png(colours) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const [columns, line] = [Math.floor(width / 130), 24];
+    const canvas = h("canvas");
+    const ctx = resizedContext(canvas, width, height + line * Math.ceil(colours.length / columns));
+    ctx.fillStyle = theme().surface;
+    ctx.fillRect(0, 0, canvas.width, canvas.height);
+    ctx.drawImage(this.canvas, 0, 0, width, height);
+    ctx.font = `13px ${theme().serif}`;
+    colours.forEach(([name, colour], i) => {
+      const [x, y] = [20 + 130 * (i % columns), height + line * Math.floor(i / columns)];
+      ctx.fillStyle = colour;
+      ctx.fillRect(x, y + 2, 12, 12);
+      ctx.fillStyle = theme().text;
+      ctx.fillText(name, x + 18, y + 12);
+    });
+    return new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
   }
 
   drawCursor() {

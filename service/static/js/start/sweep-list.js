@@ -113,12 +113,12 @@ export class SweepList {
     const before = (this.cursors.length - 1) * PAGE_SIZE;
     const total = pinned.total + others.total;
     const isFiltered = [...new FormData(this.filters)].some(([name, value]) => value && name !== "order");
-    this.previous.disabled = this.cursors.length === 1;
+    this.previous.disabled = !before;
     this.next.disabled = others.next === null;
-    this.previous.hidden = this.next.hidden = this.previous.disabled && this.next.disabled;
-    const shown = others.jobs.length ? `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}` : "";
-    const found = isFiltered ? `${plural(total, "sweep")} found` : "";
-    setText(this.range, this.previous.hidden ? found : `${shown}${pinned.total ? `, and ${count(pinned.total)} pinned` : ""}`);
+    const isOnePage = this.previous.disabled && this.next.disabled;
+    this.previous.hidden = this.next.hidden = isOnePage;
+    const shown = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinned.total ? `, and ${count(pinned.total)} pinned` : ""}`;
+    setText(this.range, !isOnePage ? shown : isFiltered ? `${plural(total, "sweep")} found` : "");
     this.empty.hidden = total > 0;
     this.empty.textContent = isFiltered ? "No sweep is like that." : "No sweeps yet. Start with a preset.";
     this.filters.hidden = !total && !isFiltered;

@@ -74,7 +74,7 @@ export class Diagram extends PlotView {
   /** The directions of a source that are shown. */
   #shownOf({ directions }) {
     const { show } = currentQuery();
-    return directions.filter((direction) => !show || show.split(",").includes(direction));
+    return directions.filter((direction) => directions.length === 1 || !show || show.split(",").includes(direction));
   }
 
   #path(source, parameters) {
@@ -102,8 +102,7 @@ export class Diagram extends PlotView {
   }
 
   read(results) {
-    const sources = this.sources.filter((source) => this.#shownOf(source).length);
-    this.lines = results.flatMap((result, i) => linesOf(sources[i], result));
+    this.lines = results.flatMap((result) => linesOf(this.sources.find(({ job }) => job.id === result.attrs.job), result));
     this.isThinned ||= this.lines.some(({ every }) => every > 1);
     this.closedForm?.update?.();
   }

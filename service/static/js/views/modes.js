@@ -101,8 +101,11 @@ export class Modes extends PlaneView {
   /** The colours of the modes, and which cells are left out. */
   showLegend() {
     const total = this.classes.ofCell.length;
-    this.legend.replaceChildren(...this.classes.present.map(({ id, name, cells }) =>
-      legendEntry(modeColour(id, theme().dark), name, " ", h("small", {}, percentage(cells / total)))));
+    this.colours = this.classes.present.map(({ id, name }) => [name, modeColour(id, theme().dark)]);
+    this.legend.replaceChildren(...this.classes.present.map(({ cells }, i) => {
+      const [name, colour] = this.colours[i];
+      return legendEntry(colour, name, " ", h("small", {}, percentage(cells / total)));
+    }));
     const { every, computed_share: share } = this.attrs;
     const thinned = every > 1 ? `Shown: every ${ordinal(every)} Γ and Ω. Zoom in for more detail. ` : "";
     this.note.textContent = thinned + (this.isAdaptive

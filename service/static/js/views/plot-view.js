@@ -49,6 +49,7 @@ export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
   isDrawn = false; // whether the service has a picture of the result
+  colours = []; // the legend below the plot: [[name, colour], …]
   closing = new AbortController();
 
   /**
@@ -207,7 +208,7 @@ export class PlotView {
     const files = this.sources.flatMap((source) => resultFiles(source.job, () => this.name,
       formats.map(([label, format]) => [isSingle ? label : `${label} of ${source.number}`, format]), () => this.filePath(source)));
     return downloads([
-      ...(isDrawn ? [] : [["PNG", () => fileName(this.job, this.name, "png"), () => this.plot.png()]]),
+      ...(isDrawn ? [] : [["PNG", () => fileName(this.job, this.name, "png"), () => this.plot.png(this.colours)]]),
       ...files,
       ...(isSingle && isSweep(this.job.spec) ? wholeSweep(this.job, [["NetCDF", "nc"]]) : []),
     ]);

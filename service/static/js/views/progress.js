@@ -37,7 +37,7 @@ export class JobSummary {
     this.bar.setAttribute("aria-label", `Progress of ${titleOf(job)}`);
     this.amount.textContent = compiling ? compilation(compiling) : amount(state, progress);
     this.notice.hidden = !job.notice;
-    this.notice.replaceChildren(...notice(job));
+    this.notice.replaceChildren(...(job.notice ? notice(job) : []));
     showActions(this.actions, job, this.on);
   }
 }
@@ -65,12 +65,10 @@ export function summary({ spec, choice }) {
   return [...axes, h("span", {}, protocolText(spec.protocol)), " · ", h("span", {}, `${kind} contact`), ...refined, ...parent];
 }
 
-/** That another kernel version computed a sweep, and a link to the one that replaces it; nothing for any other sweep. */
-function notice({ notice: text, replaced_by: successor }) {
-  if (!text) return [];
-  const sentence = `${text[0].toUpperCase()}${text.slice(1)}. `;
-  return successor ? [sentence, h("a", { href: link(["job", successor]) }, "Show the sweep that replaces it")] : [sentence];
-}
+/** That another kernel version computed a sweep, and a link to the one that replaces it. */
+const notice = ({ notice: text, replaced_by: successor }) => [
+  `${text[0].toUpperCase()}${text.slice(1)}. `, ...(successor ? [h("a", { href: link(["job", successor]) }, "Show the sweep that replaces it")] : []),
+];
 
 /** How many cells of a sweep were still settling, and what to do; nothing where none was. */
 export function settling({ id, progress, spec }) {
