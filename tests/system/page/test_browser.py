@@ -419,7 +419,7 @@ def test_a_map_of_too_many_cells_is_thinned_until_it_is_zoomed(browser: Any, tmp
     with computing_at(tmp_path, max_points=1000) as address:
         job = done(address, spec)
         with opened(browser, view(address, job, "modes"), expected=("413",)) as page:
-            note = page.get_by_text("Shown: every 2nd")
+            note = page.get_by_text("Shown: 1 in 2")
             note.wait_for()
             page.locator(".panel .plot").focus()
             for _ in range(3):

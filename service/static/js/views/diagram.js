@@ -3,7 +3,7 @@
 import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { number, ordinal, plural } from "../lib/format.js";
+import { number, plural } from "../lib/format.js";
 import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, clampIndex, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
 import { branchColour, directionColour, theme } from "../plot/colours.js";
 import { circle, disc, polygon, verticalLine } from "../plot/drawing.js";
@@ -146,7 +146,7 @@ export class Diagram extends PlotView {
     const [line] = this.lines;
     if (!line || this.sources.length > 1) return "";
     const fixed = Object.entries(line.fixed).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`).join(",   ");
-    const thinned = line.every > 1 ? `,   every ${ordinal(line.every)} ${SYMBOL[line.along]}` : "";
+    const thinned = line.every > 1 ? `,   1 ${SYMBOL[line.along]} in ${line.every}` : "";
     const computed = line.computed ? `,   ${line.computed.reduce((sum, value) => sum + value, 0)} of ${line.computed.length} cells computed` : "";
     return this.prefix + fixed + thinned + computed;
   }

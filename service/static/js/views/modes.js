@@ -3,7 +3,7 @@
 import { currentQuery, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { number, ordinal, plural } from "../lib/format.js";
+import { number, plural } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, axisLabel, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, theme } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
@@ -107,7 +107,7 @@ export class Modes extends PlaneView {
       return legendEntry(colour, name, " ", h("small", {}, percentage(cells / total)));
     }));
     const { every, computed_share: share } = this.attrs;
-    const thinned = every > 1 ? `Shown: every ${ordinal(every)} Γ and Ω. Zoom in for more detail. ` : "";
+    const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";
     this.note.textContent = thinned + (this.isAdaptive
       ? `Adaptive map: ${percentage(share)} of the cells were computed; the others have the mode of their block.`
       : this.#hysteresisText());
