@@ -12,7 +12,7 @@ export function theme() {
   const dark = matchMedia(DARK).matches;
   if (!themes.has(dark)) {
     const style = getComputedStyle(document.documentElement);
-    const colours = PROPERTIES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]);
+    const colours = PROPERTIES.map((name) => [name, style.getPropertyValue(`--${name}`).match(/#\w+/g)[Number(dark)]]); // light-dark(a, b)
     themes.set(dark, { ...Object.fromEntries(colours), dark, serif: SERIF });
   }
   return themes.get(dark);

@@ -148,7 +148,7 @@ export class PlotView {
       this.#setCurrent(position && this.nearest(...position));
       this.showLegend();
       this.draw();
-      this.#follow(); // of a result that turns out to be thinned, the window in more detail
+      if (this.paths().join() !== this.requested) this.load(); // the result turned out to be thinned: the window in more detail
     } catch (error) {
       this.#showError(error);
     } finally {
