@@ -3,7 +3,7 @@
     python -m benchmarks.page [--moves 40] [--cells 1000]
 
 Needs Chromium. The service is the embedded one with two workers. The sliders request data that were not read
-before, except those that the page prefetches.
+before.
 """
 
 import random

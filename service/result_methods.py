@@ -53,54 +53,9 @@ class ResultMethods(Methods):
         `min_flight` do not count, neither here, where they are NaN, nor for `outcome`, `bounces` and `periods`,
         unless all of a cell are so short.
 
-<<<<<<< HEAD
         Returns a Dataset with the attribute `complete` and the variables `flight_time` (rad), `takeoff_phase`
         (rad), `flights`, `bounces`, `periods`, `lyapunov`, `lyapunov_error`, `computed`, `outcome`, `label`.
         Raises BadRequest naming the parameter, TooLarge naming what fits.
-=======
-        Parameters
-        ----------
-        along : Literal["gamma", "omega", "xi"]
-            axis of the diagram
-        gamma : float | None
-        omega : float | None
-        xi : float | None
-        direction : str | None
-            rest, up or down; default: all that the sweep has, a dimension if two
-        min_flight : float | None
-            rad; shorter flights do not count, unless all of a cell are; default: micro_flight
-        every : int
-            return every n-th value only
-        start : float | None
-            smallest value of the axis
-        stop : float | None
-            largest value of the axis
-        caption : bool
-            of a picture: how it was computed, above it
-
-        Returns
-        -------
-        xarray.Dataset
-            With the attribute `complete` and these variables:
-
-            - `flight_time` (rad): flight time, last flights of the window in order
-            - `takeoff_phase` (rad): plate phase at take-off, modulo 2 pi
-            - `flights`: flights taken off and landed within the window
-            - `bounces`: mode: bounces in one cycle, 0 if none was found
-            - `periods`: mode: plate periods in one cycle, 0 if none was found
-            - `lyapunov`: Lyapunov exponents, the largest first
-            - `lyapunov_error`: standard error of the largest Lyapunov exponent
-            - `computed`: whether the cell was computed
-            - `outcome`: what became of the cell
-            - `label`: outcome, with aperiodic and unstable cells told apart by Lyapunov exponents
-
-        Raises
-        ------
-        BadRequest
-            Names the parameter.
-        TooLarge
-            Names what fits.
->>>>>>> view
         """
         return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, start=start, stop=stop, caption=caption)
 
@@ -122,45 +77,8 @@ class ResultMethods(Methods):
         unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
         corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
 
-<<<<<<< HEAD
         Returns a Dataset with the attribute `complete` and the variables `bounces`, `periods`, `outcome`,
         `label`, `computed`, `hysteresis`. Raises BadRequest naming the parameter, TooLarge naming what fits.
-=======
-        Parameters
-        ----------
-        xi : float | None
-        direction : str | None
-            rest, up or down; default: all that the sweep has, a dimension if two
-        min_flight : float | None
-            rad; shorter flights do not count, unless all of a cell are; default: micro_flight
-        every : int
-            return every n-th value only
-        hysteresis : bool
-            of a sweep ramped both ways: where they differ
-        gamma_start : float | None
-        gamma_stop : float | None
-        omega_start : float | None
-        omega_stop : float | None
-
-        Returns
-        -------
-        xarray.Dataset
-            With the attribute `complete` and these variables:
-
-            - `bounces`: mode: bounces in one cycle, 0 if none was found
-            - `periods`: mode: plate periods in one cycle, 0 if none was found
-            - `outcome`: what became of the cell
-            - `label`: outcome, with aperiodic and unstable cells told apart by Lyapunov exponents
-            - `computed`: whether the cell was computed
-            - `hysteresis`: how the ramps up and down compare
-
-        Raises
-        ------
-        BadRequest
-            Names the parameter.
-        TooLarge
-            Names what fits.
->>>>>>> view
         """
         return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis, gamma_start=gamma_start, gamma_stop=gamma_stop, omega_start=omega_start, omega_stop=omega_stop)
 
@@ -280,7 +198,6 @@ class ResultMethods(Methods):
         the samples. Refused for a cell of a ramp that is not computed yet, or that is unresolved or diverged: its
         stored state is where the computation stopped.
 
-<<<<<<< HEAD
         Returns a Dataset with the attribute `complete` and the variables `plate` (plate amplitudes), `z1`
         (plate amplitudes), `z2` (plate amplitudes), `force` (m A ω²), `in_flight`, `takeoff` (rad),
         `takeoff_phase` (rad), `flight_time` (rad), `cycle_bounces`, `cycle_periods`, `cycle_flight_time`
@@ -288,55 +205,6 @@ class ResultMethods(Methods):
         `energy_plate_impact` (m A² ω²), `energy_dashpot` (m A² ω²), `energy_impact` (m A² ω²), `energy_force`
         (m A ω), `energy_impulse` (m A ω), `energy_weight` (m A ω). Raises BadRequest naming the parameter,
         TooLarge naming what fits.
-=======
-        Parameters
-        ----------
-        gamma : float | None
-        omega : float | None
-        xi : float | None
-        direction : str | None
-            rest, up or down; default: the first direction of the sweep
-        attractor : int | None
-            of a job of basins or multistability: which attractor of the cell, from 1
-        periods : int
-            plate periods
-        samples : int
-            per plate period
-
-        Returns
-        -------
-        xarray.Dataset
-            With the attribute `complete` and these variables:
-
-            - `plate` (plate amplitudes): plate
-            - `z1` (plate amplitudes): upper mass
-            - `z2` (plate amplitudes): lower mass
-            - `force` (m A ω²): force of the plate on the lower mass
-            - `in_flight`: whether the spring is off the plate
-            - `takeoff` (rad): phase of the plate at take-off, as `phase`
-            - `takeoff_phase` (rad): plate phase at take-off, modulo 2 pi
-            - `flight_time` (rad): flight time
-            - `cycle_bounces`: bounces of the cycle
-            - `cycle_periods`: plate periods of the cycle
-            - `cycle_flight_time` (rad): flight time of the cycle
-            - `cycle_multipliers`: Floquet multipliers, real and imaginary
-            - `cycle_stable`: whether both multipliers are inside the unit circle
-            - `cycle_admissible`: 0, or the sum of the conditions that fail
-            - `energy_plate_contact` (m A² ω²): work of the plate in contact
-            - `energy_plate_impact` (m A² ω²): work of the plate at the impact
-            - `energy_dashpot` (m A² ω²): energy that the dashpot takes
-            - `energy_impact` (m A² ω²): energy that the impact takes
-            - `energy_force` (m A ω): momentum that the contact force gives
-            - `energy_impulse` (m A ω): momentum that the impact gives
-            - `energy_weight` (m A ω): momentum that gravity takes, 4π periods/Γ
-
-        Raises
-        ------
-        BadRequest
-            Names the parameter.
-        TooLarge
-            Names what fits.
->>>>>>> view
         """
         return self.result("trajectory", gamma=gamma, omega=omega, xi=xi, direction=direction, attractor=attractor, periods=periods, samples=samples)
 

@@ -24,8 +24,8 @@ from kernel.line import run_line
 from kernel.params import Line, Outcome
 from kernel.step_limits import Scheme, stable_steps_per_contact
 from service.formats import PictureFormat
-from service.views.style import FONT, TEXT, encode
 from service.software import software
+from service.views.style import FONT, TEXT, encode
 from worker.analysis.deviation import deviations, percentile
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.tasks import plate_of

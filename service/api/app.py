@@ -15,7 +15,7 @@ from service.api.dependencies import Service, reject_repeated_parameters
 from service.api.middleware import CORS, Gate
 from service.api.monitoring import JobsCollector, Metrics, Readiness
 from service.api.progress_stream import ProgressStream
-from service.api.routers import docs, health, jobs, page, page_data, results, views
+from service.api.routers import docs, health, jobs, page, results, views
 from service.api.schemas import problem_responses
 from service.background import Background, InThisProcess
 from service.jobs.ledger import Ledger
@@ -68,7 +68,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     )
     for router in (health.router, docs.router):
         app.include_router(router)
-    for router in (jobs.router, results.router, *views.routes(), page.router, page_data.router):
+    for router in (jobs.router, results.router, *views.routes(), page.router):
         app.include_router(router, responses=problem_responses(422))
     app.mount("/static", page.static_files(), name="static")
     problems.install(app)

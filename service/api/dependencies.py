@@ -12,7 +12,6 @@ from fastapi import Depends, HTTPException, Request
 
 from service.api.capacity import FEW_CHUNKS, SMALL_ANSWER, SMALL_CHUNKS, Capacity, Cost
 from service.api.monitoring import Metrics, Readiness
-from service.api.parameters import LineViewQuery
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
 from service.errors import InvalidRequest, TooLarge, UnknownJob
@@ -20,7 +19,6 @@ from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
-from service.render.answers import Line
 from service.settings import Settings
 from service.views.selection import BASE_MEMORY, Stored
 from worker.spec import SweepSpec
@@ -129,12 +127,6 @@ def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> 
     chunks = prod(-(-length // size) for length, size in sizes)
     few = chunks <= FEW_CHUNKS and chunks * layout.chunk_bytes <= SMALL_CHUNKS
     return Cost(BASE_MEMORY + memory, few and memory <= SMALL_ANSWER)
-
-
-def line(query: LineViewQuery) -> Line:
-    """The line that a query asks for."""
-    values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
-    return Line(query.along, values, query.direction, query.min_flight)
 
 
 async def reject_repeated_parameters(request: Request) -> None:

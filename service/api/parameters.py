@@ -8,15 +8,9 @@ from pydantic import AfterValidator, Field
 from service.formats import DatasetFormat, ExportFormat, ExportLayout
 from service.jobs.model import JobState
 from service.jobs.search import MAX_TEXT, JobOrder, JobSearch, Position
-from service.views.view import MinFlight, Number, Query
+from service.views.view import Query
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.studies import STUDIES
-
-Pixels = Annotated[int, Field(ge=1, le=4096)]
-Direction = Annotated[
-    str | None, Field(description="rest, up or down; default: the first direction of the sweep")
-]
-
 
 if TYPE_CHECKING:
     Contact = str
@@ -93,40 +87,3 @@ class ExportQuery(Query):
         description="of parquet: a row for every cell, of basins and multistability for every attractor of a "
         "cell; or for each of their flights",
     )
-
-
-class LineViewQuery(Query):
-    """One line of the grid along one axis, the others fixed at the nearest grid value, and a window of it.
-
-    Left and right in units of the axis, bottom and top in rad.
-    """
-
-    along: Literal["gamma", "omega", "xi"] = "gamma"
-    gamma: Number | None = None
-    omega: Number | None = None
-    xi: Number | None = None
-    direction: Direction = None
-    min_flight: MinFlight = None
-    left: Number | None = None
-    right: Number | None = None
-    bottom: Number = 0.0
-    top: Number | None = None
-    log: bool = Field(False, description="columns at equal ratios")
-    width: Pixels = 800
-    height: Pixels = 400
-    most: Annotated[int, Field(ge=0, le=1_000_000, description="flights sent as points")] = 250_000
-
-
-class PlaneViewQuery(Query):
-    """Plane of the grid at the nearest ξ, in one direction, and a window of it: left and right in Γ."""
-
-    xi: Number | None = None
-    direction: Direction = None
-    min_flight: MinFlight = None
-    hysteresis: bool = Field(
-        False, description="of a sweep ramped both ways: where its directions differ as well"
-    )
-    left: Number | None = None
-    right: Number | None = None
-    bottom: Number | None = None
-    top: Number | None = None

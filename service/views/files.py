@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from service.background import Background
 from service.errors import InvalidRequest, NoSpace, NotInstalled, TooLarge
 from service.formats import ExportFormat, ExportLayout
-from service.views.selection import LABEL, labelled
-from service.views.selection import Stored, read_stored
 from service.views.encode import record_batch, tables
+from service.views.selection import LABEL, Stored, labelled, read_stored
 from worker import schema
 from worker.schema import Layout
 from worker.spec import SweepSpec

@@ -1,12 +1,16 @@
 """A new result in one module: how many cells of each outcome there are along gamma."""
 
+from typing import Any
+
 import numpy as np
+import pytest
 import xarray
 
-from kernel.params import Outcome
+from kernel.params import Line, Outcome
 from service.views.selection import Stored, nearest_index, read_stored
 from service.views.variables import coordinate, dataset, variable
 from service.views.view import Estimate, Number, Query, View
+from worker import schema
 from worker.schema import CELL_DIMS, Array
 from worker.spec import SweepSpec
 
@@ -41,3 +45,12 @@ VIEW = View(
     "outcomes", "Outcomes along gamma", SweepSpec, OutcomesQuery, compute, estimate,
     variables=(COUNT,), rows="count",
 )  # fmt: skip
+
+
+def add_stored_variable(patch: pytest.MonkeyPatch) -> Array:
+    """A variable added to the schema and to the kernel's record: `contacts`, one more than the flights."""
+    added = Array("contacts", CELL_DIMS, "<i4", 0, {"long_name": "contacts of the window", "units": "1"})
+    stored: Any = schema.arrays
+    patch.setattr(schema, "arrays", lambda spec: (added, *stored(spec)))
+    patch.setattr(Line, "contacts", property(lambda line: line.flights + 1), raising=False)
+    return added

@@ -1,4 +1,4 @@
-// Shows the view that belongs to the address.
+// Shows the page that belongs to the address.
 
 import { SweepForm } from "./form/form.js";
 import { takeToken } from "./lib/api.js";
@@ -10,36 +10,42 @@ import { Explore } from "./explore/spring.js";
 import { JobView } from "./views/job.js";
 import { Sweeps } from "./start/sweeps.js";
 
-// A view is built with its root element and the address. It has handles(address): whether it shows this one too;
-// show(): called when the address changes to one it handles; refresh(redraw): load again; close().
-const VIEWS = { new: SweepForm, job: JobView, compare: Compare, explore: Explore };
+// A page is built with its root element and the address. It has refresh(redraw): load again; close(); and, where the
+// address may change to another state of the same page, show().
+const PAGES = { "": Sweeps, new: SweepForm, job: JobView, compare: Compare, explore: Explore };
 const root = document.getElementById("view");
-let view = null;
+let page = null;
+let shown = null; // which page
 
-function showAddress(isFirst) {
+function showAddress() {
   discardPending();
   const address = currentAddress();
-  if (view?.handles(address)) {
-    view.show();
+  const [name = "", id] = address.path;
+  const wanted = [name, name === "job" && id, address.query.jobs].join();
+  if (wanted === shown) {
+    page.show?.();
     return;
   }
-  view?.close();
-  const View = address.path.length ? VIEWS[address.path[0]] : Sweeps;
-  view = View ? new View(root, address) : notFound();
+  page?.close();
+  page = new (PAGES[name] ?? NotFound)(root, address);
   for (const anchor of document.querySelectorAll("body > header nav a")) {
-    const isCurrent = anchor.hash && anchor.hash === `#/${address.path.join("/")}`;
-    if (isCurrent) anchor.setAttribute("aria-current", "page");
+    if (anchor.hash && anchor.hash === `#/${address.path.join("/")}`) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
   }
-  if (!isFirst) {
+  if (shown !== null) {
     scrollTo(0, 0);
     root.querySelector("h1")?.focus({ preventScroll: true });
   }
+  shown = wanted;
 }
 
-function notFound() {
-  root.replaceChildren(h("h1", { tabindex: "-1" }, "Page not found"), h("p", {}, h("a", { href: "#/" }, "All sweeps")));
-  return { handles: () => false, show() {}, close() {}, refresh() {} };
+class NotFound {
+  constructor() {
+    root.replaceChildren(h("h1", { tabindex: "-1" }, "Page not found"), h("p", {}, h("a", { href: "#/" }, "All sweeps")));
+  }
+
+  refresh() {}
+  close() {}
 }
 
 // Not through the link's address, which holds the view.
@@ -49,9 +55,9 @@ document.querySelector(".skip").addEventListener("click", (event) => {
 });
 addEventListener("hashchange", () => {
   takeToken();
-  showAddress(false);
+  showAddress();
 });
-document.addEventListener("visibilitychange", () => document.hidden || view.refresh(false)); // sweeps may have changed meanwhile
-watchConnection(() => view.refresh());
+document.addEventListener("visibilitychange", () => document.hidden || page.refresh(false)); // sweeps may have changed meanwhile
+watchConnection(() => page.refresh());
 takeToken();
-showAddress(true);
+showAddress();

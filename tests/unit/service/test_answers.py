@@ -73,8 +73,8 @@ QUERIES: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("rest", "diagram", {"every": 3, "min_flight": 4.5}),
     ("rest", "diagram", {"format": "csv"}),
     ("rest", "orbits", {"gamma_max": 3.0, "energy": True}),
-    ("rest", "line", {"width": 40, "height": 30}),
-    ("rest", "line", {"width": 40, "height": 30, "left": 1.0, "right": 2.0, "bottom": 1.0, "most": 0}),
+    ("rest", "diagram", {"start": 1.0, "stop": 2.0}),
+    ("rest", "diagram", {"start": 1.0, "stop": 2.0, "every": 2, "format": "csv"}),
     ("rest", "trajectory", {"gamma": 1.5, "periods": 2, "samples": 12}),
     ("ramp", "diagram", {"omega": 0.7, "xi": 0.05, "direction": "down"}),
     ("ramp", "diagram", {"along": "omega", "gamma": 1.4, "xi": 0.05, "format": "csv"}),
@@ -82,10 +82,10 @@ QUERIES: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("ramp", "threshold", {"xi": 0.26, "tolerance": 1e-3, "predict": "none"}),
     ("ramp", "modes", {"xi": 0.05, "direction": "down"}),
     ("ramp", "modes", {"xi": 0.26, "every": 2, "min_flight": 5.0}),
-    ("ramp", "plane", {"xi": 0.26}),
+    ("ramp", "modes", {"xi": 0.26}),
     ("adaptive", "modes", {}),
     ("adaptive", "diagram", {"omega": 0.5}),
-    ("adaptive", "plane", {"left": 1.0, "right": 2.0, "bottom": 0.45}),
+    ("adaptive", "modes", {"gamma_start": 1.0, "gamma_stop": 2.0, "omega_start": 0.45}),
     ("basins", "basins", {"gamma": 1.27}),
     ("basins", "basins", {"gamma": 2.3}),
     ("basins", "trajectory", {"gamma": 1.27, "attractor": 1, "periods": 1, "samples": 8}),
@@ -121,9 +121,9 @@ COSTLY: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("ramp", "modes", {"xi": 0.05}),
     ("ramp", "modes", {"xi": 0.05, "every": 2, "min_flight": 5.0}),
     ("ramp", "modes", {"xi": 0.05, "hysteresis": True}),
-    ("ramp", "plane", {"xi": 0.05, "hysteresis": True}),
-    ("ramp", "plane", {"xi": 0.05, "min_flight": 5.0}),
-    ("rest", "line", {"width": 40, "height": 30}),
+    ("ramp", "modes", {"xi": 0.05, "hysteresis": True, "direction": "up"}),
+    ("ramp", "modes", {"xi": 0.05, "min_flight": 5.0}),
+    ("rest", "diagram", {"start": 1.0, "stop": 2.0}),
     ("rest", "export", {"format": "parquet"}),
     ("rest", "export", {"format": "nc"}),
     ("rest", "zarr/outcome/c.0.0.0.0", {}),
@@ -223,18 +223,7 @@ def _document(answer: Any) -> Any:
     if content == "text/csv":
         columns = zip_longest(*csv.reader(answer.text.splitlines()), fillvalue="")
         return {name: _short([_number(text) for text in column]) for name, *column in columns}
-    return {"type": content} | _packed(answer.content)
-
-
-def _packed(content: bytes) -> dict[str, Any]:
-    """The attributes and arrays of `service.render.binary`."""
-    line, body = content.split(b"\n", 1)
-    head = json.loads(line)
-    arrays = {
-        name: [dtype, length, _short(np.frombuffer(body, dtype, length, offset).tolist())]
-        for name, (dtype, offset, length) in head.pop("arrays").items()
-    }
-    return {"head": _short(head), "arrays": arrays}
+    raise AssertionError(f"an answer of type {content}")
 
 
 def _number(text: str) -> Any:

@@ -1,7 +1,6 @@
 """The page's files and the data of its views, which agree with the public API."""
 
 import graphlib
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +9,7 @@ from urllib.parse import urljoin
 
 import numpy as np
 import pytest
+import xarray
 from fastapi.testclient import TestClient
 from scripted import Held
 from served import computing, finished, read, service
@@ -55,20 +55,6 @@ def line(client: TestClient) -> str:
 @pytest.fixture(scope="module")
 def ramp(client: TestClient) -> str:
     return finished(client, RAMP)
-
-
-def unpacked(client: TestClient, path: str, **query: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Decode the binary form as static/js/lib/api.js does: (header, arrays)."""
-    response = client.get(path, params=query)
-    assert response.status_code == 200, response.text
-    line, _, body = response.content.partition(b"\n")
-    header = json.loads(line)
-    assert (len(line) + 1) % 8 == 0
-    arrays = {
-        name: np.frombuffer(body, np.dtype(kind), length, offset)
-        for name, (kind, offset, length) in header.pop("arrays").items()
-    }
-    return header, arrays
 
 
 # Files
@@ -158,12 +144,10 @@ def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: s
         read(client, f"{line}/diagram", omega=0.5, **query),
         read(client, f"{line}/modes", **query),
     )
-    header, plane = unpacked(client, f"{line}/plane", **query)
-    shortest = {diagram.attrs["min_flight"], modes.attrs["min_flight"], header["min_flight"]}
+    shortest = {diagram.attrs["min_flight"], modes.attrs["min_flight"]}
     assert shortest == {0.05 if min_flight is None else min_flight}
     for name in ("outcome", "bounces", "periods"):
         np.testing.assert_array_equal(diagram[name], modes[name][0])
-        np.testing.assert_array_equal(diagram[name], plane[name][: diagram.sizes["gamma"]])
     stored = read(client, f"{line}/diagram", omega=0.5)
     assert stored.bounces.equals(diagram.bounces) == (min_flight != 3.0)
 
@@ -173,73 +157,27 @@ def test_files_outside_the_folder_are_not_served(client: TestClient):
         assert client.get(path).status_code == 404
 
 
-# A line
+# Windows
 
 
-def test_points_are_the_flights_of_the_diagram(client: TestClient, line: str):
-    query = {"along": "gamma", "omega": 0.6, "min_flight": 0.5}
-    header, arrays = unpacked(client, f"{line}/line", **query)
-    diagram = read(client, f"{line}/diagram", **query)
-    assert header["fixed"] == {axis: diagram[axis].item() for axis in ("omega", "xi")}
-    assert header["direction"] == diagram.direction
-    assert header["missing"] == 0
-    assert arrays["values"].tolist() == diagram.gamma.values.tolist()
-    for name in ("outcome", "bounces", "periods"):
-        np.testing.assert_array_equal(arrays[name], diagram[name])
-    np.testing.assert_array_equal(arrays["shown"], diagram.flight_time.count("flight"))
-    flights = diagram.flight_time.values[diagram.flight_time.notnull()]
-    np.testing.assert_allclose(arrays["flight_time"], flights, rtol=1e-6)
-    assert header["points"] == len(flights)
-    assert header["highest"] == pytest.approx(flights.max(), rel=1e-6)
+def test_a_window_of_a_diagram_and_of_a_mode_map_has_the_cells_inside(client: TestClient, line: str):
+    whole = read(client, f"{line}/diagram", omega=0.5)
+    part = read(client, f"{line}/diagram", omega=0.5, start=1.5, stop=2.04, every=2)
+    xarray.testing.assert_equal(part, whole.sel(gamma=slice(1.5, 2.04)).isel(gamma=slice(None, None, 2)))
+    nearest = read(client, f"{line}/diagram", omega=0.5, start=2.31, stop=2.31)
+    assert nearest.gamma.values.tolist() == [pytest.approx(2.3)]
+    modes = read(client, f"{line}/modes", gamma_start=1.5, gamma_stop=2.04, omega_start=0.55)
+    assert modes.sizes == {"omega": 1, "gamma": 11}
+    xarray.testing.assert_equal(modes, read(client, f"{line}/modes").sel(gamma=slice(1.5, 2.04), omega=[0.6]))
 
 
-@pytest.mark.parametrize(("path", "encoding"), [("plane", "gzip"), ("line?omega=0.5", None)])
-def test_a_mode_map_is_compressed_and_points_are_not(
-    client: TestClient, line: str, path: str, encoding: str | None
-):
-    response = client.get(f"{line}/{path}", headers={"Accept-Encoding": "gzip"})
-    assert response.status_code == 200
-    assert response.headers.get("content-encoding") == encoding
-
-
-@for_each(
-    ("query", "field"),
-    [
-        ({}, "omega"),
-        ({"omega": 0.5, "width": 0}, "width"),
-        ({"omega": 0.5, "most": 10**9}, "most"),
-        ({"omega": 0.5, "log": "true", "left": 0}, "left"),
-    ],
-)
-def test_an_invalid_line_query_is_refused(client: TestClient, line: str, query: dict[str, Any], field: str):
-    response = client.get(f"{line}/line", params=query)
-    assert response.status_code == 422
-    assert response.json()["errors"][0]["field"] == field
-
-
-# A plane
-
-
-def test_a_plane_is_the_mode_map(client: TestClient, line: str):
-    header, arrays = unpacked(client, f"{line}/plane", xi=0.26)
-    modes = read(client, f"{line}/modes", xi=0.26)
-    whole = {"every_gamma": 1, "every_omega": 1, "min_flight": 0.05}
-    assert header == {"xi": 0.26, "direction": "rest", "complete": True} | whole
-    for name in ("gamma", "omega"):
-        np.testing.assert_array_equal(arrays[name], modes[name])
-    for name in ("outcome", "bounces", "periods"):
-        np.testing.assert_array_equal(arrays[name], modes[name].values.ravel())
-
-
-def test_a_plane_of_too_many_cells_is_thinned(tmp_path: Path):
+def test_a_window_has_more_cells_than_fit_the_whole_line(tmp_path: Path):
     with computing(tmp_path, max_points=60) as client:
         job_url = finished(client, LINE)
-        header, arrays = unpacked(client, f"{job_url}/plane")
-        assert (header["every_gamma"], header["every_omega"]) == (2, 2)
-        assert len(arrays["gamma"]) == 51
-        assert arrays["omega"].tolist() == [0.5]
-        header, arrays = unpacked(client, f"{job_url}/plane", left=1.0, right=2.0)
-        assert (header["every_gamma"], arrays["outcome"].size) == (1, 42)
+        refused = client.get(f"{job_url}/modes")
+        assert (refused.status_code, "every=2 fits" in refused.json()["detail"]) == (413, True)
+        assert read(client, f"{job_url}/modes", every=2).sizes == {"omega": 1, "gamma": 51}
+        assert read(client, f"{job_url}/modes", gamma_start=1.0, gamma_stop=2.0).sizes["gamma"] == 21
 
 
 # The trajectory of a cell
@@ -273,6 +211,6 @@ def test_the_trajectory_of_a_cell_not_computed_yet_is_refused(tmp_path: Path):
         response = client.get(f"{job_url}/trajectory", params={"gamma": 0.6})
         assert response.status_code == 422
         assert "not computed yet" in response.json()["detail"]
-        header, arrays = unpacked(client, f"{job_url}/line")
-        assert header["missing"] == len(arrays["values"]) == 81
-        assert len(arrays["flight_time"]) == 0
+        line = read(client, f"{job_url}/diagram")
+        assert not line.attrs["complete"]
+        assert line.flight_time.isnull().all()

@@ -12,7 +12,6 @@ from tables import for_each
 
 from kernel.params import Outcome
 from service.errors import InvalidRequest, TooLarge
-from service.results import line as lines
 from service.views import selection
 from service.views.modes import OTHER_FLIGHTS, Hysteresis, compare
 from service.views.registry import VIEWS, admit
@@ -230,27 +229,6 @@ def test_every_nth_cell_is_the_one_of_the_whole(sweep: Stored, every: int):
     part = slice(None, None, every)
     whole_map = modes(sweep, xi=0.05).isel(omega=part, gamma=part)
     xarray.testing.assert_equal(modes(sweep, xi=0.05, every=every), whole_map)
-
-
-# A line for the page
-
-TWO_FLIGHTS = lines.FlightLine(
-    fixed={}, direction="rest", cells={"values": np.array([0.5, 1.0, 2.0]), "outcome": np.array([3, 0, 1])},
-    flights=np.array([3.0, 7.0], np.float32), every=1, min_flight=0.0,
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("edges", "log", "rule"),
-    [
-        ((0.0, 1.0, 0.0, None), True, "left: must be above 0 on a logarithmic axis, not 0.0"),
-        ((1.0, 0.9, 0.0, None), False, "right: must not be below left, which is 1.0"),
-        ((None, None, 3.0, 2.9), False, "top: must not be below bottom, which is 3.0"),
-    ],
-)
-def test_an_empty_window_is_refused(edges: Any, log: bool, rule: str):
-    with pytest.raises(InvalidRequest, match=rule):
-        lines.window_of(TWO_FLIGHTS, *edges, log=log)
 
 
 # Planes

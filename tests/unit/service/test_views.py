@@ -16,14 +16,11 @@ from json_results import from_json
 from pyarrow import parquet
 from served import computing
 
-from kernel.params import Line
 from service.cli import views as commands
 from service.client import Client, Job, UnexpectedAnswer
 from service.client.dataset import from_binary
 from service.views import client_methods
 from service.views.registry import VIEWS
-from worker import schema
-from worker.schema import CELL_DIMS, Array
 
 SPEC: dict[str, Any] = {
     "gamma": {"start": 0.8, "stop": 2.6, "num": 5}, "omega": [0.5, 0.6], "xi": 0.26,
@@ -86,10 +83,7 @@ def test_a_new_result_has_a_command(
 
 def test_a_variable_added_to_the_schema_is_in_every_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """No reader lists the variables: the schema and the kernel's record are all that know of it."""
-    added = Array("contacts", CELL_DIMS, "<i4", 0, {"long_name": "contacts of the window", "units": "1"})
-    stored = schema.arrays
-    monkeypatch.setattr(schema, "arrays", lambda spec: (added, *stored(spec)))
-    monkeypatch.setattr(Line, "contacts", property(lambda line: line.flights + 1), raising=False)
+    added = toy_view.add_stored_variable(monkeypatch)
     with computing(tmp_path) as service:
         job = Client("http://localhost", http=service).submit(SPEC).wait(progress=False)
         found = job.diagram(omega=0.5)
@@ -104,6 +98,9 @@ def test_a_variable_added_to_the_schema_is_in_every_format(tmp_path: Path, monke
         ):
             with xarray.open_dataset(io.BytesIO(netcdf), engine="h5netcdf") as dataset:
                 np.testing.assert_array_equal(dataset.contacts, dataset.flights + 1)
+        # The page lists whatever the answer for one cell has: tests/system/page/test_browser.py looks at it.
+        cell = from_binary(job.result_file("diagram", "bin", omega=0.5, start=0.8, stop=0.8))
+        assert cell.contacts.attrs == added.attrs
         frame = pandas.read_parquet(job.export(tmp_path / "a.parquet"))
         assert (frame.contacts == frame.flights + 1).all()
 

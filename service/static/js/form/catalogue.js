@@ -18,31 +18,23 @@ const loadOpenApi = cachedRequest("/openapi.json");
 const loadFigures = cachedRequest("/v1/figures");
 
 /**
- * The form's view of a specification: {defaults: {settle: 200, …},
- * models: [{kind, about, fields: [{name, title, about, default, choices (null for numbers)}, …]}, …]}.
+ * The form's view of a specification: {fields: {settle: {title, about, default, type, choices (of an enum)}, …},
+ * models: [{kind, about, fields}, …]}.
  *
- * Contact models and their fields are those of the API's schema: a new model appears in the form without any change to
- * the page. LABELS in model-field.js can give a new field a symbol and unit; without, its title in the schema is shown.
+ * Fields and contact models are those of the API's schema: a new one appears in the form without any change to the
+ * page. TEXTS in fields.js can give it a symbol and unit; without, its title and description in the schema are shown.
  */
 export async function loadSchema() {
   const { schemas } = (await loadOpenApi()).components;
   const resolve = (schema) => (schema.$ref ? schemas[schema.$ref.split("/").pop()] : schema);
+  const fieldsOf = (properties) => Object.fromEntries(Object.entries(properties).map(([name, schema]) => {
+    const { type, enum: choices, title = name, description = "", default: own, "x-default": shown } = { ...resolve(schema), ...schema };
+    return [name, { title: title.toLowerCase(), about: description.replace(/\.$/, ""), default: own ?? shown ?? null, type, choices }];
+  }));
   const { properties } = schemas.SweepSpec;
-  const defaults = Object.fromEntries(Object.entries(properties).map(([name, schema]) => [name, schema.default ?? schema["x-default"]]));
-  const models = (properties.model.oneOf ?? properties.model.anyOf).map(resolve);
-  return { defaults, models: models.map((model) => modelOf(model, resolve)) };
-}
-
-function modelOf({ description = "", properties }, resolve) {
-  const { kind, ...fields } = properties;
-  return {
-    kind: kind.const,
-    about: firstClause(description),
-    fields: Object.entries(fields).map(([name, schema]) => {
-      const { type, enum: choices, title, description: about = "" } = { ...resolve(schema), ...schema };
-      return { name, title: title.toLowerCase(), about, default: schema.default ?? null, choices: type === "boolean" ? [true, false] : (choices ?? null) };
-    }),
-  };
+  const models = (properties.model.oneOf ?? properties.model.anyOf).map(resolve).map(({ description = "", properties: { kind, ...own } }) =>
+    ({ kind: kind.const, about: firstClause(description), fields: fieldsOf(own) }));
+  return { fields: fieldsOf(properties), models };
 }
 
 /** "Ideal plate (no penetration); restitution 0 sticks." → "ideal plate" */

@@ -6,8 +6,7 @@ import { announce, debounced, h } from "../lib/dom.js";
 import { bytes, count, duration, plural } from "../lib/format.js";
 import { Snippets } from "../lib/snippets.js";
 import { loadPresets, loadSchema } from "./catalogue.js";
-import { axisField, checkField, nameField, numberField, protocolField, refineField } from "./fields.js";
-import { modelField } from "./model-field.js";
+import { axisField, modelField, protocolField, refineField, schemaField } from "./fields.js";
 import { showProblems } from "./problems.js";
 
 const ESTIMATE_DELAY_MS = 220;
@@ -28,10 +27,6 @@ export class SweepForm {
     this.#load();
   }
 
-  handles({ path }) {
-    return path[0] === "new";
-  }
-
   show() {
     this.edited.clear();
     this.#load();
@@ -48,32 +43,20 @@ export class SweepForm {
     this.estimating?.abort();
   }
 
-  #build({ defaults, models }) {
-    this.fields = {
-      name: nameField(),
-      gamma: axisField("gamma"),
-      omega: axisField("omega"),
-      xi: axisField("xi"),
-      protocol: protocolField(),
-      refine: refineField(),
-      model: modelField(models, defaults.model.kind),
-      settle: numberField("settle", "settle", "plate periods, not recorded", defaults.settle),
-      observe: numberField("observe", "observe", "plate periods, recorded", defaults.observe),
-      keep: numberField("keep", "keep", "flights stored per cell, the last ones", defaults.keep),
-      micro_flight: numberField("micro_flight", "micro-flight", "rad; shorter flights do not count, unless all are", defaults.micro_flight),
-      settle_until: numberField("settle_until", "settle until", "at most this many plate periods per cell, if it has not settled by then; an adaptive map takes 5,000 by itself", "off"),
-      settle_early: checkField("settle_early", "settle early", "from rest, cycles that surely repeat are not computed", defaults.settle_early),
-      exponents: numberField("exponents", "Lyapunov exponents", "0 to 4; they tell quasi-periodic from chaotic cells", defaults.exponents),
-      settle_tolerance: numberField("settle_tolerance", "settle tolerance", "rad; settling ends once flights repeat within it; 0: never", defaults.settle_tolerance),
+  #build({ fields: { name, gamma, omega, xi, protocol, refine, model, parent, ...recording }, models }) {
+    const rows = {
+      name: schemaField("name", name), gamma: axisField("gamma"), omega: axisField("omega"), xi: axisField("xi"),
+      protocol: protocolField(), refine: refineField(), model: modelField(models, model.default),
     };
+    const recorded = Object.fromEntries(Object.entries(recording).map(([key, field]) => [key, schemaField(key, field)]));
+    this.fields = { ...rows, ...recorded };
+    const elements = (fields) => Object.values(fields).map(({ element }) => element);
     this.preset = h("select", { id: "preset", onchange: (event) => { setQuery({ figure: event.target.value || null, from: null }); this.show(); } });
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button" }, "Compute");
     this.snippets = new Snippets();
-    const { name, gamma, omega, xi, protocol, refine, model, ...recording } = this.fields;
     this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) },
-      name.element, gamma.element, omega.element, xi.element, protocol.element, refine.element, model.element,
-      h("fieldset", { className: "plain" }, h("legend", {}, "Recording"), Object.values(recording).map((field) => field.element)),
+      elements(rows), h("fieldset", { className: "plain" }, h("legend", {}, "Recording"), elements(recorded)),
       this.problem,
       h("div", { className: "submit" }, this.button, this.cost));
     this.container.replaceChildren(

@@ -24,11 +24,16 @@ export function navigate(path, query = {}) {
 const write = debounced(120, (target) => history.replaceState(null, "", target));
 let pending = null;
 
+/** Dispatches "change" after every setQuery(). */
+export const queryChanges = new EventTarget();
+
 /** Change query parameters without a new history entry; null removes one. */
 export function setQuery(changes) {
   pending ??= currentAddress();
-  pending.query = { ...pending.query, ...changes };
+  const entries = Object.entries({ ...pending.query, ...changes }).filter(([, value]) => value !== null && value !== undefined);
+  pending.query = Object.fromEntries(entries.map(([name, value]) => [name, String(value)])); // as read from the address
   write(link(pending.path, pending.query));
+  queryChanges.dispatchEvent(new Event("change"));
 }
 
 /** Replace the whole address without a new history entry. */
@@ -48,14 +53,18 @@ export function discardPending() {
 
 /** The zoom window {x0, x1, y0, y1} in a query; null without a valid one. */
 export function windowIn(query) {
-  const values = WINDOW.map((name) => (query[name] === undefined ? NaN : Number(query[name])));
+  const values = WINDOW.map((name) => Number(query[name] ?? NaN));
   if (!values.every(Number.isFinite) || values[0] >= values[1] || values[2] >= values[3]) return null;
   return Object.fromEntries(WINDOW.map((name, i) => [name, values[i]]));
 }
 
-/** Write a zoom window to the address; null removes it. */
-export function setWindow(window) {
-  setQuery(Object.fromEntries(WINDOW.map((name) => [name, window ? Number(window[name].toPrecision(6)) : null])));
+/** A zoom window as query parameters; null removes it. */
+export const windowQuery = (window) => Object.fromEntries(WINDOW.map((name) => [name, window ? Number(window[name].toPrecision(6)) : null]));
+
+/** A selected cell as query parameters, with its axis values for the sliders. */
+export function cellQuery({ direction, ...cell }) {
+  const [gamma, omega, xi] = ["gamma", "omega", "xi"].map((axis) => addressValue(cell[axis]));
+  return { gamma, omega, xi, cell: [gamma, omega, xi, direction].join() };
 }
 
 /** An axis value as addresses hold it: ten significant digits. */

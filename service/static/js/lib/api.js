@@ -47,7 +47,7 @@ export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } 
   }
 }
 
-async function send(path, { method = "GET", body, signal, priority = "auto" }, timeout) {
+async function send(path, { method = "GET", body, signal }, timeout) {
   const headers = {};
   if (body !== undefined) headers["Content-Type"] = "application/json";
   const token = sessionStorage.getItem(TOKEN_KEY);
@@ -57,7 +57,6 @@ async function send(path, { method = "GET", body, signal, priority = "auto" }, t
   try {
     response = await fetch(path, {
       method,
-      priority,
       headers,
       body: body === undefined ? undefined : JSON.stringify(body),
       signal: signal ? AbortSignal.any([signal, timer]) : timer,
@@ -73,15 +72,12 @@ async function send(path, { method = "GET", body, signal, priority = "auto" }, t
 async function sleepWhileBusy(ms, signal) {
   const tell = (change) => connection.dispatchEvent(new CustomEvent("waiting", { detail: { requests: (waiting += change) } }));
   tell(1);
-  try {
-    await new Promise((resolve) => {
-      const timer = setTimeout(resolve, ms);
-      signal?.addEventListener("abort", () => (clearTimeout(timer), resolve()), { once: true });
-    });
-    signal?.throwIfAborted();
-  } finally {
-    tell(-1);
-  }
+  await sleep(ms, signal).finally(() => tell(-1));
+}
+
+async function sleep(ms, signal) {
+  await new Promise((resolve) => setTimeout(resolve, ms));
+  signal?.throwIfAborted();
 }
 
 export async function requestJson(path, options) {
@@ -96,28 +92,13 @@ async function whenComputed(path, options = {}) {
   for (;;) {
     const response = await request(path, options);
     if (response.status !== 202) return response;
-    await new Promise((resolve) => setTimeout(resolve, POLL_MS));
-    options.signal?.throwIfAborted();
+    await sleep(POLL_MS, options.signal);
   }
 }
-
-/** As requestJson, for an answer that workers compute first. */
-export const requestComputed = async (path, options) => read(await whenComputed(path, options), "json", options?.signal);
 
 const ARRAY_TYPES = {
   float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array,
 };
-
-/** Arrays in the binary form of service/render/binary.py: {…values of the header, arrays: {name: typed array}}. */
-export async function requestArrays(path, options) {
-  const buffer = await read(await request(path, options), "arrayBuffer", options?.signal);
-  const end = new Uint8Array(buffer).indexOf(10); // the header is one line of JSON
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 0, end)));
-  for (const [name, [type, offset, length]] of Object.entries(header.arrays)) {
-    header.arrays[name] = new ARRAY_TYPES[type](buffer, end + 1 + offset, length);
-  }
-  return header;
-}
 
 /**
  * A result in the binary form of service/views/encode.py: {attrs, dims, …}, and by name every coordinate and variable
@@ -136,7 +117,18 @@ export async function requestDataset(path, options) {
   return result;
 }
 
-export const requestBlob = async (path) => read(await request(path, { timeout: DOWNLOAD_TIMEOUT_MS }), "blob");
+/**
+ * The parts of a result along a dimension, one object per index: of each variable that begins with it the value, or the
+ * part of a flat array. A result without this dimension has one part, all of it.
+ */
+export function partsOf({ attrs, dims, ...variables }, dim) {
+  if (!(dim in dims)) return [Object.fromEntries(Object.entries(variables).map(([name, { data }]) => [name, data]))];
+  const own = Object.entries(variables).filter(([, variable]) => variable.dims[0] === dim);
+  const part = ({ data, shape = [] }, i) => (shape.length > 1 ? data.subarray((i * data.length) / dims[dim], ((i + 1) * data.length) / dims[dim]) : data[i]);
+  return Array.from({ length: dims[dim] }, (_, i) => Object.fromEntries(own.map(([name, variable]) => [name, part(variable, i)])));
+}
+
+export const requestBlob = async (path, options) => read(await whenComputed(path, { ...options, timeout: DOWNLOAD_TIMEOUT_MS }), "blob");
 
 /** A query string; null, undefined and empty values are left out. */
 export function query(values) {

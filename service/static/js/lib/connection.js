@@ -6,7 +6,6 @@ import { announce } from "./dom.js";
 const RETRY_MS = 1000;
 const TIMEOUT_MS = 3000;
 const HIDE_MS = 500;
-let retrying = false;
 
 /** Show the banner and the dialog when they are needed; `onRestored` is called when requests can succeed again. */
 export function watchConnection(onRestored) {
@@ -14,11 +13,9 @@ export function watchConnection(onRestored) {
   const dialog = document.getElementById("token");
 
   connection.addEventListener("unreachable", () => {
-    if (retrying) return;
-    retrying = true;
+    if (!banner.hidden) return; // retrying already
     banner.hidden = false;
-    retry(() => {
-      retrying = false;
+    retry().then(() => {
       banner.hidden = true;
       announce("The service answers again.");
       onRestored();
@@ -35,10 +32,7 @@ export function watchConnection(onRestored) {
 
   const refusal = dialog.querySelector(".problem");
   connection.addEventListener("unauthorized", ({ detail: { refused } }) => {
-    if (refused) {
-      refusal.hidden = false;
-      refusal.textContent = "The service does not accept this access token. Check it for a typing error, or ask the operator for another one.";
-    }
+    refusal.hidden = !refused;
     if (!dialog.open) dialog.showModal();
   });
   dialog.querySelector("form").addEventListener("submit", (event) => {
@@ -52,11 +46,11 @@ export function watchConnection(onRestored) {
   });
 }
 
-async function retry(done) {
-  try {
-    await request("/healthz", { timeout: TIMEOUT_MS });
-    done();
-  } catch {
-    setTimeout(() => retry(done), RETRY_MS);
+/** Ends when the service answers. */
+async function retry() {
+  for (;;) {
+    const isThere = await request("/healthz", { timeout: TIMEOUT_MS }).then(() => true, () => false);
+    if (isThere) return;
+    await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
   }
 }

@@ -1,4 +1,6 @@
-// Building elements, dialogs, screen-reader announcements, and limiting how often a function runs.
+// Building elements, errors, screen-reader announcements, and limiting how often a function runs.
+
+import { isHandledElsewhere } from "./api.js";
 
 const PROPERTIES = new Set(["className", "textContent", "value", "checked", "disabled", "hidden", "open", "selected"]);
 
@@ -15,19 +17,20 @@ export function h(tag, props = {}, ...children) {
   return element;
 }
 
+/** A line for an error, which `show(error)` shows and `show(null)` hides; not one that the banner or the token dialog shows. */
+export function problemLine() {
+  const element = h("p", { className: "problem", role: "alert", hidden: true });
+  const show = (error) => {
+    if (error && isHandledElsewhere(error)) return;
+    element.hidden = !error;
+    element.textContent = error?.message ?? "";
+  };
+  return { element, show };
+}
+
 /** Announce `text` to screen readers. */
 export function announce(text) {
   document.getElementById("status").textContent = text;
-}
-
-/** Ask for confirmation in a dialog; resolves to whether the button labelled `action` was pressed. */
-export function confirmed(question, action) {
-  const dialog = document.getElementById("confirm");
-  dialog.querySelector("p").textContent = question;
-  dialog.querySelector("[value=yes]").textContent = action;
-  dialog.returnValue = "";
-  dialog.showModal();
-  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
 }
 
 /** `work`, called only after `milliseconds` without another call. `cancel()` drops a pending call. */
@@ -45,39 +48,22 @@ const ABORT_AFTER_MS = 150;
 
 /**
  * `work(signal, ...args)`, one run at a time. Of the calls made during a run only the last is kept; it starts when
- * the run ends, and the run is aborted through its signal if it takes longer than ABORT_AFTER_MS.
+ * the run ends, and the run is aborted through its signal if it takes ABORT_AFTER_MS longer.
  */
 export function latest(work) {
-  let controller = null; // of the current run
-  let started;
-  let pending = null;
-  return async function run(...args) {
-    if (controller) {
-      if (!pending) setTimeout((stale) => stale.abort(), Math.max(0, started + ABORT_AFTER_MS - performance.now()), controller);
-      pending = args;
+  let running = null; // the controller of the current run
+  let next = null;
+  return async (...args) => {
+    next = args;
+    if (running) {
+      setTimeout((stale) => stale.abort(), ABORT_AFTER_MS, running);
       return;
     }
-    controller = new AbortController();
-    started = performance.now();
-    try {
-      await work(controller.signal, ...args);
-    } finally {
-      controller = null;
-      const next = pending;
-      pending = null;
-      if (next) run(...next);
+    while (next) {
+      const current = next;
+      next = null;
+      running = new AbortController();
+      await work(running.signal, ...current).finally(() => { running = null; });
     }
   };
-}
-
-const isTouch = () => matchMedia("(hover: none)").matches;
-
-/** A hint for the mouse in words for fingers, where the device has no pointer that hovers. */
-export function gestures(text) {
-  if (!isTouch()) return text;
-  return text
-    .replace(/Point at a (\w+) to read (\w+(?: \w+)?), click to/, "Tap a $1 to read $2 and to")
-    .replace("Point at", "Tap").replace(/\bclick to\b/g, "tap to").replace(/\bClick\b/g, "Tap").replace(/\bclick\b/g, "tap")
-    .replace("drag to zoom", "drag sideways to zoom")
-    .replace(", double-click to reset the zoom", "");
 }

@@ -1,6 +1,6 @@
-// Download buttons, CSV tables and file names.
+// Download buttons and file names.
 
-import { requestBlob, requestJson } from "./api.js";
+import { requestBlob } from "./api.js";
 import { h } from "./dom.js";
 
 /** A row of download buttons: `files` is [[label, () => file name, () => Blob or promise of one], …]. */
@@ -26,23 +26,12 @@ export function downloads(files) {
     h("span", {}, "Download"), files.map(button), status);
 }
 
-/** A table as CSV: a header row of names, then rows of values; null and NaN are empty cells. */
-export function csv(names, rows) {
-  const cell = (value) => (value === null || Number.isNaN(value) ? "" : String(value));
-  const lines = [names, ...rows].map((row) => row.map(cell).join(","));
-  return new Blob([lines.join("\n"), "\n"], { type: "text/csv" });
-}
+/** Downloads of a result in formats of the service: `path()` is its address, `content` a part of the files' names. */
+export const resultFiles = (job, content, formats, path) => formats.map(([label, format]) =>
+  [label, () => fileName(job, content(), format), () => requestBlob(`${path()}&format=${format}`)]);
 
-/** A real number as Python writes it: 1 as "1.0". */
-export const decimal = (value) => (Number.isInteger(value) && Math.abs(value) < 1e16 ? value.toFixed(1) : String(value));
-
-/** What the metadata of a file made here hold: job, specification, versions. */
-export async function originOf(job) {
-  const { release } = await requestJson("/v1/software");
-  return { job: job.id, kernel_version: job.kernel_version, release, spec: job.spec };
-}
-
-export const netcdf = (job) => () => requestBlob(`/v1/jobs/${job.id}/export?format=nc`);
+/** The whole sweep as a file. */
+export const wholeSweep = (job, formats) => resultFiles(job, () => "sweep", formats, () => `/v1/jobs/${job.id}/export?`);
 
 /** "figure 2" → "figure-2-diagram.png". */
 export function fileName(job, content, extension) {
@@ -52,7 +41,6 @@ export function fileName(job, content, extension) {
 
 function save(blob, name) {
   const address = URL.createObjectURL(blob);
-  const anchor = h("a", { href: address, download: name });
-  anchor.click();
+  h("a", { href: address, download: name }).click();
   setTimeout(() => URL.revokeObjectURL(address), 60_000);
 }

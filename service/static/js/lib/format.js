@@ -15,12 +15,6 @@ export const count = (value) => value.toLocaleString("en");
 
 export const plural = (n, singular, many = `${singular}s`) => `${count(n)} ${n === 1 ? singular : many}`;
 
-/** 2 → "2nd". */
-export function ordinal(n) {
-  const last = n % 100 > 10 && n % 100 < 14 ? 0 : n % 10;
-  return `${n}${["th", "st", "nd", "rd"][last] ?? "th"}`;
-}
-
 export function bytes(value) {
   const units = ["bytes", "kB", "MB", "GB", "TB"];
   const step = Math.min(Math.floor(Math.log10(Math.max(value, 1)) / 3), units.length - 1);

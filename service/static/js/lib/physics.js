@@ -1,4 +1,6 @@
-// Axes of a sweep, outcomes of its cells, and the analytic threshold: what the page knows of the model.
+// Axes of a sweep, outcomes of its cells, starts and cycles, Eq. 25: what the page knows of the model.
+
+import { number } from "./format.js";
 
 /** The axes in the order they are shown. */
 export const AXES = ["gamma", "omega", "xi"];
@@ -22,14 +24,8 @@ export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unres
 /** Codes of kernel.labels beyond those of outcomes: cells told apart by their Lyapunov exponents. */
 export const LABEL = { quasiPeriodic: 7, chaotic: 8, unstable: 9 };
 
-/** The names of these codes in files, as kernel.labels.LABELS has them. */
-export const LABEL_NAMES = ["missing", "periodic", "aperiodic", "at_rest", "unresolved", "diverged", "settling", "quasi-periodic", "chaotic", "unstable"];
-
 /** Codes of service.results.hysteresis: how the two directions of a cell compare. */
 export const HYSTERESIS = { none: 0, mode: 1, flights: 2 };
-
-/** Their names in files. */
-export const HYSTERESIS_NAMES = ["none", "other_mode", "other_flights"];
 
 /** Threshold of lift-off from rest, Eq. 25: the Γ above which a spring resting on the plate begins to bounce. */
 export function threshold(omega, xi) {
@@ -87,31 +83,28 @@ export function directionsOf({ protocol }) {
   return protocol.direction === "both" ? ["up", "down"] : [protocol.direction];
 }
 
-/** The outcomes of cells, or their labels where the service sends them. */
-export const labelsOf = ({ outcome, label }) => label ?? outcome;
+const LABEL_TEXTS = ["not computed yet", "", "aperiodic", "at rest on the plate", "unresolved", "diverged", "still settling", "quasi-periodic", "chaotic", "unstable cycle"];
 
 /** A cell's outcome or label as text. */
-export function outcomeText(outcome, bounces, periods) {
-  switch (outcome) {
-    case OUTCOME.periodic:
-      return `mode (${bounces}, ${periods})`;
-    case OUTCOME.aperiodic:
-      return "aperiodic";
-    case OUTCOME.atRest:
-      return "at rest on the plate";
-    case OUTCOME.unresolved:
-      return "unresolved";
-    case OUTCOME.diverged:
-      return "diverged";
-    case OUTCOME.settling:
-      return "still settling";
-    case LABEL.quasiPeriodic:
-      return "quasi-periodic";
-    case LABEL.chaotic:
-      return "chaotic";
-    case LABEL.unstable:
-      return "unstable cycle";
-    default:
-      return "not computed yet";
-  }
+export const outcomeText = (code, bounces, periods) => (code === OUTCOME.periodic ? `mode (${bounces}, ${periods})` : LABEL_TEXTS[code]);
+
+const NUMBERS = { cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
+
+/** How addresses name a start in place of a direction: on a cycle ("cycle", its periods, its flight time), with a drop, in contact, on an attractor. */
+export const startName = (kind, ...values) => [kind, ...values.map((value) => Number(value.toPrecision(12)))].join(":");
+
+/** The start of such a name, as trajectories take it; null for a direction. */
+export function startOf(name) {
+  const [kind, ...values] = name.split(":");
+  const fields = NUMBERS[kind];
+  return fields && values.length === fields.length ? { kind, ...Object.fromEntries(fields.map((field, i) => [field, Number(values[i])])) } : null;
+}
+
+/** Contact models whose cells move as a spring: the closed form is that of `rigid` without restitution. */
+export const hasCycles = ({ spec }) => ["rigid", "soft", "stepped"].includes(spec.model.kind);
+
+/** "cycle (1, 1), unstable · flight time 3.9 rad · multipliers 2.1, 0.3"; `multipliers`: real and imaginary part of two. */
+export function cycleText({ bounces, periods, stable, flight_time: time, multipliers: [re, im, otherRe] }) {
+  const text = im ? `${number(re, 4)} ± ${number(Math.abs(im), 4)} i` : `${number(re, 4)}, ${number(otherRe, 4)}`;
+  return `cycle (${bounces}, ${periods}), ${stable ? "stable" : "unstable"} · flight time ${number(time, 5)} rad · multipliers ${text}`;
 }

@@ -2,18 +2,10 @@
 
 import { announce, h } from "./dom.js";
 
-const COPIED_MS = 2000;
+const PYTHON = { null: "None", true: "True", false: "False" };
 
-/** `spec` as a Python expression, with its own words for true, false and null. */
-function python(value, indent = "    ") {
-  if (value === null) return "None";
-  if (typeof value === "boolean") return value ? "True" : "False";
-  if (typeof value === "string") return JSON.stringify(value);
-  if (typeof value !== "object") return String(value);
-  if (Array.isArray(value)) return `[${value.map((item) => python(item)).join(", ")}]`;
-  const entries = Object.entries(value).map(([name, item]) => `${JSON.stringify(name)}: ${python(item, "")}`);
-  return indent ? `{\n${entries.map((entry) => `${indent}${entry},\n`).join("")}}` : `{${entries.join(", ")}}`;
-}
+/** A specification as a Python expression: JSON with Python's words, which stand at the ends of lines. */
+const python = (spec) => JSON.stringify(spec, null, 4).replace(/\b(null|true|false)(,?)$/gm, (_, word, comma) => PYTHON[word] + comma);
 
 /** A value in TOML; objects inline. TOML has no null: fields without a value are left out. */
 function toml(value) {
@@ -22,21 +14,18 @@ function toml(value) {
   return `{ ${Object.entries(value).filter(([, item]) => item !== null).map(([name, item]) => `${name} = ${toml(item)}`).join(", ")} }`;
 }
 
-/** The address for the shell and Python, unless it is the default one. */
-const address = () => location.origin;
-
 const LANGUAGES = {
   Python: (spec) => `from service.client import Client
 
 spec = ${python(spec)}
-with Client("${address()}") as client:
+with Client("${location.origin}") as client:
     job = client.submit(spec).wait()
     job.plot()
 `,
-  TOML: (spec) => `# bounce submit sweep.toml --wait --url ${address()}
+  TOML: (spec) => `# bounce submit sweep.toml --wait --url ${location.origin}
 ${Object.entries(spec).filter(([, value]) => value !== null).map(([name, value]) => `${name} = ${toml(value)}`).join("\n")}
 `,
-  curl: (spec) => `curl ${address()}/v1/jobs -H "Content-Type: application/json" -d '${JSON.stringify(spec).replaceAll("'", "'\\''")}'
+  curl: (spec) => `curl ${location.origin}/v1/jobs -H "Content-Type: application/json" -d '${JSON.stringify(spec).replaceAll("'", "'\\''")}'
 `,
   JSON: (spec) => `${JSON.stringify(spec, null, 2)}\n`,
 };
@@ -45,9 +34,9 @@ ${Object.entries(spec).filter(([, value]) => value !== null).map(([name, value])
 export class Snippets {
   constructor(language = "Python") {
     this.select = h("select", { "aria-label": "Language", onchange: () => this.#update() }, Object.keys(LANGUAGES).map((name) => h("option", { value: name, selected: name === language }, name)));
-    this.button = h("button", { type: "button", className: "quiet", onclick: () => this.#copy() }, "Copy");
+    const copy = h("button", { type: "button", className: "quiet", onclick: () => this.#copy() }, "Copy");
     this.text = h("pre", { tabindex: "0", role: "region", "aria-label": "The specification as text" });
-    this.element = h("div", { className: "snippets" }, h("div", { className: "controls" }, h("label", { className: "option" }, "As ", this.select), this.button), this.text);
+    this.element = h("div", { className: "snippets" }, h("div", { className: "controls" }, h("label", { className: "option" }, "As ", this.select), copy), this.text);
   }
 
   show(spec) {
@@ -59,21 +48,10 @@ export class Snippets {
     this.text.textContent = LANGUAGES[this.select.value](this.spec);
   }
 
-  /** Copies the text; where the browser does not allow that (a service without https), selects it. */
+  /** Copies the text, and selects it, for browsers that do not allow that (a service without https). */
   async #copy() {
-    try {
-      await navigator.clipboard.writeText(this.text.textContent);
-      this.#say("Copied");
-    } catch {
-      getSelection().selectAllChildren(this.text);
-      this.#say("Selected: copy it with the keyboard");
-    }
-  }
-
-  #say(text) {
-    announce(text);
-    this.button.textContent = text;
-    clearTimeout(this.timer);
-    this.timer = setTimeout(() => { this.button.textContent = "Copy"; }, COPIED_MS);
+    getSelection().selectAllChildren(this.text);
+    await navigator.clipboard?.writeText(this.text.textContent).catch(() => {});
+    announce("Selected, and copied where the browser allows it.");
   }
 }

@@ -1,26 +1,19 @@
-// The panel beside a view of a sweep: the trajectory of the selected cell.
+// The panel beside a view of a sweep: the trajectory of the selected cell, and all its values.
 
-import { query } from "../lib/api.js";
-import { cycleText } from "../lib/cycles.js";
+import { query, requestBlob, requestDataset } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { csv, downloads, fileName, originOf } from "../lib/downloads.js";
+import { downloads, fileName } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
-import { SYMBOL } from "../lib/physics.js";
-import { startOf } from "../lib/starts.js";
-import { pngOf, svgOf } from "../plot/export.js";
-import { Portraits } from "./portraits.js";
-import { Player } from "./player.js";
-import { ComputingNote, MAP_PERIODS, MAP_SAMPLES, PERIODS, SAMPLES, START_PERIODS, describe, requestTrajectory } from "./trajectory.js";
+import { SYMBOL, startOf } from "../lib/physics.js";
+import { MAPPED, Motion, PLAYED, STARTED } from "./motion.js";
 
-const COLUMNS = ["plate", "z1", "z2", "force"];
+const MAX_LISTED = 8; // numbers of a variable
 
 export class TrajectoryPanel {
-  player = null;
-  computing = new ComputingNote();
+  motion = null;
 
   constructor(root, { onClose }) {
-    this.root = root;
-    this.onClose = onClose;
+    Object.assign(this, { root, onClose });
   }
 
   /** Request and show the trajectory of a cell, or of a start: {gamma, omega, xi, direction or startName}. */
@@ -31,109 +24,89 @@ export class TrajectoryPanel {
     this.request?.abort();
     this.request = new AbortController();
     const { signal } = this.request;
+    if (!this.motion) this.#build();
+    const start = startOf(cell.direction);
+    const values = Object.entries(SYMBOL).map(([axis, symbol]) => `${symbol} = ${number(cell[axis])}`);
+    this.title.textContent = `Trajectory of ${{ cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }[start?.kind] ?? "a cell"}`;
+    this.about.textContent = `${values.join(", ")}, ${startText(cell.direction)}`;
+    this.values.hidden = true;
+    const [path, options] = addressOf(job, cell);
+    const isShown = await this.motion.load(path, { ...options, signal });
+    if (signal.aborted) return;
+    if (!isShown) {
+      this.shown = null; // it is requested again
+      return;
+    }
+    this.files.replaceChildren(this.#downloads(job, cell, path, options));
+    if (start) {
+      this.motion.portraits.show({ flights: this.motion.trajectory.flights });
+      return;
+    }
+    this.motion.portraits.show({ flights: null });
+    this.motion.loadMap(`/v1/jobs/${job.id}/trajectory?${query({ ...cell, ...MAPPED })}`, { signal });
+    this.#showValues(job, cell, signal).catch(() => {}); // the panel is complete without them
+  }
+
+  #build() {
     this.root.hidden = false;
-    this.root.setAttribute("aria-busy", "true");
-    if (this.player) this.#describeCell(cell);
-    else this.root.replaceChildren(this.#header(cell), this.computing.element);
-    this.computing.show();
-    try {
-      const trajectory = await this.#request(job, cell, signal);
-      this.#play(job, { ...cell, ...trajectory });
-      if (startOf(cell.direction)) this.portraits.show({ flights: trajectory.flights.flight_time });
-      else this.#showReturnMap(job, cell, signal);
-    } catch (error) {
-      if (error.name === "AbortError") return;
-      this.#stop();
-      this.shown = null;
-      this.root.replaceChildren(this.#header(cell), h("p", { className: "problem", role: "alert" }, error.message));
-    } finally {
-      if (!signal.aborted) {
-        this.computing.hide();
-        this.root.removeAttribute("aria-busy");
-      }
-    }
-  }
-
-  /** The motion of a cell as the sweep left it, or of a start; of a cycle, on an ideal plate. */
-  #request(job, { direction, ...cell }, signal) {
-    const start = startOf(direction);
-    if (start?.kind === "attractor") {
-      const parameters = query({ ...cell, attractor: start.number, periods: START_PERIODS, samples: SAMPLES });
-      return requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
-    }
-    const model = start?.kind === "cycle" ? { kind: "rigid" } : job.spec.model;
-    const periods = start?.kind === "cycle" ? PERIODS : START_PERIODS;
-    if (start) return requestTrajectory("/v1/trajectories", { method: "POST", signal, body: { ...cell, start, model, periods, samples: SAMPLES } });
-    const parameters = query({ ...cell, direction, periods: PERIODS, samples: SAMPLES });
-    return requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
-  }
-
-  /** The motion of a cell for so long that its flights make a return map; the panel is complete without it. */
-  async #showReturnMap(job, cell, signal) {
-    const { portraits } = this;
-    try {
-      const parameters = query({ ...cell, periods: MAP_PERIODS, samples: MAP_SAMPLES });
-      const { flights } = await requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
-      portraits.show({ flights: flights.flight_time });
-    } catch (error) {
-      if (error.name !== "AbortError") portraits.fail(error);
-    }
+    this.about = h("p", { className: "note" });
+    this.title = h("h2", { tabindex: "-1" });
+    this.values = h("details", { hidden: true });
+    this.files = h("div", {});
+    const portraits = h("div", {});
+    this.motion = new Motion({ portraits });
+    this.root.replaceChildren(
+      h("header", {}, this.title, this.about, h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close")),
+      this.motion.element, this.values, this.files, portraits);
   }
 
   hide() {
     this.request?.abort();
-    this.shown = null;
-    this.computing.hide();
-    this.#stop();
+    this.motion?.close();
+    Object.assign(this, { shown: null, motion: null });
     this.root.hidden = true;
     this.root.replaceChildren();
   }
 
-  #stop() {
-    this.player?.close();
-    this.portraits?.close();
-    this.player = null;
+  /** All variables that the diagram has of the cell. */
+  async #showValues(job, { gamma, ...cell }, signal) {
+    const result = await requestDataset(`/v1/jobs/${job.id}/diagram?${query({ ...cell, start: gamma, stop: gamma })}`, { signal });
+    const rows = Object.values(result).filter(({ attrs }) => attrs?.long_name);
+    this.values.hidden = false;
+    this.values.replaceChildren(h("summary", {}, "All values of the cell"), h("table", {}, h("tbody", {}, rows.map((variable) =>
+      h("tr", {}, h("th", { scope: "row" }, variable.attrs.long_name), h("td", {}, valueText(variable)))))));
   }
 
-  #play(job, trajectory) {
-    if (!this.player) {
-      const container = h("div", {});
-      this.readout = h("p", { className: "readout" });
-      this.root.replaceChildren(this.#header(trajectory), this.computing.element, container, this.readout, this.#downloads(job));
-      this.player = new Player(container);
-      this.portraits = new Portraits(this.root);
-    }
-    this.trajectory = trajectory;
-    this.#describeCell(trajectory);
-    this.readout.textContent = trajectory.cycle ? `On the ${cycleText(trajectory.cycle)}. ${describe(trajectory)}` : describe(trajectory);
-    this.player.show(trajectory);
-    this.portraits.show({ trajectory, flights: null });
-  }
-
-  #header(cell) {
-    this.about = h("p", { className: "note" });
-    this.title = h("h2", { tabindex: "-1" });
-    this.#describeCell(cell);
-    return h("header", {},
-      this.title, this.about,
-      h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close"));
-  }
-
-  #describeCell({ gamma, omega, xi, direction }) {
-    const values = Object.entries({ gamma, omega, xi }).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`);
-    this.title.textContent = `Trajectory of ${{ cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }[startOf(direction)?.kind] ?? "a cell"}`;
-    this.about.textContent = `${values.join(", ")}, ${startText(direction)}`;
-  }
-
-  #downloads(job) {
-    const name = (extension) => () => fileName(job, `trajectory-${number(this.trajectory.gamma)}-${number(this.trajectory.omega)}`, extension);
-    const rows = () => this.trajectory.phase.map((phase, i) => [phase, ...COLUMNS.map((column) => this.trajectory[column][i])]);
+  #downloads(job, { gamma, omega }, path, options) {
+    const name = (extension) => () => fileName(job, `trajectory-${number(gamma)}-${number(omega)}`, extension);
+    const file = (format) => () => requestBlob(`${path}${path.includes("?") ? "&" : "?"}format=${format}`, options);
     return downloads([
-      ["PNG", name("png"), async () => pngOf(this.player.plot, { origin: await originOf(job) })],
-      ["SVG", name("svg"), async () => svgOf(this.player.plot, { origin: await originOf(job) })],
-      ["CSV", name("csv"), () => csv(["phase_rad", ...COLUMNS], rows())],
+      ["PNG", name("png"), () => this.motion.player.plot.png([])],
+      ...(options.body ? [] : [["CSV", name("csv"), file("csv")]]),
+      ["NetCDF", name("nc"), file("nc")],
     ]);
   }
+}
+
+/** The path and options of a request for the motion of a cell as the sweep left it, or of a start; of a cycle, on an ideal plate. */
+function addressOf(job, { direction, ...cell }) {
+  const start = startOf(direction);
+  if (start && start.kind !== "attractor") {
+    const spring = start.kind === "cycle" ? { model: { kind: "rigid" }, ...PLAYED } : { model: job.spec.model, ...STARTED };
+    return ["/v1/trajectories", { method: "POST", body: { ...cell, start, ...spring } }];
+  }
+  const parameters = start ? { attractor: start.number, ...STARTED } : { direction, ...PLAYED };
+  return [`/v1/jobs/${job.id}/trajectory?${query({ ...cell, ...parameters })}`, {}];
+}
+
+/** The value of a variable of one cell, or its numbers, with units; of codes their meaning. */
+function valueText({ data, attrs: { units = "1", flag_values: codes, flag_meanings: meanings } }) {
+  const values = typeof data === "object" ? Array.from(data) : [data];
+  const texts = values.filter((value) => !Number.isNaN(value)).map((value) => {
+    if (codes) return meanings.split(" ")[codes.indexOf(value)].replaceAll("_", " ");
+    return typeof value === "number" ? number(value, 6) : String(value);
+  });
+  return `${texts.slice(0, MAX_LISTED).join(", ")}${texts.length > MAX_LISTED ? " …" : ""}${units === "1" || !texts.length ? "" : ` ${units}`}` || "–";
 }
 
 function startText(direction) {

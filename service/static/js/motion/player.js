@@ -1,19 +1,27 @@
-// Playback of a trajectory: the animated spring, the plot of its heights, and the controls.
+// Playback of a trajectory: the animated spring, its heights over time as in the paper's Fig. 2 (a–d), and the controls.
 
 import { h } from "../lib/dom.js";
 import { TWO_PI } from "../lib/physics.js";
+import { theme } from "../plot/colours.js";
+import { disc, polygon, polyline, resizedContext, verticalLine } from "../plot/drawing.js";
 import { Plot } from "../plot/plot.js";
-import { drawInstant } from "./animation.js";
-import { heightsOf } from "./height-plot.js";
-import { PERIODS, periodsOf } from "./trajectory.js";
+import { scale } from "../plot/scale.js";
 
 const SECONDS_PER_PERIOD = 1.6; // at full speed
 const SPEEDS = [1, 0.5, 0.25, 0.1];
+const RADIUS = 11; // of a mass, px
+const COILS = 9;
+const MARGIN = 0.06; // of the height range, above and below
+const MIN_LENGTH = 2; // plate amplitudes
+const MAX_LENGTH = 6;
+
+/** The plate periods that a trajectory spans. */
+export const periodsOf = ({ phase }) => Math.round(phase.at(-1) / TWO_PI);
 
 export class Player {
   phase = 0; // rad since the first sample
   speed = 1;
-  periods = PERIODS; // of the trajectory
+  periods = 1; // of the trajectory
   playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 
   constructor(root) {
@@ -21,7 +29,7 @@ export class Player {
     const figure = h("figure", { className: "heights" });
     this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // enabled by show()
     this.position = h("input", {
-      type: "range", min: 0, max: PERIODS, step: 0.005, value: 0, "aria-label": "Plate periods since the first sample",
+      type: "range", min: 0, max: 1, step: 0.005, value: 0, "aria-label": "Plate periods since the first sample",
       oninput: () => {
         this.play(false);
         this.phase = this.position.valueAsNumber * TWO_PI;
@@ -83,4 +91,108 @@ export class Player {
       h("select", { onchange: (event) => { this.speed = Number(event.target.value); } },
         SPEEDS.map((speed) => h("option", { value: speed }, `× ${speed}`))));
   }
+}
+
+/** Draw the `heights` of height-plot.js at `phase` on a canvas as high as the plot beside it. */
+function drawInstant(canvas, heights, phase, height) {
+  const width = canvas.clientWidth;
+  const ctx = resizedContext(canvas, width, height);
+  const colours = theme();
+  const y = scale(heights.low, heights.high, height - 46, 12).pixel; // the margins of the plot
+  const { plate, lower, upper, inFlight } = heights.at(phase);
+  const middle = width / 2;
+  drawPlate(ctx, middle, y(plate), width, colours);
+  if (Number.isNaN(lower)) return;
+  // The height of a mass is that of its lower edge, so that contact with the plate is visible.
+  const lowerY = y(lower) - RADIUS;
+  const upperY = heights.isBall ? lowerY : Math.min(y(upper) - RADIUS, lowerY - 2 * RADIUS - 4);
+  if (!heights.isBall) {
+    drawSpring(ctx, middle, lowerY - RADIUS, upperY + RADIUS, colours);
+    disc(ctx, colours.up, middle, upperY, RADIUS);
+  }
+  disc(ctx, colours["lower-mass"], middle, lowerY, RADIUS);
+  ctx.fillStyle = colours.muted;
+  ctx.font = `italic ${Math.min(13, width / 6.5)}px ${colours.serif}`;
+  ctx.textAlign = "center";
+  ctx.fillText(inFlight ? "in flight" : "on the plate", middle, height - 8);
+}
+
+function drawPlate(ctx, middle, y, width, colours) {
+  const half = Math.min(width / 2 - 8, 60);
+  ctx.fillStyle = colours.text;
+  ctx.fillRect(middle - half, y, 2 * half, 5);
+  ctx.fillRect(middle - 2, y, 4, 26);
+}
+
+function drawSpring(ctx, x, from, to, colours) {
+  const points = [[x, from]];
+  const straight = (to - from) * 0.08; // at each end
+  for (let i = 0; i <= COILS * 2; i++) {
+    const fraction = (i + 0.5) / (COILS * 2 + 1);
+    points.push([x + (i % 2 ? 8 : -8), from + straight + (to - from - 2 * straight) * fraction]);
+  }
+  points.push([x, to]);
+  polyline(ctx, colours.muted, 1.6, points);
+}
+
+/**
+ * What to draw of a trajectory. Lengths are in plate amplitudes. `content(phase)` is for a Plot, where `phase()` is
+ * the current phase; `at(phase)` gives the heights at a phase in rad.
+ */
+function heightsOf(trajectory) {
+  const isBall = trajectory.model === "ball";
+  const length = isBall ? 0 : drawnLength(trajectory);
+  const lower = trajectory.z2;
+  const upper = isBall ? lower : trajectory.z1.map((z1) => z1 - trajectory.rest_length + length);
+  const values = [...trajectory.plate, ...lower, ...upper].filter(Number.isFinite);
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const heights = {
+    isBall, phase: trajectory.phase, plate: trajectory.plate, lower, upper, inFlight: trajectory.in_flight,
+    low: low - MARGIN * (high - low) - 0.4, high: high + MARGIN * (high - low) + 0.4,
+  };
+  heights.content = (phase) => contentOf(heights, phase);
+  heights.at = (phase) => interpolated(heights, phase);
+  return heights;
+}
+
+/**
+ * The length the spring is drawn with. The dynamics do not depend on the rest length, so it is the one of the
+ * trajectory where that can be seen, and long enough for the ends not to cross.
+ */
+function drawnLength({ z1, z2, rest_length: rest }) {
+  const maxCompression = -Math.min(...z1.map((value, i) => value - rest - z2[i]).filter(Number.isFinite));
+  const minLength = Math.max(MIN_LENGTH, 1 + 1.3 * maxCompression);
+  return Math.min(Math.max(rest, minLength), Math.max(minLength, MAX_LENGTH));
+}
+
+function contentOf(heights, currentPhase) {
+  const { phase, plate, lower, upper, isBall } = heights;
+  const periods = phase.map((value) => value / TWO_PI);
+  const points = (box, values) => values.map((value, i) => [box.x.pixel(periods[i]), box.y.pixel(value)]).filter(([, y]) => Number.isFinite(y));
+  return {
+    x: { label: "time (plate periods)", low: 0, high: periods[periods.length - 1] },
+    y: { label: "height / A", low: heights.low, high: heights.high },
+    layers: [
+      (ctx, box) => {
+        const surface = points(box, plate);
+        polygon(ctx, box.theme.text, [...surface, [box.left + box.width, box.top + box.height], [box.left, box.top + box.height]], box.theme.dark ? 0.62 : 0.85);
+        polyline(ctx, box.theme.text, 1.5, surface);
+      },
+      (ctx, box) => {
+        if (!isBall) polygon(ctx, box.theme.muted, [...points(box, upper), ...points(box, lower).reverse()], box.theme.dark ? 0.25 : 0.35);
+        polyline(ctx, box.theme.up, 1.6, points(box, upper));
+        polyline(ctx, box.theme["lower-mass"], 1.6, points(box, lower));
+      },
+    ],
+    cursor: (ctx, box) => verticalLine(ctx, box, box.x.pixel(currentPhase() / TWO_PI), box.theme.cursor),
+  };
+}
+
+/** Heights at a phase, linear between two samples; NaN after the end of the computed trajectory. */
+function interpolated({ phase, plate, lower, upper, inFlight }, at) {
+  const step = phase[1] - phase[0];
+  const i = Math.min(Math.floor(at / step), phase.length - 2);
+  const fraction = Math.min(Math.max((at - phase[i]) / step, 0), 1);
+  const between = (values) => values[i] + fraction * (values[i + 1] - values[i]);
+  return { plate: between(plate), lower: between(lower), upper: between(upper), inFlight: inFlight[i] };
 }

@@ -49,7 +49,7 @@ export class Portraits {
 }
 
 /** The pairs of successive flights, (φₙ, φₙ₊₁). */
-export const pairsOf = (flights) => flights.slice(1).map((time, i) => [flights[i], time]);
+const pairsOf = (flights) => flights.slice(1).map((time, i) => [flights[i], time]);
 
 function mapText(flights) {
   if (flights.length < 2) return "The spring makes no two flights in a row.";
@@ -58,49 +58,42 @@ function mapText(flights) {
 }
 
 function returnMap(flights) {
-  const pairs = pairsOf(flights);
-  const [least, greatest] = [Math.min(...flights), Math.max(...flights)];
-  const missing = Math.max(0, MIN_RANGE - (greatest - least)) / 2;
-  const [low, high] = widened(least - missing, greatest + missing);
-  const axis = (label) => ({ label, low: flights.length ? low : 0, high: flights.length ? high : TWO_PI });
+  const points = pairsOf(flights);
+  const missing = Math.max(0, MIN_RANGE - (Math.max(...flights) - Math.min(...flights))) / 2;
+  const [low, high] = flights.length ? widened(Math.min(...flights) - missing, Math.max(...flights) + missing) : [0, TWO_PI];
+  const axis = (label) => ({ label, low, high });
   return {
     x: axis("flight time φₙ (rad)"), y: axis("next flight time φₙ₊₁ (rad)"),
-    message: pairs.length ? null : "No two flights in a row",
+    message: points.length ? null : "No two flights in a row",
     layers: [
-      (ctx, box) => polyline(ctx, box.theme.border, 1, [[box.x.pixel(low), box.y.pixel(low)], [box.x.pixel(high), box.y.pixel(high)]]),
-      (ctx, box) => pairs.forEach(([x, y]) => disc(ctx, box.theme.up, box.x.pixel(x), box.y.pixel(y), 2.4)),
+      (ctx, box) => polyline(ctx, box.theme.border, 1, pixels(box, [[low, low], [high, high]])),
+      (ctx, box) => pixels(box, points).forEach(([x, y]) => disc(ctx, box.theme.up, x, y, 2.4)),
     ],
   };
 }
 
 /** The elongation of the spring and its velocity, in plate amplitudes, and once per plate period a dot. */
 function phasePortrait({ phase, z1, z2, rest_length: rest }) {
-  const elongation = z1.map((value, i) => (value === null ? null : value - z2[i] - rest));
+  const elongation = z1.map((value, i) => value - z2[i] - rest);
   const step = phase[1] - phase[0];
-  const points = [];
-  const section = [];
-  const perPeriod = Math.round(TWO_PI / step);
-  for (let i = 1; i < phase.length - 1; i++) {
-    if (elongation[i - 1] === null || elongation[i + 1] === null) continue;
-    const point = [elongation[i], (elongation[i + 1] - elongation[i - 1]) / (2 * step)];
-    points.push(point);
-    if (i % perPeriod === 0) section.push(point);
-  }
-  const range = (k) => widened(Math.min(...points.map((point) => point[k])), Math.max(...points.map((point) => point[k])));
-  const [[x0, x1], [y0, y1]] = points.length ? [range(0), range(1)] : [[-1, 1], [-1, 1]];
-  const pixels = (box, list) => list.map(([x, y]) => [box.x.pixel(x), box.y.pixel(y)]);
+  const points = phase.map((_, i) => [elongation[i], (elongation[i + 1] - elongation[i - 1]) / (2 * step)]);
+  const known = points.filter(([, velocity]) => Number.isFinite(velocity));
+  const section = points.filter(([, velocity], i) => Number.isFinite(velocity) && i % Math.round(TWO_PI / step) === 0);
+  const range = (k) => (known.length ? widened(Math.min(...known.map((point) => point[k])), Math.max(...known.map((point) => point[k]))) : [-1, 1]);
+  const [[x0, x1], [y0, y1]] = [range(0), range(1)];
   return {
     x: { label: "elongation / A", low: x0, high: x1 }, y: { label: "velocity / (Aω)", low: y0, high: y1 },
-    message: points.length ? null : "A ball has no spring",
+    message: known.length ? null : "A ball has no spring",
     layers: [
-      (ctx, box) => points.length && polyline(ctx, box.theme.up, 1.4, pixels(box, points)),
+      (ctx, box) => polyline(ctx, box.theme.up, 1.4, pixels(box, known)),
       (ctx, box) => pixels(box, section).forEach(([x, y]) => disc(ctx, box.theme.cursor, x, y, 3.4)),
     ],
   };
 }
 
+const pixels = (box, points) => points.map(([x, y]) => [box.x.pixel(x), box.y.pixel(y)]);
+
 function widened(low, high) {
   const [a, b] = extent(low, high);
   return [a - MARGIN * (b - a), b + MARGIN * (b - a)];
 }
-

@@ -1,17 +1,21 @@
 // Colours: the theme of the style sheet, the directions of a sweep, and the modes of a map.
 
-import { LABEL, OUTCOME, labelsOf, outcomeText } from "../lib/physics.js";
+import { LABEL, OUTCOME, outcomeText } from "../lib/physics.js";
 
 const DARK = "(prefers-color-scheme: dark)";
 const PROPERTIES = ["surface", "text", "muted", "border", "up", "down", "single", "threshold", "branch", "cursor", "lower-mass"];
 const SERIF = "'STIX Two Text', 'Iowan Old Style', Palatino, Georgia, 'DejaVu Serif', serif";
 const themes = new Map();
 
-/** The style sheet's colours and font for drawing: of the current colour scheme, or of `print` (dark on white). */
-export function theme(print = false) {
-  const key = print ? "print" : matchMedia(DARK).matches ? "dark" : "light";
-  if (!themes.has(key)) themes.set(key, readTheme(print));
-  return themes.get(key);
+/** The style sheet's colours and font for drawing, of the current colour scheme. */
+export function theme() {
+  const dark = matchMedia(DARK).matches;
+  if (!themes.has(dark)) {
+    const style = getComputedStyle(document.documentElement);
+    const colours = PROPERTIES.map((name) => [name, style.getPropertyValue(`--${name}`).match(/#\w+/g)[Number(dark)]]); // light-dark(a, b)
+    themes.set(dark, { ...Object.fromEntries(colours), dark, serif: SERIF });
+  }
+  return themes.get(dark);
 }
 
 // Of attractors by their number, as in the service's pictures (Okabe and Ito).
@@ -26,7 +30,7 @@ export const COLOURED = ATTRACTORS.length - 1;
 // Blues that differ from each other and from a dark background.
 const ON_DARK = { "#0072b2": "#2f8be0", "#56b4e9": "#9bd7f7" };
 
-/** The colour of the attractor of a plane with this number, in a dark or light scheme. */
+/** The colour of the attractor, or compared sweep, with this number from 1, in a dark or light scheme. */
 export function branchColour(id, dark) {
   if (id > COLOURED) return "#999999";
   return (dark && ON_DARK[ATTRACTORS[id - 1]]) || ATTRACTORS[id - 1];
@@ -34,18 +38,6 @@ export function branchColour(id, dark) {
 
 export function onThemeChange(listener, signal) {
   matchMedia(DARK).addEventListener("change", listener, { signal });
-}
-
-function readTheme(print) {
-  const probe = document.createElement("div");
-  probe.className = print ? "print" : "";
-  probe.hidden = true;
-  document.body.append(probe);
-  const style = getComputedStyle(probe);
-  const colours = Object.fromEntries(PROPERTIES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
-  const dark = style.getPropertyValue("--dark").trim() === "1";
-  probe.remove();
-  return { ...colours, dark, serif: SERIF };
 }
 
 /** The colour of one direction of a sweep. */
@@ -92,8 +84,7 @@ function classOf(label, bounces, periods) {
 /**
  * Classes of cells by colour: {ofCell: Uint8Array, present: [{id, name, cells}, …]}, `present` in legend order.
  */
-export function modeClasses({ bounces, periods, ...cellsOf }) {
-  const labels = labelsOf(cellsOf);
+export function modeClasses({ outcome, label: labels = outcome, bounces, periods }) {
   const ofCell = new Uint8Array(labels.length);
   const cells = new Uint32Array(CLASSES);
   const minBounces = new Int32Array(CLASSES).fill(2 ** 30);

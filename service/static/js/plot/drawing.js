@@ -1,4 +1,4 @@
-// Drawing on a 2D context: a canvas's own, or the SvgContext of export.js, which records the same calls as SVG.
+// Drawing on the 2D context of a canvas.
 
 /** Canvas pixels per CSS pixel, at most two: more costs time and shows no difference. */
 export const pixelRatio = () => Math.min(devicePixelRatio || 1, 2);
@@ -17,7 +17,7 @@ export function resizedContext(canvas, width, height) {
   return ctx;
 }
 
-/** A polyline through `points`, [x, y] in pixels; `dash` as in setLineDash. */
+/** A polyline through `points`, [x, y] in pixels, interrupted where one is null; `dash` as in setLineDash. */
 export function polyline(ctx, colour, width, points, dash = []) {
   ctx.strokeStyle = colour;
   ctx.lineWidth = width;
@@ -89,5 +89,8 @@ export function rgba32(colour, opacity = 1) {
 
 function path(ctx, points) {
   ctx.beginPath();
-  points.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
+  points.forEach((point, i) => {
+    if (point && points[i - 1]) ctx.lineTo(...point);
+    else if (point) ctx.moveTo(...point);
+  });
 }

@@ -1,20 +1,20 @@
 // What surrounds a plot's data: frame, ticks, labels, title and legend.
 
+import { TWO_PI } from "../lib/physics.js";
 import { polyline } from "./drawing.js";
 import { scale, ticks } from "./scale.js";
 
-export const FONT_SIZE = 13;
-const LEGEND_SPACE = 46; // px, of an entry's symbol and the spaces around it
+const FONT_SIZE = 13;
+const LEGEND_SPACE = 50; // px, of an entry's symbol and the spaces around it
 const HEADING_HEIGHT = 22; // px, of a line of the title or the legend
 const HEADING_MARGIN = 92; // px, left and right of them
-const NARROW = 520; // px: below this width, title and legend take a line each
-const TWO_PI = 2 * Math.PI;
+const NARROW = 520; // px: below this width, margins and ticks are smaller
 
 /** The plot box: the data area between the margins, in pixels, and the scales of its axes. */
 export function boxOf(ctx, content, width, height, theme, ratio) {
   const narrow = width < NARROW;
-  const headings = headingLines(ctx, content, width, theme, narrow);
-  const [top, bottom] = [12 + HEADING_HEIGHT * headings.lines, 46];
+  const headings = headingsOf(ctx, content, width, theme);
+  const [top, bottom] = [12 + HEADING_HEIGHT * ((headings.at(-1)?.line ?? -1) + 1), 46];
   const [left, right] = [leftMargin(ctx, content.y, height - top - bottom, theme, narrow), content.y.periods ? 34 : 22];
   return {
     left, top, width: width - left - right, height: height - top - bottom, theme, narrow, headings, ratio,
@@ -23,21 +23,16 @@ export function boxOf(ctx, content, width, height, theme, ratio) {
   };
 }
 
-/**
- * How title and legend are laid out: {rows: the legend's entries in lines, lines: of both}. Where one line does not hold
- * both, and on a narrow plot, the title has a line of its own.
- */
-function headingLines(ctx, { title, legend = [] }, width, theme, narrow) {
+/** Title and legend from left to right, in as many lines as they need: [{name, drawSymbol, x, line}, …]. */
+function headingsOf(ctx, { title, legend = [] }, width, theme) {
   ctx.font = headingFont(theme);
-  const widthOf = (entries) => entries.reduce((sum, [name]) => sum + ctx.measureText(name).width + LEGEND_SPACE, 0);
-  const rows = [];
-  for (const entry of legend) {
-    const row = rows.at(-1);
-    if (row && widthOf([...row, entry]) <= width - HEADING_MARGIN) row.push(entry);
-    else rows.push([entry]);
-  }
-  const isShared = title && rows.length === 1 && !narrow && ctx.measureText(title).width + widthOf(legend) <= width - HEADING_MARGIN;
-  return { rows, lines: rows.length + (title && !isShared ? 1 : 0) };
+  let [x, line] = [0, 0];
+  return [...(title ? [[title]] : []), ...legend].map(([name, drawSymbol]) => {
+    const size = ctx.measureText(name).width + (drawSymbol ? LEGEND_SPACE : HEADING_HEIGHT);
+    if (x && x + size > width - HEADING_MARGIN) [x, line] = [0, line + 1];
+    x += size;
+    return { name, drawSymbol, x: x - size, line };
+  });
 }
 
 const headingFont = (theme) => `${FONT_SIZE + 1}px ${theme.serif}`;
@@ -114,36 +109,15 @@ function drawYTicks(ctx, { y, left, top, width, height, theme }, periods) {
 
 const clamp = (at, low, high) => Math.min(Math.max(at, low + 0.5), high - 0.5);
 
-/** The title above the frame on the left, the legend on the right, below it where one line does not hold both. */
-export function drawHeadings(ctx, { left, top, width, headings, theme }, { title = "" }) {
+/** The title and the legend above the frame. */
+export function drawHeadings(ctx, { left, headings, theme }) {
   ctx.font = headingFont(theme);
   ctx.textBaseline = "middle";
   ctx.textAlign = "left";
-  ctx.fillStyle = theme.text;
-  const line = (i) => top - 15 - HEADING_HEIGHT * (headings.lines - 1 - i);
-  ctx.fillText(title, left, line(0));
-  ctx.textAlign = "right";
-  headings.rows.forEach((row, i) => {
-    const y = line(headings.lines - headings.rows.length + i);
-    let x = left + width;
-    for (const [name, drawSymbol] of [...row].reverse()) {
-      ctx.fillStyle = theme.text;
-      ctx.fillText(name, x, y);
-      x -= ctx.measureText(name).width + LEGEND_SPACE - 12;
-      drawSymbol(ctx, x + 4, y, theme);
-      x -= 12;
-    }
-  });
-}
-
-/** A sentence in the middle of an empty plot: why it is empty. */
-export function drawMessage(ctx, { left, top, width, height, theme }, message) {
-  ctx.font = `italic ${FONT_SIZE + 3}px ${theme.serif}`;
-  ctx.textAlign = "center";
-  ctx.textBaseline = "middle";
-  const boxWidth = Math.min(ctx.measureText(message).width + 24, width - 12);
-  ctx.fillStyle = theme.surface;
-  ctx.fillRect(left + width / 2 - boxWidth / 2, top + height / 2 - 16, boxWidth, 32);
-  ctx.fillStyle = theme.muted;
-  ctx.fillText(message, left + width / 2, top + height / 2, width - 16);
+  for (const { name, drawSymbol, x, line } of headings) {
+    const y = 18 + HEADING_HEIGHT * line;
+    drawSymbol?.(ctx, left + x, y, theme);
+    ctx.fillStyle = theme.text;
+    ctx.fillText(name, left + x + (drawSymbol ? 30 : 0), y);
+  }
 }

@@ -80,12 +80,10 @@ function selectedWindow({ box }, [ax, ay], [bx, by]) {
 }
 
 function drawSelection(plot, from, to) {
-  const ctx = plot.cursor.getContext("2d");
-  const window = selectedWindow(plot, from, to);
+  const { x0, x1, y0, y1 } = selectedWindow(plot, from, to);
   const { x, y, theme } = plot.box;
-  const [left, right] = [x.pixel(window.x0), x.pixel(window.x1)];
-  const [bottom, top] = [y.pixel(window.y0), y.pixel(window.y1)];
-  polyline(ctx, theme.cursor, 1.5, [[left, bottom], [right, bottom], [right, top], [left, top], [left, bottom]], [4, 3]);
+  const corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]].map(([column, row]) => [x.pixel(column), y.pixel(row)]);
+  polyline(plot.cursor.getContext("2d"), theme.cursor, 1.5, corners, [4, 3]);
 }
 
 /** `window` made `factor` times as wide about `centre`, within `whole`; null if that is all of it. */

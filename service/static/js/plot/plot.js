@@ -3,19 +3,16 @@
 import { h } from "../lib/dom.js";
 import { onThemeChange, theme } from "./colours.js";
 import { clipped, pixelRatio, resizedContext } from "./drawing.js";
-import { boxOf, drawFrame, drawHeadings, drawMessage, drawPeriods } from "./frame.js";
+import { boxOf, drawFrame, drawHeadings, drawPeriods } from "./frame.js";
 
-const MAX_VIEWPORT_SHARE = 0.66; // of the viewport's height
-const SMALLEST = 200; // px, of a plot that would else end below the viewport
-const BELOW = 10; // px under a plot that ends within the viewport
+const MAX_VIEWPORT_SHARE = 0.6; // of the viewport's height
 
 /**
  * `content()` returns what to draw, null before anything is loaded:
  *   x: {label, low, high, log}, y: {label, low, high, log, periods (mark whole plate periods)},
  *   layers: [(ctx, box) => …], cursor: (ctx, box) => …,
  *   title, message (shown in the middle of an empty plot),
- *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide], …],
- *   colours: [[name, theme => colour], …], a legend below the plot in exported files.
+ *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide], …].
  * Dispatches "drawn" on its element after each drawing.
  */
 export class Plot {
@@ -25,21 +22,18 @@ export class Plot {
     this.minHeight = minHeight;
     this.canvas = h("canvas", { "aria-hidden": "true" });
     this.cursor = h("canvas", { "aria-hidden": "true", className: "cursor" });
-    this.element = h("div", { className: "plot", tabindex: "0", role: "application", "aria-label": label }, this.canvas, this.cursor);
+    this.message = h("p", { className: "message", hidden: true });
+    this.element = h("div", { className: "plot", tabindex: "0", role: "application", "aria-label": label }, this.canvas, this.cursor, this.message);
     root.append(this.element);
     this.closing = new AbortController();
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(this.element);
-    // What appears above a plot moves it down, and out of the viewport.
-    this.moves = new ResizeObserver(() => this.above !== undefined && Math.abs(this.#above() - this.above) > 1 && this.redraw());
-    this.moves.observe(document.body);
     onThemeChange(() => this.redraw(), this.closing.signal);
   }
 
   close() {
     this.closing.abort();
     this.observer.disconnect();
-    this.moves.disconnect();
     cancelAnimationFrame(this.frame);
   }
 
@@ -52,25 +46,45 @@ export class Plot {
   draw() {
     const width = this.element.clientWidth;
     if (!width) return;
-    const room = this.#room();
-    const height = Math.round(Math.max(Math.min(this.minHeight, room), Math.min(width * this.ratio, room)));
+    const height = Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, innerHeight * MAX_VIEWPORT_SHARE)));
     const ctx = resizedContext(this.canvas, width, height);
-    this.box = this.paint(ctx, width, height, theme(), pixelRatio());
+    const content = this.content();
+    this.box = content && boxOf(ctx, content, width, height, theme(), pixelRatio());
+    if (content) this.#paint(ctx, content);
+    this.message.textContent = content?.message ?? "";
+    this.message.hidden = !content?.message;
     this.drawCursor();
     this.element.dispatchEvent(new Event("drawn"));
   }
 
-  /** The height that a plot may take: up to the bottom of the viewport where it begins high enough for that. */
-  #room() {
-    const share = innerHeight * MAX_VIEWPORT_SHARE;
-    this.above = this.#above();
-    const left = innerHeight - this.above - BELOW;
-    return left >= SMALLEST ? Math.min(share, left) : Math.max(share, this.minHeight);
+  #paint(ctx, content) {
+    const { box } = this;
+    ctx.fillStyle = box.theme.surface;
+    ctx.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    if (content.y.periods) drawPeriods(ctx, box);
+    clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
+    drawFrame(ctx, box, content);
+    drawHeadings(ctx, box);
   }
 
-  /** The height of all that is above the plot on the page. */
-  #above() {
-    return this.element.getBoundingClientRect().top + scrollY;
+  /** What is drawn, as a PNG, with a legend of `colours` below it: [[name, colour], …]. */
+  png(colours) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const [columns, line] = [Math.floor(width / 130), 24];
+    const canvas = h("canvas");
+    const ctx = resizedContext(canvas, width, height + line * Math.ceil(colours.length / columns));
+    ctx.fillStyle = theme().surface;
+    ctx.fillRect(0, 0, canvas.width, canvas.height);
+    ctx.drawImage(this.canvas, 0, 0, width, height);
+    ctx.font = `13px ${theme().serif}`;
+    colours.forEach(([name, colour], i) => {
+      const [x, y] = [20 + 130 * (i % columns), height + line * Math.floor(i / columns)];
+      ctx.fillStyle = colour;
+      ctx.fillRect(x, y + 2, 12, 12);
+      ctx.fillStyle = theme().text;
+      ctx.fillText(name, x + 18, y + 12);
+    });
+    return new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
   }
 
   drawCursor() {
@@ -79,20 +93,5 @@ export class Plot {
     const content = this.content();
     if (!this.box || !content?.cursor) return;
     clipped(ctx, this.box, () => content.cursor(ctx, this.box));
-  }
-
-  /** Draw the whole plot on `ctx`, bitmaps at `ratio` pixels per unit; returns the plot box. */
-  paint(ctx, width, height, theme, ratio) {
-    ctx.fillStyle = theme.surface;
-    ctx.fillRect(0, 0, width, height);
-    const content = this.content();
-    if (!content) return null;
-    const box = boxOf(ctx, content, width, height, theme, ratio);
-    if (content.y.periods) drawPeriods(ctx, box);
-    clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
-    if (content.message) drawMessage(ctx, box, content.message);
-    drawFrame(ctx, box, content);
-    drawHeadings(ctx, box, content);
-    return box;
   }
 }

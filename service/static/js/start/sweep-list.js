@@ -1,10 +1,10 @@
-// The list of sweeps: found by name, state, model and date, in pages; several of them pinned, compared or deleted.
+// The list of sweeps: found by name, state and model, in pages; several of them compared or deleted.
 
-import { currentQuery, link, setQuery } from "../lib/address.js";
-import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
-import { announce, confirmed, debounced, h } from "../lib/dom.js";
+import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
+import { query, requestJson } from "../lib/api.js";
+import { announce, debounced, h, problemLine } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
-import { ProgressBar, UNFINISHED, notice, showActions, summary, titleOf } from "../views/progress.js";
+import { JobSummary, UNFINISHED, titleOf } from "../views/progress.js";
 
 const PAGE_SIZE = 25;
 const MAX_PINNED = 100; // shown above the first page
@@ -17,40 +17,38 @@ const MAX_NAMED = 5; // sweeps named in a confirmation
 const STATES = [["", "any state"], ["queued", "queued"], ["running", "running"], ["done", "done"], ["failed", "failed"], ["cancelled", "cancelled"]];
 const MODELS = [["", "any contact"], ["rigid", "rigid"], ["soft", "soft"], ["stepped", "stepped"], ["ball", "ball"], ["auto", "auto"]];
 const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "last finished first"], ["name", "by name"], ["largest", "largest first"]];
-const FILTERS = ["search", "state", "model", "from", "to"]; // query parameters of the address; beside them `order`
 
 export class SweepList {
   rows = new Map(); // job id → row
   selected = new Map(); // job id → job
   cursors = [null]; // of the pages up to the shown one
+  jobs = []; // shown
 
   constructor() {
-    const { search, state, model, from, to, order } = currentQuery();
-    const typed = debounced(TYPING_MS, () => this.#find());
-    const choice = (name, title, options, value) => h("label", { className: "option" }, `${title} `,
-      h("select", { name, onchange: () => this.#find() }, options.map(([key, text]) => h("option", { value: key, selected: key === (value ?? "") }, text))));
-    const day = (name, title, value) => h("label", { className: "option" }, `${title} `, h("input", { type: "date", name, value: value ?? "", onchange: () => this.#find() }));
-    this.filters = h("form", { className: "controls filters", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); this.#find(); } },
-      h("label", { className: "option" }, "Find ", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", value: search ?? "", oninput: typed })),
-      choice("state", "State", STATES, state), choice("model", "Contact", MODELS, model),
-      day("from", "From", from), day("to", "to", to), choice("order", "Order", ORDERS, order));
-    this.all = h("input", { type: "checkbox", onchange: () => this.#selectAll(this.all.checked) });
+    const query = currentQuery();
+    const find = () => this.#find();
+    const labelled = (title, control) => h("label", { className: "option" }, `${title} `, control);
+    const choice = (name, title, options) => labelled(title,
+      h("select", { name, onchange: find }, options.map(([key, text]) => h("option", { value: key, selected: key === (query[name] ?? "") }, text))));
+    const button = (title, work) => h("button", { type: "button", className: "quiet", onclick: work }, title);
+    this.filters = h("form", { className: "controls filters", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
+      labelled("Find", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", value: query.search ?? "", oninput: debounced(TYPING_MS, find) })),
+      choice("state", "State", STATES), choice("model", "Contact", MODELS), choice("order", "Order", ORDERS));
+    this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });
     this.chosen = h("span", { className: "note", role: "status" });
-    this.bulk = h("div", { className: "actions" },
-      this.#bulkButton("Compare", () => { location.hash = link(["compare"], { jobs: [...this.selected.keys()].join() }); }),
-      this.#bulkButton("Pin", () => this.#each("pin")),
-      this.#bulkButton("Unpin", () => this.#each("unpin")),
-      this.#bulkButton("Delete", () => this.#delete()));
+    this.compare = button("Compare", () => navigate(["compare"], { jobs: [...this.selected.keys()].join() }));
+    this.remove = button("Delete", () => this.#delete());
+    this.bulk = h("div", { className: "actions" }, this.compare, this.remove);
     this.selection = h("div", { className: "selection" }, h("label", { className: "option" }, this.all, " Select all shown"), this.chosen, this.bulk);
     this.list = h("ol", { className: "jobs", "aria-label": "Sweeps" });
     this.empty = h("p", { className: "note", hidden: true });
-    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.problem = problemLine();
     this.range = h("span", { className: "note", role: "status" });
-    this.previous = h("button", { type: "button", className: "quiet", onclick: () => this.#turn(-1) }, "Previous page");
-    this.next = h("button", { type: "button", className: "quiet", onclick: () => this.#turn(1) }, "Next page");
-    this.pages = h("div", { className: "controls pages" }, this.previous, this.next, this.range);
+    this.previous = button("Previous page", () => this.#turn(this.cursors.slice(0, -1)));
+    this.next = button("Next page", () => this.#turn([...this.cursors, this.following]));
     this.element = h("section", { "aria-labelledby": "sweeps" },
-      h("h2", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.filters, this.problem, this.selection, this.empty, this.list, this.pages);
+      h("h2", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.filters, this.problem.element, this.selection, this.empty, this.list,
+      h("div", { className: "controls pages" }, this.previous, this.next, this.range));
     this.#showSelection();
   }
 
@@ -82,11 +80,9 @@ export class SweepList {
   }
 
   showError(error) {
-    if (isHandledElsewhere(error)) return;
-    this.problem.hidden = false;
-    this.problem.textContent = error.message;
+    this.problem.show(error);
     clearTimeout(this.errorTimer);
-    this.errorTimer = setTimeout(() => { this.problem.hidden = true; }, ERROR_MS);
+    this.errorTimer = setTimeout(() => this.problem.show(null), ERROR_MS);
   }
 
   #refreshAfter(milliseconds) {
@@ -94,41 +90,35 @@ export class SweepList {
     this.timer = setTimeout(() => this.refresh(), milliseconds);
   }
 
-  /** The parameters of a request for jobs, except which page. Days are those of the reader's clock. */
+  /** The parameters of a request for jobs, except which page. */
   #wanted() {
-    const { search, state, model, from, to, order } = Object.fromEntries(new FormData(this.filters));
-    return { search: search.trim(), state, model, created_from: dayStart(from, 0), created_before: dayStart(to, 1), order };
+    const { search, ...choices } = Object.fromEntries(new FormData(this.filters));
+    return { search: search.trim(), ...choices };
   }
 
   #find() {
-    const values = Object.fromEntries(new FormData(this.filters));
-    setQuery(Object.fromEntries([...FILTERS, "order"].map((name) => [name, values[name] || null])));
+    setQuery(Object.fromEntries(Array.from(new FormData(this.filters), ([name, value]) => [name, value || null])));
     this.cursors = [null];
     this.refresh();
   }
 
-  #turn(step) {
-    this.cursors = step > 0 ? [...this.cursors, this.following] : this.cursors.slice(0, -1);
+  #turn(cursors) {
+    this.cursors = cursors;
     this.refresh();
     document.getElementById("sweeps")?.focus();
-  }
-
-  #isFiltered() {
-    const values = Object.fromEntries(new FormData(this.filters));
-    return FILTERS.some((name) => values[name]);
   }
 
   #showRange(pinned, others) {
     this.following = others.next;
     const before = (this.cursors.length - 1) * PAGE_SIZE;
     const total = pinned.total + others.total;
-    const isFiltered = this.#isFiltered();
-    this.previous.disabled = this.cursors.length === 1;
+    const isFiltered = [...new FormData(this.filters)].some(([name, value]) => value && name !== "order");
+    this.previous.disabled = !before;
     this.next.disabled = others.next === null;
-    this.previous.hidden = this.next.hidden = this.previous.disabled && this.next.disabled;
-    const shown = others.jobs.length ? `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}` : "";
-    const text = this.previous.hidden ? (isFiltered ? `${plural(total, "sweep")} found` : "") : `${shown}${pinned.total ? `, and ${count(pinned.total)} pinned` : ""}`;
-    if (this.range.textContent !== text) this.range.textContent = text; // announced when it changes
+    const isOnePage = this.previous.disabled && this.next.disabled;
+    this.previous.hidden = this.next.hidden = isOnePage;
+    const shown = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinned.total ? `, and ${count(pinned.total)} pinned` : ""}`;
+    setText(this.range, !isOnePage ? shown : isFiltered ? `${plural(total, "sweep")} found` : "");
     this.empty.hidden = total > 0;
     this.empty.textContent = isFiltered ? "No sweep is like that." : "No sweeps yet. Start with a preset.";
     this.filters.hidden = !total && !isFiltered;
@@ -156,35 +146,28 @@ export class SweepList {
 
   #row() {
     let job;
-    const box = h("input", { type: "checkbox", onchange: () => this.#select(job, box.checked) });
-    const pin = h("button", { type: "button", className: "quiet pin", onclick: () => this.#change(job, job.pinned ? "unpin" : "pin") });
+    const box = h("input", { type: "checkbox", onchange: () => this.#select([job], box.checked) });
+    const pin = h("button", { type: "button", className: "quiet pin", onclick: () => this.#pin(job) });
     const name = h("a", {});
-    const about = h("p", { className: "summary" });
     const time = h("span", { className: "note" });
-    const bar = new ProgressBar();
-    const buttons = h("div", { className: "actions" });
-    const other = h("p", { className: "notice", hidden: true });
     const error = h("p", { className: "problem", hidden: true });
-    const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h3", {}, name), about), bar.element, time, buttons, other, error);
+    const parts = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#onDelete(), error: (failure) => this.showError(failure) });
+    const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h3", {}, name), parts.about),
+      parts.progress, time, parts.actions, parts.notice, error);
     const update = (current) => {
       job = current;
       if (this.selected.has(job.id)) this.selected.set(job.id, job);
+      parts.show(job);
       box.setAttribute("aria-label", `Select ${titleOf(job)}`);
       box.checked = this.selected.has(job.id);
       pin.textContent = job.pinned ? "★" : "☆";
       pin.setAttribute("aria-label", `Pin ${titleOf(job)}`);
       pin.setAttribute("aria-pressed", String(job.pinned));
       pin.title = job.pinned ? "Unpin" : "Pin: show it above the others";
-      name.textContent = titleOf(job);
       name.href = link(["job", job.id]);
-      if (!about.hasChildNodes() || job.choice) about.replaceChildren(...summary(job));
       time.textContent = ago(job.finished ?? job.created);
-      bar.show(job);
-      other.hidden = !job.notice;
-      other.replaceChildren(...notice(job));
       error.hidden = !job.error;
       error.textContent = job.error ?? "";
-      showActions(buttons, job, { onChange: () => this.refresh(), onDelete: () => this.#onDelete(), onError: (failure) => this.showError(failure) });
     };
     return { element, update };
   }
@@ -194,40 +177,26 @@ export class SweepList {
     document.getElementById("sweeps")?.focus(); // the pressed button disappears
   }
 
-  #bulkButton(title, work) {
-    return h("button", { type: "button", className: "quiet", onclick: work }, title);
-  }
-
-  #select(job, on) {
-    if (on) this.selected.set(job.id, job);
-    else this.selected.delete(job.id);
-    this.#showSelection();
-  }
-
-  #selectAll(on) {
-    for (const job of this.jobs ?? []) {
+  #select(jobs, on) {
+    for (const job of jobs) {
       if (on) this.selected.set(job.id, job);
       else this.selected.delete(job.id);
     }
-    this.#showJobs(this.jobs ?? []);
+    this.#showJobs(this.jobs);
   }
 
   #showSelection() {
     const selected = [...this.selected.values()];
-    const [compare, pin, unpin, remove] = this.bulk.children;
-    const shown = this.jobs?.length ?? 0;
-    this.all.checked = shown > 0 && selected.length === shown;
-    this.all.indeterminate = selected.length > 0 && selected.length < shown;
-    const text = selected.length ? `${count(selected.length)} selected` : "";
-    if (this.chosen.textContent !== text) this.chosen.textContent = text;
+    this.all.checked = this.jobs.length > 0 && selected.length === this.jobs.length;
+    this.all.indeterminate = selected.length > 0 && !this.all.checked;
+    setText(this.chosen, selected.length ? `${count(selected.length)} selected` : "");
     this.bulk.hidden = !selected.length;
-    compare.disabled = selected.length < 2;
-    pin.disabled = selected.every((job) => job.pinned);
-    unpin.disabled = selected.every((job) => !job.pinned);
-    remove.disabled = selected.every((job) => UNFINISHED.has(job.state));
+    this.compare.disabled = selected.length < 2;
+    this.remove.disabled = selected.every((job) => UNFINISHED.has(job.state));
   }
 
-  async #change(job, action) {
+  async #pin(job) {
+    const action = job.pinned ? "unpin" : "pin";
     try {
       await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" });
       announce(`${titleOf(job)} is ${action}ned.`);
@@ -237,12 +206,6 @@ export class SweepList {
     this.refresh();
   }
 
-  async #each(action) {
-    for (const job of [...this.selected.values()]) {
-      if (job.pinned !== (action === "pin")) await this.#change(job, action);
-    }
-  }
-
   /** Delete the selected sweeps that are finished, after a confirmation that names them. */
   async #delete() {
     const finished = [...this.selected.values()].filter((job) => !UNFINISHED.has(job.state));
@@ -250,7 +213,7 @@ export class SweepList {
     const names = finished.slice(0, MAX_NAMED).map((job) => `“${titleOf(job)}”`).join(", ");
     const more = finished.length > MAX_NAMED ? ` and ${count(finished.length - MAX_NAMED)} more` : "";
     const rest = running ? ` ${plural(running, "sweep")} still computed ${running === 1 ? "is" : "are"} kept.` : "";
-    if (!(await confirmed(`Delete ${plural(finished.length, "sweep")} and ${finished.length === 1 ? "its" : "their"} results: ${names}${more}?${rest}`, "Delete"))) return;
+    if (!confirm(`Delete ${plural(finished.length, "sweep")} and ${finished.length === 1 ? "its" : "their"} results: ${names}${more}?${rest}`)) return;
     const failed = [];
     for (const job of finished) {
       try {
@@ -266,10 +229,7 @@ export class SweepList {
   }
 }
 
-/** The beginning of a day "2026-11-21" of the reader's clock, `later` days on, as a time; "" without a day. */
-function dayStart(day, later) {
-  if (!day) return "";
-  const [year, month, date] = day.split("-").map(Number);
-  const start = new Date(year, month - 1, date + later);
-  return Number.isNaN(start.getTime()) ? "" : start.toISOString();
+/** Change a text that is announced, only where it differs. */
+function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
 }

@@ -4,6 +4,7 @@ import { h } from "../lib/dom.js";
 import { clampIndex, nearestIndex } from "../lib/physics.js";
 import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
+import { PlotView } from "./plot-view.js";
 
 /** The window of all cells around `columns` and `rows`; with `positive` none of it is below 0, for logarithmic axes. */
 export function windowOf(columns, rows, positive = false) {
@@ -12,30 +13,55 @@ export function windowOf(columns, rows, positive = false) {
   return { x0: first(x, columns), x1: x.at(-1), y0: first(y, rows), y1: y.at(-1) };
 }
 
-/** Each pixel has the colour of the nearest cell: `colourOf(row, column, x, y)` as 32 bits; x and y count pixels. */
-export function drawCells(ctx, box, columns, rows, colourOf) {
-  const [width, height] = [Math.round(box.width * box.ratio), Math.round(box.height * box.ratio)];
-  const nearest = Int32Array.from({ length: width }, (_, i) => nearestIndex(columns, box.x.value(box.left + ((i + 0.5) * box.width) / width)));
-  const fill = (pixels) => {
-    for (let y = 0; y < height; y++) {
-      const row = nearestIndex(rows, box.y.value(box.top + ((y + 0.5) * box.height) / height));
-      for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(row, nearest[i], i, y);
-    }
-  };
-  bitmap(ctx, width, height, fill, box.left, box.top, box.left + box.width, box.top + box.height);
-}
+/** A view of cells {column, row}: indices into the `columns` and `rows` that were loaded. */
+export class PlaneView extends PlotView {
+  isPositive = true; // no value of an axis is below 0
 
-/** The cell {column, row} nearest to (x, y). */
-export const nearestCell = (columns, rows, x, y) => ({ column: nearestIndex(columns, x), row: nearestIndex(rows, y) });
+  whole() {
+    return windowOf(this.columns, this.rows, this.isPositive);
+  }
 
-/** The cell so many columns and rows further; from the middle without a current one. */
-export function nextCell(columns, rows, current, right, up) {
-  const { column, row } = current ?? { column: columns.length >> 1, row: rows.length >> 1 };
-  return { column: clampIndex(column + right, columns.length), row: clampIndex(row + up, rows.length) };
+  nearest(x, y) {
+    const { x0, x1, y0, y1 } = windowOf(this.columns, this.rows, this.isPositive);
+    const isInside = x >= x0 && x <= x1 && y >= y0 && y <= y1;
+    return isInside ? { column: nearestIndex(this.columns, x), row: nearestIndex(this.rows, y) } : null;
+  }
+
+  step(current, right, up) {
+    const { column, row } = current ?? { column: this.columns.length >> 1, row: this.rows.length >> 1 };
+    return { column: clampIndex(column + right, this.columns.length), row: clampIndex(row + up, this.rows.length) };
+  }
+
+  at({ column, row }) {
+    return [this.columns[column], this.rows[row]];
+  }
+
+  /** Rings around the selected cell, at [x, y], and the current one. */
+  drawCursor(ctx, box, selected) {
+    if (selected) drawRing(ctx, box, ...selected, 9);
+    if (this.current) drawRing(ctx, box, ...this.at(this.current), 6);
+  }
+
+  /** Each pixel has the colour of the nearest cell: `colourOf(row, column, x, y)` as 32 bits; x and y count pixels. */
+  drawCells(ctx, box, colourOf) {
+    const { x0, x1, y0, y1 } = windowOf(this.columns, this.rows, this.isPositive);
+    const [left, right] = [box.x.pixel(x0), box.x.pixel(x1)].map((x) => Math.min(Math.max(x, box.left), box.left + box.width));
+    const [bottom, top] = [box.y.pixel(y0), box.y.pixel(y1)].map((y) => Math.min(Math.max(y, box.top), box.top + box.height));
+    const [width, height] = [Math.round((right - left) * box.ratio), Math.round((bottom - top) * box.ratio)];
+    if (!width || !height) return;
+    const nearest = Int32Array.from({ length: width }, (_, i) => nearestIndex(this.columns, box.x.value(left + ((i + 0.5) * (right - left)) / width)));
+    const fill = (pixels) => {
+      for (let y = 0; y < height; y++) {
+        const row = nearestIndex(this.rows, box.y.value(top + ((y + 0.5) * (bottom - top)) / height));
+        for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(row, nearest[i], i, y);
+      }
+    };
+    bitmap(ctx, width, height, fill, left, top, right, bottom);
+  }
 }
 
 /** A ring with an outline, visible on every colour. */
-export function drawRing(ctx, { x, y, theme }, column, row, radius) {
+function drawRing(ctx, { x, y, theme }, column, row, radius) {
   circle(ctx, theme.surface, 4.5, x.pixel(column), y.pixel(row), radius);
   circle(ctx, theme.cursor, 2, x.pixel(column), y.pixel(row), radius);
 }

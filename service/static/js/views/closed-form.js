@@ -1,81 +1,91 @@
 // Cycles in closed form over the diagram: branches, solid where stable and dashed where not, and their events.
 
-import { query, requestDataset } from "../lib/api.js";
-import { cycleText } from "../lib/cycles.js";
-import { h } from "../lib/dom.js";
+import { currentQuery, queryChanges, setQuery } from "../lib/address.js";
+import { isHandledElsewhere, partsOf, query, requestDataset } from "../lib/api.js";
+import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { SYMBOL } from "../lib/physics.js";
+import { SYMBOL, cycleText } from "../lib/physics.js";
 import { circle, disc, polyline } from "../plot/drawing.js";
 
 const MODES = "1-1,1-2,1-3";
 const FOLD_MODES = "1-1,1-2";
 const POINTS = 400; // of a branch, at least
+const BEYOND = 2; // branches are requested up to this many times the highest Γ, so that none ends within the plot
 const DASH = [6, 4];
 const NEAR_PX = 9; // a pointer nearer to a branch than to any flight selects the cycle
 const MARK_PX = 4;
 
-/** Events by kind: the words of their labels. */
+/** Labels of events, where they are not their kind. */
 const EVENTS = {
-  fold: "fold",
-  flip: "flip",
   "neimark-sacker": "Neimark–Sacker",
   "immediate-takeoff": "take-off at once",
   "graze-flight": "graze in flight",
   "graze-contact": "graze in contact",
-  cusp: "cusp",
   "bogdanov-takens": "Bogdanov–Takens",
-  "fold-flip": "fold-flip",
 };
 
-/** A check box for what the closed form adds to a plot, and a note beside it. */
-export class ClosedFormBox {
-  constructor(label, checked, onChange) {
-    this.input = h("input", { type: "checkbox", checked, onchange: () => onChange(this.input.checked) });
+/** What the closed form adds to a plot: a check box with a note beside it, and its data, null where they are not shown. */
+class ClosedForm {
+  data = null;
+
+  /** `parameter` of the address; `path()` of the result, null where there is none; `read(result)` gives the data. */
+  constructor(view, label, parameter, path, read) {
+    Object.assign(this, { view, parameter, path, read });
+    this.input = h("input", { type: "checkbox", onchange: () => setQuery({ [parameter]: this.input.checked ? 1 : null }) });
     this.note = h("span", { className: "note", role: "status" });
     const title = "In closed form, on an ideal plate without restitution; unstable cycles too";
     this.element = h("span", { className: "closed-form" }, h("label", { className: "direction branch", title }, this.input, ` ${label}`), " ", this.note);
+    this.load = latest((signal) => this.#load(signal));
+    queryChanges.addEventListener("change", () => this.update(), { signal: view.closing.signal });
   }
 
-  get checked() {
-    return this.input.checked;
+  /** Load what the address asks for, unless it is there. */
+  update() {
+    this.input.checked = currentQuery()[this.parameter] === "1";
+    const path = this.input.checked ? this.path() : null;
+    if (path === this.requested) return;
+    this.requested = path;
+    this.load();
+  }
+
+  /** Workers may compute the result first, which takes some seconds. */
+  async #load(signal) {
+    const path = this.requested;
+    this.note.textContent = path ? "computing …" : "";
+    try {
+      this.data = path && this.read(await requestDataset(path, { signal }));
+      this.note.textContent = "";
+    } catch (error) {
+      if (error.name === "AbortError") return;
+      Object.assign(this, { data: null, requested: null });
+      this.note.textContent = isHandledElsewhere(error) ? "" : error.message;
+    }
+    if (this.view.isLoaded && !this.view.closing.signal.aborted) this.view.draw();
   }
 }
 
-const OF_EVENT = ["kind", "gamma", "omega", "bounces", "periods", "flight_time", "admissible"].map((name) => [name, `event_${name}`]);
-const OF_BRANCH = [["bounces", "branch_bounces"], ["periods", "branch_periods"], ...["gamma", "flight_time", "stable", "admissible", "multipliers"].map((name) => [name, name])];
-const OF_CURVE = ["omega", "gamma", "admissible"].map((name) => [name, name]);
+const unprefixed = (part) => Object.fromEntries(Object.entries(part).map(([name, value]) => [name.replace(/^(event|branch)_/, ""), value]));
 
-/** The things along the first dimension of some variables: for each an object of its value or its part of each array. */
-function things(result, dim, fields) {
-  return Array.from({ length: result.dims[dim] }, (_, i) => Object.fromEntries(fields.map(([field, name]) => {
-    const { data, shape = [data.length] } = result[name];
-    const size = data.length / shape[0];
-    return [field, shape.length === 1 ? data[i] : data.subarray(i * size, (i + 1) * size)];
-  })));
-}
+/** The address of the branches and events of a spring up to `gammaMax`, and what is drawn of them. */
+export const branchesPath = ({ omega, xi }, gammaMax) => `/v1/orbits?${query({ omega, xi, modes: MODES, gamma_max: gammaMax, points: POINTS })}`;
+export const readBranches = (result) => ({ branches: partsOf(result, "branch").map(unprefixed), events: partsOf(result, "event").map(unprefixed) });
 
-/** The branches and events of a spring up to `gammaMax`. Beyond the end of a branch nothing is admissible. */
-export async function requestBranches({ omega, xi }, gammaMax, options) {
-  const result = await requestDataset(`/v1/orbits?${query({ omega, xi, modes: MODES, gamma_max: gammaMax, points: POINTS })}`, options);
-  return { branches: things(result, "branch", OF_BRANCH), events: things(result, "event", OF_EVENT) };
-}
+/** The branches over a diagram along Γ. */
+export const branchesOver = (view) => new ClosedForm(view, "Branches", "branches",
+  () => (view.along === "gamma" ? branchesPath(view.place, BEYOND * view.grid.gamma.at(-1)) : null), readBranches);
 
 /** The curves of folds over Ω, and the points at which they meet. */
-export async function requestFolds(xi, [low, high], gammaMax, options) {
-  const result = await requestDataset(`/v1/curves?${query({ xi, omega_start: low, omega_stop: high, modes: FOLD_MODES, kinds: "fold", gamma_max: gammaMax })}`, options);
-  return { xi: result.xi.data, curves: things(result, "curve", OF_CURVE), points: things(result, "event", OF_EVENT) };
+export function foldsOver(view) {
+  const { omega, gamma } = view.grid;
+  const fixed = { omega_start: omega[0], omega_stop: omega.at(-1), modes: FOLD_MODES, kinds: "fold", gamma_max: gamma.at(-1) };
+  return new ClosedForm(view, "Folds", "folds", () => `/v1/curves?${query({ xi: view.place.xi, ...fixed })}`,
+    (result) => ({ curves: partsOf(result, "curve"), points: partsOf(result, "event").map(unprefixed) }));
 }
 
 /** Draw the folds of cycles that the spring has, and mark cusps and the like. */
 export function drawFolds(ctx, box, { curves, points }) {
   for (const { omega, gamma, admissible } of curves) {
-    let run = [];
-    const runs = [run];
-    omega.forEach((value, i) => {
-      if (admissible[i]) runs.push((run = []));
-      else run.push([box.x.pixel(value), box.y.pixel(gamma[i])]);
-    });
-    for (const part of runs.filter(({ length }) => length > 1)) polyline(ctx, box.theme.branch, 1.8, part);
+    polyline(ctx, box.theme.branch, 1.8, Array.from(omega, (value, i) => (admissible[i] ? null : [box.x.pixel(value), box.y.pixel(gamma[i])])));
   }
   const labels = [];
   for (const point of points.filter(({ admissible }) => admissible === 0)) drawEvent(ctx, box, point.omega, point.gamma, point, labels);
@@ -162,8 +172,7 @@ export function drawCycle(ctx, box, { branch, point }) {
 /** A cycle in words, with its multipliers. */
 export function describeCycle({ branch, point }) {
   const at = Object.fromEntries(["gamma", "flight_time", "stable"].map((name) => [name, branch[name][point]]));
-  const [re, im, otherRe, otherIm] = branch.multipliers.subarray(4 * point);
-  return `${SYMBOL.gamma} = ${number(at.gamma, 5)} · ${cycleText({ ...branch, ...at, multipliers: [[re, im], [otherRe, otherIm]] })}`;
+  return `${SYMBOL.gamma} = ${number(at.gamma, 5)} · ${cycleText({ ...branch, ...at, multipliers: branch.multipliers.subarray(4 * point) })}`;
 }
 
 /** The legend of branches in a Plot. */

@@ -1,77 +1,52 @@
-// Controls above the plots: sliders along the axes that are held fixed, and those of the bifurcation diagram.
+// Controls above the plots. Each writes the query of the page's address, which the views follow.
 
+import { addressValue, currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, SYMBOL, meaningOf, nearestIndex } from "../lib/physics.js";
+import { SYMBOL, initialValue, meaningOf, nearestIndex } from "../lib/physics.js";
 
-/**
- * Sliders for `axes` along the values of `grid` ({gamma: values, …}), starting at the values nearest to `start`.
- * `onMove(axis, value)` is called at every move. Axes of one value have none: the plot's title shows their value.
- */
-export function sliders(axes, grid, start, onMove) {
-  const movable = axes.filter((axis) => grid[axis].length > 1);
-  return movable.length > 0 && h("div", { className: "sliders" }, movable.map((axis) => slider(axis, grid[axis], start[axis], onMove)));
+/** Sliders along `axes` of a view's grid. Axes of one value have none: the plot's title shows their value. */
+export function sliders(view, axes) {
+  if (view.isFollower) return false;
+  const movable = axes.filter((axis) => view.grid[axis].length > 1);
+  return movable.length > 0 && h("div", { className: "sliders" }, movable.map((axis) => slider(view, axis)));
 }
 
-function slider(axis, values, start, onMove) {
-  const symbol = h("i", {}, SYMBOL[axis]);
+function slider({ grid, closing }, axis) {
+  const values = grid[axis];
   const id = `slider-${axis}`;
   const output = h("output", { for: id });
   const input = h("input", {
     id, type: "range", min: 0, max: values.length - 1, step: 1, title: meaningOf(axis),
-    oninput: () => {
-      show();
-      onMove(axis, values[input.valueAsNumber]);
-    },
+    oninput: () => setQuery({ [axis]: addressValue(values[input.valueAsNumber]) }),
   });
   const show = () => {
-    const value = values[input.valueAsNumber];
+    const value = initialValue(values, currentQuery()[axis]);
+    input.value = String(nearestIndex(values, value));
     output.textContent = number(value);
     input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${number(value)}`);
   };
-  input.value = String(nearestIndex(values, start));
   show();
-  return h("div", { className: "slider" }, h("label", { for: id }, symbol, " ="), output, input);
+  queryChanges.addEventListener("change", show, { signal: closing.signal });
+  return h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), output, input);
 }
 
-/**
- * The controls of a bifurcation diagram. `state`: {axes (of more than one value), along, grid, fixed, directions,
- * shownDirections, minFlight}; `on`: {axis(name), move(axis, value), directions(list), minFlight(rad)}.
- */
-export function diagramControls(state, on) {
-  const others = AXES.filter((axis) => axis !== state.along);
-  return h("div", { className: "controls" },
-    state.axes.length > 1 && axisSelect(state, on.axis),
-    sliders(others, state.grid, state.fixed, on.move),
-    state.directions.length > 1 && directionBoxes(state, on.directions),
-    minFlightInput(state.minFlight, on.minFlight));
-}
+/** A choice among `options`, [[value, text], …], with a label. */
+export const choice = (label, options, value, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
+  h("select", { onchange: (event) => onChange(event.target.value), ...attributes }, options.map(([key, text]) => h("option", { value: key, selected: key === value }, text))));
 
-function axisSelect({ axes, along }, onChange) {
-  return h("label", { className: "option" }, "Diagram ",
-    h("select", { onchange: (event) => onChange(event.target.value), "aria-label": "Axis of the diagram" },
-      axes.map((axis) => h("option", { value: axis, selected: axis === along }, `${SYMBOL[axis]}–φ`))));
-}
-
-function directionBoxes({ directions, shownDirections }, onChange) {
-  const checked = () => directions.filter((_, i) => boxes[i].checked);
-  const boxes = directions.map((direction) => h("input", { type: "checkbox", checked: shownDirections.includes(direction), onchange: () => onChange(checked()) }));
-  return h("fieldset", { className: "directions" }, h("legend", {}, "Ramp"),
-    directions.map((direction, i) => h("label", { className: `direction ${direction}` }, boxes[i], ` ${direction}`)));
-}
-
-/** The shortest flight of a view: of its address, or the micro-flight the sweep was classified with. */
-export function minFlightOf({ min }, { spec }) {
-  const value = (min ?? "") === "" ? NaN : Number(min);
-  return value >= 0 && Number.isFinite(value) ? value : spec.micro_flight;
+/** The shortest flight that counts: of the address, or the micro-flight the sweep was classified with. */
+export function minFlightOf({ spec }) {
+  const { min = "" } = currentQuery();
+  return min !== "" && Number(min) >= 0 && Number.isFinite(Number(min)) ? Number(min) : spec.micro_flight;
 }
 
 /** Which flights count, for points and modes alike. */
-export function minFlightInput(minFlight, onChange) {
+export function minFlightInput(job) {
   const title = "Shorter flights do not count for the mode and are not drawn, unless all flights of a cell are shorter";
+  const onchange = ({ target: { value, valueAsNumber: flight } }) => {
+    if (value !== "" && flight >= 0) setQuery({ min: flight === job.spec.micro_flight ? null : flight });
+  };
   return h("label", { className: "option", title }, "Count flights above ",
-    h("input", {
-      type: "number", min: 0, step: "any", value: minFlight, required: true,
-      onchange: (event) => { if (event.target.value !== "" && event.target.valueAsNumber >= 0) onChange(event.target.valueAsNumber); },
-    }), " rad");
+    h("input", { type: "number", min: 0, step: "any", value: minFlightOf(job), required: true, onchange }), " rad");
 }

@@ -2,29 +2,20 @@
 // selected, and access from elsewhere.
 
 import { link } from "../lib/address.js";
-import { requestBlob, requestJson } from "../lib/api.js";
+import { requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { downloads, fileName, netcdf } from "../lib/downloads.js";
+import { downloads, wholeSweep } from "../lib/downloads.js";
 import { count, duration, number, plural, time } from "../lib/format.js";
-import { axisValues, isSweep } from "../lib/physics.js";
+import { isSweep } from "../lib/physics.js";
 import { Snippets } from "../lib/snippets.js";
 
 export class Details {
-  constructor(root, { job }) {
+  constructor(root, { sources: [{ job }] }) {
     this.root = root;
     this.snippets = new Snippets("JSON");
     this.update(job);
-    this.#load();
-  }
-
-  /** What the service runs on; the details are shown without it until it answers. */
-  async #load() {
-    try {
-      this.software = await requestJson("/v1/software");
-      this.update(this.job);
-    } catch {
-      // Another view reports that the service does not answer; the rest of the details does not need this.
-    }
+    // The details are shown without what the service runs on until it answers; another view reports that it does not.
+    requestJson("/v1/software").then((software) => { this.software = software; this.update(this.job); }, () => {});
   }
 
   close() {}
@@ -41,10 +32,10 @@ export class Details {
       isSweep(job.spec) && h("p", {}, h("a", { href: link(["new"], { from: job.id }) }, "New sweep from this specification")),
       job.failures?.length > 0 && failures(job.failures),
       job.choice && selection(job.choice),
-      h("h2", {}, "Python and command line"),
-      h("p", {}, "The results as an xarray dataset, loaded as needed:"),
+      h("h2", {}, "Results"),
+      h("p", {}, "As an xarray dataset, loaded as needed:"),
       h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`),
-      ...(isSweep(job.spec) ? files(job) : []),
+      isSweep(job.spec) && downloads(wholeSweep(job, [["NetCDF", "nc"], ["Parquet", "parquet"]])),
     ));
   }
 }
@@ -67,24 +58,6 @@ function origin(job, software) {
     software && ["This service", `bouncing-spring ${software.release}, kernel version ${software.kernel_version}`],
     software && ["Software", [`Python ${software.python}`, ...Object.entries(software.libraries).map(([name, version]) => `${name} ${version}`)].join(", ")],
   ].filter(Boolean);
-}
-
-function files(job) {
-  return [
-    h("p", {}, "The bifurcation diagram as a file:"),
-    h("pre", { tabindex: "0" }, diagramCommand(job)),
-    downloads([
-      ["NetCDF", () => fileName(job, "sweep", "nc"), netcdf(job)],
-      ["Parquet", () => fileName(job, "sweep", "parquet"), () => requestBlob(`/v1/jobs/${job.id}/export?format=parquet`)],
-    ]),
-  ];
-}
-
-/** The command needs a value for each fixed axis of several: the middle one. */
-function diagramCommand({ id, spec }) {
-  const fixed = ["omega", "xi"].map((axis) => [axis, axisValues(spec[axis])]).filter(([, values]) => values.length > 1)
-    .map(([axis, values]) => ` --${axis} ${Number(values[values.length >> 1].toPrecision(6))}`);
-  return `bounce diagram ${id}${fixed.join("")} -o diagram.svg`;
 }
 
 function failures(chunks) {

@@ -1,197 +1,174 @@
-// The bifurcation diagram: flight times along one axis, the other axes fixed by sliders, both ramps in one plot.
+// The bifurcation diagram: flight times along one axis, the other axes fixed by sliders; both ramps, or several sweeps, in one plot.
 
-import { addressValue, setQuery } from "../lib/address.js";
-import { query, requestBlob } from "../lib/api.js";
-import { cycleName, hasCycles } from "../lib/cycles.js";
-import { debounced, gestures, h } from "../lib/dom.js";
-import { AXES, TWO_PI, axisLabel, clampIndex, initialValue, isClose, isLog, nearestIndex } from "../lib/physics.js";
-import { directionColour } from "../plot/colours.js";
-import { pixelRatio } from "../plot/drawing.js";
-import { drawFlights } from "../plot/flights.js";
+import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
+import { partsOf, query } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { number, plural } from "../lib/format.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, clampIndex, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
+import { branchColour, directionColour, theme } from "../plot/colours.js";
+import { circle, disc, polygon, verticalLine } from "../plot/drawing.js";
+import { drawFlights, flightsIn } from "../plot/flights.js";
 import { extent } from "../plot/scale.js";
-import { ClosedFormBox, branchLegend, describeCycle, drawBranches, drawCycle, nearestCycle, requestBranches } from "./closed-form.js";
-import { diagramControls, minFlightOf } from "./controls.js";
-import { describeCell, drawCurrent, drawSelected, drawThreshold, emptyMessage, flightTable, headings } from "./diagram-content.js";
-import { flightsOf, requestLine } from "./line-data.js";
+import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
+import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
+import { titleOf } from "./progress.js";
 
-const MAX_POINTS = 250_000; // flights sent as points; longer lines are sent as density
-const PREFETCH_STEPS = [1, 2, 3, -1]; // in the direction of the slider's last move
-const BEYOND = 2; // branches are requested up to this many times the highest Γ, so that none ends within the plot
-const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom, double-click to reset the zoom.";
+const MAX_FLIGHTS = 400_000; // of a line that are requested at once; of a longer one, every n-th cell
+const HINT = "Point at a cell to read it, press to show its trajectory, drag to zoom.";
+const MAX_CIRCLES = 200;
+const MAX_LISTED = 6; // flights listed one by one
+const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell are not listed
 
 /** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles, {branch, point}. */
 export class Diagram extends PlotView {
-  lines = null; // one per shown direction; null before the first are loaded
-  lastMove = null; // of a slider: {axis, sign}
-  cycles = null; // the branches over the diagram; null where they are not shown
+  isDrawn = true;
+  isThinned = false; // whether a line has more cells than are sent
+  lines = []; // one per source and shown direction
 
   constructor(root, view) {
     super(view);
-    const { grid, directions, initial } = this;
-    this.axes = AXES.filter((axis) => grid[axis].length > 1);
-    this.along = this.axes.includes(initial.along) ? initial.along : longestAxis(grid);
-    this.fixed = Object.fromEntries(AXES.map((axis) => [axis, initialValue(grid[axis], initial[axis])]));
-    this.minFlight = minFlightOf(initial, this.job);
-    this.shownDirections = directions.filter((direction) => !initial.show || initial.show.split(",").includes(direction));
-    this.prefetch = debounced(40, () => this.#prefetch());
-    this.closedForm = hasCycles(this.job) && new ClosedFormBox("Branches", initial.branches === "1", (checked) => {
-      setQuery({ branches: checked ? 1 : null });
-      this.load();
-    });
+    this.axes = AXES.filter((axis) => this.grid[axis].length > 1);
+    this.closedForm = this.sources.length === 1 && hasCycles(this.job) && branchesOver(this);
+    this.caption = h("input", { type: "checkbox", checked: true });
     this.controls = h("div", {});
     this.#buildControls();
-    this.build(root, { controls: this.controls, label: "Bifurcation diagram", hint: HINT });
+    this.build(root, { controls: this.controls, label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    if (this.sources.length === 1) root.lastChild.append(h("label", { className: "option" }, this.caption, " with a caption"));
   }
 
   get name() {
     return `${this.along}-phi`;
   }
 
-  close() {
-    super.close();
-    this.prefetch.cancel();
-    this.prefetching?.abort();
+  /** The axis of the diagram: of the address, or the one with most values. */
+  get along() {
+    const { along } = currentQuery();
+    return this.axes.includes(along) ? along : AXES.reduce((longest, axis) => (this.grid[axis].length > this.grid[longest].length ? axis : longest));
   }
 
   #buildControls() {
-    this.controls.replaceChildren(diagramControls(this, {
-      axis: (along) => {
-        const cell = this.lines && this.#selectedOnLines();
-        if (cell) this.fixed[this.along] = cell[this.along]; // the other diagram goes through the same cell
-        Object.assign(this, { along, lines: null, current: null, lastMove: null });
-        setQuery({ along });
-        this.#buildControls();
-        this.zoom(null);
-        this.load();
-      },
-      move: (axis, value) => {
-        this.lastMove = { axis, sign: Math.sign(value - this.fixed[axis]) || 1 };
-        this.fixed[axis] = value;
-        setQuery({ [axis]: addressValue(value) });
-        this.load();
-      },
-      directions: (directions) => {
-        this.shownDirections = directions;
-        setQuery({ show: directions.length === this.directions.length ? null : directions.join() || "none" });
-        this.load();
-      },
-      minFlight: (minFlight) => {
-        this.minFlight = minFlight;
-        setQuery({ min: minFlight === this.job.spec.micro_flight ? null : minFlight });
-        this.load();
-      },
-    }));
-    if (this.closedForm && this.along === "gamma") this.controls.firstChild.append(this.closedForm.element);
-  }
-
-  /** The query of a line except for its direction. */
-  #parameters(fixed = this.fixed) {
-    const others = Object.fromEntries(Object.entries(fixed).filter(([axis]) => axis !== this.along));
-    return { along: this.along, ...others, min_flight: this.minFlight };
-  }
-
-  /** The lines of all shown directions at `fixed`; if they come as density, counted over `window`. */
-  #requestLines(fixed, window, options) {
-    const { x0: left, x1: right, y0: bottom, y1: top } = window ?? {};
-    const { clientWidth, clientHeight } = this.plot.element;
-    const parameters = {
-      ...this.#parameters(fixed), most: MAX_POINTS, log: isLog(this.job.spec[this.along]) || null, left, right, bottom, top,
-      width: Math.min(2000, Math.max(200, Math.round((clientWidth - 92) * pixelRatio()))), // without the margins
-      height: Math.min(1000, Math.max(200, Math.round((clientHeight - 80) * pixelRatio()))),
-    };
-    return Promise.all(this.shownDirections.map((direction) => requestLine(this.job, { ...parameters, direction }, window, options)));
-  }
-
-  async request(signal) {
-    this.prefetch.cancel();
-    this.prefetching?.abort();
     const { along } = this;
-    const window = this.#isDense() ? this.window : null;
-    const [lines, cycles] = await Promise.all([this.#requestLines(this.fixed, window, { signal }), this.#requestCycles(signal)]);
-    if (along !== this.along) throw new DOMException("the axis was changed", "AbortError");
-    Object.assign(this, { lines, cycles });
-    this.current = this.current?.line && lines.length ? this.#cell(lines[0], this.current.cell) : null;
-    if (this.window && !window && this.#isDense()) return this.request(signal); // the density was counted over everything
-    if (this.lastMove && this.job.state === "done") this.prefetch();
-    return { along, ...lines[0]?.fixed };
+    const directions = this.directions.length > 1 && this.sources.length === 1 && this.#directionBoxes();
+    const setAxis = (axis) => {
+      setQuery({ along: axis, ...windowQuery(null) });
+      this.#buildControls();
+    };
+    this.controls.replaceChildren(h("div", { className: "controls" },
+      this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), along, setAxis, { "aria-label": "Axis of the diagram" }),
+      sliders(this, AXES.filter((axis) => axis !== along)), directions,
+      this.sources.length === 1 && !this.isFollower && minFlightInput(this.job),
+      this.closedForm && along === "gamma" && this.closedForm.element));
   }
 
-  /** The branches at the fixed values, if they are to be shown; a spring may have none. */
-  async #requestCycles(signal) {
-    if (!this.closedForm?.checked || this.along !== "gamma") return null;
-    try {
-      const cycles = await requestBranches(this.fixed, BEYOND * this.grid.gamma.at(-1), { signal });
-      this.closedForm.note.textContent = "";
-      return cycles;
-    } catch (error) {
-      if (!error.status || error.status === 401) throw error;
-      this.closedForm.note.textContent = error.message;
-      return null;
-    }
+  #directionBoxes() {
+    const onchange = () => {
+      const checked = this.directions.filter((_, i) => boxes[i].checked);
+      setQuery({ show: checked.length === this.directions.length ? null : checked.join() || "none" });
+    };
+    const boxes = this.directions.map((direction) => h("input", { type: "checkbox", checked: this.#shownOf(this.source).includes(direction), onchange }));
+    return h("fieldset", { className: "directions" }, h("legend", {}, "Ramp"),
+      this.directions.map((direction, i) => h("label", { className: `direction ${direction}` }, boxes[i], ` ${direction}`)));
   }
 
-  /** Request the lines that the slider is likely to reach next. */
-  async #prefetch() {
-    const { axis, sign } = this.lastMove;
-    const values = this.grid[axis];
-    const index = nearestIndex(values, this.fixed[axis]);
-    const window = this.#isDense() ? this.window : null;
-    this.prefetching = new AbortController();
-    try {
-      for (const step of PREFETCH_STEPS) {
-        const value = values[clampIndex(index + sign * step, values.length)];
-        await this.#requestLines({ ...this.fixed, [axis]: value }, window, { signal: this.prefetching.signal, priority: "low" });
-      }
-    } catch {
-      // Not shown: if the slider gets there, the line is requested again and its error reported.
-    }
+  /** The directions of a source that are shown. */
+  #shownOf({ directions }) {
+    const { show } = currentQuery();
+    return directions.filter((direction) => directions.length === 1 || !show || show.split(",").includes(direction));
   }
 
-  #isDense() {
-    return Boolean(this.lines?.some((line) => line.arrays.density));
+  #path(source, parameters) {
+    const { along, place } = this;
+    const fixed = AXES.filter((axis) => axis !== along).map((axis) => [axis, source.grid[axis][nearestIndex(source.grid[axis], place[axis])]]);
+    const shown = this.#shownOf(source);
+    const direction = shown.length < source.directions.length ? shown[0] : null;
+    return `/v1/jobs/${source.job.id}/diagram?${query({ along, ...Object.fromEntries(fixed), direction, min_flight: minFlightOf(source.job), ...parameters })}`;
+  }
+
+  paths() {
+    const { along, window } = this;
+    return this.sources.filter((source) => this.#shownOf(source).length).map((source) => {
+      const values = source.grid[along];
+      const everyOf = (cells) => (cells * source.job.spec.keep > MAX_FLIGHTS ? Math.ceil((cells * source.job.spec.keep) / MAX_FLIGHTS) : null);
+      if (!window || (!this.isThinned && !everyOf(values.length))) return this.#path(source, { every: everyOf(values.length) });
+      const shown = values.filter((value) => value >= window.x0 && value <= window.x1);
+      return this.#path(source, { every: everyOf(shown.length), start: window.x0, stop: window.x1 });
+    });
+  }
+
+  /** Of a zoomed diagram, its part along the axis. */
+  filePath(source) {
+    return this.#path(source, { start: this.window?.x0, stop: this.window?.x1, caption: this.caption.checked ? null : false });
+  }
+
+  read(results) {
+    this.lines = results.flatMap((result) => linesOf(this.sources.find(({ job }) => job.id === result.attrs.job), result));
+    this.isThinned ||= this.lines.some(({ every }) => every > 1);
+    this.closedForm?.update?.();
+  }
+
+  shown() {
+    return { along: this.lines[0]?.along ?? this.along, ...this.lines[0]?.fixed };
+  }
+
+  get cycles() {
+    return this.closedForm && this.lines[0]?.along === "gamma" ? this.closedForm.data : null;
   }
 
   whole() {
-    const values = this.grid[this.along];
+    const values = this.sources.map(({ grid }) => grid[this.along]);
     const flights = Math.max(...this.lines.map((line) => line.highest), 0) || TWO_PI;
-    const highest = this.cycles ? Math.max(flights, TWO_PI) : flights;
-    const [x0, x1] = extent(values[0], values[values.length - 1]);
-    return { x0, x1, y0: 0, y1: 1.06 * highest };
-  }
-
-  zoom(window) {
-    super.zoom(window);
-    if (this.#isDense()) this.load();
+    const [x0, x1] = extent(Math.min(...values.map(([first]) => first)), Math.max(...values.map((list) => list.at(-1))));
+    return { x0, x1, y0: 0, y1: 1.06 * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
   }
 
   content() {
-    if (!this.lines) return null;
     const { x0, x1, y0, y1 } = this.visible();
     const { lines, cycles } = this;
-    const { title, legend = [] } = lines.length ? headings(lines, (direction, theme) => this.#colour(direction, theme)) : {};
+    const { along, fixed } = lines[0] ?? this;
     return {
-      title,
-      legend: [...legend, ...(cycles ? branchLegend() : [])],
-      x: { label: axisLabel(this.along), low: x0, high: x1, log: isLog(this.job.spec[this.along]) },
+      title: this.#title(),
+      legend: [...this.#legend(), ...(cycles ? branchLegend() : [])],
+      x: { label: axisLabel(along), low: x0, high: x1, log: this.sources.every(({ job }) => isLog(job.spec[along])) },
       y: { label: "flight time φ (rad)", low: y0, high: y1, periods: true },
       message: emptyMessage(lines),
       layers: [
-        (ctx, box) => this.along === "gamma" && lines.length && drawThreshold(ctx, box, lines[0].fixed),
-        (ctx, box) => drawFlights(ctx, box, lines, ({ direction }) => this.#colour(direction, box.theme)),
+        (ctx, box) => along === "gamma" && fixed && this.sources.length === 1 && drawThreshold(ctx, box, fixed),
+        (ctx, box) => drawFlights(ctx, box, lines, (line) => this.#colour(line, box.theme)),
         (ctx, box) => cycles && drawBranches(ctx, box, cycles),
       ],
-      cursor: (ctx, box) => {
-        const cell = this.#selectedOnLines();
-        if (cell) drawSelected(ctx, box, cell[this.along], this.#colour(cell.direction, box.theme));
-        if (this.current?.branch) drawCycle(ctx, box, this.current);
-        else if (this.current) drawCurrent(ctx, box, this.current);
-      },
+      cursor: (ctx, box) => this.#drawCursor(ctx, box),
     };
   }
 
-  /** A sweep of one direction is drawn in black, as in the paper. */
-  #colour(direction, theme) {
+  /** The fixed values, which of the cells are shown, how many were computed; of compared sweeps, the sweep. */
+  #title() {
+    const [line] = this.lines;
+    if (!line || this.sources.length > 1) return "";
+    const fixed = Object.entries(line.fixed).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`).join(",   ");
+    const thinned = line.every > 1 ? `,   1 ${SYMBOL[line.along]} in ${line.every}` : "";
+    const computed = line.computed ? `,   ${line.computed.reduce((sum, value) => sum + value, 0)} of ${line.computed.length} cells computed` : "";
+    return this.prefix + fixed + thinned + computed;
+  }
+
+  /** The directions, or the sweeps, where there are several. */
+  #legend() {
+    const entries = this.sources.length > 1
+      ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [shortened(titleOf(line.source.job)), line])
+      : this.lines.map((line) => [`ramp ${line.direction}`, line]);
+    return entries.length < 2 ? [] : entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
+  }
+
+  #drawCursor(ctx, box) {
+    const cell = this.#selectedOnLines();
+    if (cell) drawSelected(ctx, box, cell[this.lines[0].along], this.#colour(cell, box.theme));
+    if (this.current?.branch) drawCycle(ctx, box, this.current);
+    else if (this.current) this.#atCurrent().forEach((each) => drawCurrent(ctx, box, each));
+  }
+
+  /** A sweep of one direction is drawn in black, as in the paper; of several sweeps, each in a colour of its own. */
+  #colour({ source = this.source, direction }, theme) {
+    if (this.sources.length > 1) return branchColour(source.number, theme.dark);
     return directionColour(this.directions.length > 1 ? direction : "rest", theme);
   }
 
@@ -203,53 +180,120 @@ export class Diagram extends PlotView {
   }
 
   #cell(line, cell) {
-    return { line, cell: clampIndex(cell, line.arrays.values.length) };
+    return { line, cell: clampIndex(cell, line.values.length) };
   }
 
-  /** The cycle next to (x, y), or the cell at x; of several directions, the one with a flight nearest to y. */
+  /** The cycle next to (x, y), or the cell at x; of several lines, the one with a flight nearest to y. */
   nearest(x, y) {
-    const cycle = this.cycles && nearestCycle(this.cycles, this.plot.box, x, y);
+    const cycle = this.cycles && this.plot.box && nearestCycle(this.cycles, this.plot.box, x, y);
     if (cycle) return cycle;
-    const distance = ({ line, cell }) => Math.min(...(flightsOf(line, cell) ?? []).map((time) => Math.abs(time - y)), 1e9);
-    const cells = (this.lines ?? []).map((line) => this.#cell(line, nearestIndex(line.arrays.values, x)));
+    const distance = ({ line, cell }) => Math.min(...Array.from(flightsIn(line, cell), (time) => Math.abs(time - y)), 1e9);
+    const cells = this.lines.map((line) => this.#cell(line, nearestIndex(line.values, x)));
     return cells.sort((a, b) => distance(a) - distance(b))[0] ?? null;
   }
 
-  /** Up and down switch between the directions. */
+  /** Up and down switch between the lines. */
   step(current, right, up) {
-    if (!this.lines?.length) return null;
-    if (!current?.line) return this.#cell(this.lines[0], this.lines[0].arrays.values.length >> 1);
+    if (!this.lines.length) return null;
+    if (!current?.line) return this.#cell(this.lines[0], this.lines[0].values.length >> 1);
     return this.#cell(up ? (this.lines.find((line) => line !== current.line) ?? current.line) : current.line, current.cell + right);
   }
 
-  centre() {
-    return this.current?.branch ? this.current.branch.gamma[this.current.point] : this.current?.line.arrays.values[this.current.cell];
+  at({ line, cell, branch, point }) {
+    return branch ? [branch.gamma[point], branch.flight_time[point]] : [line.values[cell], flightsIn(line, cell)[0]];
   }
 
   cellOf({ line, cell, branch, point }) {
-    if (branch) return { ...this.fixed, gamma: branch.gamma[point], direction: cycleName({ branch, point }) };
-    return { ...line.fixed, [this.along]: line.arrays.values[cell], direction: line.direction };
+    if (branch) return { ...this.place, gamma: branch.gamma[point], direction: startName("cycle", branch.periods, branch.flight_time[point]) };
+    return { ...line.fixed, [line.along]: line.values[cell], direction: line.direction };
+  }
+
+  sourceOf({ line }) {
+    return line?.source ?? this.source;
+  }
+
+  /** The current cell; of compared sweeps, the cells of all there. */
+  #atCurrent() {
+    const { line, cell } = this.current;
+    return this.sources.length > 1 ? this.lines.map((other) => this.#cell(other, nearestIndex(other.values, line.values[cell]))) : [this.current];
   }
 
   describe(cell) {
-    if (cell.branch) return gestures(`${describeCycle(cell)} · click to see it move`);
-    return describeCell(cell, this.along, this.lines.length > 1);
-  }
-
-  /** The service's picture of the line, which shows all of it. */
-  pdf(caption) {
-    const [direction] = this.shownDirections.length === 1 ? this.shownDirections : [null];
-    return requestBlob(`/v1/jobs/${this.job.id}/diagram?${query({ ...this.#parameters(), direction, caption, format: "pdf" })}`);
-  }
-
-  /** The flights in view; of a density, all flights from the service. */
-  table() {
-    if (this.#isDense()) return requestBlob(`/v1/jobs/${this.job.id}/diagram?${query({ ...this.#parameters(), format: "csv" })}`);
-    return flightTable(this.lines, this.along, this.visible());
+    if (cell.branch) return `${describeCycle(cell)} · press to see it move`;
+    if (this.sources.length === 1) return describeCell(cell, this.lines.length > 1);
+    return this.#atCurrent().map((each) => h("span", { className: "entry" }, swatch(this.#colour(each.line, theme())),
+      `${titleOf(each.line.source.job)}: ${describeCell(each, each.line.source.directions.length > 1)} `));
   }
 }
 
-/** The axis with most values; of equal ones, the first. */
-function longestAxis(grid) {
-  return AXES.reduce((longest, axis) => (grid[axis].length > grid[longest].length ? axis : longest));
+function swatch(colour) {
+  const element = h("span", { className: "swatch", "aria-hidden": "true" });
+  element.style.background = colour;
+  return element;
 }
+
+/** The lines of a diagram: the variables of each direction, and its `highest` flight, NaN left out. */
+function linesOf(source, result) {
+  const { along, every } = result.attrs;
+  const fixed = Object.fromEntries(AXES.filter((axis) => axis !== along).reverse().map((axis) => [axis, result[axis].data]));
+  return partsOf(result, "direction").map((variables) => {
+    const highest = variables.flight_time.reduce((most, time) => (time > most ? time : most), 0);
+    return { ...variables, source, along, fixed, every, highest, values: result[along].data, keep: result.dims.flight };
+  });
+}
+
+/** Why a diagram is empty; null if it is not. */
+function emptyMessage(lines) {
+  if (!lines.length) return "No ramp direction is selected";
+  if (lines.some(({ highest }) => highest > 0)) return null;
+  const allAre = (wanted) => lines.every(({ outcome }) => outcome.every((value) => value === wanted));
+  if (allAre(OUTCOME.missing)) return "Not computed yet";
+  return allAre(OUTCOME.atRest) ? "The spring stays on the plate" : "No flights to show";
+}
+
+/** The threshold of Eq. 25, labelled Γ_th, where it lies in the box. */
+export function drawThreshold(ctx, box, { omega, xi }) {
+  const x = box.x.pixel(threshold(omega, xi));
+  if (!(x >= box.left && x <= box.left + box.width)) return;
+  verticalLine(ctx, box, x, box.theme.threshold, 1.2, [5, 4]);
+  const fitsRight = x + 32 < box.left + box.width;
+  ctx.fillStyle = box.theme.threshold;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "alphabetic";
+  ctx.font = `italic 15px ${box.theme.serif}`;
+  ctx.fillText("Γ", fitsRight ? x + 5 : x - 26, box.top + 22);
+  ctx.font = `11px ${box.theme.serif}`;
+  ctx.fillText("th", fitsRight ? x + 16 : x - 15, box.top + 26);
+}
+
+/** A triangle on the axis at the cell whose trajectory is shown. */
+function drawSelected(ctx, box, value, colour) {
+  const [x, bottom] = [box.x.pixel(value), box.top + box.height];
+  polygon(ctx, colour, [[x, bottom - 13], [x - 6, bottom - 1], [x + 6, bottom - 1]]);
+}
+
+/** A line through a cell and a circle around each of its flights. */
+function drawCurrent(ctx, box, { line, cell }) {
+  const x = box.x.pixel(line.values[cell]);
+  verticalLine(ctx, box, x, box.theme.cursor);
+  for (const time of distinctFlights(line, cell).slice(0, MAX_CIRCLES)) circle(ctx, box.theme.cursor, 1.5, x, box.y.pixel(time), 4.5);
+}
+
+/** The distinct flight times of one cell, shortest first. */
+const distinctFlights = (line, cell) => Array.from(flightsIn(line, cell).sort()).filter((time, i, times) => i === 0 || time - times[i - 1] > SAME_FLIGHT);
+
+/** A cell in words; `withDirection` where the diagram shows two directions. */
+function describeCell({ line, cell }, withDirection) {
+  const { along, values, outcome, label = outcome, bounces, periods, computed } = line;
+  const parts = [`${SYMBOL[along]} = ${number(values[cell])}`];
+  if (withDirection) parts.push(`ramp ${line.direction}`);
+  parts.push(outcomeText(label[cell], bounces[cell], periods[cell]));
+  if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
+  if (computed && !computed[cell] && outcome[cell] !== OUTCOME.missing) parts.push("taken from its block, without flights");
+  const times = distinctFlights(line, cell);
+  if (times.length && times.length <= MAX_LISTED) parts.push(`flight times ${times.map((time) => number(time, 4)).join(", ")} rad`);
+  else if (times.length) parts.push(`${plural(flightsIn(line, cell).length, "flight")} stored`);
+  return parts.join(" · ");
+}
+
+const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);

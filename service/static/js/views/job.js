@@ -1,16 +1,17 @@
 // One sweep: its progress, a tab each for diagram, mode map, thresholds and details, and a selected cell's trajectory.
 
-import { addressValue, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
-import { isHandledElsewhere, requestJson } from "../lib/api.js";
-import { announce, h } from "../lib/dom.js";
-import { AXES, axisValues, directionsOf, isSweep } from "../lib/physics.js";
+import { cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
+import { requestJson } from "../lib/api.js";
+import { announce, h, problemLine } from "../lib/dom.js";
+import { AXES, isSweep } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
-import { ProgressBar, UNFINISHED, notice, settling, showActions, summary, titleOf } from "./progress.js";
+import { sourceOf } from "./plot-view.js";
+import { JobSummary, UNFINISHED, settling, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
 const TABS = { diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
@@ -19,35 +20,27 @@ const STUDY_TABS = { // by the kind of study; others have their details alone
   multistability: { attractors: ["Diagram", AttractorDiagram], map: ["Map", AttractorMap], details: TABS.details },
 };
 const SHARED = [...AXES, "cell", "min"]; // query parameters that all tabs understand
-const POLL_MS = 600;
-const SLOW_POLL_MS = 3000; // for sweeps that take minutes, and after errors
-const LONG_SECONDS = 300;
-const MIN_KEPT_FLIGHTS = 4; // with fewer per cell, thresholds tell more than a diagram
+const POLL_MS = 1000;
+const ERROR_POLL_MS = 3000;
 
 export class JobView {
   constructor(root, { path }) {
     this.id = path[1];
     this.heading = h("h1", { tabindex: "-1" }, "…");
-    this.about = h("p", { className: "summary" });
-    this.notice = h("p", { className: "notice", hidden: true });
+    this.summary = new JobSummary(this.heading, {
+      change: (job) => this.#onChange(job), delete: () => navigate([]), error: (error) => this.problem.show(error),
+    });
     this.settling = h("p", { className: "notice settling", hidden: true });
-    this.bar = new ProgressBar();
-    this.actions = h("div", { className: "actions" });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
-    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.problem = problemLine();
     this.panel = h("section", { className: "panel" });
     this.aside = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
     root.replaceChildren(
       h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
-      h("header", { className: "job" }, this.heading, this.about, this.bar.element, this.actions, this.notice, this.settling),
-      this.problem, this.tabs, h("div", { className: "columns" }, this.panel, this.aside));
+      h("header", { className: "job" }, this.heading, this.summary.about, this.summary.progress, this.summary.actions, this.summary.notice, this.settling),
+      this.problem.element, this.tabs, h("div", { className: "columns" }, this.panel, this.aside));
     this.trajectory = new TrajectoryPanel(this.aside, { onClose: () => this.#closeTrajectory() });
     this.#poll(true);
-  }
-
-  /** Whether an address belongs to this view. */
-  handles({ path }) {
-    return path[0] === "job" && path[1] === this.id;
   }
 
   /** Show the tab and the cell that the address names. */
@@ -74,7 +67,7 @@ export class JobView {
     try {
       job = await requestJson(`/v1/jobs/${this.id}`);
     } catch (error) {
-      this.#pollFailed(error, redraw);
+      if (!this.closed) this.#pollFailed(error, redraw);
       return;
     }
     if (this.closed) return;
@@ -86,7 +79,7 @@ export class JobView {
     if (isFirst) this.show();
     else if (hasChanged || redraw) this.view?.update(job);
     if (redraw && !isFirst) this.#showSelectedCell(); // its request may have failed
-    if (UNFINISHED.has(job.state)) this.#pollAfter(this.#interval());
+    if (UNFINISHED.has(job.state)) this.#pollAfter(POLL_MS);
   }
 
   /** Replaces a poll that is due already. */
@@ -97,51 +90,38 @@ export class JobView {
 
   /** An error of the service may be temporary; when the service is unreachable, main.js calls refresh() once it is back. */
   #pollFailed(error, redraw) {
-    if (this.closed) return;
-    this.#showError(error);
-    if (error.status >= 500) this.#pollAfter(SLOW_POLL_MS, redraw);
+    this.problem.show(error);
+    if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404 || this.job) return;
     this.heading.textContent = "No such sweep";
     document.title = "No such sweep · Bouncing spring";
-    this.bar.element.hidden = true;
-  }
-
-  #interval() {
-    return (this.job.progress.eta_seconds ?? 0) > LONG_SECONDS ? SLOW_POLL_MS : POLL_MS;
+    this.summary.progress.hidden = true;
   }
 
   #describe() {
     const { job } = this;
-    this.heading.textContent = titleOf(job);
     document.title = `${titleOf(job)} · Bouncing spring`;
-    this.about.replaceChildren(...summary(job));
-    this.notice.hidden = !job.notice;
-    this.notice.replaceChildren(...notice(job));
+    this.summary.show(job);
     const unsettled = settling(job);
     this.settling.hidden = !unsettled.length;
     this.settling.replaceChildren(...unsettled);
-    this.bar.show(job);
-    this.#showError(this.#failure());
-    showActions(this.actions, job, {
-      onChange: (changed) => {
-        if (changed.id !== this.id) {
-          navigate(["job", changed.id]); // of another kernel version: resumed, it starts anew as another
-          return;
-        }
-        this.job = changed;
-        this.#describe();
-        this.#pollAfter(POLL_MS / 2);
-      },
-      onDelete: () => navigate([]),
-      onError: (error) => this.#showError(error),
-    });
+    this.problem.show(this.#failure());
+  }
+
+  #onChange(job) {
+    if (job.id !== this.id) {
+      navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
+      return;
+    }
+    this.job = job;
+    this.#describe();
+    this.#pollAfter(POLL_MS / 2);
   }
 
   #showTab() {
     const { path, query } = currentAddress();
-    const { spec } = this.job;
     const tabs = this.#tabs();
-    const current = tabs[path[2]] ? path[2] : this.#defaultTab();
+    const current = tabs[path[2]] ? path[2] : Object.keys(tabs)[0];
     const target = (tab, parameters) => link(["job", this.id, tab], Object.fromEntries(SHARED.map((name) => [name, parameters[name]])));
     this.tabs.replaceChildren(...Object.entries(tabs).map(([tab, [title]]) =>
       h("a", {
@@ -149,33 +129,20 @@ export class JobView {
         onclick: (event) => { event.currentTarget.href = target(tab, currentQuery()); }, // sliders may have moved since
       }, title)));
     this.view?.close();
-    this.#showError(this.#failure());
+    this.problem.show(this.#failure());
     const [, View] = tabs[current];
-    this.view = new View(this.panel, {
-      job: this.job,
-      grid: Object.fromEntries(AXES.filter((axis) => axis in spec).map((axis) => [axis, axisValues(spec[axis])])),
-      directions: directionsOf(spec),
-      onSelect: (cell) => this.#select(cell),
-      selected: () => this.cell,
-    });
+    this.view = new View(this.panel, { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell });
   }
 
   /** The views of this kind of study. */
   #tabs() {
-    if (isSweep(this.job.spec)) return TABS;
-    return STUDY_TABS[this.job.spec.protocol.kind] ?? { details: TABS.details };
-  }
-
-  #defaultTab() {
-    if (!isSweep(this.job.spec)) return Object.keys(this.#tabs())[0];
-    const { keep, omega } = this.job.spec;
-    return keep < MIN_KEPT_FLIGHTS && axisValues(omega).length > 2 ? "thresholds" : "diagram";
+    const { spec } = this.job;
+    return isSweep(spec) ? TABS : (STUDY_TABS[spec.protocol.kind] ?? { details: TABS.details });
   }
 
   /** The address holds the selected cell, and its axis values for the sliders of the other tabs. */
-  #select({ direction, ...cell }) {
-    const [gamma, omega, xi] = AXES.map((axis) => addressValue(cell[axis]));
-    setQuery({ gamma, omega, xi, cell: [gamma, omega, xi, direction].join(",") });
+  #select(cell) {
+    setQuery(cellQuery(cell));
     this.#showSelectedCell();
     // On narrow screens the trajectory is below the plot.
     if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" });
@@ -198,11 +165,5 @@ export class JobView {
 
   #failure() {
     return this.job.error ? new Error(`The sweep failed: ${this.job.error}`) : null;
-  }
-
-  #showError(error) {
-    if (error && isHandledElsewhere(error)) return;
-    this.problem.hidden = !error;
-    this.problem.textContent = error?.message ?? "";
   }
 }

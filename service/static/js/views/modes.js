@@ -1,29 +1,29 @@
 // The mode map: the outcome of every cell of a (Γ, Ω) plane, with the threshold of Eq. 25.
 
-import { addressValue, navigate, setQuery } from "../lib/address.js";
-import { isHandledElsewhere, query, requestArrays, requestJson } from "../lib/api.js";
+import { currentQuery, navigate, setQuery } from "../lib/address.js";
+import { query, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { number, ordinal } from "../lib/format.js";
-import { HYSTERESIS, OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog } from "../lib/physics.js";
-import { modeClasses, modeColour, onThemeChange, theme } from "../plot/colours.js";
-import { drawRing, hatchSymbol, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
-import { minFlightInput, minFlightOf, sliders } from "./controls.js";
-import { describeMode, drawModes, drawThresholdCurve, modeTable, thresholdLegend } from "./mode-map.js";
-import { PlotView } from "./plot-view.js";
+import { number, plural } from "../lib/format.js";
+import { HYSTERESIS, OUTCOME, axisLabel, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
+import { modeClasses, modeColour, theme } from "../plot/colours.js";
+import { polyline, rgba32 } from "../plot/drawing.js";
+import { PlaneView, hatchSymbol, legendEntry, windowOf } from "./cells.js";
+import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
+import { titleOf } from "./progress.js";
 
-const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom. Modes are (bounces, plate periods).";
+const MAX_CELLS = 1_000_000; // requested at once; of a larger map, every n-th along both axes
+const HINT = "Point at a cell to read it, press to show its trajectory, drag to zoom. Modes are (bounces, plate periods).";
+const DASH = [7, 4];
+const HATCH = 9; // px between the lines over cells whose directions differ; each is two lines, of text and of surface
+const HATCH_LINE = 1.6; // px, of either
 
-/** Cells are {column, row}: indices into the Γ and Ω that were loaded. */
-export class Modes extends PlotView {
+export class Modes extends PlaneView {
   name = "modes";
   isThinned = false; // whether the whole map has more cells than are sent
 
   constructor(root, view) {
     super(view);
-    this.xi = initialValue(this.grid.xi, this.initial.xi);
-    this.direction = this.directions.includes(this.initial.dir) ? this.initial.dir : this.directions[0];
     this.isAdaptive = Boolean(this.job.spec.refine);
-    this.minFlight = this.isAdaptive ? this.job.spec.micro_flight : minFlightOf(this.initial, this.job);
     this.isTwoWay = this.directions.length > 1;
     this.showsHysteresis = h("input", { type: "checkbox", checked: true, onchange: () => this.load() });
     this.showsComputed = h("input", { type: "checkbox", onchange: () => this.plot.draw() });
@@ -32,171 +32,170 @@ export class Modes extends PlotView {
       title: "Start an adaptive sweep of the visible window, on a grid four times as fine",
     }, "Refine this window");
     this.legend = h("ul", { className: "legend", "aria-label": "Modes: (bounces, plate periods)" });
-    this.thinning = h("p", { className: "note", hidden: true });
-    this.refined = h("p", { className: "note", role: "status", hidden: true });
+    this.note = h("p", { className: "note", role: "status" });
     this.build(root, {
-      controls: this.#controls(), label: "Mode map", hint: HINT, ratio: 0.6,
-      below: h("div", {}, this.thinning, this.refined, this.legend),
+      controls: h("div", { className: "controls" }, sliders(this, ["xi"]),
+        this.isTwoWay && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
+        this.isTwoWay && h("label", { className: "option" }, this.showsHysteresis, " Hatch where up and down differ"),
+        !this.isAdaptive && !this.isFollower && minFlightInput(this.job),
+        this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
+        this.refineButton),
+      label: `Mode map of ${titleOf(this.job)}`, hint: HINT, ratio: 0.6, below: [this.note, this.legend],
     });
-    onThemeChange(() => this.plane && this.#showLegend(), this.plot.closing.signal);
   }
 
-  #controls() {
-    const onMove = (_, value) => {
-      this.xi = value;
-      setQuery({ xi: addressValue(value) });
-      this.load();
-    };
-    const onDirection = (event) => {
-      this.direction = event.target.value;
-      setQuery({ dir: this.direction });
-      this.load();
-    };
-    const onMinFlight = (minFlight) => {
-      this.minFlight = minFlight;
-      setQuery({ min: minFlight === this.job.spec.micro_flight ? null : minFlight });
-      this.load();
-    };
-    const options = this.directions.map((direction) => h("option", { value: direction, selected: direction === this.direction }, direction));
-    return h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, onMove),
-      this.isTwoWay && h("label", { className: "option" }, "Ramp ", h("select", { onchange: onDirection }, options)),
-      this.isTwoWay && h("label", { className: "option" }, this.showsHysteresis, " Hatch where up and down differ"),
-      !this.isAdaptive && minFlightInput(this.minFlight, onMinFlight),
-      this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
-      this.refineButton);
+  get direction() {
+    const { dir } = currentQuery();
+    return this.directions.includes(dir) ? dir : this.directions[0];
   }
 
   /** Start an adaptive sweep of the visible window on a finer grid, and show it. */
   async #refineWindow() {
     const { x0, x1, y0, y1 } = this.visible();
-    const ends = (axis, low, high) => (this.grid[axis].length > 1 ? [low, high] : null);
+    const ends = (axis, low, high) => (this.source.grid[axis].length > 1 ? [low, high] : null);
     const body = { gamma: ends("gamma", x0, x1), omega: ends("omega", y0, y1), xi: this.xi, by: this.job.spec.refine?.by ?? "mode" };
     this.refineButton.disabled = true;
     try {
       const job = await requestJson(`/v1/jobs/${this.job.id}/refine`, { method: "POST", body });
       navigate(["job", job.id, "modes"]);
     } catch (error) {
-      if (isHandledElsewhere(error)) return;
-      this.refined.hidden = false;
-      this.refined.textContent = error.message;
+      this.problem.show(error);
     } finally {
       this.refineButton.disabled = false;
     }
   }
 
-  /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
-  async request(signal) {
-    const { x0: left, x1: right, y0: bottom, y1: top } = (this.isThinned && this.window) || {};
-    const hysteresis = this.isTwoWay && this.showsHysteresis.checked;
-    const parameters = query({ xi: this.xi, direction: this.direction, min_flight: this.minFlight, hysteresis: hysteresis || null, left, right, bottom, top });
-    this.plane = await requestArrays(`/v1/jobs/${this.job.id}/plane?${parameters}`, { signal });
-    this.axes = this.plane.arrays; // gamma and omega: of the cells that were sent
-    this.classes = modeClasses(this.plane.arrays);
-    this.#showLegend();
-    if (this.window && this.isThinned && left === undefined) return this.request(signal); // the response was thinned
-    return { xi: this.plane.xi, direction: this.plane.direction };
+  #path(parameters) {
+    const { xi } = this.source.grid;
+    const own = { xi: xi[nearestIndex(xi, this.place.xi)], direction: this.direction };
+    const hysteresis = (this.isTwoWay && this.showsHysteresis.checked) || null;
+    return `/v1/jobs/${this.job.id}/modes?${query({ ...own, min_flight: this.isAdaptive ? null : minFlightOf(this.job), hysteresis, ...parameters })}`;
   }
 
-  zoom(window) {
-    super.zoom(window);
-    if (this.isThinned) this.load();
+  /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
+  paths() {
+    const { gamma, omega } = this.source.grid;
+    const everyOf = (cells) => (cells > MAX_CELLS ? Math.ceil(Math.sqrt(cells / MAX_CELLS)) : null);
+    const every = everyOf(gamma.length * omega.length);
+    if (!this.window || !(this.isThinned || every)) return [this.#path({ every })];
+    const { x0, x1, y0, y1 } = this.window;
+    const inside = (values, low, high) => values.filter((value) => value >= low && value <= high).length;
+    return [this.#path({ every: everyOf(inside(gamma, x0, x1) * inside(omega, y0, y1)), gamma_start: x0, gamma_stop: x1, omega_start: y0, omega_stop: y1 })];
+  }
+
+  filePath() {
+    return this.#path();
+  }
+
+  read([result]) {
+    const data = Object.fromEntries(["outcome", "label", "bounces", "periods", "computed", "hysteresis"].map((name) => [name, result[name]?.data]));
+    Object.assign(this, { cells: data, attrs: result.attrs, columns: result.gamma.data, rows: result.omega.data, xi: result.xi.data, ramp: result.direction.data });
+    this.isThinned ||= result.attrs.every > 1;
+    this.classes = modeClasses(data);
+  }
+
+  shown() {
+    return { xi: this.xi, direction: this.ramp };
   }
 
   /** The colours of the modes, and which cells are left out. */
-  #showLegend() {
+  showLegend() {
     const total = this.classes.ofCell.length;
-    this.legend.replaceChildren(...this.classes.present.map(({ id, name, cells }) =>
-      legendEntry(modeColour(id, theme().dark), name, " ", h("small", {}, percentage(cells, total)))));
-    const steps = [[this.plane.every_gamma, SYMBOL.gamma], [this.plane.every_omega, SYMBOL.omega]].filter(([every]) => every > 1);
-    this.isThinned ||= steps.length > 0;
-    const note = this.isAdaptive ? this.#computedText() : this.#hysteresisText();
-    this.refined.hidden = !note;
-    this.refined.textContent = note;
-    this.thinning.hidden = !steps.length;
-    this.thinning.textContent = `Shown: every ${steps.map(([every, symbol]) => `${ordinal(every)} ${symbol}`).join(" and every ")}. Zoom in for more detail.`;
-  }
-
-  /** How many of the cells shown were computed. */
-  #computedText() {
-    const { computed, outcome } = this.plane.arrays;
-    const done = outcome.reduce((sum, value) => sum + (value !== OUTCOME.missing), 0);
-    const cells = computed.reduce((sum, value) => sum + value, 0);
-    return `Adaptive map: ${percentage(cells, Math.max(done, 1))} of the cells shown were computed; the others have the mode of their block.`;
+    this.colours = this.classes.present.map(({ id, name }) => [name, modeColour(id, theme().dark)]);
+    this.legend.replaceChildren(...this.classes.present.map(({ cells }, i) => {
+      const [name, colour] = this.colours[i];
+      return legendEntry(colour, name, " ", h("small", {}, percentage(cells / total)));
+    }));
+    const { every, computed_share: share } = this.attrs;
+    const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";
+    this.note.textContent = thinned + (this.isAdaptive
+      ? `Adaptive map: ${percentage(share)} of the cells were computed; the others have the mode of their block.`
+      : this.#hysteresisText());
   }
 
   /** In how many of the cells shown up and down differ. */
   #hysteresisText() {
-    const { hysteresis } = this.plane.arrays;
+    const { hysteresis } = this.cells;
     if (!hysteresis) return "";
     const differ = (kind) => hysteresis.reduce((sum, value) => sum + (value === kind), 0);
     const [mode, flights] = [differ(HYSTERESIS.mode), differ(HYSTERESIS.flights)];
     if (!mode && !flights) return "Up and down agree in every cell shown that both have reached.";
     const parts = [[mode, "to other modes (hatched /)"], [flights, "to other flights of one mode (hatched \\)"]].filter(([cells]) => cells);
-    return `Hysteresis: going up and down lead ${parts.map(([cells, to]) => `${to} in ${percentage(cells, hysteresis.length)}`).join(", ")} of the cells shown.`;
+    return `Hysteresis: going up and down lead ${parts.map(([cells, to]) => `${to} in ${percentage(cells / hysteresis.length)}`).join(", ")} of the cells shown.`;
   }
 
   whole() {
-    return windowOf(this.grid.gamma, this.grid.omega, true);
+    return windowOf(this.source.grid.gamma, this.source.grid.omega, true);
   }
 
   content() {
-    if (!this.plane) return null;
     const { x0, x1, y0, y1 } = this.visible();
     const { present } = this.classes;
     return {
       x: { label: axisLabel("gamma"), low: x0, high: x1, log: isLog(this.job.spec.gamma) },
       y: { label: axisLabel("omega"), low: y0, high: y1, log: isLog(this.job.spec.omega) },
-      title: `ξ = ${number(this.plane.xi)}${this.directions.length > 1 ? `, ramp ${this.plane.direction}` : ""}`,
+      title: `${this.prefix}ξ = ${number(this.xi)}${this.isTwoWay ? `, ramp ${this.ramp}` : ""}`,
       legend: [
-        ...(this.plane.arrays.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
-        thresholdLegend,
+        ...(this.cells.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
+        ["threshold, Eq. 25", (ctx, x, y, theme) => polyline(ctx, theme.text, 1.8, [[x, y], [x + 24, y]], DASH)],
       ],
-      colours: present.map(({ id, name }) => [name, (theme) => modeColour(id, theme.dark)]),
       message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,
-      layers: [
-        (ctx, box) => drawModes(ctx, box, this.plane, this.classes, { marksComputed: this.isAdaptive && this.showsComputed.checked }),
-        (ctx, box) => drawThresholdCurve(ctx, box, this.plane.xi),
-      ],
-      cursor: (ctx, box) => this.#drawCursor(ctx, box),
+      layers: [(ctx, box) => this.#drawModes(ctx, box), (ctx, box) => drawThresholdCurve(ctx, box, this.xi)],
+      cursor: (ctx, box) => {
+        const cell = this.selected();
+        this.drawCursor(ctx, box, cell && cell.direction === this.ramp && isClose(cell.xi, this.xi) && [cell.gamma, cell.omega]);
+      },
     };
   }
 
-  #drawCursor(ctx, box) {
-    const selected = this.selected();
-    if (selected && selected.direction === this.plane.direction && isClose(selected.xi, this.plane.xi)) drawRing(ctx, box, selected.gamma, selected.omega, 9);
-    if (this.current) drawRing(ctx, box, this.axes.gamma[this.current.column], this.axes.omega[this.current.row], 6);
-  }
-
-  nearest(x, y) {
-    return this.plane ? nearestCell(this.axes.gamma, this.axes.omega, x, y) : null;
-  }
-
-  step(current, right, up) {
-    return this.plane ? nextCell(this.axes.gamma, this.axes.omega, current, right, up) : null;
-  }
-
-  centre() {
-    return this.current ? this.axes.gamma[this.current.column] : undefined;
+  /** The cells in the colours of their classes; hatched where up and down differ. */
+  #drawModes(ctx, box) {
+    const { computed, hysteresis } = this.cells;
+    const colours = new Uint32Array(256);
+    for (const { id } of this.classes.present) colours[id] = rgba32(modeColour(id, box.theme.dark));
+    const hatch = [rgba32(box.theme.text), rgba32(box.theme.surface)];
+    const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
+    this.drawCells(ctx, box, (row, column, x, y) => {
+      const cell = row * this.columns.length + column;
+      if (hysteresis?.[cell]) {
+        const line = lineAt(hysteresis[cell], x / box.ratio, y / box.ratio);
+        if (line >= 0) return hatch[line];
+      }
+      return mark !== null && computed[cell] ? mark : colours[this.classes.ofCell[cell]];
+    });
   }
 
   cellOf({ column, row }) {
-    return { gamma: this.axes.gamma[column], omega: this.axes.omega[row], xi: this.plane.xi, direction: this.plane.direction };
+    return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.ramp };
   }
 
   describe({ column, row }) {
-    const { gamma, outcome } = this.plane.arrays;
-    const cell = row * gamma.length + column;
-    const parts = describeMode(this.plane, { column, row });
-    const differs = this.plane.arrays.hysteresis?.[cell];
-    if (differs) parts.push(`ramped ${this.directions.find((direction) => direction !== this.plane.direction)}, ${differs === HYSTERESIS.mode ? "another mode" : "other flights"}`);
-    if (this.isAdaptive && outcome[cell] !== OUTCOME.missing) parts.push(this.plane.arrays.computed[cell] ? "computed" : "taken from its block");
+    const { outcome, label = outcome, bounces, periods, hysteresis, computed } = this.cells;
+    const cell = row * this.columns.length + column;
+    const parts = [`Γ = ${number(this.columns[column])}`, `Ω = ${number(this.rows[row])}`, outcomeText(label[cell], bounces[cell], periods[cell])];
+    if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
+    if (hysteresis?.[cell]) parts.push(`ramped ${this.directions.find((direction) => direction !== this.ramp)}, ${hysteresis[cell] === HYSTERESIS.mode ? "another mode" : "other flights"}`);
+    if (this.isAdaptive && outcome[cell] !== OUTCOME.missing) parts.push(computed[cell] ? "computed" : "taken from its block");
     return parts.join(" · ");
-  }
-
-  /** As `bounce modes` writes it. */
-  table() {
-    return modeTable(this.plane);
   }
 }
 
-const percentage = (cells, total) => `${cells / total < 0.001 ? "<0.1" : number((100 * cells) / total, 2)} %`;
+/** The Γ of Eq. 25 over Ω. */
+function drawThresholdCurve(ctx, box, xi) {
+  const n = Math.max(2, Math.round(box.height / 2));
+  const points = Array.from({ length: n }, (_, i) => {
+    const y = box.top + (i * box.height) / (n - 1);
+    return [box.x.pixel(threshold(box.y.value(y), xi)), y];
+  });
+  polyline(ctx, box.theme.surface, 4, points);
+  polyline(ctx, box.theme.text, 1.8, points, DASH);
+}
+
+/** Which line of the hatching is at (x, y): 0 of text, 1 of surface beside it, -1 none. They rise where modes differ. */
+function lineAt(hysteresis, x, y) {
+  const along = hysteresis === HYSTERESIS.mode ? x + y : x - y + 1e6 * HATCH;
+  const line = Math.floor((along % HATCH) / HATCH_LINE);
+  return line < 2 ? line : -1;
+}
+
+const percentage = (part) => `${part > 0 && part < 0.001 ? "<0.1" : number(100 * part, 2)} %`;

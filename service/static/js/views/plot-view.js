@@ -1,83 +1,154 @@
-// The common part of the diagram, the mode map and the thresholds: a plot with loading, pointing, zooming, downloads.
+// The frame of every plot of results: it loads, follows the address, points, zooms, and downloads.
 
-import { currentQuery, setWindow, windowIn } from "../lib/address.js";
-import { isHandledElsewhere } from "../lib/api.js";
-import { announce, gestures, h, latest } from "../lib/dom.js";
-import { downloads, fileName, netcdf, originOf } from "../lib/downloads.js";
-import { isSweep } from "../lib/physics.js";
-import { pngOf, svgOf } from "../plot/export.js";
+import { currentQuery, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
+import { isHandledElsewhere, requestDataset } from "../lib/api.js";
+import { announce, h, latest, problemLine } from "../lib/dom.js";
+import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
+import { AXES, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
+import { onThemeChange } from "../plot/colours.js";
 import { listenToInput, magnified } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
 
 const RETRY_MS = 3000; // after 503: results that were damaged are computed again
 const KEYS = "Arrow keys step through cells, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
+const PICTURES = [["PNG", "png"], ["SVG", "svg"], ["PDF", "pdf"]];
+
+/** What a view shows of a job; `number` is its place among compared ones. */
+export const sourceOf = (job, number = 1) => ({
+  job, number, directions: directionsOf(job.spec),
+  grid: Object.fromEntries(AXES.filter((axis) => axis in job.spec).map((axis) => [axis, axisValues(job.spec[axis])])),
+});
+
+/** A result; of more points than the service sends, every n-th, as its refusal says. */
+async function requestFitting(path, options) {
+  try {
+    return await requestDataset(path, options);
+  } catch (error) {
+    const [, every] = /every=(\d+) fits/.exec(error.message) ?? [];
+    if (!every) throw error;
+    return requestDataset(path.replace(/&every=\d+|$/, `&every=${every}`), options);
+  }
+}
 
 /**
- * A view of one sweep around a Plot. A subclass defines
+ * A view of one source or several around a Plot. Its state is the query of the page's address. A subclass defines
  *   name             part of the names of its files
- *   request(signal)  loads the data; resolves to the parameters now shown, as an object
- *   content()        what to draw (see Plot), null before anything is loaded
- *   whole()          the window {x0, x1, y0, y1} of all data
- *   nearest(x, y), step(cell, right, up)   the cell at a position, or so many cells further; null without data.
+ *   paths()          optional; the addresses of the results to show, if they are not those of filePath()
+ *   read(results)    takes their Datasets (see requestDataset)
+ *   shown()          the parameters now shown, as an object
+ *   filePath(source) the address of the result of a source that is downloaded
+ *   content(), whole()   what to draw (see Plot), and the window {x0, x1, y0, y1} of all data
+ *   nearest(x, y), step(cell, right, up)   the cell at a position, or so many cells further.
  *                    The views represent cells differently; only their own methods look into one.
- *   describe(cell)   a cell in words
+ *   at(cell)         its position [x, y]
+ *   describe(cell)   the cell in words, or a list of elements
  *   cellOf(cell)     its {gamma, omega, xi, direction}
- *   table()          a Blob of CSV, or a promise of one
- *   pdf(caption)     a promise of a Blob of PDF; optional
+ *   showLegend()     optional; called when the data or the colours have changed
  */
 export class PlotView {
-  window = null; // zoomed to; null for everything
   current = null; // the cell under the pointer or reached by keyboard
+  isLoaded = false;
+  isDrawn = false; // whether the service has a picture of the result
+  colours = []; // the legend below the plot: [[name, colour], …]
+  closing = new AbortController();
 
-  constructor({ job, grid, directions, onSelect, selected }) {
-    Object.assign(this, { job, grid, directions, onSelect, selected });
-    this.initial = currentQuery();
-    this.window = windowIn(this.initial);
+  /**
+   * Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `onPoint(view, x, y)`
+   * is told where the pointer is, `extent()` is the window of all data, and titles begin with `prefix`.
+   */
+  constructor({ sources, grid = sources[0].grid, isFollower = false, prefix = "", onSelect, selected = () => null, onPoint = () => {}, extent = () => this.whole() }) {
+    Object.assign(this, { sources, grid, isFollower, prefix, onSelect, selected, onPoint, extent, source: sources[0], directions: sources[0].directions });
+  }
+
+  get job() {
+    return this.source.job;
+  }
+
+  /** The values of the grid nearest to those of the address. */
+  get place() {
+    const query = currentQuery();
+    return Object.fromEntries(Object.entries(this.grid).map(([axis, values]) => [axis, initialValue(values, query[axis])]));
+  }
+
+  /** The window zoomed to; null for everything. */
+  get window() {
+    return windowIn(currentQuery());
+  }
+
+  /** The window on display. */
+  visible() {
+    return this.window ?? this.extent();
   }
 
   /** Build the view and start loading; `below` is placed between plot and readout. */
-  build(root, { controls, label, hint, ratio, below = null }) {
-    this.hint = gestures(hint);
+  build(root, { controls, label, hint, ratio, below = [] }) {
+    this.hint = hint;
     this.readout = h("p", { className: "readout" }, this.hint);
-    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.problem = problemLine();
     const figure = h("figure", {});
-    this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => this.zoom(null) }, "Show everything");
-    root.replaceChildren(controls, this.problem, figure, ...(below ? [below] : []), this.readout, this.unzoom, this.#downloads());
-    this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => this.content(), ratio });
+    const zoom = (window) => setQuery(windowQuery(window));
+    this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
+    root.replaceChildren(controls, this.problem.element, figure, ...below, this.readout, this.unzoom, this.#downloads());
+    this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null), ratio });
     listenToInput(this.plot, {
-      hover: (x, y) => this.#setCurrent(this.nearest(x, y)),
-      leave: () => this.#setCurrent(null),
+      hover: (x, y) => this.#point(this.nearest(x, y), x, y),
+      leave: () => this.#point(null),
       select: (x, y) => this.#select(this.nearest(x, y)),
       selectCurrent: () => this.#select(this.current),
       step: (right, up) => this.#step(right, up),
-      zoom: (window) => this.zoom(window),
-      magnify: (factor) => this.zoom(magnified(this.visible(), this.whole(), factor, this.centre())),
+      zoom,
+      magnify: (factor) => zoom(magnified(this.visible(), this.extent(), factor, this.current ? this.at(this.current)[0] : undefined)),
     });
     this.load = latest((signal) => this.#load(signal));
+    const { signal } = this.closing;
+    queryChanges.addEventListener("change", () => this.#follow(), { signal });
+    onThemeChange(() => this.isLoaded && this.showLegend(), signal);
     this.load();
   }
 
   close() {
-    this.closed = true;
+    this.closing.abort();
     clearTimeout(this.timer);
     this.plot.close();
   }
 
   update(job) {
-    this.job = job;
+    this.source.job = job;
     this.load();
+  }
+
+  showLegend() {}
+
+  paths() {
+    return this.sources.map((source) => this.filePath(source));
+  }
+
+  sourceOf() {
+    return this.source;
+  }
+
+  #follow() {
+    this.unzoom.hidden = !this.window;
+    if (this.paths().join() === this.requested) this.plot.redraw();
+    else this.load();
   }
 
   async #load(signal) {
     clearTimeout(this.timer);
     this.plot.element.setAttribute("aria-busy", "true");
+    const paths = this.paths();
+    this.requested = paths.join();
     try {
-      const shown = await this.request(signal);
-      if (this.closed) return;
+      const results = await Promise.all(paths.map((path) => requestFitting(path, { signal })));
+      if (this.closing.signal.aborted) return;
+      const position = this.current && this.at(this.current);
+      this.read(results);
+      this.isLoaded = true;
       this.#showError(null);
-      this.readout.textContent = this.current ? this.describe(this.current) : this.hint;
-      this.plot.draw();
-      this.plot.element.dataset.shown = JSON.stringify(shown);
+      this.#setCurrent(position && this.nearest(...position));
+      this.showLegend();
+      this.draw();
+      if (this.paths().join() !== this.requested) this.load(); // the result turned out to be thinned: the window in more detail
     } catch (error) {
       this.#showError(error);
     } finally {
@@ -85,41 +156,40 @@ export class PlotView {
     }
   }
 
+  draw() {
+    this.plot.draw();
+    this.plot.element.dataset.shown = JSON.stringify(this.shown());
+  }
+
   /** An error takes the place of the plot unless earlier data are still shown. */
   #showError(error) {
-    if (this.closed || (error && isHandledElsewhere(error))) return;
-    this.problem.hidden = !error;
-    this.problem.textContent = error?.message ?? "";
-    this.plot.element.hidden = this.readout.hidden = Boolean(error) && !this.content();
+    if (this.closing.signal.aborted || (error && isHandledElsewhere(error))) return;
+    this.problem.show(error);
+    this.plot.element.hidden = this.readout.hidden = Boolean(error) && !this.isLoaded;
     if (error?.status === 503) this.timer = setTimeout(() => this.load(), RETRY_MS);
     else if (error && !error.status) throw error;
   }
 
-  /** The window on display. */
-  visible() {
-    return this.window ?? this.whole();
-  }
-
-  /** The x value about which the keyboard zooms; undefined for the middle of the window. */
-  centre() {}
-
-  zoom(window) {
-    this.window = window;
-    this.unzoom.hidden = !window;
-    setWindow(window);
-    this.plot.redraw();
+  /** Point where another view is pointed at. */
+  follow(x, y) {
+    if (this.isLoaded) this.#setCurrent(x === undefined ? null : this.nearest(x, y));
   }
 
   #setCurrent(cell) {
     this.current = cell;
-    this.readout.textContent = cell ? this.describe(cell) : this.hint;
+    this.readout.replaceChildren(...(cell ? [this.describe(cell)].flat() : [this.hint]));
     this.plot.drawCursor();
   }
 
-  #step(right, up) {
-    const cell = this.step(this.current, right, up);
-    if (!cell) return;
+  #point(cell, x, y) {
     this.#setCurrent(cell);
+    this.onPoint(this, x, y);
+  }
+
+  #step(right, up) {
+    const cell = this.isLoaded && this.step(this.current, right, up);
+    if (!cell) return;
+    this.#point(cell, ...this.at(cell));
     announce(this.readout.textContent);
   }
 
@@ -127,25 +197,20 @@ export class PlotView {
     const selected = cell && this.cellOf(cell);
     if (!selected) return;
     this.#setCurrent(cell);
-    this.onSelect(selected);
+    this.onSelect(selected, this.sourceOf(cell).job);
   }
 
+  /** Pictures and tables of the service; what the service does not draw, as it is seen here. */
   #downloads() {
-    const name = (extension) => () => fileName(this.job, this.name, extension);
-    const ifLoaded = (make) => () => {
-      if (!this.content()) throw new Error("There is nothing to download in this view.");
-      return make();
-    };
-    const caption = h("input", { type: "checkbox", checked: true });
-    const options = async () => ({ caption: caption.checked, origin: await originOf(this.job) });
-    const element = downloads([
-      ["PNG", name("png"), ifLoaded(async () => pngOf(this.plot, await options()))],
-      ["SVG", name("svg"), ifLoaded(async () => svgOf(this.plot, await options()))],
-      ...(this.pdf ? [["PDF", name("pdf"), ifLoaded(() => this.pdf(caption.checked))]] : []),
-      ["CSV", name("csv"), ifLoaded(() => this.table())],
-      ...(isSweep(this.job.spec) ? [["NetCDF", () => fileName(this.job, "sweep", "nc"), netcdf(this.job)]] : []),
+    const isSingle = this.sources.length === 1;
+    const isDrawn = this.isDrawn && isSingle;
+    const formats = [...(isDrawn ? PICTURES : []), ["CSV", "csv"]];
+    const files = this.sources.flatMap((source) => resultFiles(source.job, () => this.name,
+      formats.map(([label, format]) => [isSingle ? label : `${label} of ${source.number}`, format]), () => this.filePath(source)));
+    return downloads([
+      ...(isDrawn ? [] : [["PNG", () => fileName(this.job, this.name, "png"), () => this.plot.png(this.colours)]]),
+      ...files,
+      ...(isSingle && isSweep(this.job.spec) ? wholeSweep(this.job, [["NetCDF", "nc"]]) : []),
     ]);
-    element.append(h("label", { className: "option" }, caption, " with a caption"));
-    return element;
   }
 }

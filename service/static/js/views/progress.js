@@ -1,8 +1,8 @@
-// A sweep's progress bar, its one-line summary, and the buttons to cancel, resume or delete it.
+// A job in short: its title, its specification in a line, its progress, and the buttons to cancel, resume or delete it.
 
 import { link } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
-import { confirmed, h } from "../lib/dom.js";
+import { h } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
 import { AXES, SYMBOL, axisValues, isSweep } from "../lib/physics.js";
 
@@ -13,22 +13,32 @@ const MAX_LISTED = 4; // values of an axis
 /** A sweep's name, or the beginning of its id. */
 export const titleOf = (job) => (job.name.trim() ? job.name : "") || `Sweep ${job.id.slice(0, 8)}`;
 
-export class ProgressBar {
-  constructor() {
-    this.fill = h("span", {});
-    this.track = h("div", { className: "bar", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100 }, this.fill);
-    this.text = h("span", { className: "amount" });
-    this.state = h("span", { className: "state" });
-    this.element = h("div", { className: "progress" }, this.state, this.track, this.text);
+/** What the list and the page of sweeps show of a job. `on`: {change(job), delete(), error(error)}, of its buttons. */
+export class JobSummary {
+  about = h("p", { className: "summary" });
+  bar = h("progress", { className: "bar", max: 100 });
+  amount = h("span", { className: "amount" });
+  state = h("span", { className: "state" });
+  progress = h("div", { className: "progress" }, this.state, this.bar, this.amount);
+  actions = h("div", { className: "actions" });
+  notice = h("p", { className: "notice", hidden: true });
+
+  constructor(name, on) {
+    Object.assign(this, { name, on });
   }
 
-  show({ name, state, progress, compiling }) {
+  show(job) {
+    const { state, progress, compiling } = job;
+    this.name.textContent = titleOf(job);
+    if (!this.about.hasChildNodes() || job.choice) this.about.replaceChildren(...summary(job));
     this.state.textContent = state;
-    this.element.dataset.state = state;
-    this.fill.style.width = `${progress.percent}%`;
-    this.track.setAttribute("aria-valuenow", String(progress.percent));
-    this.track.setAttribute("aria-label", `Progress of ${name || "the sweep"}`);
-    this.text.textContent = compiling ? compilation(compiling) : amount(state, progress);
+    this.progress.dataset.state = state;
+    this.bar.value = progress.percent;
+    this.bar.setAttribute("aria-label", `Progress of ${titleOf(job)}`);
+    this.amount.textContent = compiling ? compilation(compiling) : amount(state, progress);
+    this.notice.hidden = !job.notice;
+    this.notice.replaceChildren(...(job.notice ? notice(job) : []));
+    showActions(this.actions, job, this.on);
   }
 }
 
@@ -55,12 +65,10 @@ export function summary({ spec, choice }) {
   return [...axes, h("span", {}, protocolText(spec.protocol)), " · ", h("span", {}, `${kind} contact`), ...refined, ...parent];
 }
 
-/** That another kernel version computed a sweep, and a link to the one that replaces it; nothing for any other sweep. */
-export function notice({ notice: text, replaced_by: successor }) {
-  if (!text) return [];
-  const sentence = `${text[0].toUpperCase()}${text.slice(1)}. `;
-  return successor ? [sentence, h("a", { href: link(["job", successor]) }, "Show the sweep that replaces it")] : [sentence];
-}
+/** That another kernel version computed a sweep, and a link to the one that replaces it. */
+const notice = ({ notice: text, replaced_by: successor }) => [
+  `${text[0].toUpperCase()}${text.slice(1)}. `, ...(successor ? [h("a", { href: link(["job", successor]) }, "Show the sweep that replaces it")] : []),
+];
 
 /** How many cells of a sweep were still settling, and what to do; nothing where none was. */
 export function settling({ id, progress, spec }) {
@@ -85,33 +93,27 @@ function protocolText({ kind, axis, direction, start }) {
 
 const ACTION_TITLES = { cancel: "Cancel", resume: "Resume", delete: "Delete" };
 
-/**
- * Show in `root` the buttons that the job's state allows, keeping the keyboard focus among them. `handlers`:
- * {onChange(job), onDelete(), onError(error)}.
- */
-export function showActions(root, job, handlers) {
+/** Show in `root` the buttons that the job's state allows, keeping the keyboard focus among them. */
+function showActions(root, job, on) {
   const actions = UNFINISHED.has(job.state) ? ["cancel"] : RESUMABLE.has(job.state) ? ["resume", "delete"] : ["delete"];
   if (root.dataset.actions === actions.join()) return;
   const hadFocus = root.contains(document.activeElement);
   root.dataset.actions = actions.join();
-  root.replaceChildren(...actions.map((action) =>
-    h("button", {
-      type: "button", className: "quiet", "aria-label": `${ACTION_TITLES[action]} ${titleOf(job)}`,
-      onclick: (event) => run(action, job, event.currentTarget, handlers),
-    }, ACTION_TITLES[action])));
+  root.replaceChildren(...actions.map((action) => h("button", {
+    type: "button", className: "quiet", "aria-label": `${ACTION_TITLES[action]} ${titleOf(job)}`, onclick: ({ currentTarget }) => run(action, job, currentTarget, on),
+  }, ACTION_TITLES[action])));
   if (hadFocus) root.querySelector("button")?.focus();
 }
 
-async function run(action, job, button, { onChange, onDelete, onError }) {
-  if (action === "delete" && !(await confirmed(`Delete “${titleOf(job)}” and its results?`, "Delete"))) return;
+async function run(action, job, button, on) {
+  if (action === "delete" && !confirm(`Delete “${titleOf(job)}” and its results?`)) return;
   button.disabled = true;
   try {
-    if (action === "delete") {
-      await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
-      onDelete();
-    } else onChange(await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }));
+    const changed = await requestJson(`/v1/jobs/${job.id}${action === "delete" ? "" : `/${action}`}`, { method: action === "delete" ? "DELETE" : "POST" });
+    if (action === "delete") on.delete();
+    else on.change(changed);
   } catch (error) {
-    onError(error);
+    on.error(error);
   } finally {
     button.disabled = false;
   }

@@ -1,126 +1,84 @@
 // Thresholds in Γ against Ω: where bouncing begins on the ramp up and ends on the ramp down, with Eq. 25.
 
-import { addressValue, setQuery } from "../lib/address.js";
-import { query, requestDataset } from "../lib/api.js";
-import { hasCycles } from "../lib/cycles.js";
+import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { csv } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
-import { axisLabel, clampIndex, initialValue, isLog, nearestIndex, threshold } from "../lib/physics.js";
+import { axisLabel, clampIndex, hasCycles, isLog, nearestIndex, threshold } from "../lib/physics.js";
 import { directionColour } from "../plot/colours.js";
-import { circle, disc, polyline, verticalLine } from "../plot/drawing.js";
+import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
-import { ClosedFormBox, drawFolds, foldLegend, requestFolds } from "./closed-form.js";
+import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
 const DASH = [7, 4];
-const HINT = "Point at a frequency to read it, click to show a trajectory, drag to zoom, double-click to reset the zoom.";
-const ARROW = 15; // px
+const HINT = "Point at a frequency to read it, press to show a trajectory, drag to zoom.";
 const BESIDE = 4; // px from the frequency: both directions may lie beyond the same edge
-
-/** What the readout says of a threshold that is not a number, by its status; `grid` are the values of Γ. */
-const REASONS = {
-  "below the grid": (grid) => `bounces already at the lowest Γ, ${number(grid[0])}: start lower`,
-  "above the grid": (grid) => `at rest up to the highest Γ, ${number(grid.at(-1))}: end higher`,
-  "never bounces": () => "never bounces",
-  "not refined": () => "not refined",
-  missing: () => "not computed yet",
-  unresolved: () => "the cell that decides is unresolved",
-  diverged: () => "the cell that decides diverged",
-  settling: () => "the cell that decides was still settling: give it more time",
-};
+const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a triangle points: 1 down
+const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell that decides
 /** What is read of each frequency; numbers that are not there are null. */
-const COLUMNS = ["omega", "analytic", "up", "up_status", "down", "down_status", "predicted_jump", "predicted_down", "cause", "difference"];
-const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where an arrow points, in pixels down
-const UNDECIDED = new Set(["unresolved", "diverged", "settling"]);
+const COLUMNS = ["omega", "analytic", "up", "up_status", "down", "down_status", "predicted_down", "cause", "difference"];
 
 /** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
 export class Thresholds extends PlotView {
   name = "thresholds";
-  folds = null; // curves of folds over Ω; null where they are not shown
 
   constructor(root, view) {
     super(view);
-    this.xi = initialValue(this.grid.xi, this.initial.xi);
-    const onMove = (_, value) => {
-      this.xi = value;
-      setQuery({ xi: addressValue(value) });
-      this.load();
-    };
-    const canHaveFolds = hasCycles(this.job) && this.grid.omega.length > 1;
-    this.closedForm = canHaveFolds && new ClosedFormBox("Folds", this.initial.folds === "1", (checked) => {
-      setQuery({ folds: checked ? 1 : null });
-      this.load();
-    });
-    const controls = h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, onMove), this.closedForm?.element);
+    this.closedForm = hasCycles(this.job) && this.grid.omega.length > 1 && foldsOver(this);
+    const controls = h("div", { className: "controls" }, sliders(this, ["xi"]), this.closedForm?.element);
     this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT });
   }
 
-  async request(signal) {
-    const found = await requestDataset(`/v1/jobs/${this.job.id}/threshold?${query({ xi: this.xi })}`, { signal });
-    const columns = COLUMNS.map((name) => [name, Array.from(found[name].data, (value) => (Number.isNaN(value) ? null : value))]);
-    this.thresholds = { xi: found.xi.data, complete: found.attrs.complete, ...Object.fromEntries(columns) };
-    await this.#loadFolds(signal);
-    return { xi: this.thresholds.xi, folds: Boolean(this.folds) };
+  filePath() {
+    return `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi })}`;
   }
 
-  /** The folds, if they are to be shown. Workers compute them, which takes some seconds: the thresholds are drawn first. */
-  async #loadFolds(signal) {
-    if (!this.closedForm?.checked) this.folds = null;
-    if (!this.closedForm?.checked || this.folds?.xi === this.thresholds.xi) return;
-    const { omega, gamma } = this.grid;
-    this.folds = null;
-    this.plot.draw();
-    this.closedForm.note.textContent = "computing …";
-    try {
-      this.folds = await requestFolds(this.thresholds.xi, [omega[0], omega.at(-1)], gamma.at(-1), { signal });
-      this.closedForm.note.textContent = "";
-    } catch (error) {
-      this.closedForm.note.textContent = "";
-      if (!error.status || error.status === 401) throw error;
-      this.closedForm.note.textContent = error.message;
-    }
+  read([result]) {
+    const columns = COLUMNS.map((name) => [name, Array.from(result[name].data, (value) => (Number.isNaN(value) ? null : value))]);
+    this.thresholds = { xi: result.xi.data, complete: result.attrs.complete, ...Object.fromEntries(columns) };
+    const { up, down, up_status: upStatus, down_status: downStatus } = this.thresholds;
+    const isRest = this.directions[0] === "rest";
+    this.series = [
+      { name: isRest ? "from rest" : "ramp up", direction: isRest ? "rest" : "up", values: up, statuses: upStatus },
+      { name: "ramp down", direction: "down", values: down, statuses: downStatus },
+    ].filter(({ statuses }) => statuses.some((status) => status !== "not ramped"));
+    const { gamma } = this.grid;
+    const all = new Set([...upStatus, ...downStatus]);
+    this.isUndecided = UNDECIDED.some((status) => all.has(status));
+    this.edges = [...(all.has("below the grid") ? [gamma[0]] : []), ...(all.has("above the grid") ? [gamma.at(-1)] : [])];
+    this.found = [...up, ...down].filter((value) => value !== null);
+    this.closedForm?.update?.();
+  }
+
+  get folds() {
+    return this.closedForm?.data ?? null;
+  }
+
+  shown() {
+    return { xi: this.thresholds.xi, folds: Boolean(this.folds) };
   }
 
   whole() {
     const { omega, xi } = this.thresholds;
-    const [x0, x1] = extent(omega[0], omega[omega.length - 1]);
-    const computed = [...this.#computed(), ...this.#edges()];
-    const highest = Math.max(...(computed.length ? computed : [threshold(x0, xi), 1]));
-    return { x0, x1, y0: 0, y1: 1.12 * highest };
-  }
-
-  #computed() {
-    return [...this.thresholds.up, ...this.thresholds.down].filter((value) => value !== null);
-  }
-
-  /** The Γ of the grid's edges that some threshold lies beyond. */
-  #edges() {
-    const { gamma } = this.grid;
-    const statuses = new Set([...this.thresholds.up_status, ...this.thresholds.down_status]);
-    return [statuses.has("below the grid") && gamma[0], statuses.has("above the grid") && gamma.at(-1)].filter(Boolean);
+    const [x0, x1] = extent(omega[0], omega.at(-1));
+    const drawn = [...this.found, ...this.edges];
+    return { x0, x1, y0: 0, y1: 1.12 * Math.max(...(drawn.length ? drawn : [threshold(x0, xi), 1])) };
   }
 
   content() {
-    if (!this.thresholds) return null;
     const { x0, x1, y0, y1 } = this.visible();
     const { omega, xi, complete } = this.thresholds;
+    const isEmpty = !this.found.length && !this.edges.length;
     return {
       x: { label: axisLabel("omega"), low: x0, high: x1, log: isLog(this.job.spec.omega) },
       y: { label: "threshold Γ", low: y0, high: y1 },
       title: `ξ = ${number(xi)}`,
       legend: this.#legend(),
-      message: this.#message(complete),
+      message: isEmpty ? (complete ? "No threshold in this sweep" : "No bouncing cell is computed yet") : null,
       layers: [(ctx, box) => this.folds && drawFolds(ctx, box, this.folds), (ctx, box) => this.#draw(ctx, box)],
       cursor: (ctx, box) => this.current && verticalLine(ctx, box, box.x.pixel(omega[this.current.index]), box.theme.cursor),
     };
-  }
-
-  /** Why there is nothing to draw. */
-  #message(complete) {
-    if (this.#computed().length || this.#edges().length) return null;
-    return complete ? "No threshold in this sweep" : "No bouncing cell is computed yet";
   }
 
   #draw(ctx, box) {
@@ -131,17 +89,15 @@ export class Thresholds extends PlotView {
       return [x, box.y.pixel(threshold(box.x.value(x), xi))];
     });
     polyline(ctx, box.theme.threshold, 1.6, curve, DASH);
-    for (const { key, direction } of this.#series()) {
+    for (const { direction, values, statuses } of this.series) {
       const colour = directionColour(direction, box.theme);
-      drawSeries(ctx, box, omega, this.thresholds[key], colour, key);
-      drawOpen(ctx, box, omega, this.thresholds[`${key}_status`], this.grid.gamma, colour, key);
+      drawSeries(ctx, box, omega, values, colour, direction);
+      statuses.forEach((status, i) => {
+        const x = box.x.pixel(omega[i]) + (direction === "down" ? BESIDE : -BESIDE);
+        if (UNDECIDED.includes(status)) drawCross(ctx, x, box.top + box.height - 8, colour);
+        else if (BEYOND[status]) drawTriangle(ctx, x, box.y.pixel(BEYOND[status] > 0 ? this.grid.gamma[0] : this.grid.gamma.at(-1)), BEYOND[status], colour);
+      });
     }
-  }
-
-  /** The computed series: their key in the response, name and direction. */
-  #series() {
-    const up = this.directions[0] === "rest" ? { key: "up", name: "from rest", direction: "rest" } : { key: "up", name: "ramp up", direction: "up" };
-    return [up, { key: "down", name: "ramp down", direction: "down" }].filter(({ key }) => this.thresholds[`${key}_status`].some((status) => status !== "not ramped"));
   }
 
   #legend() {
@@ -149,50 +105,36 @@ export class Thresholds extends PlotView {
     return [
       ["Eq. 25", (ctx, x, y, theme) => line(ctx, x, y, theme.threshold, 1.6, DASH)],
       ...(this.folds ? foldLegend() : []),
-      ...this.#series().map(({ key, name, direction }) => [name, (ctx, x, y, theme) => {
-        const colour = directionColour(direction, theme);
-        line(ctx, x, y, colour, 1.2);
-        drawMarker(ctx, [x + 12, y], 3.4, colour, key, theme.surface);
+      ...this.series.map(({ name, direction }) => [name, (ctx, x, y, theme) => {
+        line(ctx, x, y, directionColour(direction, theme), 1.2);
+        drawMarker(ctx, [x + 12, y], 3.4, directionColour(direction, theme), direction, theme.surface);
       }]),
-      ...(this.#edges().length ? [["beyond the grid", (ctx, x, y, theme) => drawArrow(ctx, x + 12, y - ARROW / 2, 1, theme.muted, theme.surface, "up")]] : []),
-      ...(this.#has(UNDECIDED) ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
+      ...(this.edges.length ? [["beyond the grid", (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4, 1, theme.muted)]] : []),
+      ...(this.isUndecided ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
     ];
   }
 
-  #has(statuses) {
-    return [...this.thresholds.up_status, ...this.thresholds.down_status].some((status) => statuses.has(status));
-  }
-
   nearest(x, y) {
-    return this.thresholds ? { index: nearestIndex(this.thresholds.omega, x), y } : null;
+    return { index: nearestIndex(this.thresholds.omega, x), y };
   }
 
   step(current, right) {
-    if (!this.thresholds) return null;
     const n = this.thresholds.omega.length;
     return { index: current ? clampIndex(current.index + right, n) : n >> 1 };
   }
 
-  centre() {
-    return this.current ? this.thresholds.omega[this.current.index] : undefined;
+  at({ index, y }) {
+    return [this.thresholds.omega[index], y];
   }
 
+  /** The thresholds, or why there is none, and where the closed form says that bouncing ends and why the sweep differs. */
   describe({ index }) {
-    const { omega, analytic } = this.thresholds;
-    const parts = [`Ω = ${number(omega[index])}`, `Eq. 25: Γ = ${number(analytic[index], 4)}`];
-    for (const { key, name } of this.#series()) {
-      const value = this.thresholds[key][index];
-      parts.push(`${name}: ${value === null ? REASONS[this.thresholds[`${key}_status`][index]](this.grid.gamma) : number(value, 4)}`);
-    }
-    return [...parts, ...this.#predictionText(index)].join(" · ");
-  }
-
-  /** Where the closed form says that bouncing ends and why, or why it does not, and why the sweep differs. */
-  #predictionText(index) {
-    const { predicted_down: down, cause, difference } = this.thresholds;
-    if (!this.closedForm) return [];
-    if (down[index] === null) return [`closed form: ${cause[index]}`];
-    return [`closed form: bouncing ends at ${number(down[index], 6)} (${cause[index]})`, ...(difference[index] ? [difference[index]] : [])];
+    const { omega, analytic, predicted_down: down, cause, difference } = this.thresholds;
+    const found = this.series.map(({ name, values, statuses }) => `${name}: ${values[index] === null ? statuses[index] : number(values[index], 4)}`);
+    const parts = [`Ω = ${number(omega[index])}`, `Eq. 25: Γ = ${number(analytic[index], 4)}`, ...found];
+    if (this.closedForm && down[index] === null) parts.push(`closed form: ${cause[index]}`);
+    else if (this.closedForm) parts.push(`closed form: bouncing ends at ${number(down[index], 6)} (${cause[index]})`, difference[index]);
+    return parts.filter(Boolean).join(" · ");
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
@@ -203,61 +145,29 @@ export class Thresholds extends PlotView {
     const direction = isNearerDown ? "down" : this.directions[0];
     return { gamma: this.grid.gamma[nearestIndex(this.grid.gamma, gamma)], omega: omega[index], xi, direction };
   }
-
-  table() {
-    const { omega, xi, analytic, up, down, up_status, down_status, predicted_jump: jump, predicted_down: end, cause } = this.thresholds;
-    return csv(["omega", "xi", "eq_25", "up", "up_status", "down", "down_status", "predicted_jump", "predicted_down", "cause"],
-      omega.map((value, i) => [value, xi, analytic[i], up[i], up_status[i], down[i], down_status[i], jump[i], end[i], cause[i]]));
-  }
 }
 
 /** Markers joined by lines, interrupted where values are missing. */
-function drawSeries(ctx, box, omega, values, colour, key) {
-  let run = [];
-  const runs = [run];
-  values.forEach((value, i) => {
-    if (value === null) runs.push((run = []));
-    else run.push([box.x.pixel(omega[i]), box.y.pixel(value)]);
-  });
+function drawSeries(ctx, box, omega, values, colour, direction) {
+  const points = values.map((value, i) => (value === null ? null : [box.x.pixel(omega[i]), box.y.pixel(value)]));
   const size = Math.min(3.4, Math.max(1.6, 260 / omega.length));
-  for (const points of runs) {
-    if (points.length > 1) polyline(ctx, colour, 1.2, points);
-    for (const point of points) drawMarker(ctx, point, size, colour, key, box.theme.surface);
-  }
+  polyline(ctx, colour, 1.2, points);
+  for (const point of points.filter(Boolean)) drawMarker(ctx, point, size, colour, direction, box.theme.surface);
 }
 
 /** A disc on the way up, a hollow square on the way down: distinct without colour too. */
-function drawMarker(ctx, [x, y], size, colour, key, background) {
-  if (key === "up") {
+function drawMarker(ctx, [x, y], size, colour, direction, background) {
+  if (direction !== "down") {
     disc(ctx, colour, x, y, size);
     return;
   }
-  ctx.fillStyle = background;
-  ctx.fillRect(x - size, y - size, 2 * size, 2 * size);
-  polyline(ctx, colour, 1.6, [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]]);
+  const square = [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]];
+  polygon(ctx, background, square);
+  polyline(ctx, colour, 1.6, square);
 }
 
-/** Where a threshold lies beyond the grid, an open marker with an arrow at its edge; a cross where a cell left it open. */
-function drawOpen(ctx, box, omega, statuses, gamma, colour, key) {
-  statuses.forEach((status, i) => {
-    const x = box.x.pixel(omega[i]) + (key === "up" ? -BESIDE : BESIDE);
-    if (UNDECIDED.has(status)) drawCross(ctx, x, box.top + box.height - 8, colour);
-    else if (BEYOND[status]) drawArrow(ctx, x, box.y.pixel(BEYOND[status] > 0 ? gamma[0] : gamma.at(-1)), BEYOND[status], colour, box.theme.surface, key);
-  });
-}
-
-/** An open circle on the way up, an open square on the way down, and an arrow from it, down where `sign` is 1. */
-function drawArrow(ctx, x, y, sign, colour, background, key) {
-  const tip = y + sign * ARROW;
-  polyline(ctx, colour, 1.4, [[x, y], [x, tip]]);
-  polyline(ctx, colour, 1.4, [[x - 3, tip - sign * 4], [x, tip], [x + 3, tip - sign * 4]]);
-  if (key === "down") {
-    drawMarker(ctx, [x, y], 3, colour, key, background);
-    return;
-  }
-  disc(ctx, background, x, y, 3.4);
-  circle(ctx, colour, 1.4, x, y, 3.4);
-}
+/** At the edge of the grid, towards where a threshold lies: down where `sign` is 1. */
+const drawTriangle = (ctx, x, y, sign, colour) => polygon(ctx, colour, [[x - 4, y], [x + 4, y], [x, y + 9 * sign]]);
 
 function drawCross(ctx, x, y, colour) {
   polyline(ctx, colour, 1.4, [[x - 3.5, y - 3.5], [x + 3.5, y + 3.5]]);
