@@ -284,7 +284,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
         yield client
 
 
-READS = ["diagram", "diagram?format=png", "line"]
+READS = ["diagram", "diagram?format=png", "modes?format=bin"]
 
 
 FLIGHTS, RAMPED, HYSTERESIS = 111 * 64, 11 * 8, comparison_memory(SweepSpec.parse(RAMP))
@@ -307,7 +307,7 @@ def test_small_reads_are_answered_while_every_costly_place_is_taken(client: Test
     """`benchmarks/burst.py` measures how soon, beside an atlas and costly requests."""
     here = finished(client, FIGURE_2)
     small = [
-        "diagram", "diagram?format=csv&every=2", "line", "modes", "plane", "threshold",
+        "diagram", "diagram?format=csv&every=2", "diagram?format=bin", "modes", "modes?format=bin", "threshold",
         "threshold?predict=none", "zarr/flight_time/c.0.0.0.0.0",
     ]  # fmt: skip
     with (
