@@ -1,4 +1,4 @@
-"""The same numbers without compilation, in a process of its own, and beside exponents."""
+"""The same numbers without compilation, in a process of its own."""
 
 import os
 import subprocess
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kernel_runs import Model, assert_same_bytes, run
+from kernel_runs import Model, run
 from paths import ROOT, SUPPORT
 
 MODELS = [
@@ -44,14 +44,3 @@ def test_without_compilation_the_numbers_are_the_same():
     assert done.returncode == 0, done.stderr
     interpreted = [float.fromhex(x) for x in done.stdout.split()]
     assert interpreted == pytest.approx(numbers().ravel(), abs=1e-12)
-
-
-@pytest.mark.parametrize("model", [Model.SOFT, Model.BALL, Model.RIGID])
-def test_the_record_beside_exponents_is_the_same(model):
-    gamma = np.linspace(1.2, 5.0, 12)
-    options = {"restitution": 0.3, "penetration": 1e-2, "settle": 30, "observe": 20, "carry": True}
-    # cell by cell, as with exponents: lanes differ in the last digits
-    plain = run(gamma, 0.5, 0.26, model, in_lanes=False, **options)
-    line = run(gamma, 0.5, 0.26, model, exponents=2, **options)
-    assert line.lyapunov.shape == (12, 2)
-    assert_same_bytes(plain, line._replace(lyapunov=plain.lyapunov))
