@@ -9,7 +9,6 @@ import matplotlib as mpl
 import matplotlib.image
 import pytest
 from artists import read_back
-from matplotlib.ticker import AutoMinorLocator
 from paths import GOLDEN
 
 from service import presets
@@ -61,7 +60,6 @@ class Made:
     content: bytes
     caption: Caption
     drawn: list[str]
-    minor_ticks: list[bool]  # whether each of its axes has them
 
 
 class Pictures(UserDict[int, Made]):
@@ -81,14 +79,7 @@ class Pictures(UserDict[int, Made]):
             (picture,) = catalogue.make([SMALL_FIGURES[number]], self._client, "png", progress=False)
         (drawing,) = drawings
         with mpl.rc_context(canvas.STYLE):
-            minor = [
-                all(
-                    isinstance(axis.get_minor_locator(), AutoMinorLocator)
-                    for axis in (axes.xaxis, axes.yaxis)
-                )
-                for axes in drawing.figure.axes
-            ]
-            self[number] = Made(picture.content, picture.caption, read_back(drawing.figure), minor)
+            self[number] = Made(picture.content, picture.caption, read_back(drawing.figure))
         return self[number]
 
 
