@@ -2,7 +2,6 @@
 
 from typing import Any, cast
 
-import numpy as np
 import pytest
 
 from service.cli.output import (
@@ -11,9 +10,6 @@ from service.cli.output import (
 )
 from service.client import Job
 from service.client.models import Estimate
-
-NAN = np.nan
-
 
 # Jobs
 

@@ -32,15 +32,6 @@ class Terminal(io.StringIO):
         return True
 
 
-# Notes
-
-
-# Lines
-
-
-# A job's progress
-
-
 def test_a_terminal_has_a_bar_with_what_is_known(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
     for name, value in (("COLUMNS", "150"), ("TERM", "xterm")):
