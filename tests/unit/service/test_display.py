@@ -9,10 +9,7 @@ from typing import Any
 import pytest
 from extras import SYSTEM
 
-from service.client.display import (
-    display_job,
-    job_html,
-)
+from service.client.display import display_job, job_html
 from service.client.models import JobStatus
 
 ID = "0123456789abcdef" * 2

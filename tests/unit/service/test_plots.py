@@ -1,4 +1,4 @@
-"""A job's results as plots: what the artists hold is what the datasets hold."""
+"""A job's results as plots: what is drawn by default, and hatches."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -11,12 +11,7 @@ from matplotlib.figure import Figure
 from served import computing
 
 from service.client import BounceError, Client, Job
-from service.client.accessor import (
-    AXES,
-    DIFFER,
-    FLIGHT,
-    HATCH,
-)
+from service.client.accessor import AXES, DIFFER, FLIGHT, HATCH
 
 RAMP: dict[str, Any] = {
     "gamma": {"start": 0.5, "stop": 1.5, "num": 21}, "omega": [0.6, 0.9, 1.2], "xi": 0.05,
