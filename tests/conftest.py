@@ -12,17 +12,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis
 from paths import CACHE, TESTS
-from scripted import small
 
-from worker.executors.dask import Dask
-from worker.executors.inline import Inline
 from worker.kernel_cache import use_cache
-from worker.spec import SweepSpec
 
 # Collecting garbage took a seventh of the tests' time: half a million objects stay for good.
 gc.set_threshold(50_000, 50)
@@ -91,21 +88,27 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(scope="session")
-def cluster() -> Iterator[Dask]:
+def cluster() -> Iterator[Any]:
     """A Dask executor on two worker processes, shared by all tests: leave it running."""
+    from worker.executors.dask import Dask  # not needed where xdist hands out tests
+
     executor = Dask(workers=2, kernel_cache=CACHE)
     yield executor
     executor.close()
 
 
 @pytest.fixture
-def inline() -> Iterator[Inline]:
+def inline() -> Iterator[Any]:
     """An executor that computes in this process."""
+    from worker.executors.inline import Inline
+
     with closing(Inline()) as executor:
         yield executor
 
 
 @pytest.fixture(scope="session")
-def small_spec() -> Callable[..., SweepSpec]:
+def small_spec() -> Callable[..., Any]:
     """Makes sweeps of 2 x 3 x 10 cheap cells; any field can be given."""
+    from scripted import small
+
     return small
