@@ -5,22 +5,24 @@ depend neither on the program's environment variables, nor on proxies, nor on si
 ignores.
 """
 
+import gc
 import os
 import signal
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis
 from paths import CACHE, TESTS
-from scripted import small
 
-from worker.executors.dask import Dask
-from worker.executors.inline import Inline
 from worker.kernel_cache import use_cache
-from worker.spec import SweepSpec
+
+# Collecting garbage took a seventh of the tests' time: half a million objects stay for good.
+gc.set_threshold(50_000, 50)
 
 os.environ["NUMBA_CACHE_DIR"] = str(CACHE)  # of the processes that tests start, too
 use_cache(CACHE)
@@ -76,24 +78,37 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             (chosen if runs else others).append(item)
         items[:] = chosen
         config.hook.pytest_deselected(items=others)
+        # Modules are handed out in this order: those of the system, which take longest, then by size.
+        tests = Counter(item.path for item in items)
+        items.sort(key=lambda item: (not is_test_of_the_system(item.path), -tests[item.path]))
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
-def cluster() -> Iterator[Dask]:
+def cluster() -> Iterator[Any]:
     """A Dask executor on two worker processes, shared by all tests: leave it running."""
+    from worker.executors.dask import Dask  # not needed where xdist hands out tests
+
     executor = Dask(workers=2, kernel_cache=CACHE)
     yield executor
     executor.close()
 
 
 @pytest.fixture
-def inline() -> Iterator[Inline]:
+def inline() -> Iterator[Any]:
     """An executor that computes in this process."""
+    from worker.executors.inline import Inline
+
     with closing(Inline()) as executor:
         yield executor
 
 
 @pytest.fixture(scope="session")
-def small_spec() -> Callable[..., SweepSpec]:
+def small_spec() -> Callable[..., Any]:
     """Makes sweeps of 2 x 3 x 10 cheap cells; any field can be given."""
+    from scripted import small
+
     return small

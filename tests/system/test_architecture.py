@@ -1,20 +1,27 @@
-"""What other programs say of the packages: import contracts, git, a traced sweep."""
+"""What other programs say of the packages: import contracts, git, a traced sweep; what all files import."""
 
+import ast
 import os
 import re
 import subprocess
 import sys
+import tomllib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from extras import LINT, program
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from paths import ROOT
 
 if TYPE_CHECKING:
     import grimp
 
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TOP_LEVEL = ("kernel", "worker", "service")
+OURS = (*TOP_LEVEL, "tests", "benchmarks", ".ci")
 
 
 @pytest.fixture(scope="module")
@@ -84,3 +91,42 @@ def test_no_file_names_a_package_registry_or_a_folder_of_somebodys_machine():
         if word in path.read_text()
     ]
     assert named == []
+
+
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """All statements within, without looking into expressions."""
+    for block in ("body", "handlers", "orelse", "finalbody", "cases"):
+        for child in getattr(node, block, ()):
+            yield child
+            yield from statements(child)
+
+
+def libraries_imported(*folders: str) -> set[str]:
+    """Top-level names of what the files of these folders import, less Python's and the project's own."""
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    scripts = (path.stem for path in (ROOT / "docs").rglob("*.py"))  # which tests import
+    nodes = [node for path in files for node in statements(ast.parse(path.read_text()))]
+    named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    named |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+    neighbours = {path.stem for path in files} | {*OURS, *scripts}
+    return {name.split(".", maxsplit=1)[0] for name in named} - sys.stdlib_module_names - neighbours
+
+
+@pytest.mark.parametrize(
+    ("folders", "extras"),
+    [
+        (TOP_LEVEL, ["s3", "notebook", "parquet"]),
+        (["tests", "docs"], ["test", "system", "lint"]),
+        (["benchmarks"], ["bench", "test", "system"]),
+    ],
+    ids=["program", "tests", "benchmarks"],
+)
+def test_whatever_is_imported_is_asked_for(folders: Sequence[str], extras: Sequence[str]):
+    wanted = [
+        *PROJECT["dependencies"],
+        *(one for name in extras for one in PROJECT["optional-dependencies"][name]),
+    ]
+    asked_for = {canonicalize_name(Requirement(one).name) for one in wanted}
+    other_name = {"yaml": "pyyaml", "PIL": "pillow"}
+    imported = {canonicalize_name(other_name.get(name, name)) for name in libraries_imported(*folders)}
+    assert imported - asked_for == set()

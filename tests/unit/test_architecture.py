@@ -4,14 +4,11 @@ import ast
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from extras import LINT
-from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
 from paths import ROOT
 from tables import for_each
 
@@ -19,12 +16,10 @@ if TYPE_CHECKING:
     import grimp
 
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-PROJECT = PYPROJECT["project"]
 TOP_LEVEL = ("kernel", "worker", "service")
 SOURCES = tuple(sorted(path for package in TOP_LEVEL for path in (ROOT / package).rglob("*.py")))
 #: Packages that hold nothing themselves.
 PARENTS = {"kernel", "worker", "service"}
-OURS = (*TOP_LEVEL, "tests", "benchmarks", ".ci")
 
 #: Libraries that a package may import, itself or by way of other modules of the project.
 ALLOWED = {
@@ -97,45 +92,6 @@ def test_package_reaches_only_its_neighbours(imports: "grimp.ImportGraph", packa
     modules = {module for module in reached(imports, package) if is_ours(module)} - PARENTS
     allowed = REACHABLE[package]
     assert {module for module in modules if not any(within(module, name) for name in allowed)} == set()
-
-
-def statements(node: ast.AST) -> Iterator[ast.AST]:
-    """All statements within, without looking into expressions."""
-    for block in ("body", "handlers", "orelse", "finalbody", "cases"):
-        for child in getattr(node, block, ()):
-            yield child
-            yield from statements(child)
-
-
-def libraries_imported(*folders: str) -> set[str]:
-    """Top-level names of what the files of these folders import, less Python's and the project's own."""
-    files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
-    scripts = (path.stem for path in (ROOT / "docs").rglob("*.py"))  # which tests import
-    nodes = [node for path in files for node in statements(ast.parse(path.read_text()))]
-    named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
-    named |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
-    neighbours = {path.stem for path in files} | {*OURS, *scripts}
-    return {name.split(".", maxsplit=1)[0] for name in named} - sys.stdlib_module_names - neighbours
-
-
-@pytest.mark.parametrize(
-    ("folders", "extras"),
-    [
-        (TOP_LEVEL, ["s3", "notebook", "parquet"]),
-        (["tests", "docs"], ["test", "system", "lint"]),
-        (["benchmarks"], ["bench", "test", "system"]),
-    ],
-    ids=["program", "tests", "benchmarks"],
-)
-def test_whatever_is_imported_is_asked_for(folders: Sequence[str], extras: Sequence[str]):
-    wanted = [
-        *PROJECT["dependencies"],
-        *(one for name in extras for one in PROJECT["optional-dependencies"][name]),
-    ]
-    asked_for = {canonicalize_name(Requirement(one).name) for one in wanted}
-    other_name = {"yaml": "pyyaml", "PIL": "pillow"}
-    imported = {canonicalize_name(other_name.get(name, name)) for name in libraries_imported(*folders)}
-    assert imported - asked_for == set()
 
 
 def test_packages_are_the_three_of_the_design():

@@ -1,15 +1,25 @@
 """Sweeps through REST on two Dask workers."""
 
 import os
+from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import psutil
 import pytest
+from paths import CACHE
 from scripted import wait_for
 from served import FIGURE_2, computing, finished, get, service
 from stores import files
 
 from worker.executors.dask import Dask
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Dask]:
+    """Ends with this module: idle workers compile what other tests may never need."""
+    with closing(Dask(workers=2, kernel_cache=CACHE)) as executor:
+        yield executor
 
 
 @pytest.mark.essential

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import xarray
 from click.testing import CliRunner, Result
-from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep
+from scripted import DEADLINE, TWO_LINES, Held, sweep
 from served import computing_at
 
 from service import tokens
@@ -105,15 +105,6 @@ def test_status_for_people_and_for_programs(url: str, job: str):
     assert f"{job}  done       100%             92  two ω" in rows
     assert job in [view["id"] for view in json.loads(bounce("list", "--json", url=url).stdout)]
     assert json.loads(bounce("list", "--state", "failed", "--json", url=url).stdout) == []
-
-
-def test_a_failed_job_ends_the_wait_with_its_reason(tmp_path: Path):
-    executor = Scripted({0: [ValueError("the roof fell in")] * 99})
-    with serving(tmp_path, executor, failed_chunks=1) as url, Client(url) as client:
-        result = bounce("wait", client.submit(sweep()).id, url=url)
-    executor.close()
-    assert result.exit_code == 1
-    assert "the roof fell in" in result.stderr
 
 
 # Thresholds
@@ -273,18 +264,6 @@ def test_an_error_is_one_message_and_an_exit_code(words: list[str], code: int, m
     assert "Traceback" not in result.stderr
 
 
-def test_a_refusal_names_the_field_and_a_value_that_works(url: str):
-    def estimate(steps: int) -> Result:
-        model = {"kind": "stepped", "penetration": 1e-4, "steps_per_contact": steps}
-        return bounce("submit", "-", "--estimate", url=url, input=json.dumps(SPEC | {"model": model}))
-
-    refused = estimate(5000)
-    assert (refused.exit_code, refused.stdout) == (1, "")
-    found = re.search(r"model.steps_per_contact: asks for .*; (\d+) works", refused.stderr)
-    assert found
-    assert [estimate(int(found[1]) + more).exit_code for more in (0, 1)] == [0, 1]
-
-
 def test_a_line_outside_the_grid_leaves_the_file_as_it_was(url: str, job: str, tmp_path: Path):
     path = tmp_path / "a.png"
     path.write_bytes(b"before")
@@ -292,13 +271,6 @@ def test_a_line_outside_the_grid_leaves_the_file_as_it_was(url: str, job: str, t
     assert result.exit_code == 1
     assert "omega: must be within the sweep" in result.stderr
     assert path.read_bytes() == b"before"
-
-
-def test_an_unusable_ledger_is_reported(tmp_path: Path):
-    (tmp_path / "ledger.sqlite").write_bytes(b"not a database, and not one line of it " * 99)
-    result = bounce("serve", "--port", "0", "--data", tmp_path)
-    assert (result.exit_code, result.stdout) == (1, "")
-    assert "ledger.sqlite cannot be used" in result.stderr
 
 
 # Processes

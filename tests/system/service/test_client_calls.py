@@ -158,50 +158,6 @@ def test_follow_ends_with_the_job(tmp_path: Path):
         assert json.loads(line)["state"] == "done"
 
 
-def test_modes(running: Running, tmp_path: Path):
-    dataset = running.job.modes(direction="down")
-    store = running.job.open().sel(direction="down", xi=0.26)
-    for name in ("outcome", "bounces", "periods"):
-        np.testing.assert_array_equal(dataset[name], store[name])
-        assert dataset[name].dims == ("omega", "gamma")
-    assert dataset.attrs["complete"] == 1
-    output_of(running, "modes", running.job.id, "--direction", "down", "-o", str(tmp_path / "modes.csv"))
-    rows = (tmp_path / "modes.csv").read_text().splitlines()
-    assert rows[0].replace('"', "").split(",")[-3:] == ["outcome", "bounces", "periods"]
-    assert len(rows) == 1 + 22
-    words = ["modes", running.job.id, "--direction", "up", "-o", "-", "--format", "json"]
-    assert json.loads(output_of(running, *words))["coords"]["direction"]["data"] == "up"
-
-
-CELL: dict[str, Any] = {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}}
-BASIN: dict[str, Any] = {**CELL, "protocol": {"kind": "basin", "rows": 4, "columns": 4}}
-ATTRACTORS: dict[str, Any] = {**CELL, "gamma": [1.2, 1.4], "protocol": {"kind": "multistability"}}
-
-
-def test_the_basins_of_a_cell_are_printed_and_drawn(running: Running, tmp_path: Path):
-    job = running.client.submit(BASIN).wait(progress=False)
-    printed = output_of(running, "basins", job.id, "--gamma", "1.2").splitlines()
-    labels = job.basins().attractor_label.values.tolist()
-    assert [line.split()[-1] for line in printed[: len(labels) + 1]] == ["label", *labels]
-    assert "omega  0.5" in printed
-    done = bounce(running, "basins", job.id, "-o", str(tmp_path / "a.svg"))
-    assert (done.exit_code, done.output) == (0, "")
-    assert (tmp_path / "a.svg").read_bytes() == job.result_file("basins", "svg")
-
-
-def test_the_attractors_over_a_grid_are_printed_and_drawn(running: Running, tmp_path: Path):
-    job = running.client.submit(ATTRACTORS).wait(progress=False)
-    found = job.multistability()
-    heading, *rows = output_of(running, "multistability", job.id).splitlines()
-    assert heading.split() == ["attractor", "label", "cells"]
-    labels = found.attractor_label.values.tolist()
-    assert [row.split()[1] for row in rows[: len(labels)]] == labels
-    assert f"several  {found.attrs['several']:.10g}" in rows
-    done = bounce(running, "multistability", job.id, "--omega", "0.5", "-o", str(tmp_path / "a.csv"))
-    assert (done.exit_code, done.output) == (0, "")
-    assert (tmp_path / "a.csv").read_bytes() == job.result_file("multistability", "csv", omega=0.5)
-
-
 def test_export(running: Running, tmp_path: Path):
     running.job.export(tmp_path / "client.nc")
     output_of(running, "export", running.job.id, "-o", str(tmp_path / "shell.parquet"))
@@ -234,14 +190,6 @@ def test_trajectory(running: Running, tmp_path: Path):
         running, "trajectory", *words, "--drop", "0.5", "1", "--samples", "20", "--format", "json", "-o", "-"
     )
     assert from_json(text.encode()).identical(running.client.trajectory({**cell, "start": start}))
-
-
-def test_metrics(running: Running):
-    done = sum(job.state == "done" for job in running.client.jobs())
-    assert done > 0
-    assert f'bounce_jobs{{state="done"}} {done}.0' in running.client.metrics()
-    printed = output_of(running, "metrics")
-    assert "bounce_ready" in printed
 
 
 def test_pinned_jobs_are_listed_apart(idle: Running):
@@ -282,12 +230,3 @@ def test_orbits_of_a_job_are_printed_and_written(running: Running, tmp_path: Pat
     frame = pandas.read_csv(tmp_path / "words.csv")
     assert len(frame) == int(found.flight_time.count()) > 0
     assert {"word", "flight", "gamma"} <= set(frame.columns)
-
-
-def test_curves_are_printed_and_written(running: Running, tmp_path: Path):
-    span = ("--omega-start", "0.6", "--omega-stop", "0.62")
-    words = ("curves", "--xi", "0.05", *span, "--modes", "1-1", "--kinds", "fold")
-    assert output_of(running, *words).startswith("event  kind")
-    assert bounce(running, *words, "-o", str(tmp_path / "c.csv")).exit_code == 0
-    omega = pandas.read_csv(tmp_path / "c.csv").omega
-    assert (omega.min(), omega.max()) == (pytest.approx(0.6), pytest.approx(0.62))

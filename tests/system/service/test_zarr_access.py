@@ -144,15 +144,6 @@ def test_the_store_is_read_directly_where_it_is_the_same(job: Any, tmp_path: Pat
     assert not store_of(job).reads_directly
 
 
-def test_a_store_is_read_only(job: Any):
-    buffer = default_buffer_prototype().buffer.from_bytes(b"")
-    for store in (store_of(job), store_of(job, job.store_url)):
-        assert store.read_only
-        for change in (store.set("zarr.json", buffer), store.delete("zarr.json")):
-            with pytest.raises(ValueError, match="read-only"):
-                asyncio.run(change)
-
-
 def test_of_all_bytes_that_a_proxy_may_send_the_part_is_taken():
     with scripted(Answer(200, b"0123456789")) as (_, client):
         store = HTTPStore(client._transport, "/zarr")

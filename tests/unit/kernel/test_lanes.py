@@ -16,13 +16,13 @@ RANDOM = np.random.default_rng(1).uniform(-1.0, 1.0, 400)
 
 
 def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, lines=0, one_by_one=False) -> Line:
-    """Cells from rest, or so many lines of a ramp; `one_by_one` takes each through the scalar functions."""
+    """Cells from rest, or so many lines of a ramp; `one_by_one`, as with exponents, by scalar functions."""
     gamma, omega, xi = (np.ascontiguousarray(a) for a in np.broadcast_arrays(gamma, omega, xi))
     return run_line(
         gamma, omega, xi, model=Model.RIGID, restitution=np.full(len(gamma), restitution),
         penetration=np.full(len(gamma), 1e-3), adhesive=True, carry=lines > 0,
         start=[None] * lines if lines else None, settle=settle, observe=observe, keep=40,
-        in_lanes=not one_by_one,
+        exponents=int(one_by_one),
     )  # fmt: skip
 
 
@@ -158,13 +158,13 @@ CONTACTS = [
 ]
 
 
-def soft(gamma, omega, xi, contact, *, settle=0, observe=3, lines=0, in_lanes=True) -> Line:
+def soft(gamma, omega, xi, contact, *, settle=0, observe=3, lines=0, exponents=0) -> Line:
     """Cells from rest, or so many lines of a ramp."""
     adhesive, e, d = contact
     return run_line(
         gamma, omega, xi, model=Model.SOFT, restitution=np.full(len(gamma), e),
         penetration=np.full(len(gamma), d), adhesive=adhesive, carry=lines > 0,
-        start=[None] * lines if lines else None, settle=settle, observe=observe, keep=40, in_lanes=in_lanes,
+        start=[None] * lines if lines else None, settle=settle, observe=observe, keep=40, exponents=exponents,
     )  # fmt: skip
 
 
@@ -174,7 +174,7 @@ def test_soft_short_runs_agree_to_rounding(contact):
     rng = np.random.default_rng(5)
     n = 400
     cells = rng.uniform(0.5, 6, n), 10 ** rng.uniform(-1, 1, n), 10 ** rng.uniform(-2.5, 1, n)
-    lanes, alone = (soft(*cells, contact, in_lanes=in_lanes) for in_lanes in (True, False))
+    lanes, alone = (soft(*cells, contact, exponents=exponents) for exponents in (0, 1))
     assert np.isfinite(alone.flight_time[:, 0]).sum() > n // 2
     np.testing.assert_allclose(lanes.flight_time[:, 0], alone.flight_time[:, 0], rtol=0, atol=2e-9)
     np.testing.assert_allclose(lanes.takeoff_phase[:, 0], alone.takeoff_phase[:, 0], rtol=0, atol=2e-9)

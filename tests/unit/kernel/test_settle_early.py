@@ -30,8 +30,6 @@ PLATES: dict[str, Any] = {
     "ball": BallPlate(0.0 * E),
     "ball, restitution": BallPlate(E),
 }
-LANES = [(plate, in_lanes) for plate in PLATES for in_lanes in (True, False)
-         if in_lanes or plate.startswith(("rigid", "soft"))]  # fmt: skip
 
 
 def cycle_of(flights: int, periods: int) -> list[tuple[float, float, int]]:
@@ -147,9 +145,9 @@ def steps_of(run: LineRun) -> int:
     return steps
 
 
-@for_each(("plate", "in_lanes"), LANES)
-def test_the_record_is_that_of_all_cycles(plate: str, in_lanes: bool):
-    full, early = (line_run(plate, early, in_lanes=in_lanes) for early in (False, True))
+@for_each("plate", PLATES)
+def test_the_record_is_that_of_all_cycles(plate: str):
+    full, early = (line_run(plate, early) for early in (False, True))
     for run in (full, early):
         run.advance()
     assert len(set(full.line.outcome)) > 2
@@ -166,7 +164,7 @@ def test_the_record_is_that_of_all_cycles(plate: str, in_lanes: bool):
 def test_it_takes_fewer_steps(plate: str):
     def steps(early: bool) -> int:
         one = slice(5, 6)
-        fields = {"carry": False, "settle": 1000, "observe": 500, "keep": 4, "in_lanes": False}
+        fields = {"carry": False, "settle": 1000, "observe": 500, "keep": 4}
         plates = type(PLATES[plate])(
             *(x[one] if isinstance(x, np.ndarray) else x for x in PLATES[plate])
         )  # fmt: skip

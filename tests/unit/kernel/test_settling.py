@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from kernel_runs import TWO_PI, Model, assert_same_bytes, run
+from kernel_runs import TWO_PI, Model, run
 from tables import for_each
 
 from kernel.modes import CLOSE, find_cycle, is_settling, limit_cycle
@@ -173,16 +173,6 @@ def test_the_window_and_what_follows_it_decide_as_one(model, restitution, carry,
             assert line.outcome[i] == (Outcome.SETTLING if settles else Outcome.APERIODIC)
             undecided += 1
     assert undecided >= 3
-
-
-def test_a_cell_that_goes_on_depends_on_no_other():
-    """Lanes: all at once, beside cells that end early, and one by one."""
-    cells = np.concatenate([np.tile([1.5, 0.5, 0.26], (20, 1)), SLOW, SLOW])
-    window = {"settle": 200, "observe": 100, "settle_until": 3_000, "keep": 32}
-    together = run(*cells.T, **window)
-    for i, cell in enumerate(cells[20:], 20):
-        alone = run(*cell, **window)
-        assert_same_bytes(Line(*(array[i : i + 1] for array in together)), alone)
 
 
 @pytest.mark.parametrize(("gamma", "mode"), [(1.5, (1, 1)), (2.3, (2, 2)), (3.6, (1, 2))])

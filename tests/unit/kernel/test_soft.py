@@ -42,8 +42,8 @@ def label(s: Setting) -> str:
 
 @pytest.mark.parametrize("cell", CELLS, ids=label)
 def test_every_flight_is_the_integrated_one(cell):
-    expected = trajectory(cell, 3.0)
-    line = run_setting(cell, settle=0, observe=3, keep=200)
+    expected = trajectory(cell, 2.0)
+    line = run_setting(cell, settle=0, observe=2, keep=200)
     assert len(expected) == line.flights[0] > 0
     assert recorded(line) == pytest.approx([f.time for f in expected], abs=1e-8)
     takeoffs = line.takeoff_phase[0, : line.flights[0]]

@@ -160,32 +160,3 @@ def test_a_map_of_a_hundred_million_cells_is_planned_in_little_memory(tmp_path: 
         refused = client.post("/v1/jobs", json=VAST)
         assert refused.status_code == 413
         assert "computed cells" in refused.text
-
-
-def test_a_map_that_was_cancelled_and_resumed_has_the_bytes_of_one_that_was_not(tmp_path: Path):
-    tiles = {
-        **MAP,
-        "gamma": {"start": 0.4, "stop": 2.4, "num": 300},
-        "omega": {"start": 0.4, "stop": 1.0, "num": 300},
-        "settle": 20,
-        "settle_until": 40,
-        "observe": 10,
-        "keep": 2,
-    }
-    with computing(tmp_path / "whole") as client:
-        here = finished(client, tiles)
-        assert get(client, here)["progress"]["chunks_total"] == 9
-    with computing(tmp_path / "resumed") as client:
-        here = client.post("/v1/jobs", json=tiles).headers["Location"]
-        wait_for(lambda: get(client, here)["progress"]["chunks_done"] >= 2)
-        client.post(f"{here}/cancel")
-        wait_for(lambda: get(client, here)["state"] == "cancelled")
-        assert get(client, here)["progress"]["chunks_done"] < 9
-        client.post(f"{here}/resume")
-        wait_for(lambda: get(client, here)["state"] == "done")
-    stores = [next((tmp_path / name).rglob("*.zarr")) for name in ("whole", "resumed")]
-    whole, resumed = (
-        {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
-        for url in stores
-    )
-    assert whole == resumed

@@ -1,19 +1,12 @@
-"""What the commands print and write: tables, CSV and JSON of results that are made up here."""
+"""What the commands print of jobs and estimates that are made up here."""
 
 from typing import Any, cast
 
-import numpy as np
 import pytest
 
-from service.cli.output import (
-    estimate_line,
-    job_report,
-)
+from service.cli.output import estimate_line, job_report
 from service.client import Job
 from service.client.models import Estimate
-
-NAN = np.nan
-
 
 # Jobs
 

@@ -17,7 +17,6 @@ from kernel.params import Outcome
 from service import client as package
 from service.api.app import create_app
 from service.client import (
-    BadRequest,
     BounceError,
     Client,
     InvalidSpecification,
@@ -221,28 +220,6 @@ def test_every_variable_has_attributes_and_can_be_stored(job: Job, tmp_path: Pat
         dataset.to_zarr(tmp_path / f"{len(dataset)}.zarr", zarr_format=2, consolidated=True)
     (flags,) = {len(text.split()) for text in (job.diagram(omega=0.5).outcome.flag_meanings,)}
     assert flags == len(job.diagram(omega=0.5).outcome.flag_values) == len(Outcome)
-
-
-@for_each(
-    ("line", "field"),
-    [
-        ({"omega": 3.0}, "omega"),
-        ({"along": "time"}, "along"),
-        ({"omega": 0.5, "direction": "down"}, "direction"),
-    ],
-)
-def test_a_line_outside_the_grid_is_refused(job: Job, line: dict, field: str):
-    with pytest.raises(BadRequest, match=field) as caught:
-        job.diagram(**line)
-    assert not isinstance(caught.value, InvalidSpecification)
-    assert field in [problem.field for problem in caught.value.fields]
-
-
-def test_pictures_are_the_bytes_of_files(job: Job):
-    for format, start in (("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")):
-        assert job.result_file("diagram", format, omega=0.5).startswith(start)
-    with pytest.raises(BadRequest, match="format"):
-        job.result_file("diagram", "bmp", omega=0.5)
 
 
 def test_the_store_opens_lazily(job: Job):

@@ -9,10 +9,7 @@ from typing import Any
 import pytest
 from extras import SYSTEM
 
-from service.client.display import (
-    display_job,
-    job_html,
-)
+from service.client.display import display_job, job_html
 from service.client.models import JobStatus
 
 ID = "0123456789abcdef" * 2
@@ -30,15 +27,6 @@ def status(state: str = "running", done: int = 0, percent: float = 0.0, **view: 
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
-
-
-# Notes
-
-
-# Lines
-
-
-# A job's progress
 
 
 def test_a_terminal_has_a_bar_with_what_is_known(monkeypatch: pytest.MonkeyPatch):

@@ -12,7 +12,7 @@ import xarray
 from fastapi.testclient import TestClient
 from pyarrow import parquet
 from scripted import Held
-from served import RAMP, computing, finished, get, service, taken
+from served import RAMP, computing, finished, get, service
 from tables import for_each
 
 from kernel.labels import LABELS
@@ -158,13 +158,6 @@ def test_only_a_full_disk_is_told_as_one(whole: files.Export, tmp_path: Path):
     (tmp_path / "folder").mkdir()
     with pytest.raises(IsADirectoryError):
         files.write(whole, tmp_path / "folder")
-
-
-def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
-    with taken(done.client, "export"):
-        answer = done.client.get(f"{done.here}/export?format=nc")
-    assert (answer.status_code, int(answer.headers["Retry-After"]) > 0) == (429, True)
-    assert done.client.get(f"{done.here}/export?format=nc").status_code == 200
 
 
 @for_each(

@@ -4,55 +4,14 @@ The toys in tests/support are registered in the tables and run end to end, throu
 """
 
 from pathlib import Path
-from typing import Any
 
 import pytest
-import toy_model
 import xarray
 from scripted import wait_for
-from served import computing, finished, get, read
+from served import computing, finished, get
 from toy_study import TOY
 
-from kernel.params import Outcome
 from worker import studies
-from worker.cost import FOLLOWED_SHARE
-from worker.spec import SweepSpec
-from worker.spec.contact_models import CONTACT_MODELS
-
-
-@pytest.fixture
-def glued(monkeypatch: pytest.MonkeyPatch):
-    """The toy model in the table, and specifications that know it."""
-    monkeypatch.setitem(CONTACT_MODELS, "glued", toy_model.ROW)
-    SweepSpec.model_rebuild(force=True)
-    yield
-    monkeypatch.undo()
-    SweepSpec.model_rebuild(force=True)
-
-
-GLUED: dict[str, Any] = {
-    "gamma": {"start": 1.0, "stop": 3.0, "num": 5}, "omega": 0.5, "xi": [0.1, 0.2],
-    "model": {"kind": "glued"}, "settle": 3, "observe": 2,
-}  # fmt: skip
-
-
-def test_a_contact_model_is_its_module_and_a_row(tmp_path: Path, glued: None):
-    with computing(tmp_path) as client:
-        cost = client.post("/v1/jobs", params={"validate_only": "true"}, json=GLUED).json()
-        followed = 2 * GLUED["observe"]  # plate periods of a cell without a mode
-        assert cost["core_seconds"] == pytest.approx(10 * (5 + FOLLOWED_SHARE * followed) * 0.01e-6)
-        here = finished(client, GLUED)
-        diagram = read(client, f"{here}/diagram", along="gamma", omega=0.5, xi=0.1)
-        assert diagram.outcome.values.tolist() == [Outcome.AT_REST] * 5
-        picture = client.get(f"{here}/diagram", params={"omega": 0.5, "xi": 0.1, "format": "svg"})
-        assert picture.status_code == 200
-
-        refused = client.post("/v1/jobs", json=GLUED | {"model": {"kind": "glued", "colour": "green"}})
-        assert refused.status_code == 422
-        assert refused.json()["errors"][0]["field"] == "model.colour"
-        unknown = client.post("/v1/jobs", json=GLUED | {"model": {"kind": "glue"}})
-        assert "did you mean 'glued'?" in unknown.json()["detail"]
-
 
 TOY_JOB = {"name": "divisors", "protocol": {"kind": "divisors"}, "last": 30}
 

@@ -108,13 +108,8 @@ def test_a_sweep_is_written_as_a_file(tmp_path: Path, format: str):
         case "json":
             bounces = expected.sel(omega=0.6).bounces.values.ravel().tolist()
             assert from_json(content).bounces.values.tolist() == bounces
-        case "csv":
-            at_one_omega = expected.sel(omega=0.6).flight_time.values
-            assert len(content.splitlines()) == 1 + np.count_nonzero(np.isfinite(at_one_omega))
         case "png":
             assert content.startswith(b"\x89PNG")
-        case "svg":
-            assert b"<svg" in content
 
 
 # Errors

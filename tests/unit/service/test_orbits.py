@@ -15,7 +15,6 @@ from scripted import Held, wait_for
 from served import computing, get
 from served import service as begun
 
-from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
 from service.client import Client
@@ -104,21 +103,6 @@ def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.Mon
     query = {"xi": 0.051, "omega_start": 0.6, "omega_stop": 0.68, "modes": "1-1", "kinds": "fold"}
     wait_for(lambda: service.get("/v1/curves", params=query).status_code != 202)
     assert "omega_stop: the curves up to 0.68 have more" in refused(service, "/v1/curves", 422, **query)
-
-
-def test_curves_over_omega_have_their_codimension_2_points(client: Client):
-    query: dict[str, Any] = {"xi": 0.05, "omega_start": 0.6, "omega_stop": 0.68, "modes": "1-1"}
-    found = client.curves(**query, kinds="fold", progress=False)
-    known = curves(Parameter.OMEGA, 0.05, 0.6, 0.68, 1, ("fold",))  # type: ignore[arg-type]
-    below = [curve for curve in known.curves if curve.gamma.max() <= 8.0]
-    assert len(below) == len(known.curves) == found.sizes["curve"] > 0
-    assert (float(found.xi), found.attrs["along"], found.gamma.dims) == (0.05, "omega", ("curve", "point"))
-    assert found.curve_kind.values.tolist() == ["fold"] * len(known.curves)
-    for name in ("omega", "gamma"):
-        for row, curve in zip(found[name].values, known.curves, strict=True):
-            assert row[: len(curve.gamma)].tolist() == getattr(curve, name).tolist()
-            assert np.isnan(row[len(curve.gamma) :]).all()
-    assert found.event_kind.values.tolist() == known.points.kind.tolist()
 
 
 # Words continued from the cells of a sweep

@@ -42,19 +42,15 @@ def test_what_is_measured_is_the_published_table():
 
 
 def test_the_table_and_the_picture(bounce, tmp_path: Path):
-    pictures = [tmp_path / name for name in ("tradeoff.png", "again.png")]
-    for picture in pictures:
-        done = bounce("-o", str(picture))
-        assert done.exit_code == 0, done.output
+    done = bounce("-o", str(tmp_path / "tradeoff.png"))
+    assert done.exit_code == 0, done.output
     assert done.stderr.startswith("measuring")  # it takes minutes
     lines = done.stdout.splitlines()
     assert lines[0] == f"Errors relative to the {PURPOSES['adhesive'].text}"
     assert lines[2].split()[:3] == ["soft,", "d", "="]
     assert lines[2].split()[-3:] == ["exact", "exact", "100%"]
     assert len(lines) == len(ROWS) + 3 * 3 + 3  # headings and gaps, the legend
-    first, second = (picture.read_bytes() for picture in pictures)
-    assert first.startswith(b"\x89PNG")
-    assert first == second
+    assert (tmp_path / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_picture_of_another_kind_is_refused_before_anything_is_measured(bounce):

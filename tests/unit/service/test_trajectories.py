@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from fastapi.testclient import TestClient
 from json_results import from_json
 from kernel_runs import Model, run_line, sample
 from scripted import Held
-from served import service, taken
+from served import service
 from tables import for_each
 
 from kernel.branches.starts import cycles_at
@@ -205,10 +204,3 @@ def test_only_a_settled_cycle_of_one_bounce_without_restitution_has_its_energy(c
         {"model": {"kind": "rigid", "restitution": 0.1}},
     ):
         assert "energy_dashpot" not in trajectory(client, **rigid | changes)
-
-
-def test_more_trajectories_at_a_time_than_allowed_are_told_to_wait(tmp_path: Path):
-    with service(tmp_path, Held(), max_trajectories=1, turn_seconds=0.01) as client:
-        with taken(client, "trajectory"):
-            answer = client.post("/v1/trajectories", json=CELL)
-        assert answer.status_code == 429

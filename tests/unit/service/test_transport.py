@@ -9,8 +9,8 @@ import socket
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
@@ -66,10 +66,9 @@ def test_submitting_may_be_repeated_since_the_same_sweep_is_the_same_job():
         assert [method for method, _, _ in server.requests] == ["POST", "POST"]
 
 
-@pytest.mark.parametrize("call", ["cancel"])
-def test_what_is_done_to_a_job_may_be_repeated(call: str):
+def test_what_is_done_to_a_job_may_be_repeated():
     with scripted(Answer(body=view()), LOST, Answer(202, view())) as (server, client):
-        getattr(client.job(ID), call)()
+        client.job(ID).cancel()
         assert [method for method, _, _ in server.requests] == ["GET", "POST", "POST"]
 
 
@@ -77,13 +76,6 @@ def test_a_deletion_is_not_repeated():
     """Of two, the second would tell of no such job."""
     with scripted(Answer(body=view()), LOST) as (_, client), pytest.raises(ServiceUnreachable):
         client.job(ID).delete()
-
-
-def test_a_silent_service_is_unreachable():
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        url = f"http://127.0.0.1:{silent.getsockname()[1]}"
-        with Client(url, timeout=0.2) as client, pytest.raises(ServiceUnreachable, match="in time"):
-            client.job(ID)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
@@ -99,16 +91,15 @@ def test_no_proxy_is_used_for_loopback(monkeypatch: pytest.MonkeyPatch, unused_a
         assert named.job(ID).id == ID
 
 
-@pytest.mark.parametrize("host", ["service.invalid"])
-def test_a_proxy_is_used_for_other_machines(monkeypatch: pytest.MonkeyPatch, host: str):
+def test_a_proxy_is_used_for_other_machines(monkeypatch: pytest.MonkeyPatch):
     for name in ("NO_PROXY", "no_proxy", "ALL_PROXY", "all_proxy"):
         monkeypatch.delenv(name, raising=False)
     with scripted(Answer(body=view())) as (server, client):
         for name in ("HTTP_PROXY", "http_proxy"):
             monkeypatch.setenv(name, client.url)
-        with Client(f"http://{host}:8000") as far:
+        with Client("http://service.invalid:8000") as far:
             assert far.job(ID).id == ID
-        assert [path for _, path, _ in server.requests] == [f"http://{host}:8000/v1/jobs/{ID}"]
+        assert [path for _, path, _ in server.requests] == [f"http://service.invalid:8000/v1/jobs/{ID}"]
 
 
 def test_a_pickled_job_has_connections_of_its_own():
@@ -207,14 +198,15 @@ def test_an_error_of_the_connection_is_one_sentence(unused_address: str):
         client.job(ID)
 
 
-def test_an_answer_that_inflates_to_much_more_is_not_read_to_its_end():
-    """300 MB of zeros in 300 kB, as an answer and as a refusal; and an event without an end."""
-    packed = gzip.compress(bytes(300_000_000), 9)
+def test_an_answer_that_inflates_to_much_more_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch):
+    """Zeros in a thousandth of their size, as an answer and as a refusal; and an event without an end."""
+    monkeypatch.setattr("service.client.transport.MAX_ANSWER_BYTES", 2**21)
+    packed = gzip.compress(bytes(3_000_000))
     inflating = [Answer(status, packed, Content_Encoding="gzip") for status in (200, 500)]
     endless = Answer(200, b"data: " + b"1" * 3_000_000, Content_Type="text/event-stream")
     with scripted(*inflating, Answer(body=view()), endless) as (_, client):
         for _ in inflating:
-            with pytest.raises(UnexpectedAnswer, match="sends more than 256 MiB"):
+            with pytest.raises(UnexpectedAnswer, match="sends more than 2 MiB"):
                 client.job(ID)
         job = client.job(ID)
         with pytest.raises(UnexpectedAnswer, match="sends more than 1 MiB"):
@@ -294,14 +286,6 @@ def test_a_list_goes_on_to_its_last_page():
         assert "state=running" in server.requests[1][1]
     with scripted(Answer(body={"rows": []})) as (_, client), pytest.raises(UnexpectedAnswer):
         list(client.jobs())
-
-
-def asked(call: Callable[[Client], Any]) -> str:
-    """What a call on a client asks for: the path, and the query after it."""
-    with scripted(Answer(body={})) as (server, client), suppress(UnexpectedAnswer):
-        call(client)
-    ((_, path, _),) = server.requests
-    return path
 
 
 # Jobs

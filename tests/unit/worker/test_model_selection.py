@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from kernel_runs import Model, run
 
 from kernel.params import Line
-from kernel.threshold import threshold
 from worker.analysis.deviation import deviations
 from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
 from worker.spec import SweepSpec
@@ -47,23 +46,6 @@ def test_what_only_the_exact_contact_tells_takes_the_exact_contact():
     choice = choose(sweep(1e-4, model={"restitution": 0.1, "penetration": 1e-2}))
     assert choice.model == "soft"
     assert percentiles(choice)["rigid"] > 1e-4
-
-
-def test_where_everything_rests_a_ball_will_do():
-    choice = choose(sweep(1e-9, gamma={"start": 0.1, "stop": 0.5, "num": 20}))
-    assert choice.model == "ball"
-    assert [row.resting for row in choice.table] == [20] * 3
-    assert "(20 cells, 20 of them at rest, in closed form; 95th" in choice.reason
-
-
-def test_what_rests_is_counted_by_each_model():
-    """On the way up to twice the threshold of Eq. 25, which is 0.87; a ball's is 1."""
-    ramp = {"kind": "ramp", "axis": "gamma", "direction": "up"}
-    choice = choose(sweep(1e-2, gamma={"start": 0.1, "stop": 1.9, "num": 200}, protocol=ramp, model=STIFF))
-    onsets = {"ball": 1.0, "rigid": float(threshold(0.5, 0.26)), "soft": float(threshold(0.5, 0.26))}
-    for row in choice.table:
-        visited = np.array([0.1 + 1.8 * (200 * (2 * k + 1) // 24) / 199 for k in range(12)])
-        assert row.resting == np.count_nonzero(visited < onsets[row.model])
 
 
 def test_a_ball_that_bounces_where_the_spring_rests_has_no_bound():

@@ -200,33 +200,10 @@ def test_the_tiles_of_an_adaptive_map(keep, coarsest, side):
     assert tile_shape(spec, coarsest) == make_plan(spec).chunk_shape == (1, side, side)
 
 
-def test_million_chunks_are_planned_without_being_made():
-    spec = sweep(omega=1000, gamma=1000)
-    plan = make_plan(spec, chunk_shape=(1, 1, 1))
-    assert len(plan) == 10**6
-    assert plan.cells == 10**6
-    assert plan[-1].slices == (slice(0, 1), slice(0, 1), slice(999, 1000), slice(999, 1000))
-    assert plan[123_456].omega == (123, 124)
-    assert isinstance(plan, Plan)
-
-
 @pytest.mark.parametrize("wrong", [{"chunk_cells": 0}, {"chunk_shape": (1, 0, 1)}, {"chunk_shape": (1, 1)}])
 def test_impossible_chunks_are_refused(wrong):
     with pytest.raises(ValueError, match=r"^chunk_(cells|shape): must be "):
         make_plan(sweep(gamma=10), **wrong)
-
-
-def test_a_plan_is_a_sequence():
-    plan = make_plan(sweep(omega=2, gamma=6), chunk_shape=(1, 1, 4))
-    assert plan[-1] == plan.chunk(3) == list(plan)[3]
-    assert plan[1:3] == [plan[1], plan[2]]
-    assert plan[::-2] == [plan[3], plan[1]]
-    assert plan[4:] == []
-    assert (plan[1].cells, plan[1].shape) == (2, (1, 1, 2))
-    assert make_plan(sweep(gamma=6), chunk_shape=(9, 9, 9)).chunk_shape == (1, 1, 6)
-    for index in (4, -5):
-        with pytest.raises(IndexError):
-            plan[index]
 
 
 def test_estimate_counts_what_the_store_holds():

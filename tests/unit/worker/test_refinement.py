@@ -11,7 +11,7 @@ from tables import for_each
 
 from kernel.params import Outcome
 from worker import schema, store, tasks
-from worker.cost import check_size, computed_shares, estimate
+from worker.cost import check_size, estimate
 from worker.plan import make_plan
 from worker.refinement import NOTHING, Beyond, Refinement, classes
 from worker.schema import MODE_ARRAYS, layout
@@ -278,23 +278,6 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
     assert files(url) == files(tmp_path / "whole.zarr")
 
 
-def test_a_repaired_chunk_has_its_bytes_again(tmp_path):
-    spec, url = adaptive(), tmp_path / "a.zarr"
-    compute(spec, url)
-    before, plan = files(url), make_plan(spec, chunk_shape=TILE)
-    store.discard(str(url), layout(spec, plan.chunk_shape), plan[3])
-    assert files(url) != before
-    run_chunk(spec, plan[3], str(url))
-    assert files(url) == before
-
-
-def test_a_tile_has_one_xi():
-    with pytest.raises(ValueError, match="one xi"):
-        make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}), chunk_shape=(2, 17, 17))
-    plan = make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}))
-    assert {chunk.shape[0] for chunk in plan} == {1}
-
-
 @for_each(
     ("refine", "field", "rule"),
     [
@@ -337,15 +320,6 @@ def test_cells_of_an_adaptive_map_settle_before_others_take_their_values():
         sweep(**briefly | {"settle": "long"})
 
 
-def test_a_full_sweep_has_the_id_it_had_and_the_parent_is_a_label():
-    assert "refine" not in sweep().canonical()
-    assert "parent" not in sweep().canonical()
-    window = sweep(refine={"by": "mode"}, parent="0" * 32)
-    assert window.job_id("3") == sweep(refine={"by": "mode"}).job_id("3") != sweep().job_id("3")
-    with pytest.raises(SpecInvalid, match="parent"):
-        sweep(parent="job 7")
-
-
 def test_the_estimate_is_a_range_and_limits_hold_its_upper_end():
     spec = sweep(
         omega={"start": 0.2, "stop": 1.2, "num": 10_000}, gamma={"start": 0.9, "stop": 6, "num": 10_000},
@@ -360,11 +334,3 @@ def test_the_estimate_is_a_range_and_limits_hold_its_upper_end():
     check_size(cost)
     with pytest.raises(SpecTooLarge, match=f"{high} computed cells"):
         check_size(cost, max_cells=high - 1)
-
-
-def test_the_measured_share_is_in_the_range_of_the_estimate(tmp_path):
-    for by in ("mode", "bouncing"):
-        spec = sweep(refine={"by": by})
-        share = compute(spec, tmp_path / f"{by}.zarr", None)["computed"].mean()
-        low, high = computed_shares(spec, spec.refine)
-        assert low <= share <= high

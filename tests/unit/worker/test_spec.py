@@ -14,7 +14,7 @@ from tables import for_each
 from worker.spec import SweepSpec
 from worker.spec.axes import MAX_AXIS_VALUES, Range, values_of
 from worker.spec.contact_models import CONTACT_MODELS, penetration_of
-from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe
+from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable
 from worker.spec.specification import Label
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
@@ -177,28 +177,6 @@ def test_errors_are_value_errors_with_fields_and_survive_pickling():
     assert issubclass(SpecTooLarge, SpecError)
 
 
-@for_each(
-    ("value", "described"),
-    [
-        (None, "null"),
-        (2**128, "a whole number of about 39 digits"),
-        ("x" * 39, f"text '{'x' * 36}..."),
-        ("ä\n", r"text '\xe4\n'"),
-        ({}, "an object"),
-        ((1, 2), "a list of 2"),
-        (type("T" * 30, (), {})(), f"a value of type {'T' * 21}..."),
-    ],
-)
-def test_a_value_is_described_shortly(value, described):
-    assert describe(value) == described
-
-
-def test_twenty_problems_are_listed_and_of_further_ones_their_number():
-    said = message(gamma=["x"] * 1000).splitlines()
-    assert [line.split(":")[0] for line in said[:-1]] == [f"gamma[{n}]" for n in range(20)]
-    assert said[-1] == "and 980 more problems"
-
-
 def test_a_specification_is_an_object_with_three_axes():
     for data in (None, [1], "text"):
         with pytest.raises(SpecInvalid, match=r"^a specification must be an object, not "):
@@ -213,11 +191,6 @@ def test_defaults_are_those_of_the_design():
         "gamma": [2.0], "omega": [0.5], "xi": [0.26], "protocol": {"kind": "rest"},
         "model": {"kind": "soft"} | contact, "settle": 200, "observe": 100, "keep": 64, "micro_flight": 0.05,
     }  # fmt: skip
-
-
-def test_numpy_numbers_and_arrays_are_numbers_and_lists():
-    spec = sweep(gamma=np.linspace(1, 2, 3), xi=np.float64(0.1), settle=np.int64(7), keep=np.float64(3))
-    assert spec == sweep(gamma=[1.0, 1.5, 2.0], xi=0.1, settle=7, keep=3.0)
 
 
 @given(
@@ -284,18 +257,6 @@ def test_a_line_begins_where_its_first_direction_does(direction, gamma):
     expected = [(gamma, first, xi) for xi in (0.0, 0.1) for gamma in (1.0, 1.5, 2.0)]
     assert [tuple(cell) for cell in grid.first_cells()] == expected
     assert list(sweep().first_cells()) == []
-
-
-def test_shape_and_directions():
-    axes = {"gamma": range_(num=5), "omega": [0.5, 0.6], "xi": 0.1}
-    assert sweep(**axes).shape == (1, 1, 2, 5)
-    assert sweep(**axes).directions == ("rest",)
-    assert sweep(**axes).ramp_axis is None
-    for direction, expected in (("up", ("up",)), ("down", ("down",)), ("both", ("up", "down"))):
-        spec = sweep(**axes, protocol=ramp("omega", direction))
-        assert spec.directions == expected
-        assert spec.shape == (len(expected), 1, 2, 5)
-        assert spec.ramp_axis == "omega"
 
 
 def test_same_sweep_written_differently_is_the_same_job():
@@ -400,14 +361,6 @@ def test_infinities_words_and_dates_are_no_numbers(tmp_path, name, text, fields)
     with pytest.raises(SpecInvalid) as caught:
         SweepSpec.from_file(tmp_path / name)
     assert [problem.field for problem in caught.value.problems] == fields
-
-
-def test_json_and_toml_files_are_the_same_sweep(tmp_path):
-    (tmp_path / "a.json").write_text(json.dumps(POINT | {"gamma": range_(), "model": {"kind": "rigid"}}))
-    (tmp_path / "a.toml").write_text(
-        'omega = 0.5\nxi = 0.26\ngamma = {start = 1, stop = 2, num = 3}\n[model]\nkind = "rigid"\n'
-    )
-    assert SweepSpec.from_file(tmp_path / "a.json") == SweepSpec.from_file(str(tmp_path / "a.toml"))
 
 
 UNREADABLE = [

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from stores import is_sound
 
-from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
+from kernel.params import KERNEL_VERSION, STATE_FIELDS
 from worker import schema, store
 from worker.plan import Chunk, Plan, make_plan
 from worker.schema import layout
@@ -77,13 +77,6 @@ def test_opens_with_plain_xarray(url, spec):
         assert dataset["end_state"].attrs["fields"].split() == list(STATE_FIELDS)
 
 
-def test_nothing_is_missing_but_outcomes(url):
-    with xr.open_zarr(url) as dataset:
-        assert np.all(dataset["outcome"] == Outcome.MISSING)
-        assert np.all(np.isnan(dataset["flight_time"]))
-        assert np.all(dataset["flights"] == 0)
-
-
 def test_attributes_say_what_it_is(url, spec):
     attrs = store.read_attrs(url)
     assert SweepSpec.parse(attrs["spec"]) == spec
@@ -115,13 +108,6 @@ def test_a_store_of_time_steps_states_their_limit(tmp_path):
     store.create(str(tmp_path / "sweep.zarr"), layout(spec, make_plan(spec).chunk_shape))
     steps = store.read_attrs(str(tmp_path / "sweep.zarr"))["time_steps"]
     assert 0.0 < steps["longest_step"] < steps["stable_below"]
-
-
-def test_metadata_is_consolidated_and_the_same_every_time(tmp_path, url, spec, plan):
-    again = str(tmp_path / "again.zarr")
-    store.create(again, layout(spec, plan.chunk_shape))
-    assert files(again) == files(url)
-    assert "consolidated_metadata" in json.loads((Path(url) / "zarr.json").read_text())
 
 
 def test_the_root_is_written_once_all_else_is_there(tmp_path, spec, plan, monkeypatch):

@@ -59,11 +59,6 @@ def test_a_window_is_so_many_times_as_fine_as_the_map(ends: list[float], finer: 
     assert (gamma.start, gamma.stop, gamma.num) == expected
 
 
-def test_the_window_of_a_logarithmic_axis_is_logarithmic():
-    spaced = {"gamma": {"start": 0.5, "stop": 2.0, "num": 129, "spacing": "log"}}
-    assert window(spaced, gamma=[1.0, 1.5]).gamma.spacing == "log"
-
-
 @pytest.mark.parametrize("ends", [[0.1, 0.9], [0.5, 1.0], [3.0, 4.0], [3.5, 4.0]])
 def test_a_window_has_a_part_of_the_map(ends: list[float]):
     assert problem(gamma=ends) == "gamma: must overlap the sweep, which is from 1 to 3"
@@ -74,13 +69,6 @@ def test_a_window_has_a_part_of_the_map(ends: list[float]):
 )
 def test_the_nearest_xi_of_the_map_is_taken(asked: float, given: float):
     assert window(xi=asked).xi == given
-
-
-def test_the_map_of_a_ramp_has_no_windows():
-    ramp = {"kind": "ramp", "axis": "gamma", "direction": "up"}
-    assert problem({"protocol": ramp}) == (
-        "protocol.kind: must be 'rest' to refine a window, and is 'ramp' in this sweep"
-    )
 
 
 def test_windows_are_read_from_json():
