@@ -307,8 +307,8 @@ def test_small_reads_are_answered_while_every_costly_place_is_taken(client: Test
     """`benchmarks/burst.py` measures how soon, beside an atlas and costly requests."""
     here = finished(client, FIGURE_2)
     small = [
-        "diagram", "diagram?format=csv&every=2", "diagram?format=bin", "modes", "modes?format=bin", "threshold",
-        "threshold?predict=none", "zarr/flight_time/c.0.0.0.0.0",
+        "diagram", "diagram?format=csv&every=2", "diagram?format=bin", "modes", "modes?format=bin",
+        "threshold", "threshold?predict=none", "zarr/flight_time/c.0.0.0.0.0",
     ]  # fmt: skip
     with (
         taken(client, "read", memory=2**40),
