@@ -7,7 +7,7 @@ Another kind of study declares its own variables in its package.
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker.spec import SweepSpec
 from worker.spec.contact_models import Stepped
+from worker.spec.specification import Specification
 from worker.spec.time_steps import corners, stated
 
 #: The dimensions that identify a cell of a sweep, slowest first.
@@ -228,6 +229,23 @@ _COUNT: Final[dict[str, Any]] = {"units": "1"}
 _ANGLE: Final[dict[str, Any]] = {"units": "rad"}
 
 
+def array(
+    name: str, dims: tuple[str, ...], dtype: str, long_name: str, units: str = "1", **attrs: Any
+) -> Array:
+    """An array with NaN, or zero, in cells that are not computed."""
+    fill = _NAN if dtype in ("<f8", "<c16") else 0
+    return Array(name, dims, dtype, fill, {"long_name": long_name, "units": units, **attrs})
+
+
+def whether_computed(dims: tuple[str, ...], otherwise: str) -> Array:
+    """The array `outcome` of a study whose cells are computed or, `otherwise`, have no result."""
+    flags = [Outcome.MISSING.value, Outcome.PERIODIC.value, Outcome.UNRESOLVED.value]
+    meanings = f"missing computed {otherwise}"
+    return array(
+        "outcome", dims, "|u1", "whether the cell is computed", flag_values=flags, flag_meanings=meanings
+    )
+
+
 def _array(name: str, dtype: str, long_name: str, attrs: dict[str, Any], extra: str = "") -> Array:
     dims = (*CELL_DIMS, extra) if extra else CELL_DIMS
     return Array(name, dims, dtype, _NAN if dtype == "<f8" else 0, {"long_name": long_name, **attrs})
@@ -323,11 +341,19 @@ def sizes(spec: SweepSpec) -> dict[str, int]:
 
 def bytes_per_cell(spec: SweepSpec) -> int:
     """Stored bytes per cell of a sweep before compression."""
-    length = sizes(spec)
-    return sum(
-        np.dtype(array.dtype).itemsize * math.prod(length[dim] for dim in array.extra_dims)
-        for array in arrays(spec)
-    )
+    return bytes_of(arrays(spec), sizes(spec))
+
+
+def bytes_of(arrays: Iterable[Array], sizes: Mapping[str, int]) -> int:
+    """Stored bytes per cell before compression."""
+    return sum(np.dtype(a.dtype).itemsize * math.prod(sizes[dim] for dim in a.extra_dims) for a in arrays)
+
+
+def empty_record(
+    shape: tuple[int, ...], arrays: Iterable[Array], sizes: Mapping[str, int]
+) -> dict[str, NDArray[Any]]:
+    """The arrays of a chunk of `shape` cells, filled with the values of cells that are not computed."""
+    return {a.name: np.full((*shape, *(sizes[dim] for dim in a.extra_dims)), a.fill, a.dtype) for a in arrays}
 
 
 def bytes_of_map(spec: SweepSpec) -> int:
@@ -350,6 +376,27 @@ def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
         arrays=tuple(arrays(spec)),
         coordinate_attrs={coordinate.name: coordinate.attrs for coordinate in COORDINATES},
         attributes=_attributes(spec),
+        identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
+    )
+
+
+def grid_layout(
+    spec: Specification, chunk_shape: tuple[int, ...], arrays: tuple[Array, ...], sizes: Mapping[str, int],
+    coordinates: Mapping[str, tuple[NDArray[Any], dict[str, Any]]], title: str, model: str,
+) -> Layout:  # fmt: skip
+    """Layout of a store over the axes of a specification, with chunks of `chunk_shape` cells.
+
+    `coordinates`: values and attributes of the other dimensions with coordinates.
+    """
+    axes = {axis: spec.axis_values(axis).astype("<f8") for axis in spec.AXES}
+    attrs = {row.name: row.attrs for row in COORDINATES if row.name in axes}
+    return Layout(
+        chunk_sizes=dict(zip(axes, chunk_shape, strict=True)),
+        coordinates=axes | {name: values for name, (values, _) in coordinates.items()},
+        extra_sizes=sizes,
+        arrays=arrays,
+        coordinate_attrs=attrs | {name: about for name, (_, about) in coordinates.items()},
+        attributes=common_attributes(spec, title, model),
         identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
     )
 

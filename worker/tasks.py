@@ -31,7 +31,6 @@ from kernel.params import Cell, Line, Outcome, Start
 from kernel.trajectory import sample
 from worker import schema, store
 from worker.cost import cells_at_once
-from worker.grid_plan import Block
 from worker.plan import Chunk
 from worker.refinement import Beyond, Refinement, surroundings
 from worker.spec import AXES, SweepSpec
@@ -127,7 +126,7 @@ class ChunkReport:
 
 
 def report_of(
-    chunk: Chunk | Block, record: Mapping[str, NDArray[Any]], stored: store.Stored,
+    chunk: Chunk, record: Mapping[str, NDArray[Any]], stored: store.Stored,
     seconds: tuple[float, float], computed: int | None = None,
 ) -> ChunkReport:  # fmt: skip
     """The report of a stored chunk. `seconds`: in all, and in the kernel."""
@@ -152,7 +151,7 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     began = time.perf_counter()
     # Fail before computing, which can take minutes.
     store.check_chunk(store_url, chunk, schema.arrays(spec))
-    record = _empty_record(spec, _surrounded(spec, chunk))
+    record = schema.empty_record(_surrounded(spec, chunk).shape, schema.arrays(spec), schema.sizes(spec))
     slice_seconds = max(slice_seconds, sum(array.nbytes for array in record.values()) / KEPT_BYTES)
     work = _SweepWork(store_url, chunk.index, record, began, slice_seconds)
     if spec.refine is None:
@@ -225,7 +224,7 @@ def _refine_tile(
 
 def _beyond(spec: SweepSpec, chunk: Chunk) -> Beyond:
     """The map's cells around a tile: rows above and below, columns left and right."""
-    (top, bottom), (left, right) = chunk.omega, chunk.gamma
+    _, (top, bottom), (left, right) = chunk.spans
     return top, spec.shape[2] - bottom, left, spec.shape[3] - right
 
 
@@ -233,9 +232,9 @@ def _surrounded(spec: SweepSpec, chunk: Chunk) -> Chunk:
     """A chunk of an adaptive map with its surroundings; any other chunk unchanged."""
     if spec.refine is None:
         return chunk
-    (top, bottom), (first, last) = chunk.omega, chunk.gamma
+    xi, (top, bottom), (first, last) = chunk.spans
     above, below, left, right = surroundings(spec.refine, _beyond(spec, chunk))
-    return replace(chunk, omega=(top - above, bottom + below), gamma=(first - left, last + right))
+    return replace(chunk, spans=(xi, (top - above, bottom + below), (first - left, last + right)))
 
 
 class Work:
@@ -286,7 +285,7 @@ class Work:
             self.pause_if_due(run.save())
         return run.line
 
-    def write(self, chunk: Chunk | Block, record: _Arrays, computed: int | None = None) -> ChunkReport:
+    def write(self, chunk: Chunk, record: _Arrays, computed: int | None = None) -> ChunkReport:
         """Store the chunk's arrays and remove its checkpoint."""
         stored = store.write_chunk(self._url, chunk, record)
         self.remove_checkpoint()
@@ -474,29 +473,20 @@ def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
     axis = spec.ramp_axis
     if axis is None or chunk.after is None:
         return None
-    low, high = getattr(chunk, axis)
-    direction, position = chunk.direction, low - 1
+    spans = dict(zip(AXES, chunk.spans, strict=True))
+    low, high = spans[axis]
+    direction, position = chunk.direction or 0, low - 1
     if spec.directions[direction] == "down":
         is_last = high == len(spec.axis_values(axis))
         # A "down" ramp starts from the end of "up", whose last cell has the same parameters.
         direction, position = (direction - 1, high - 1) if is_last else (direction, high)
-    spans = {name: getattr(chunk, name) for name in AXES} | {axis: (position, position + 1)}
-    return Chunk(chunk.index, direction, **spans)
-
-
-def _empty_record(spec: SweepSpec, chunk: Chunk) -> _Arrays:
-    length = schema.sizes(spec)
-    return {
-        array.name: np.full(
-            (*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.fill, dtype=array.dtype
-        )
-        for array in schema.arrays(spec)
-    }
+    spans[axis] = position, position + 1
+    return Chunk(chunk.index, tuple(spans.values()), direction)
 
 
 def _cells(spec: SweepSpec, chunk: Chunk) -> _Arrays:
     """The parameters of every cell, each array of shape chunk.shape."""
-    values = [spec.axis_values(axis)[slice(*getattr(chunk, axis))] for axis in AXES]
+    values = [spec.axis_values(axis)[slice(*span)] for axis, span in zip(AXES, chunk.spans, strict=True)]
     return dict(zip(AXES, np.meshgrid(*values, indexing="ij"), strict=True))
 
 
@@ -508,7 +498,7 @@ def _in_visiting_order(spec: SweepSpec, chunk: Chunk, array: NDArray[Any]) -> ND
     if spec.ramp_axis is None:
         return array.reshape(1, 1, chunk.cells, *array.shape[3:])
     along = np.moveaxis(array, AXES.index(spec.ramp_axis), 2)
-    return along[:, :, ::-1] if spec.directions[chunk.direction] == "down" else along
+    return along[:, :, ::-1] if spec.directions[chunk.direction or 0] == "down" else along
 
 
 def compile_kernels() -> None:

@@ -28,24 +28,14 @@ from kernel.cell import rescale
 from kernel.params import Line, Outcome
 from worker import store
 from worker.basins.attractors import CYCLE_FLIGHTS, SAME_CYCLE, counted
-from worker.basins.schema import (
-    COMPUTED_OR_UNDECIDED,
-    OF_ATTRACTORS,
-    array,
-    bytes_per_cell,
-    empty_record,
-    grid_layout,
-    sizes_of_attractors,
-)
+from worker.basins.schema import COUNT, OF_ATTRACTORS, OUTCOME, sizes_of_attractors
 from worker.basins.spec import MultistabilitySpec
-from worker.basins.starts import starts_of
-from worker.basins.steps import Steps, line_run
+from worker.basins.starts import Steps, line_run, starts_of
 from worker.cost import Cost, cell_seconds, period_seconds
-from worker.grid_plan import Block, GridPlan
-from worker.plan import LONGEST_SECONDS, TARGET_SECONDS
-from worker.schema import Layout
+from worker.plan import LONGEST_SECONDS, TARGET_SECONDS, Chunk, Plan
+from worker.schema import Layout, array, bytes_of, empty_record, grid_layout
 from worker.spec import AXES
-from worker.tasks import OPTIONS, ChunkReport
+from worker.tasks import ChunkReport
 
 #: Stored attractors of a cell: first those that most drops reach, then those found by following others.
 MAX_ATTRACTORS: Final = 8
@@ -74,13 +64,13 @@ _Arrays = dict[str, NDArray[Any]]
 
 _ARRAYS: Final = (
     *OF_ATTRACTORS,
-    array("next_up", ("id",), "|i1", "attractor of the next larger gamma that this one leads to",
+    array("next_up", (*AXES, "id"), "|i1", "attractor of the next larger gamma that this one leads to",
           comment="0: none that is known; -1: no such cell"),
-    array("next_down", ("id",), "|i1", "attractor of the next smaller gamma that this one leads to",
+    array("next_down", (*AXES, "id"), "|i1", "attractor of the next smaller gamma that this one leads to",
           comment="0: none that is known; -1: no such cell"),
-    array("attractor_count", (), "<i4", "attractors of the cell, also those beyond the dimension id"),
-    array("undecided", (), "<f8", "share of the drops without an attractor"),
-    COMPUTED_OR_UNDECIDED,
+    COUNT,
+    array("undecided", AXES, "<f8", "share of the drops without an attractor"),
+    OUTCOME,
 )  # fmt: skip
 
 
@@ -173,7 +163,7 @@ class _Cells:
 class _Search:
     """The runs that find the attractors of a chunk."""
 
-    def __init__(self, spec: MultistabilitySpec, chunk: Block, cells: _Cells, work: Steps) -> None:
+    def __init__(self, spec: MultistabilitySpec, chunk: Chunk, cells: _Cells, work: Steps) -> None:
         self._spec, self._cells, self._work = spec, cells, work
         axes = dict(zip(AXES, chunk.slices, strict=True))
         xi, omega, self._gamma = (spec.axis_values(axis)[span] for axis, span in axes.items())
@@ -304,8 +294,37 @@ def layout(spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:
     """Layout of the store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
     about = {"long_name": "attractor of a cell, by the share of the drops that reach it"}
     coordinates = {"id": (np.arange(1, MAX_ATTRACTORS + 1, dtype="<i4"), about)}
-    sizes = sizes_of_attractors(spec, MAX_ATTRACTORS)
-    return grid_layout(spec, chunk_shape, _ARRAYS, sizes, coordinates, "bouncing spring: multistability")
+    sizes, title = sizes_of_attractors(spec, MAX_ATTRACTORS), "bouncing spring: multistability"
+    return grid_layout(spec, chunk_shape, _ARRAYS, sizes, coordinates, title, spec.model.kind)
+
+
+def make_plan(
+    spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+) -> Plan:
+    """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
+
+    Raises ValueError for sizes below 1, or for parts of lines.
+    """
+    gammas = spec.shape[2]
+    if chunk_shape is None:
+        lines = int(TARGET_SECONDS / (gammas * _runs(spec) * cell_seconds(spec.sweep())))
+        chunk_shape = (1, max(1, lines), gammas)
+    plan = Plan(spec.shape, chunk_shape)
+    if plan.chunk_shape[-1] != gammas:
+        raise ValueError(f"chunk_shape: must span the {gammas} values of gamma, not {chunk_shape[-1]}")
+    return plan
+
+
+def estimate(spec: MultistabilitySpec, plan: Plan) -> Cost:
+    """Cost of a study, from the table of contact models."""
+    runs, sweep = plan.cells * _runs(spec), spec.sweep()
+    return Cost(
+        cells=plan.cells,
+        chunks=len(plan),
+        bytes=plan.cells * bytes_of(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
+        core_seconds=runs * cell_seconds(sweep),
+        longest_core_seconds=runs * period_seconds(sweep) * spec.until,
+    )
 
 
 def _runs(spec: MultistabilitySpec) -> float:
@@ -313,28 +332,8 @@ def _runs(spec: MultistabilitySpec) -> float:
     return RUN_ON * spec.protocol.rows * spec.protocol.columns + FOLLOWED
 
 
-def cell_cost(spec: MultistabilitySpec) -> float:
-    """Mean core-seconds per cell."""
-    return _runs(spec) * cell_seconds(spec.sweep())
-
-
-def make_plan(spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
-    """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
-
-    Raises ValueError for sizes below 1, or for parts of lines.
-    """
-    _, omegas, gammas = spec.shape
-    if chunk_shape is None:
-        lines = int(TARGET_SECONDS / (gammas * cell_cost(spec)))
-        chunk_shape = (1, min(max(1, lines), omegas), gammas)
-    plan = GridPlan(spec.shape, chunk_shape)
-    if plan.chunk_shape[-1] != gammas:
-        raise ValueError(f"chunk_shape: must span the {gammas} values of gamma, not {chunk_shape[-1]}")
-    return plan
-
-
 def run_chunk(
-    spec: MultistabilitySpec, chunk: Block, store_url: str, slice_seconds: float = math.inf
+    spec: MultistabilitySpec, chunk: Chunk, store_url: str, slice_seconds: float = math.inf
 ) -> ChunkReport:
     """Compute the lines of `chunk` and store them; the store must exist.
 
@@ -343,7 +342,7 @@ def run_chunk(
     """
     began = time.perf_counter()
     store.check_chunk(store_url, chunk, _ARRAYS)
-    record = empty_record(chunk, _ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS))
+    record = empty_record(chunk.shape, _ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS))
     cycles = np.full((*chunk.shape, MAX_ATTRACTORS, CYCLE), np.nan)
     kept = record | {"cycle": cycles}
     work = Steps(store_url, chunk.index, kept, began, slice_seconds)
@@ -355,36 +354,3 @@ def run_chunk(
         record["attractor_count"] > 0, Outcome.PERIODIC, Outcome.UNRESOLVED
     ).astype(np.uint8)
     return work.write(chunk, record)
-
-
-class MultistabilityStudy:
-    """Attractors followed along gamma."""
-
-    def parse(self, data: object) -> MultistabilitySpec:
-        return MultistabilitySpec.parse(data)
-
-    def plan(
-        self,
-        spec: MultistabilitySpec,
-        chunk_shape: tuple[int, ...] | None = None,
-        longest: float = LONGEST_SECONDS,
-    ) -> GridPlan:
-        return make_plan(spec, chunk_shape)
-
-    def variables(self, spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:
-        return layout(spec, chunk_shape)
-
-    def estimate(self, spec: MultistabilitySpec, plan: GridPlan) -> Cost:
-        return Cost(
-            cells=plan.cells,
-            chunks=len(plan),
-            bytes=plan.cells * bytes_per_cell(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
-            core_seconds=plan.cells * cell_cost(spec),
-            longest_core_seconds=plan.cells * _runs(spec) * period_seconds(spec.sweep()) * spec.until,
-        )
-
-    def task(self, spec: MultistabilitySpec, chunk: Block, store_url: str) -> ChunkReport:
-        return run_chunk(spec, chunk, store_url, OPTIONS.get().slice_seconds)
-
-
-MULTISTABILITY: Final = MultistabilityStudy()

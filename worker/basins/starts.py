@@ -1,13 +1,23 @@
-"""The states of a plane's starts: drops, and contacts at phase 0 (docs/basins.md, "Planes")."""
+"""Starts of cells, and chunks computed in steps of one or more runs of many starts (docs/basins.md)."""
+
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.interface import prepare, rest
-from kernel.params import STATE_FIELDS
+from kernel.line import LineRun
+from kernel.params import STATE_FIELDS, Line
 from worker.basins.spec import GridSpec
 from worker.spec.contact_models import Contact
-from worker.tasks import plate_of
+from worker.tasks import Work, plate_of
+
+_STEPS: Final = "steps_done"
+_RECORD: Final = "record/"
+_ANSWER: Final = "answer/"
+
+_Arrays = dict[str, NDArray[Any]]
 
 
 def starts_of(spec: GridSpec, gamma: float, omega: float, xi: float) -> NDArray[np.float64]:
@@ -50,3 +60,60 @@ def contact_states(
     states[..., 4] += elongation
     states[..., 5] += velocity / omega
     return states
+
+
+class Steps(Work):
+    """The record of a chunk, its finished steps, and the answers of the step under way."""
+
+    def __init__(
+        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
+    ) -> None:
+        self._record, self.steps_done = record, 0
+        self._answers: list[_Arrays] = []
+        self._answered = 0
+        super().__init__(store_url, chunk, began, slice_seconds)
+
+    def answer(self, run: Callable[[], LineRun], reduce: Callable[[Line], _Arrays]) -> _Arrays:
+        """The part that `reduce` keeps of the step's next run, computed now or before.
+
+        Raises ChunkCancelled, ChunkPaused.
+        """
+        if self._answered == len(self._answers):
+            self._answers.append(reduce(self.compute(run())))
+            self.pause_if_due({})
+        self._answered += 1
+        return self._answers[self._answered - 1]
+
+    def finish_step(self) -> None:
+        """Note that the step's results are in the record."""
+        self.steps_done += 1
+        self._answers, self._answered = [], 0
+
+    def _save(self) -> _Arrays:
+        arrays: _Arrays = {_STEPS: np.array(self.steps_done)}
+        arrays |= {_RECORD + name: array for name, array in self._record.items()}
+        for number, answer in enumerate(self._answers):
+            arrays |= {f"{_ANSWER}{number}/{name}": array for name, array in answer.items()}
+        return arrays
+
+    def _restore(self, saved: _Arrays) -> None:
+        self.steps_done = int(saved[_STEPS])
+        for name, array in self._record.items():
+            array[...] = saved[_RECORD + name]
+        answers: dict[int, _Arrays] = {}
+        for name, array in saved.items():
+            if name.startswith(_ANSWER):
+                number, field = name.removeprefix(_ANSWER).split("/")
+                answers.setdefault(int(number), {})[field] = array
+        self._answers = [answers[number] for number in range(len(answers))]
+
+
+def line_run(
+    spec: GridSpec,
+    cells: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    states: NDArray[np.float64],
+    **window: Any,
+) -> LineRun:
+    """A run of starts (n, 6), each in its cell: gamma, omega, xi (n,). `window`: as in `LineRun`."""
+    plate = plate_of(spec.model, *cells)
+    return LineRun(*cells, plate=plate, carry=False, micro_flight=spec.micro_flight, states=states, **window)

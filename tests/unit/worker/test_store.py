@@ -251,7 +251,8 @@ def test_concurrent_writers_of_different_chunks_lose_nothing(url, spec, plan):
 
 
 def stored_files(url: str, chunk: Chunk) -> list[Path]:
-    coords = f"{chunk.direction}.{chunk.xi[0]}.{chunk.omega[0] // 2}.{chunk.gamma[0] // 4}"
+    (xi, _), (omega, _), (gamma, _) = chunk.spans
+    coords = f"{chunk.direction}.{xi}.{omega // 2}.{gamma // 4}"
     paths = [*Path(url).glob(f"*/c.{coords}"), *Path(url).glob(f"*/c.{coords}.0")]
     return sorted(path for path in paths if path.is_file())
 
