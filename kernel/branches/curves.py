@@ -93,24 +93,10 @@ class Parameter(StrEnum):
     XI = "xi"
 
 
-class Curve(NamedTuple):
-    """m points of one curve, in order; units as in `events.Branch`."""
-
-    kind: Kind
-    bounces: int
-    periods: int
-    omega: NDArray[np.float64]  # (m,)
-    xi: NDArray[np.float64]  # (m,)
-    flight_time: NDArray[np.float64]  # (m,) rad
-    gamma: NDArray[np.float64]  # (m,)
-    multiplier: NDArray[np.complex128]  # (m, 2)
-    admissible: NDArray[np.uint8]  # (m,) 0, or the bits of a Reason
-
-
 class Curves(NamedTuple):
-    """Curves, and the codimension-2 points on them."""
+    """Curves, each its points in order, and the codimension-2 points on them."""
 
-    curves: tuple[Curve, ...]
+    curves: tuple[Events, ...]
     points: Events
 
 
@@ -131,11 +117,21 @@ class _Plane(NamedTuple):
         """What steps are measured in."""
         return np.array([TWO_PI * self.periods, self.high - self.low])
 
+    def floquet(self, t: complex, p: complex) -> tuple[complex, complex, complex, complex]:
+        """Trace and determinant and their derivatives by T."""
+        f = floquet(self.spring(p), self.periods, np.array([t]))
+        return f.trace[0], f.det[0], f.trace1[0], f.det1[0]
 
-def _times_only(plane: _Plane, t: complex, p: complex) -> tuple[complex, complex, complex, complex]:
-    """Trace and determinant and their derivatives by T."""
-    f = floquet(plane.spring(p), plane.periods, np.array([t]))
-    return f.trace[0], f.det[0], f.trace1[0], f.det1[0]
+    def event(self, kind: Kind, t: float, p: float) -> Events:
+        """The record of one event."""
+        k = self.spring(p)
+        omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
+        b = branch(omega, xi, self.periods, np.array([t]), tolerance=GRAZES if kind in EDGES else 0.0)
+        one, periods = np.ones(1, np.int32), np.full(1, self.periods, np.int32)
+        return Events(
+            np.array([kind], np.str_), np.array([omega]), np.array([xi]), one, periods, b.flight_time,
+            b.gamma, b.multiplier, b.admissible,
+        )  # fmt: skip
 
 
 class _Zero:
@@ -146,15 +142,11 @@ class _Zero:
         self.plane, self.kind = plane, kind
         self.time = self.begins = _grazes_at(plane, kind, t, p) if kind in _GRAZE else math.nan
 
-    def restart(self) -> None:
-        """Before the curve is followed from the event again."""
-        self.time = self.begins
-
     def __call__(self, t: float, p: float) -> tuple[float, NDArray[np.float64]]:
         """The value, and its gradient by T and by the parameter."""
         plane, kind = self.plane, self.kind
         if kind not in EDGES:
-            trace, det, trace1, det1 = _times_only(plane, t, p + 1j * STEP)
+            trace, det, trace1, det1 = plane.floquet(t, p + 1j * STEP)
             if kind is Kind.NEIMARK_SACKER:
                 return det.real - 1.0, np.array([det1.real, det.imag / STEP])
             sign = -1.0 if kind is Kind.FOLD else 1.0
@@ -279,14 +271,13 @@ def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> NDArray[np.float64]
     forward, closed = _walk(zero, t, p, 1.0)
     if closed:
         return np.array([[t, p], *forward])
-    zero.restart()
     backward, _ = _walk(zero, t, p, -1.0)
     return np.array([*backward[::-1], [t, p], *forward])
 
 
 def _walk(zero: _Zero, t: float, p: float, direction: float) -> tuple[list[NDArray[np.float64]], bool]:
     """Points of the curve from (t, p) on, and whether it came back."""
-    plane = zero.plane
+    plane, zero.time = zero.plane, zero.begins
     sides = plane.sides()
     start = np.array([t, p]) / sides
     line: list[NDArray[np.float64]] = []
@@ -356,7 +347,7 @@ def _codimension_2(
         return
     values = []
     for t, p in line:
-        trace, det, trace1, det1 = (float(np.real(x)) for x in _times_only(plane, t, p))
+        trace, det, trace1, det1 = (float(np.real(x)) for x in plane.floquet(t, p))
         values.append((det1 - trace1, det - 1.0, det + 1.0, trace - 2.0))
     fold1, one, minus_one, two = np.array(values).T
     tests = {
@@ -368,22 +359,22 @@ def _codimension_2(
         for i in np.flatnonzero(test[:-1] * test[1:] < 0.0):
             part = test[i] / (test[i] - test[i + 1])
             t, p = line[i] + part * (line[i + 1] - line[i])
-            t, p, converged = codimension_2(plane, point, float(t), float(p))
-            if converged and plane.low <= p <= plane.high:
-                yield point, t, p
+            found = _codimension_2_at(plane, point, float(t), float(p))
+            if found is not None and plane.low <= found[1] <= plane.high:
+                yield point, *found
 
 
-def codimension_2(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, float, bool]:
-    """Newton's method in (T, parameter), and whether it converged.
+def _codimension_2_at(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, float] | None:
+    """The point in (T, parameter) next to a guess by Newton's method, or None.
 
     Cusp: 1 - tr + det and its derivative by T are zero. Bogdanov-Takens: tr = 2, det = 1. Fold-flip: tr = 0,
     det = -1.
     """
     for _ in range(_NEWTON):
-        trace, det, trace1, det1 = _times_only(plane, t, p + 1j * STEP)
+        trace, det, trace1, det1 = plane.floquet(t, p + 1j * STEP)
         if kind is Kind.CUSP:
             f, f1 = 1.0 - trace + det, det1 - trace1
-            _, _, trace_t, det_t = _times_only(plane, t + 1j * STEP, p)
+            _, _, trace_t, det_t = plane.floquet(t + 1j * STEP, p)
             value = np.array([f.real, f1.real])
             slope = np.array([[f1.real, f.imag / STEP], [(det_t - trace_t).imag / STEP, f1.imag / STEP]])
         else:
@@ -393,44 +384,23 @@ def codimension_2(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float,
         try:
             move = np.linalg.solve(slope, value)
         except np.linalg.LinAlgError:
-            return t, p, False
+            return None
         t, p = t - move[0], p - move[1]
         if not (0.0 < t < TWO_PI * plane.periods and p > 0.0):
-            return t, p, False
+            return None
         if abs(move[0]) < 1e-12 * t and abs(move[1]) < 1e-12 * p:
-            return t, p, True
-    return t, p, False
+            return t, p
+    return None
 
 
-def _pieces(plane: _Plane, kind: Kind, line: NDArray[np.float64]) -> Iterator[Curve]:
-    """The record of a curve, without the parts on which it is not of its kind."""
-    rows = [events_at(plane, kind, t, p) for t, p in line]
-    keep = np.array([_is_of(kind, row.multiplier[0]) for row in rows])
+def _pieces(plane: _Plane, kind: Kind, line: NDArray[np.float64]) -> Iterator[Events]:
+    """The record of a curve, without the parts on which its multipliers are not a pair but should be."""
+    rows = [plane.event(kind, t, p) for t, p in line]
+    keep = np.array([kind is not Kind.NEIMARK_SACKER or row.multiplier[0, 0].imag != 0.0 for row in rows])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], keep, [False]])))
     for first, last in edges.reshape(-1, 2):
-        piece = join_events(rows[first:last])
-        if len(piece.gamma) > 1:
-            yield Curve(
-                kind, 1, plane.periods, piece.omega, piece.xi, piece.flight_time, piece.gamma,
-                piece.multiplier, piece.admissible,
-            )  # fmt: skip
-
-
-def _is_of(kind: Kind, multiplier: NDArray[np.complex128]) -> bool:
-    """Whether multipliers with product one are a pair on the unit circle, where the kind asks for it."""
-    return kind is not Kind.NEIMARK_SACKER or abs(multiplier[0].imag) > 0.0
-
-
-def events_at(plane: _Plane, kind: Kind, t: float, p: float) -> Events:
-    """One event as a record."""
-    k = plane.spring(p)
-    omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
-    b = branch(omega, xi, plane.periods, np.array([t]), tolerance=GRAZES if kind in EDGES else 0.0)
-    one = np.ones(1)
-    return Events(
-        np.array([kind], np.str_), omega * one, xi * one, np.ones(1, np.int32),
-        np.full(1, plane.periods, np.int32), b.flight_time, b.gamma, b.multiplier, b.admissible,
-    )  # fmt: skip
+        if last - first > 1:
+            yield join_events(rows[first:last])
 
 
 def _unique(plane: _Plane, points: list[tuple[Kind, float, float]]) -> Events:
@@ -439,4 +409,4 @@ def _unique(plane: _Plane, points: list[tuple[Kind, float, float]]) -> Events:
     for kind, t, p in sorted(points, key=lambda x: (list(Kind).index(x[0]), x[2], x[1])):
         if not any(k is kind and abs(t - a) < _SAME and abs(p - b) < _SAME for k, a, b in once):
             once.append((kind, t, p))
-    return join_events([events_at(plane, kind, t, p) for kind, t, p in once])
+    return join_events([plane.event(kind, t, p) for kind, t, p in once])

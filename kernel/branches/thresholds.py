@@ -1,21 +1,15 @@
 """The lowest Gamma at which anything bounces, and where flights leap on the way up (docs/hysteresis.md).
 
-Gamma_down is the lowest Gamma at which anything bounces for ever. A slow descent from above ends there or
-earlier, where the cycle that it is on ends. Rest ends at Gamma_th (Eq. 25) and bouncing exists above it.
-Below it bouncing lives on as long as an attractor does. If the last one is a (1,k) cycle it ends at a fold,
-a minimum of Gamma along its branch, and the rule is
+Gamma_down is the lowest Gamma at which anything bounces for ever. Rest ends at Gamma_th (Eq. 25) and bouncing
+exists above it. If the last attractor below it is a (1,k) cycle it ends at a fold of its branch: the rule is
 
     Gamma_down = min(Gamma_th, the lowest admissible fold whose other multiplier is inside the unit circle).
 
 The rule is a conjecture: attractors that no (1,k) branch leads to may reach lower. It answers only at
-dampings where a search found none; below them the answer is `not searched`.
-
-A stable cycle that ends below the answer otherwise than at a fold is followed through the words that it
-becomes, and at a flip below Gamma_th the branch of the doubled word to its own folds, which may be lower
-than those of the branch that flips. The branches themselves show where this does not decide: a branch turns
-below the answer at a fold that is not stable on either side (a torus lives near it), or not admissible (the
-branch goes on as another word), or a cycle that was followed ends as no fold. Then the answer is
-`unresolved`.
+dampings where a search found none. A stable cycle that ends below the answer otherwise than at a fold is
+followed through the words that it becomes, and at a flip below Gamma_th the branch of the doubled word to its
+own folds. Where a branch turns below the answer at a fold that is unstable on both sides (a torus lives near
+it) or not admissible (it goes on as another word), the answer is `unresolved`.
 """
 
 import math
@@ -92,34 +86,31 @@ def conjecture(
     do not show what lives near such a fold. Raises KernelInputError.
     """
     gamma_th = float(threshold(omega, xi))
-    found = _known(omega, xi, periods, gamma_th)
-    ends = [*found.ends, *(end for end in map(descend, words or ()) if end.gamma < gamma_th)]
-    folds = [*found.folds, *(end.fold for end in ends if end.fold is not None)]
+    jump, folds, undecided, ends = _known(omega, xi, periods, gamma_th)
+    ends += [end for end in map(descend, words or ()) if end.gamma < gamma_th]
+    folds += [end.fold for end in ends if end.fold is not None]
     lowest = min(folds, key=lambda fold: fold.gamma, default=None)
     down = gamma_th if lowest is None else lowest.gamma
     reasons = [end.reason for end in ends if end.reason and end.gamma < down]
-    reasons += [_why(fold) for fold in found.open if fold.gamma < down]
+    reasons += [_why(fold) for fold in undecided if fold.gamma < down]
     if bouncing < down:
         reasons.append(f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed")
     if reasons:
         text = "; ".join(dict.fromkeys(reasons))
-        return Thresholds(omega, xi, gamma_th, found.jump, math.nan, UNRESOLVED, text, None, None)
+        return Thresholds(omega, xi, gamma_th, jump, math.nan, UNRESOLVED, text, None, None)
     if lowest is None:
-        return Thresholds(omega, xi, gamma_th, found.jump, gamma_th, EQ_25, "", None, None)
-    return Thresholds(omega, xi, gamma_th, found.jump, down, lowest.name, "", lowest, lowest.energy)
+        return Thresholds(omega, xi, gamma_th, jump, gamma_th, EQ_25, "", None, None)
+    return Thresholds(omega, xi, gamma_th, jump, down, lowest.name, "", lowest, lowest.energy)
 
 
-class _Known(NamedTuple):
-    """What the (1,k) branches show below Gamma_th."""
+def _known(
+    omega: float, xi: float, periods: int, below: float
+) -> tuple[float, list[Fold], list[Fold], list[End]]:
+    """What the branches (1,1) to (1, periods) show below a Gamma.
 
-    jump: float
-    folds: list[Fold]  # at which stable cycles end
-    open: list[Fold]  # that do not decide
-    ends: list[End]  # where stable cycles end otherwise, followed as far as it may matter
-
-
-def _known(omega: float, xi: float, periods: int, below: float) -> _Known:
-    """Of the branches (1,1) to (1, periods)."""
+    The jump, the folds at which stable cycles end, those that do not decide, and where stable cycles end
+    otherwise, followed as far as it may matter.
+    """
     k = spring(omega, xi)
     jump = math.nan
     folds: list[Fold] = []
@@ -138,20 +129,15 @@ def _known(omega: float, xi: float, periods: int, below: float) -> _Known:
         flips += [from_branch(omega, xi, n, float(t)) for t in events.flight_time[here] if t not in followed]
         if n == 1:
             jump = _jump(line, events)
-    holds = [not fold.admissible and abs(fold.other_multiplier) < 1.0 for fold in folds]
-    holding = [fold for fold, held in zip(folds, holds, strict=True) if held]
-    undecided = [fold for fold, held in zip(folds, holds, strict=True) if not held]
+    holding = [fold for fold in folds if fold.holds]
+    undecided = [fold for fold in folds if not fold.holds]
     holding += [fold for flip in flips for fold in lowest_cycles(doubled(flip), below)]
     lowest = min((fold.gamma for fold in holding), default=below)
     cycles = [cycle for cycle in cycles if cycle.gamma < lowest]
     ends = [_follow(omega, xi, cycle) for cycle in cycles]
     decided = [cycle for cycle, end in zip(cycles, ends, strict=True) if end.fold is not None]
-    return _Known(
-        jump,
-        holding,
-        [fold for fold in undecided if not any(cycle.leads_to(fold) for cycle in decided)],
-        ends,
-    )
+    undecided = [fold for fold in undecided if not any(cycle.leads_to(fold) for cycle in decided)]
+    return jump, holding, undecided, ends
 
 
 def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> bool:

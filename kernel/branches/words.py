@@ -54,6 +54,14 @@ class Word(NamedTuple):
     unknowns: Floats  # (m,): see the module
     direction: Floats | None = None  # (m,) the first step from another branch; None: both ways
 
+    @property
+    def gamma(self) -> float:
+        return float(np.hypot(self.unknowns[2], self.unknowns[3]))
+
+    def at(self, unknowns: Floats) -> "Word":
+        """Another orbit of the same word."""
+        return self._replace(unknowns=unknowns, direction=None)
+
 
 class WordBranch(NamedTuple):
     """n cycles of a word, in order along their branch; units as in `events.Branch`."""

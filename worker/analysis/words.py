@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.branches.continuation import events as events_of
 from kernel.branches.continuation import follow
 from kernel.branches.events import Events
 from kernel.branches.words import Word, WordBranch, from_flights
@@ -91,12 +92,12 @@ def continue_words(
             continue
         try:
             word = _word(cycle, at_omega, at_xi)
-            branch, branch_events = follow(word, points=POINTS, gamma=(0.0, gamma_max))
+            branch, turns = follow(word, points=POINTS, gamma=(0.0, gamma_max))
         except KernelInputError as error:
             skipped.append(_skip(cycle, str(error)))
             continue
         branches.append(_up_to_shorter(branch, cycle))
-        events.append(_once(branch_events))
+        events.append(_once(events_of(turns)))
     return Words(tuple(branches), tuple(events), tuple(skipped))
 
 
