@@ -34,7 +34,7 @@ from worker.basins.attractors import Found, counted, find
 from worker.basins.multistability import run_chunk as compute_lines
 from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.basins.starts import line_run, starts_of
-from worker.basins.study import rules_of, run_chunk
+from worker.basins.study import run_chunk
 from worker.spec import AXES
 from worker.studies import STUDIES
 
@@ -101,7 +101,7 @@ def search(spec: BasinSpec) -> Found:
         run.advance()
         return reduce(run.line)
 
-    return find(starts_of(spec, *_cell(spec)), rules_of(spec), answer)
+    return find(starts_of(spec, *_cell(spec)), spec, answer)
 
 
 def groups_of(spec: BasinSpec, found: Found) -> tuple[list[int], list[list[int]]]:

@@ -1,18 +1,7 @@
 """The study `multistability`: the attractors of every cell of a grid, followed along gamma (docs/basins.md).
 
-A task computes whole lines along gamma.
-
-1. In every cell a fixed plane of drops is run. Drops on one cycle share an attractor, as do drops at rest.
-The
-   first drop of each cycle and every aperiodic drop run on for the same time again: cycles still being
-   approached become one, and transient motion finds its cycle. The rest of the aperiodic motion in a cell
-   counts as one attractor; the study `basin` distinguishes aperiodic attractors.
-2. Each attractor starts the next cell, first towards larger gamma and then towards smaller. A start that
-reaches
-   an attractor found by no drop adds it, and it is followed in its turn.
-
-The destinations of starts are stored for both directions: two attractors of neighbouring cells are the same
-if each leads to the other.
+A task computes whole lines along gamma. The destinations of starts are stored for both directions: two
+attractors of neighbouring cells are the same if each leads to the other.
 """
 
 import math
@@ -90,6 +79,11 @@ class Reached(NamedTuple):
     def decided(self) -> bool:
         """Whether it ends on an attractor."""
         return self.outcome in (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST)
+
+    @property
+    def order(self) -> tuple[float, ...]:
+        """The order of attractors that equally many drops reach."""
+        return (self.outcome, self.bounces, self.periods, -self.longest_flight)
 
     def same(self, other: "Reached") -> bool:
         """Whether both end on one attractor of a cell."""
@@ -214,7 +208,7 @@ class _Search:
                 _run_on(of_cell, {i: next(later) for i in some})
         for place, of_cell in zip(places, ends, strict=True):
             groups = [[of_cell[i] for i in group] for group in _groups(of_cell)]
-            for group in sorted(groups, key=lambda group: (-len(group), *_order(group[0]))):
+            for group in sorted(groups, key=lambda group: (-len(group), *group[0].order)):
                 self._cells.add(*place, group[0], len(group) / n)
             self._cells.of["undecided"][place] = 1.0 - sum(map(len, groups)) / n
 
@@ -283,11 +277,6 @@ def _groups(ends: Sequence[Reached]) -> list[list[int]]:
         else:
             groups.append([i])
     return groups
-
-
-def _order(end: Reached) -> tuple[float, ...]:
-    """The order of attractors that equally many drops reach."""
-    return (end.outcome, end.bounces, end.periods, -end.longest_flight)
 
 
 def layout(spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:

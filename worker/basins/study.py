@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from kernel.params import Line, Outcome
 from worker import store
-from worker.basins.attractors import Found, Request, Rules, find
+from worker.basins.attractors import Found, Request, find
 from worker.basins.schema import COUNT, LIFETIME, OF_ATTRACTORS, OUTCOME, sizes_of_attractors
 from worker.basins.spec import BasinSpec
 from worker.basins.starts import Steps, line_run, starts_of
@@ -134,16 +134,10 @@ def run_chunk(spec: BasinSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     work = Steps(store_url, chunk.index, record, began, slice_seconds)
     for index in list(np.ndindex(chunk.shape))[work.steps_done :]:
         xi, omega, gamma = (float(axis[i]) for axis, i in zip(values, index, strict=True))
-        found = find(starts_of(spec, gamma, omega, xi), rules_of(spec), _runner(spec, gamma, omega, xi, work))
+        found = find(starts_of(spec, gamma, omega, xi), spec, _runner(spec, gamma, omega, xi, work))
         _fill_in(spec, found, record, index)
         work.finish_step()
     return work.write(chunk, record)
-
-
-def rules_of(spec: BasinSpec) -> Rules:
-    """The rules of a specification for the runs of a search."""
-    window = (spec.settle, spec.observe, spec.until, spec.keep, spec.micro_flight, spec.exponents)
-    return Rules(*window, extends=spec.settle_until is None)
 
 
 def _runner(
@@ -153,9 +147,7 @@ def _runner(
 
     def run(request: Request, reduce: Callable[[Line], _Arrays]) -> _Arrays:
         gammas, omegas, xis = (np.full(len(request.states), value) for value in (gamma, omega, xi))
-        window = request._asdict()
-        del window["states"]
-        return work.answer(lambda: line_run(spec, (gammas, omegas, xis), request.states, **window), reduce)
+        return work.answer(lambda: line_run(spec, (gammas, omegas, xis), **request._asdict()), reduce)
 
     return run
 

@@ -25,7 +25,6 @@ from worker.basins.study import (
     _fill_in,
     arrays,
     entropies,
-    rules_of,
     run_chunk,
     sizes,
 )
@@ -78,7 +77,7 @@ def search(
     starts = starts_of(spec, gamma, omega, xi)
     added = np.repeat(starts[:1], len(others), axis=0)
     added[:, STATE_FIELDS.index("gap")] = others
-    return find(np.concatenate([starts, added]), rules_of(spec), run)
+    return find(np.concatenate([starts, added]), spec, run)
 
 
 def told(found: Found) -> list[tuple[int, int, int]]:
@@ -276,7 +275,6 @@ def test_a_start_may_take_ten_windows_unless_it_is_told_how_long():
     assert spec.until == UNTIL * 450 == 4500
     told = basin(settle=400, observe=50, settle_until=900)
     assert told.until == 900
-    assert not rules_of(told).extends
 
 
 def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
