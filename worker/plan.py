@@ -154,13 +154,9 @@ class Plan(Sequence[Chunk]):
 
 
 def make_plan(
-    spec: SweepSpec,
-    chunk_shape: tuple[int, ...] | None = None,
-    longest: float = LONGEST_SECONDS,
-    *,
-    chunk_cells: int | None = None,
+    spec: SweepSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
 ) -> Plan:
-    """Divide a sweep into chunks of about `chunk_cells` cells, or of `chunk_shape` cells (xi, omega, gamma).
+    """Divide a sweep into chunks of `chunk_shape` cells (xi, omega, gamma).
 
     By default a chunk costs about TARGET_SECONDS, or up to `longest` if there are many. The division does
     not affect the stored numbers, except for an adaptive map: its chunks are the tiles of `tile_shape` unless
@@ -170,8 +166,8 @@ def make_plan(
     if chunk_shape is None and spec.refine is not None:
         chunk_shape = tile_shape(spec, spec.refine.coarsest)
     if chunk_shape is None:
-        cells = chunk_cells if chunk_cells is not None else _cells_per_chunk(spec, longest)
-        chunk_shape = _block(spec, cells)
+        cells = _cells_per_chunk(spec, longest)
+        chunk_shape = block(spec, cells)
         if cells * bytes_per_cell(spec) > MAX_CHUNK_BYTES:
             chunk_shape = tuple(map(_halvable, chunk_shape, grid))
     if spec.refine is not None and chunk_shape[0] > 1:
@@ -208,25 +204,19 @@ def _halvable(size: int, cells: int) -> int:
     return size - size % next(unit for unit in (8, 4, 2, 1) if size >= unit * unit or unit == 1)
 
 
-def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
+def block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
     """Chunk shape of at most `cells` cells: as long as possible along the ramp, then balanced."""
-    if cells < 1:
-        raise ValueError(f"chunk_cells: must be at least 1, not {cells}")
     grid = dict(zip(AXES, spec.shape[1:], strict=True))
     along: dict[str, int] = {}
     if spec.ramp_axis:
-        at_once = _lines_at_once(spec)
+        # all lanes, or one vector of them if there are few lines
+        at_once = cells_at_once(spec)
+        at_once = at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
         length = even(grid.pop(spec.ramp_axis), max(1, cells // at_once))
         along, cells = {spec.ramp_axis: length}, cells // length
         cells -= cells % at_once if cells > at_once else 0  # lines that fill the lanes
     size = along | _balanced(grid, max(1, cells))
     return size["xi"], size["omega"], size["gamma"]
-
-
-def _lines_at_once(spec: SweepSpec) -> int:
-    """Minimum lines of a ramp in a chunk: all lanes, or one vector of them if there are few lines."""
-    at_once = cells_at_once(spec)
-    return at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
 
 
 def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:

@@ -11,16 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from kernel.branches.closed_form import floquet, gamma_slope
-from kernel.branches.continuation import (
-    GAMMA,
-    Point,
-    Turn,
-    folds_along,
-    newton,
-    start,
-    turns_along,
-    walk,
-)
+from kernel.branches.continuation import GAMMA, Point, Turn, folds_along, newton, start, turns_along, walk
 from kernel.branches.energy import Energy, energy, word_energy
 from kernel.branches.events import Events, Kind
 from kernel.branches.spring import Spring, spring

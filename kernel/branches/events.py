@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,7 @@ from kernel.branches.admissibility import (
     gap_weights,
     samples,
 )
-from kernel.branches.closed_form import (
-    TWO_PI,
-    Orbit,
-    floquet,
-    multipliers,
-    orbit,
-    stable,
-)
+from kernel.branches.closed_form import TWO_PI, Orbit, floquet, multipliers, orbit, stable
 from kernel.branches.roots import Floats, Ints, Roots, roots
 from kernel.branches.spring import STEP, Spring, spring
 from kernel.params import KernelInputError
@@ -126,6 +119,8 @@ class Events(NamedTuple):
     multiplier: NDArray[np.complex128]  # (m, 2)
     admissible: NDArray[np.uint8]  # (m,) 0, or the bits of a Reason; an orbit that grazes is admissible
 
+
+Record = TypeVar("Record", bound=NamedTuple)
 
 #: The functions whose roots are events, in the order of `_tests`.
 _KINDS: Final = (
@@ -247,6 +242,13 @@ def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
         return _events(
             k, periods, np.zeros(len(at), np.intp), at, samples(k, sample_times(omega, xi, periods))
         )
+
+
+def rows_of(record: Record, which: Any) -> Record:
+    """Some rows of a record, by anything that indexes its arrays."""
+    fields = record._asdict()
+    arrays: Any = {name: values[which] for name, values in fields.items() if isinstance(values, np.ndarray)}
+    return record._replace(**arrays)
 
 
 def join_events(parts: Sequence[Events]) -> Events:

@@ -15,14 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.admissibility import (
-    Reason,
-    Samples,
-    deepest,
-    force_from,
-    force_terms,
-    gap_terms,
-)
+from kernel.branches.admissibility import Reason, Samples, deepest, force_from, force_terms, gap_terms
 from kernel.branches.closed_form import TWO_PI, multipliers, orbit
 from kernel.branches.closed_form import stable as is_stable
 from kernel.branches.events import GRAZES, Kind, check_spring, sample_times

@@ -482,7 +482,7 @@ def _distances(
     groups: Sequence[Sequence[int]],
 ) -> NDArray[np.float64]:
     """(n, groups) distances of starts' flights, times and phases (n, m), from groups of representatives."""
-    pools = [(np.concatenate([samples[i][field] for i in group]) for field in (0, 1)) for group in groups]
+    pools = [[np.concatenate([samples[i][field] for i in group]) for field in (0, 1)] for group in groups]
     return np.stack([_distance_of_rows(*flights, *pool) for pool in pools], axis=1)
 
 

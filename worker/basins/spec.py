@@ -11,19 +11,9 @@ from pydantic import Field, model_validator
 from worker.spec import AXES, SpecError, SweepSpec
 from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.contact_models import Auto, Ball, Contact, Soft, model_fields
-from worker.spec.errors import BrokenRuleError, did_you_mean
+from worker.spec.errors import BrokenRuleError
 from worker.spec.specification import Specification
-from worker.spec.sweep import (
-    Exponents,
-    Gamma,
-    Keep,
-    MicroFlight,
-    Observe,
-    Omega,
-    Settle,
-    SettleUntil,
-    Xi,
-)
+from worker.spec.sweep import Exponents, Gamma, Keep, MicroFlight, Observe, Omega, Settle, SettleUntil, Xi
 
 #: Maximum starts, rows or columns of a cell: its starts are computed and stored together.
 MAX_STARTS: Final = 512 * 512
@@ -52,19 +42,6 @@ class Plane(Strict):
     rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
     columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
     height: Annotated[float, Field(gt=0.0, le=MAX_HEIGHT), NUMBER] = 10.0
-
-    @model_validator(mode="before")
-    @classmethod
-    def _check_fields(cls, data: object) -> object:
-        """Refuse unknown fields with the names of this object's fields."""
-        for name in data if isinstance(data, dict) else ():
-            if name not in cls.model_fields:
-                fields = tuple(cls.model_fields)
-                hint = did_you_mean(name, fields) or ";"
-                raise BrokenRuleError(
-                    "", f"{name[:40]!a} is not a field here{hint} the fields are {', '.join(fields)}"
-                )
-        return data
 
     @model_validator(mode="after")
     def _size(self) -> Self:
@@ -145,8 +122,9 @@ class GridSpec(Specification):
 
     @classmethod
     def objects(cls) -> Mapping[str, tuple[str, ...]]:
-        """As for every specification, with the contact models."""
-        return {**super().objects(), **model_fields()}
+        """As for every specification, with the protocol and the contact models."""
+        protocol: type[Plane] = cls.__annotations__.get("protocol", Plane)
+        return {**super().objects(), "protocol": tuple(protocol.model_fields), **model_fields()}
 
     @property
     def shape(self) -> tuple[int, int, int]:

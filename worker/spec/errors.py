@@ -106,8 +106,8 @@ def did_you_mean(wrong: object, names: Iterable[str]) -> str:
 def problems_of(error: ValidationError, fields: Mapping[str, Sequence[str]]) -> list[Problem]:
     """Convert pydantic's errors to at most MAX_PROBLEMS problems and one that counts the others.
 
-    fields: the field names of every object by its tag; `""` is the specification itself. Tags of unions
-    look like `<range>` and are not part of a field's path.
+    fields: the field names of every object by its tag or name; `""` is the specification itself. Tags of
+    unions look like `<range>` and are not part of a field's path.
     """
     entries = error.errors(include_url=False)
     problems = [_problem(entry, fields) for entry in entries[:MAX_PROBLEMS]]
@@ -141,8 +141,8 @@ def _problem(entry: _Entry, fields: Mapping[str, Sequence[str]]) -> Problem:
     if isinstance(cause, BrokenRuleError):
         return Problem(_path([*location, *filter(None, cause.field.split("."))]), cause.rule, cause.code)
     if entry["type"] == "extra_forbidden":
-        tag = next((part for part in reversed(location) if _is_tag(part)), "")
-        return Problem(_path(location), _unknown(location[-1], fields[str(tag)]), "unknown")
+        owner = next((part for part in reversed(location[:-1]) if part in fields), "")
+        return Problem(_path(location), _unknown(location[-1], fields[str(owner)]), "unknown")
     rule = _RULES.get(entry["type"])
     text = rule(entry) if rule else _shorten(str(entry["msg"]), 200)
     return Problem(_path(location), text, code_of(entry["type"]))

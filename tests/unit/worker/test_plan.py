@@ -30,6 +30,7 @@ from worker.plan import (
     TARGET_SECONDS,
     Chunk,
     Plan,
+    block,
     make_plan,
     tile_shape,
 )
@@ -83,7 +84,7 @@ def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
 
 @given(grids, st.integers(1, 2000))
 def test_chunks_hold_no_more_cells_than_asked_for(spec, cells):
-    assert all(chunk.cells <= cells for chunk in make_plan(spec, chunk_cells=cells))
+    assert all(chunk.cells <= cells for chunk in make_plan(spec, block(spec, cells)))
 
 
 @pytest.mark.parametrize("axis", AXES)
@@ -142,13 +143,14 @@ def test_those_models_fill_lanes_that_the_kernel_computes_in_lanes(kind):
 )
 def test_a_chunk_of_a_ramp_in_lanes_has_lines_to_fill_them(lines, cells, shape):
     spec = sweep(omega=50, gamma=lines, ramp=("omega", "up"))
-    assert make_plan(spec, chunk_cells=cells).chunk_shape == shape
+    assert block(spec, cells) == shape
 
 
 @given(grids, st.integers(1, 500))
 def test_a_line_from_rest_touches_few_chunks_whichever_axis_it_goes_along(spec, cells):
     """No axis is cut into more parts than the least number that all of them could be cut into."""
-    plan = make_plan(spec.model_copy(update={"protocol": sweep().protocol}), chunk_cells=cells)
+    spec = spec.model_copy(update={"protocol": sweep().protocol})
+    plan = make_plan(spec, block(spec, cells))
     fewest = next(
         parts
         for parts in range(1, 10)
@@ -174,7 +176,7 @@ def test_a_chunk_costs_an_eighth_of_the_sweep_within_bounds(gamma):
     ],
 )
 def test_blocks_from_rest_are_balanced(grid, cells, shape):
-    assert make_plan(sweep(*grid), chunk_cells=cells).chunk_shape == shape
+    assert block(sweep(*grid), cells) == shape
 
 
 def test_a_chunk_that_is_long_in_bytes_can_be_halved():
@@ -183,7 +185,7 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
     for cells in (900_000, 400_000, 200_000, 9):
         spec = sweep(omega=1003, gamma=1003, keep=10_000 if cells == 9 else 1)
         assert (cells * schema.bytes_per_cell(spec) > MAX_CHUNK_BYTES) == (cells >= 600_000)
-        shapes[cells] = make_plan(spec, chunk_cells=cells).chunk_shape
+        shapes[cells] = block(spec, cells)
     assert shapes == {900_000: (1, 496, 1003), 400_000: (1, 502, 502), 200_000: (1, 335, 502), 9: (1, 3, 3)}
 
 
@@ -210,10 +212,10 @@ def test_million_chunks_are_planned_without_being_made():
     assert isinstance(plan, Plan)
 
 
-@pytest.mark.parametrize("wrong", [{"chunk_cells": 0}, {"chunk_shape": (1, 0, 1)}, {"chunk_shape": (1, 1)}])
+@pytest.mark.parametrize("wrong", [(1, 0, 1), (1, 1)])
 def test_impossible_chunks_are_refused(wrong):
-    with pytest.raises(ValueError, match=r"^chunk_(cells|shape): must be "):
-        make_plan(sweep(gamma=10), **wrong)
+    with pytest.raises(ValueError, match=r"^chunk_shape: must be "):
+        make_plan(sweep(gamma=10), wrong)
 
 
 @given(st.lists(st.tuples(st.integers(1, 7), st.integers(1, 9)), min_size=1, max_size=4))
