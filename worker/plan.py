@@ -166,10 +166,7 @@ def make_plan(
     if chunk_shape is None and spec.refine is not None:
         chunk_shape = tile_shape(spec, spec.refine.coarsest)
     if chunk_shape is None:
-        cells = _cells_per_chunk(spec, longest)
-        chunk_shape = block(spec, cells)
-        if cells * bytes_per_cell(spec) > MAX_CHUNK_BYTES:
-            chunk_shape = tuple(map(_halvable, chunk_shape, grid))
+        chunk_shape = block(spec, _cells_per_chunk(spec, longest))
     if spec.refine is not None and chunk_shape[0] > 1:
         raise ValueError(f"chunk_shape: tiles of an adaptive map have one xi, not {chunk_shape[0]}")
     ramp = None if spec.ramp_axis is None else AXES.index(spec.ramp_axis)
@@ -204,9 +201,10 @@ def _halvable(size: int, cells: int) -> int:
     return size - size % next(unit for unit in (8, 4, 2, 1) if size >= unit * unit or unit == 1)
 
 
-def block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
+def block(spec: SweepSpec, cells: int) -> tuple[int, ...]:
     """Chunk shape of at most `cells` cells: as long as possible along the ramp, then balanced."""
     grid = dict(zip(AXES, spec.shape[1:], strict=True))
+    is_long = cells * bytes_per_cell(spec) > MAX_CHUNK_BYTES
     along: dict[str, int] = {}
     if spec.ramp_axis:
         # all lanes, or one vector of them if there are few lines
@@ -216,7 +214,8 @@ def block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
         along, cells = {spec.ramp_axis: length}, cells // length
         cells -= cells % at_once if cells > at_once else 0  # lines that fill the lanes
     size = along | _balanced(grid, max(1, cells))
-    return size["xi"], size["omega"], size["gamma"]
+    shape = tuple(size[axis] for axis in AXES)
+    return tuple(map(_halvable, shape, spec.shape[1:])) if is_long else shape
 
 
 def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kernel.branches.admissibility import (
     Check,
-    Minima,
+    Condition,
     Samples,
     check,
     force_at_landing,
@@ -355,22 +355,15 @@ def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, edge:
             ok &= (root >= low) & (root <= high)
             # another minimum may be below zero where this one passes it
             middle = np.where(ok, root, 0.5 * (low + high))
-            broken, minima = _condition(k, periods, middle, at, contact, np.where(ok, GRAZES, 0.0))
+            held = check(k, periods, middle, orbit(k, periods, middle), at, np.where(ok, GRAZES, 0.0))
+            broken, minimum, _ = held.force if contact else held.gap
             ok &= ~broken
             where.append(root[ok])
             which.append(np.full(int(ok.sum()), _KINDS.index(kind), np.intp))
             low, high = np.where(broken == first, middle, low), np.where(broken == first, high, middle)
-            time = np.where(broken, minima.time, time)
+            time = np.where(broken, minimum, time)
             low, high, first, time = low[~ok], high[~ok], first[~ok], time[~ok]
     return Roots(np.concatenate(which), np.concatenate(where))
-
-
-def _condition(
-    k: Spring, periods: int, t: Floats, at: Samples, contact: bool, tolerance: Floats
-) -> tuple[NDArray[np.bool_], Minima]:
-    """Whether the condition of contact or flight is broken, and its deepest minimum."""
-    found = check(k, periods, t, orbit(k, periods, t), at, tolerance)
-    return (found.force_broken, found.force) if contact else (found.gap_broken, found.gap)
 
 
 def _brackets(
@@ -389,18 +382,14 @@ def _brackets(
     times = times[order]
     held = np.searchsorted(times, edge) - 1
 
-    def between(broken: NDArray[np.bool_], time: Floats) -> _Brackets:
-        broken, time = broken[order], time[order]
+    def between(condition: Condition, beside: Condition) -> _Brackets:
+        broken = np.append(condition.broken, beside.broken)[order]
+        time = np.append(condition.time, beside.time)[order]
         changes = np.setdiff1d(np.flatnonzero(broken[:-1] != broken[1:]), held)
         first = broken[changes]
         return _Brackets(times[changes], times[changes + 1], first, time[changes + ~first])
 
-    return (
-        between(np.append(found.gap_broken, inner.gap_broken), np.append(found.gap.time, inner.gap.time)),
-        between(
-            np.append(found.force_broken, inner.force_broken), np.append(found.force.time, inner.force.time)
-        ),
-    )
+    return between(found.gap, inner.gap), between(found.force, inner.force)
 
 
 def _touch(k: Spring, periods: int, inside: _Brackets, contact: bool) -> tuple[Floats, NDArray[np.bool_]]:

@@ -260,7 +260,7 @@ def conditions(k: Spring, letters: str, u: Floats, found: Round, at: Samples) ->
             impact = found.impacts[flown]
             flown += 1
             weights = np.array([x.c, x.s, press, x.v, -n if part.power == 2 else 0.0 * n]) * scale
-            gap, _ = deepest(k, _gap_terms, weights, 0.0 * t, t, impact * scale, at.time, at.gap, GRAZES)
+            gap = deepest(k, _gap_terms, weights, 0.0 * t, t, impact * scale, at.time, at.gap, GRAZES)
             rows.append((Kind.GRAZE_FLIGHT, Reason.GAP, i, gap.depth, gap.time))
             rows.append((Kind.GRAZE_FLIGHT, Reason.GAP, i, -impact * scale, none))
             if part.power == 2:
@@ -273,9 +273,7 @@ def conditions(k: Spring, letters: str, u: Floats, found: Round, at: Samples) ->
             weights = force_from(k, x.q, x.v, x.c, x.s) * scale
             after = State(*(y[0] for y in found.starts[i + 1]))
             slope = after.s - b * (after.c - 1.0 - b * after.v - w * after.q) - w * after.v
-            pull, _ = deepest(
-                k, force_terms, weights, 2.0 * scale, t, slope * scale, at.time, at.force, GRAZES
-            )
+            pull = deepest(k, force_terms, weights, 2.0 * scale, t, slope * scale, at.time, at.force, GRAZES)
             rows.append((Kind.GRAZE_CONTACT, Reason.CONTACT, i, pull.depth, pull.time))
             rows.append((Kind.IMMEDIATE_TAKEOFF, Reason.CONTACT, i, n * scale, none))
     kind, reason, piece, value, time = zip(*rows, strict=True)
