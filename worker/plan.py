@@ -8,7 +8,7 @@ has as many lines as are computed side by side, and spans the whole ramp axis if
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, overload
@@ -109,20 +109,14 @@ class Plan(Sequence[Chunk]):
     def __len__(self) -> int:
         return max(len(self.directions), 1) * math.prod(self.counts)
 
-    def __iter__(self) -> Iterator[Chunk]:
-        return map(self.chunk, range(len(self)))
-
     @overload
     def __getitem__(self, index: int) -> Chunk: ...
     @overload
     def __getitem__(self, index: slice) -> Sequence[Chunk]: ...
     def __getitem__(self, index: int | slice) -> Chunk | Sequence[Chunk]:
         if isinstance(index, slice):
-            return [self.chunk(i) for i in range(len(self))[index]]
-        return self.chunk(range(len(self))[index])
-
-    def chunk(self, index: int) -> Chunk:
-        """The chunk at `index`, 0 <= index < len(plan)."""
+            return [self[i] for i in range(len(self))[index]]
+        index = range(len(self))[index]
         wave, line = divmod(index, self.lines)
         coords = [int(coord) for coord in np.unravel_index(line, self._counts_beside_ramp)]
         direction = 0 if self.directions else None

@@ -225,16 +225,14 @@ OUTCOME_FLAGS: Final[dict[str, Any]] = {
     "flag_meanings": " ".join(outcome.name.lower() for outcome in Outcome),
 }
 _NAN: Final = float("nan")
-_COUNT: Final[dict[str, Any]] = {"units": "1"}
-_ANGLE: Final[dict[str, Any]] = {"units": "rad"}
 
 
 def array(
-    name: str, dims: tuple[str, ...], dtype: str, long_name: str, units: str = "1", **attrs: Any
+    name: str, dims: tuple[str, ...], dtype: str, long_name: str, units: str | None = "1", **attrs: Any
 ) -> Array:
     """An array with NaN, or zero, in cells that are not computed."""
-    fill = _NAN if dtype in ("<f8", "<c16") else 0
-    return Array(name, dims, dtype, fill, {"long_name": long_name, "units": units, **attrs})
+    about = {"long_name": long_name} if units is None else {"long_name": long_name, "units": units}
+    return Array(name, dims, dtype, _NAN if dtype in ("<f8", "<c16") else 0, about | attrs)
 
 
 def whether_computed(dims: tuple[str, ...], otherwise: str) -> Array:
@@ -246,67 +244,40 @@ def whether_computed(dims: tuple[str, ...], otherwise: str) -> Array:
     )
 
 
-def _array(name: str, dtype: str, long_name: str, attrs: dict[str, Any], extra: str = "") -> Array:
-    dims = (*CELL_DIMS, extra) if extra else CELL_DIMS
-    return Array(name, dims, dtype, _NAN if dtype == "<f8" else 0, {"long_name": long_name, **attrs})
-
-
 RECORD: Final = (
-    _array(
-        "flight_time",
-        "<f8",
-        "flight time, last flights of the window in order",
-        {
-            **_ANGLE,
-            "comment": "those of a periodic cell are within 6e-6 rad of its cycle, within 1.2e-4 rad if "
-            "settle_until extended it: what is left of a slow approach",
-        },
-        "flight",
-    ),
-    _array("takeoff_phase", "<f8", "plate phase at take-off, modulo 2 pi", _ANGLE, "flight"),
-    _array("flights", "<i4", "flights taken off and landed within the window", _COUNT),
-    _array("bounces", "<i4", "mode: bounces in one cycle, 0 if none was found", _COUNT),
-    _array("periods", "<i4", "mode: plate periods in one cycle, 0 if none was found", _COUNT),
-)
-END_STATE: Final = _array(
-    "end_state", "<f8", "state at the end of the window, in the cell's own units",
-    {"fields": " ".join(STATE_FIELDS)}, "state",
+    array("flight_time", (*CELL_DIMS, "flight"), "<f8", "flight time, last flights of the window in order",
+          "rad", comment="those of a periodic cell are within 6e-6 rad of its cycle, within 1.2e-4 rad if "
+          "settle_until extended it: what is left of a slow approach"),
+    array("takeoff_phase", (*CELL_DIMS, "flight"), "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
+    array("flights", CELL_DIMS, "<i4", "flights taken off and landed within the window"),
+    array("bounces", CELL_DIMS, "<i4", "mode: bounces in one cycle, 0 if none was found"),
+    array("periods", CELL_DIMS, "<i4", "mode: plate periods in one cycle, 0 if none was found"),
 )  # fmt: skip
-LYAPUNOV: Final = _array(
-    "lyapunov", "<f8", "Lyapunov exponents, the largest first",
-    {
-        "units": "1",
-        "comment": "per plate period, natural logarithm; -inf: a lost direction, NaN: a failed run",
-    },
-    "exponent",
+END_STATE: Final = array(
+    "end_state", (*CELL_DIMS, "state"), "<f8", "state at the end of the window, in the cell's own units",
+    None, fields=" ".join(STATE_FIELDS),
 )  # fmt: skip
-LYAPUNOV_ERROR: Final = _array(
-    "lyapunov_error", "<f8", "standard error of the largest Lyapunov exponent",
-    {
-        "units": "1",
-        "comment": "per plate period, by the means of ten parts of the window; NaN: a lost direction, a "
-        "failed run, or observe below 40. For a chaotic motion; others converge faster",
-    },
+LYAPUNOV: Final = array(
+    "lyapunov", (*CELL_DIMS, "exponent"), "<f8", "Lyapunov exponents, the largest first",
+    comment="per plate period, natural logarithm; -inf: a lost direction, NaN: a failed run",
 )  # fmt: skip
-COMPUTED: Final = _array(
-    "computed", "|u1", "whether the cell was computed",
-    {
-        "flag_values": [0, 1],
-        "flag_meanings": "taken_from_its_block computed",
-        "comment": "0: outcome and mode are those of the nearest computed corner or centre of its block",
-    },
+LYAPUNOV_ERROR: Final = array(
+    "lyapunov_error", CELL_DIMS, "<f8", "standard error of the largest Lyapunov exponent",
+    comment="per plate period, by the means of ten parts of the window; NaN: a lost direction, a failed run, "
+    "or observe below 40. For a chaotic motion; others converge faster",
+)  # fmt: skip
+COMPUTED: Final = array(
+    "computed", CELL_DIMS, "|u1", "whether the cell was computed", None,
+    flag_values=[0, 1], flag_meanings="taken_from_its_block computed",
+    comment="0: outcome and mode are those of the nearest computed corner or centre of its block",
 )  # fmt: skip
 #: Values that a cell which is not computed takes from its block.
 MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
 #: Written last: a cell with an outcome has all its values.
-OUTCOME: Final = _array(
-    "outcome", "|u1", "what became of the cell",
-    {
-        **_COUNT,
-        **OUTCOME_FLAGS,
-        "comment": "of the window: 3 % of aperiodic cells are periodic in the end, chaotic transients that "
-        "settle_until does not extend; a start exactly on an unstable cycle is periodic there",
-    },
+OUTCOME: Final = array(
+    "outcome", CELL_DIMS, "|u1", "what became of the cell", **OUTCOME_FLAGS,
+    comment="of the window: 3 % of aperiodic cells are periodic in the end, chaotic transients that "
+    "settle_until does not extend; a start exactly on an unstable cycle is periodic there",
 )  # fmt: skip
 
 COORDINATES: Final = (

@@ -124,6 +124,11 @@ def force_from(k: Spring, q: Array, v: Array, c: Array, s: Array) -> Array:
     return np.array([n_re * c - n_im * s, n_re * s + n_im * c, h2, -b * h2 - w * h1])
 
 
+def combination(k: Spring, x: Orbit, t: Array, contact: bool) -> tuple[Terms, Array, float]:
+    """Terms, weights and offset of the gap in flight, or of n in contact, in units of g/omega**2."""
+    return (force_terms, force_weights(k, x, t), 2.0) if contact else (gap_terms, gap_weights(x), 0.0)
+
+
 def force_at_landing(k: Spring, x: Orbit, t: Array) -> Array:
     """n of a mass that has just landed, in units of g/omega**2."""
     driven = x.c * np.cos(t) - x.s * np.sin(t)

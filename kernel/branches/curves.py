@@ -15,16 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.admissibility import (
-    check,
-    force_at_landing,
-    force_slope,
-    force_terms,
-    force_weights,
-    gap_terms,
-    gap_weights,
-    samples,
-)
+from kernel.branches.admissibility import check, combination, force_at_landing, force_slope, samples
 from kernel.branches.closed_form import TWO_PI, Orbit, floquet, orbit
 from kernel.branches.events import (
     EDGES,
@@ -167,15 +158,11 @@ class _Zero:
         """n at landing, gap' there, n' at take-off, or the gap or n at a fixed time inside (1,)."""
         if self.kind is Kind.IMMEDIATE_TAKEOFF:
             return force_at_landing(k, x, t)
-        if self.kind is Kind.GRAZE_FLIGHT:
-            if math.isfinite(self.time):
-                terms, _, _ = gap_terms(k, np.array([complex(self.time)]))
-                return np.asarray((gap_weights(x) * terms).sum(axis=0))
-            return x.impact
-        if math.isfinite(self.time):
-            terms, _, _ = force_terms(k, np.array([complex(self.time)]))
-            return np.asarray((force_weights(k, x, t) * terms).sum(axis=0) + 2.0)
-        return force_slope(k, x)
+        if math.isnan(self.time):
+            return x.impact if self.kind is Kind.GRAZE_FLIGHT else force_slope(k, x)
+        terms, weights, offset = combination(k, x, t, self.kind is Kind.GRAZE_CONTACT)
+        value, _, _ = terms(k, np.array([complex(self.time)]))
+        return np.asarray((weights * value).sum(axis=0) + offset)
 
 
 def _grazes_at(plane: _Plane, kind: Kind, t: float, p: float) -> float:
@@ -191,13 +178,11 @@ def _grazes_at(plane: _Plane, kind: Kind, t: float, p: float) -> float:
 def _minimum(plane: _Plane, kind: Kind, t: float, p: float, time: float) -> float:
     """The time of the minimum next to `time`; NaN if it has left the flight or contact."""
     k, at = plane.spring(p), np.array([t])
-    x = orbit(k, plane.periods, at)
-    flies = kind is Kind.GRAZE_FLIGHT
-    weights = gap_weights(x) if flies else force_weights(k, x, at)
-    end = t if flies else TWO_PI * plane.periods - t
+    contact = kind is Kind.GRAZE_CONTACT
+    terms, weights, _ = combination(k, orbit(k, plane.periods, at), at, contact)
+    end = TWO_PI * plane.periods - t if contact else t
     for _ in range(_CORRECTOR):
-        terms = (gap_terms if flies else force_terms)(k, np.array([time]))
-        _, slope, bend = (float((weights * y).sum()) for y in terms)
+        _, slope, bend = (float((weights * y).sum()) for y in terms(k, np.array([time])))
         if not bend > 0.0:
             return math.nan
         time -= slope / bend

@@ -12,12 +12,9 @@ from kernel.branches.admissibility import (
     Condition,
     Samples,
     check,
+    combination,
     force_at_landing,
     force_slope,
-    force_terms,
-    force_weights,
-    gap_terms,
-    gap_weights,
     samples,
 )
 from kernel.branches.closed_form import TWO_PI, Orbit, floquet, multipliers, orbit, stable
@@ -402,11 +399,8 @@ def _touch(k: Spring, periods: int, inside: _Brackets, contact: bool) -> tuple[F
     for number in range(_STEPS):
         z = t + 1j * STEP
         x = orbit(k, periods, z)
-        if contact:
-            terms, weights, offset = force_terms(k, time), force_weights(k, x, z), 2.0
-        else:
-            terms, weights, offset = gap_terms(k, time), gap_weights(x), 0.0
-        f, f1, f2 = (np.einsum("in,in->n", weights, y) for y in terms)
+        terms, weights, offset = combination(k, x, z, contact)
+        f, f1, f2 = (np.einsum("in,in->n", weights, y) for y in terms(k, time))
         f, by_t, f1_by_t = f.real + offset, f.imag / STEP, f1.imag / STEP
         f1, f2 = f1.real, f2.real
         det = by_t * f2 - f1 * f1_by_t

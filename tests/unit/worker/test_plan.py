@@ -77,7 +77,6 @@ def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
     assert [chunk.index for chunk in chunks] == list(range(len(plan)))
     assert all(chunk.after is None or chunk.after < chunk.index for chunk in chunks)
     assert sum(chunk.after is None for chunk in chunks) == plan.lines
-    assert [plan.chunk(i) for i in range(len(plan))] == chunks
     coords = layout(spec, plan.chunk_shape).coords
     assert [plan.number(*coords(chunk.slices)) for chunk in chunks] == list(range(len(plan)))
 
@@ -107,7 +106,7 @@ def line_up_to(plan: Plan, chunk: Chunk) -> list[Chunk]:
     """A chunk and all it waits for, first to last."""
     line = [chunk]
     while line[0].after is not None:
-        line.insert(0, plan.chunk(line[0].after))
+        line.insert(0, plan[line[0].after])
     return line
 
 
@@ -238,7 +237,7 @@ def test_chunks_of_other_grids_partition_them_in_order(axes: list[tuple[int, int
 
 def test_a_plan_is_a_sequence():
     plan = make_plan(sweep(omega=2, gamma=6), chunk_shape=(1, 1, 4))
-    assert plan[-1] == plan.chunk(3) == list(plan)[3]
+    assert plan[-1] == plan[3] == list(plan)[3]
     assert plan[1:3] == [plan[1], plan[2]]
     assert plan[::-2] == [plan[3], plan[1]]
     assert plan[4:] == []
