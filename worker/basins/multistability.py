@@ -6,7 +6,7 @@ attractors of neighbouring cells are the same if each leads to the other.
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -115,25 +115,19 @@ def _reduced(line: Line, micro_flight: float, keep: int) -> _Arrays:
     return answer
 
 
-def _reached(answer: _Arrays) -> list[Reached]:
-    """An answer, run by run."""
-    columns = [answer[name] if answer[name].ndim > 1 else answer[name].tolist() for name in Reached._fields]
-    return [Reached(*fields) for fields in zip(*columns, strict=True)]
-
-
 class _Cells:
     """The known attractors in the cells of a chunk: its record, with the lines as first dimension."""
 
     def __init__(self, record: _Arrays) -> None:
         self.of = {name: array.reshape(-1, *array.shape[2:]) for name, array in record.items()}
 
-    def known(self, line: int, j: int) -> list[Reached]:
-        """The stored attractors of a cell."""
-        stored = min(int(self.of["attractor_count"][line, j]), MAX_ATTRACTORS)
-        return [
-            Reached(*(self.of[_STORED.get(name, name)][line, j, k] for name in Reached._fields))
-            for k in range(stored)
-        ]
+    def id_of(self, line: int, j: int, end: Reached) -> int | None:
+        """The id of the stored attractor of a cell on which a run ends; None if there is none."""
+        for k in range(min(int(self.of["attractor_count"][line, j]), MAX_ATTRACTORS)):
+            fields = (self.of[_STORED.get(name, name)][line, j, k] for name in Reached._fields)
+            if end.same(Reached(*fields)):
+                return k + 1
+        return None
 
     def add(self, line: int, j: int, reached: Reached, fraction: float) -> int:
         """Store a further attractor of a cell; returns its id, or NOWHERE if there is no room."""
@@ -188,7 +182,8 @@ class _Search:
             lambda: line_run(spec, cells, states, keep=CYCLE_FLIGHTS, **window),
             partial(_reduced, micro_flight=spec.micro_flight, keep=spec.keep),
         )
-        return _reached(answer)
+        columns = [x if x.ndim > 1 else x.tolist() for x in map(answer.__getitem__, Reached._fields)]
+        return [Reached(*fields) for fields in zip(*columns, strict=True)]
 
     def _drop(self, places: Sequence[tuple[int, int]]) -> None:
         """Find the attractors that drops reach in the cells `places`."""
@@ -196,16 +191,18 @@ class _Search:
         n = len(starts)
         first = self._run([place for place in places for _ in range(n)], np.tile(starts, (len(places), 1)))
         ends = [first[i : i + n] for i in range(0, len(first), n)]
-        further = [_further(of_cell) for of_cell in ends]
-        again = [
-            (place, of_cell[i].state)
-            for place, of_cell, some in zip(places, ends, further, strict=True)
-            for i in some
+        standing = [
+            (place, of_cell, members)
+            for place, of_cell in zip(places, ends, strict=True)
+            for members in _standing(of_cell)
         ]
-        if again:
-            later = iter(self._run([place for place, _ in again], np.stack([state for _, state in again])))
-            for of_cell, some in zip(ends, further, strict=True):
-                _run_on(of_cell, {i: next(later) for i in some})
+        if standing:
+            states = np.stack([of_cell[members[0]].state for _, of_cell, members in standing])
+            later = self._run([place for place, _, _ in standing], states)
+            for (_, of_cell, members), end in zip(standing, later, strict=True):
+                if end.decided or of_cell[members[0]].outcome == Outcome.APERIODIC:
+                    for i in members:
+                        of_cell[i] = end
         for place, of_cell in zip(places, ends, strict=True):
             groups = [[of_cell[i] for i in group] for group in _groups(of_cell)]
             for group in sorted(groups, key=lambda group: (-len(group), *group[0].order)):
@@ -225,7 +222,7 @@ class _Search:
         unknown = [
             i
             for i, ((line, _), end) in enumerate(zip(waiting, ends, strict=True))
-            if end.decided and not any(end.same(other) for other in self._cells.known(line, neighbour))
+            if end.decided and self._cells.id_of(line, neighbour, end) is None
         ]
         if unknown:
             places = [(waiting[i][0], neighbour) for i in unknown]
@@ -233,35 +230,17 @@ class _Search:
             for i, end in zip(unknown, later, strict=True):
                 ends[i] = end
         for (line, k), end in zip(waiting, ends, strict=True):
-            self._cells.of[name][line, j, k] = self._id_of(line, neighbour, end)
-
-    def _id_of(self, line: int, j: int, end: Reached) -> int:
-        """The id of an attractor of a cell, which may be new; NOWHERE without one."""
-        if not end.decided:
-            return NOWHERE
-        for number, other in enumerate(self._cells.known(line, j)):
-            if end.same(other):
-                return number + 1
-        return self._cells.add(line, j, end, 0.0)
+            reached = NOWHERE
+            if end.decided:
+                known = self._cells.id_of(line, neighbour, end)
+                reached = self._cells.add(line, neighbour, end, 0.0) if known is None else known
+            self._cells.of[name][line, j, k] = reached
 
 
-def _further(ends: Sequence[Reached]) -> list[int]:
-    """The starts of a cell that run on: the first on each cycle, and every aperiodic one."""
+def _standing(ends: Sequence[Reached]) -> list[list[int]]:
+    """The starts of a cell whose first runs on for all: those on each cycle, and every aperiodic one."""
     cycles = [group for group in _groups(ends) if ends[group[0]].outcome == Outcome.PERIODIC]
-    aperiodic = [i for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC]
-    return sorted([*(group[0] for group in cycles), *aperiodic])
-
-
-def _run_on(ends: list[Reached], later: Mapping[int, Reached]) -> None:
-    """Replace the ends of the starts that ran on, and of the starts on the same cycle."""
-    for group in _groups(ends):
-        end = later.get(group[0])
-        if end is not None and ends[group[0]].outcome == Outcome.PERIODIC and end.decided:
-            for i in group:
-                ends[i] = end
-    for i, end in later.items():
-        if ends[i].outcome == Outcome.APERIODIC:
-            ends[i] = end
+    return sorted([*cycles, *([i] for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC)])
 
 
 def _groups(ends: Sequence[Reached]) -> list[list[int]]:
