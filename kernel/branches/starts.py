@@ -47,7 +47,7 @@ def cycles_at(cell: Cell, periods: int) -> Branch:
     with np.errstate(all="ignore"):  # poles of Gamma(T)
         value, slope = above(np.empty(0, np.intp), t)
         at = roots(above, t, value[None], slope[None]).x
-    return branch(omega, xi, periods, at) if len(at) else rows_of(branch(omega, xi, periods, t[:1]), slice(0))
+    return branch(omega, xi, periods, at)
 
 
 def start_on_stable_cycle(cell: Cell, periods: int) -> CycleStart | None:

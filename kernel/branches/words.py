@@ -319,12 +319,17 @@ def record(word: Word, unknowns: Floats) -> WordBranch:
 def from_branch(omega: float, xi: float, periods: int, flight_time: float) -> Word:
     """The cycle of one flight of flight_time rad as the word "s". Raises KernelInputError."""
     check_spring(omega, xi, periods)
-    t = np.array([flight_time])
-    x = orbit(spring(omega, xi), periods, t)
+    unknowns = one_flight(spring(omega, xi), periods, np.array([flight_time]))
+    return Word(omega, xi, "s", periods, unknowns[:, 0])
+
+
+def one_flight(k: Spring, periods: int, t: Floats) -> Floats:
+    """The unknowns (6, n) of the word "s" whose flights take t (n,) rad."""
+    x = orbit(k, periods, t)
     sin, cos = np.sin(t), np.cos(t)
-    c, s = x.c * cos - x.s * sin, x.c * sin + x.s * cos
-    u = [x.q_land[0], x.v_land[0], c[0], s[0], TWO_PI * periods - flight_time, flight_time]
-    return Word(omega, xi, "s", periods, np.array(u))
+    return np.array(
+        [x.q_land, x.v_land, x.c * cos - x.s * sin, x.c * sin + x.s * cos, TWO_PI * periods - t, t]
+    )
 
 
 def from_flights(

@@ -54,13 +54,10 @@ class Status(StrEnum):
 
 
 #: The status by the outcome of the lowest cell not at rest.
-_BY_OUTCOME: Final[dict[int, Status]] = {
-    Outcome.PERIODIC: Status.FOUND,
-    Outcome.APERIODIC: Status.FOUND,
-    Outcome.MISSING: Status.MISSING,
-    Outcome.UNRESOLVED: Status.UNRESOLVED,
-    Outcome.DIVERGED: Status.DIVERGED,
-    Outcome.SETTLING: Status.SETTLING,
+_BY_OUTCOME: Final = {
+    int(outcome): Status.FOUND if outcome in BOUNCING else Status[outcome.name]
+    for outcome in Outcome
+    if outcome is not Outcome.AT_REST
 }
 
 

@@ -112,25 +112,16 @@ class Found(NamedTuple):
     attractors: tuple[Attractor, ...]  # by fraction, the largest first
 
 
-@dataclass
 class _Ends:
-    """The ends of runs: arrays of n."""
+    """The ends of n runs."""
 
-    outcome: NDArray[np.uint8]
-    bounces: NDArray[np.int32]
-    periods: NDArray[np.int32]
-    state: NDArray[np.float64]  # (n, len(STATE_FIELDS))
-    cycle: NDArray[np.float64]  # (n, 4) of a cycle: sum, sum of squares, shortest and longest flight
-    time: NDArray[np.float32]  # (n, START_FLIGHTS) last flights that count, without a cycle; NaN beyond
-    phase: NDArray[np.float32]
-
-    @classmethod
-    def empty(cls, n: int) -> "_Ends":
-        flights = np.full((n, START_FLIGHTS), np.nan, np.float32)
-        return cls(
-            np.zeros(n, np.uint8), np.zeros(n, np.int32), np.zeros(n, np.int32),
-            np.zeros((n, len(STATE_FIELDS))), np.zeros((n, 4)), flights, flights.copy(),
-        )  # fmt: skip
+    def __init__(self, n: int) -> None:
+        self.outcome = np.zeros(n, np.uint8)
+        self.bounces, self.periods = np.zeros((2, n), np.int32)
+        self.state = np.zeros((n, len(STATE_FIELDS)))
+        self.cycle = np.zeros((n, 4))  # sum, sum of squares, shortest and longest flight
+        #: Times and phases of the last flights that count, without a cycle; NaN beyond.
+        self.time, self.phase = np.full((2, n, START_FLIGHTS), np.nan, np.float32)
 
 
 def find(starts: NDArray[np.float64], spec: BasinSpec, run: Run) -> Found:
@@ -148,7 +139,7 @@ class _Search:
         self._extends = spec.settle_until is None  # transient motion may once continue beyond `until`
         self._owner = np.full(len(starts), -1)  # index into _attractors
         self._attractors: list[Attractor] = []
-        self._ends = _Ends.empty(len(starts))
+        self._ends = _Ends(len(starts))
         self._starts = starts
 
     def found(self) -> Found:
