@@ -13,7 +13,6 @@ from enum import StrEnum
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernel.branches.admissibility import check, combination, force_at_landing, force_slope, samples
 from kernel.branches.closed_form import TWO_PI, Orbit, floquet, orbit
@@ -28,6 +27,7 @@ from kernel.branches.events import (
     join_events,
     sample_times,
 )
+from kernel.branches.roots import Floats
 from kernel.branches.spring import STEP, Array, Spring, spring
 from kernel.params import KernelInputError
 
@@ -104,7 +104,7 @@ class _Plane(NamedTuple):
         """The spring of a parameter, which may be complex."""
         return spring(p, self.fixed) if self.parameter is Parameter.OMEGA else spring(self.fixed, p)
 
-    def sides(self) -> NDArray[np.float64]:
+    def sides(self) -> Floats:
         """What steps are measured in."""
         return np.array([TWO_PI * self.periods, self.high - self.low])
 
@@ -133,7 +133,7 @@ class _Zero:
         self.plane, self.kind = plane, kind
         self.time = self.begins = _grazes_at(plane, kind, t, p) if kind in _GRAZE else math.nan
 
-    def __call__(self, t: float, p: float) -> tuple[float, NDArray[np.float64]]:
+    def __call__(self, t: float, p: float) -> tuple[float, Floats]:
         """The value, and its gradient by T and by the parameter."""
         plane, kind = self.plane, self.kind
         if kind not in EDGES:
@@ -168,9 +168,8 @@ class _Zero:
 def _grazes_at(plane: _Plane, kind: Kind, t: float, p: float) -> float:
     """When the gap or n is least inside the flight or contact, rad; NaN: it grazes at an end of it."""
     k, at = plane.spring(p), np.array([t])
-    omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
     x = orbit(k, plane.periods, at)
-    found = check(k, plane.periods, at, x, samples(k, sample_times(omega, xi, plane.periods)), GRAZES)
+    found = check(k, plane.periods, at, x, samples(k, sample_times(k, plane.periods)), GRAZES)
     least = found.gap if kind is Kind.GRAZE_FLIGHT else found.force
     return float(least.time[0]) if abs(least.depth[0]) < _TOUCHES else math.nan
 
@@ -211,7 +210,7 @@ def curves(
     plane = _Plane(parameter, fixed, low, high, periods)
     for p in (low, high):
         check_spring(*((p, fixed) if parameter is Parameter.OMEGA else (fixed, p)), periods)
-    found: list[tuple[Kind, NDArray[np.float64]]] = []
+    found: list[tuple[Kind, Floats]] = []
     points_left = _ALL_POINTS
     for p in np.linspace(low, high, lines):
         k = plane.spring(float(p))
@@ -232,9 +231,7 @@ def curves(
     )
 
 
-def _known(
-    plane: _Plane, found: list[tuple[Kind, NDArray[np.float64]]], kind: Kind, t: float, p: float
-) -> bool:
+def _known(plane: _Plane, found: list[tuple[Kind, Floats]], kind: Kind, t: float, p: float) -> bool:
     """Whether a curve found already passes through (t, p)."""
     sides = plane.sides()
     for other, line in found:
@@ -250,7 +247,7 @@ def _known(
     return False
 
 
-def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> NDArray[np.float64]:
+def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> Floats:
     """The curve (m, 2) through (t, p), both ways."""
     zero = _Zero(plane, kind, t, p)
     forward, closed = _walk(zero, t, p, 1.0)
@@ -260,12 +257,12 @@ def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> NDArray[np.float64]
     return np.array([*backward[::-1], [t, p], *forward])
 
 
-def _walk(zero: _Zero, t: float, p: float, direction: float) -> tuple[list[NDArray[np.float64]], bool]:
+def _walk(zero: _Zero, t: float, p: float, direction: float) -> tuple[list[Floats], bool]:
     """Points of the curve from (t, p) on, and whether it came back."""
     plane, zero.time = zero.plane, zero.begins
     sides = plane.sides()
     start = np.array([t, p]) / sides
-    line: list[NDArray[np.float64]] = []
+    line: list[Floats] = []
     u, step = start, _FIRST
     tangent = direction * _tangent(zero(t, p)[1] * sides)
     low, high = plane.low / sides[1], plane.high / sides[1]
@@ -288,7 +285,7 @@ def _walk(zero: _Zero, t: float, p: float, direction: float) -> tuple[list[NDArr
     return line, False
 
 
-def _corrected(zero: _Zero, v: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _corrected(zero: _Zero, v: Floats) -> tuple[Floats, Floats]:
     """The curve's point next to v, and its gradient, in sides of the plane; NaN if there is none."""
     sides, time = zero.plane.sides(), zero.time
     gradient = np.full(2, np.nan)
@@ -307,7 +304,7 @@ def _corrected(zero: _Zero, v: NDArray[np.float64]) -> tuple[NDArray[np.float64]
     return np.full(2, np.nan), gradient
 
 
-def _on_edge(zero: _Zero, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_edge(zero: _Zero, u: Floats, v: Floats) -> Floats:
     """The curve's point on the edge of the parameter between u inside and v outside, in sides."""
     plane = zero.plane
     sides = plane.sides()
@@ -319,14 +316,12 @@ def _on_edge(zero: _Zero, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDA
     return np.array([t, p]) / sides
 
 
-def _tangent(gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+def _tangent(gradient: Floats) -> Floats:
     """The unit vector along a curve with this gradient."""
     return np.array([-gradient[1], gradient[0]]) / float(np.hypot(gradient[0], gradient[1]))
 
 
-def _codimension_2(
-    plane: _Plane, kind: Kind, line: NDArray[np.float64]
-) -> Iterator[tuple[Kind, float, float]]:
+def _codimension_2(plane: _Plane, kind: Kind, line: Floats) -> Iterator[tuple[Kind, float, float]]:
     """The codimension-2 points on a curve: kind, T, parameter."""
     if kind in EDGES:
         return
@@ -378,7 +373,7 @@ def _codimension_2_at(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[fl
     return None
 
 
-def _pieces(plane: _Plane, kind: Kind, line: NDArray[np.float64]) -> Iterator[Events]:
+def _pieces(plane: _Plane, kind: Kind, line: Floats) -> Iterator[Events]:
     """The record of a curve, without the parts on which its multipliers are not a pair but should be."""
     rows = [plane.event(kind, t, p) for t, p in line]
     keep = np.array([kind is not Kind.NEIMARK_SACKER or row.multiplier[0, 0].imag != 0.0 for row in rows])

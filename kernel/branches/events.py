@@ -195,7 +195,7 @@ def branch(omega: float, xi: float, periods: int, flight_time: Floats, tolerance
     check_spring(omega, xi, periods)
     k = spring(omega, xi)
     x = orbit(k, periods, flight_time)
-    at = samples(k, sample_times(omega, xi, periods))
+    at = samples(k, sample_times(k, periods))
     return _branch(k, periods, flight_time, x, check(k, periods, flight_time, x, at, tolerance))
 
 
@@ -208,7 +208,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
     k = spring(omega, xi)
     with np.errstate(all="ignore"):  # poles of Gamma(T)
         value, slope, x = _tests(k, periods, t)
-        at = samples(k, sample_times(omega, xi, periods))
+        at = samples(k, sample_times(k, periods))
         found = check(k, periods, t, x, at)
         zeros = roots(lambda which, at: _selected(k, periods, which, at), t, value, slope)
         grazes = _grazes(k, periods, t, found, at, zeros.x[zeros.which >= _OF_THE_TIMES])
@@ -236,9 +236,7 @@ def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
         at = at[np.hypot(x.c, x.s) < below]
         if not len(at):
             return join_events([])
-        return _events(
-            k, periods, np.zeros(len(at), np.intp), at, samples(k, sample_times(omega, xi, periods))
-        )
+        return _events(k, periods, np.zeros(len(at), np.intp), at, samples(k, sample_times(k, periods)))
 
 
 def rows_of(record: Record, which: Any) -> Record:
@@ -257,13 +255,13 @@ def join_events(parts: Sequence[Events]) -> Events:
     return Events(*(np.concatenate(fields) for fields in zip(empty, *parts, strict=True)))
 
 
-def sample_times(omega: float, xi: float, periods: int) -> Floats:
+def sample_times(k: Spring, periods: int) -> Floats:
     """Where gap and n are sampled, rad: from zero, as finely as a flight and a contact need.
 
     Each of the first is about twice the one before: where n' at take-off is nearly zero, the gap, which
     begins as its cube, dips within them.
     """
-    t = flight_times(omega, xi, periods, SAMPLES, _SAMPLED)
+    t = flight_times(float(np.real(k.omega)), float(np.real(k.xi)), periods, SAMPLES, _SAMPLED)
     return np.sort(np.concatenate([[0.0], t, t[0] * np.array([2.0, 4.0]), t[1] * np.array([2.0])]))
 
 

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from kernel.branches.closed_form import floquet, orbit, stable
 from kernel.branches.descent import End, Fold, descend, lowest_cycles, minima
-from kernel.branches.energy import Energy
 from kernel.branches.events import Branch, Events, Kind, branch, branch_and_events, flight_times, fold_events
 from kernel.branches.roots import Ints
 from kernel.branches.spring import Spring, spring
@@ -55,15 +54,11 @@ class Thresholds(NamedTuple):
     cause: str  # "Eq. 25", "fold (1,k)", "fold of word zs (2,2)" and the like, "unresolved", "not searched"
     reason: str  # why it is not decided, or empty
     fold: Fold | None  # at `down`
-    energy: Energy | None  # of the cycle at the fold
 
 
-def thresholds(
-    omega: float, xi: float, periods: int = PERIODS, words: Sequence[Word] | None = None,
-    bouncing: float = math.inf,
-) -> Thresholds:  # fmt: skip
+def thresholds(omega: float, xi: float, words: Sequence[Word] = (), bouncing: float = math.inf) -> Thresholds:
     """The thresholds as of `conjecture`, `not searched` below SEARCHED_XI. Raises KernelInputError."""
-    found = conjecture(omega, xi, periods, words, bouncing)
+    found = conjecture(omega, xi, words, bouncing)
     if xi >= SEARCHED_XI:
         return found
     says = found.reason or f"Gamma = {found.down:.6f}"
@@ -71,14 +66,11 @@ def thresholds(
         f"the rule was searched for what it misses from xi = {SEARCHED_XI:g} on; at {xi:g} other cycles may "
         f"reach lower than it says: {found.cause}, {says}"
     )
-    return found._replace(down=math.nan, cause=NOT_SEARCHED, reason=reason, fold=None, energy=None)
+    return found._replace(down=math.nan, cause=NOT_SEARCHED, reason=reason, fold=None)
 
 
-def conjecture(
-    omega: float, xi: float, periods: int = PERIODS, words: Sequence[Word] | None = None,
-    bouncing: float = math.inf,
-) -> Thresholds:  # fmt: skip
-    """The thresholds by the rule at any damping, from the branches (1,1) to (1, periods).
+def conjecture(omega: float, xi: float, words: Sequence[Word] = (), bouncing: float = math.inf) -> Thresholds:
+    """The thresholds by the rule at any damping, from the branches (1,1) to (1, PERIODS).
 
     words: stable cycles of settled cells of this spring, as `words.from_flights` gives them; each is followed
     down, too. bouncing: the lowest Gamma at which a simulation bounces; below the answer it contradicts it.
@@ -86,8 +78,8 @@ def conjecture(
     do not show what lives near such a fold. Raises KernelInputError.
     """
     gamma_th = float(threshold(omega, xi))
-    jump, folds, undecided, ends = _known(omega, xi, periods, gamma_th)
-    ends += [end for end in map(descend, words or ()) if end.gamma < gamma_th]
+    jump, folds, undecided, ends = _known(omega, xi, gamma_th)
+    ends += [end for end in map(descend, words) if end.gamma < gamma_th]
     folds += [end.fold for end in ends if end.fold is not None]
     lowest = min(folds, key=lambda fold: fold.gamma, default=None)
     down = gamma_th if lowest is None else lowest.gamma
@@ -97,16 +89,14 @@ def conjecture(
         reasons.append(f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed")
     if reasons:
         text = "; ".join(dict.fromkeys(reasons))
-        return Thresholds(omega, xi, gamma_th, jump, math.nan, UNRESOLVED, text, None, None)
+        return Thresholds(omega, xi, gamma_th, jump, math.nan, UNRESOLVED, text, None)
     if lowest is None:
-        return Thresholds(omega, xi, gamma_th, jump, gamma_th, EQ_25, "", None, None)
-    return Thresholds(omega, xi, gamma_th, jump, down, lowest.name, "", lowest, lowest.energy)
+        return Thresholds(omega, xi, gamma_th, jump, gamma_th, EQ_25, "", None)
+    return Thresholds(omega, xi, gamma_th, jump, down, lowest.name, "", lowest)
 
 
-def _known(
-    omega: float, xi: float, periods: int, below: float
-) -> tuple[float, list[Fold], list[Fold], list[End]]:
-    """What the branches (1,1) to (1, periods) show below a Gamma.
+def _known(omega: float, xi: float, below: float) -> tuple[float, list[Fold], list[Fold], list[End]]:
+    """What the branches (1,1) to (1, PERIODS) show below a Gamma.
 
     The jump, the folds at which stable cycles end, those that do not decide, and where stable cycles end
     otherwise, followed as far as it may matter.
@@ -116,7 +106,7 @@ def _known(
     folds: list[Fold] = []
     cycles: list[_LastCycle] = []
     flips: list[Word] = []
-    for n in range(1, periods + 1):
+    for n in range(1, PERIODS + 1):
         if n > 1 and not _reaches(k, omega, xi, n, below):
             folds += minima(k, fold_events(omega, xi, n, below), below)
             continue

@@ -231,8 +231,7 @@ class Conditions(NamedTuple):
 
 def samples(k: Spring, periods: int) -> Samples:
     """Of flights and contacts of a word, to be made once for a spring."""
-    omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
-    t = sample_times(omega, xi, periods)
+    t = sample_times(k, periods)
     return Samples(t, _gap_terms(k, t)[:2], force_terms(k, t)[:2])
 
 

@@ -64,8 +64,7 @@ def compute(study: None, query: ThresholdQuery, *computed: Thresholds) -> xarray
     }  # fmt: skip
     if found.fold is not None:
         data |= {"lifetime": lifetime(found.fold, query.delta), "delta": query.delta}
-    if found.energy is not None:
-        data |= {name: values[0] for name, values in found.energy._asdict().items()}
+        data |= {name: values[0] for name, values in found.fold.energy._asdict().items()}
     return xarray.Dataset(
         {row.name: variable((), data.get(row.name, np.nan), row) for row in _ROWS},
         {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")},

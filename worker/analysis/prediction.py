@@ -96,4 +96,4 @@ def _thresholds(omega: float, xi: float, **known: Any) -> Thresholds:
 
 def _undecided(omega: float, xi: float, reason: str) -> Thresholds:
     gamma_th = float(threshold(omega, xi))
-    return Thresholds(omega, xi, gamma_th, math.nan, math.nan, UNRESOLVED, reason, None, None)
+    return Thresholds(omega, xi, gamma_th, math.nan, math.nan, UNRESOLVED, reason, None)
