@@ -141,7 +141,7 @@ def force_slope(k: Spring, x: Orbit) -> Array:
 
 
 def check(
-    k: Spring, periods: int, t: Floats, x: Orbit, at: Samples, tolerance: NDArray[np.float64] | float = 0.0
+    k: Spring, periods: int, t: Floats, x: Orbit, at: Samples, tolerance: Floats | float = 0.0
 ) -> Check:
     """Follow the orbits `x` with flights of t rad (n,).
 
@@ -183,7 +183,7 @@ def _combined(weights: Floats, terms: Floats) -> Floats:
 
 def deepest(
     k: Spring, terms: Terms, weights: Floats, offset: Floats, end: Floats, end_slope: Floats, nodes: Floats,
-    at_nodes: tuple[Floats, Floats], tolerance: NDArray[np.float64] | float,
+    at_nodes: tuple[Floats, Floats], tolerance: Floats | float,
 ) -> Condition:  # fmt: skip
     """The deepest minimum before `end` (n,), where the function is zero; broken: a sample is negative."""
     m = int(np.searchsorted(nodes, end.max(initial=0.0))) + 1

@@ -7,7 +7,6 @@ and velocities, beside a cycle of their own.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernel.branches.closed_form import TWO_PI, orbit
 from kernel.branches.events import Branch, branch, check_spring, flight_times, rows_of
@@ -91,7 +90,7 @@ def _start(cell: Cell, line: Branch, i: int) -> CycleStart:
     return CycleStart(Start(_state(line, i), cell), rows_of(line, slice(i, i + 1)))
 
 
-def _state(line: Branch, i: int) -> NDArray[np.float64]:
+def _state(line: Branch, i: int) -> Floats:
     """The state (6,) of cycle i of a branch at phase 0, in the order of STATE_FIELDS."""
     k = spring(line.omega, line.xi)
     t = line.flight_time[i : i + 1]

@@ -63,11 +63,11 @@ class WordBranch(NamedTuple):
     xi: float
     word: str
     periods: int
-    unknowns: NDArray[np.float64]  # (n, m): see the module
-    gamma: NDArray[np.float64]  # (n,)
-    flight_time: NDArray[np.float64]  # (n, flights) rad, in the order of the letters
-    takeoff_phase: NDArray[np.float64]  # (n, flights) rad, in [0, 2 pi)
-    impact_velocity: NDArray[np.float64]  # (n, flights) gap' before landing, < 0
+    unknowns: Floats  # (n, m): see the module
+    gamma: Floats  # (n,)
+    flight_time: Floats  # (n, flights) rad, in the order of the letters
+    takeoff_phase: Floats  # (n, flights) rad, in [0, 2 pi)
+    impact_velocity: Floats  # (n, flights) gap' before landing, < 0
     multiplier: NDArray[np.complex128]  # (n, 2)
     stable: NDArray[np.bool_]  # (n,)
     admissible: NDArray[np.uint8]  # (n,) 0, or the bits of a Reason

@@ -17,6 +17,10 @@ from numpy.typing import NDArray
 from kernel.params import STATE_FIELDS, Line, Outcome
 from worker.basins.spec import BasinSpec
 
+_Floats = NDArray[np.float64]
+_Ints = NDArray[np.intp]
+_Flights = NDArray[np.float32]  # (n, START_FLIGHTS)
+
 APERIODIC: Final = int(Outcome.APERIODIC)
 
 #: Sorted flights of two cycles of one mode are equal within this, rad.
@@ -67,7 +71,7 @@ NEAR_CYCLE: Final = 0.02
 class Request(NamedTuple):
     """A run requested by a search: n states of one cell, followed for settle + observe plate periods."""
 
-    states: NDArray[np.float64]  # (n, len(STATE_FIELDS))
+    states: _Floats  # (n, len(STATE_FIELDS))
     settle: int
     observe: int
     keep: int
@@ -85,14 +89,14 @@ class Attractor:
     outcome: int  # an Outcome: periodic, aperiodic or at rest
     bounces: int  # 0 without a cycle
     periods: int
-    flights: NDArray[np.float64]  # (m,) sorted: of the cycle, or of its representatives
-    phases: NDArray[np.float64]  # (m,) of an aperiodic one: take-off phases of these flights; else empty
-    state: NDArray[np.float64]  # (len(STATE_FIELDS),) on the attractor, at phase 0
+    flights: _Floats  # (m,) sorted: of the cycle, or of its representatives
+    phases: _Floats  # (m,) of an aperiodic one: take-off phases of these flights; else empty
+    state: _Floats  # (len(STATE_FIELDS),) on the attractor, at phase 0
     lifetime: float = np.inf  # plate periods; finite if representatives left it
     fraction: float = 0.0
-    flight_time: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))  # (keep,) of its window
-    takeoff_phase: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    lyapunov: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    flight_time: _Floats = field(default_factory=lambda: np.empty(0))  # (keep,) of its window
+    takeoff_phase: _Floats = field(default_factory=lambda: np.empty(0))
+    lyapunov: _Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def longest_flight(self) -> float:
@@ -124,7 +128,7 @@ class _Ends:
         self.time, self.phase = np.full((2, n, START_FLIGHTS), np.nan, np.float32)
 
 
-def find(starts: NDArray[np.float64], spec: BasinSpec, run: Run) -> Found:
+def find(starts: _Floats, spec: BasinSpec, run: Run) -> Found:
     """The attractors that `starts` (n, len(STATE_FIELDS)) of one cell reach.
 
     `run` answers requests. The result depends only on the arguments.
@@ -133,7 +137,7 @@ def find(starts: NDArray[np.float64], spec: BasinSpec, run: Run) -> Found:
 
 
 class _Search:
-    def __init__(self, starts: NDArray[np.float64], spec: BasinSpec, run: Run) -> None:
+    def __init__(self, starts: _Floats, spec: BasinSpec, run: Run) -> None:
         self._spec, self._run = spec, run
         self._until = spec.until
         self._extends = spec.settle_until is None  # transient motion may once continue beyond `until`
@@ -168,9 +172,7 @@ class _Search:
         self._assign_aperiodic(undecided, taken, rate)
         return self._numbered()
 
-    def _advance(
-        self, which: NDArray[np.intp], states: NDArray[np.float64], settle: int, observe: int
-    ) -> None:
+    def _advance(self, which: _Ints, states: _Floats, settle: int, observe: int) -> None:
         """Run starts on from `states` and record their ends."""
         for first in range(0, len(which), BLOCK):
             part = slice(first, first + BLOCK)
@@ -187,12 +189,12 @@ class _Search:
         """The whole record of a request."""
         return Line(**self._run(request, lambda line: line._asdict()))
 
-    def _run_on(self, which: NDArray[np.intp], taken: int, observe: int, keep: int) -> Line:
+    def _run_on(self, which: _Ints, taken: int, observe: int, keep: int) -> Line:
         """Run representatives on until `until`, or for another window."""
         settle = max(self._until - taken - observe, self._spec.observe)
         return self._record(Request(self._ends.state[which], settle, observe, keep))
 
-    def _assign_cycles(self, which: NDArray[np.intp], taken: int, observe: int) -> NDArray[np.intp]:
+    def _assign_cycles(self, which: _Ints, taken: int, observe: int) -> _Ints:
         """Assign starts at rest or on cycles to attractors; returns the starts without one.
 
         observe: the window that showed their cycles. A shorter one may not show them again.
@@ -224,7 +226,7 @@ class _Search:
         mode = int(line.outcome[i]), int(line.bounces[i]), int(line.periods[i])
         return self._new(Attractor(*mode, self._cycle(line, i), np.empty(0), line.end_state[i].copy()))
 
-    def _cycle(self, line: Line, i: int) -> NDArray[np.float64]:
+    def _cycle(self, line: Line, i: int) -> _Floats:
         """The sorted flights of the cycle on which run i of a record ends."""
         time, _ = counted(line, i, self._spec.micro_flight)
         return np.sort(time[len(time) - line.bounces[i] :])
@@ -242,7 +244,7 @@ class _Search:
         self._attractors.append(attractor)
         return len(self._attractors) - 1
 
-    def _rate_of_leaving(self, which: NDArray[np.intp], taken: int) -> float:
+    def _rate_of_leaving(self, which: _Ints, taken: int) -> float:
         """Rate of aperiodic motion ending on a cycle or at rest, per plate period, from representatives."""
         if len(which) == 0:
             return 0.0
@@ -261,7 +263,7 @@ class _Search:
         periods = math.log(max(share / LEFT, 1.0)) / rate
         return math.ceil(periods) if share * periods <= WORTH * self._spec.until else 0
 
-    def _assign_aperiodic(self, which: NDArray[np.intp], taken: int, rate: float) -> None:
+    def _assign_aperiodic(self, which: _Ints, taken: int, rate: float) -> None:
         """Assign starts without a cycle to attractors, which differ in the distribution of flights."""
         settling = which[self._ends.outcome[which] == Outcome.SETTLING]
         for number, attractor in enumerate(self._attractors):
@@ -303,10 +305,10 @@ class _Search:
             if min(apart) <= SAME_DISTRIBUTION:
                 self._owner[self._owner == number] = numbers[int(np.argmin(apart))]
 
-    def _flights(self, which: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _flights(self, which: _Ints) -> tuple[_Flights, _Flights]:
         return self._ends.time[which], self._ends.phase[which]
 
-    def _last_flights(self, which: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _last_flights(self, which: _Ints) -> tuple[_Flights, _Flights]:
         """Flights of one more window of starts with any outcome: times and phases."""
         parts = []
         for first in range(0, len(which), BLOCK):
@@ -357,13 +359,13 @@ class _Search:
 class _Sample(NamedTuple):
     """Flights of an aperiodic run, in order."""
 
-    time: NDArray[np.float64]
-    phase: NDArray[np.float64]
-    state: NDArray[np.float64]
+    time: _Floats
+    phase: _Floats
+    state: _Floats
     mode: tuple[int, int]  # of a long cycle; (0, 0) without one
 
 
-def counted(line: Line, i: int, micro_flight: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def counted(line: Line, i: int, micro_flight: float) -> tuple[_Floats, _Floats]:
     """Times and take-off phases of run i's stored flights that count: the longer ones, or all."""
     stored = np.isfinite(line.flight_time[i])
     longer = stored & (line.flight_time[i] > micro_flight)
@@ -387,7 +389,7 @@ def _ends_of_flights(
     line: Line, micro_flight: float, which: NDArray[np.bool_] | None = None
 ) -> dict[str, NDArray[Any]]:
     """Times and phases of the last START_FLIGHTS flights of some or all runs, NaN beyond."""
-    rows: dict[str, list[NDArray[np.float64]]] = {"time": [], "phase": []}
+    rows: dict[str, list[_Floats]] = {"time": [], "phase": []}
     for i in range(len(line.outcome)) if which is None else np.flatnonzero(which).tolist():
         for values, flights in zip(rows.values(), counted(line, i, micro_flight), strict=True):
             missing = max(START_FLIGHTS - len(flights), 0)
@@ -395,7 +397,7 @@ def _ends_of_flights(
     return {name: np.array(values, np.float32).reshape(-1, START_FLIGHTS) for name, values in rows.items()}
 
 
-def _alike(ends: _Ends, which: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def _alike(ends: _Ends, which: _Ints) -> list[_Ints]:
     """Groups of starts that end at rest, or on cycles of one mode with nearly equal flights."""
     rest = which[ends.outcome[which] == Outcome.AT_REST]
     cycles = which[ends.outcome[which] == Outcome.PERIODIC]
@@ -414,12 +416,12 @@ def _alike(ends: _Ends, which: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return groups + np.split(cycles[order], np.flatnonzero(np.diff(label[order])) + 1)
 
 
-def _spread(which: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+def _spread(which: _Ints, count: int) -> _Ints:
     """At most `count` of the starts, evenly spaced."""
     return which[np.unique(np.linspace(0, len(which) - 1, min(count, len(which))).round().astype(np.intp))]
 
 
-def _near(time: NDArray[np.float32], flights: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _near(time: _Flights, flights: _Floats) -> NDArray[np.bool_]:
     """(n,) whether each flight in a row of `time` (n, m) is close to one of the sorted `flights`."""
     if len(flights) == 0:
         return np.zeros(len(time), np.bool_)
@@ -430,12 +432,12 @@ def _near(time: NDArray[np.float32], flights: NDArray[np.float64]) -> NDArray[np
     return np.asarray(np.all(near | ~flown, axis=1) & flown.any(axis=1))
 
 
-def _features(time: NDArray[np.float64], phase: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _features(time: _Floats, phase: _Floats) -> tuple[_Floats, ...]:
     """Features of flights to compare: their times, and sine and cosine of their take-off phases."""
     return time, np.sin(phase), np.cos(phase)
 
 
-def ks_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def ks_distance(a: _Floats, b: _Floats) -> float:
     """The two-sample statistic of Kolmogorov and Smirnov: 0 for equal, 1 for separate distributions."""
     both = np.sort(np.concatenate([a, b]))
     return float(
@@ -446,12 +448,7 @@ def ks_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     )
 
 
-def _distance_of_rows(
-    time: NDArray[np.float32],
-    phase: NDArray[np.float32],
-    pool_time: NDArray[np.float64],
-    pool_phase: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _distance_of_rows(time: _Flights, phase: _Flights, pool_time: _Floats, pool_phase: _Floats) -> _Floats:
     """(n,) the distance of each row (n, m) of flights from a pool of flights; NaN is no flight."""
     distance = np.zeros(len(time))
     pools = _features(pool_time, pool_phase)
@@ -468,10 +465,8 @@ def _distance_of_rows(
 
 
 def _distances(
-    flights: tuple[NDArray[np.float32], NDArray[np.float32]],
-    samples: Sequence[_Sample],
-    groups: Sequence[Sequence[int]],
-) -> NDArray[np.float64]:
+    flights: tuple[_Flights, _Flights], samples: Sequence[_Sample], groups: Sequence[Sequence[int]]
+) -> _Floats:
     """(n, groups) distances of starts' flights, times and phases (n, m), from groups of representatives."""
     pools = [[np.concatenate([samples[i][field] for i in group]) for field in (0, 1)] for group in groups]
     return np.stack([_distance_of_rows(*flights, *pool) for pool in pools], axis=1)

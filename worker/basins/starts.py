@@ -18,9 +18,10 @@ _RECORD: Final = "record/"
 _ANSWER: Final = "answer/"
 
 _Arrays = dict[str, NDArray[Any]]
+_Floats = NDArray[np.float64]
 
 
-def starts_of(spec: GridSpec, gamma: float, omega: float, xi: float) -> NDArray[np.float64]:
+def starts_of(spec: GridSpec, gamma: float, omega: float, xi: float) -> _Floats:
     """The states (rows * columns, 6) of a cell's plane of starts, row by row (see params.STATE_FIELDS)."""
     plane = spec.protocol
     row, column = np.meshgrid(plane.row_values, plane.column_values, indexing="ij")
@@ -31,7 +32,7 @@ def starts_of(spec: GridSpec, gamma: float, omega: float, xi: float) -> NDArray[
     return states.reshape(-1, len(STATE_FIELDS))
 
 
-def drop_states(height: NDArray[np.float64], phase: NDArray[np.float64]) -> NDArray[np.float64]:
+def drop_states(height: _Floats, phase: _Floats) -> _Floats:
     """The states (…, 6) of a relaxed spring at rest in the laboratory, released at a plate phase, rad.
 
     height (…): of the lower mass above the plate, plate amplitudes.
@@ -43,11 +44,8 @@ def drop_states(height: NDArray[np.float64], phase: NDArray[np.float64]) -> NDAr
 
 
 def contact_states(
-    model: Contact,
-    cell: tuple[float, float, float],
-    elongation: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    model: Contact, cell: tuple[float, float, float], elongation: _Floats, velocity: _Floats
+) -> _Floats:
     """The states (…, 6) of a spring whose lower mass sticks to the plate at phase 0.
 
     cell: gamma, omega, xi. elongation (…): beyond the static one, plate amplitudes; velocity (…): of the
@@ -109,10 +107,7 @@ class Steps(Work):
 
 
 def line_run(
-    spec: GridSpec,
-    cells: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
-    states: NDArray[np.float64],
-    **window: Any,
+    spec: GridSpec, cells: tuple[_Floats, _Floats, _Floats], states: _Floats, **window: Any
 ) -> LineRun:
     """A run of starts (n, 6), each in its cell: gamma, omega, xi (n,). `window`: as in `LineRun`."""
     plate = plate_of(spec.model, *cells)
