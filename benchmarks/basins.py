@@ -31,13 +31,12 @@ from service.views.multistability import MultistabilityQuery, compute
 from service.views.selection import Stored
 from worker import store
 from worker.basins.attractors import Found, counted, find
-from worker.basins.multistability import MULTISTABILITY
 from worker.basins.multistability import run_chunk as compute_lines
 from worker.basins.spec import BasinSpec, MultistabilitySpec
-from worker.basins.starts import starts_of
-from worker.basins.steps import line_run
-from worker.basins.study import BASINS, rules_of, run_chunk
+from worker.basins.starts import line_run, starts_of
+from worker.basins.study import run_chunk
 from worker.spec import AXES
+from worker.studies import STUDIES
 
 #: Of `time`: cells with a smooth and with a fractal boundary, with a chaotic attractor and with slow cycles.
 TIMED: Final = (
@@ -102,7 +101,7 @@ def search(spec: BasinSpec) -> Found:
         run.advance()
         return reduce(run.line)
 
-    return find(starts_of(spec, *_cell(spec)), rules_of(spec), answer)
+    return find(starts_of(spec, *_cell(spec)), spec, answer)
 
 
 def groups_of(spec: BasinSpec, found: Found) -> tuple[list[int], list[list[int]]]:
@@ -210,10 +209,10 @@ def planes(side: int) -> None:
             {"gamma": axes[0], "omega": axes[1], "xi": xi, "model": {"kind": "rigid"},
              "protocol": {"kind": "multistability"}}
         )  # fmt: skip
-        plan = MULTISTABILITY.plan(spec)
+        plan = STUDIES["multistability"].plan(spec)
         with tempfile.TemporaryDirectory() as folder:
             url = str(Path(folder) / "plane.zarr")
-            store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
+            store.create(url, STUDIES["multistability"].variables(spec, plan.chunk_shape))
             core = time.process_time()
             for chunk in plan:
                 compute_lines(spec, chunk, url)
@@ -240,10 +239,10 @@ def times(side: int) -> None:
 
 def _timed(spec: BasinSpec) -> tuple[float, float]:
     """Seconds and core-seconds of the one task of a cell, storing included."""
-    plan = BASINS.plan(spec)
+    plan = STUDIES["basin"].plan(spec)
     with tempfile.TemporaryDirectory() as folder:
         url = str(Path(folder) / "basin.zarr")
-        store.create(url, BASINS.variables(spec, plan.chunk_shape))
+        store.create(url, STUDIES["basin"].variables(spec, plan.chunk_shape))
         wall, core = time.perf_counter(), time.process_time()
         run_chunk(spec, plan[0], url)
         return time.perf_counter() - wall, time.process_time() - core

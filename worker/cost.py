@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from pydantic import Field
 
@@ -132,30 +132,20 @@ def estimate(spec: SweepSpec, chunks: int) -> Cost:
 
     An adaptive map is known only once computed: its cost is the most that such maps usually take.
     """
+    cells, seconds = math.prod(spec.shape), cell_seconds(spec)
+    shares = (1.0, 1.0) if spec.refine is None else computed_shares(spec, spec.refine)
+    low, high = (math.ceil(share * cells) for share in shares)
+    of_map: dict[str, Any] = {}
     if spec.refine is not None:
-        return _estimate_map(spec, spec.refine, chunks)
-    cells = math.prod(spec.shape)
-    return Cost(
-        cells=cells,
-        chunks=chunks,
-        bytes=cells * bytes_per_cell(spec),
-        core_seconds=cells * cell_seconds(spec),
-        longest_core_seconds=None if spec.settle_until is None else cells * longest_cell_seconds(spec),
-    )
-
-
-def _estimate_map(spec: SweepSpec, refine: Refine, chunks: int) -> Cost:
-    cells = math.prod(spec.shape)
-    low, high = (math.ceil(share * cells) for share in computed_shares(spec, refine))
-    longest = None if spec.settle_until is None else high * longest_cell_seconds(spec)
+        of_map = {"computed_cells": (low, high), "least_core_seconds": low * seconds}
+        seconds = REFINED_SECONDS * seconds + TILE_SECONDS * chunks / high
     return Cost(
         cells=cells,
         chunks=chunks,
         bytes=high * bytes_per_cell(spec) + (cells - high) * bytes_of_map(spec),
-        core_seconds=high * REFINED_SECONDS * cell_seconds(spec) + TILE_SECONDS * chunks,
-        computed_cells=(low, high),
-        least_core_seconds=low * cell_seconds(spec),
-        longest_core_seconds=longest,
+        core_seconds=high * seconds,
+        longest_core_seconds=None if spec.settle_until is None else high * longest_cell_seconds(spec),
+        **of_map,
     )
 
 

@@ -16,16 +16,15 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from kernel.branches.events import POINTS as GRID
 from kernel.branches.events import Branch, Events, Kind, branch_and_events
-from kernel.params import KERNEL_VERSION, KernelInputError, Outcome
+from kernel.params import KernelInputError, Outcome
 from worker.cost import Cost
-from worker.grid_plan import Block, GridPlan
-from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS
-from worker.schema import COORDINATES, OUTCOME, Array, Layout, common_attributes
+from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Chunk, Plan, even
+from worker.schema import Array, Layout, array, bytes_of, empty_record, grid_layout, whether_computed
 from worker.spec import LARGEST, SMALLEST
 from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
 from worker.spec.errors import BrokenRuleError, describe
 from worker.spec.specification import Specification
-from worker.tasks import ChunkReport, Study, Work, empty_record
+from worker.tasks import ChunkReport, Work
 
 #: Maximum modes of a specification or an answer, and maximum plate periods of a mode.
 MAX_MODES: Final = 6
@@ -151,78 +150,71 @@ class OrbitsSpec(Specification):
 
 def make_plan(
     spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
-) -> GridPlan:
+) -> Plan:
     """Chunks of `chunk_shape` cells along (xi, omega); by default rows of omega, about a second of work.
 
     Raises ValueError for a size below 1.
     """
-    xis, omegas = spec.shape
     if chunk_shape is None:
-        seconds = estimate_seconds(spec)
-        fitting = min(TARGET_SECONDS / (seconds / (xis * omegas)), MAX_CHUNK_BYTES / bytes_per_cell(spec))
-        cells = max(1, int(min(fitting, math.ceil(xis * omegas / 8))))
-        row = -(-omegas // -(-omegas // min(cells, omegas)))
+        all_cells = math.prod(spec.shape)
+        fitting = min(
+            TARGET_SECONDS / (_seconds(spec) / all_cells), MAX_CHUNK_BYTES / bytes_of(ARRAYS, _sizes(spec))
+        )
+        cells = max(1, int(min(fitting, math.ceil(all_cells / 8))))
+        row = even(spec.shape[1], cells)
         chunk_shape = (max(1, cells // row), row)
-    return GridPlan((xis, omegas), chunk_shape)
+    return Plan(spec.shape, chunk_shape)
 
 
-def estimate_seconds(spec: OrbitsSpec) -> float:
+def estimate(spec: OrbitsSpec, plan: Plan) -> Cost:
+    """Cost of a study."""
+    size = plan.cells * bytes_of(ARRAYS, _sizes(spec))
+    return Cost(cells=plan.cells, chunks=len(plan), bytes=size, core_seconds=_seconds(spec))
+
+
+def _seconds(spec: OrbitsSpec) -> float:
     """Core-seconds of the whole grid."""
     omega = spec.axis_values("omega")
     squares = sum(float((grid_points(omega, k, GRID) ** 2).sum()) for _, k in spec.cycles)
     return SECONDS * squares * spec.shape[0]
 
 
-_NAN: Final = float("nan")
 _KINDS: Final = tuple(Kind)
 
-
-def _per_point(name: str, dtype: str, long_name: str, units: str = "1", **attrs: Any) -> Array:
-    fill = _NAN if dtype in ("<f8", "<c16") else 0
-    return Array(
-        name, (*_DIMS, "branch", "point"), dtype, fill, {"long_name": long_name, "units": units, **attrs}
-    )
-
-
-def _per_event(name: str, dtype: str, long_name: str, units: str = "1", **attrs: Any) -> Array:
-    fill = _NAN if dtype == "<f8" else 0
-    return Array(name, (*_DIMS, "event"), dtype, fill, {"long_name": long_name, "units": units, **attrs})
-
-
-_ADMISSIBLE: Final[dict[str, Any]] = {
-    "flag_masks": [1, 2, 4],
-    "flag_meanings": "gap_negative_in_flight force_negative_in_contact no_takeoff",
-    "comment": "0: a cycle of the spring",
-}
+_POINT, _EVENT = (*_DIMS, "branch", "point"), (*_DIMS, "event")
 _LENGTH, _SPEED = "plate amplitudes", "plate amplitudes per rad"
+
+
+def _admissible(name: str, dims: tuple[str, ...]) -> Array:
+    meanings = "gap_negative_in_flight force_negative_in_contact no_takeoff"
+    return array(
+        name, dims, "|u1", "why the cycle is not one of the spring",
+        flag_masks=[1, 2, 4], flag_meanings=meanings, comment="0: a cycle of the spring",
+    )  # fmt: skip
+
 
 #: The stored arrays in the order they are written.
 ARRAYS: Final = (
-    _per_point("gamma", "<f8", "plate acceleration over gravity",
-               comment="NaN: no point; one between the parts of a branch that leaves gamma_max"),
-    _per_point("flight_time", "<f8", "flight time", "rad"),
-    _per_point("takeoff_phase", "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
-    _per_point("elongation", "<f8", "elongation of the spring at take-off", _LENGTH),
-    _per_point("elongation_velocity", "<f8", "velocity of the elongation at take-off", _SPEED),
-    _per_point("impact_velocity", "<f8", "velocity of the gap before landing", _SPEED),
-    _per_point("multiplier", "<c16", "Floquet multiplier, the larger in modulus"),
-    _per_point("other_multiplier", "<c16", "the other Floquet multiplier"),
-    _per_point("stable", "|b1", "whether both multipliers are inside the unit circle"),
-    _per_point("admissible", "|u1", "why the cycle is not one of the spring", **_ADMISSIBLE),
-    _per_event("event_kind", "|u1", "kind of event",
-               flag_values=list(range(len(_KINDS) + 1)), flag_meanings=" ".join(["none", *_KINDS])),
-    _per_event("event_gamma", "<f8", "plate acceleration over gravity"),
-    _per_event("event_bounces", "<i4", "bounces of the cycle"),
-    _per_event("event_periods", "<i4", "plate periods of the cycle"),
-    _per_event("event_flight_time", "<f8", "flight time", "rad"),
-    _per_event("event_admissible", "|u1", "why the cycle is not one of the spring", **_ADMISSIBLE),
-    Array("event_count", _DIMS, "<i4", 0,
-          {"long_name": "events of the cell, also those beyond the dimension event", "units": "1"}),
-    OUTCOME._replace(dims=_DIMS, attrs={
-        "long_name": "whether the cell is computed", "units": "1",
-        "flag_values": [Outcome.MISSING.value, Outcome.PERIODIC.value, Outcome.UNRESOLVED.value],
-        "flag_meanings": "missing computed unresolved",
-    }),
+    array("gamma", _POINT, "<f8", "plate acceleration over gravity",
+          comment="NaN: no point; one between the parts of a branch that leaves gamma_max"),
+    array("flight_time", _POINT, "<f8", "flight time", "rad"),
+    array("takeoff_phase", _POINT, "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
+    array("elongation", _POINT, "<f8", "elongation of the spring at take-off", _LENGTH),
+    array("elongation_velocity", _POINT, "<f8", "velocity of the elongation at take-off", _SPEED),
+    array("impact_velocity", _POINT, "<f8", "velocity of the gap before landing", _SPEED),
+    array("multiplier", _POINT, "<c16", "Floquet multiplier, the larger in modulus"),
+    array("other_multiplier", _POINT, "<c16", "the other Floquet multiplier"),
+    array("stable", _POINT, "|b1", "whether both multipliers are inside the unit circle"),
+    _admissible("admissible", _POINT),
+    array("event_kind", _EVENT, "|u1", "kind of event",
+          flag_values=list(range(len(_KINDS) + 1)), flag_meanings=" ".join(["none", *_KINDS])),
+    array("event_gamma", _EVENT, "<f8", "plate acceleration over gravity"),
+    array("event_bounces", _EVENT, "<i4", "bounces of the cycle"),
+    array("event_periods", _EVENT, "<i4", "plate periods of the cycle"),
+    array("event_flight_time", _EVENT, "<f8", "flight time", "rad"),
+    _admissible("event_admissible", _EVENT),
+    array("event_count", _DIMS, "<i4", "events of the cell, also those beyond the dimension event"),
+    whether_computed(_DIMS, "unresolved"),
 )  # fmt: skip
 
 
@@ -230,37 +222,20 @@ def _sizes(spec: OrbitsSpec) -> dict[str, int]:
     return {"branch": len(spec.modes), "point": spec.points, "event": spec.events}
 
 
-def bytes_per_cell(spec: OrbitsSpec) -> int:
-    """Stored bytes per cell before compression."""
-    sizes = _sizes(spec)
-    return sum(
-        np.dtype(array.dtype).itemsize * math.prod(sizes[dim] for dim in array.dims[len(_DIMS) :])
-        for array in ARRAYS
-    )
-
-
 def layout(spec: OrbitsSpec, chunk_shape: tuple[int, ...]) -> Layout:
     """Layout of the store with chunks of `chunk_shape` cells along (xi, omega)."""
-    names = np.array([str(mode) for mode in spec.cycles], dtype=np.dtypes.StringDType())
-    axes = {axis: spec.axis_values(axis).astype("<f8") for axis in _DIMS}
-    attrs: dict[str, Any] = {row.name: row.attrs for row in COORDINATES if row.name in _DIMS}
-    return Layout(
-        chunk_sizes=dict(zip(_DIMS, chunk_shape, strict=True)),
-        coordinates={**axes, "branch": names},
-        extra_sizes=_sizes(spec),
-        arrays=ARRAYS,
-        coordinate_attrs={**attrs, "branch": {"long_name": "mode of the branch: bounces-periods"}},
-        attributes=common_attributes(spec, "bouncing spring: cycles in closed form", "rigid, restitution 0"),
-        identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
-    )
+    names = np.array(spec.modes, dtype=np.dtypes.StringDType())
+    branch = {"branch": (names, {"long_name": "mode of the branch: bounces-periods"})}
+    title, model = "bouncing spring: cycles in closed form", "rigid, restitution 0"
+    return grid_layout(spec, chunk_shape, ARRAYS, _sizes(spec), branch, title, model)
 
 
-def run_chunk(spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
-    """Compute every cell of `chunk` and store it; the store must exist.
+def run_chunk(spec: OrbitsSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+    """Compute every cell of `chunk` and store it, without pauses; the store must exist.
 
     Raises ChunkCancelled or a `store.StoreError`; then nothing of the chunk was written.
     """
-    record = empty_record(chunk, ARRAYS, _sizes(spec))
+    record = empty_record(chunk.shape, ARRAYS, _sizes(spec))
     xi, omega = (spec.axis_values(axis)[span] for axis, span in zip(_DIMS, chunk.slices, strict=True))
     work, began = Work(store_url, chunk, ARRAYS, record), time.perf_counter()
     for i, j in np.ndindex(chunk.shape):
@@ -324,12 +299,3 @@ def _stored_rows(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
         rows = np.flatnonzero(order[even] >= 0)[1:-1]
         even = np.delete(even, rows[np.linspace(0, len(rows) - 1, surplus).round().astype(np.intp)])
     return np.asarray(order[even])
-
-
-def estimate(spec: OrbitsSpec, plan: GridPlan) -> Cost:
-    """The cost, by the points of all branches."""
-    size = plan.cells * bytes_per_cell(spec)
-    return Cost(cells=plan.cells, chunks=len(plan), bytes=size, core_seconds=estimate_seconds(spec))
-
-
-ORBITS: Final = Study(OrbitsSpec.parse, make_plan, layout, estimate, run_chunk)

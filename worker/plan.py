@@ -1,22 +1,19 @@
-"""Division of a sweep into chunks, and their order.
+"""Division of a study into chunks, and their order. A plan is pure.
 
-A plan is pure and computes each chunk when it is indexed, so a plan of a million chunks costs nothing.
-
-Chunks form a regular grid and are numbered in an order in which they can run. From rest this is the order of
-the grid. On a ramp, the first chunks of all lines precede the second ones, and "down" follows "up": a chunk
-depends only on lower numbers, and consecutive numbers rarely depend on each other.
-
-From rest there are about as many chunks along every axis, so that a line of cells along any axis crosses few
-chunks. On a ramp a chunk has as many lines as are computed side by side, and spans the whole ramp axis if
-that fits.
+Chunks form a regular grid and are numbered in an order in which they can run, the last axis fastest. On a
+ramp, the first chunks of all lines precede the second ones, and "down" follows "up": consecutive numbers
+rarely depend on each other. From rest a sweep has about as many chunks along every axis. On a ramp a chunk
+has as many lines as are computed side by side, and spans the whole ramp axis if that fits.
 """
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, overload
+
+import numpy as np
 
 from kernel.params import LANES
 from worker.cost import cell_seconds, cells_at_once, lines_of
@@ -53,65 +50,64 @@ Span = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A block of cells: half-open index spans of the grid. `after` is the chunk that must be done first."""
+    """A block of cells: half-open index spans along the axes, slowest first."""
 
     index: int
-    direction: int  # index into the specification's directions
-    xi: Span
-    omega: Span
-    gamma: Span
-    after: int | None = None
+    spans: tuple[Span, ...]
+    direction: int | None = None  # of a sweep: index into the specification's directions
+    after: int | None = None  # the chunk that must be done first, a lower number
 
     @property
-    def shape(self) -> tuple[int, int, int]:
-        """Cells along (xi, omega, gamma)."""
-        xi, omega, gamma = (high - low for low, high in (self.xi, self.omega, self.gamma))
-        return xi, omega, gamma
+    def shape(self) -> tuple[int, ...]:
+        """Cells along the axes."""
+        return tuple(high - low for low, high in self.spans)
 
     @property
     def cells(self) -> int:
         return math.prod(self.shape)
 
     @property
-    def slices(self) -> tuple[slice, slice, slice, slice]:
-        """The chunk's cells along (direction, xi, omega, gamma) in a stored array."""
-        direction = slice(self.direction, self.direction + 1)
-        return direction, slice(*self.xi), slice(*self.omega), slice(*self.gamma)
+    def slices(self) -> tuple[slice, ...]:
+        """The chunk's cells along the cell dimensions of a stored array."""
+        direction = () if self.direction is None else ((self.direction, self.direction + 1),)
+        return tuple(slice(*span) for span in (*direction, *self.spans))
 
 
 @dataclass(frozen=True)
 class Plan(Sequence[Chunk]):
-    """The chunks of a sweep, computed when indexed."""
+    """The chunks of a study, computed when indexed: there may be a million.
 
-    directions: tuple[str, ...]
-    grid: tuple[int, int, int]  # cells along (xi, omega, gamma)
-    chunk_shape: tuple[int, int, int]
-    ramp_axis: str | None
+    Raises ValueError for sizes below 1.
+    """
 
-    @property
-    def chunks(self) -> Sequence[Chunk]:
-        return self
+    grid: tuple[int, ...]  # cells along the axes, slowest first
+    chunk_shape: tuple[int, ...]  # the ledger keeps it to repeat the plan
+    directions: tuple[str, ...] = ()  # of a sweep
+    ramp: int | None = None  # axis along which each chunk continues the one before
+
+    def __post_init__(self) -> None:
+        if len(self.chunk_shape) != len(self.grid) or min(self.chunk_shape) < 1:
+            rule = f"chunk_shape: must be {len(self.grid)} sizes of at least 1"
+            raise ValueError(f"{rule}, not {self.chunk_shape}")
+        fitting = tuple(min(size, n) for size, n in zip(self.chunk_shape, self.grid, strict=True))
+        object.__setattr__(self, "chunk_shape", fitting)
 
     @property
     def cells(self) -> int:
-        return len(self.directions) * math.prod(self.grid)
+        return max(len(self.directions), 1) * math.prod(self.grid)
 
     @cached_property
-    def counts(self) -> tuple[int, int, int]:
-        """Chunks along (xi, omega, gamma)."""
-        xi, omega, gamma = (-(-n // size) for n, size in zip(self.grid, self.chunk_shape, strict=True))
-        return xi, omega, gamma
+    def counts(self) -> tuple[int, ...]:
+        """Chunks along the axes."""
+        return tuple(-(-n // size) for n, size in zip(self.grid, self.chunk_shape, strict=True))
 
     @cached_property
     def lines(self) -> int:
-        """Chunks without a predecessor: from rest all, else one per line of chunks along a ramp."""
+        """Chunks without a predecessor; each other chunk i depends on chunk i - lines."""
         return math.prod(self._counts_beside_ramp)
 
     def __len__(self) -> int:
-        return len(self.directions) * math.prod(self.counts)
-
-    def __iter__(self) -> Iterator[Chunk]:
-        return map(self.chunk, range(len(self)))
+        return max(len(self.directions), 1) * math.prod(self.counts)
 
     @overload
     def __getitem__(self, index: int) -> Chunk: ...
@@ -119,55 +115,42 @@ class Plan(Sequence[Chunk]):
     def __getitem__(self, index: slice) -> Sequence[Chunk]: ...
     def __getitem__(self, index: int | slice) -> Chunk | Sequence[Chunk]:
         if isinstance(index, slice):
-            return [self.chunk(i) for i in range(len(self))[index]]
-        return self.chunk(range(len(self))[index])
-
-    def chunk(self, index: int) -> Chunk:
-        """The chunk at `index`, 0 <= index < len(plan)."""
+            return [self[i] for i in range(len(self))[index]]
+        index = range(len(self))[index]
         wave, line = divmod(index, self.lines)
-        _, omega, gamma = self._counts_beside_ramp
-        block = [line // (omega * gamma), line // gamma % omega, line % gamma]
-        direction = 0
-        if self.ramp_axis is not None:
-            ramp = AXES.index(self.ramp_axis)
-            steps = self.counts[ramp]
-            direction, visit = divmod(wave, steps)
-            block[ramp] = steps - 1 - visit if self.directions[direction] == "down" else visit
-        xi, omega_span, gamma_span = (self._span(axis, coord) for axis, coord in enumerate(block))
-        return Chunk(index, direction, xi, omega_span, gamma_span, index - self.lines if wave else None)
+        coords = [int(coord) for coord in np.unravel_index(line, self._counts_beside_ramp)]
+        direction = 0 if self.directions else None
+        if self.ramp is not None:
+            direction, visit = divmod(wave, self.counts[self.ramp])
+            coords[self.ramp] = self._in_visiting_order(direction, visit)
+        spans = (
+            (coord * size, min((coord + 1) * size, n))
+            for coord, size, n in zip(coords, self.chunk_shape, self.grid, strict=True)
+        )
+        return Chunk(index, tuple(spans), direction, index - self.lines if wave else None)
 
     def number(self, *coords: int) -> int:
-        """Index of the chunk at `coords` = (direction, xi, omega, gamma) in the grid of chunks."""
-        direction, *block = coords
-        wave = 0
-        if self.ramp_axis is not None:
-            ramp = AXES.index(self.ramp_axis)
-            steps = self.counts[ramp]
-            visit = steps - 1 - block[ramp] if self.directions[direction] == "down" else block[ramp]
-            block[ramp], wave = 0, direction * steps + visit
-        _, omegas, gammas = self._counts_beside_ramp
-        return wave * self.lines + (block[0] * omegas + block[1]) * gammas + block[2]
+        """Index of the chunk at `coords` in the store's grid of chunks; of a sweep, the direction first."""
+        block, wave = list(coords[1:] if self.directions else coords), 0
+        if self.ramp is not None:
+            visit = self._in_visiting_order(coords[0], block[self.ramp])
+            block[self.ramp], wave = 0, coords[0] * self.counts[self.ramp] + visit
+        return wave * self.lines + int(np.ravel_multi_index(block, self._counts_beside_ramp))
 
-    def _span(self, axis: int, coord: int) -> Span:
-        size = self.chunk_shape[axis]
-        return coord * size, min((coord + 1) * size, self.grid[axis])
+    def _in_visiting_order(self, direction: int, coord: int) -> int:
+        """The coordinate along the ramp as a visit, or a visit as a coordinate."""
+        last = self.counts[self.ramp or 0] - 1
+        return last - coord if self.directions[direction] == "down" else coord
 
     @cached_property
-    def _counts_beside_ramp(self) -> tuple[int, int, int]:
-        xi, omega, gamma = (
-            1 if axis == self.ramp_axis else n for axis, n in zip(AXES, self.counts, strict=True)
-        )
-        return xi, omega, gamma
+    def _counts_beside_ramp(self) -> tuple[int, ...]:
+        return tuple(1 if axis == self.ramp else n for axis, n in enumerate(self.counts))
 
 
 def make_plan(
-    spec: SweepSpec,
-    *,
-    chunk_cells: int | None = None,
-    chunk_shape: tuple[int, ...] | None = None,
-    longest: float = LONGEST_SECONDS,
+    spec: SweepSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
 ) -> Plan:
-    """Divide a sweep into chunks of about `chunk_cells` cells, or of `chunk_shape` cells (xi, omega, gamma).
+    """Divide a sweep into chunks of `chunk_shape` cells (xi, omega, gamma).
 
     By default a chunk costs about TARGET_SECONDS, or up to `longest` if there are many. The division does
     not affect the stored numbers, except for an adaptive map: its chunks are the tiles of `tile_shape` unless
@@ -177,18 +160,11 @@ def make_plan(
     if chunk_shape is None and spec.refine is not None:
         chunk_shape = tile_shape(spec, spec.refine.coarsest)
     if chunk_shape is None:
-        cells = chunk_cells if chunk_cells is not None else _cells_per_chunk(spec, longest)
-        chunk_shape = _block(spec, cells)
-        if cells * bytes_per_cell(spec) > MAX_CHUNK_BYTES:
-            chunk_shape = tuple(map(_halvable, chunk_shape, grid))
-    if len(chunk_shape) != 3 or min(chunk_shape) < 1:
-        raise ValueError(
-            f"chunk_shape: must be three sizes of at least 1 (xi, omega, gamma), not {chunk_shape}"
-        )
+        chunk_shape = block(spec, _cells_per_chunk(spec, longest))
     if spec.refine is not None and chunk_shape[0] > 1:
         raise ValueError(f"chunk_shape: tiles of an adaptive map have one xi, not {chunk_shape[0]}")
-    xi, omega, gamma = (min(size, n) for size, n in zip(chunk_shape, grid, strict=True))
-    return Plan(spec.directions, (grid[0], grid[1], grid[2]), (xi, omega, gamma), spec.ramp_axis)
+    ramp = None if spec.ramp_axis is None else AXES.index(spec.ramp_axis)
+    return Plan(tuple(grid), chunk_shape, spec.directions, ramp)
 
 
 def tile_shape(spec: SweepSpec, coarsest: int) -> tuple[int, int, int]:
@@ -219,25 +195,21 @@ def _halvable(size: int, cells: int) -> int:
     return size - size % next(unit for unit in (8, 4, 2, 1) if size >= unit * unit or unit == 1)
 
 
-def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
+def block(spec: SweepSpec, cells: int) -> tuple[int, ...]:
     """Chunk shape of at most `cells` cells: as long as possible along the ramp, then balanced."""
-    if cells < 1:
-        raise ValueError(f"chunk_cells: must be at least 1, not {cells}")
     grid = dict(zip(AXES, spec.shape[1:], strict=True))
+    is_long = cells * bytes_per_cell(spec) > MAX_CHUNK_BYTES
     along: dict[str, int] = {}
     if spec.ramp_axis:
-        at_once = _lines_at_once(spec)
-        length = _even(grid.pop(spec.ramp_axis), max(1, cells // at_once))
+        # all lanes, or one vector of them if there are few lines
+        at_once = cells_at_once(spec)
+        at_once = at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
+        length = even(grid.pop(spec.ramp_axis), max(1, cells // at_once))
         along, cells = {spec.ramp_axis: length}, cells // length
         cells -= cells % at_once if cells > at_once else 0  # lines that fill the lanes
     size = along | _balanced(grid, max(1, cells))
-    return size["xi"], size["omega"], size["gamma"]
-
-
-def _lines_at_once(spec: SweepSpec) -> int:
-    """Minimum lines of a ramp in a chunk: all lanes, or one vector of them if there are few lines."""
-    at_once = cells_at_once(spec)
-    return at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
+    shape = tuple(size[axis] for axis in AXES)
+    return tuple(map(_halvable, shape, spec.shape[1:])) if is_long else shape
 
 
 def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:
@@ -251,11 +223,11 @@ def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:
     size = cut(every[fits])
     for axis in ("gamma", "omega", "xi"):  # remaining cells extend the axis of most diagrams first
         if axis in size:
-            size[axis] = _even(grid[axis], cells * size[axis] // math.prod(size.values()))
+            size[axis] = even(grid[axis], cells * size[axis] // math.prod(size.values()))
     return size
 
 
-def _even(n: int, max_size: int) -> int:
+def even(n: int, max_size: int) -> int:
     """The size that divides n into the fewest parts of at most `max_size`, as equal as possible."""
     parts = -(-n // max_size)
     return -(-n // parts)

@@ -1,19 +1,15 @@
 """Adaptive maps: the cells of a tile to compute, round by round, and the values of the others.
 
-A tile is a block of cells over (omega, gamma). It is cut into blocks whose corners are cells; neighbouring
-blocks share them. The corners and the centre of a block are computed. A block with computed cells of
-different classes is split at its centre; corners of smaller neighbours on its edge count, so that a thin
-tongue is followed from block to block. In the smallest blocks, 3 x 3 cells, the cell between two corners is
-computed only if these and the centre are of different classes.
-
-Chaotic regions are full of islands, which five samples miss. So in a block without a mode the middles of the
-edges are computed too, and the block is split unless all nine agree.
+A tile is a block of cells over (omega, gamma), cut into blocks whose corners are cells that neighbours share.
+The corners and the centre of a block are computed. A block with computed cells of different classes is split
+at its centre; corners of smaller neighbours on its edge count, so that a thin tongue is followed. In the
+smallest blocks, 3 x 3 cells, the cell between two corners is computed only where these and the centre differ.
+Chaotic regions are full of islands, which five samples miss: in a block without a mode the middles of the
+edges are computed too.
 
 With a margin, the neighbours of a larger block that differs are split too, and the smallest blocks that
-differ are computed whole. For this to hold at a tile's border, the adjacent blocks beyond it are refined too,
-as far as they can split blocks of the tile. Their cells are not stored.
-
-A cell that is not computed takes the values of the nearest corner, or the centre, of its block.
+differ are computed whole. For this to hold at a tile's border, the adjacent blocks beyond it are refined too.
+Their cells are not stored. A cell that is not computed takes the values of its block's nearest vertex.
 """
 
 from collections import Counter
@@ -289,10 +285,7 @@ def _children(blocks: _Blocks) -> _Blocks:
 
 
 def _nearest(size: tuple[int, int], row: NDArray[Any], column: NDArray[Any]) -> _Points:
-    """The corner or centre nearest to each (row, column) of a block; the first among equals.
-
-    All are counted from the block's first corner; `size` is the position of the last one.
-    """
+    """The vertex nearest to each (row, column) from a block's first corner; the first among equals."""
     points = np.array(_vertices(np.array([[0, size[0], 0, size[1]]])))[:, :, 0]
     distance = [(row - at_row) ** 2 + (column - at_column) ** 2 for at_row, at_column in points]
     nearest = points[np.argmin(distance, axis=0)]

@@ -7,7 +7,7 @@ Another kind of study declares its own variables in its package.
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker.spec import SweepSpec
 from worker.spec.contact_models import Stepped
+from worker.spec.specification import Specification
 from worker.spec.time_steps import corners, stated
 
 #: The dimensions that identify a cell of a sweep, slowest first.
@@ -224,71 +225,59 @@ OUTCOME_FLAGS: Final[dict[str, Any]] = {
     "flag_meanings": " ".join(outcome.name.lower() for outcome in Outcome),
 }
 _NAN: Final = float("nan")
-_COUNT: Final[dict[str, Any]] = {"units": "1"}
-_ANGLE: Final[dict[str, Any]] = {"units": "rad"}
 
 
-def _array(name: str, dtype: str, long_name: str, attrs: dict[str, Any], extra: str = "") -> Array:
-    dims = (*CELL_DIMS, extra) if extra else CELL_DIMS
-    return Array(name, dims, dtype, _NAN if dtype == "<f8" else 0, {"long_name": long_name, **attrs})
+def array(
+    name: str, dims: tuple[str, ...], dtype: str, long_name: str, units: str | None = "1", **attrs: Any
+) -> Array:
+    """An array with NaN, or zero, in cells that are not computed."""
+    about = {"long_name": long_name} if units is None else {"long_name": long_name, "units": units}
+    return Array(name, dims, dtype, _NAN if dtype in ("<f8", "<c16") else 0, about | attrs)
+
+
+def whether_computed(dims: tuple[str, ...], otherwise: str) -> Array:
+    """The array `outcome` of a study whose cells are computed or, `otherwise`, have no result."""
+    flags = [Outcome.MISSING.value, Outcome.PERIODIC.value, Outcome.UNRESOLVED.value]
+    meanings = f"missing computed {otherwise}"
+    return array(
+        "outcome", dims, "|u1", "whether the cell is computed", flag_values=flags, flag_meanings=meanings
+    )
 
 
 RECORD: Final = (
-    _array(
-        "flight_time",
-        "<f8",
-        "flight time, last flights of the window in order",
-        {
-            **_ANGLE,
-            "comment": "those of a periodic cell are within 6e-6 rad of its cycle, within 1.2e-4 rad if "
-            "settle_until extended it: what is left of a slow approach",
-        },
-        "flight",
-    ),
-    _array("takeoff_phase", "<f8", "plate phase at take-off, modulo 2 pi", _ANGLE, "flight"),
-    _array("flights", "<i4", "flights taken off and landed within the window", _COUNT),
-    _array("bounces", "<i4", "mode: bounces in one cycle, 0 if none was found", _COUNT),
-    _array("periods", "<i4", "mode: plate periods in one cycle, 0 if none was found", _COUNT),
-)
-END_STATE: Final = _array(
-    "end_state", "<f8", "state at the end of the window, in the cell's own units",
-    {"fields": " ".join(STATE_FIELDS)}, "state",
+    array("flight_time", (*CELL_DIMS, "flight"), "<f8", "flight time, last flights of the window in order",
+          "rad", comment="those of a periodic cell are within 6e-6 rad of its cycle, within 1.2e-4 rad if "
+          "settle_until extended it: what is left of a slow approach"),
+    array("takeoff_phase", (*CELL_DIMS, "flight"), "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
+    array("flights", CELL_DIMS, "<i4", "flights taken off and landed within the window"),
+    array("bounces", CELL_DIMS, "<i4", "mode: bounces in one cycle, 0 if none was found"),
+    array("periods", CELL_DIMS, "<i4", "mode: plate periods in one cycle, 0 if none was found"),
 )  # fmt: skip
-LYAPUNOV: Final = _array(
-    "lyapunov", "<f8", "Lyapunov exponents, the largest first",
-    {
-        "units": "1",
-        "comment": "per plate period, natural logarithm; -inf: a lost direction, NaN: a failed run",
-    },
-    "exponent",
+END_STATE: Final = array(
+    "end_state", (*CELL_DIMS, "state"), "<f8", "state at the end of the window, in the cell's own units",
+    None, fields=" ".join(STATE_FIELDS),
 )  # fmt: skip
-LYAPUNOV_ERROR: Final = _array(
-    "lyapunov_error", "<f8", "standard error of the largest Lyapunov exponent",
-    {
-        "units": "1",
-        "comment": "per plate period, by the means of ten parts of the window; NaN: a lost direction, a "
-        "failed run, or observe below 40. For a chaotic motion; others converge faster",
-    },
+LYAPUNOV: Final = array(
+    "lyapunov", (*CELL_DIMS, "exponent"), "<f8", "Lyapunov exponents, the largest first",
+    comment="per plate period, natural logarithm; -inf: a lost direction, NaN: a failed run",
 )  # fmt: skip
-COMPUTED: Final = _array(
-    "computed", "|u1", "whether the cell was computed",
-    {
-        "flag_values": [0, 1],
-        "flag_meanings": "taken_from_its_block computed",
-        "comment": "0: outcome and mode are those of the nearest computed corner or centre of its block",
-    },
+LYAPUNOV_ERROR: Final = array(
+    "lyapunov_error", CELL_DIMS, "<f8", "standard error of the largest Lyapunov exponent",
+    comment="per plate period, by the means of ten parts of the window; NaN: a lost direction, a failed run, "
+    "or observe below 40. For a chaotic motion; others converge faster",
+)  # fmt: skip
+COMPUTED: Final = array(
+    "computed", CELL_DIMS, "|u1", "whether the cell was computed", None,
+    flag_values=[0, 1], flag_meanings="taken_from_its_block computed",
+    comment="0: outcome and mode are those of the nearest computed corner or centre of its block",
 )  # fmt: skip
 #: Values that a cell which is not computed takes from its block.
 MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
 #: Written last: a cell with an outcome has all its values.
-OUTCOME: Final = _array(
-    "outcome", "|u1", "what became of the cell",
-    {
-        **_COUNT,
-        **OUTCOME_FLAGS,
-        "comment": "of the window: 3 % of aperiodic cells are periodic in the end, chaotic transients that "
-        "settle_until does not extend; a start exactly on an unstable cycle is periodic there",
-    },
+OUTCOME: Final = array(
+    "outcome", CELL_DIMS, "|u1", "what became of the cell", **OUTCOME_FLAGS,
+    comment="of the window: 3 % of aperiodic cells are periodic in the end, chaotic transients that "
+    "settle_until does not extend; a start exactly on an unstable cycle is periodic there",
 )  # fmt: skip
 
 COORDINATES: Final = (
@@ -323,11 +312,19 @@ def sizes(spec: SweepSpec) -> dict[str, int]:
 
 def bytes_per_cell(spec: SweepSpec) -> int:
     """Stored bytes per cell of a sweep before compression."""
-    length = sizes(spec)
-    return sum(
-        np.dtype(array.dtype).itemsize * math.prod(length[dim] for dim in array.extra_dims)
-        for array in arrays(spec)
-    )
+    return bytes_of(arrays(spec), sizes(spec))
+
+
+def bytes_of(arrays: Iterable[Array], sizes: Mapping[str, int]) -> int:
+    """Stored bytes per cell before compression."""
+    return sum(np.dtype(a.dtype).itemsize * math.prod(sizes[dim] for dim in a.extra_dims) for a in arrays)
+
+
+def empty_record(
+    shape: tuple[int, ...], arrays: Iterable[Array], sizes: Mapping[str, int]
+) -> dict[str, NDArray[Any]]:
+    """The arrays of a chunk of `shape` cells, filled with the values of cells that are not computed."""
+    return {a.name: np.full((*shape, *(sizes[dim] for dim in a.extra_dims)), a.fill, a.dtype) for a in arrays}
 
 
 def bytes_of_map(spec: SweepSpec) -> int:
@@ -350,6 +347,27 @@ def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
         arrays=tuple(arrays(spec)),
         coordinate_attrs={coordinate.name: coordinate.attrs for coordinate in COORDINATES},
         attributes=_attributes(spec),
+        identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
+    )
+
+
+def grid_layout(
+    spec: Specification, chunk_shape: tuple[int, ...], arrays: tuple[Array, ...], sizes: Mapping[str, int],
+    coordinates: Mapping[str, tuple[NDArray[Any], dict[str, Any]]], title: str, model: str,
+) -> Layout:  # fmt: skip
+    """Layout of a store over the axes of a specification, with chunks of `chunk_shape` cells.
+
+    `coordinates`: values and attributes of the other dimensions with coordinates.
+    """
+    axes = {axis: spec.axis_values(axis).astype("<f8") for axis in spec.AXES}
+    attrs = {row.name: row.attrs for row in COORDINATES if row.name in axes}
+    return Layout(
+        chunk_sizes=dict(zip(axes, chunk_shape, strict=True)),
+        coordinates=axes | {name: values for name, (values, _) in coordinates.items()},
+        extra_sizes=sizes,
+        arrays=arrays,
+        coordinate_attrs=attrs | {name: about for name, (_, about) in coordinates.items()},
+        attributes=common_attributes(spec, title, model),
         identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
     )
 

@@ -1,110 +1,68 @@
 """Kinds of study: what a job computes.
 
-A study parses its specification, plans its chunks, declares its stored variables, estimates its cost, and
-computes one chunk. Ledger, queue, executors, store, progress, cancelling and repair use only these five
-functions (`tasks.Study`).
-
 Another kind of study is a package of its own and a row of STUDIES; its queries and routes are in the service
 (see docs/architecture.md).
 """
 
-from collections.abc import Iterator
-from typing import Any, Final, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
 
-from worker import schema, tasks
-from worker.basins.multistability import MULTISTABILITY
-from worker.basins.study import BASINS
-from worker.cost import estimate
-from worker.orbits import ORBITS
-from worker.plan import LONGEST_SECONDS, make_plan
-from worker.plan import Plan as SweepPlan
+from worker import cost, orbits, plan, schema, tasks
+from worker.basins import multistability, study
+from worker.basins.spec import BasinSpec, MultistabilitySpec
+from worker.cost import Cost
+from worker.plan import Chunk, Plan
+from worker.schema import Layout
 from worker.spec import SweepSpec, parsing
-from worker.store import HasSlices
-from worker.tasks import ChunkReport, Study
+from worker.spec.specification import Specification as Spec
+
+__all__ = ["STUDIES", "SWEEP", "Chunk", "Plan", "Spec", "Study", "from_json", "parse", "run_task", "study_of"]
 
 
-class Spec(Protocol):
-    """The specification of a study: a frozen value that can be pickled."""
+@dataclass(frozen=True)
+class Study:
+    """A kind of study: five functions, all pure except `task`.
 
-    @property
-    def name(self) -> str:
-        """A label; not part of the study's identity."""
+    Ledger, queue, executors, store, progress, cancelling and repair use only these.
+    """
 
-    @property
-    def protocol(self) -> Any:
-        """An object whose `kind` is the study's key in STUDIES."""
-
-    def as_submitted(self) -> dict[str, Any]:
-        """Plain JSON values, which `Study.parse` accepts."""
-
-    def job_id(self, kernel_version: str) -> str:
-        """32 hex digits that depend on the specification and the kernel version alone."""
-
-
-class Chunk(HasSlices, Protocol):
-    """A block of cells that one task computes and writes."""
-
-    @property
-    def index(self) -> int:
-        """Its index in the plan."""
-
-    @property
-    def after(self) -> int | None:
-        """Index of the chunk that must be done first, which is lower; None without one."""
-
-    @property
-    def cells(self) -> int: ...
-
-
-class Plan(Protocol):
-    """The chunks of a study, each computed when it is indexed: there may be a million."""
-
-    @property
-    def chunk_shape(self) -> tuple[int, ...]:
-        """Cells of a chunk along each dimension; the ledger keeps it to repeat the plan."""
-
-    @property
-    def cells(self) -> int: ...
-
-    @property
-    def lines(self) -> int:
-        """Chunks without a predecessor; each other chunk i depends on chunk i - lines."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, index: int) -> Chunk: ...
-
-    def __iter__(self) -> Iterator[Chunk]: ...
-
-    def number(self, *coords: int) -> int:
-        """Index of the chunk at these coordinates in the store's grid of chunks."""
-
-
-def _plan_sweep(
-    spec: SweepSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
-) -> SweepPlan:
-    return make_plan(spec, chunk_shape=chunk_shape, longest=longest)
+    #: The specification from plain JSON values. Raises a `SpecError` that names every broken rule.
+    parse: Callable[[object], Any]
+    #: (spec, chunk_shape=None, longest=LONGEST_SECONDS): the chunks, of `chunk_shape` or of a shape that the
+    #: study chooses. Many chunks may be longer, up to about `longest` core-seconds each.
+    plan: Callable[..., Plan]
+    #: (spec, chunk_shape): the layout of the store.
+    variables: Callable[[Any, tuple[int, ...]], Layout]
+    #: (spec, plan): the cost; computes and allocates nothing.
+    estimate: Callable[[Any, Plan], Cost]
+    #: (spec, chunk, store_url): compute one chunk and store it, in a worker process; repeated, it writes the
+    #: same bytes. Raises a `tasks.TaskError` or a `store.StoreError`. A task that takes longer than the slice
+    #: of `tasks.OPTIONS` should store its progress and raise `tasks.ChunkPaused`: it is called again.
+    task: Callable[[Any, Chunk, str], tasks.ChunkReport]
 
 
 SWEEP: Final = Study(
-    parse=SweepSpec.parse,
-    plan=_plan_sweep,
-    variables=schema.layout,
-    estimate=lambda spec, plan: estimate(spec, len(plan)),
-    task=tasks.run_chunk,
-)
+    SweepSpec.parse, plan.make_plan, schema.layout, lambda spec, plan: cost.estimate(spec, len(plan)),
+    tasks.run_chunk,
+)  # fmt: skip
 
 #: Every kind of study by the `kind` of its specification's `protocol`.
-STUDIES: Final[dict[str, Study]] = {
+STUDIES: Final = {
     "rest": SWEEP,
     "ramp": SWEEP,
-    "orbits": ORBITS,
-    "basin": BASINS,
-    "multistability": MULTISTABILITY,
-}
+    "orbits": Study(
+        orbits.OrbitsSpec.parse, orbits.make_plan, orbits.layout, orbits.estimate, orbits.run_chunk
+    ),
+    "basin": Study(BasinSpec.parse, study.make_plan, study.layout, study.estimate, study.run_chunk),
+    "multistability": Study(
+        MultistabilitySpec.parse, multistability.make_plan, multistability.layout, multistability.estimate,
+        multistability.run_chunk,
+    ),
+}  # fmt: skip
 
 
-def study_of(spec: Spec) -> Study:
+def study_of(spec: Any) -> Study:
     """The kind of study of a specification."""
     return STUDIES[spec.protocol.kind]
 
@@ -113,8 +71,7 @@ def parse(data: object) -> Any:
     """A specification of any kind from plain JSON values. Raises a `SpecError`."""
     protocol = data.get("protocol") if isinstance(data, dict) else None
     kind = protocol.get("kind") if isinstance(protocol, dict) else None
-    study = STUDIES.get(kind, SWEEP) if isinstance(kind, str) else SWEEP
-    return study.parse(data)
+    return (STUDIES.get(kind, SWEEP) if isinstance(kind, str) else SWEEP).parse(data)
 
 
 def from_json(text: str | bytes) -> Any:
@@ -122,6 +79,6 @@ def from_json(text: str | bytes) -> Any:
     return parse(parsing.read_json(text))
 
 
-def run_task(spec: Spec, chunk: Chunk, store_url: str) -> ChunkReport:
+def run_task(spec: Spec, chunk: Chunk, store_url: str) -> tasks.ChunkReport:
     """Compute one chunk of a study of any kind: the function that executors run in workers."""
     return study_of(spec).task(spec, chunk, store_url)

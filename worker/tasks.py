@@ -11,11 +11,11 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,7 @@ from kernel.params import Cell, Line, Outcome, Start
 from kernel.stopping import check
 from kernel.trajectory import sample
 from worker import schema, store
-from worker.cost import Cost, cells_at_once
-from worker.grid_plan import Block
+from worker.cost import cells_at_once
 from worker.plan import Chunk
 from worker.refinement import Beyond, Refinement, surroundings
 from worker.spec import AXES, SweepSpec
@@ -122,24 +121,6 @@ class ChunkReport:
     bytes: int | None = None  # stored, of all arrays; None if unknown
 
 
-class Study(NamedTuple):
-    """A kind of study: five functions, all pure but `task`."""
-
-    #: The specification from plain JSON values. Raises a `SpecError` that names every broken rule.
-    parse: Callable[[object], Any]
-    #: The chunks of a specification, of `chunk_shape` or of a shape that the study chooses. Many chunks may
-    #: be longer, up to about `longest` core-seconds each.
-    plan: Callable[..., Any]
-    #: The layout of the store, of a specification and a chunk shape.
-    variables: Callable[[Any, tuple[int, ...]], schema.Layout]
-    #: The cost of a specification and its plan; computes and allocates nothing.
-    estimate: Callable[[Any, Any], Cost]
-    #: Computes one chunk and stores it at an address, in a worker process; again, it writes the same bytes.
-    #: Raises a `TaskError` or a `store.StoreError`. A task that takes longer than the slice of `OPTIONS`
-    #: should store its progress and raise `ChunkPaused`: it is called again.
-    task: Callable[[Any, Any, str], ChunkReport]
-
-
 #: Position of a line among the lines of its chunk.
 _LineIndex = tuple[int, int]
 _Arrays = dict[str, NDArray[Any]]
@@ -162,7 +143,7 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     missing and the chunk can be run again.
     """
     arrays = schema.arrays(spec)
-    record = empty_record(_surrounded(spec, chunk), arrays, schema.sizes(spec))
+    record = schema.empty_record(_surrounded(spec, chunk).shape, arrays, schema.sizes(spec))
     work = Work(store_url, chunk, arrays, record)
     if spec.refine is None:
         _compute_lines(spec, chunk, work, _starts(spec, chunk, store_url))
@@ -217,7 +198,7 @@ def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, work: "Work") ->
 
 def _beyond(spec: SweepSpec, chunk: Chunk) -> Beyond:
     """The map's cells around a tile: rows above and below, columns left and right."""
-    (top, bottom), (left, right) = chunk.omega, chunk.gamma
+    _, (top, bottom), (left, right) = chunk.spans
     return top, spec.shape[2] - bottom, left, spec.shape[3] - right
 
 
@@ -225,9 +206,9 @@ def _surrounded(spec: SweepSpec, chunk: Chunk) -> Chunk:
     """A chunk of an adaptive map with its surroundings; any other chunk unchanged."""
     if spec.refine is None:
         return chunk
-    (top, bottom), (first, last) = chunk.omega, chunk.gamma
+    xi, (top, bottom), (first, last) = chunk.spans
     above, below, left, right = surroundings(spec.refine, _beyond(spec, chunk))
-    return replace(chunk, omega=(top - above, bottom + below), gamma=(first - left, last + right))
+    return replace(chunk, spans=(xi, (top - above, bottom + below), (first - left, last + right)))
 
 
 def _compute(spec: SweepSpec, work: "Work", cells: _Arrays, starts: list[Start | None]) -> Line:
@@ -247,9 +228,7 @@ class Work:
     StoreError of storing it now: computing can take minutes.
     """
 
-    def __init__(
-        self, store_url: str, chunk: Chunk | Block, arrays: Iterable[schema.Array], record: _Arrays
-    ) -> None:
+    def __init__(self, store_url: str, chunk: Chunk, arrays: Iterable[schema.Array], record: _Arrays) -> None:
         self._began, self._slice_began = time.perf_counter(), time.thread_time()
         store.check_chunk(store_url, chunk, arrays)
         self._url, self._chunk, self.record = store_url, chunk, record
@@ -450,31 +429,20 @@ def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
     axis = spec.ramp_axis
     if axis is None or chunk.after is None:
         return None
-    low, high = getattr(chunk, axis)
-    direction, position = chunk.direction, low - 1
+    spans = dict(zip(AXES, chunk.spans, strict=True))
+    low, high = spans[axis]
+    direction, position = chunk.direction or 0, low - 1
     if spec.directions[direction] == "down":
         is_last = high == len(spec.axis_values(axis))
         # A "down" ramp starts from the end of "up", whose last cell has the same parameters.
         direction, position = (direction - 1, high - 1) if is_last else (direction, high)
-    spans = {name: getattr(chunk, name) for name in AXES} | {axis: (position, position + 1)}
-    return Chunk(chunk.index, direction, **spans)
-
-
-def empty_record(
-    chunk: Chunk | Block, arrays: Iterable[schema.Array], sizes: Mapping[str, int]
-) -> dict[str, NDArray[Any]]:
-    """The arrays of a chunk, filled with the values of cells that are not computed."""
-    return {
-        array.name: np.full(
-            (*chunk.shape, *(sizes[dim] for dim in array.extra_dims)), array.fill, array.dtype
-        )
-        for array in arrays
-    }
+    spans[axis] = position, position + 1
+    return Chunk(chunk.index, tuple(spans.values()), direction)
 
 
 def _cells(spec: SweepSpec, chunk: Chunk) -> _Arrays:
     """The parameters of every cell, each array of shape chunk.shape."""
-    values = [spec.axis_values(axis)[slice(*getattr(chunk, axis))] for axis in AXES]
+    values = [spec.axis_values(axis)[slice(*span)] for axis, span in zip(AXES, chunk.spans, strict=True)]
     return dict(zip(AXES, np.meshgrid(*values, indexing="ij"), strict=True))
 
 
@@ -485,7 +453,7 @@ def _in_visiting_order(spec: SweepSpec, chunk: Chunk, arrays: _Arrays) -> _Array
     """
     if spec.ramp_axis is None:
         return {name: array.reshape(1, 1, chunk.cells, *array.shape[3:]) for name, array in arrays.items()}
-    axis, step = AXES.index(spec.ramp_axis), -1 if spec.directions[chunk.direction] == "down" else 1
+    axis, step = AXES.index(spec.ramp_axis), -1 if spec.directions[chunk.direction or 0] == "down" else 1
     return {name: np.moveaxis(array, axis, 2)[:, :, ::step] for name, array in arrays.items()}
 
 

@@ -33,7 +33,7 @@ def draw(lines: int = 13, tips: int = 4) -> Figure:
     above.plot(grid, threshold(grid, XI), color="0.7", linewidth=3, label=r"$\Gamma_\mathrm{th}$, Eq. 25")
     for curve in found.curves:
         gamma = np.where(curve.admissible == 0, curve.gamma, np.nan)
-        above.plot(curve.omega, gamma, STYLES[curve.kind])
+        above.plot(curve.omega, gamma, STYLES[curve.kind[0]])
     for kind, style in STYLES.items():
         above.plot([], [], style, label=kind)
     for kind, style in POINTS.items():

@@ -17,9 +17,10 @@ XI = 0.05
 
 def impact_share(found: Thresholds) -> float:
     """The percentage of the lost energy that the impact takes; NaN where bouncing does not end at a fold."""
-    if found.energy is None:
+    if found.fold is None:
         return np.nan
-    return float(100 * found.energy.impact[0] / (found.energy.impact + found.energy.dashpot)[0])
+    lost = found.fold.energy
+    return float(100 * lost.impact[0] / (lost.impact + lost.dashpot)[0])
 
 
 def draw(num: int = 101) -> Figure:

@@ -47,21 +47,20 @@ class Reason(IntFlag):
     TAKEOFF = 4  # n does not fall at take-off
 
 
-class Minima(NamedTuple):
-    """The deepest minimum inside a flight or contact: its time (n,), rad, and depth (n,); inf: none."""
+class Condition(NamedTuple):
+    """A condition of n orbits, that a function is positive inside a flight or contact; arrays (n,)."""
 
-    time: Floats
-    depth: Floats
+    broken: NDArray[np.bool_]  # negative inside or next to an end
+    time: Floats  # rad, of the deepest minimum inside; NaN: none
+    depth: Floats  # of that minimum; inf: none
 
 
 class Check(NamedTuple):
     """What the conditions of n orbits are, in plate amplitudes and m A omega**2."""
 
     reason: NDArray[np.uint8]  # (n,) a Reason
-    gap: Minima  # inside the flight
-    force: Minima  # inside the contact
-    gap_broken: NDArray[np.bool_]  # (n,) negative inside the flight or next to an end of it
-    force_broken: NDArray[np.bool_]  # (n,) negative at landing, inside the contact, or next to its end
+    gap: Condition  # in flight
+    force: Condition  # in contact
 
 
 class Samples(NamedTuple):
@@ -125,6 +124,11 @@ def force_from(k: Spring, q: Array, v: Array, c: Array, s: Array) -> Array:
     return np.array([n_re * c - n_im * s, n_re * s + n_im * c, h2, -b * h2 - w * h1])
 
 
+def combination(k: Spring, x: Orbit, t: Array, contact: bool) -> tuple[Terms, Array, float]:
+    """Terms, weights and offset of the gap in flight, or of n in contact, in units of g/omega**2."""
+    return (force_terms, force_weights(k, x, t), 2.0) if contact else (gap_terms, gap_weights(x), 0.0)
+
+
 def force_at_landing(k: Spring, x: Orbit, t: Array) -> Array:
     """n of a mass that has just landed, in units of g/omega**2."""
     driven = x.c * np.cos(t) - x.s * np.sin(t)
@@ -137,7 +141,7 @@ def force_slope(k: Spring, x: Orbit) -> Array:
 
 
 def check(
-    k: Spring, periods: int, t: Floats, x: Orbit, at: Samples, tolerance: NDArray[np.float64] | float = 0.0
+    k: Spring, periods: int, t: Floats, x: Orbit, at: Samples, tolerance: Floats | float = 0.0
 ) -> Check:
     """Follow the orbits `x` with flights of t rad (n,).
 
@@ -147,16 +151,17 @@ def check(
     scale = 1.0 / np.hypot(x.c, x.s)
     impact, slope, landing = x.impact * scale, force_slope(k, x) * scale, force_at_landing(k, x, t) * scale
     zero, rest = np.zeros_like(t), TWO_PI * periods - t
-    gap, below = deepest(k, gap_terms, gap_weights(x) * scale, zero, t, impact, at.time, at.gap, tolerance)
-    force, pulls = deepest(
+    gap = deepest(k, gap_terms, gap_weights(x) * scale, zero, t, impact, at.time, at.gap, tolerance)
+    force = deepest(
         k, force_terms, force_weights(k, x, t) * scale, 2.0 * scale, rest, slope, at.time, at.force, tolerance
     )
     # written so that an orbit that is not finite fulfils no condition
-    above = (gap.depth > -tolerance) & (impact < tolerance) & ~below
-    presses = (force.depth > -tolerance) & (landing > -tolerance) & ~pulls
+    above = (gap.depth > -tolerance) & (impact < tolerance) & ~gap.broken
+    presses = (force.depth > -tolerance) & (landing > -tolerance) & ~force.broken
     falls = slope < tolerance
     reason = Reason.GAP * ~above + Reason.CONTACT * ~presses + Reason.TAKEOFF * ~falls
-    return Check(reason.astype(np.uint8), gap, force, ~(above & falls), ~(presses & falls))
+    gap, force = gap._replace(broken=~(above & falls)), force._replace(broken=~(presses & falls))
+    return Check(reason.astype(np.uint8), gap, force)
 
 
 class _Turns(NamedTuple):
@@ -178,9 +183,9 @@ def _combined(weights: Floats, terms: Floats) -> Floats:
 
 def deepest(
     k: Spring, terms: Terms, weights: Floats, offset: Floats, end: Floats, end_slope: Floats, nodes: Floats,
-    at_nodes: tuple[Floats, Floats], tolerance: NDArray[np.float64] | float,
-) -> tuple[Minima, NDArray[np.bool_]]:  # fmt: skip
-    """The deepest minimum before `end` (n,), where the function is zero, and whether a sample is negative."""
+    at_nodes: tuple[Floats, Floats], tolerance: Floats | float,
+) -> Condition:  # fmt: skip
+    """The deepest minimum before `end` (n,), where the function is zero; broken: a sample is negative."""
     m = int(np.searchsorted(nodes, end.max(initial=0.0))) + 1
     nodes = nodes[:m]
     inside = nodes < end[:, None] - _END
@@ -202,7 +207,7 @@ def deepest(
     time, depth = np.full(len(end), np.nan), np.full(len(end), np.inf)
     row, left, right, u, v, slope_left, slope_right = turns
     if not len(row):
-        return Minima(time, depth), negative
+        return Condition(negative, time, depth)
     width = right - left
     part, low = cubic_extremum(u, v, slope_left * width, slope_right * width, 1.0)
     where = left + part * width
@@ -218,7 +223,7 @@ def deepest(
         where[near], low[near] = tau, f + offset[r]
     order = np.argsort(-low, kind="stable")  # the deepest of a row is written last
     time[row[order]], depth[row[order]] = where[order], low[order]
-    return Minima(time, depth), negative
+    return Condition(negative, time, depth)
 
 
 def _soft(value: Floats, slope: Floats, end_slope: Floats, left: Floats) -> Ints:

@@ -53,7 +53,7 @@ POINTS: Final = 400
 #: Where branches end unless asked otherwise.
 GAMMA: Final = (0.0, 8.0)
 
-#: What changes sign along a branch, in the order of `_tests`.
+#: What changes sign along a branch, in the order of `Point.tests`.
 _TESTS: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER)
 
 
@@ -73,28 +73,32 @@ class Point(NamedTuple):
     slope: Floats  # (m - 1, m)
     tangent: Floats  # (m,)
 
+    @property
+    def gamma(self) -> float:
+        return float(np.hypot(self.u[2], self.u[3]))
+
+    @property
+    def tests(self) -> Floats:
+        """1 - tr + det, 1 + tr + det, det - 1, tr: the first three change sign at _TESTS."""
+        (trace,), (det,) = trace_and_det(self.slope[..., None])
+        return np.array([1.0 - trace + det, 1.0 + trace + det, det - 1.0, trace])
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether both multipliers lie inside the unit circle."""
+        fold, flip, torus, _ = self.tests
+        return bool(fold > 0.0 and flip > 0.0 and torus < 0.0)
+
 
 def follow(
     word: Word, *, points: int = POINTS, gamma: tuple[float, float] = GAMMA
-) -> tuple[WordBranch, Events]:
-    """The branch of a word through a guess of an orbit, with its events.
+) -> tuple[WordBranch, list[Turn]]:
+    """The branch of a word through a guess of an orbit, with its events, from which other branches begin.
 
     Both ways, or the way of `word.direction` only. Ends where Gamma leaves its range, where a flight or a
     contact shrinks to nothing, or after `points` points each way. Raises KernelInputError if no orbit is
     found.
     """
-    lines, found = _both_ways(word, points, gamma)
-    line = lines[0] if len(lines) == 1 else [*lines[1][:0:-1], *lines[0]]
-    return record(word, np.array(line)), events(found)
-
-
-def turns(word: Word, *, points: int = POINTS, gamma: tuple[float, float] = GAMMA) -> list[Turn]:
-    """The events of `follow` with their orbits, from which other branches begin. Raises KernelInputError."""
-    return _both_ways(word, points, gamma)[1]
-
-
-def _both_ways(word: Word, points: int, gamma: tuple[float, float]) -> tuple[list[list[Floats]], list[Turn]]:
-    """The unknowns along a branch, a list for each way, and its events."""
     first = start(word)
     ways = [first.tangent] if word.direction is not None else [first.tangent, -first.tangent]
     lines: list[list[Floats]] = []
@@ -106,7 +110,7 @@ def _both_ways(word: Word, points: int, gamma: tuple[float, float]) -> tuple[lis
         if end is not None:
             found.append(end)
             lines[-1].append(end.word.unknowns)
-    return lines, found
+    return record(word, np.array([*(lines[1][:0:-1] if len(lines) > 1 else ()), *lines[0]])), found
 
 
 def start(word: Word) -> Point:
@@ -199,29 +203,12 @@ def walk(
         line.append(found)
         bend = (found.tangent - at.tangent) / step
         bend -= (bend @ found.tangent) * found.tangent
-        if not gamma[0] <= np.hypot(found.u[2], found.u[3]) <= gamma[1]:
+        if not gamma[0] <= found.gamma <= gamma[1]:
             break
-        if stable_only and not is_stable(found):
+        if stable_only and not found.is_stable:
             break
         step = min(step * (1.5 if angle < 0.5 * _TURN else 1.0), _LARGEST)
     return line, None
-
-
-def is_stable(point: Point) -> bool:
-    """Whether both multipliers lie inside the unit circle."""
-    values, _ = fold_flip_torus(point.slope)
-    return bool(values[0] > 0.0 and values[1] > 0.0 and values[2] < 0.0)
-
-
-def fold_flip_torus(slope: Floats) -> tuple[Floats, float]:
-    """1 - tr + det, 1 + tr + det, det - 1; and the trace."""
-    (trace,), (det,) = trace_and_det(slope[..., None])
-    return np.array([1.0 - trace + det, 1.0 + trace + det, det - 1.0]), float(trace)
-
-
-def _test(which: int, point: Point) -> float:
-    """One of them."""
-    return float(fold_flip_torus(point.slope)[0][which])
 
 
 def _end(k: Spring, word: Word, at: Point, step: float) -> Turn | None:
@@ -232,7 +219,7 @@ def _end(k: Spring, word: Word, at: Point, step: float) -> Turn | None:
     piece = int(np.argmin(found.u[STATE:]))
     part = pieces(word.letters)[piece]
     kind = Kind.GRAZE_CONTACT if part.power == 3 else Kind.IMMEDIATE_TAKEOFF
-    return Turn(kind, word._replace(unknowns=found.u, direction=None), piece, 0.0)
+    return Turn(kind, word.at(found.u), piece, 0.0)
 
 
 def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Point], float]) -> Point | None:
@@ -270,7 +257,7 @@ def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Poi
 def turns_along(word: Word, line: list[Point]) -> Iterator[Turn]:
     """The events between the orbits of a line, in order; each is searched for when it is asked for."""
     k = spring(word.omega, word.xi)
-    tests = np.array([fold_flip_torus(point.slope)[0] for point in line])
+    tests = np.array([point.tests[: len(_TESTS)] for point in line])
     at_nodes = samples(k, word.periods)
 
     def held(points: list[Point]) -> Conditions:
@@ -289,29 +276,31 @@ def turns_along(word: Word, line: list[Point]) -> Iterator[Turn]:
         for which in np.flatnonzero(turned[i]):
             orbit = _root(k, word, at, step, partial(_test, int(which)))
             kind = _TESTS[which]
-            if orbit is None or (kind is Kind.NEIMARK_SACKER and abs(fold_flip_torus(orbit.slope)[1]) >= 2.0):
+            if orbit is None or (kind is Kind.NEIMARK_SACKER and abs(orbit.tests[-1]) >= 2.0):
                 continue
-            turn = Turn(kind, word._replace(unknowns=orbit.u, direction=None), -1, np.nan)
-            found.append((_step(at, orbit), turn))
+            found.append((_step(at, orbit), Turn(kind, word.at(orbit.u), -1, np.nan)))
         for row in np.flatnonzero(broken[i]):
             orbit = _root(k, word, at, step, partial(margin, int(row)))
-            if orbit is None:
-                continue
-            time = float(held([orbit]).time[row, 0])
-            here = word._replace(unknowns=orbit.u, direction=None)
-            found.append((_step(at, orbit), Turn(whole.kind[row], here, whole.piece[row], time)))
+            if orbit is not None:
+                time = float(held([orbit]).time[row, 0])
+                turn = Turn(whole.kind[row], word.at(orbit.u), whole.piece[row], time)
+                found.append((_step(at, orbit), turn))
         yield from (turn for _, turn in sorted(found, key=lambda x: x[0]))
 
 
 def folds_along(word: Word, line: list[Point], below: float) -> Iterator[Turn]:
     """The folds between the orbits of a line, those next to orbits below a Gamma."""
     k = spring(word.omega, word.xi)
-    tests = np.array([_test(0, point) for point in line])
+    tests = np.array([point.tests[0] for point in line])
     for i in np.flatnonzero(tests[:-1] * tests[1:] < 0.0):
-        if np.hypot(line[i].u[2], line[i].u[3]) < below:
+        if line[i].gamma < below:
             orbit = _root(k, word, line[i], _step(line[i], line[i + 1]), partial(_test, 0))
             if orbit is not None:
-                yield Turn(Kind.FOLD, word._replace(unknowns=orbit.u, direction=None), -1, np.nan)
+                yield Turn(Kind.FOLD, word.at(orbit.u), -1, np.nan)
+
+
+def _test(which: int, point: Point) -> float:
+    return float(point.tests[which])
 
 
 def _step(a: Point, b: Point) -> float:

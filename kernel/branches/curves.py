@@ -13,18 +13,8 @@ from enum import StrEnum
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kernel.branches.admissibility import (
-    check,
-    force_at_landing,
-    force_slope,
-    force_terms,
-    force_weights,
-    gap_terms,
-    gap_weights,
-    samples,
-)
+from kernel.branches.admissibility import check, combination, force_at_landing, force_slope, samples
 from kernel.branches.closed_form import TWO_PI, Orbit, floquet, orbit
 from kernel.branches.events import (
     EDGES,
@@ -37,6 +27,7 @@ from kernel.branches.events import (
     join_events,
     sample_times,
 )
+from kernel.branches.roots import Floats
 from kernel.branches.spring import STEP, Array, Spring, spring
 from kernel.params import KernelInputError
 
@@ -93,24 +84,10 @@ class Parameter(StrEnum):
     XI = "xi"
 
 
-class Curve(NamedTuple):
-    """m points of one curve, in order; units as in `events.Branch`."""
-
-    kind: Kind
-    bounces: int
-    periods: int
-    omega: NDArray[np.float64]  # (m,)
-    xi: NDArray[np.float64]  # (m,)
-    flight_time: NDArray[np.float64]  # (m,) rad
-    gamma: NDArray[np.float64]  # (m,)
-    multiplier: NDArray[np.complex128]  # (m, 2)
-    admissible: NDArray[np.uint8]  # (m,) 0, or the bits of a Reason
-
-
 class Curves(NamedTuple):
-    """Curves, and the codimension-2 points on them."""
+    """Curves, each its points in order, and the codimension-2 points on them."""
 
-    curves: tuple[Curve, ...]
+    curves: tuple[Events, ...]
     points: Events
 
 
@@ -127,15 +104,25 @@ class _Plane(NamedTuple):
         """The spring of a parameter, which may be complex."""
         return spring(p, self.fixed) if self.parameter is Parameter.OMEGA else spring(self.fixed, p)
 
-    def sides(self) -> NDArray[np.float64]:
+    def sides(self) -> Floats:
         """What steps are measured in."""
         return np.array([TWO_PI * self.periods, self.high - self.low])
 
+    def floquet(self, t: complex, p: complex) -> tuple[complex, complex, complex, complex]:
+        """Trace and determinant and their derivatives by T."""
+        f = floquet(self.spring(p), self.periods, np.array([t]))
+        return f.trace[0], f.det[0], f.trace1[0], f.det1[0]
 
-def _times_only(plane: _Plane, t: complex, p: complex) -> tuple[complex, complex, complex, complex]:
-    """Trace and determinant and their derivatives by T."""
-    f = floquet(plane.spring(p), plane.periods, np.array([t]))
-    return f.trace[0], f.det[0], f.trace1[0], f.det1[0]
+    def event(self, kind: Kind, t: float, p: float) -> Events:
+        """The record of one event."""
+        k = self.spring(p)
+        omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
+        b = branch(omega, xi, self.periods, np.array([t]), tolerance=GRAZES if kind in EDGES else 0.0)
+        one, periods = np.ones(1, np.int32), np.full(1, self.periods, np.int32)
+        return Events(
+            np.array([kind], np.str_), np.array([omega]), np.array([xi]), one, periods, b.flight_time,
+            b.gamma, b.multiplier, b.admissible,
+        )  # fmt: skip
 
 
 class _Zero:
@@ -146,15 +133,11 @@ class _Zero:
         self.plane, self.kind = plane, kind
         self.time = self.begins = _grazes_at(plane, kind, t, p) if kind in _GRAZE else math.nan
 
-    def restart(self) -> None:
-        """Before the curve is followed from the event again."""
-        self.time = self.begins
-
-    def __call__(self, t: float, p: float) -> tuple[float, NDArray[np.float64]]:
+    def __call__(self, t: float, p: float) -> tuple[float, Floats]:
         """The value, and its gradient by T and by the parameter."""
         plane, kind = self.plane, self.kind
         if kind not in EDGES:
-            trace, det, trace1, det1 = _times_only(plane, t, p + 1j * STEP)
+            trace, det, trace1, det1 = plane.floquet(t, p + 1j * STEP)
             if kind is Kind.NEIMARK_SACKER:
                 return det.real - 1.0, np.array([det1.real, det.imag / STEP])
             sign = -1.0 if kind is Kind.FOLD else 1.0
@@ -175,23 +158,18 @@ class _Zero:
         """n at landing, gap' there, n' at take-off, or the gap or n at a fixed time inside (1,)."""
         if self.kind is Kind.IMMEDIATE_TAKEOFF:
             return force_at_landing(k, x, t)
-        if self.kind is Kind.GRAZE_FLIGHT:
-            if math.isfinite(self.time):
-                terms, _, _ = gap_terms(k, np.array([complex(self.time)]))
-                return np.asarray((gap_weights(x) * terms).sum(axis=0))
-            return x.impact
-        if math.isfinite(self.time):
-            terms, _, _ = force_terms(k, np.array([complex(self.time)]))
-            return np.asarray((force_weights(k, x, t) * terms).sum(axis=0) + 2.0)
-        return force_slope(k, x)
+        if math.isnan(self.time):
+            return x.impact if self.kind is Kind.GRAZE_FLIGHT else force_slope(k, x)
+        terms, weights, offset = combination(k, x, t, self.kind is Kind.GRAZE_CONTACT)
+        value, _, _ = terms(k, np.array([complex(self.time)]))
+        return np.asarray((weights * value).sum(axis=0) + offset)
 
 
 def _grazes_at(plane: _Plane, kind: Kind, t: float, p: float) -> float:
     """When the gap or n is least inside the flight or contact, rad; NaN: it grazes at an end of it."""
     k, at = plane.spring(p), np.array([t])
-    omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
     x = orbit(k, plane.periods, at)
-    found = check(k, plane.periods, at, x, samples(k, sample_times(omega, xi, plane.periods)), GRAZES)
+    found = check(k, plane.periods, at, x, samples(k, sample_times(k, plane.periods)), GRAZES)
     least = found.gap if kind is Kind.GRAZE_FLIGHT else found.force
     return float(least.time[0]) if abs(least.depth[0]) < _TOUCHES else math.nan
 
@@ -199,13 +177,11 @@ def _grazes_at(plane: _Plane, kind: Kind, t: float, p: float) -> float:
 def _minimum(plane: _Plane, kind: Kind, t: float, p: float, time: float) -> float:
     """The time of the minimum next to `time`; NaN if it has left the flight or contact."""
     k, at = plane.spring(p), np.array([t])
-    x = orbit(k, plane.periods, at)
-    flies = kind is Kind.GRAZE_FLIGHT
-    weights = gap_weights(x) if flies else force_weights(k, x, at)
-    end = t if flies else TWO_PI * plane.periods - t
+    contact = kind is Kind.GRAZE_CONTACT
+    terms, weights, _ = combination(k, orbit(k, plane.periods, at), at, contact)
+    end = TWO_PI * plane.periods - t if contact else t
     for _ in range(_CORRECTOR):
-        terms = (gap_terms if flies else force_terms)(k, np.array([time]))
-        _, slope, bend = (float((weights * y).sum()) for y in terms)
+        _, slope, bend = (float((weights * y).sum()) for y in terms(k, np.array([time])))
         if not bend > 0.0:
             return math.nan
         time -= slope / bend
@@ -234,7 +210,7 @@ def curves(
     plane = _Plane(parameter, fixed, low, high, periods)
     for p in (low, high):
         check_spring(*((p, fixed) if parameter is Parameter.OMEGA else (fixed, p)), periods)
-    found: list[tuple[Kind, NDArray[np.float64]]] = []
+    found: list[tuple[Kind, Floats]] = []
     points_left = _ALL_POINTS
     for p in np.linspace(low, high, lines):
         k = plane.spring(float(p))
@@ -255,9 +231,7 @@ def curves(
     )
 
 
-def _known(
-    plane: _Plane, found: list[tuple[Kind, NDArray[np.float64]]], kind: Kind, t: float, p: float
-) -> bool:
+def _known(plane: _Plane, found: list[tuple[Kind, Floats]], kind: Kind, t: float, p: float) -> bool:
     """Whether a curve found already passes through (t, p)."""
     sides = plane.sides()
     for other, line in found:
@@ -273,23 +247,22 @@ def _known(
     return False
 
 
-def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> NDArray[np.float64]:
+def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> Floats:
     """The curve (m, 2) through (t, p), both ways."""
     zero = _Zero(plane, kind, t, p)
     forward, closed = _walk(zero, t, p, 1.0)
     if closed:
         return np.array([[t, p], *forward])
-    zero.restart()
     backward, _ = _walk(zero, t, p, -1.0)
     return np.array([*backward[::-1], [t, p], *forward])
 
 
-def _walk(zero: _Zero, t: float, p: float, direction: float) -> tuple[list[NDArray[np.float64]], bool]:
+def _walk(zero: _Zero, t: float, p: float, direction: float) -> tuple[list[Floats], bool]:
     """Points of the curve from (t, p) on, and whether it came back."""
-    plane = zero.plane
+    plane, zero.time = zero.plane, zero.begins
     sides = plane.sides()
     start = np.array([t, p]) / sides
-    line: list[NDArray[np.float64]] = []
+    line: list[Floats] = []
     u, step = start, _FIRST
     tangent = direction * _tangent(zero(t, p)[1] * sides)
     low, high = plane.low / sides[1], plane.high / sides[1]
@@ -312,7 +285,7 @@ def _walk(zero: _Zero, t: float, p: float, direction: float) -> tuple[list[NDArr
     return line, False
 
 
-def _corrected(zero: _Zero, v: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _corrected(zero: _Zero, v: Floats) -> tuple[Floats, Floats]:
     """The curve's point next to v, and its gradient, in sides of the plane; NaN if there is none."""
     sides, time = zero.plane.sides(), zero.time
     gradient = np.full(2, np.nan)
@@ -331,7 +304,7 @@ def _corrected(zero: _Zero, v: NDArray[np.float64]) -> tuple[NDArray[np.float64]
     return np.full(2, np.nan), gradient
 
 
-def _on_edge(zero: _Zero, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_edge(zero: _Zero, u: Floats, v: Floats) -> Floats:
     """The curve's point on the edge of the parameter between u inside and v outside, in sides."""
     plane = zero.plane
     sides = plane.sides()
@@ -343,20 +316,18 @@ def _on_edge(zero: _Zero, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDA
     return np.array([t, p]) / sides
 
 
-def _tangent(gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+def _tangent(gradient: Floats) -> Floats:
     """The unit vector along a curve with this gradient."""
     return np.array([-gradient[1], gradient[0]]) / float(np.hypot(gradient[0], gradient[1]))
 
 
-def _codimension_2(
-    plane: _Plane, kind: Kind, line: NDArray[np.float64]
-) -> Iterator[tuple[Kind, float, float]]:
+def _codimension_2(plane: _Plane, kind: Kind, line: Floats) -> Iterator[tuple[Kind, float, float]]:
     """The codimension-2 points on a curve: kind, T, parameter."""
     if kind in EDGES:
         return
     values = []
     for t, p in line:
-        trace, det, trace1, det1 = (float(np.real(x)) for x in _times_only(plane, t, p))
+        trace, det, trace1, det1 = (float(np.real(x)) for x in plane.floquet(t, p))
         values.append((det1 - trace1, det - 1.0, det + 1.0, trace - 2.0))
     fold1, one, minus_one, two = np.array(values).T
     tests = {
@@ -368,22 +339,22 @@ def _codimension_2(
         for i in np.flatnonzero(test[:-1] * test[1:] < 0.0):
             part = test[i] / (test[i] - test[i + 1])
             t, p = line[i] + part * (line[i + 1] - line[i])
-            t, p, converged = codimension_2(plane, point, float(t), float(p))
-            if converged and plane.low <= p <= plane.high:
-                yield point, t, p
+            found = _codimension_2_at(plane, point, float(t), float(p))
+            if found is not None and plane.low <= found[1] <= plane.high:
+                yield point, *found
 
 
-def codimension_2(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, float, bool]:
-    """Newton's method in (T, parameter), and whether it converged.
+def _codimension_2_at(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, float] | None:
+    """The point in (T, parameter) next to a guess by Newton's method, or None.
 
     Cusp: 1 - tr + det and its derivative by T are zero. Bogdanov-Takens: tr = 2, det = 1. Fold-flip: tr = 0,
     det = -1.
     """
     for _ in range(_NEWTON):
-        trace, det, trace1, det1 = _times_only(plane, t, p + 1j * STEP)
+        trace, det, trace1, det1 = plane.floquet(t, p + 1j * STEP)
         if kind is Kind.CUSP:
             f, f1 = 1.0 - trace + det, det1 - trace1
-            _, _, trace_t, det_t = _times_only(plane, t + 1j * STEP, p)
+            _, _, trace_t, det_t = plane.floquet(t + 1j * STEP, p)
             value = np.array([f.real, f1.real])
             slope = np.array([[f1.real, f.imag / STEP], [(det_t - trace_t).imag / STEP, f1.imag / STEP]])
         else:
@@ -393,44 +364,23 @@ def codimension_2(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float,
         try:
             move = np.linalg.solve(slope, value)
         except np.linalg.LinAlgError:
-            return t, p, False
+            return None
         t, p = t - move[0], p - move[1]
         if not (0.0 < t < TWO_PI * plane.periods and p > 0.0):
-            return t, p, False
+            return None
         if abs(move[0]) < 1e-12 * t and abs(move[1]) < 1e-12 * p:
-            return t, p, True
-    return t, p, False
+            return t, p
+    return None
 
 
-def _pieces(plane: _Plane, kind: Kind, line: NDArray[np.float64]) -> Iterator[Curve]:
-    """The record of a curve, without the parts on which it is not of its kind."""
-    rows = [events_at(plane, kind, t, p) for t, p in line]
-    keep = np.array([_is_of(kind, row.multiplier[0]) for row in rows])
+def _pieces(plane: _Plane, kind: Kind, line: Floats) -> Iterator[Events]:
+    """The record of a curve, without the parts on which its multipliers are not a pair but should be."""
+    rows = [plane.event(kind, t, p) for t, p in line]
+    keep = np.array([kind is not Kind.NEIMARK_SACKER or row.multiplier[0, 0].imag != 0.0 for row in rows])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], keep, [False]])))
     for first, last in edges.reshape(-1, 2):
-        piece = join_events(rows[first:last])
-        if len(piece.gamma) > 1:
-            yield Curve(
-                kind, 1, plane.periods, piece.omega, piece.xi, piece.flight_time, piece.gamma,
-                piece.multiplier, piece.admissible,
-            )  # fmt: skip
-
-
-def _is_of(kind: Kind, multiplier: NDArray[np.complex128]) -> bool:
-    """Whether multipliers with product one are a pair on the unit circle, where the kind asks for it."""
-    return kind is not Kind.NEIMARK_SACKER or abs(multiplier[0].imag) > 0.0
-
-
-def events_at(plane: _Plane, kind: Kind, t: float, p: float) -> Events:
-    """One event as a record."""
-    k = plane.spring(p)
-    omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
-    b = branch(omega, xi, plane.periods, np.array([t]), tolerance=GRAZES if kind in EDGES else 0.0)
-    one = np.ones(1)
-    return Events(
-        np.array([kind], np.str_), omega * one, xi * one, np.ones(1, np.int32),
-        np.full(1, plane.periods, np.int32), b.flight_time, b.gamma, b.multiplier, b.admissible,
-    )  # fmt: skip
+        if last - first > 1:
+            yield join_events(rows[first:last])
 
 
 def _unique(plane: _Plane, points: list[tuple[Kind, float, float]]) -> Events:
@@ -439,4 +389,4 @@ def _unique(plane: _Plane, points: list[tuple[Kind, float, float]]) -> Events:
     for kind, t, p in sorted(points, key=lambda x: (list(Kind).index(x[0]), x[2], x[1])):
         if not any(k is kind and abs(t - a) < _SAME and abs(p - b) < _SAME for k, a, b in once):
             once.append((kind, t, p))
-    return join_events([events_at(plane, kind, t, p) for kind, t, p in once])
+    return join_events([plane.event(kind, t, p) for kind, t, p in once])

@@ -11,18 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from kernel.branches.closed_form import floquet, gamma_slope
-from kernel.branches.continuation import (
-    GAMMA,
-    Point,
-    Turn,
-    fold_flip_torus,
-    folds_along,
-    is_stable,
-    newton,
-    start,
-    turns_along,
-    walk,
-)
+from kernel.branches.continuation import GAMMA, Point, Turn, folds_along, newton, start, turns_along, walk
 from kernel.branches.energy import Energy, energy, word_energy
 from kernel.branches.events import Events, Kind
 from kernel.branches.spring import Spring, spring
@@ -72,6 +61,11 @@ class Fold(NamedTuple):
     def periods(self) -> int:
         """Plate periods of the cycle."""
         return self.cycle.periods
+
+    @property
+    def holds(self) -> bool:
+        """Whether a stable cycle of the spring ends here."""
+        return not self.admissible and abs(self.other_multiplier) < 1.0
 
     @property
     def name(self) -> str:
@@ -128,24 +122,23 @@ def minima(k: Spring, events: Events, below: float) -> list[Fold]:
 
 def descend(word: Word) -> End:
     """Follow a stable cycle down to its end. Raises KernelInputError if the word is not one."""
-    at = float(np.hypot(word.unknowns[2], word.unknowns[3]))
+    at = word.gamma
     for _ in range(WORDS):
         name = f"{word.letters} ({len(word.letters)},{word.periods})"
         try:
             first = start(word)
         except KernelInputError:
             return End(at, None, f"no orbit of the word {name} was found at Gamma = {at:.6f}")
-        at = _gamma(first)
+        at = first.gamma
         if word.direction is None and _slope(first) > 0.0:
             first = first._replace(tangent=-first.tangent)
-        if not is_stable(first):
+        if not first.is_stable:
             return End(at, None, f"the word {name} is not stable at Gamma = {at:.6f}")
         line, end = walk(word, first, _POINTS, (GAMMA[0], at * (1.0 + _RISES)), stable_only=True)
         turn = next(turns_along(word, line), end)
         if turn is None:
-            return End(_gamma(line[-1]), None, f"the word {name} leads up from Gamma = {at:.6f}")
-        u = turn.word.unknowns
-        at = float(np.hypot(u[2], u[3]))
+            return End(line[-1].gamma, None, f"the word {name} leads up from Gamma = {at:.6f}")
+        at = turn.word.gamma
         if turn.kind is Kind.FOLD:
             return End(at, _fold(turn), "")
         if turn.time == 0.0 and turn.word.letters == "s":
@@ -170,10 +163,7 @@ def lowest_cycles(word: Word, below: float) -> list[Fold]:
         return []
     line, _ = walk(word, first, _POINTS, (GAMMA[0], below))
     folds = [_fold(turn) for turn in folds_along(word, line, below)]
-    return [
-        fold for fold in folds
-        if fold.curvature > 0.0 and not fold.admissible and abs(fold.other_multiplier) < 1.0
-    ]  # fmt: skip
+    return [fold for fold in folds if fold.curvature > 0.0 and fold.holds]
 
 
 def _next(turn: Turn) -> Word | None:
@@ -195,10 +185,6 @@ def _next(turn: Turn) -> Word | None:
     return None
 
 
-def _gamma(point: Point) -> float:
-    return float(np.hypot(point.u[2], point.u[3]))
-
-
 def _slope(point: Point) -> float:
     """dGamma along the branch, times Gamma."""
     return float(point.u[2] * point.tangent[2] + point.u[3] * point.tangent[3])
@@ -214,9 +200,9 @@ def _fold(turn: Turn) -> Fold:
     sides = [newton(k, word, word.unknowns + step * along, along) for step in (-_ASIDE, _ASIDE)]
     curvature = by_step = math.nan
     if sides[0] is not None and sides[1] is not None:
-        curvature = (_gamma(sides[0]) + _gamma(sides[1]) - 2.0 * gamma) / _ASIDE**2
+        curvature = (sides[0].gamma + sides[1].gamma - 2.0 * gamma) / _ASIDE**2
         # 1 - tr + det = (1 - mu)(1 - other)
-        low, high = (fold_flip_torus(side.slope)[0][0] for side in sides if side is not None)
+        low, high = (side.tests[0] for side in sides if side is not None)
         by_step = float((low - high) / (2.0 * _ASIDE * (1.0 - other)))
     return Fold(
         word, float(here.flight_time[0, 0]), gamma, other, curvature, by_step,

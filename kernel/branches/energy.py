@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.closed_form import TWO_PI, orbit
+from kernel.branches.closed_form import TWO_PI
 from kernel.branches.spring import Array, Spring, spring, stuck
-from kernel.branches.words import WordBranch, go_round, pieces
+from kernel.branches.words import WordBranch, go_round, one_flight, pieces
 
 
 class Energy(NamedTuple):
@@ -35,29 +35,26 @@ def energy(omega: float, xi: float, periods: int, flight_time: NDArray[np.float6
     contact its integral of q'**2 is that of a free and a driven motion, each in closed form.
     """
     k = spring(omega, xi)
-    t = flight_time
-    x = orbit(k, periods, t)
-    sin, cos = np.sin(t), np.cos(t)
-    landing = _At(x.q_land, x.v_land, x.c * cos - x.s * sin, x.c * sin + x.s * cos)
-    takeoff = _At(x.q0, x.v0, x.c, x.s)
-    parts = [_contact(k, landing, takeoff, TWO_PI * periods - t), _flight(k, takeoff, landing, x.impact)]
-    return _total(parts, np.hypot(x.c, x.s), periods)
+    return _energy(k, "s", periods, one_flight(k, periods, flight_time))
 
 
 def word_energy(line: WordBranch) -> Energy:
     """Of the n cycles of a word."""
-    k = spring(line.omega, line.xi)
-    u = line.unknowns.T
-    found = go_round(k, line.word, line.periods, np.ascontiguousarray(u))
+    return _energy(spring(line.omega, line.xi), line.word, line.periods, line.unknowns.T)
+
+
+def _energy(k: Spring, letters: str, periods: int, unknowns: Array) -> Energy:
+    u = np.ascontiguousarray(unknowns)
+    found = go_round(k, letters, periods, u)
     states = [_At(*(y[0] for y in x)) for x in found.starts]
     impacts = iter(found.impacts)
     parts = []
-    for piece, begin, end in zip(pieces(line.word), states, [*states[1:], states[0]], strict=True):
+    for piece, begin, end in zip(pieces(letters), states, [*states[1:], states[0]], strict=True):
         if piece.flies:
             parts.append(_flight(k, begin, end, next(impacts)))
         else:
             parts.append(_contact(k, begin, end, u[piece.place]))
-    return _total(parts, line.gamma, line.periods)
+    return _total(parts, np.hypot(u[2], u[3]), periods)
 
 
 class _At(NamedTuple):

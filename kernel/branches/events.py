@@ -2,32 +2,22 @@
 
 from collections.abc import Sequence
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.branches.admissibility import (
     Check,
-    Minima,
+    Condition,
     Samples,
     check,
+    combination,
     force_at_landing,
     force_slope,
-    force_terms,
-    force_weights,
-    gap_terms,
-    gap_weights,
     samples,
 )
-from kernel.branches.closed_form import (
-    TWO_PI,
-    Orbit,
-    floquet,
-    multipliers,
-    orbit,
-    stable,
-)
+from kernel.branches.closed_form import TWO_PI, Orbit, floquet, multipliers, orbit, stable
 from kernel.branches.roots import Floats, Ints, Roots, roots
 from kernel.branches.spring import STEP, Spring, spring
 from kernel.params import KernelInputError
@@ -127,6 +117,8 @@ class Events(NamedTuple):
     admissible: NDArray[np.uint8]  # (m,) 0, or the bits of a Reason; an orbit that grazes is admissible
 
 
+Record = TypeVar("Record", bound=NamedTuple)
+
 #: The functions whose roots are events, in the order of `_tests`.
 _KINDS: Final = (
     Kind.FOLD,
@@ -203,7 +195,7 @@ def branch(omega: float, xi: float, periods: int, flight_time: Floats, tolerance
     check_spring(omega, xi, periods)
     k = spring(omega, xi)
     x = orbit(k, periods, flight_time)
-    at = samples(k, sample_times(omega, xi, periods))
+    at = samples(k, sample_times(k, periods))
     return _branch(k, periods, flight_time, x, check(k, periods, flight_time, x, at, tolerance))
 
 
@@ -216,7 +208,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
     k = spring(omega, xi)
     with np.errstate(all="ignore"):  # poles of Gamma(T)
         value, slope, x = _tests(k, periods, t)
-        at = samples(k, sample_times(omega, xi, periods))
+        at = samples(k, sample_times(k, periods))
         found = check(k, periods, t, x, at)
         zeros = roots(lambda which, at: _selected(k, periods, which, at), t, value, slope)
         grazes = _grazes(k, periods, t, found, at, zeros.x[zeros.which >= _OF_THE_TIMES])
@@ -244,9 +236,14 @@ def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
         at = at[np.hypot(x.c, x.s) < below]
         if not len(at):
             return join_events([])
-        return _events(
-            k, periods, np.zeros(len(at), np.intp), at, samples(k, sample_times(omega, xi, periods))
-        )
+        return _events(k, periods, np.zeros(len(at), np.intp), at, samples(k, sample_times(k, periods)))
+
+
+def rows_of(record: Record, which: Any) -> Record:
+    """Some rows of a record, by anything that indexes its arrays."""
+    fields = record._asdict()
+    arrays: Any = {name: values[which] for name, values in fields.items() if isinstance(values, np.ndarray)}
+    return record._replace(**arrays)
 
 
 def join_events(parts: Sequence[Events]) -> Events:
@@ -258,13 +255,13 @@ def join_events(parts: Sequence[Events]) -> Events:
     return Events(*(np.concatenate(fields) for fields in zip(empty, *parts, strict=True)))
 
 
-def sample_times(omega: float, xi: float, periods: int) -> Floats:
+def sample_times(k: Spring, periods: int) -> Floats:
     """Where gap and n are sampled, rad: from zero, as finely as a flight and a contact need.
 
     Each of the first is about twice the one before: where n' at take-off is nearly zero, the gap, which
     begins as its cube, dips within them.
     """
-    t = flight_times(omega, xi, periods, SAMPLES, _SAMPLED)
+    t = flight_times(float(np.real(k.omega)), float(np.real(k.xi)), periods, SAMPLES, _SAMPLED)
     return np.sort(np.concatenate([[0.0], t, t[0] * np.array([2.0, 4.0]), t[1] * np.array([2.0])]))
 
 
@@ -353,22 +350,15 @@ def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, edge:
             ok &= (root >= low) & (root <= high)
             # another minimum may be below zero where this one passes it
             middle = np.where(ok, root, 0.5 * (low + high))
-            broken, minima = _condition(k, periods, middle, at, contact, np.where(ok, GRAZES, 0.0))
+            held = check(k, periods, middle, orbit(k, periods, middle), at, np.where(ok, GRAZES, 0.0))
+            broken, minimum, _ = held.force if contact else held.gap
             ok &= ~broken
             where.append(root[ok])
             which.append(np.full(int(ok.sum()), _KINDS.index(kind), np.intp))
             low, high = np.where(broken == first, middle, low), np.where(broken == first, high, middle)
-            time = np.where(broken, minima.time, time)
+            time = np.where(broken, minimum, time)
             low, high, first, time = low[~ok], high[~ok], first[~ok], time[~ok]
     return Roots(np.concatenate(which), np.concatenate(where))
-
-
-def _condition(
-    k: Spring, periods: int, t: Floats, at: Samples, contact: bool, tolerance: Floats
-) -> tuple[NDArray[np.bool_], Minima]:
-    """Whether the condition of contact or flight is broken, and its deepest minimum."""
-    found = check(k, periods, t, orbit(k, periods, t), at, tolerance)
-    return (found.force_broken, found.force) if contact else (found.gap_broken, found.gap)
 
 
 def _brackets(
@@ -387,18 +377,14 @@ def _brackets(
     times = times[order]
     held = np.searchsorted(times, edge) - 1
 
-    def between(broken: NDArray[np.bool_], time: Floats) -> _Brackets:
-        broken, time = broken[order], time[order]
+    def between(condition: Condition, beside: Condition) -> _Brackets:
+        broken = np.append(condition.broken, beside.broken)[order]
+        time = np.append(condition.time, beside.time)[order]
         changes = np.setdiff1d(np.flatnonzero(broken[:-1] != broken[1:]), held)
         first = broken[changes]
         return _Brackets(times[changes], times[changes + 1], first, time[changes + ~first])
 
-    return (
-        between(np.append(found.gap_broken, inner.gap_broken), np.append(found.gap.time, inner.gap.time)),
-        between(
-            np.append(found.force_broken, inner.force_broken), np.append(found.force.time, inner.force.time)
-        ),
-    )
+    return between(found.gap, inner.gap), between(found.force, inner.force)
 
 
 def _touch(k: Spring, periods: int, inside: _Brackets, contact: bool) -> tuple[Floats, NDArray[np.bool_]]:
@@ -411,11 +397,8 @@ def _touch(k: Spring, periods: int, inside: _Brackets, contact: bool) -> tuple[F
     for number in range(_STEPS):
         z = t + 1j * STEP
         x = orbit(k, periods, z)
-        if contact:
-            terms, weights, offset = force_terms(k, time), force_weights(k, x, z), 2.0
-        else:
-            terms, weights, offset = gap_terms(k, time), gap_weights(x), 0.0
-        f, f1, f2 = (np.einsum("in,in->n", weights, y) for y in terms)
+        terms, weights, offset = combination(k, x, z, contact)
+        f, f1, f2 = (np.einsum("in,in->n", weights, y) for y in terms(k, time))
         f, by_t, f1_by_t = f.real + offset, f.imag / STEP, f1.imag / STEP
         f1, f2 = f1.real, f2.real
         det = by_t * f2 - f1 * f1_by_t

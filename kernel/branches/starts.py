@@ -4,13 +4,12 @@ The state is exact for an ideal plate with restitution 0. Other contacts start f
 and velocities, beside a cycle of their own.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernel.branches.closed_form import TWO_PI, orbit
-from kernel.branches.events import Branch, branch, check_spring, flight_times
+from kernel.branches.events import Branch, branch, check_spring, flight_times, rows_of
 from kernel.branches.roots import Floats, Ints, roots
 from kernel.branches.spring import STEP, Spring, flight, spring, stuck
 from kernel.params import STATE_FIELDS, Cell, KernelInputError, Start
@@ -47,7 +46,7 @@ def cycles_at(cell: Cell, periods: int) -> Branch:
     with np.errstate(all="ignore"):  # poles of Gamma(T)
         value, slope = above(np.empty(0, np.intp), t)
         at = roots(above, t, value[None], slope[None]).x
-    return branch(omega, xi, periods, at) if len(at) else _points(branch(omega, xi, periods, t[:1]), slice(0))
+    return branch(omega, xi, periods, at)
 
 
 def start_on_stable_cycle(cell: Cell, periods: int) -> CycleStart | None:
@@ -88,16 +87,10 @@ def stable_ranges(omega: float, xi: float, periods: int) -> list[GammaRange]:
 
 def _start(cell: Cell, line: Branch, i: int) -> CycleStart:
     """The start on cycle i of a branch."""
-    return CycleStart(Start(_state(line, i), cell), _points(line, slice(i, i + 1)))
+    return CycleStart(Start(_state(line, i), cell), rows_of(line, slice(i, i + 1)))
 
 
-def _points(line: Branch, which: slice) -> Branch:
-    """Some points of a branch."""
-    arrays: dict[str, Any] = {n: v[which] for n, v in line._asdict().items() if isinstance(v, np.ndarray)}
-    return line._replace(**arrays)
-
-
-def _state(line: Branch, i: int) -> NDArray[np.float64]:
+def _state(line: Branch, i: int) -> Floats:
     """The state (6,) of cycle i of a branch at phase 0, in the order of STATE_FIELDS."""
     k = spring(line.omega, line.xi)
     t = line.flight_time[i : i + 1]

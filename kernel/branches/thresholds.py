@@ -1,21 +1,15 @@
 """The lowest Gamma at which anything bounces, and where flights leap on the way up (docs/hysteresis.md).
 
-Gamma_down is the lowest Gamma at which anything bounces for ever. A slow descent from above ends there or
-earlier, where the cycle that it is on ends. Rest ends at Gamma_th (Eq. 25) and bouncing exists above it.
-Below it bouncing lives on as long as an attractor does. If the last one is a (1,k) cycle it ends at a fold,
-a minimum of Gamma along its branch, and the rule is
+Gamma_down is the lowest Gamma at which anything bounces for ever. Rest ends at Gamma_th (Eq. 25) and bouncing
+exists above it. If the last attractor below it is a (1,k) cycle it ends at a fold of its branch: the rule is
 
     Gamma_down = min(Gamma_th, the lowest admissible fold whose other multiplier is inside the unit circle).
 
 The rule is a conjecture: attractors that no (1,k) branch leads to may reach lower. It answers only at
-dampings where a search found none; below them the answer is `not searched`.
-
-A stable cycle that ends below the answer otherwise than at a fold is followed through the words that it
-becomes, and at a flip below Gamma_th the branch of the doubled word to its own folds, which may be lower
-than those of the branch that flips. The branches themselves show where this does not decide: a branch turns
-below the answer at a fold that is not stable on either side (a torus lives near it), or not admissible (the
-branch goes on as another word), or a cycle that was followed ends as no fold. Then the answer is
-`unresolved`.
+dampings where a search found none. A stable cycle that ends below the answer otherwise than at a fold is
+followed through the words that it becomes, and at a flip below Gamma_th the branch of the doubled word to its
+own folds. Where a branch turns below the answer at a fold that is unstable on both sides (a torus lives near
+it) or not admissible (it goes on as another word), the answer is `unresolved`.
 """
 
 import math
@@ -27,7 +21,6 @@ from numpy.typing import NDArray
 
 from kernel.branches.closed_form import floquet, orbit, stable
 from kernel.branches.descent import End, Fold, descend, lowest_cycles, minima
-from kernel.branches.energy import Energy
 from kernel.branches.events import Branch, Events, Kind, branch, branch_and_events, flight_times, fold_events
 from kernel.branches.roots import Ints
 from kernel.branches.spring import Spring, spring
@@ -61,15 +54,11 @@ class Thresholds(NamedTuple):
     cause: str  # "Eq. 25", "fold (1,k)", "fold of word zs (2,2)" and the like, "unresolved", "not searched"
     reason: str  # why it is not decided, or empty
     fold: Fold | None  # at `down`
-    energy: Energy | None  # of the cycle at the fold
 
 
-def thresholds(
-    omega: float, xi: float, periods: int = PERIODS, words: Sequence[Word] | None = None,
-    bouncing: float = math.inf,
-) -> Thresholds:  # fmt: skip
+def thresholds(omega: float, xi: float, words: Sequence[Word] = (), bouncing: float = math.inf) -> Thresholds:
     """The thresholds as of `conjecture`, `not searched` below SEARCHED_XI. Raises KernelInputError."""
-    found = conjecture(omega, xi, periods, words, bouncing)
+    found = conjecture(omega, xi, words, bouncing)
     if xi >= SEARCHED_XI:
         return found
     says = found.reason or f"Gamma = {found.down:.6f}"
@@ -77,14 +66,11 @@ def thresholds(
         f"the rule was searched for what it misses from xi = {SEARCHED_XI:g} on; at {xi:g} other cycles may "
         f"reach lower than it says: {found.cause}, {says}"
     )
-    return found._replace(down=math.nan, cause=NOT_SEARCHED, reason=reason, fold=None, energy=None)
+    return found._replace(down=math.nan, cause=NOT_SEARCHED, reason=reason, fold=None)
 
 
-def conjecture(
-    omega: float, xi: float, periods: int = PERIODS, words: Sequence[Word] | None = None,
-    bouncing: float = math.inf,
-) -> Thresholds:  # fmt: skip
-    """The thresholds by the rule at any damping, from the branches (1,1) to (1, periods).
+def conjecture(omega: float, xi: float, words: Sequence[Word] = (), bouncing: float = math.inf) -> Thresholds:
+    """The thresholds by the rule at any damping, from the branches (1,1) to (1, PERIODS).
 
     words: stable cycles of settled cells of this spring, as `words.from_flights` gives them; each is followed
     down, too. bouncing: the lowest Gamma at which a simulation bounces; below the answer it contradicts it.
@@ -92,40 +78,35 @@ def conjecture(
     do not show what lives near such a fold. Raises KernelInputError.
     """
     gamma_th = float(threshold(omega, xi))
-    found = _known(omega, xi, periods, gamma_th)
-    ends = [*found.ends, *(end for end in map(descend, words or ()) if end.gamma < gamma_th)]
-    folds = [*found.folds, *(end.fold for end in ends if end.fold is not None)]
+    jump, folds, undecided, ends = _known(omega, xi, gamma_th)
+    ends += [end for end in map(descend, words) if end.gamma < gamma_th]
+    folds += [end.fold for end in ends if end.fold is not None]
     lowest = min(folds, key=lambda fold: fold.gamma, default=None)
     down = gamma_th if lowest is None else lowest.gamma
     reasons = [end.reason for end in ends if end.reason and end.gamma < down]
-    reasons += [_why(fold) for fold in found.open if fold.gamma < down]
+    reasons += [_why(fold) for fold in undecided if fold.gamma < down]
     if bouncing < down:
         reasons.append(f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed")
     if reasons:
         text = "; ".join(dict.fromkeys(reasons))
-        return Thresholds(omega, xi, gamma_th, found.jump, math.nan, UNRESOLVED, text, None, None)
+        return Thresholds(omega, xi, gamma_th, jump, math.nan, UNRESOLVED, text, None)
     if lowest is None:
-        return Thresholds(omega, xi, gamma_th, found.jump, gamma_th, EQ_25, "", None, None)
-    return Thresholds(omega, xi, gamma_th, found.jump, down, lowest.name, "", lowest, lowest.energy)
+        return Thresholds(omega, xi, gamma_th, jump, gamma_th, EQ_25, "", None)
+    return Thresholds(omega, xi, gamma_th, jump, down, lowest.name, "", lowest)
 
 
-class _Known(NamedTuple):
-    """What the (1,k) branches show below Gamma_th."""
+def _known(omega: float, xi: float, below: float) -> tuple[float, list[Fold], list[Fold], list[End]]:
+    """What the branches (1,1) to (1, PERIODS) show below a Gamma.
 
-    jump: float
-    folds: list[Fold]  # at which stable cycles end
-    open: list[Fold]  # that do not decide
-    ends: list[End]  # where stable cycles end otherwise, followed as far as it may matter
-
-
-def _known(omega: float, xi: float, periods: int, below: float) -> _Known:
-    """Of the branches (1,1) to (1, periods)."""
+    The jump, the folds at which stable cycles end, those that do not decide, and where stable cycles end
+    otherwise, followed as far as it may matter.
+    """
     k = spring(omega, xi)
     jump = math.nan
     folds: list[Fold] = []
     cycles: list[_LastCycle] = []
     flips: list[Word] = []
-    for n in range(1, periods + 1):
+    for n in range(1, PERIODS + 1):
         if n > 1 and not _reaches(k, omega, xi, n, below):
             folds += minima(k, fold_events(omega, xi, n, below), below)
             continue
@@ -138,20 +119,15 @@ def _known(omega: float, xi: float, periods: int, below: float) -> _Known:
         flips += [from_branch(omega, xi, n, float(t)) for t in events.flight_time[here] if t not in followed]
         if n == 1:
             jump = _jump(line, events)
-    holds = [not fold.admissible and abs(fold.other_multiplier) < 1.0 for fold in folds]
-    holding = [fold for fold, held in zip(folds, holds, strict=True) if held]
-    undecided = [fold for fold, held in zip(folds, holds, strict=True) if not held]
+    holding = [fold for fold in folds if fold.holds]
+    undecided = [fold for fold in folds if not fold.holds]
     holding += [fold for flip in flips for fold in lowest_cycles(doubled(flip), below)]
     lowest = min((fold.gamma for fold in holding), default=below)
     cycles = [cycle for cycle in cycles if cycle.gamma < lowest]
     ends = [_follow(omega, xi, cycle) for cycle in cycles]
     decided = [cycle for cycle, end in zip(cycles, ends, strict=True) if end.fold is not None]
-    return _Known(
-        jump,
-        holding,
-        [fold for fold in undecided if not any(cycle.leads_to(fold) for cycle in decided)],
-        ends,
-    )
+    undecided = [fold for fold in undecided if not any(cycle.leads_to(fold) for cycle in decided)]
+    return jump, holding, undecided, ends
 
 
 def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> bool:

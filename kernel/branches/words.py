@@ -15,14 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.admissibility import (
-    Reason,
-    Samples,
-    deepest,
-    force_from,
-    force_terms,
-    gap_terms,
-)
+from kernel.branches.admissibility import Reason, Samples, deepest, force_from, force_terms, gap_terms
 from kernel.branches.closed_form import TWO_PI, multipliers, orbit
 from kernel.branches.closed_form import stable as is_stable
 from kernel.branches.events import GRAZES, Kind, check_spring, sample_times
@@ -54,6 +47,14 @@ class Word(NamedTuple):
     unknowns: Floats  # (m,): see the module
     direction: Floats | None = None  # (m,) the first step from another branch; None: both ways
 
+    @property
+    def gamma(self) -> float:
+        return float(np.hypot(self.unknowns[2], self.unknowns[3]))
+
+    def at(self, unknowns: Floats) -> "Word":
+        """Another orbit of the same word."""
+        return self._replace(unknowns=unknowns, direction=None)
+
 
 class WordBranch(NamedTuple):
     """n cycles of a word, in order along their branch; units as in `events.Branch`."""
@@ -62,11 +63,11 @@ class WordBranch(NamedTuple):
     xi: float
     word: str
     periods: int
-    unknowns: NDArray[np.float64]  # (n, m): see the module
-    gamma: NDArray[np.float64]  # (n,)
-    flight_time: NDArray[np.float64]  # (n, flights) rad, in the order of the letters
-    takeoff_phase: NDArray[np.float64]  # (n, flights) rad, in [0, 2 pi)
-    impact_velocity: NDArray[np.float64]  # (n, flights) gap' before landing, < 0
+    unknowns: Floats  # (n, m): see the module
+    gamma: Floats  # (n,)
+    flight_time: Floats  # (n, flights) rad, in the order of the letters
+    takeoff_phase: Floats  # (n, flights) rad, in [0, 2 pi)
+    impact_velocity: Floats  # (n, flights) gap' before landing, < 0
     multiplier: NDArray[np.complex128]  # (n, 2)
     stable: NDArray[np.bool_]  # (n,)
     admissible: NDArray[np.uint8]  # (n,) 0, or the bits of a Reason
@@ -230,8 +231,7 @@ class Conditions(NamedTuple):
 
 def samples(k: Spring, periods: int) -> Samples:
     """Of flights and contacts of a word, to be made once for a spring."""
-    omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
-    t = sample_times(omega, xi, periods)
+    t = sample_times(k, periods)
     return Samples(t, _gap_terms(k, t)[:2], force_terms(k, t)[:2])
 
 
@@ -259,7 +259,7 @@ def conditions(k: Spring, letters: str, u: Floats, found: Round, at: Samples) ->
             impact = found.impacts[flown]
             flown += 1
             weights = np.array([x.c, x.s, press, x.v, -n if part.power == 2 else 0.0 * n]) * scale
-            gap, _ = deepest(k, _gap_terms, weights, 0.0 * t, t, impact * scale, at.time, at.gap, GRAZES)
+            gap = deepest(k, _gap_terms, weights, 0.0 * t, t, impact * scale, at.time, at.gap, GRAZES)
             rows.append((Kind.GRAZE_FLIGHT, Reason.GAP, i, gap.depth, gap.time))
             rows.append((Kind.GRAZE_FLIGHT, Reason.GAP, i, -impact * scale, none))
             if part.power == 2:
@@ -272,9 +272,7 @@ def conditions(k: Spring, letters: str, u: Floats, found: Round, at: Samples) ->
             weights = force_from(k, x.q, x.v, x.c, x.s) * scale
             after = State(*(y[0] for y in found.starts[i + 1]))
             slope = after.s - b * (after.c - 1.0 - b * after.v - w * after.q) - w * after.v
-            pull, _ = deepest(
-                k, force_terms, weights, 2.0 * scale, t, slope * scale, at.time, at.force, GRAZES
-            )
+            pull = deepest(k, force_terms, weights, 2.0 * scale, t, slope * scale, at.time, at.force, GRAZES)
             rows.append((Kind.GRAZE_CONTACT, Reason.CONTACT, i, pull.depth, pull.time))
             rows.append((Kind.IMMEDIATE_TAKEOFF, Reason.CONTACT, i, n * scale, none))
     kind, reason, piece, value, time = zip(*rows, strict=True)
@@ -320,12 +318,17 @@ def record(word: Word, unknowns: Floats) -> WordBranch:
 def from_branch(omega: float, xi: float, periods: int, flight_time: float) -> Word:
     """The cycle of one flight of flight_time rad as the word "s". Raises KernelInputError."""
     check_spring(omega, xi, periods)
-    t = np.array([flight_time])
-    x = orbit(spring(omega, xi), periods, t)
+    unknowns = one_flight(spring(omega, xi), periods, np.array([flight_time]))
+    return Word(omega, xi, "s", periods, unknowns[:, 0])
+
+
+def one_flight(k: Spring, periods: int, t: Floats) -> Floats:
+    """The unknowns (6, n) of the word "s" whose flights take t (n,) rad."""
+    x = orbit(k, periods, t)
     sin, cos = np.sin(t), np.cos(t)
-    c, s = x.c * cos - x.s * sin, x.c * sin + x.s * cos
-    u = [x.q_land[0], x.v_land[0], c[0], s[0], TWO_PI * periods - flight_time, flight_time]
-    return Word(omega, xi, "s", periods, np.array(u))
+    return np.array(
+        [x.q_land, x.v_land, x.c * cos - x.s * sin, x.c * sin + x.s * cos, TWO_PI * periods - t, t]
+    )
 
 
 def from_flights(

@@ -17,8 +17,7 @@ from worker.cost import Cost
 from worker.refinement import first_round
 from worker.schema import Layout
 from worker.spec.errors import SpecError
-from worker.studies import Chunk, Plan, from_json, parse, study_of
-from worker.tasks import Study
+from worker.studies import Chunk, Plan, Study, from_json, parse, study_of
 
 #: Prepared jobs kept, the last used, and the maximum characters of their specifications together.
 MAX_JOBS: Final = 128

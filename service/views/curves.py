@@ -89,7 +89,7 @@ def compute(study: None, query: CurvesQuery, *found: Curves) -> xarray.Dataset:
     data = padded((along, "gamma", "flight_time", "admissible"), pieces, ("curve", "point"))
     data |= event_columns(join_events([orbits.rows_of(x.points, x.points.gamma <= top) for x in found]))
     names = ("kind", "bounces", "periods")
-    coords = columns("curve", {name: [getattr(piece, name) for piece in pieces] for name in names})
+    coords = columns("curve", {name: [getattr(piece, name)[0] for piece in pieces] for name in names})
     other = "xi" if along is Parameter.OMEGA else "omega"
     coords |= {other: coordinate(other, fixed)}
     return orbits.closed_form(data, coords, along=str(along), gamma_max=top)

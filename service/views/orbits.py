@@ -14,7 +14,6 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import Field
 
-from kernel.branches.curves import Curve
 from kernel.branches.energy import energy, word_energy
 from kernel.branches.events import Branch, Events, branch_and_events, flight_times, join_events
 from kernel.branches.words import WordBranch
@@ -41,7 +40,7 @@ Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-
 GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
 WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
 
-Record = TypeVar("Record", Branch, Curve, Events)
+Record = TypeVar("Record", Branch, Events)
 
 #: The contact of every closed form.
 MODEL: Final = "rigid, restitution 0"

@@ -72,8 +72,7 @@ def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xa
     }  # fmt: skip
     if found.fold is not None:
         data |= {"lifetime": lifetime(found.fold, query.delta), "delta": query.delta}
-    if found.energy is not None:
-        data |= {name: values[0] for name, values in found.energy._asdict().items()}
+        data |= {name: values[0] for name, values in found.fold.energy._asdict().items()}
     return dataset(
         {row.name: variable((), data.get(row.name, np.nan), row) for row in _OF_SPRING},
         {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")},

@@ -4,22 +4,20 @@ Its package (this module): a specification, a plan, a task, its variables and it
 of `worker.studies.STUDIES` is needed for it to run as a job; queries and routes of its own would come on top.
 """
 
-import hashlib
-import json
-import math
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from kernel.params import Outcome
 from worker import store
 from worker.cost import Cost
+from worker.plan import Chunk, Plan
 from worker.schema import Array, Layout
 from worker.spec.axes import Strict
-from worker.tasks import ChunkReport, Study
+from worker.spec.specification import Specification
+from worker.studies import Study
+from worker.tasks import ChunkReport
 
 
 class Divisors(Strict):
@@ -29,69 +27,17 @@ class Divisors(Strict):
     step: int = 1
 
 
-class ToySpec(Strict):
+class ToySpec(Specification):
     """Whole numbers from 1 to `last`."""
 
-    name: str = ""
+    AXES: ClassVar = ()
+
     protocol: Divisors
     last: int
 
-    def as_submitted(self) -> dict[str, Any]:
-        return self.model_dump(mode="json")
 
-    def job_id(self, kernel_version: str) -> str:
-        text = json.dumps(self.model_dump(exclude={"name"}), sort_keys=True)
-        return hashlib.sha256(f"{kernel_version} {text}".encode()).hexdigest()[:32]
-
-
-@dataclass(frozen=True)
-class ToyChunk:
-    """Some of the numbers in a row."""
-
-    index: int
-    first: int
-    last: int
-    after: None = None
-
-    @property
-    def cells(self) -> int:
-        return self.last - self.first
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return (self.cells,)
-
-    @property
-    def slices(self) -> tuple[slice, ...]:
-        return (slice(self.first, self.last),)
-
-
-@dataclass(frozen=True)
-class ToyPlan(Sequence[ToyChunk]):
-    """Chunks of `chunk_shape` numbers, none of which waits for another."""
-
-    cells: int
-    chunk_shape: tuple[int]
-
-    @property
-    def lines(self) -> int:
-        return len(self)
-
-    def __len__(self) -> int:
-        return math.ceil(self.cells / self.chunk_shape[0])
-
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return [self[i] for i in range(len(self))[index]]
-        i = range(len(self))[index]
-        return ToyChunk(i, i * self.chunk_shape[0], min((i + 1) * self.chunk_shape[0], self.cells))
-
-    def number(self, *coords: int) -> int:
-        return coords[0]
-
-
-def plan(spec: ToySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = 30.0) -> ToyPlan:
-    return ToyPlan(spec.last, (chunk_shape or (7,))[:1])
+def plan(spec: ToySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = 30.0) -> Plan:
+    return Plan((spec.last,), chunk_shape or (7,))
 
 
 def variables(spec: ToySpec, chunk_shape: tuple[int, ...]) -> Layout:
@@ -109,14 +55,16 @@ def variables(spec: ToySpec, chunk_shape: tuple[int, ...]) -> Layout:
     )
 
 
-def estimate(spec: ToySpec, plan: ToyPlan) -> Cost:
+def estimate(spec: ToySpec, plan: Plan) -> Cost:
     return Cost(cells=plan.cells, chunks=len(plan), bytes=13 * plan.cells, core_seconds=1e-6 * plan.cells)
 
 
-def task(spec: ToySpec, chunk: ToyChunk, store_url: str) -> ChunkReport:
+def task(spec: ToySpec, chunk: Chunk, store_url: str) -> ChunkReport:
     began = time.perf_counter()
-    numbers = range(chunk.first + 1, chunk.last + 1)
-    divisors = [[d for d in range(1, n + 1, spec.protocol.step) if n % d == 0] for n in numbers]
+    ((first, last),) = chunk.spans
+    divisors = [
+        [d for d in range(1, n + 1, spec.protocol.step) if n % d == 0] for n in range(first + 1, last + 1)
+    ]
     record = {
         "count": np.array([len(found) for found in divisors], np.int32),
         "divisor": np.array([[*found, 0][:2] for found in divisors], np.int32),
@@ -124,15 +72,8 @@ def task(spec: ToySpec, chunk: ToyChunk, store_url: str) -> ChunkReport:
     }
     stored = store.write_chunk(store_url, chunk, record)
     took = time.perf_counter() - began
-    return ChunkReport(
-        chunk.index,
-        chunk.cells,
-        took,
-        took,
-        stored.checksum,
-        (0, chunk.cells, 0, 0, 0, 0),
-        bytes=stored.bytes,
-    )
+    outcomes = (0, chunk.cells, 0, 0, 0, 0)
+    return ChunkReport(chunk.index, chunk.cells, took, took, stored.checksum, outcomes, bytes=stored.bytes)
 
 
-TOY = Study(ToySpec.model_validate, plan, variables, estimate, task)
+TOY = Study(ToySpec.parse, plan, variables, estimate, task)

@@ -126,14 +126,16 @@ def searched() -> Texts:
 
 
 def share(omega: float) -> float:
-    balance = at(omega).energy
-    assert balance is not None
+    fold = at(omega).fold
+    assert fold is not None
+    balance = fold.energy
     return float((balance.impact / (balance.impact + balance.dashpot))[0])
 
 
 def energy_row(omega: float) -> str:
-    balance = at(omega).energy
-    assert balance is not None
+    fold = at(omega).fold
+    assert fold is not None
+    balance = fold.energy
     given, at_impact, dashpot, impact = (
         float(part[0])
         for part in (balance.plate_contact, balance.plate_impact, balance.dashpot, balance.impact)

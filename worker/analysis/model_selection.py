@@ -1,14 +1,9 @@
 """Model selection for the contact model `auto`: the cheapest model within a tolerance of the exact one.
 
 A sample of the sweep's cells (on a ramp, of its lines) is computed with the exact contact of the
-specification and with every cheaper model, and the flight times are compared. The cheapest model within the
-tolerance in 95% of the cells is chosen. Costs come from CONTACT_MODELS and not from the clock, so the same
-specification always gets the same model.
-
-One model computes the whole sweep. Between regions of different models the results would jump by up to the
-tolerance, which looks like a bifurcation; and a ramp cannot pass from a ball to a spring, because the ball
-has no elongation to start from. Cells at rest on the plate have a closed form in every model (docs/model.md,
-section 3); the table counts them.
+specification and with every cheaper model, and the flight times are compared. Costs come from CONTACT_MODELS
+and not from the clock, so the same specification always gets the same model. One model computes the whole
+sweep: between regions of different models the results would jump, which looks like a bifurcation.
 """
 
 import time
@@ -89,10 +84,7 @@ def choose(spec: SweepSpec) -> ModelChoice:
     lines = list(sample(spec))
     exact, _ = _run(_shortened(spec, auto.exact, settle_tolerance=0.0), lines)
     table = [_compare(spec, model, lines, exact) for model in _candidates(auto).values()]
-    for row in table:
-        if _is_within(auto, row):
-            return _choice(auto, table, row)
-    return _choice(auto, table, table[-1])
+    return _choice(auto, table, next((row for row in table if _is_within(auto, row)), table[-1]))
 
 
 def is_open(spec: object) -> bool:

@@ -1,13 +1,12 @@
 """Thresholds in closed form, of the rigid plate without restitution, for comparison with a sweep."""
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from kernel.branches.events import POINTS, flight_times
 from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, thresholds
-from kernel.branches.words import Word
 from kernel.params import KernelInputError
 from kernel.threshold import threshold
 from worker.analysis.words import lowest_words
@@ -55,13 +54,8 @@ def _why_not(omega: float, xi: float) -> str | None:
 
 def predict(omega: float, xi: float) -> Thresholds:
     """As `thresholds`, omega > 0 and xi >= 0; `unresolved` also where the branches are not searched."""
-    if (reason := _why_not(omega, xi)) is not None:
-        return _undecided(omega, xi, reason)
-    try:
-        with np.errstate(all="ignore"):  # an undamped spring may have poles
-            return thresholds(omega, xi)
-    except KernelInputError as error:
-        return _undecided(omega, xi, str(error))
+    reason = _why_not(omega, xi)
+    return _thresholds(omega, xi) if reason is None else _undecided(omega, xi, reason)
 
 
 def predict_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
@@ -87,19 +81,19 @@ def predict_from_cells(
         if answer.cause == UNRESOLVED and math.isfinite(answer.gamma_th):
             words, bouncing = lowest_words(spec, url, direction, xi, omega, complete)
             if words:
-                answer = _with_words(answer, words, bouncing)
+                answer = _thresholds(at_omega, at_xi, words=words, bouncing=bouncing)
         found.append(answer)
     return found
 
 
-def _with_words(alone: Thresholds, words: list[Word], bouncing: float) -> Thresholds:
+def _thresholds(omega: float, xi: float, **known: Any) -> Thresholds:
     try:
-        with np.errstate(all="ignore"):
-            return thresholds(alone.omega, alone.xi, words=words, bouncing=bouncing)
-    except KernelInputError:
-        return alone
+        with np.errstate(all="ignore"):  # an undamped spring may have poles
+            return thresholds(omega, xi, **known)
+    except KernelInputError as error:
+        return _undecided(omega, xi, str(error))
 
 
 def _undecided(omega: float, xi: float, reason: str) -> Thresholds:
     gamma_th = float(threshold(omega, xi))
-    return Thresholds(omega, xi, gamma_th, math.nan, math.nan, UNRESOLVED, reason, None, None)
+    return Thresholds(omega, xi, gamma_th, math.nan, math.nan, UNRESOLVED, reason, None)

@@ -1,15 +1,10 @@
 """Thresholds of bouncing: read from a sweep's grid, and refined beyond the grid.
 
-A grid has a threshold if its cells are at rest up to some gamma and the next cell bounces. If another cell
-decides, or all or no cells are at rest, there is no number, and a `Status` says why.
-
-Refinement on a ramp continues from the stored state of the last grid cell before the change, in smaller
-steps. A step whose cell is beyond the change is halved and repeated from the cell before: the step itself
-excites the spring, more so with less damping, and may have caused the change. This ends when neither
-the step, nor the sum of the last accepted steps of its size, exceeds half the tolerance.
-
-From rest there are no steps in gamma to excite the spring: the threshold is found by bisection, with every
-cell started from rest.
+A grid has a threshold if its cells are at rest up to some gamma and the next cell bounces. From rest it is
+refined by bisection. On a ramp the refinement continues from the stored state of the last cell before the
+change, in smaller steps. A step whose cell is beyond the change is halved and repeated from the cell before:
+the step itself excites the spring, more so with less damping, and may have caused the change. This ends when
+neither the step, nor the sum of the last accepted steps of its size, exceeds half the tolerance.
 """
 
 import math
@@ -59,13 +54,10 @@ class Status(StrEnum):
 
 
 #: The status by the outcome of the lowest cell not at rest.
-_BY_OUTCOME: Final[dict[int, Status]] = {
-    Outcome.PERIODIC: Status.FOUND,
-    Outcome.APERIODIC: Status.FOUND,
-    Outcome.MISSING: Status.MISSING,
-    Outcome.UNRESOLVED: Status.UNRESOLVED,
-    Outcome.DIVERGED: Status.DIVERGED,
-    Outcome.SETTLING: Status.SETTLING,
+_BY_OUTCOME: Final = {
+    int(outcome): Status.FOUND if outcome in BOUNCING else Status[outcome.name]
+    for outcome in Outcome
+    if outcome is not Outcome.AT_REST
 }
 
 

@@ -13,8 +13,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.branches.continuation import events as events_of
 from kernel.branches.continuation import follow
-from kernel.branches.events import Events
+from kernel.branches.events import Events, rows_of
 from kernel.branches.words import Word, WordBranch, from_flights
 from kernel.params import KernelInputError, Outcome
 from worker import store
@@ -64,11 +65,21 @@ class Words(NamedTuple):
 class _Cycle(NamedTuple):
     """One round of a settled cell's flights, in order."""
 
+    omega: float
+    xi: float
     gamma: float
     bounces: int
     periods: int
     flight_time: Floats  # (flights,) rad
     takeoff_phase: Floats  # (flights,) rad
+
+    def word(self) -> Word:
+        """The cycle as a word. Raises KernelInputError."""
+        times, phases = self.flight_time, self.takeoff_phase
+        return from_flights(self.omega, self.xi, self.gamma, phases, times, self.periods)
+
+    def skipped(self, reason: str) -> Skipped:
+        return Skipped(self.gamma, self.bounces, self.periods, reason)
 
 
 def continue_words(
@@ -78,25 +89,22 @@ def continue_words(
 
     A cell whose cycle lies on an earlier branch is not followed again. Raises a `store.StoreError`.
     """
-    arrays = _read_line(spec, url, (direction, xi, omega), complete)
-    at_omega, at_xi = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
     branches: list[WordBranch] = []
     events: list[Events] = []
     skipped: list[Skipped] = []
-    for cycle in _cycles(spec.axis_values("gamma"), arrays, skipped):
+    for cycle in _cycles(spec, _read_line(spec, url, (direction, xi, omega), complete), (xi, omega), skipped):
         if any(_lies_on(cycle, branch) for branch in branches):
             continue
         if len(branches) == MAX_WORDS:
-            skipped.append(_skip(cycle, f"{MAX_WORDS} branches were followed before it, the limit"))
+            skipped.append(cycle.skipped(f"{MAX_WORDS} branches were followed before it, the limit"))
             continue
         try:
-            word = _word(cycle, at_omega, at_xi)
-            branch, branch_events = follow(word, points=POINTS, gamma=(0.0, gamma_max))
+            branch, turns = follow(cycle.word(), points=POINTS, gamma=(0.0, gamma_max))
         except KernelInputError as error:
-            skipped.append(_skip(cycle, str(error)))
+            skipped.append(cycle.skipped(str(error)))
             continue
         branches.append(_up_to_shorter(branch, cycle))
-        events.append(_once(branch_events))
+        events.append(_once(events_of(turns)))
     return Words(tuple(branches), tuple(events), tuple(skipped))
 
 
@@ -109,13 +117,11 @@ def lowest_words(
     cell bounces. Raises a `store.StoreError`.
     """
     arrays = _read_line(spec, url, (direction, xi, omega), complete)
-    gamma = spec.axis_values("gamma")
-    at_omega, at_xi = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
     words: list[Word] = []
-    for cycle in islice(_cycles(gamma, arrays, []), LOWEST):
+    for cycle in islice(_cycles(spec, arrays, (xi, omega), []), LOWEST):
         with suppress(KernelInputError):
-            words.append(_word(cycle, at_omega, at_xi))
-    bouncing = gamma[np.isin(arrays["outcome"], BOUNCING)]
+            words.append(cycle.word())
+    bouncing = spec.axis_values("gamma")[np.isin(arrays["outcome"], BOUNCING)]
     return words, float(bouncing.min()) if len(bouncing) else math.inf
 
 
@@ -130,26 +136,24 @@ def _read_line(
 
 
 def _cycles(
-    gamma: Floats, arrays: dict[str, NDArray[np.generic]], skipped: list[Skipped]
+    spec: SweepSpec, arrays: dict[str, NDArray[Any]], line: tuple[int, int], skipped: list[Skipped]
 ) -> Iterator[_Cycle]:
-    """The cycles of the periodic cells; skips cells that store less than two rounds.
-
-    Skips cells of an adaptive map that were not computed: they have no flights.
-    """
+    """The cycles of the periodic cells at `line` (xi, omega); skips those that store less than two rounds."""
+    xi, omega = (float(spec.axis_values(axis)[i]) for axis, i in zip(("xi", "omega"), line, strict=True))
+    gamma = spec.axis_values("gamma")
+    # cells of an adaptive map that were not computed have no flights
     settled = arrays["outcome"] == Outcome.PERIODIC
     for i in np.flatnonzero(settled & (arrays.get(COMPUTED.name, settled) != 0)):
-        times, phases = np.asarray(arrays["flight_time"][i]), np.asarray(arrays["takeoff_phase"][i])
+        times, phases = arrays["flight_time"][i], arrays["takeoff_phase"][i]
         stored = min(int(arrays["flights"][i]), len(times))
         bounces, periods = int(arrays["bounces"][i]), int(arrays["periods"][i])
         flights = _round(times[:stored], phases[:stored], bounces)
-        cycle = _Cycle(
-            float(gamma[i]), bounces, periods, times[stored - flights : stored],
-            phases[stored - flights : stored],
-        )  # fmt: skip
+        last = slice(stored - flights, stored)
+        cycle = _Cycle(omega, xi, float(gamma[i]), bounces, periods, times[last], phases[last])
         if flights:
             yield cycle
         else:
-            skipped.append(_skip(cycle, f"its {stored} stored flights do not show two rounds: keep more"))
+            skipped.append(cycle.skipped(f"its {stored} stored flights do not show two rounds: keep more"))
 
 
 def _round(times: Floats, phases: Floats, bounces: int) -> int:
@@ -159,10 +163,6 @@ def _round(times: Floats, phases: Floats, bounces: int) -> int:
         if np.abs(times[-n:] - times[-2 * n : -n]).max() < _REPEATS and turned.max() < _REPEATS:
             return n
     return 0
-
-
-def _word(cycle: _Cycle, omega: float, xi: float) -> Word:
-    return from_flights(omega, xi, cycle.gamma, cycle.takeoff_phase, cycle.flight_time, cycle.periods)
 
 
 def _lies_on(cycle: _Cycle, branch: WordBranch) -> bool:
@@ -197,9 +197,7 @@ def _up_to_shorter(branch: WordBranch, cycle: _Cycle) -> WordBranch:
         same = turns[np.minimum(size[turns], size[turns + 1]) < _STEP]
         low = max([low, *(same[same < at] + 1).tolist()])
         high = min([high, *(same[same >= at] + 1).tolist()])
-    fields = branch._asdict()
-    arrays: dict[str, Any] = {name: x[low:high] for name, x in fields.items() if isinstance(x, np.ndarray)}
-    return branch._replace(**arrays)
+    return rows_of(branch, slice(low, high))
 
 
 def _once(events: Events) -> Events:
@@ -212,10 +210,6 @@ def _once(events: Events) -> Events:
     order = np.lexsort((events.gamma, events.kind))
     kind, gamma = events.kind[order], events.gamma[order]
     other = (kind[1:] != kind[:-1]) | (np.diff(gamma) >= _SAME)
-    kept = np.sort(np.minimum.reduceat(order, np.flatnonzero(np.concatenate([[True], other]))))
-    rows: dict[str, Any] = {name: values[kept] for name, values in events._asdict().items()}
-    return Events(**rows)
-
-
-def _skip(cycle: _Cycle, reason: str) -> Skipped:
-    return Skipped(cycle.gamma, cycle.bounces, cycle.periods, reason)
+    return rows_of(
+        events, np.sort(np.minimum.reduceat(order, np.flatnonzero(np.concatenate([[True], other]))))
+    )

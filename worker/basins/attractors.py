@@ -1,21 +1,8 @@
 """Finds and distinguishes the attractors that many starts of one cell reach (docs/basins.md).
 
 A search is a pure function of its starts. It requests runs and gets their records, so that the caller may
-pause between runs and answer from stored records.
-
-1. Every start is run like the cells of a sweep.
-2. Starts of one mode and similar flights are a group. Representatives of each group run on until `until`; the
-   group belongs to the cycle that they all reach, if any. So cycles not settled to 1e-4, and slow passages
-   beside unstable cycles, make no attractors of their own.
-3. Starts still settling continue, with doubled periods, and are grouped again. Representatives of the
-aperiodic
-   starts run on until `until`: if some end on a cycle or at rest, the motion is transient, and all
-   aperiodic starts continue as well. At `until`, the rest is an attractor with a lifetime.
-4. Aperiodic representatives share an attractor if the distributions of their flights agree, directly or
-through
-   others, within the difference of two halves of a run. The other aperiodic starts belong to the attractor
-   with the nearest distribution; the farthest of them become representatives as well, until these find no
-   further attractor.
+pause between runs and answer from stored records. Representatives run on for the starts that they stand for:
+so cycles not settled to 1e-4, and slow passages beside unstable cycles, make no attractors of their own.
 """
 
 import math
@@ -28,6 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import STATE_FIELDS, Line, Outcome
+from worker.basins.spec import BasinSpec
+
+_Floats = NDArray[np.float64]
+_Ints = NDArray[np.intp]
+_Flights = NDArray[np.float32]  # (n, START_FLIGHTS)
 
 APERIODIC: Final = int(Outcome.APERIODIC)
 
@@ -79,7 +71,7 @@ NEAR_CYCLE: Final = 0.02
 class Request(NamedTuple):
     """A run requested by a search: n states of one cell, followed for settle + observe plate periods."""
 
-    states: NDArray[np.float64]  # (n, len(STATE_FIELDS))
+    states: _Floats  # (n, len(STATE_FIELDS))
     settle: int
     observe: int
     keep: int
@@ -90,18 +82,6 @@ class Request(NamedTuple):
 Run = Callable[[Request, Callable[[Line], dict[str, NDArray[Any]]]], dict[str, NDArray[Any]]]
 
 
-class Rules(NamedTuple):
-    """The rules of a specification for the runs of a search."""
-
-    settle: int  # plate periods
-    observe: int
-    until: int  # plate periods that a start may take in all
-    keep: int  # flights recorded of each attractor
-    micro_flight: float  # rad; shorter flights do not count, unless all are
-    exponents: int
-    extends: bool = False  # whether transient motion may once continue beyond `until`
-
-
 @dataclass
 class Attractor:
     """An attractor of one cell. Lengths in plate amplitudes, times in rad."""
@@ -109,14 +89,14 @@ class Attractor:
     outcome: int  # an Outcome: periodic, aperiodic or at rest
     bounces: int  # 0 without a cycle
     periods: int
-    flights: NDArray[np.float64]  # (m,) sorted: of the cycle, or of its representatives
-    phases: NDArray[np.float64]  # (m,) of an aperiodic one: take-off phases of these flights; else empty
-    state: NDArray[np.float64]  # (len(STATE_FIELDS),) on the attractor, at phase 0
+    flights: _Floats  # (m,) sorted: of the cycle, or of its representatives
+    phases: _Floats  # (m,) of an aperiodic one: take-off phases of these flights; else empty
+    state: _Floats  # (len(STATE_FIELDS),) on the attractor, at phase 0
     lifetime: float = np.inf  # plate periods; finite if representatives left it
     fraction: float = 0.0
-    flight_time: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))  # (keep,) of its window
-    takeoff_phase: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    lyapunov: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    flight_time: _Floats = field(default_factory=lambda: np.empty(0))  # (keep,) of its window
+    takeoff_phase: _Floats = field(default_factory=lambda: np.empty(0))
+    lyapunov: _Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def longest_flight(self) -> float:
@@ -136,63 +116,55 @@ class Found(NamedTuple):
     attractors: tuple[Attractor, ...]  # by fraction, the largest first
 
 
-@dataclass
 class _Ends:
-    """The ends of runs: arrays of n."""
+    """The ends of n runs."""
 
-    outcome: NDArray[np.uint8]
-    bounces: NDArray[np.int32]
-    periods: NDArray[np.int32]
-    state: NDArray[np.float64]  # (n, len(STATE_FIELDS))
-    cycle: NDArray[np.float64]  # (n, 4) of a cycle: sum, sum of squares, shortest and longest flight
-    time: NDArray[np.float32]  # (n, START_FLIGHTS) last flights that count, without a cycle; NaN beyond
-    phase: NDArray[np.float32]
-
-    @classmethod
-    def empty(cls, n: int) -> "_Ends":
-        flights = np.full((n, START_FLIGHTS), np.nan, np.float32)
-        return cls(
-            np.zeros(n, np.uint8), np.zeros(n, np.int32), np.zeros(n, np.int32),
-            np.zeros((n, len(STATE_FIELDS))), np.zeros((n, 4)), flights, flights.copy(),
-        )  # fmt: skip
+    def __init__(self, n: int) -> None:
+        self.outcome = np.zeros(n, np.uint8)
+        self.bounces, self.periods = np.zeros((2, n), np.int32)
+        self.state = np.zeros((n, len(STATE_FIELDS)))
+        self.cycle = np.zeros((n, 4))  # sum, sum of squares, shortest and longest flight
+        #: Times and phases of the last flights that count, without a cycle; NaN beyond.
+        self.time, self.phase = np.full((2, n, START_FLIGHTS), np.nan, np.float32)
 
 
-def find(starts: NDArray[np.float64], rules: Rules, run: Run) -> Found:
+def find(starts: _Floats, spec: BasinSpec, run: Run) -> Found:
     """The attractors that `starts` (n, len(STATE_FIELDS)) of one cell reach.
 
     `run` answers requests. The result depends only on the arguments.
     """
-    return _Search(starts, rules, run).found()
+    return _Search(starts, spec, run).found()
 
 
 class _Search:
-    def __init__(self, starts: NDArray[np.float64], rules: Rules, run: Run) -> None:
-        self._rules, self._run = rules, run
-        self._until = rules.until
+    def __init__(self, starts: _Floats, spec: BasinSpec, run: Run) -> None:
+        self._spec, self._run = spec, run
+        self._until = spec.until
+        self._extends = spec.settle_until is None  # transient motion may once continue beyond `until`
         self._owner = np.full(len(starts), -1)  # index into _attractors
         self._attractors: list[Attractor] = []
-        self._ends = _Ends.empty(len(starts))
+        self._ends = _Ends(len(starts))
         self._starts = starts
 
     def found(self) -> Found:
-        rules = self._rules
-        taken = rules.settle + rules.observe
+        spec = self._spec
+        taken = spec.settle + spec.observe
         everything = np.arange(len(self._starts))
-        self._advance(everything, self._starts, rules.settle, rules.observe)
-        undecided = self._assign_cycles(everything, taken, rules.observe)
+        self._advance(everything, self._starts, spec.settle, spec.observe)
+        undecided = self._assign_cycles(everything, taken, spec.observe)
         rate = 0.0
         while len(undecided):
             aperiodic = self._ends.outcome[undecided] == Outcome.APERIODIC
-            if self._until - taken < rules.observe and rate > 0.0 and rules.extends:
+            if self._until - taken < spec.observe and rate > 0.0 and self._extends:
                 self._until = max(self._until, taken + self._worth(len(undecided), rate))
-                rules = self._rules = rules._replace(extends=False)
+                self._extends = False
             rate = self._rate_of_leaving(undecided[aperiodic], taken) or rate
             goes_on = undecided if rate > 0.0 else undecided[~aperiodic]
             added = min(taken, self._until - taken)
-            if len(goes_on) == 0 or added < rules.observe:
+            if len(goes_on) == 0 or added < spec.observe:
                 break
             # a longer window: it shows longer cycles
-            observe = min(max(rules.observe, added // 2), LONG_WINDOW)
+            observe = min(max(spec.observe, added // 2), LONG_WINDOW)
             self._advance(goes_on, self._ends.state[goes_on], added - observe, observe)
             taken += added
             still = self._assign_cycles(goes_on, taken, observe)
@@ -200,35 +172,29 @@ class _Search:
         self._assign_aperiodic(undecided, taken, rate)
         return self._numbered()
 
-    def _advance(
-        self, which: NDArray[np.intp], states: NDArray[np.float64], settle: int, observe: int
-    ) -> None:
+    def _advance(self, which: _Ints, states: _Floats, settle: int, observe: int) -> None:
         """Run starts on from `states` and record their ends."""
         for first in range(0, len(which), BLOCK):
             part = slice(first, first + BLOCK)
             request = Request(states[part], settle, observe, CYCLE_FLIGHTS)
-            self._put(
-                which[part], self._run(request, partial(_reduced, micro_flight=self._rules.micro_flight))
-            )
-
-    def _put(self, which: NDArray[np.intp], answer: dict[str, NDArray[Any]]) -> None:
-        ends = self._ends
-        for name in ("outcome", "bounces", "periods", "state", "cycle"):
-            getattr(ends, name)[which] = answer[name]
-        ends.time[which] = ends.phase[which] = np.nan
-        without = which[answer["outcome"] != Outcome.PERIODIC]
-        ends.time[without], ends.phase[without] = answer["time"], answer["phase"]
+            answer = self._run(request, partial(_reduced, micro_flight=self._spec.micro_flight))
+            ends, at = self._ends, which[part]
+            for name in ("outcome", "bounces", "periods", "state", "cycle"):
+                getattr(ends, name)[at] = answer[name]
+            ends.time[at] = ends.phase[at] = np.nan
+            without = at[answer["outcome"] != Outcome.PERIODIC]
+            ends.time[without], ends.phase[without] = answer["time"], answer["phase"]
 
     def _record(self, request: Request) -> Line:
         """The whole record of a request."""
         return Line(**self._run(request, lambda line: line._asdict()))
 
-    def _run_on(self, which: NDArray[np.intp], taken: int, observe: int, keep: int) -> Line:
+    def _run_on(self, which: _Ints, taken: int, observe: int, keep: int) -> Line:
         """Run representatives on until `until`, or for another window."""
-        settle = max(self._until - taken - observe, self._rules.observe)
+        settle = max(self._until - taken - observe, self._spec.observe)
         return self._record(Request(self._ends.state[which], settle, observe, keep))
 
-    def _assign_cycles(self, which: NDArray[np.intp], taken: int, observe: int) -> NDArray[np.intp]:
+    def _assign_cycles(self, which: _Ints, taken: int, observe: int) -> _Ints:
         """Assign starts at rest or on cycles to attractors; returns the starts without one.
 
         observe: the window that showed their cycles. A shorter one may not show them again.
@@ -254,20 +220,20 @@ class _Search:
         """The attractor on which run i of a record ends, known or new; None without a cycle."""
         if line.outcome[i] not in (Outcome.PERIODIC, Outcome.AT_REST):
             return None
-        flights = self._cycle_flights(line, i)
         known = self._known_attractor(line, i)
         if known is not None:
             return known
         mode = int(line.outcome[i]), int(line.bounces[i]), int(line.periods[i])
-        return self._new(Attractor(*mode, flights, np.empty(0), line.end_state[i].copy()))
+        return self._new(Attractor(*mode, self._cycle(line, i), np.empty(0), line.end_state[i].copy()))
 
-    def _cycle_flights(self, line: Line, i: int) -> NDArray[np.float64]:
-        time, _ = counted(line, i, self._rules.micro_flight)
+    def _cycle(self, line: Line, i: int) -> _Floats:
+        """The sorted flights of the cycle on which run i of a record ends."""
+        time, _ = counted(line, i, self._spec.micro_flight)
         return np.sort(time[len(time) - line.bounces[i] :])
 
     def _known_attractor(self, line: Line, i: int) -> int | None:
         """The known attractor on which run i of a record ends; None if there is none."""
-        mode, flights = (line.outcome[i], line.bounces[i], line.periods[i]), self._cycle_flights(line, i)
+        mode, flights = (line.outcome[i], line.bounces[i], line.periods[i]), self._cycle(line, i)
         for number, known in enumerate(self._attractors):
             same = (known.outcome, known.bounces, known.periods) == mode and known.outcome != APERIODIC
             if same and np.all(np.abs(known.flights - flights) <= SAME_CYCLE):
@@ -278,14 +244,14 @@ class _Search:
         self._attractors.append(attractor)
         return len(self._attractors) - 1
 
-    def _rate_of_leaving(self, which: NDArray[np.intp], taken: int) -> float:
+    def _rate_of_leaving(self, which: _Ints, taken: int) -> float:
         """Rate of aperiodic motion ending on a cycle or at rest, per plate period, from representatives."""
         if len(which) == 0:
             return 0.0
         some = _spread(which, REPRESENTATIVES)
-        line = self._run_on(some, taken, self._rules.observe, CYCLE_FLIGHTS)
+        line = self._run_on(some, taken, self._spec.observe, CYCLE_FLIGHTS)
         left = int(np.isin(line.outcome, (Outcome.PERIODIC, Outcome.AT_REST)).sum())
-        followed = max(self._until - taken, 2 * self._rules.observe)
+        followed = max(self._until - taken, 2 * self._spec.observe)
         return left / (followed * (len(some) - 0.5 * left))
 
     def _worth(self, starts: int, rate: float) -> int:
@@ -295,9 +261,9 @@ class _Search:
         """
         share = starts / len(self._owner)
         periods = math.log(max(share / LEFT, 1.0)) / rate
-        return math.ceil(periods) if share * periods <= WORTH * self._rules.until else 0
+        return math.ceil(periods) if share * periods <= WORTH * self._spec.until else 0
 
-    def _assign_aperiodic(self, which: NDArray[np.intp], taken: int, rate: float) -> None:
+    def _assign_aperiodic(self, which: _Ints, taken: int, rate: float) -> None:
         """Assign starts without a cycle to attractors, which differ in the distribution of flights."""
         settling = which[self._ends.outcome[which] == Outcome.SETTLING]
         for number, attractor in enumerate(self._attractors):
@@ -313,11 +279,11 @@ class _Search:
             before, groups = len(groups), _linked(samples)
             if len(groups) == before or len(chosen) == len(which):
                 break
-            distance = _distances(*self._flights(which), samples, groups).min(axis=1)
+            distance = _distances(self._flights(which), samples, groups).min(axis=1)
             chosen = which[np.argsort(-distance, kind="stable")[:REPRESENTATIVES]]
         if not groups:
             return
-        distance = _distances(*self._flights(which), samples, groups)
+        distance = _distances(self._flights(which), samples, groups)
         nearest, distance = distance.argmin(axis=1), distance.min(axis=1)
         numbers = np.array([self._new(_pooled([samples[i] for i in group], rate)) for group in groups])
         self._owner[which] = numbers[nearest]
@@ -325,7 +291,7 @@ class _Search:
         if len(left):
             # On a torus beside a locked one flights seem to repeat, or to settle, for longer than a window.
             widest = np.array([distance[nearest == g].max(initial=0.0) for g in range(len(groups))])
-            distance = _distances(*self._last_flights(left), samples, groups)
+            distance = _distances(self._last_flights(left), samples, groups)
             nearest, distance = distance.argmin(axis=1), distance.min(axis=1)
             alike = distance <= widest[nearest]
             self._owner[left[alike]] = numbers[nearest[alike]]
@@ -339,16 +305,16 @@ class _Search:
             if min(apart) <= SAME_DISTRIBUTION:
                 self._owner[self._owner == number] = numbers[int(np.argmin(apart))]
 
-    def _flights(self, which: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _flights(self, which: _Ints) -> tuple[_Flights, _Flights]:
         return self._ends.time[which], self._ends.phase[which]
 
-    def _last_flights(self, which: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _last_flights(self, which: _Ints) -> tuple[_Flights, _Flights]:
         """Flights of one more window of starts with any outcome: times and phases."""
         parts = []
         for first in range(0, len(which), BLOCK):
             states = self._ends.state[which[first : first + BLOCK]]
-            request = Request(states, 0, self._rules.observe, CYCLE_FLIGHTS)
-            reduce = partial(_ends_of_flights, micro_flight=self._rules.micro_flight)
+            request = Request(states, 0, self._spec.observe, CYCLE_FLIGHTS)
+            reduce = partial(_ends_of_flights, micro_flight=self._spec.micro_flight)
             parts.append(self._run(request, reduce))
         time, phase = (np.concatenate([part[name] for part in parts]) for name in ("time", "phase"))
         return time, phase
@@ -357,7 +323,7 @@ class _Search:
         """The runs of a record that end on no known attractor: aperiodic, or on long cycles."""
         samples = []
         for i in range(len(line.outcome)):
-            time, phase = counted(line, i, self._rules.micro_flight)
+            time, phase = counted(line, i, self._spec.micro_flight)
             ended = line.outcome[i] not in (Outcome.DIVERGED, Outcome.UNRESOLVED)
             if ended and len(time) > 1 and self._known_attractor(line, i) is None:
                 mode = int(line.bounces[i]), int(line.periods[i])
@@ -378,14 +344,14 @@ class _Search:
 
     def _observe(self, attractors: Sequence[Attractor]) -> None:
         """Record a window of each attractor, and its exponents."""
-        rules = self._rules
+        spec = self._spec
         states = np.stack([attractor.state for attractor in attractors])
-        line = self._record(Request(states, 0, rules.observe, rules.keep))
+        line = self._record(Request(states, 0, spec.observe, spec.keep))
         for i, attractor in enumerate(attractors):
             attractor.flight_time, attractor.takeoff_phase = line.flight_time[i], line.takeoff_phase[i]
-        if rules.exponents:
+        if spec.exponents:
             window = EXPONENT_WINDOW
-            line = self._record(Request(states, 2 * window, window, 1, rules.exponents))
+            line = self._record(Request(states, 2 * window, window, 1, spec.exponents))
             for i, attractor in enumerate(attractors):
                 attractor.lyapunov = line.lyapunov[i]
 
@@ -393,17 +359,13 @@ class _Search:
 class _Sample(NamedTuple):
     """Flights of an aperiodic run, in order."""
 
-    time: NDArray[np.float64]
-    phase: NDArray[np.float64]
-    state: NDArray[np.float64]
+    time: _Floats
+    phase: _Floats
+    state: _Floats
     mode: tuple[int, int]  # of a long cycle; (0, 0) without one
 
-    @property
-    def features(self) -> tuple[NDArray[np.float64], ...]:
-        return _features(self.time, self.phase)
 
-
-def counted(line: Line, i: int, micro_flight: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def counted(line: Line, i: int, micro_flight: float) -> tuple[_Floats, _Floats]:
     """Times and take-off phases of run i's stored flights that count: the longer ones, or all."""
     stored = np.isfinite(line.flight_time[i])
     longer = stored & (line.flight_time[i] > micro_flight)
@@ -427,7 +389,7 @@ def _ends_of_flights(
     line: Line, micro_flight: float, which: NDArray[np.bool_] | None = None
 ) -> dict[str, NDArray[Any]]:
     """Times and phases of the last START_FLIGHTS flights of some or all runs, NaN beyond."""
-    rows: dict[str, list[NDArray[np.float64]]] = {"time": [], "phase": []}
+    rows: dict[str, list[_Floats]] = {"time": [], "phase": []}
     for i in range(len(line.outcome)) if which is None else np.flatnonzero(which).tolist():
         for values, flights in zip(rows.values(), counted(line, i, micro_flight), strict=True):
             missing = max(START_FLIGHTS - len(flights), 0)
@@ -435,7 +397,7 @@ def _ends_of_flights(
     return {name: np.array(values, np.float32).reshape(-1, START_FLIGHTS) for name, values in rows.items()}
 
 
-def _alike(ends: _Ends, which: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def _alike(ends: _Ends, which: _Ints) -> list[_Ints]:
     """Groups of starts that end at rest, or on cycles of one mode with nearly equal flights."""
     rest = which[ends.outcome[which] == Outcome.AT_REST]
     cycles = which[ends.outcome[which] == Outcome.PERIODIC]
@@ -454,12 +416,12 @@ def _alike(ends: _Ends, which: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return groups + np.split(cycles[order], np.flatnonzero(np.diff(label[order])) + 1)
 
 
-def _spread(which: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+def _spread(which: _Ints, count: int) -> _Ints:
     """At most `count` of the starts, evenly spaced."""
     return which[np.unique(np.linspace(0, len(which) - 1, min(count, len(which))).round().astype(np.intp))]
 
 
-def _near(time: NDArray[np.float32], flights: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _near(time: _Flights, flights: _Floats) -> NDArray[np.bool_]:
     """(n,) whether each flight in a row of `time` (n, m) is close to one of the sorted `flights`."""
     if len(flights) == 0:
         return np.zeros(len(time), np.bool_)
@@ -470,12 +432,12 @@ def _near(time: NDArray[np.float32], flights: NDArray[np.float64]) -> NDArray[np
     return np.asarray(np.all(near | ~flown, axis=1) & flown.any(axis=1))
 
 
-def _features(time: NDArray[np.float64], phase: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _features(time: _Floats, phase: _Floats) -> tuple[_Floats, ...]:
     """Features of flights to compare: their times, and sine and cosine of their take-off phases."""
     return time, np.sin(phase), np.cos(phase)
 
 
-def ks_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def ks_distance(a: _Floats, b: _Floats) -> float:
     """The two-sample statistic of Kolmogorov and Smirnov: 0 for equal, 1 for separate distributions."""
     both = np.sort(np.concatenate([a, b]))
     return float(
@@ -486,12 +448,7 @@ def ks_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     )
 
 
-def _distance_of_rows(
-    time: NDArray[np.float32],
-    phase: NDArray[np.float32],
-    pool_time: NDArray[np.float64],
-    pool_phase: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _distance_of_rows(time: _Flights, phase: _Flights, pool_time: _Floats, pool_phase: _Floats) -> _Floats:
     """(n,) the distance of each row (n, m) of flights from a pool of flights; NaN is no flight."""
     distance = np.zeros(len(time))
     pools = _features(pool_time, pool_phase)
@@ -508,41 +465,32 @@ def _distance_of_rows(
 
 
 def _distances(
-    times: NDArray[np.float32],
-    phases: NDArray[np.float32],
-    samples: Sequence[_Sample],
-    groups: Sequence[Sequence[int]],
-) -> NDArray[np.float64]:
-    """(n, groups) distances of the flights of starts, (n, m), from those of groups of representatives."""
-    columns = []
-    for group in groups:
-        time = np.concatenate([samples[i].time for i in group])
-        phase = np.concatenate([samples[i].phase for i in group])
-        columns.append(_distance_of_rows(times, phases, time, phase))
-    return np.stack(columns, axis=1)
+    flights: tuple[_Flights, _Flights], samples: Sequence[_Sample], groups: Sequence[Sequence[int]]
+) -> _Floats:
+    """(n, groups) distances of starts' flights, times and phases (n, m), from groups of representatives."""
+    pools = [[np.concatenate([samples[i][field] for i in group]) for field in (0, 1)] for group in groups]
+    return np.stack([_distance_of_rows(*flights, *pool) for pool in pools], axis=1)
 
 
 def _linked(samples: Sequence[_Sample]) -> list[list[int]]:
     """Groups of samples whose distributions agree, directly or through others."""
-    features = [sample.features for sample in samples]
+    features = [_features(sample.time, sample.phase) for sample in samples]
     noise = [max(ks_distance(x[: len(x) // 2], x[len(x) // 2 :]) for x in feature) for feature in features]
+
+    def agree(i: int, j: int) -> bool:
+        allowed = max(SAME_DISTRIBUTION, HALVES * max(noise[i], noise[j]))
+        return all(ks_distance(x, y) <= allowed for x, y in zip(features[i], features[j], strict=True))
+
     groups: list[list[int]] = []
-    for i, own in enumerate(features):
+    for i in range(len(samples)):
         linked, others = [i], []
         for group in groups:
-            if any(_agree(own, features[j], noise[i], noise[j]) for j in group):
+            if any(agree(i, j) for j in group):
                 linked += group
             else:
                 others.append(group)
         groups = [*others, sorted(linked)]
     return sorted(groups)
-
-
-def _agree(
-    a: tuple[NDArray[np.float64], ...], b: tuple[NDArray[np.float64], ...], noise_a: float, noise_b: float
-) -> bool:
-    allowed = max(SAME_DISTRIBUTION, HALVES * max(noise_a, noise_b))
-    return all(ks_distance(x, y) <= allowed for x, y in zip(a, b, strict=True))
 
 
 def _pooled(samples: Sequence[_Sample], rate: float) -> Attractor:

@@ -1,21 +1,10 @@
 """The study `multistability`: the attractors of every cell of a grid, followed along gamma (docs/basins.md).
 
-A task computes whole lines along gamma.
-
-1. In every cell a fixed plane of drops is run. Drops on one cycle share an attractor, as do drops at rest.
-The
-   first drop of each cycle and every aperiodic drop run on for the same time again: cycles still being
-   approached become one, and transient motion finds its cycle. The rest of the aperiodic motion in a cell
-   counts as one attractor; the study `basin` distinguishes aperiodic attractors.
-2. Each attractor starts the next cell, first towards larger gamma and then towards smaller. A start that
-reaches
-   an attractor found by no drop adds it, and it is followed in its turn.
-
-The destinations of starts are stored for both directions: two attractors of neighbouring cells are the same
-if each leads to the other.
+A task computes whole lines along gamma. The destinations of starts are stored for both directions: two
+attractors of neighbouring cells are the same if each leads to the other.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -25,23 +14,14 @@ from numpy.typing import NDArray
 from kernel.cell import rescale
 from kernel.params import Line, Outcome
 from worker.basins.attractors import CYCLE_FLIGHTS, SAME_CYCLE, counted
-from worker.basins.schema import (
-    COMPUTED_OR_UNDECIDED,
-    OF_ATTRACTORS,
-    array,
-    bytes_per_cell,
-    grid_layout,
-    sizes_of_attractors,
-)
+from worker.basins.schema import COUNT, OF_ATTRACTORS, OUTCOME, sizes_of_attractors
 from worker.basins.spec import MultistabilitySpec
-from worker.basins.starts import starts_of
-from worker.basins.steps import Steps, line_run
+from worker.basins.starts import Steps, line_run, starts_of
 from worker.cost import Cost, cell_seconds, period_seconds
-from worker.grid_plan import Block, GridPlan
-from worker.plan import LONGEST_SECONDS, TARGET_SECONDS
-from worker.schema import Layout
+from worker.plan import LONGEST_SECONDS, TARGET_SECONDS, Chunk, Plan
+from worker.schema import Layout, array, bytes_of, empty_record, grid_layout
 from worker.spec import AXES
-from worker.tasks import ChunkReport, Study, empty_record
+from worker.tasks import ChunkReport
 
 #: Stored attractors of a cell: first those that most drops reach, then those found by following others.
 MAX_ATTRACTORS: Final = 8
@@ -70,13 +50,13 @@ _Arrays = dict[str, NDArray[Any]]
 
 _ARRAYS: Final = (
     *OF_ATTRACTORS,
-    array("next_up", ("id",), "|i1", "attractor of the next larger gamma that this one leads to",
+    array("next_up", (*AXES, "id"), "|i1", "attractor of the next larger gamma that this one leads to",
           comment="0: none that is known; -1: no such cell"),
-    array("next_down", ("id",), "|i1", "attractor of the next smaller gamma that this one leads to",
+    array("next_down", (*AXES, "id"), "|i1", "attractor of the next smaller gamma that this one leads to",
           comment="0: none that is known; -1: no such cell"),
-    array("attractor_count", (), "<i4", "attractors of the cell, also those beyond the dimension id"),
-    array("undecided", (), "<f8", "share of the drops without an attractor"),
-    COMPUTED_OR_UNDECIDED,
+    COUNT,
+    array("undecided", AXES, "<f8", "share of the drops without an attractor"),
+    OUTCOME,
 )  # fmt: skip
 
 
@@ -96,6 +76,11 @@ class Reached(NamedTuple):
     def decided(self) -> bool:
         """Whether it ends on an attractor."""
         return self.outcome in (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST)
+
+    @property
+    def order(self) -> tuple[float, ...]:
+        """The order of attractors that equally many drops reach."""
+        return (self.outcome, self.bounces, self.periods, -self.longest_flight)
 
     def same(self, other: "Reached") -> bool:
         """Whether both end on one attractor of a cell."""
@@ -127,25 +112,19 @@ def _reduced(line: Line, micro_flight: float, keep: int) -> _Arrays:
     return answer
 
 
-def _reached(answer: _Arrays) -> list[Reached]:
-    """An answer, run by run."""
-    columns = [answer[name] if answer[name].ndim > 1 else answer[name].tolist() for name in Reached._fields]
-    return [Reached(*fields) for fields in zip(*columns, strict=True)]
-
-
 class _Cells:
     """The known attractors in the cells of a chunk: its record, with the lines as first dimension."""
 
     def __init__(self, record: _Arrays) -> None:
         self.of = {name: array.reshape(-1, *array.shape[2:]) for name, array in record.items()}
 
-    def known(self, line: int, j: int) -> list[Reached]:
-        """The stored attractors of a cell."""
-        stored = min(int(self.of["attractor_count"][line, j]), MAX_ATTRACTORS)
-        return [
-            Reached(*(self.of[_STORED.get(name, name)][line, j, k] for name in Reached._fields))
-            for k in range(stored)
-        ]
+    def id_of(self, line: int, j: int, end: Reached) -> int | None:
+        """The id of the stored attractor of a cell on which a run ends; None if there is none."""
+        for k in range(min(int(self.of["attractor_count"][line, j]), MAX_ATTRACTORS)):
+            fields = (self.of[_STORED.get(name, name)][line, j, k] for name in Reached._fields)
+            if end.same(Reached(*fields)):
+                return k + 1
+        return None
 
     def add(self, line: int, j: int, reached: Reached, fraction: float) -> int:
         """Store a further attractor of a cell; returns its id, or NOWHERE if there is no room."""
@@ -169,7 +148,7 @@ class _Cells:
 class _Search:
     """The runs that find the attractors of a chunk."""
 
-    def __init__(self, spec: MultistabilitySpec, chunk: Block, cells: _Cells, work: Steps) -> None:
+    def __init__(self, spec: MultistabilitySpec, chunk: Chunk, cells: _Cells, work: Steps) -> None:
         self._spec, self._cells, self._work = spec, cells, work
         axes = dict(zip(AXES, chunk.slices, strict=True))
         xi, omega, self._gamma = (spec.axis_values(axis)[span] for axis, span in axes.items())
@@ -200,7 +179,8 @@ class _Search:
             lambda: line_run(spec, cells, states, keep=CYCLE_FLIGHTS, **window),
             partial(_reduced, micro_flight=spec.micro_flight, keep=spec.keep),
         )
-        return _reached(answer)
+        columns = [x if x.ndim > 1 else x.tolist() for x in map(answer.__getitem__, Reached._fields)]
+        return [Reached(*fields) for fields in zip(*columns, strict=True)]
 
     def _drop(self, places: Sequence[tuple[int, int]]) -> None:
         """Find the attractors that drops reach in the cells `places`."""
@@ -208,19 +188,21 @@ class _Search:
         n = len(starts)
         first = self._run([place for place in places for _ in range(n)], np.tile(starts, (len(places), 1)))
         ends = [first[i : i + n] for i in range(0, len(first), n)]
-        further = [_further(of_cell) for of_cell in ends]
-        again = [
-            (place, of_cell[i].state)
-            for place, of_cell, some in zip(places, ends, further, strict=True)
-            for i in some
+        standing = [
+            (place, of_cell, members)
+            for place, of_cell in zip(places, ends, strict=True)
+            for members in _standing(of_cell)
         ]
-        if again:
-            later = iter(self._run([place for place, _ in again], np.stack([state for _, state in again])))
-            for of_cell, some in zip(ends, further, strict=True):
-                _run_on(of_cell, {i: next(later) for i in some})
+        if standing:
+            states = np.stack([of_cell[members[0]].state for _, of_cell, members in standing])
+            later = self._run([place for place, _, _ in standing], states)
+            for (_, of_cell, members), end in zip(standing, later, strict=True):
+                if end.decided or of_cell[members[0]].outcome == Outcome.APERIODIC:
+                    for i in members:
+                        of_cell[i] = end
         for place, of_cell in zip(places, ends, strict=True):
             groups = [[of_cell[i] for i in group] for group in _groups(of_cell)]
-            for group in sorted(groups, key=lambda group: (-len(group), *_order(group[0]))):
+            for group in sorted(groups, key=lambda group: (-len(group), *group[0].order)):
                 self._cells.add(*place, group[0], len(group) / n)
             self._cells.of["undecided"][place] = 1.0 - sum(map(len, groups)) / n
 
@@ -237,7 +219,7 @@ class _Search:
         unknown = [
             i
             for i, ((line, _), end) in enumerate(zip(waiting, ends, strict=True))
-            if end.decided and not any(end.same(other) for other in self._cells.known(line, neighbour))
+            if end.decided and self._cells.id_of(line, neighbour, end) is None
         ]
         if unknown:
             places = [(waiting[i][0], neighbour) for i in unknown]
@@ -245,35 +227,17 @@ class _Search:
             for i, end in zip(unknown, later, strict=True):
                 ends[i] = end
         for (line, k), end in zip(waiting, ends, strict=True):
-            self._cells.of[name][line, j, k] = self._id_of(line, neighbour, end)
-
-    def _id_of(self, line: int, j: int, end: Reached) -> int:
-        """The id of an attractor of a cell, which may be new; NOWHERE without one."""
-        if not end.decided:
-            return NOWHERE
-        for number, other in enumerate(self._cells.known(line, j)):
-            if end.same(other):
-                return number + 1
-        return self._cells.add(line, j, end, 0.0)
+            reached = NOWHERE
+            if end.decided:
+                known = self._cells.id_of(line, neighbour, end)
+                reached = self._cells.add(line, neighbour, end, 0.0) if known is None else known
+            self._cells.of[name][line, j, k] = reached
 
 
-def _further(ends: Sequence[Reached]) -> list[int]:
-    """The starts of a cell that run on: the first on each cycle, and every aperiodic one."""
+def _standing(ends: Sequence[Reached]) -> list[list[int]]:
+    """The starts of a cell whose first runs on for all: those on each cycle, and every aperiodic one."""
     cycles = [group for group in _groups(ends) if ends[group[0]].outcome == Outcome.PERIODIC]
-    aperiodic = [i for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC]
-    return sorted([*(group[0] for group in cycles), *aperiodic])
-
-
-def _run_on(ends: list[Reached], later: Mapping[int, Reached]) -> None:
-    """Replace the ends of the starts that ran on, and of the starts on the same cycle."""
-    for group in _groups(ends):
-        end = later.get(group[0])
-        if end is not None and ends[group[0]].outcome == Outcome.PERIODIC and end.decided:
-            for i in group:
-                ends[i] = end
-    for i, end in later.items():
-        if ends[i].outcome == Outcome.APERIODIC:
-            ends[i] = end
+    return sorted([*cycles, *([i] for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC)])
 
 
 def _groups(ends: Sequence[Reached]) -> list[list[int]]:
@@ -291,17 +255,41 @@ def _groups(ends: Sequence[Reached]) -> list[list[int]]:
     return groups
 
 
-def _order(end: Reached) -> tuple[float, ...]:
-    """The order of attractors that equally many drops reach."""
-    return (end.outcome, end.bounces, end.periods, -end.longest_flight)
-
-
 def layout(spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:
     """Layout of the store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
     about = {"long_name": "attractor of a cell, by the share of the drops that reach it"}
     coordinates = {"id": (np.arange(1, MAX_ATTRACTORS + 1, dtype="<i4"), about)}
-    sizes = sizes_of_attractors(spec, MAX_ATTRACTORS)
-    return grid_layout(spec, chunk_shape, _ARRAYS, sizes, coordinates, "bouncing spring: multistability")
+    sizes, title = sizes_of_attractors(spec, MAX_ATTRACTORS), "bouncing spring: multistability"
+    return grid_layout(spec, chunk_shape, _ARRAYS, sizes, coordinates, title, spec.model.kind)
+
+
+def make_plan(
+    spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+) -> Plan:
+    """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
+
+    Raises ValueError for sizes below 1, or for parts of lines.
+    """
+    gammas = spec.shape[2]
+    if chunk_shape is None:
+        lines = int(TARGET_SECONDS / (gammas * _runs(spec) * cell_seconds(spec.sweep())))
+        chunk_shape = (1, max(1, lines), gammas)
+    plan = Plan(spec.shape, chunk_shape)
+    if plan.chunk_shape[-1] != gammas:
+        raise ValueError(f"chunk_shape: must span the {gammas} values of gamma, not {chunk_shape[-1]}")
+    return plan
+
+
+def estimate(spec: MultistabilitySpec, plan: Plan) -> Cost:
+    """Cost of a study, from the table of contact models."""
+    runs, sweep = plan.cells * _runs(spec), spec.sweep()
+    return Cost(
+        cells=plan.cells,
+        chunks=len(plan),
+        bytes=plan.cells * bytes_of(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
+        core_seconds=runs * cell_seconds(sweep),
+        longest_core_seconds=runs * period_seconds(sweep) * spec.until,
+    )
 
 
 def _runs(spec: MultistabilitySpec) -> float:
@@ -309,35 +297,13 @@ def _runs(spec: MultistabilitySpec) -> float:
     return RUN_ON * spec.protocol.rows * spec.protocol.columns + FOLLOWED
 
 
-def cell_cost(spec: MultistabilitySpec) -> float:
-    """Mean core-seconds per cell."""
-    return _runs(spec) * cell_seconds(spec.sweep())
-
-
-def make_plan(
-    spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
-) -> GridPlan:
-    """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
-
-    Raises ValueError for sizes below 1, or for parts of lines.
-    """
-    _, omegas, gammas = spec.shape
-    if chunk_shape is None:
-        lines = int(TARGET_SECONDS / (gammas * cell_cost(spec)))
-        chunk_shape = (1, min(max(1, lines), omegas), gammas)
-    plan = GridPlan(spec.shape, chunk_shape)
-    if plan.chunk_shape[-1] != gammas:
-        raise ValueError(f"chunk_shape: must span the {gammas} values of gamma, not {chunk_shape[-1]}")
-    return plan
-
-
-def run_chunk(spec: MultistabilitySpec, chunk: Block, store_url: str) -> ChunkReport:
+def run_chunk(spec: MultistabilitySpec, chunk: Chunk, store_url: str) -> ChunkReport:
     """Compute the lines of `chunk` and store them; the store must exist.
 
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
     the slice of `tasks.OPTIONS`, or a `store.StoreError`.
     """
-    record = empty_record(chunk, _ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS))
+    record = empty_record(chunk.shape, _ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS))
     cycles = np.full((*chunk.shape, MAX_ATTRACTORS, CYCLE), np.nan)
     kept = record | {"cycle": cycles}
     work = Steps(store_url, chunk, _ARRAYS, kept)
@@ -349,17 +315,3 @@ def run_chunk(spec: MultistabilitySpec, chunk: Block, store_url: str) -> ChunkRe
         record["attractor_count"] > 0, Outcome.PERIODIC, Outcome.UNRESOLVED
     ).astype(np.uint8)
     return work.write(record)
-
-
-def estimate(spec: MultistabilitySpec, plan: GridPlan) -> Cost:
-    """The cost, by that of a sweep's cells."""
-    return Cost(
-        cells=plan.cells,
-        chunks=len(plan),
-        bytes=plan.cells * bytes_per_cell(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
-        core_seconds=plan.cells * cell_cost(spec),
-        longest_core_seconds=plan.cells * _runs(spec) * period_seconds(spec.sweep()) * spec.until,
-    )
-
-
-MULTISTABILITY: Final = Study(MultistabilitySpec.parse, make_plan, layout, estimate, run_chunk)

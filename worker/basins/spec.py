@@ -10,19 +10,9 @@ from pydantic import Field, model_validator
 from worker.spec import AXES, SpecError, SweepSpec
 from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.contact_models import Auto, Ball, Contact, Soft
-from worker.spec.errors import BrokenRuleError, did_you_mean
+from worker.spec.errors import BrokenRuleError
 from worker.spec.specification import Specification
-from worker.spec.sweep import (
-    Exponents,
-    Gamma,
-    Keep,
-    MicroFlight,
-    Observe,
-    Omega,
-    Settle,
-    SettleUntil,
-    Xi,
-)
+from worker.spec.sweep import Exponents, Gamma, Keep, MicroFlight, Observe, Omega, Settle, SettleUntil, Xi
 
 #: Maximum starts, rows or columns of a cell: its starts are computed and stored together.
 MAX_STARTS: Final = 512 * 512
@@ -51,19 +41,6 @@ class Plane(Strict):
     rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
     columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
     height: Annotated[float, Field(gt=0.0, le=MAX_HEIGHT), NUMBER] = 10.0
-
-    @model_validator(mode="before")
-    @classmethod
-    def _check_fields(cls, data: object) -> object:
-        """Refuse unknown fields with the names of this object's fields."""
-        for name in data if isinstance(data, dict) else ():
-            if name not in cls.model_fields:
-                fields = tuple(cls.model_fields)
-                hint = did_you_mean(name, fields) or ";"
-                raise BrokenRuleError(
-                    "", f"{name[:40]!a} is not a field here{hint} the fields are {', '.join(fields)}"
-                )
-        return data
 
     @model_validator(mode="after")
     def _size(self) -> Self:

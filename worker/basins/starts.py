@@ -1,16 +1,27 @@
-"""The states of a plane's starts: drops, and contacts at phase 0 (docs/basins.md, "Planes")."""
+"""Starts of cells, and chunks computed in steps of one or more runs of many starts (docs/basins.md)."""
+
+from collections.abc import Callable, Iterable
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.interface import prepare, rest
-from kernel.params import STATE_FIELDS
+from kernel.line import LineRun
+from kernel.params import STATE_FIELDS, Line
 from worker.basins.spec import GridSpec
+from worker.plan import Chunk
+from worker.schema import Array
 from worker.spec.contact_models import Contact
-from worker.tasks import plate_of
+from worker.tasks import Work, plate_of
+
+_ANSWER: Final = "answer/"
+
+_Arrays = dict[str, NDArray[Any]]
+_Floats = NDArray[np.float64]
 
 
-def starts_of(spec: GridSpec, gamma: float, omega: float, xi: float) -> NDArray[np.float64]:
+def starts_of(spec: GridSpec, gamma: float, omega: float, xi: float) -> _Floats:
     """The states (rows * columns, 6) of a cell's plane of starts, row by row (see params.STATE_FIELDS)."""
     plane = spec.protocol
     row, column = np.meshgrid(plane.row_values, plane.column_values, indexing="ij")
@@ -21,7 +32,7 @@ def starts_of(spec: GridSpec, gamma: float, omega: float, xi: float) -> NDArray[
     return states.reshape(-1, len(STATE_FIELDS))
 
 
-def drop_states(height: NDArray[np.float64], phase: NDArray[np.float64]) -> NDArray[np.float64]:
+def drop_states(height: _Floats, phase: _Floats) -> _Floats:
     """The states (…, 6) of a relaxed spring at rest in the laboratory, released at a plate phase, rad.
 
     height (…): of the lower mass above the plate, plate amplitudes.
@@ -33,11 +44,8 @@ def drop_states(height: NDArray[np.float64], phase: NDArray[np.float64]) -> NDAr
 
 
 def contact_states(
-    model: Contact,
-    cell: tuple[float, float, float],
-    elongation: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    model: Contact, cell: tuple[float, float, float], elongation: _Floats, velocity: _Floats
+) -> _Floats:
     """The states (…, 6) of a spring whose lower mass sticks to the plate at phase 0.
 
     cell: gamma, omega, xi. elongation (…): beyond the static one, plate amplitudes; velocity (…): of the
@@ -50,3 +58,51 @@ def contact_states(
     states[..., 4] += elongation
     states[..., 5] += velocity / omega
     return states
+
+
+class Steps(Work):
+    """The record of a chunk, its finished steps, and the answers of the step under way."""
+
+    def __init__(self, store_url: str, chunk: Chunk, arrays: Iterable[Array], record: _Arrays) -> None:
+        self._answers: list[_Arrays] = []
+        self._answered = 0
+        super().__init__(store_url, chunk, arrays, record)
+
+    def answer(self, run: Callable[[], LineRun], reduce: Callable[[Line], _Arrays]) -> _Arrays:
+        """The part that `reduce` keeps of the step's next run, computed now or before.
+
+        Raises ChunkCancelled, ChunkPaused.
+        """
+        if self._answered == len(self._answers):
+            self._answers.append(reduce(self.compute(run())))
+            self.pause_if_due({})
+        self._answered += 1
+        return self._answers[self._answered - 1]
+
+    def finish_step(self) -> None:
+        """Note that the step's results are in the record."""
+        self.done += 1
+        self._answers, self._answered = [], 0
+
+    def _save(self) -> _Arrays:
+        arrays = super()._save()
+        for number, answer in enumerate(self._answers):
+            arrays |= {f"{_ANSWER}{number}/{name}": array for name, array in answer.items()}
+        return arrays
+
+    def _restore(self, saved: _Arrays) -> None:
+        super()._restore(saved)
+        answers: dict[int, _Arrays] = {}
+        for name, array in saved.items():
+            if name.startswith(_ANSWER):
+                number, field = name.removeprefix(_ANSWER).split("/")
+                answers.setdefault(int(number), {})[field] = array
+        self._answers = [answers[number] for number in range(len(answers))]
+
+
+def line_run(
+    spec: GridSpec, cells: tuple[_Floats, _Floats, _Floats], states: _Floats, **window: Any
+) -> LineRun:
+    """A run of starts (n, 6), each in its cell: gamma, omega, xi (n,). `window`: as in `LineRun`."""
+    plate = plate_of(spec.model, *cells)
+    return LineRun(*cells, plate=plate, carry=False, micro_flight=spec.micro_flight, states=states, **window)

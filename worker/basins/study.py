@@ -11,25 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Line, Outcome
-from worker.basins.attractors import Found, Request, Rules, find
-from worker.basins.schema import (
-    COMPUTED_OR_UNDECIDED,
-    LIFETIME,
-    OF_ATTRACTORS,
-    array,
-    bytes_per_cell,
-    grid_layout,
-    sizes_of_attractors,
-)
+from worker.basins.attractors import Found, Request, find
+from worker.basins.schema import COUNT, LIFETIME, OF_ATTRACTORS, OUTCOME, sizes_of_attractors
 from worker.basins.spec import BasinSpec
-from worker.basins.starts import starts_of
-from worker.basins.steps import Steps, line_run
+from worker.basins.starts import Steps, line_run, starts_of
 from worker.cost import Cost, cell_seconds, period_seconds
-from worker.grid_plan import Block, GridPlan
-from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS
-from worker.schema import Array, Layout
+from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Chunk, Plan, even
+from worker.schema import Array, Layout, array, bytes_of, empty_record, grid_layout
 from worker.spec import AXES, SweepSpec
-from worker.tasks import ChunkReport, Study, empty_record
+from worker.tasks import ChunkReport
 
 #: Stored attractors of a cell, the largest basins first. Starts of others count as undecided.
 MAX_ATTRACTORS: Final = 32
@@ -43,23 +33,23 @@ _Arrays = dict[str, NDArray[Any]]
 def arrays(spec: BasinSpec) -> tuple[Array, ...]:
     """The stored arrays in the order they are written."""
     exponents = [
-        array("lyapunov", ("id", "exponent"), "<f8", "Lyapunov exponents, the largest first",
-               comment="per plate period, natural logarithm"),
+        array("lyapunov", (*AXES, "id", "exponent"), "<f8", "Lyapunov exponents, the largest first",
+              comment="per plate period, natural logarithm"),
     ]  # fmt: skip
     return (
-        array("attractor", ("row", "column"), "|u1", "attractor that a start reaches",
+        array("attractor", (*AXES, "row", "column"), "|u1", "attractor that a start reaches",
               comment="0: undecided, or of an attractor beyond the dimension id"),
         *OF_ATTRACTORS[:5],
         LIFETIME,
         *OF_ATTRACTORS[5:],
         *(exponents if spec.exponents else ()),
-        array("attractor_count", (), "<i4", "attractors of the cell, also those beyond the dimension id"),
-        array("undecided", (), "<f8", "share of the starts without an attractor"),
-        array("basin_entropy", (), "<f8", f"basin entropy, of boxes of {BOX} by {BOX} starts",
-               comment="natural logarithm; NaN: fewer starts than a box has"),
-        array("boundary_entropy", (), "<f8", f"boundary basin entropy, of boxes of {BOX} by {BOX} starts",
-               comment="mean over the boxes with more than one attractor; 0 without such boxes"),
-        COMPUTED_OR_UNDECIDED,
+        COUNT,
+        array("undecided", AXES, "<f8", "share of the starts without an attractor"),
+        array("basin_entropy", AXES, "<f8", f"basin entropy, of boxes of {BOX} by {BOX} starts",
+              comment="natural logarithm; NaN: fewer starts than a box has"),
+        array("boundary_entropy", AXES, "<f8", f"boundary basin entropy, of boxes of {BOX} by {BOX} starts",
+              comment="mean over the boxes with more than one attractor; 0 without such boxes"),
+        OUTCOME,
     )  # fmt: skip
 
 
@@ -69,30 +59,31 @@ def sizes(spec: BasinSpec) -> dict[str, int]:
             **sizes_of_attractors(spec, MAX_ATTRACTORS)}  # fmt: skip
 
 
-_ROW: Final = {
-    "drop": {"long_name": "height of the lower mass above the plate, in plate amplitudes", "units": "1"},
-    "contact": {"long_name": "elongation beyond the static one, in plate amplitudes", "units": "1"},
-}
-_COLUMN: Final = {
-    "drop": {"long_name": "plate phase at which the spring is let go", "units": "rad"},
-    "contact": {
-        "long_name": "velocity of the elongation times omega, in plate amplitudes",
-        "units": "1",
-    },
+#: Attributes of the rows and columns of each plane.
+_SIDES: Final = {
+    "drop": (
+        {"long_name": "height of the lower mass above the plate, in plate amplitudes", "units": "1"},
+        {"long_name": "plate phase at which the spring is let go", "units": "rad"},
+    ),
+    "contact": (
+        {"long_name": "elongation beyond the static one, in plate amplitudes", "units": "1"},
+        {"long_name": "velocity of the elongation times omega, in plate amplitudes", "units": "1"},
+    ),
 }
 
 
 def layout(spec: BasinSpec, chunk_shape: tuple[int, ...]) -> Layout:
     """Layout of the store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
     plane = spec.protocol
+    row, column = _SIDES[plane.plane]
     coordinates = {
-        "row": (plane.row_values, _ROW[plane.plane]),
-        "column": (plane.column_values, _COLUMN[plane.plane]),
+        "row": (plane.row_values, row),
+        "column": (plane.column_values, column),
         "id": (np.arange(1, MAX_ATTRACTORS + 1, dtype="<i4"),
                {"long_name": "attractor, by the share of the starts that reach it"}),
     }  # fmt: skip
     title = "bouncing spring: basins of attraction"
-    return grid_layout(spec, chunk_shape, arrays(spec), sizes(spec), coordinates, title)
+    return grid_layout(spec, chunk_shape, arrays(spec), sizes(spec), coordinates, title, spec.model.kind)
 
 
 def _of_starts(spec: BasinSpec) -> SweepSpec:
@@ -100,54 +91,49 @@ def _of_starts(spec: BasinSpec) -> SweepSpec:
     return spec.sweep().model_copy(update={"exponents": 0})
 
 
-def start_seconds(spec: BasinSpec) -> float:
-    """Mean core-seconds per start."""
-    return cell_seconds(_of_starts(spec))
-
-
 def make_plan(
     spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
-) -> GridPlan:
+) -> Plan:
     """Chunks of `chunk_shape` cells along (xi, omega, gamma); by default rows of gamma, about a second.
 
     Raises ValueError for a size below 1.
     """
     if chunk_shape is None:
         starts = spec.protocol.rows * spec.protocol.columns
-        seconds, size = starts * start_seconds(spec), bytes_per_cell(arrays(spec), sizes(spec))
+        seconds, size = starts * cell_seconds(_of_starts(spec)), bytes_of(arrays(spec), sizes(spec))
         cells = max(1, int(min(TARGET_SECONDS / seconds, MAX_CHUNK_BYTES / size)))
-        gammas = spec.shape[2]
-        row = -(-gammas // -(-gammas // min(cells, gammas)))
-        chunk_shape = (1, max(1, min(spec.shape[1], cells // row)), row)
-    return GridPlan(spec.shape, chunk_shape)
+        row = even(spec.shape[2], cells)
+        chunk_shape = (1, max(1, cells // row), row)
+    return Plan(spec.shape, chunk_shape)
 
 
-def run_chunk(spec: BasinSpec, chunk: Block, store_url: str) -> ChunkReport:
+def estimate(spec: BasinSpec, plan: Plan) -> Cost:
+    """Cost of a study, from the table of contact models."""
+    starts, sweep = plan.cells * spec.protocol.rows * spec.protocol.columns, _of_starts(spec)
+    return Cost(
+        cells=plan.cells,
+        chunks=len(plan),
+        bytes=plan.cells * bytes_of(arrays(spec), sizes(spec)),
+        core_seconds=starts * cell_seconds(sweep),
+        longest_core_seconds=starts * period_seconds(sweep) * spec.until,
+    )
+
+
+def run_chunk(spec: BasinSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     """Compute every cell of `chunk` and store it; the store must exist.
 
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
     the slice of `tasks.OPTIONS`, or a `store.StoreError`.
     """
-    record = empty_record(chunk, arrays(spec), sizes(spec))
+    record = empty_record(chunk.shape, arrays(spec), sizes(spec))
     values = [spec.axis_values(axis)[span] for axis, span in zip(AXES, chunk.slices, strict=True)]
     work = Steps(store_url, chunk, arrays(spec), record)
-    for number, index in enumerate(np.ndindex(chunk.shape)):
-        if number < work.done:
-            continue
+    for index in list(np.ndindex(chunk.shape))[work.done :]:
         xi, omega, gamma = (float(axis[i]) for axis, i in zip(values, index, strict=True))
-        found = find(starts_of(spec, gamma, omega, xi), rules_of(spec), _runner(spec, gamma, omega, xi, work))
-        _fill_in(
-            spec, found, {name: array[index] for name, array in record.items() if array.ndim > len(index)}
-        )
-        _fill_in_numbers(spec, found, record, index)
+        found = find(starts_of(spec, gamma, omega, xi), spec, _runner(spec, gamma, omega, xi, work))
+        _fill_in(spec, found, record, index)
         work.finish_step()
     return work.write(record)
-
-
-def rules_of(spec: BasinSpec) -> Rules:
-    """The rules of a specification for the runs of a search."""
-    window = (spec.settle, spec.observe, spec.until, spec.keep, spec.micro_flight, spec.exponents)
-    return Rules(*window, extends=spec.settle_until is None)
 
 
 def _runner(
@@ -157,30 +143,21 @@ def _runner(
 
     def run(request: Request, reduce: Callable[[Line], _Arrays]) -> _Arrays:
         gammas, omegas, xis = (np.full(len(request.states), value) for value in (gamma, omega, xi))
-        window = request._asdict()
-        del window["states"]
-        return work.answer(lambda: line_run(spec, (gammas, omegas, xis), request.states, **window), reduce)
+        return work.answer(lambda: line_run(spec, (gammas, omegas, xis), **request._asdict()), reduce)
 
     return run
 
 
-def _fill_in(spec: BasinSpec, found: Found, cell: _Arrays) -> None:
-    """Fill in one cell's arrays with further dimensions."""
+def _fill_in(spec: BasinSpec, found: Found, record: _Arrays, index: tuple[int, ...]) -> None:
+    """Fill in one cell."""
     ids = np.where(found.ids <= MAX_ATTRACTORS, found.ids, 0).astype(np.uint8)
-    cell["attractor"][...] = ids.reshape(spec.protocol.rows, spec.protocol.columns)
+    ids = ids.reshape(spec.protocol.rows, spec.protocol.columns)
+    record["attractor"][index] = ids
     for i, attractor in enumerate(found.attractors[:MAX_ATTRACTORS]):
-        cell["attractor_outcome"][i] = attractor.outcome
-        for name in ("fraction", "bounces", "periods", "longest_flight", "lifetime",
-                     "flight_time", "takeoff_phase"):  # fmt: skip
-            cell[name][i] = getattr(attractor, name)
-        cell["attractor_state"][i] = attractor.state
+        for name in (row.name for row in (*OF_ATTRACTORS, LIFETIME)):
+            record[name][*index, i] = getattr(attractor, name.removeprefix("attractor_"))
         if spec.exponents:
-            cell["lyapunov"][i] = attractor.lyapunov
-
-
-def _fill_in_numbers(spec: BasinSpec, found: Found, record: _Arrays, index: tuple[int, ...]) -> None:
-    """Fill in one cell's numbers."""
-    ids = record["attractor"][index]
+            record["lyapunov"][*index, i] = attractor.lyapunov
     record["attractor_count"][index] = len(found.attractors)
     record["undecided"][index] = np.mean(ids == 0)
     record["basin_entropy"][index], record["boundary_entropy"][index] = entropies(ids)
@@ -204,18 +181,3 @@ def entropies(ids: NDArray[np.uint8]) -> tuple[float, float]:
     entropy = -np.where(share > 0.0, share * np.log(np.where(share > 0.0, share, 1.0)), 0.0).sum(axis=0)
     mixed = (counts > 0).sum(axis=0) > 1
     return float(entropy.mean()), float(entropy[mixed].mean()) if mixed.any() else 0.0
-
-
-def estimate(spec: BasinSpec, plan: GridPlan) -> Cost:
-    """The cost, by that of a sweep's cells."""
-    starts = plan.cells * spec.protocol.rows * spec.protocol.columns
-    return Cost(
-        cells=plan.cells,
-        chunks=len(plan),
-        bytes=plan.cells * bytes_per_cell(arrays(spec), sizes(spec)),
-        core_seconds=starts * start_seconds(spec),
-        longest_core_seconds=starts * period_seconds(_of_starts(spec)) * spec.until,
-    )
-
-
-BASINS: Final = Study(BasinSpec.parse, make_plan, layout, estimate, run_chunk)

@@ -93,8 +93,8 @@ def did_you_mean(wrong: object, names: Iterable[str]) -> str:
 def problems_of(error: ValidationError, fields: Mapping[str, Sequence[str]]) -> list[Problem]:
     """Convert pydantic's errors to at most MAX_PROBLEMS problems and one that counts the others.
 
-    fields: the field names of every object by its tag; `""` is the specification itself. Tags of unions
-    look like `<range>` and are not part of a field's path.
+    fields: the field names of every object by its tag or name; `""` is the specification itself. Tags of
+    unions look like `<range>` and are not part of a field's path.
     """
     entries = error.errors(include_url=False)
     problems = [_problem(entry, fields) for entry in entries[:MAX_PROBLEMS]]
@@ -128,7 +128,7 @@ def _problem(entry: Mapping[str, Any], fields: Mapping[str, Sequence[str]]) -> P
     if isinstance(cause, BrokenRuleError):
         return Problem(_path([*location, *filter(None, cause.field.split("."))]), cause.rule, cause.code)
     if entry["type"] == "extra_forbidden":
-        known = fields[next((str(part) for part in reversed(location) if _is_tag(part)), "")]
+        known = fields[next((str(part) for part in reversed(location[:-1]) if part in fields), "")]
         hint = did_you_mean(location[-1], known) or ";"
         text = f"is not a field here{hint} the fields are {', '.join(known)}"
         return Problem(_path(location), text, "unknown")

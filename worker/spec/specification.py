@@ -57,7 +57,14 @@ class Document(Strict):
                 super().__init__(**data)
             except ValidationError as error:
                 fields = {each.tag(): tuple(each.model_fields) for each in _subclasses(Strict)}
-                fields[""] = tuple(type(self).model_fields)
+                own = type(self).model_fields
+                objects = {name: field.annotation for name, field in own.items()}
+                fields |= {
+                    name: tuple(each.model_fields)
+                    for name, each in objects.items()
+                    if isinstance(each, type) and issubclass(each, Strict)
+                }
+                fields[""] = tuple(own)
                 raise SpecInvalid(problems_of(error, fields)) from None
 
     @classmethod

@@ -47,7 +47,7 @@ def test_done_means_written_and_the_checksums_are_those_of_the_files(tmp_path: P
                 "SELECT chunk, lower(hex(checksum)), cells FROM chunks ORDER BY chunk"
             ).fetchall()
     plan = make_plan(spec, chunk_shape=job.chunk_shape)
-    assert [row["cells"] for row in rows] == [chunk.cells for chunk in plan.chunks]
+    assert [row["cells"] for row in rows] == [chunk.cells for chunk in plan]
     written = [(plan[row[0]], row[1]) for row in rows]
     url = service.settings.store_of(job.id)
     assert list(store.find_corrupt(url, layout(spec, plan.chunk_shape), written)) == []

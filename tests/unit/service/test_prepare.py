@@ -1,7 +1,6 @@
 """A job's specification is parsed once and its plan made once, however many requests need them."""
 
 import json
-import sys
 import threading
 from collections import Counter
 from collections.abc import Callable
@@ -17,9 +16,9 @@ from served import computing, finished, get, service
 from service.jobs import prepare
 from service.jobs.prepare import JobPreparer
 from service.settings import Settings
-from worker import plan as planning
 from worker import studies
 from worker.analysis.model_selection import ModelChoice
+from worker.plan import make_plan
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
 
@@ -36,13 +35,12 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
         return call
 
-    sweeps = studies.SWEEP._replace(parse=counted("parsed", SweepSpec.parse))
+    sweep = replace(
+        studies.SWEEP, parse=counted("parsed", SweepSpec.parse), plan=counted("planned", make_plan)
+    )
+    monkeypatch.setattr(studies, "SWEEP", sweep)
     for kind in ("rest", "ramp"):
-        monkeypatch.setitem(studies.STUDIES, kind, sweeps)
-    real = planning.make_plan
-    for name, module in list(sys.modules.items()):
-        if name.startswith(("service.", "worker.")) and getattr(module, "make_plan", None) is real:
-            monkeypatch.setattr(module, "make_plan", counted("planned", real))
+        monkeypatch.setitem(studies.STUDIES, kind, sweep)
     return count
 
 

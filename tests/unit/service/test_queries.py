@@ -31,7 +31,7 @@ def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Stored
     plan = make_plan(spec, chunk_shape=(1, 2, 5))
     url = str(folder / "store.zarr")
     store.create(url, layout(spec, plan.chunk_shape))
-    for chunk in plan.chunks[:chunks]:
+    for chunk in plan[:chunks]:
         run_chunk(spec, chunk, url)
     return Stored(spec, url)
 
@@ -61,7 +61,7 @@ def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.n
     url = str(folder / "made.zarr")
     store.create(url, layout(spec, plan.chunk_shape))
     length = schema.sizes(spec)
-    for chunk in plan.chunks:
+    for chunk in plan:
         record = {
             array.name: np.zeros((*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.dtype)
             for array in schema.arrays(spec)

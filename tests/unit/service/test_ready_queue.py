@@ -31,7 +31,7 @@ def test_predecessors_are_those_of_the_plans_chunks(
     small_spec: Callable[..., SweepSpec], protocol: dict[str, str]
 ):
     plan = make_plan(small_spec(protocol=protocol), chunk_shape=(1, 2, 3))
-    expected = [-1 if chunk.after is None else chunk.after for chunk in plan.chunks]
+    expected = [-1 if chunk.after is None else chunk.after for chunk in plan]
     assert [max(index - plan.lines, -1) for index in range(len(plan))] == expected
 
 

@@ -168,7 +168,7 @@ def submitted(client: TestClient, case: Case) -> str:
     settings: Settings = client.app.state.service.settings  # type: ignore[attr-defined]
     url = settings.store_of(here.rsplit("/", 1)[-1])
     length, outcomes = schema.sizes(spec), outcomes_of(case)
-    for chunk in make_plan(spec).chunks:
+    for chunk in make_plan(spec):
         cells = dict(zip(schema.CELL_DIMS, chunk.slices, strict=True))
         record: dict[str, Any] = {
             array.name: np.zeros((*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.dtype)

@@ -14,11 +14,21 @@ from scipy.stats import ks_2samp
 
 from kernel.params import STATE_FIELDS, Line, Outcome, empty_line
 from worker.basins import attractors
-from worker.basins.attractors import Found, Request, Rules, find, ks_distance
+from worker.basins.attractors import Found, Request, find, ks_distance
+from worker.basins.spec import BasinSpec
 
 WHICH, ELAPSED, START = (STATE_FIELDS.index(name) for name in ("gap", "gap_velocity", "elongation"))
 
-RULES = Rules(settle=100, observe=20, until=1200, keep=8, micro_flight=0.05, exponents=0)
+SPEC = BasinSpec(
+    gamma=1.0,
+    omega=0.5,
+    xi=0.1,
+    protocol={"kind": "basin"},
+    settle=100,
+    observe=20,
+    settle_until=1200,
+    keep=8,
+)  # fmt: skip
 
 
 class Seen(NamedTuple):
@@ -74,7 +84,7 @@ def searched(starts: Sequence[int], *motions: Motion, **rules: Any) -> Found:
 
     states = np.zeros((len(starts), len(STATE_FIELDS)))
     states[:, WHICH], states[:, START] = starts, np.arange(len(starts))
-    return find(states, RULES._replace(**rules), run)
+    return find(states, SPEC.model_copy(update=rules), run)
 
 
 def test_cycles_and_rest_are_followed_by_representatives_and_recorded():

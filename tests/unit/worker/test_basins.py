@@ -21,18 +21,19 @@ from worker.basins.attractors import Attractor, Found, Request, find
 from worker.basins.spec import UNTIL, BasinSpec
 from worker.basins.starts import starts_of
 from worker.basins.study import (
-    BASINS,
     MAX_ATTRACTORS,
     _fill_in,
-    _fill_in_numbers,
     arrays,
     entropies,
-    rules_of,
     run_chunk,
     sizes,
 )
+from worker.schema import empty_record
 from worker.spec import SpecError
-from worker.tasks import ChunkCancelled, ChunkOptions, ChunkPaused, empty_record, with_options
+from worker.studies import STUDIES
+from worker.tasks import ChunkCancelled, ChunkOptions, ChunkPaused, with_options
+
+BASINS = STUDIES["basin"]
 
 GOLDEN = json.loads((paths.GOLDEN / "basins.json").read_text())
 
@@ -76,7 +77,7 @@ def search(
     starts = starts_of(spec, gamma, omega, xi)
     added = np.repeat(starts[:1], len(others), axis=0)
     added[:, STATE_FIELDS.index("gap")] = others
-    return find(np.concatenate([starts, added]), rules_of(spec), run)
+    return find(np.concatenate([starts, added]), spec, run)
 
 
 def told(found: Found) -> list[tuple[int, int, int]]:
@@ -263,12 +264,10 @@ def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided()
         for i in range(MAX_ATTRACTORS + 2)
     )
     found = Found(np.arange(36, dtype=np.uint16), attractors)
-    record = empty_record(BASINS.plan(spec)[0], arrays(spec), sizes(spec))
-    cell = {name: array[0, 0, 0] for name, array in record.items() if array.ndim > 3}
-    _fill_in(spec, found, cell)
-    _fill_in_numbers(spec, found, record, (0, 0, 0))
+    record = empty_record((1, 1, 1), arrays(spec), sizes(spec))
+    _fill_in(spec, found, record, (0, 0, 0))
     shown = np.arange(36) * (np.arange(36) <= MAX_ATTRACTORS)
-    assert cell["attractor"].ravel().tolist() == shown.tolist()
+    assert record["attractor"].ravel().tolist() == shown.tolist()
     assert int(record["attractor_count"][0, 0, 0]) == MAX_ATTRACTORS + 2
     assert float(record["undecided"][0, 0, 0]) == np.mean(shown == 0)
 
@@ -278,7 +277,6 @@ def test_a_start_may_take_ten_windows_unless_it_is_told_how_long():
     assert spec.until == UNTIL * 450 == 4500
     told = basin(settle=400, observe=50, settle_until=900)
     assert told.until == 900
-    assert not rules_of(told).extends
 
 
 def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):

@@ -12,9 +12,12 @@ import xarray
 from kernel.branches.events import Kind, fold_events
 from kernel.params import Outcome
 from worker import store
-from worker.basins.multistability import MULTISTABILITY, run_chunk
+from worker.basins.multistability import run_chunk
 from worker.basins.spec import MultistabilitySpec
 from worker.spec import SpecError
+from worker.studies import STUDIES
+
+MULTISTABILITY = STUDIES["multistability"]
 
 GOLDEN = json.loads((paths.GOLDEN / "multistability.json").read_text())
 

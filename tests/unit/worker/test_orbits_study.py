@@ -12,9 +12,12 @@ from tables import for_each
 from kernel.branches.events import Kind, branch_and_events
 from kernel.params import Outcome
 from worker import store, studies
-from worker.orbits import ORBITS, OrbitsSpec, _stored_rows
+from worker.orbits import OrbitsSpec, _stored_rows
 from worker.spec import SpecError
+from worker.studies import STUDIES
 from worker.tasks import ChunkCancelled
+
+ORBITS = STUDIES["orbits"]
 
 SPEC: dict[str, Any] = {
     "protocol": {"kind": "orbits"}, "omega": [0.5, 0.6, 1.0], "xi": [0.0, 0.05], "points": 60, "events": 8,

@@ -30,6 +30,7 @@ from worker.plan import (
     TARGET_SECONDS,
     Chunk,
     Plan,
+    block,
     make_plan,
     tile_shape,
 )
@@ -76,14 +77,13 @@ def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
     assert [chunk.index for chunk in chunks] == list(range(len(plan)))
     assert all(chunk.after is None or chunk.after < chunk.index for chunk in chunks)
     assert sum(chunk.after is None for chunk in chunks) == plan.lines
-    assert [plan.chunk(i) for i in range(len(plan))] == chunks == list(plan.chunks)
     coords = layout(spec, plan.chunk_shape).coords
     assert [plan.number(*coords(chunk.slices)) for chunk in chunks] == list(range(len(plan)))
 
 
 @given(grids, st.integers(1, 2000))
 def test_chunks_hold_no_more_cells_than_asked_for(spec, cells):
-    assert all(chunk.cells <= cells for chunk in make_plan(spec, chunk_cells=cells))
+    assert all(chunk.cells <= cells for chunk in make_plan(spec, block(spec, cells)))
 
 
 @pytest.mark.parametrize("axis", AXES)
@@ -106,13 +106,13 @@ def line_up_to(plan: Plan, chunk: Chunk) -> list[Chunk]:
     """A chunk and all it waits for, first to last."""
     line = [chunk]
     while line[0].after is not None:
-        line.insert(0, plan.chunk(line[0].after))
+        line.insert(0, plan[line[0].after])
     return line
 
 
 def cells_along(spec: SweepSpec, chunk: Chunk, axis: str) -> list[tuple[str, int]]:
     direction = spec.directions[chunk.direction]
-    places = range(*getattr(chunk, axis))
+    places = range(*chunk.spans[AXES.index(axis)])
     return [(direction, place) for place in (reversed(places) if direction == "down" else places)]
 
 
@@ -142,13 +142,14 @@ def test_those_models_fill_lanes_that_the_kernel_computes_in_lanes(kind):
 )
 def test_a_chunk_of_a_ramp_in_lanes_has_lines_to_fill_them(lines, cells, shape):
     spec = sweep(omega=50, gamma=lines, ramp=("omega", "up"))
-    assert make_plan(spec, chunk_cells=cells).chunk_shape == shape
+    assert block(spec, cells) == shape
 
 
 @given(grids, st.integers(1, 500))
 def test_a_line_from_rest_touches_few_chunks_whichever_axis_it_goes_along(spec, cells):
     """No axis is cut into more parts than the least number that all of them could be cut into."""
-    plan = make_plan(spec.model_copy(update={"protocol": sweep().protocol}), chunk_cells=cells)
+    spec = spec.model_copy(update={"protocol": sweep().protocol})
+    plan = make_plan(spec, block(spec, cells))
     fewest = next(
         parts
         for parts in range(1, 10)
@@ -174,7 +175,7 @@ def test_a_chunk_costs_an_eighth_of_the_sweep_within_bounds(gamma):
     ],
 )
 def test_blocks_from_rest_are_balanced(grid, cells, shape):
-    assert make_plan(sweep(*grid), chunk_cells=cells).chunk_shape == shape
+    assert block(sweep(*grid), cells) == shape
 
 
 def test_a_chunk_that_is_long_in_bytes_can_be_halved():
@@ -183,7 +184,7 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
     for cells in (900_000, 400_000, 200_000, 9):
         spec = sweep(omega=1003, gamma=1003, keep=10_000 if cells == 9 else 1)
         assert (cells * schema.bytes_per_cell(spec) > MAX_CHUNK_BYTES) == (cells >= 600_000)
-        shapes[cells] = make_plan(spec, chunk_cells=cells).chunk_shape
+        shapes[cells] = block(spec, cells)
     assert shapes == {900_000: (1, 496, 1003), 400_000: (1, 502, 502), 200_000: (1, 335, 502), 9: (1, 3, 3)}
 
 
@@ -200,10 +201,28 @@ def test_the_tiles_of_an_adaptive_map(keep, coarsest, side):
     assert tile_shape(spec, coarsest) == make_plan(spec).chunk_shape == (1, side, side)
 
 
-@pytest.mark.parametrize("wrong", [{"chunk_cells": 0}, {"chunk_shape": (1, 0, 1)}, {"chunk_shape": (1, 1)}])
+@pytest.mark.parametrize("wrong", [(1, 0, 1), (1, 1)])
 def test_impossible_chunks_are_refused(wrong):
-    with pytest.raises(ValueError, match=r"^chunk_(cells|shape): must be "):
-        make_plan(sweep(gamma=10), **wrong)
+    with pytest.raises(ValueError, match=r"^chunk_shape: must be "):
+        make_plan(sweep(gamma=10), wrong)
+
+
+@given(st.lists(st.tuples(st.integers(1, 7), st.integers(1, 9)), min_size=1, max_size=4))
+def test_chunks_of_other_grids_partition_them_in_order(axes: list[tuple[int, int]]):
+    plan = Plan(tuple(n for n, _ in axes), tuple(size for _, size in axes))
+    times = np.zeros(plan.grid, dtype=int)
+    for chunk in plan:
+        times[chunk.slices] += 1
+        assert times[chunk.slices].shape == chunk.shape
+    assert np.all(times == 1)
+    assert plan.cells == times.size
+    starts = [tuple(low for low, _ in chunk.spans) for chunk in plan]
+    assert starts == sorted(starts)  # the last dimension is the fastest
+    assert plan.lines == len(plan) == math.prod(plan.counts)
+    layout = [
+        tuple(low // size for low, size in zip(start, plan.chunk_shape, strict=True)) for start in starts
+    ]
+    assert [plan.number(*coords) for coords in layout] == list(range(len(plan)))
 
 
 def test_estimate_counts_what_the_store_holds():

@@ -217,8 +217,10 @@ def test_chunk_of_fill_values_is_written_all_the_same(url, spec, plan):
 def test_a_chunk_that_is_not_the_stores_own_is_refused_before_it_is_computed(url, spec, plan, tmp_path):
     for chunk in plan:
         store.check_chunk(url, chunk, schema.arrays(spec))
-    shifted = replace(plan[0], gamma=(2, 6))
-    for wrong in (shifted, replace(plan[0], gamma=(2, 4)), replace(plan[0], omega=(0, 1))):
+    xi, omega, _ = plan[0].spans
+    shifted = replace(plan[0], spans=(xi, omega, (2, 6)))
+    for spans in ((xi, omega, (2, 6)), (xi, omega, (2, 4)), (xi, (0, 1), plan[0].spans[2])):
+        wrong = replace(plan[0], spans=spans)
         with pytest.raises(store.StoreConflict, match="but chunks here are"):
             store.check_chunk(url, wrong, schema.arrays(spec))
     with pytest.raises(store.StoreConflict, match="spans gamma 2 to 6, but chunks here are 4 long"):
@@ -237,7 +239,8 @@ def test_concurrent_writers_of_different_chunks_lose_nothing(url, spec, plan):
 
 
 def stored_files(url: str, chunk: Chunk) -> list[Path]:
-    coords = f"{chunk.direction}.{chunk.xi[0]}.{chunk.omega[0] // 2}.{chunk.gamma[0] // 4}"
+    (xi, _), (omega, _), (gamma, _) = chunk.spans
+    coords = f"{chunk.direction}.{xi}.{omega // 2}.{gamma // 4}"
     paths = [*Path(url).glob(f"*/c.{coords}"), *Path(url).glob(f"*/c.{coords}.0")]
     return sorted(path for path in paths if path.is_file())
 

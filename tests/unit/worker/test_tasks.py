@@ -177,7 +177,7 @@ def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path, small_spec):
     """Computing it would take an hour."""
     spec = small_spec(gamma=[2.0, 3.0], settle=10_000_000)
     with pytest.raises(store.StoreMissing, match="no store here"):
-        run_chunk(spec, make_plan(spec, chunk_cells=12)[0], str(tmp_path / "nowhere.zarr"))
+        run_chunk(spec, make_plan(spec, (1, 1, 12))[0], str(tmp_path / "nowhere.zarr"))
     _, url = stored(tmp_path, spec, (1, 3, 2))
     with pytest.raises(store.StoreConflict, match="spans xi 0 to 2, but chunks here are 1 long"):
         run_chunk(spec, make_plan(spec, chunk_shape=(2, 3, 2))[0], url)

@@ -36,7 +36,7 @@ def doubled(first: np.ndarray, second: np.ndarray, word: str = "ss") -> WordBran
 
 
 def settled(*flights: float) -> _Cycle:
-    return _Cycle(gamma=2.5, bounces=2, periods=2, flight_time=np.array(flights), takeoff_phase=np.zeros(2))
+    return _Cycle(0.5, 0.26, 2.5, 2, 2, np.array(flights), np.zeros(2))
 
 
 APART = np.linspace(-0.45, 0.45, 10)  # passes through 0 between the fifth and the sixth point
@@ -79,9 +79,9 @@ def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
         "bounces": np.array([2, 1, 2, 1]),
         "periods": np.array([3, 1, 2, 1]),
     }
-    gamma = np.array([1.0, 1.5, 2.0, 2.5])
+    spec = SweepSpec(gamma=[1.0, 1.5, 2.0, 2.5], omega=0.5, xi=0.26)
     skipped: list[Skipped] = []
-    found = list(_cycles(gamma, arrays, skipped))
+    found = list(_cycles(spec, arrays, (0, 0), skipped))
     assert [(c.gamma, c.bounces, c.periods) for c in found] == [(1.0, 2, 3), (1.5, 1, 1)]
     assert [c.flight_time.tolist() for c in found] == [[1, 2], [3]]
     assert [c.takeoff_phase.tolist() for c in found] == [[0.1, 0.2], [0.3]]
@@ -89,10 +89,10 @@ def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
     assert missed[:3] == (2.0, 2, 2)
     assert "its 4 stored flights" in missed.reason
     computed = np.array([0, 1, 1, 1], np.uint8)
-    adaptive = list(_cycles(gamma, {**arrays, COMPUTED.name: computed}, []))
+    adaptive = list(_cycles(spec, {**arrays, COMPUTED.name: computed}, (0, 0), []))
     assert [c.gamma for c in adaptive] == [1.5]
     more_flights_than_kept = {**arrays, "flights": np.array([4, 2_000, 4, 2])}
-    assert len(list(_cycles(gamma, more_flights_than_kept, []))) >= 1
+    assert len(list(_cycles(spec, more_flights_than_kept, (0, 0), []))) >= 1
 
 
 @pytest.mark.parametrize(("most", "followed"), [(2, 2), (1, 1)])

@@ -8,7 +8,8 @@ from kernel_runs import run
 from paths import GOLDEN
 
 from kernel.branches.closed_form import TWO_PI
-from kernel.branches.continuation import follow, start, turns
+from kernel.branches.continuation import events as events_of
+from kernel.branches.continuation import follow, start
 from kernel.branches.events import EDGES, Kind, branch, branch_and_events
 from kernel.branches.words import (
     doubled,
@@ -23,6 +24,12 @@ from kernel.branches.words import (
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 
 
+def followed(word, **limits):
+    """A branch with the record of its events."""
+    line, turns = follow(word, **limits)
+    return line, events_of(turns)
+
+
 @pytest.fixture(scope="module")
 def doubling():
     """The (2,2) branch of Fig. 2, from the flip of (1,1)."""
@@ -30,7 +37,7 @@ def doubling():
     flip = events.flight_time[events.kind == Kind.FLIP][0]
     word = doubled(from_branch(0.5, 0.26, 1, float(flip)))
     assert (word.letters, word.periods) == ("ss", 2)
-    return follow(word, gamma=(0.0, 4.0))
+    return followed(word, gamma=(0.0, 4.0))
 
 
 def test_flips_of_the_doubled_branch(doubling):
@@ -50,8 +57,8 @@ def test_four_flights(doubling):
     expected = next(w for w in REFERENCE["words"] if w["mode"] == [4, 4])
     i = int(np.argmin(np.abs(line.gamma - events.gamma[0])))
     near = from_flights(0.5, 0.26, line.gamma[i], line.takeoff_phase[i], line.flight_time[i], 2)
-    (flip,) = (x.word for x in turns(near, gamma=(2.4, 2.6)) if x.kind is Kind.FLIP)
-    _, events = follow(doubled(flip), gamma=(0.0, 4.0))
+    (flip,) = (x.word for x in follow(near, gamma=(2.4, 2.6))[1] if x.kind is Kind.FLIP)
+    _, events = followed(doubled(flip), gamma=(0.0, 4.0))
     assert events.gamma[events.kind == Kind.FLIP] == pytest.approx(expected["flip"], abs=1e-9)
     assert events.gamma[events.kind == Kind.GRAZE_CONTACT] == pytest.approx(
         [expected["flight_vanishes"]], abs=1e-6
@@ -81,7 +88,7 @@ def test_one_flight_is_the_closed_form():
         0.5, 0.26, float(line.gamma[i]), line.takeoff_phase[i : i + 1], line.flight_time[i : i + 1], 1
     )
     assert word.letters == "s"
-    followed, found = follow(word, gamma=(0.9, 3.0))
+    whole, found = followed(word, gamma=(0.9, 3.0))
     for kind in (Kind.FOLD, Kind.FLIP):
         known = events.gamma[(events.kind == kind) & (events.gamma < 3.0)]
         assert np.sort(found.gamma[found.kind == kind]) == pytest.approx(np.sort(known), abs=1e-9)
@@ -92,7 +99,7 @@ def test_one_flight_is_the_closed_form():
     # and one flight ends where the closed form says it does
     edges = events.gamma[np.isin(events.kind, EDGES) & (events.gamma < 3.0)]
     assert np.sort(found.gamma[np.isin(found.kind, EDGES)]) == pytest.approx(np.sort(edges), abs=1e-8)
-    assert (np.diff(followed.flight_time[:, 0]) != 0.0).all()
+    assert (np.diff(whole.flight_time[:, 0]) != 0.0).all()
 
 
 def test_an_immediate_takeoff():
@@ -102,7 +109,7 @@ def test_an_immediate_takeoff():
     phases = np.array(expected["takeoff_phase"])
     word = from_flights(1.26, 0.05, expected["gamma"], phases, flights, 2)
     assert word.letters == "zs"
-    line, events = follow(word, gamma=(2.0, 2.6))
+    line, events = followed(word, gamma=(2.0, 2.6))
     assert events.gamma[events.kind == Kind.FOLD] == pytest.approx([expected["fold"]], abs=1e-9)
     # it begins where the (1,2) branch lands with n = 0
     _, single = branch_and_events(1.26, 0.05, 2)
@@ -120,7 +127,7 @@ def test_from_a_landing_without_force(omega, key):
     (i,) = np.flatnonzero((events.kind == Kind.IMMEDIATE_TAKEOFF) & (events.admissible == 0))
     word = with_hop(from_branch(omega, 0.05, 2, float(events.flight_time[i])), 0)
     assert word.letters == "zs"
-    _, found = follow(word, gamma=(2.0, 3.0))
+    _, found = followed(word, gamma=(2.0, 3.0))
     gamma = expected["fold"] if omega == 1.26 else expected["neimark_sacker"]["gamma"]
     assert found.gamma[found.kind == key] == pytest.approx([gamma], abs=1e-9)
     pair = found.multiplier[found.kind == key][0]
@@ -131,7 +138,7 @@ def test_from_a_landing_without_force(omega, key):
 def test_a_split_contact_and_back(doubling):
     """(2,2) ends where a flight vanishes; (1,2) with n = 0 within its contact is there, and leads back."""
     _, events = doubling
-    (end,) = (x for x in turns(near_end(doubling), gamma=(3.5, 4.0)) if x.kind is Kind.GRAZE_CONTACT)
+    (end,) = (x for x in follow(near_end(doubling), gamma=(3.5, 4.0))[1] if x.kind is Kind.GRAZE_CONTACT)
     single = without(end.word, end.piece)
     assert single.letters == "s"
     orbit = record(single, single.unknowns[None])
@@ -139,8 +146,10 @@ def test_a_split_contact_and_back(doubling):
     closed = branch(0.5, 0.26, 2, orbit.flight_time[0])
     assert closed.gamma[0] == pytest.approx(orbit.gamma[0], abs=1e-9)
     assert closed.takeoff_phase[0] == pytest.approx(orbit.takeoff_phase[0, 0], abs=1e-8)
-    (touch,) = (x for x in turns(single, gamma=(3.6, 3.8)) if x.kind is Kind.GRAZE_CONTACT and x.time > 0.0)
-    again, _ = follow(with_split_contact(touch.word, touch.piece, touch.time), gamma=(3.5, 4.0), points=3)
+    (touch,) = (
+        x for x in follow(single, gamma=(3.6, 3.8))[1] if x.kind is Kind.GRAZE_CONTACT and x.time > 0.0
+    )
+    again, _ = followed(with_split_contact(touch.word, touch.piece, touch.time), gamma=(3.5, 4.0), points=3)
     assert again.word == "ss"
     assert again.gamma[0] == pytest.approx(events.gamma[-1], abs=1e-4)
 
