@@ -8,8 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.exponents import Variations, carry, forget
-from kernel.interface import contact, flies, flight, replay, rest
+from kernel.interface import flies, rest
 from kernel.modes import find_cycle, find_mode, is_settling
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
@@ -109,68 +108,35 @@ RUN_FIELDS: Final = len(Progress._fields)
 
 
 @jit
-def start_run(state: Any, window: Window, takes_off: bool) -> Progress:
-    """A run from `state` (6,), see params.STATE_FIELDS.
-
-    `takes_off`: whether the flight that the state begins takes off now, so that it is recorded.
-    """
-    budget = BUDGET * (window.settle + window.observe)
-    return Progress(
-        state[0],
-        0,
-        state[1] != 0.0,
-        state[2],
-        state[3],
-        state[4],
-        state[5],
-        state[0],
-        0 if takes_off else -1,
-        0,
-        False,
-        budget,
-        ROOT,
-        window.settle,
-        window.settle + window.observe,
-    )
-
-
-@jit
-def begin_line(cell: Any, states: Any, number: int, state: Any, window: Window) -> Progress:
-    """The run of the first cell of the line of this number; overwrites `state` (6,).
-
-    `states` (lines, 6), in the units of the line's first cell: a row whose phase is NaN begins from rest, and
-    if there are no rows, all lines do.
-    """
-    given = len(states) > 0 and not math.isnan(states[number, 0])
-    for field in range(len(state)):
-        state[field] = states[number, field] if given else 0.0
-    return _begin(cell, given, state, window)
-
-
-@jit
-def begin_next(
-    cell: Any, run: Progress, gamma: float, omega: float, next_gamma: float, next_omega: float,
-    state: Any, window: Window,
+def begin(
+    cell: Any, i: int, length: int, gamma: Any, omega: Any, states: Any, run: Progress, state: Any,
+    window: Window,
 ) -> Progress:  # fmt: skip
-    """The run of the next cell of a line, of `next_gamma` and `next_omega`; overwrites `state` (6,).
+    """The run of the i-th cell, of lines of `length` cells with gamma (n,) and omega (n,).
 
-    It goes on from `run`, which has ended at gamma and omega, or begins from rest if that diverged.
+    The first cell of a line begins from its row of `states` (lines, 6), in its own units, or from rest if the
+    row's phase is NaN or there are none. The others go on from `run`, the last cell's, or begin from rest if
+    that diverged. `state` (6,) is overwritten.
     """
-    store_state(run, state)
-    rescale(state, gamma, omega, next_gamma, next_omega)
-    return _begin(cell, run.ending != NON_FINITE, state, window)
-
-
-@jit
-def _begin(cell: Any, given: bool, state: Any, window: Window) -> Progress:
-    """The run of a cell from `state` (6,), if it is given, or from rest; `state` is made to be its start."""
+    if i % length == 0:
+        number = i // length
+        given = len(states) > 0 and not math.isnan(states[number, 0])
+        for field in range(len(state)):
+            state[field] = states[number, field] if given else 0.0
+    else:
+        given = run.ending != NON_FINITE
+        store_state(run, state)
+        rescale(state, gamma[i - 1], omega[i - 1], gamma[i], omega[i])
     if not given:
         state[0], state[1] = 0.0, 0.0
         state[2], state[3], state[4], state[5] = rest(cell)
     in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
-    takes_off = in_flight and state[1] == 0.0
-    state[1] = 1.0 if in_flight else 0.0
-    return start_run(state, window, takes_off)
+    takes_off = in_flight and state[1] == 0.0  # now, so that the flight is recorded
+    end = window.settle + window.observe
+    return Progress(
+        state[0], 0, in_flight, state[2], state[3], state[4], state[5], state[0], 0 if takes_off else -1,
+        0, False, BUDGET * end, ROOT, window.settle, end,
+    )  # fmt: skip
 
 
 @jit
@@ -327,43 +293,6 @@ def extend(run: Progress, outcome: int, window: Window) -> Progress:
 
 
 @jit
-def run_cell(
-    cell: Any, run: Progress, window: Window, flights: Flights, cache: Any,
-    variations: Variations | None, steps: int,
-) -> tuple[Progress, Progress, int]:  # fmt: skip
-    """Advance one cell by at most `steps` contacts and flights.
-
-    Returns the run before its last phase, the run, and the steps left. Its `ending` is ROOT if it has paused
-    before its end: the next call goes on from it. `cache` (CACHE_SIZE,) is zero when the cell begins, or goes
-    on beyond a window. `variations`: carried along, or None.
-    """
-    before = run
-    while run.ending == ROOT and steps > 0:
-        steps -= 1
-        before = run
-        if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
-            run = replay(cell, run, window, flights, cache)
-            if variations is not None and (run.period != before.period or run.phase != before.phase):
-                forget(variations, run.period >= run.settle)
-            if run.ending != ROOT:
-                break
-        started = run
-        horizon = horizon_of(run)
-        if run.in_flight:
-            p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
-        else:
-            p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
-        if variations is not None:
-            carry(cell, run, p, window, variations)
-        run = record(started, p, window, flights, 0)
-        if window.settle_tolerance > 0.0:
-            run = end_settling(started, run, window, flights, 0)
-        if may_repeat(started, run, window):
-            run = skip_cycles(run, flights, 0)
-    return before, run, steps
-
-
-@jit
 def store_run(run: Progress, numbers: Any) -> None:
     """Write a run to `numbers` (RUN_FIELDS,) float64, from which `load_run` makes the same run.
 
@@ -477,11 +406,9 @@ def allocate_flights(keep: int, lanes: int) -> Flights:
     return Flights(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64), size, keep)
 
 
-@jit
-def write_record(
-    line: Line, i: int, run: Progress, flights: Flights, first: int, state: Any, window: Window
-) -> None:
-    """Write the record of a cell whose run has ended as the i-th of `line`; `state` (6,) is its end state."""
+@allocating
+def write_record(line: Line, i: int, run: Progress, flights: Flights, first: int, window: Window) -> None:
+    """Write the record of a cell whose run has ended as the i-th of `line`."""
     outcome, bounces, periods = classify(run, flights, first, window)
     line.flights[i], line.outcome[i] = run.recorded, outcome
     line.bounces[i], line.periods[i] = bounces, periods
@@ -493,5 +420,4 @@ def write_record(
         line.takeoff_phase[i, k] = flights.phase[slot]
     for k in range(kept, keep):  # of an earlier window of this cell
         line.flight_time[i, k] = line.takeoff_phase[i, k] = math.nan
-    for field in range(len(state)):
-        line.end_state[i, field] = state[field]
+    store_state(run, line.end_state[i])

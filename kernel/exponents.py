@@ -207,14 +207,16 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
 
 
 @jit
-def forget(variations: Variations, inside: bool) -> None:
-    """Lose all variations, as at a take-off after which the same motion always follows.
+def carry_run(cell: Any, before: Any, started: Any, p: Phase, window: Any, variations: Variations) -> None:
+    """`carry` over the phase `p` from `started`, which `interface.replay` has made of `before`.
 
-    inside: whether the motion since then has reached the window.
+    All variations are lost at a take-off after which the same motion always follows.
     """
-    variations.vectors[:] = 0.0
-    if inside:
-        variations.sums[:] = -math.inf
+    if started.period != before.period or started.phase != before.phase:
+        variations.vectors[:] = 0.0
+        if started.period >= started.settle:
+            variations.sums[:] = -math.inf
+    carry(cell, started, p, window, variations)
 
 
 @jit

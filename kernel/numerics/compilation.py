@@ -70,7 +70,7 @@ _ROUNDS: Final = 2
 class Compilation(NamedTuple):
     """An entry that this process compiles, or that it waits for while another process compiles it."""
 
-    kernel: str  # the function and the contact model, such as "run_lockstep of rigid"
+    kernel: str  # the function and the contact model, such as "walk of rigid"
     began: float  # time.time()
 
 
