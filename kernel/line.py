@@ -44,8 +44,6 @@ from kernel.exponents import (
     write_exponents,
 )
 from kernel.interface import advance_lanes, contact, flight, load_lane, prepare, replay, unload_lane
-from kernel.models import rigid_lanes as _rigid_lanes  # noqa: F401 - registers the model's lanes
-from kernel.models import soft_lanes as _soft_lanes  # noqa: F401 - registers the model's lanes
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
 from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU
 from kernel.numerics.elementary import sincos

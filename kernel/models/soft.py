@@ -10,12 +10,14 @@ mass is above it, n would turn positive again where kappa gap + beta gap' falls 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import contact, contact_force, flies, flight, prepare, rest
+from kernel import interface
+from kernel.cell import Progress
+from kernel.models import lanes
 from kernel.models.contact_law import lifted_off, plate_force
 from kernel.models.flight import Flight, begin_flight, flight_terms, landing, state_after
 from kernel.models.soft_contact import (
@@ -26,13 +28,29 @@ from kernel.models.soft_contact import (
     modes_of,
     soft_spring,
     state_of,
+    sure_contact_time,
     terms_of_parts,
 )
-from kernel.models.soft_liftoff import sure_contact_time
 from kernel.numerics.elementary import hypot, sincos
-from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
+from kernel.numerics.first_root import (
+    EPS,
+    HORIZON,
+    ROOT,
+    Phase,
+    Terms,
+    departure_step,
+    first_root,
+    terms,
+)
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import all_derivatives, apart, derivatives, motion, quiet_time
+from kernel.numerics.oscillator import (
+    all_derivatives,
+    apart,
+    coordinates,
+    derivatives,
+    motion,
+    quiet_time,
+)
 from kernel.validation import check_arrays
 
 
@@ -61,28 +79,28 @@ class Recontact(NamedTuple):
     beta: float
 
 
-@prepare.register(SoftPlate)
+@interface.prepare.register(SoftPlate)
 @jit
 def _prepare(plate: SoftPlate, i: int, gamma: float, omega: float, xi: float) -> SoftSpring:
     """The constants of cell i."""
     return soft_spring(gamma, omega, xi, plate.restitution[i], plate.penetration[i], plate.adhesive)
 
 
-@contact_force.register(SoftSpring)
+@interface.contact_force.register(SoftSpring)
 @jit
 def _contact_force(s: SoftSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
     """n in contact."""
     return plate_force(s.kappa, s.beta, gap, gap1)
 
 
-@rest.register(SoftSpring)
+@interface.rest.register(SoftSpring)
 @jit
 def _rest(s: SoftSpring) -> tuple[float, float, float, float]:
     """At the static gap and elongation."""
     return s.static_gap, 0.0, s.static_elongation, 0.0
 
 
-@flies.register(SoftSpring)
+@interface.flies.register(SoftSpring)
 @jit
 def _flies(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
     """Not in contact under the cell's law."""
@@ -117,7 +135,7 @@ def begin_contact(
     return m, p, t, sure_contact_time(p, t), decayed
 
 
-@contact.register(SoftSpring)
+@interface.contact.register(SoftSpring)
 @jit
 def _contact(
     s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
@@ -258,7 +276,7 @@ def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tup
             return tau, ending, used
 
 
-@flight.register(SoftSpring)
+@interface.flight.register(SoftSpring)
 @inlined
 def _flight(
     s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
@@ -294,3 +312,117 @@ def _until_landing(p: Flight, start: float, horizon: float, budget: int) -> Phas
     if ending == ROOT:
         gap, gap1 = 0.0, min(gap1, 0.0)
     return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used)
+
+
+# --- in lanes: two free modes -------------------------------------------------------------------------------
+
+#: A contact that begins with a force of zero is searched from where that is above so many times its rounding.
+RISEN: Final = 16.0
+
+
+@jit
+def _rising_time(t: Terms) -> float:
+    """A time (rad) at which F, zero to rounding in `t`, has surely risen clearly above; 0 if it may not."""
+    f1, f2, f3, f4 = t.smooth1 + t.ring1, t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
+    width = 2.0 * max(abs(f3), math.sqrt(abs(f2) * f4)) / f4
+    if not (f1 > 0.0 and width > 0.0):
+        return 0.0
+    # F is above a parabola from zero to zero, half-way at f1 time / 2
+    time = 0.5 * lanes.safe_step_once(0.0, f1, f2, f3, f4, width)
+    return time if 0.5 * f1 * time > RISEN * t.noise else 0.0
+
+
+@jit
+def _load_contact(
+    s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float
+) -> bool:
+    """Put a contact into lane k, unless it never ends or might end at once."""
+    m, p, t, start, decayed = begin_contact(s, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1)
+    end = min(horizon, decayed)
+    f0 = t.smooth + t.ring
+    if start == 0.0 and abs(f0) <= 4.0 * t.noise:
+        start = _rising_time(t)
+    at_once = start == 0.0 and f0 <= 4.0 * t.noise
+    if at_once or decayed == 0.0 or not (lanes.serves(p.slow_osc, end) and lanes.serves(p.fast_osc, end)):
+        return False
+    lanes.load_modes(table, k, p.slow_osc, p.slow_a, p.slow_b, p.fast_osc, p.fast_a, p.fast_b)
+    lanes.smooth_coefficients(table, k, p.static, 0.0, 0.0, p.wave_re, -p.wave_im, 0.0)
+    lanes.load_search(table, k, run.phase, start, end, 0.0)
+    lanes.keep(table, k, m.gap_a, m.gap_b, m.elongation_a, m.elongation_b)
+    return True
+
+
+@jit
+def _load_flight(
+    s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float
+) -> bool:
+    """Put a flight into lane k, unless it begins with a short hop or too close to the surface.
+
+    One that begins below the surface is searched from where it surely has emerged, if it cannot return to
+    contact before.
+    """
+    if not (lanes.supports(s.flight) and lanes.serves(s.flight, horizon)):
+        return False
+    emerged, sin0, cos0 = 0.0, sin, cos
+    gap, gap1, q, q1 = run.gap, run.gap1, run.q, run.q1
+    if gap < 0.0:
+        p = begin_flight(s.flight, s.gravity, run.phase, gap, gap1, q, q1)
+        emerged = emergence_bound(s, p)
+        if emerged == 0.0 or emerged >= horizon:
+            return False
+        gap, gap1, q, q1 = state_after(p, emerged)
+        sin, cos = sincos(run.phase + emerged)
+    start = emerged
+    if emerged > 0.0 or gap == 0.0:
+        q2, q3, q4 = derivatives(s.flight, q, q1)
+        gap2 = cos - s.gravity - 0.5 * q2
+        if gap1 >= 0.0 and (gap2 >= 0.0 or gap1 == 0.0):
+            safe = departure_step(max(gap2, 0.0), -sin - 0.5 * q3, 1.0 + 0.5 * q4)
+            if safe < lanes.SHORT_START:
+                return False
+            start += safe
+        elif 2.0 * gap1 < -gap2 * lanes.SHORT_FLIGHT:
+            return False
+    a, b = coordinates(s.flight, -0.5 * run.q, -0.5 * run.q1)
+    lanes.load_modes(table, k, s.flight, 0.0, 0.0, s.flight, a, b)
+    lanes.smooth_coefficients(
+        table, k, run.gap + (cos0 + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin0), 0.5 * s.gravity,
+        -1.0, 0.0, 0.5 * abs(run.q),
+    )  # fmt: skip
+    lanes.load_search(table, k, run.phase, start, horizon, lanes.FIRST_WIDTH)
+    return True
+
+
+@interface.load_lane.register(SoftSpring)
+@inlined
+def _load(s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float) -> bool:
+    """Put the run's next phase into lane k."""
+    if run.in_flight:
+        return _load_flight(s, table, k, run, sin, cos, horizon)
+    return _load_contact(s, table, k, run, sin, cos, horizon)
+
+
+@interface.unload_lane.register(SoftSpring)
+@inlined
+def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, float, float]:
+    """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
+    tau, ending, used = lanes.search_end(table, k)
+    sin, cos = sincos(run.phase + tau)
+    if run.in_flight:
+        q, q1 = motion(s.flight, run.q, run.q1, tau)
+        gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, q, q1)
+        if ending == ROOT:
+            gap, gap1 = 0.0, min(gap1, 0.0)
+        return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used), sin, cos
+    gap_a, gap_b, elongation_a, elongation_b = lanes.kept(table, k)
+    gap, gap1, q, q1 = state_of(s, ModalState(gap_a, gap_b, elongation_a, elongation_b), sin, cos, tau)
+    if s.adhesive:
+        gap, gap1 = 0.0, max(gap1, 0.0)
+    return Phase(tau, ending, True, gap, gap1, q, q1, used), sin, cos
+
+
+@interface.advance_lanes.register(SoftPlate)
+@inlined
+def _advance(plate: SoftPlate, table: Any, used: int) -> None:
+    """`lanes.advance_modes`."""
+    lanes.advance_modes(table, used)
