@@ -9,12 +9,20 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.interface import flies, rest
-from kernel.modes import find_cycle, find_mode, is_settling
+from kernel.modes import (
+    CHECK,
+    Flights,
+    find_cycle,
+    find_mode,
+    find_repetition,
+    is_settling,
+    repeat_flights,
+    slot,
+)
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import allocating, compilable, inlined, jit
 from kernel.params import Line, Outcome, periods_followed
-from kernel.repetition import CHECK, find_repetition, repeat_flights
 
 #: Flights shorter than this (rad) are not recorded: their length is of the order of the rounding errors of
 #: take-off and landing after long contacts.
@@ -67,20 +75,6 @@ class Window(NamedTuple):
     settle_until: int  # plate periods that a cell still settling may take in all; 0: no more than the window
     exponents: int  # Lyapunov exponents computed
     settle_early: bool = False  # whether cycles that surely repeat are not computed
-
-
-class Flights(NamedTuple):
-    """The last flights of the cells in some lanes: ring buffers of `size` flights, one after another.
-
-    The newest flight of a lane is at first + (recorded - 1) % size, where first = size * lane.
-    Arrays (lanes * size,).
-    """
-
-    time: Any  # float64, rad
-    phase: Any  # float64, rad modulo 2 pi, at take-off
-    period: Any  # int64, plate periods since the cell began, at take-off
-    size: int
-    stored: int  # of which are stored with the cell
 
 
 class Progress(NamedTuple):
@@ -160,7 +154,7 @@ def horizon_of(run: Progress) -> float:
 def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int) -> Progress:
     """The run after the contact or flight `p`; adds a flight that lies inside the window to `flights`.
 
-    `first`: where the lane's ring buffer begins. While settling, flights are recorded only for the test of
+    While settling, flights are recorded only for the test of
     settle_tolerance and of settle_early, and forgotten when the window begins.
     """
     turns = math.floor((run.phase + p.tau) * (1.0 / TWO_PI))
@@ -175,10 +169,9 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
         tested = settling and (window.settle_early or window.settle_tolerance > 0.0)
         inside = run.takeoff_period >= run.settle or tested
         if p.ending == ROOT and inside and run.takeoff_period >= 0:
-            slot = first + recorded % flights.size
-            flights.time[slot] = p.tau
-            flights.phase[slot] = run.takeoff_phase
-            flights.period[slot] = run.takeoff_period
+            j = slot(flights, first, recorded)
+            flights.time[j], flights.phase[j] = p.tau, run.takeoff_phase
+            flights.period[j] = run.takeoff_period
             recorded += 1
     ending = p.ending
     if ending == HORIZON or (ending == ROOT and period >= run.end):
@@ -226,10 +219,7 @@ def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
 
     The flights of these cycles are recorded as if they had been computed. Less than a cycle is left.
     """
-    time, phase, period, size = flights.time, flights.phase, flights.period, flights.size
-    bounces, periods = find_repetition(
-        time, phase, period, first, size, run.recorded, run.end - run.period
-    )  # fmt: skip
+    bounces, periods = find_repetition(flights, first, run.recorded, run.end - run.period)
     if bounces == 0:
         return run
     turns = (run.end - 1 - run.period) // periods
@@ -238,9 +228,7 @@ def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
     now = run.period + turns * periods
     recorded, begun = run.recorded, run.period >= run.settle
     if now >= run.settle:
-        recorded = repeat_flights(
-            time, phase, period, first, size, run.recorded, bounces, periods, turns, run.settle, begun
-        )  # fmt: skip
+        recorded = repeat_flights(flights, first, run.recorded, bounces, periods, turns, run.settle, begun)
     return Progress(
         run.phase, now, run.in_flight, run.gap, run.gap1, run.q, run.q1,
         run.phase, now, recorded, run.flew or now >= run.settle, run.budget, run.ending, run.settle, run.end,
@@ -349,18 +337,11 @@ def _considered(run: Progress, flights: Flights, first: int) -> tuple[int, bool]
     """
     kept = min(run.recorded, flights.size)
     number = min(run.recorded, max(flights.stored, MODE_FLIGHTS))
-    oldest = _takeoff(run, flights, first, number)
+    oldest = flights.period[slot(flights, first, run.recorded - number)]
     while number < kept and oldest > run.end - MODE_PERIODS:
         number += 1
-        oldest = _takeoff(run, flights, first, number)
+        oldest = flights.period[slot(flights, first, run.recorded - number)]
     return number, number < run.recorded and oldest > run.end - FEWEST_PERIODS
-
-
-@jit
-def _takeoff(run: Progress, flights: Flights, first: int, number: int) -> int:
-    """Plate periods before the `number`-th last flight."""
-    period: int = flights.period[first + (run.recorded - number) % flights.size]
-    return period
 
 
 @jit
@@ -368,7 +349,7 @@ def _comes_to_rest(run: Progress, flights: Flights, first: int) -> bool:
     """Whether a run was in contact for the last half of what was recorded, and for QUIET periods."""
     if run.in_flight or run.recorded == 0:
         return False
-    last = first + (run.recorded - 1) % flights.size
+    last = slot(flights, first, run.recorded - 1)
     landing = flights.period[last] + (flights.phase[last] + flights.time[last]) * (1.0 / TWO_PI)
     still: float = run.end - landing
     return still > max(0.5 * (run.end - run.settle), QUIET)
@@ -385,16 +366,14 @@ def _counted(
     kept = min(recorded, last)
     longest = 0.0
     for i in range(recorded - kept, recorded):
-        longest = max(longest, flights.time[first + i % flights.size])
+        longest = max(longest, flights.time[slot(flights, first, i)])
     shortest = micro_flight if longest > micro_flight else 0.0
     time, phase, period = np.empty(kept), np.empty(kept), np.empty(kept, dtype=np.int64)
     count = 0
     for i in range(recorded - kept, recorded):
-        slot = first + i % flights.size
-        if flights.time[slot] > shortest:
-            time[count] = flights.time[slot]
-            phase[count] = flights.phase[slot]
-            period[count] = flights.period[slot]
+        j = slot(flights, first, i)
+        if flights.time[j] > shortest:
+            time[count], phase[count], period[count] = flights.time[j], flights.phase[j], flights.period[j]
             count += 1
     return time[:count], phase[:count], period[:count]
 
@@ -415,9 +394,8 @@ def write_record(line: Line, i: int, run: Progress, flights: Flights, first: int
     keep = line.flight_time.shape[1]
     kept = min(run.recorded, keep)
     for k in range(kept):
-        slot = first + (run.recorded - kept + k) % flights.size
-        line.flight_time[i, k] = flights.time[slot]
-        line.takeoff_phase[i, k] = flights.phase[slot]
+        j = slot(flights, first, run.recorded - kept + k)
+        line.flight_time[i, k], line.takeoff_phase[i, k] = flights.time[j], flights.phase[j]
     for k in range(kept, keep):  # of an earlier window of this cell
         line.flight_time[i, k] = line.takeoff_phase[i, k] = math.nan
     store_state(run, line.end_state[i])

@@ -12,40 +12,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cell import (
-    CACHE_SIZE,
-    RUN_FIELDS,
-    Flights,
-    Progress,
-    Window,
-    allocate_flights,
-    begin,
-    decide,
-    end_settling,
-    extend,
-    follow,
-    horizon_of,
-    load_run,
-    may_repeat,
-    record,
-    rescale,
-    shows_no_mode,
-    skip_cycles,
-    store_run,
-    write_record,
-)
-from kernel.exponents import (
-    Variations,
-    allocate_variations,
-    begin_window,
-    carry_run,
-    exponent_error,
-    start_variations,
-    write_exponents,
-)
+from kernel import cell
+from kernel import exponents as lyapunov
+from kernel.cell import CACHE_SIZE, RUN_FIELDS, Progress, Window
+from kernel.exponents import Variations
 from kernel.interface import advance_lanes, contact, flight, load_lane, prepare, replay, unload_lane
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
 from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU
+from kernel.modes import Flights
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT, Phase
 from kernel.numerics.jit import allocating, inlined, jit
@@ -111,16 +85,16 @@ def _ended(table: Any, k: int, run: Progress) -> bool:
 
 
 @inlined
-def _scalar_phase(cell: Any, run: Progress) -> Phase:
+def _scalar_phase(spring: Any, run: Progress) -> Phase:
     """The run's next phase by the scalar functions; one of no length if it has ended."""
     if run.ending != ROOT:
         return Phase(0.0, run.ending, run.in_flight, run.gap, run.gap1, run.q, run.q1, 0)
-    horizon = horizon_of(run)
+    horizon = cell.horizon_of(run)
     p: Phase
     if run.in_flight:
-        p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+        p = flight(spring, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
     else:
-        p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+        p = contact(spring, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
     return p
 
 
@@ -136,20 +110,20 @@ def _after_window(
     """
     first = k * flights.size
     if lanes.followed[k]:
-        line.outcome[i] = decide(line.outcome[i], run, flights, first, window)
-        run, lanes.followed[k] = load_run(lanes.ends[k]), False
+        line.outcome[i] = cell.decide(line.outcome[i], run, flights, first, window)
+        run, lanes.followed[k] = cell.load_run(lanes.ends[k]), False
     else:
         if variations is not None:
-            write_exponents(line.lyapunov[i], run.ending, variations)
-            line.lyapunov_error[i] = exponent_error(run.ending, variations, window.observe)
-        write_record(line, i, run, flights, first, window)
-        if shows_no_mode(line.outcome[i]):
-            store_run(run, lanes.ends[k])
+            lyapunov.write_exponents(line.lyapunov[i], run.ending, variations)
+            line.lyapunov_error[i] = lyapunov.exponent_error(run.ending, variations, window.observe)
+        cell.write_record(line, i, run, flights, first, window)
+        if cell.shows_no_mode(line.outcome[i]):
+            cell.store_run(run, lanes.ends[k])
             lanes.followed[k] = True
-            return follow(before, window)
-    run = extend(run, line.outcome[i], window)
+            return cell.follow(before, window)
+    run = cell.extend(run, line.outcome[i], window)
     if variations is not None and run.ending == ROOT:
-        begin_window(variations)
+        lyapunov.begin_window(variations)
     return run
 
 
@@ -170,8 +144,8 @@ def _walk(
     functions at once, so that a record depends on nothing but its cell and those before it on its line.
     """
     index, counts = lanes.index, lanes.counts
-    cells = [prepare(plate, max(i, 0), gamma[i], omega[i], xi[i]) for i in index]
-    runs = [load_run(lanes.runs[k]) for k in range(len(index))]
+    springs = [prepare(plate, max(i, 0), gamma[i], omega[i], xi[i]) for i in index]
+    runs = [cell.load_run(lanes.runs[k]) for k in range(len(index))]
     state = np.zeros(len(STATE_FIELDS))
     lines = len(gamma) // length
     used = 1 if table is None else lanes_used(lines)
@@ -179,7 +153,7 @@ def _walk(
         for k in range(used):
             if index[k] >= 0 and _searching(table, k):
                 continue
-            cell, run, first = cells[k], runs[k], k * flights.size
+            spring, run, first = springs[k], runs[k], k * flights.size
             while steps > 0 and (index[k] < 0 or not _searching(table, k)):
                 steps -= 1
                 i, known, sin, cos = index[k], False, 0.0, 1.0
@@ -187,20 +161,20 @@ def _walk(
                 if not ends:
                     before = run
                     if table is not None and _ended(table, k, run):
-                        p, sin, cos = unload_lane(cell, table, k, run)
+                        p, sin, cos = unload_lane(spring, table, k, run)
                         known = True
                     else:
                         if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
-                            run = replay(cell, run, window, flights, lanes.cache)
-                        p = _scalar_phase(cell, run)
+                            run = replay(spring, run, window, flights, lanes.cache)
+                        p = _scalar_phase(spring, run)
                     if variations is not None and not lanes.followed[k]:
-                        carry_run(cell, before, run, p, window, variations)
+                        lyapunov.carry_run(spring, before, run, p, window, variations)
                     started = run
-                    run = record(started, p, window, flights, first)
+                    run = cell.record(started, p, window, flights, first)
                     if window.settle_tolerance > 0.0:
-                        run = end_settling(started, run, window, flights, first)
-                    if may_repeat(started, run, window):
-                        run = skip_cycles(run, flights, first)
+                        run = cell.end_settling(started, run, window, flights, first)
+                    if cell.may_repeat(started, run, window):
+                        run = cell.skip_cycles(run, flights, first)
                     if run.ending != ROOT:
                         run = _after_window(before, run, i, k, window, line, flights, lanes, variations)
                         lanes.cache[:] = 0.0
@@ -215,21 +189,21 @@ def _walk(
                         i = counts[0] * length
                         counts[0] += 1
                     index[k] = i
-                    cell = prepare(plate, i, gamma[i], omega[i], xi[i])
-                    run = begin(cell, i, length, gamma, omega, states, run, state, window)
+                    spring = prepare(plate, i, gamma[i], omega[i], xi[i])
+                    run = cell.begin(spring, i, length, gamma, omega, states, run, state, window)
                     if variations is not None:
-                        start_variations(variations)
+                        lyapunov.start_variations(variations)
                 if table is not None:
                     if not known:
                         sin, cos = sincos(run.phase)
-                    loaded = load_lane(cell, table, k, run, sin, cos, horizon_of(run))
+                    loaded = load_lane(spring, table, k, run, sin, cos, cell.horizon_of(run))
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
-            cells[k], runs[k] = cell, run
+            springs[k], runs[k] = spring, run
         if table is not None and steps > 0:
             advance_lanes(plate, table, used)
             steps -= 1
     for k in range(len(index)):
-        store_run(runs[k], lanes.runs[k])
+        cell.store_run(runs[k], lanes.runs[k])
     return bool(counts[1] == len(gamma))
 
 
@@ -259,7 +233,7 @@ def _first_states(
         if start is not None:
             states[number] = checked_state(start)
             first = number * (len(gamma) // len(starts))
-            rescale(states[number], start.cell.gamma, start.cell.omega, gamma[first], omega[first])
+            cell.rescale(states[number], start.cell.gamma, start.cell.omega, gamma[first], omega[first])
     return states
 
 
@@ -323,10 +297,10 @@ class LineRun:
             int(settle), int(observe), float(micro_flight), float(settle_tolerance),
             int(settle_until or 0), int(exponents), bool(settle_early),
         )  # fmt: skip
-        self._variations = allocate_variations(plate, exponents) if exponents else None
+        self._variations = lyapunov.allocate_variations(plate, exponents) if exponents else None
         in_lanes = in_lanes and type(plate) in advance_lanes and self._variations is None
         self._lanes = _allocate_lanes(LANES if in_lanes else 1)
-        self._flights = allocate_flights(keep, len(self._lanes.index))
+        self._flights = cell.allocate_flights(keep, len(self._lanes.index))
 
     def advance(self, steps: int = _ALL) -> bool:
         """Compute on for about `steps` >= 1 contacts and flights; whether every cell of `line` is done."""

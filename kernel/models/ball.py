@@ -14,10 +14,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cell import Flights, Progress, Window, horizon_of, record
+from kernel.cell import Progress, Window, horizon_of, record
 from kernel.interface import contact, contact_force, flies, flight, prepare, replay, rest
 from kernel.models.chatter import chatter_completes, chatter_time
 from kernel.models.free_fall import drop, landing, plate_recedes, state_after, takes_off
+from kernel.modes import Flights
 from kernel.numerics.elementary import TWO_PI, atan2, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT, Phase
 from kernel.numerics.jit import jit

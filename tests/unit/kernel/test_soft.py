@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from kernel.models.soft_liftoff import sure_contact_time
 from kernel_runs import TWO_PI, Model, constants, examples, last_cycle, phases, recorded, run, run_setting
 from mpmath import mp, mpf
 from naive import Setting, bounce, trajectory
@@ -17,7 +18,6 @@ from tables import for_each
 
 from kernel.models.contact_law import damping_ratio
 from kernel.models.soft_contact import from_modes, liftoff_function, soft_spring, to_modes
-from kernel.models.soft_liftoff import sure_contact_time
 from kernel.numerics.first_root import ROOT, terms
 from kernel.numerics.quartic import Factors, paired, roots
 from kernel.restitution import restitution
