@@ -18,10 +18,11 @@ from kernel.interface import (
     carry_through_takeoff,
     dimension,
 )
-from kernel.numerics.elementary import TWO_PI, log
+from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, ROOT, Phase
 from kernel.numerics.jit import inlined, jit
 from kernel.params import KernelInputError
+from kernel.portable_math import log
 
 #: A variation is lost if less than this part of it is independent of those before it. Rounding leaves about
 #: 1e-16 of a direction that an event removes; what is left of one at 1e-12 still has four digits.

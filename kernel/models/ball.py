@@ -4,8 +4,8 @@ It falls freely (`kernel.models.free_fall`), leaves the plate again at -epsilon 
 it landed with (Eq. 4, with its sign corrected), and rests on it while n = 1/Gamma - cos(phi) > 0. The
 take-off from rest is at cos(phi) = 1/Gamma, in closed form, and the same motion follows it every time: a
 cell caches it and replays it (`_replay`). Chatter is followed hop by hop, each of them a flight, until n is
-steady over the rest of it (`kernel.models.chatter`). Its end is then in closed form, and its remaining hops,
-shorter than about 1e-3 (1 - epsilon) rad, are not recorded.
+steady over the rest of it (`contact_law.chatter_completes`). Its end is then in closed form, and its remaining
+hops, shorter than about 1e-3 (1 - epsilon) rad, are not recorded.
 """
 
 import math
@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from kernel.cell import Progress, Window, horizon_of, record
 from kernel.interface import contact, contact_force, flies, flight, prepare, replay, rest
-from kernel.models.chatter import chatter_completes, chatter_time
+from kernel.models.contact_law import chatter_completes, chatter_time
 from kernel.models.free_fall import drop, landing, plate_recedes, state_after, takes_off
 from kernel.modes import Flights
-from kernel.numerics.elementary import TWO_PI, atan2, sincos
+from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT, Phase
 from kernel.numerics.jit import jit
+from kernel.portable_math import atan2
 from kernel.validation import check_arrays
 
 #: Contacts and flights after a take-off from rest that a cell caches, up to the next take-off if it comes so

@@ -32,10 +32,10 @@ from kernel.numerics.elementary import (
     LOWEST_EXPONENT,
     circular_or_hyperbolic,
     exp,
+    fma,
     sincos_small,
 )
 from kernel.numerics.first_root import EPS, NEAR, householder_step
-from kernel.numerics.intrinsics import fma
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator, derivatives
 from kernel.params import LANES

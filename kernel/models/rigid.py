@@ -4,7 +4,7 @@ In contact the lower mass sticks to the plate and the elongation q is a driven d
 off where the plate's normal force n (Eq. 8) falls to zero. In flight the centre of mass falls freely and q
 oscillates; it lands where the gap falls to zero. There the lower mass leaves again at -e times its relative
 velocity, and for e = 0 takes the plate's. Chatter is followed hop by hop, each of them a flight, until n is
-steady over the rest of it (`kernel.models.chatter`). From there on the mass counts as stuck, which over so
+steady over the rest of it (`contact_law.chatter_completes`). From there on the mass counts as stuck, which over so
 short a time moves the spring as the hops would.
 """
 
@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from kernel import interface
 from kernel.cell import Progress
 from kernel.models import lanes
-from kernel.models.chatter import chatter_completes
+from kernel.models.contact_law import chatter_completes
 from kernel.models.flight import begin_flight, landing, state_after
-from kernel.numerics.elementary import hypot, sincos
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import Oscillator, decay_time, derivatives, envelope, motion, oscillator
+from kernel.portable_math import hypot
 from kernel.validation import check_arrays
 
 #: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is computed,

@@ -31,7 +31,7 @@ from kernel.models.soft_contact import (
     sure_contact_time,
     terms_of_parts,
 )
-from kernel.numerics.elementary import hypot, sincos
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import (
     EPS,
     HORIZON,
@@ -51,6 +51,7 @@ from kernel.numerics.oscillator import (
     motion,
     quiet_time,
 )
+from kernel.portable_math import hypot
 from kernel.validation import check_arrays
 
 

@@ -18,7 +18,7 @@ import math
 from typing import Final, NamedTuple
 
 from kernel.models.contact_law import contact_constants, damping_ratio, static_state
-from kernel.numerics.elementary import hypot, sincos
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, Terms, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import (
@@ -36,6 +36,7 @@ from kernel.numerics.oscillator import (
     propagator,
 )
 from kernel.numerics.quartic import paired, roots
+from kernel.portable_math import hypot
 
 #: As in `rigid`: the relative distance to an undamped resonance is kept above this.
 NEAREST_RESONANCE: Final = 1e-8

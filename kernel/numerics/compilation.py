@@ -56,7 +56,7 @@ _PASSES: Final = (
 
 
 #: The modules of operators and functions whose types `_Typing` remembers, and the types of their arguments.
-_BUILT_IN: Final = frozenset({"_operator", "builtins", "math", "kernel.numerics.intrinsics"})
+_BUILT_IN: Final = frozenset({"_operator", "builtins", "math", "kernel.numerics.elementary"})
 _VALUES: Final = (
     types.Float, types.Complex, types.Integer, types.IntegerLiteral, types.Boolean, types.BooleanLiteral,
     types.Array,

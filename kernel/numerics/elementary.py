@@ -1,64 +1,28 @@
 """Elementary functions for compiled code; no other module under `kernel` calls the C library's.
 
-A call into the C library takes one number at a time, and its last digit depends on the library. log,
-hypot, atan2 and others are those of `kernel.portable_math`, in which plain Python and compiled code agree.
-sin, cos, exp and expm1 are here, as straight-line arithmetic, which the compiler can vectorise over lanes
-of cells. Each reduces its argument by a constant split into parts, so that the reduction is exact, then
-evaluates a polynomial (a Chebyshev fit in 50-digit arithmetic whose error is below the rounding of the
-result), summed in pairs to shorten the chain of dependent operations. Results are accurate to two units
-in the last place; the tests compare them with 50 digits.
+A call into the C library takes one number at a time, and its last digit depends on the library. log, hypot,
+atan2 and others are those of `kernel.portable_math`, in which plain Python and compiled code agree. sin, cos,
+exp, expm1 and the fused multiply-add are here, as straight-line arithmetic, which the compiler can vectorise
+over lanes of cells. Each reduces its argument by a constant split into parts, so that the reduction is exact,
+then evaluates a polynomial (a Chebyshev fit in 50-digit arithmetic whose error is below the rounding of the
+result), summed in pairs to shorten the chain of dependent operations. Results are accurate to two units in
+the last place; the tests compare them with 50 digits.
 """
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic, overload
 
 from kernel import portable_math
-from kernel.numerics.intrinsics import fma, power_of_two
+from kernel.numerics.compilation import Inner
 from kernel.numerics.jit import compilable, inlined, jit
-from kernel.portable_math import (
-    EXP_POLYNOMIAL,
-    LN2_HIGH,
-    LN2_LOW,
-    ONE_OVER_LN2,
-    asinh,
-    atan2,
-    atanh,
-    hypot,
-    log,
-    log1p,
-)
+from kernel.portable_math import EXP_POLYNOMIAL, LN2_HIGH, LN2_LOW, ONE_OVER_LN2
 
-__all__ = [
-    "HYPERBOLIC_LIMIT",
-    "LOWEST_EXPONENT",
-    "TWO_PI",
-    "asinh",
-    "atan2",
-    "atanh",
-    "circular_or_hyperbolic",
-    "exp",
-    "expm1",
-    "hypot",
-    "log",
-    "log1p",
-    "sincos",
-    "sincos_small",
-]
-
-for _function in (
-    portable_math._log_of_sum,
-    portable_math._atan_of_ratio,
-    portable_math.exp,
-    asinh,
-    atan2,
-    atanh,
-    hypot,
-    log,
-    log1p,
-):
-    compilable(_function)
+for _name in ("_log_of_sum", "_atan_of_ratio", "exp", "asinh", "atan2", "atanh", "hypot", "log", "log1p"):
+    compilable(getattr(portable_math, _name))
 
 TWO_PI: Final = 2.0 * math.pi
 
@@ -101,6 +65,59 @@ HYPERBOLIC_LIMIT: Final = 0.25
 #: products, and their squares, are normal doubles. Arithmetic with subnormal ones takes a hundred times as
 #: long: it was a third of the time of `soft`, whose contacts decay within a fraction of a flight.
 LOWEST_EXPONENT: Final = -300.0
+
+
+#: IEEE double: the bits of the fraction, below the exponent, and the exponent's bias.
+_FRACTION: Final = 52
+_BIAS: Final = 1023
+
+
+def fma(a: float, b: float, c: float) -> float:
+    """a * b + c, rounded once.
+
+    Written out, it gives the same bits wherever the code is inlined; left to the compiler, it does not (see
+    `kernel.numerics.jit`). Without compilation (NUMBA_DISABLE_JIT=1) the product is rounded.
+    """
+    return a * b + c
+
+
+def power_of_two(k: int) -> float:
+    """2**k for -1022 <= k <= 1023."""
+    return math.ldexp(1.0, int(k))
+
+
+def _declare_fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """LLVM's fma, as numba's `intrinsic` wants it: a signature and a code generator."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fma(*arguments)
+
+    return types.float64(types.float64, types.float64, types.float64), generate
+
+
+def _declare_power_of_two(typing: Any, k: Any) -> Any:
+    """The double whose biased exponent is k and whose fraction is zero."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        bias, fraction = (context.get_constant(types.int64, bits) for bits in (_BIAS, _FRACTION))
+        exponent = builder.add(arguments[0], bias)
+        return builder.bitcast(builder.shl(exponent, fraction), context.get_value_type(types.float64))
+
+    return types.float64(types.int64), generate
+
+
+_fma: Final[Any] = intrinsic(_declare_fma)
+_power_of_two: Final[Any] = intrinsic(_declare_power_of_two)
+_INLINED: Final[Any] = {"forceinline": True, "pipeline_class": Inner}
+# numba requires a Python function as the implementation, not the intrinsic itself
+overload(fma, jit_options=_INLINED)(lambda a, b, c: lambda a, b, c: _fma(a, b, c))  # noqa: PLW0108
+overload(power_of_two, jit_options=_INLINED)(lambda k: lambda k: _power_of_two(k))  # noqa: PLW0108
+
+
+@inlined
+def multiply_add(a: float, b: float, c: float, fused: bool) -> float:
+    """a * b + c, rounded once if `fused`, else twice; a constant `fused` costs nothing."""
+    return fma(a, b, c) if fused else a * b + c
 
 
 @jit

@@ -19,7 +19,7 @@ lane that does not converge is computed again by `first_root`.
 import math
 from typing import Any, Final, NamedTuple
 
-from kernel.numerics.intrinsics import multiply_add
+from kernel.numerics.elementary import multiply_add
 from kernel.numerics.jit import by_type, inlined, jit
 
 #: How a search ends.

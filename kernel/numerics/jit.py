@@ -24,7 +24,7 @@ PLAIN: Final = bool(os.environ.get("BOUNCE_PLAIN_NJIT"))
 
 # No "contract": which products are fused with sums would depend on how LLVM inlines, and code read from the
 # cache would differ in the last digit from code just compiled. Functions that gain by fused multiply-adds
-# write them out: see `kernel.numerics.intrinsics`.
+# write them out: see `elementary.fma`.
 #
 # Every option is stated: numba hands "forceinline" and "_nrt" down from the function that happens to be
 # compiling, so that otherwise the order of compilation would decide.

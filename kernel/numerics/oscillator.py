@@ -13,8 +13,9 @@ coordinates are x and x' themselves.
 import math
 from typing import Final, NamedTuple
 
-from kernel.numerics.elementary import LOWEST_EXPONENT, TWO_PI, atan2, atanh, exp, expm1, hypot, log, sincos
+from kernel.numerics.elementary import LOWEST_EXPONENT, TWO_PI, exp, expm1, sincos
 from kernel.numerics.jit import inlined, jit
+from kernel.portable_math import atan2, atanh, hypot, log
 
 #: Overdamped, C and S are differences of two exponentials over sqrt(D). Above this ratio of sqrt(D) to a
 #: that form loses at most a factor a/sqrt(D) = 10 of the precision, one digit. Below it they are written
