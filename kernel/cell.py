@@ -185,11 +185,7 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
 
 @allocating
 def end_settling(before: Progress, run: Progress, window: Window, flights: Flights, first: int) -> Progress:
-    """`run`, with its settling ended if its last flights repeat within window.settle_tolerance.
-
-    `before` is the run before its last phase. Separate from `record`, which is inlined into the loop and
-    would grow too large.
-    """
+    """`run`, with its settling ended if its last flights repeat; `before`: before its last phase."""
     if run.recorded == before.recorded or run.period >= run.settle or run.recorded % SETTLING_CHECK:
         return run
     tolerance = window.settle_tolerance
@@ -205,20 +201,14 @@ def end_settling(before: Progress, run: Progress, window: Window, flights: Fligh
 
 @inlined
 def may_repeat(before: Progress, run: Progress, window: Window) -> bool:
-    """Whether to look for cycles that repeat, after the phase from `before` to `run`.
-
-    Never in a run that is followed beyond its window.
-    """
+    """Whether to look for cycles that repeat, after the phase from `before` to `run`: not beyond a window."""
     enough = run.recorded // CHECK != before.recorded // CHECK
     return window.settle_early and enough and run.ending == ROOT and run.end - run.settle == window.observe
 
 
 @allocating
 def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
-    """`run`, at a landing, moved on by the cycles left before its end, if its last flights surely repeat.
-
-    The flights of these cycles are recorded as if they had been computed. Less than a cycle is left.
-    """
+    """`run`, at a landing, moved on by the cycles left, as if computed, if they surely repeat."""
     bounces, periods = find_repetition(flights, first, run.recorded, run.end - run.period)
     if bounces == 0:
         return run
@@ -243,10 +233,7 @@ def shows_no_mode(outcome: int) -> bool:
 
 @jit
 def follow(before: Progress, window: Window) -> Progress:
-    """A run that goes on beyond its window, from `before` the phase in which that ended.
-
-    So a flight under way at the window's end is one flight. The flights recorded so far stay.
-    """
+    """A run beyond its window, from `before` the phase in which that ended, which stays one phase."""
     added = periods_followed(window.observe)
     return Progress(
         before.phase, before.period, before.in_flight, before.gap, before.gap1, before.q, before.q1,
@@ -282,10 +269,7 @@ def extend(run: Progress, outcome: int, window: Window) -> Progress:
 
 @jit
 def store_run(run: Progress, numbers: Any) -> None:
-    """Write a run to `numbers` (RUN_FIELDS,) float64, from which `load_run` makes the same run.
-
-    Its integers are far below 2**53: the budget, the largest, is BUDGET for each plate period.
-    """
+    """Write a run to `numbers` (RUN_FIELDS,) float64. Its integers are far below 2**53."""
     numbers[0], numbers[1], numbers[2] = run.phase, run.period, run.in_flight
     numbers[3], numbers[4], numbers[5], numbers[6] = run.gap, run.gap1, run.q, run.q1
     numbers[7], numbers[8], numbers[9] = run.takeoff_phase, run.takeoff_period, run.recorded
@@ -331,10 +315,7 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
 
 @jit
 def _considered(run: Progress, flights: Flights, first: int) -> tuple[int, bool]:
-    """How many of the last flights are considered for the mode, and whether too many before them are lost.
-
-    As many as are stored, or MODE_FLIGHTS, or as reach back MODE_PERIODS.
-    """
+    """How many of the last flights are considered for the mode, and whether too many before them are lost."""
     kept = min(run.recorded, flights.size)
     number = min(run.recorded, max(flights.stored, MODE_FLIGHTS))
     oldest = flights.period[slot(flights, first, run.recorded - number)]
@@ -359,10 +340,7 @@ def _comes_to_rest(run: Progress, flights: Flights, first: int) -> bool:
 def _counted(
     flights: Flights, first: int, recorded: int, last: int, micro_flight: float
 ) -> tuple[Any, Any, Any]:
-    """Times, take-off phases and periods of those of the `last` flights that count: arrays (n,), in order.
-
-    Those longer than `micro_flight` count; if none is, all do.
-    """
+    """Times, take-off phases and periods, arrays (n,), of the `last` flights that count for the mode."""
     kept = min(recorded, last)
     longest = 0.0
     for i in range(recorded - kept, recorded):

@@ -11,13 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.interface import (
-    carry_in_contact,
-    carry_in_flight,
-    carry_through_landing,
-    carry_through_takeoff,
-    dimension,
-)
+from kernel import interface
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, ROOT, Phase
 from kernel.numerics.jit import inlined, jit
@@ -28,12 +22,10 @@ from kernel.portable_math import log
 #: 1e-16 of a direction that an event removes; what is left of one at 1e-12 still has four digits.
 LOST: Final = 1e-12
 
-
 #: Windows for which variations turn to the directions that they grow in, before they are measured. With 1,
 #: the split of two exponents that differ by less than 1/observe still shows where they began; with 2 it is
 #: as if they had always been carried.
 ALIGN: Final = 1.5
-
 
 #: Parts of the window whose means of the first logarithm tell the error of lambda_1. Shorter ones would be
 #: correlated, fewer would leave the error uncertain by more than a quarter.
@@ -57,7 +49,7 @@ class Variations(NamedTuple):
 
 def allocate_variations(plate: Any, exponents: int) -> Variations:
     """Room for this many exponents. Raises KernelInputError if the plate's model has fewer."""
-    most = dimension(plate)
+    most = interface.dimension(plate)
     if exponents > most:
         raise KernelInputError("exponents", f"must be at most {most} for this contact, got {exponents}")
     return Variations(np.zeros((exponents, 4)), np.zeros(exponents), np.zeros(1), np.zeros(BATCHES))
@@ -141,10 +133,7 @@ def start_variations(variations: Variations) -> None:
 
 @jit
 def _orthonormalise(variations: Variations, weight: float, batch: int) -> None:
-    """Orthonormalise the vectors and add the logarithms of their lengths with this weight.
-
-    batch: to which that of the first belongs, if the weight is above 0.
-    """
+    """Orthonormalise the vectors; add the logarithms of their lengths, that of the first also to a batch."""
     vectors, sums = variations.vectors, variations.sums
     variations.weight[0] += weight
     for k in range(len(sums)):
@@ -192,9 +181,9 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
         at = TWO_PI * turn - run.phase if turn <= turns else p.tau
         if at > done:
             if run.in_flight:
-                carry_in_flight(cell, vectors, at - done)
+                interface.carry_in_flight(cell, vectors, at - done)
             else:
-                carry_in_contact(cell, vectors, at - done)
+                interface.carry_in_contact(cell, vectors, at - done)
             done = at
         if turn <= turns:
             period = run.period + turn
@@ -202,17 +191,14 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
             _orthonormalise(variations, _weight(period, run.settle, window), batch)
     if p.ending == ROOT:
         if run.in_flight:
-            carry_through_landing(cell, vectors, run.phase, run.gap, run.gap1, run.q, run.q1, p)
+            interface.carry_through_landing(cell, vectors, run.phase, run.gap, run.gap1, run.q, run.q1, p)
         else:
-            carry_through_takeoff(cell, vectors, p)
+            interface.carry_through_takeoff(cell, vectors, p)
 
 
 @jit
 def carry_run(cell: Any, before: Any, started: Any, p: Phase, window: Any, variations: Variations) -> None:
-    """`carry` over the phase `p` from `started`, which `interface.replay` has made of `before`.
-
-    All variations are lost at a take-off after which the same motion always follows.
-    """
+    """`carry` over the phase `p` from `started`, which `interface.replay` has made of `before`."""
     if started.period != before.period or started.phase != before.phase:
         variations.vectors[:] = 0.0
         if started.period >= started.settle:

@@ -24,7 +24,7 @@ from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT, Phase
 from kernel.numerics.jit import allocating, inlined, jit
 from kernel.params import LANES, STATE_FIELDS, KernelInputError, Line, Start, empty_line
-from kernel.validation import check_arrays, check_early, check_window, checked_state, checked_states
+from kernel.validation import check_arrays, check_window, checked_state, checked_states
 
 #: More steps than any line takes.
 _ALL: Final = 2**62
@@ -219,10 +219,7 @@ def _check_plate(plate: Any, n: int) -> None:
 def _first_states(
     starts: Sequence[Start | None], gamma: NDArray[np.float64], omega: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Where each of as many lines begins, (lines, len(STATE_FIELDS)) in its first cell's units; NaN: at rest.
-
-    Raises KernelInputError.
-    """
+    """Where each line begins, (lines, 6) in its first cell's units, NaN at rest. Raises KernelInputError."""
     if not starts or len(gamma) % len(starts):
         rule = (
             f"must be one for each of several lines of equal length, got {len(starts)} for {len(gamma)} cells"
@@ -283,7 +280,11 @@ class LineRun:
         arrays = {"gamma": gamma, "omega": omega, "xi": xi}
         check_arrays(arrays)
         check_window(settle, observe, keep, micro_flight, settle_tolerance, settle_until, exponents)
-        check_early(settle_early, carry=carry, exponents=exponents)
+        if settle_early and (carry or exponents):
+            what = "a line that carries its state" if carry else "a run with exponents"
+            raise KernelInputError(
+                "settle_early", f"must be false on {what}, every cycle of which is computed"
+            )
         _check_plate(plate, len(gamma))
         self.line = empty_line(len(gamma), keep, exponents)
         self._gamma, self._omega, self._xi = (np.ascontiguousarray(a) for a in arrays.values())

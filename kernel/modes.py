@@ -113,10 +113,7 @@ def find_cycle(
 
 @jit
 def find_mode(flight_time: Any, takeoff_phase: Any, takeoff_period: Any) -> tuple[int, int]:
-    """The mode (bounces, plate periods) of the flights of a window, or (0, 0): the limit of their cycle.
-
-    Arrays (n,) as in `find_cycle`.
-    """
+    """The mode (bounces, plate periods) of the flights, as of `find_cycle`: the limit of their cycle."""
     bounces, periods = find_cycle(flight_time, takeoff_phase, takeoff_period, REPEATS)
     if bounces > 0:
         limit = limit_cycle(flight_time, takeoff_phase, bounces)
@@ -191,11 +188,7 @@ def _thirds(flight_time: Any, takeoff_phase: Any, lag: int, part: int) -> tuple[
 
 @jit
 def _mean_square(flight_time: Any, takeoff_phase: Any, lag: int, first: int, part: int) -> float:
-    """The mean square difference (rad**2) of flights `lag` apart, over `part` flights from the `first` on.
-
-    The difference of two flights is the vector of those of their times and of their take-off phases, the
-    latter modulo 2 pi.
-    """
+    """The mean square difference (rad**2) of flights `lag` apart, over `part` flights from `first` on."""
     total = 0.0
     for i in range(first, first + part):
         time = flight_time[i] - flight_time[i - lag]
@@ -235,10 +228,7 @@ def find_repetition(flights: Flights, first: int, recorded: int, left: int) -> t
 
 @jit
 def _drift(flights: Flights, first: int, recorded: int, bounces: int, periods: int, left: int) -> float:
-    """A bound on how far the flights of the turns that are left are from those of the last, rad.
-
-    Infinite if the flights do not repeat.
-    """
+    """A bound (rad) on how far flights of the turns left are from those of the last; infinite: no cycle."""
     time, phase, period = flights.time, flights.phase, flights.period
     ratio, older = 0.0, -1.0
     for turn in range(TURNS - 2, -1, -1):

@@ -4,8 +4,8 @@ It falls freely (`kernel.models.free_fall`), leaves the plate again at -epsilon 
 it landed with (Eq. 4, with its sign corrected), and rests on it while n = 1/Gamma - cos(phi) > 0. The
 take-off from rest is at cos(phi) = 1/Gamma, in closed form, and the same motion follows it every time: a
 cell caches it and replays it (`_replay`). Chatter is followed hop by hop, each of them a flight, until n is
-steady over the rest of it (`contact_law.chatter_completes`). Its end is then in closed form, and its remaining
-hops, shorter than about 1e-3 (1 - epsilon) rad, are not recorded.
+steady over the rest of it (`contact_law.chatter_completes`). Its end is then in closed form, and its
+remaining hops, shorter than about 1e-3 (1 - epsilon) rad, are not recorded.
 """
 
 import math
@@ -75,10 +75,7 @@ def _rest(b: Ball) -> tuple[float, float, float, float]:
 
 @jit
 def _stays(b: Ball, phi: float, hop: float, n: float, n1: float) -> bool:
-    """Whether a ball that leaves the plate at velocity `hop`, pressed back with n, counts as in contact.
-
-    n1 is the rate of change of n. It does where the chatter that begins with the hop may be summed.
-    """
+    """Whether a ball that leaves at velocity `hop`, pressed back with n, is taken to chatter in contact."""
     if plate_recedes(b.phi_lift, phi):
         return False
     return hop <= 0.0 or chatter_completes(hop, n, n1, 1.0, b.restitution)
@@ -164,10 +161,7 @@ def _fill_cache(b: Ball, phi: float, budget: int, cache: Any) -> None:
 
 @jit
 def _skip_cycles(run: Progress, cache: Any) -> Progress:
-    """The run at a take-off from rest, advanced by as many whole cycles as fit into the settling.
-
-    A cycle is the time since the take-off from rest before this one.
-    """
+    """The run at a take-off from rest, advanced by the cycles that fit into the settling."""
     length = max(run.period - int(cache[BEFORE]), 1)
     cycles = (run.settle - 1 - run.period) // length if cache[BEFORE] >= 0.0 else 0
     period = run.period + max(cycles, 0) * length

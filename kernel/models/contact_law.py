@@ -45,10 +45,7 @@ def plate_force(kappa: float, beta: float, gap: float, gap1: float) -> float:
 
 @inlined
 def lifted_off(gap: float, gap1: float, kappa: float, beta: float) -> bool:
-    """Whether a mass with this gap and gap' is not in contact; pass beta = 0 for the adhesive law.
-
-    Only the ratio of kappa to beta matters.
-    """
+    """Whether a mass with this gap and gap' is not in contact; beta = 0 for the adhesive law."""
     if gap > 0.0 or (gap == 0.0 and gap1 >= 0.0):
         return True
     return beta > 0.0 and kappa * gap + beta * gap1 >= 0.0
@@ -56,10 +53,7 @@ def lifted_off(gap: float, gap1: float, kappa: float, beta: float) -> bool:
 
 @inlined
 def static_state(gamma: float, stiffness: float, kappa: float) -> tuple[float, float]:
-    """Gap and elongation (both < 0) of a spring at rest on a plate that does not move.
-
-    stiffness = 1/Omega^2. The plate bears both masses, the spring the upper one.
-    """
+    """Gap and elongation, both < 0, of a spring at rest on a plate that does not move."""
     return -2.0 / (gamma * kappa), -1.0 / (gamma * stiffness)
 
 

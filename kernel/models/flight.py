@@ -156,10 +156,7 @@ def flight_terms(p: Flight, tau: float) -> Terms:
 
 @inlined
 def _power_series(p: Flight, tau: float) -> tuple[float, float, float]:
-    """gap, gap' and a bound on the gap's rounding error at tau, by the power series about tau = 0.
-
-    Its first terms, gap, gap' and gap'', are zero at a take-off from rest, where the closed form cancels.
-    """
+    """gap, gap' and a bound on the gap's rounding error at tau, by the power series about tau = 0."""
     before = -2.0 * p.osc.damping * p.q1 - p.osc.stiffness * p.q
     last = -2.0 * p.osc.damping * before - p.osc.stiffness * p.q1
     plate, plate_next = -p.sin, -p.cos  # third and fourth derivative of -cos(phi)

@@ -116,10 +116,7 @@ def serves(osc: Oscillator, end: float) -> bool:
 def load(
     table: Any, k: int, osc: Oscillator, phi: float, y: float, v: float, start: float, horizon: float
 ) -> None:
-    """Begin a phase in lane k: y and y' = v at tau = 0, the search from `start` to `horizon` (rad).
-
-    The caller then sets the coefficients of F with `coefficients`.
-    """
+    """Begin a phase in lane k: y and y' = v at tau = 0, the search from `start` to `horizon` (rad)."""
     table[DAMPING * LANES + k] = osc.damping
     table[ROOT * LANES + k] = osc.root
     table[INVERSE * LANES + k] = 1.0 / osc.root
@@ -242,10 +239,7 @@ def gap_after(
 
 @jit
 def safe_step_once(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -> float:
-    """A step of at most h on which F surely stays positive: one round of `first_root.safe_step`.
-
-    A curvature that is not positive is replaced by the tiniest one, whose parabola is a line.
-    """
+    """A step of at most h on which F surely stays positive: one round of `first_root.safe_step`."""
     curve = max(max(fma(f4 * (1.0 / 12.0), h, f3 * (-1.0 / 3.0)) * h, 0.0) - f2, 1e-300)
     root = math.sqrt(fma(f1, f1, 2.0 * curve * f0))
     rising = f1 > 0.0

@@ -4,8 +4,8 @@ In contact the lower mass sticks to the plate and the elongation q is a driven d
 off where the plate's normal force n (Eq. 8) falls to zero. In flight the centre of mass falls freely and q
 oscillates; it lands where the gap falls to zero. There the lower mass leaves again at -e times its relative
 velocity, and for e = 0 takes the plate's. Chatter is followed hop by hop, each of them a flight, until n is
-steady over the rest of it (`contact_law.chatter_completes`). From there on the mass counts as stuck, which over so
-short a time moves the spring as the hops would.
+steady over the rest of it (`contact_law.chatter_completes`). From there on the mass counts as stuck, which
+over so short a time moves the spring as the hops would.
 """
 
 from typing import Any, Final, NamedTuple
@@ -62,10 +62,7 @@ class Spring(NamedTuple):
 
 
 class Stuck(NamedTuple):
-    """The normal force in contact: n(tau) = mean_force - Re(N e^{i phi}) - b h' - w h, h the free elongation.
-
-    The terms in h are its free part: h'' but for NEAREST_RESONANCE.
-    """
+    """n(tau) = mean_force - Re(N e^{i phi}) - b h' - w h in contact, h being the free elongation."""
 
     spring: Spring
     phi: float
@@ -179,10 +176,7 @@ def _stuck_until(
 def _contact(
     s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """Stuck until n falls to zero.
-
-    The search ends early once the free part of n is too small to bring n to zero.
-    """
+    """Stuck until n falls to zero. The search ends once its free part is too small to bring it there."""
     sin, cos = sincos(phi)
     h, h1 = _free(s, sin, cos, q, q1)
     h2, _, _ = derivatives(s.stuck, h, h1)
@@ -215,10 +209,7 @@ def _flight(
 def land(
     s: Spring, sin: float, cos: float, tau: float, impact: float, q: float, q1: float, used: int
 ) -> Phase:
-    """The end of a flight of `tau` rad that lands at relative velocity `impact` <= 0.
-
-    A hop follows, or sticking, or at once a new take-off. sin and cos are of the plate's phase at landing.
-    """
+    """The end of a flight that lands at gap' = `impact` <= 0; sin and cos of the plate's phase there."""
     hop = max(-s.restitution * impact, 0.0)
     q1 += impact  # of a mass that sticks; the upper mass keeps its velocity
     if hop > 0.0 and _chatter_ends(s, sin, cos, hop, q, q1):
@@ -253,10 +244,7 @@ def _advance(plate: RigidPlate, table: Any, used: int) -> None:
 def _load_contact(
     table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
 ) -> bool:
-    """Put a contact into lane k, unless it never ends, which `rigid` knows in closed form.
-
-    sin and cos are of the plate's phase now.
-    """
+    """Put a contact into lane k, unless it never ends, which `rigid` knows in closed form."""
     h, h1 = _free(s, sin, cos, run.q, run.q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
     decayed = decay_time(s.stuck, h2, h3, s.mean_force - hypot(s.n_re, s.n_im))

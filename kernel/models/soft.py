@@ -141,10 +141,7 @@ def begin_contact(
 def _contact(
     s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In contact until the lift-off function falls to zero.
-
-    The search ends early once both free modes are too small to bring it there.
-    """
+    """In contact until the lift-off function falls to zero, or both modes are too small for that."""
     sin, cos = sincos(phi)
     m, p, _, start, decayed = begin_contact(s, phi, sin, cos, gap, gap1, q, q1)
     end = min(horizon, decayed)
@@ -221,10 +218,7 @@ def _recontact_terms(p: Recontact, tau: float) -> Terms:
 
 @inlined
 def _lowest_gap2(p: Flight, time: float) -> float:
-    """A lower bound <= 0 of gap'' over the first `time` rad of a flight.
-
-    gap'' is at least a parabola that opens downwards, whose lowest value is at an end.
-    """
+    """A lower bound <= 0 of gap'' over the first `time` rad of a flight: that of a parabola."""
     _, q3, q4 = derivatives(p.osc, p.q, p.q1)
     gap3 = -p.sin - 0.5 * q3
     return min(p.gap2, p.gap2 + time * (gap3 - 0.5 * time * (1.0 + 0.5 * q4)), 0.0)
@@ -238,10 +232,7 @@ def _no_recontact(s: SoftSpring, p: Flight, lowest_gap2: float, time: float) -> 
 
 @inlined
 def emergence_bound(s: SoftSpring, p: Flight) -> float:
-    """A time (rad) by which a mass that takes off below the surface is surely above it, without recontact.
-
-    Twice -gap/gap', the time at constant velocity; 0 if that is not sure.
-    """
+    """Rad by which a mass from below the surface is surely above it without recontact; 0: not sure."""
     if p.gap1 <= 0.0:
         return 0.0
     time = -2.0 * p.gap / p.gap1
@@ -357,11 +348,7 @@ def _load_contact(
 def _load_flight(
     s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float
 ) -> bool:
-    """Put a flight into lane k, unless it begins with a short hop or too close to the surface.
-
-    One that begins below the surface is searched from where it surely has emerged, if it cannot return to
-    contact before.
-    """
+    """Put a flight into lane k, if it surely emerges and begins neither with a short hop nor too close."""
     if not (lanes.supports(s.flight) and lanes.serves(s.flight, horizon)):
         return False
     emerged, sin0, cos0 = 0.0, sin, cos

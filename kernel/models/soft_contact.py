@@ -398,10 +398,7 @@ def state_of(
 
 @inlined
 def liftoff_function(s: SoftSpring, m: ModalState, phi: float) -> LiftoffFunction:
-    """The lift-off function -(kappa gap + c gap') from phi on, with c = 0 (adhesive) or beta (nonadhesive).
-
-    The stiffer of the two modes is its ringing part.
-    """
+    """The lift-off function from phi on; the stiffer of the two modes is its ringing part."""
     c = 0.0 if s.adhesive else s.beta
     f_a, f_b = _coupled(s.gap_lift, s.gap_mode, m.gap_a, m.gap_b)
     g_a, g_b = _coupled(s.elongation_lift, s.elongation_mode, m.elongation_a, m.elongation_b)

@@ -177,10 +177,7 @@ def begin_march(grid: Grid, law: Law, f: float, x: Point) -> March:
 
 @jit
 def march(grid: Grid, law: Law, gravity: float, c: float, d: float, start: March, steps: int) -> March:
-    """`start` advanced by `steps` steps, or fewer if the contact or flight ends.
-
-    c and d are cosine and sine of the plate's phase at the start; a rotation advances them.
-    """
+    """`start` advanced by at most `steps` steps; c and d are cos and sin of the plate's phase."""
     (p0, p1, p2, p3), (s0, s1, s2, s3), (r0, r1) = law.p, law.s, law.r
     h, cos, sin, m, lead, flying = grid.step, grid.cos, grid.sin, grid.implicit, law.lead, law.flying
     gap, q = start.now.gap, start.now.q
@@ -284,10 +281,7 @@ def _forcing(s: SteppedSpring, phi: float) -> float:
 
 @jit
 def _locate(s: SteppedSpring, law: Law, x: Point, phi: float) -> tuple[float, Point]:
-    """The length (rad) of the step from x at phi that ends where the contact or flight does, and its end.
-
-    By regula falsi on `end_function`, as a function of the step's length.
-    """
+    """The length (rad) of the step from x at phi that ends where the contact or flight does, and its end."""
     m, f0 = s.grid.implicit, _forcing(s, phi)
     low, high, side = 0.0, s.grid.step, 0
     end = step(law, m, f0, _forcing(s, phi + high), x, high)
@@ -312,10 +306,7 @@ def _locate(s: SteppedSpring, law: Law, x: Point, phi: float) -> tuple[float, Po
 
 @jit
 def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[float, int, Point]:
-    """The end of a contact or flight that began at phi and is over at the n-th grid point.
-
-    Returns rad, ending and state, as `_run` does.
-    """
+    """The end of a contact or flight that began at phi and is over at the n-th grid point, as `_run`."""
     if row.taken == 0:
         return n * s.grid.step - phi, ROOT, row.now
     part, end = _locate(s, law, previous_point(s.grid, row), (n - 1) % s.grid.steps * s.grid.step)
@@ -328,10 +319,7 @@ def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[fl
 def _run(
     s: SteppedSpring, law: Law, phi: float, x: Point, horizon: float, budget: int
 ) -> tuple[float, int, Point]:
-    """Step from x at phi until the contact or flight is over, or to the horizon: rad, ending and state.
-
-    The horizon is rounded to the nearest grid point.
-    """
+    """Step from x at phi until the end or the grid point nearest to the horizon: rad, ending and state."""
     steps, h, m = s.grid.steps, s.grid.step, s.grid.implicit
     if budget <= 0 or steps > MOST_STEPS_PER_PERIOD:
         return 0.0, BUDGET_EXHAUSTED, x
@@ -372,10 +360,7 @@ def _contact(
 def _flight(
     s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In flight until contact returns. The budget counts as in `_contact`.
-
-    A flight that begins below the surface may end there, rising: its velocity then stays.
-    """
+    """In flight until contact returns; from below the surface perhaps rising: its velocity stays."""
     tau, ending, x = _run(s, s.flight, phi, Point(gap, gap1, q, q1), horizon, budget)
     after, after1 = x.gap, x.gap1
     if ending == ROOT:

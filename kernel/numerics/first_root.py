@@ -168,10 +168,7 @@ def householder_step(newton: float, c2: float, c3: float, c4: float, fused: bool
 
 @jit
 def householder(f0: float, f1: float, f2: float, f3: float, f4: float) -> tuple[float, float]:
-    """`householder_step` from F and its derivatives; the error is infinite for steps that are not NEAR.
-
-    f4 bounds the fourth derivative; (f4/|f1|)**(1/3) is taken for the rate at which F changes its shape.
-    """
+    """`householder_step` from F and its derivatives; the error is infinite for steps that are not NEAR."""
     inverse = 1.0 / f1
     newton = -f0 * inverse
     rate4 = f4 * abs(inverse)

@@ -81,11 +81,8 @@ def allocating(function: _Function) -> _Function:
 
 def compilable(function: _Function) -> _Function:
     """Let compiled code call a plain Python function, which stays one for its other callers."""
-    return register_jitable(**_OPTIONS, **_pipeline())(function)  # type: ignore[no-any-return]
-
-
-def _pipeline() -> dict[str, Any]:
-    return {} if PLAIN else {"pipeline_class": Inner}
+    pipeline = {} if PLAIN else {"pipeline_class": Inner}
+    return register_jitable(**_OPTIONS, **pipeline)(function)  # type: ignore[no-any-return]
 
 
 class by_type:  # noqa: N801 - a decorator
