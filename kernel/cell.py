@@ -24,36 +24,15 @@ from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import allocating, compilable, inlined, jit
 from kernel.params import Line, Outcome, periods_followed
 
-#: Flights shorter than this (rad) are not recorded: their length is of the order of the rounding errors of
-#: take-off and landing after long contacts.
-SHORTEST_FLIGHT: Final = 1e-9
-
-#: Flights considered for the mode, even if fewer are stored: a cycle of up to 85 bounces is found.
-MODE_FLIGHTS: Final = 256
-
-#: More are considered where these reach back fewer plate periods than this, of so many that are kept: a
-#: landing with a restitution of 0.95 is followed by 400 hops that are longer than SHORTEST_FLIGHT.
-MODE_PERIODS: Final = 24
-KEPT_FLIGHTS: Final = 4096
-
-#: Flights that reach back fewer plate periods, because those before are lost, decide nothing: a cycle must be
-#: seen three times.
-FEWEST_PERIODS: Final = 3
-
-#: With a settle_tolerance, the number of flights after which settling is tested, and which the test
-#: considers: cycles of up to 8 bounces end it early.
-SETTLING_CHECK: Final = 24
-
-#: A contact of so many plate periods, if it takes the last half of the window, is taken for the end of all
-#: flights: the contacts of the cycles that a window is long enough for are far shorter.
-QUIET: Final = 10.0
-
-#: Size of the array that a model may use to cache what it knows of a cell (`interface.replay`).
-CACHE_SIZE: Final = 64
-
-#: Evaluations of a phase function that a cell may use for each plate period. 30 random cells of `rigid` and
-#: `soft` used 11 on average; hops that never end, as those of an elastic contact, would use any number.
-BUDGET: Final = 20_000
+SHORTEST_FLIGHT: Final = 1e-9  # rad; shorter flights, often rounding after long contacts, are not recorded
+MODE_FLIGHTS: Final = 256  # considered for the mode, even if fewer are stored: cycles of up to 85 bounces
+MODE_PERIODS: Final = 24  # more are considered where these reach back fewer plate periods
+KEPT_FLIGHTS: Final = 4096  # as many of them are kept; a landing at e = 0.95 is followed by 400 hops
+FEWEST_PERIODS: Final = 3  # flights that reach back fewer, those before being lost, decide nothing
+SETTLING_CHECK: Final = 24  # flights after which a settle_tolerance is tested, and which the test considers
+QUIET: Final = 10.0  # plate periods; a contact this long, over the last half of the window, ends all flights
+CACHE_SIZE: Final = 64  # numbers that a model may use to cache what it knows of a cell (`interface.replay`)
+BUDGET: Final = 20_000  # evaluations that a cell may use for each plate period; 11 are usual
 
 PERIODIC: Final = int(Outcome.PERIODIC)
 APERIODIC: Final = int(Outcome.APERIODIC)

@@ -22,20 +22,11 @@ from kernel.portable_math import log
 #: 1e-16 of a direction that an event removes; what is left of one at 1e-12 still has four digits.
 LOST: Final = 1e-12
 
-#: Windows for which variations turn to the directions that they grow in, before they are measured. With 1,
-#: the split of two exponents that differ by less than 1/observe still shows where they began; with 2 it is
-#: as if they had always been carried.
-ALIGN: Final = 1.5
+ALIGN: Final = 1.5  # windows for which variations turn to the directions that they grow in; 1 is not enough
+BATCHES: Final = 10  # parts of the window whose means tell the first exponent's error; more are correlated
+SHORTEST_BATCHED: Final = 4 * BATCHES  # plate periods; the batches of a shorter window would be correlated
 
-#: Parts of the window whose means of the first logarithm tell the error of lambda_1. Shorter ones would be
-#: correlated, fewer would leave the error uncertain by more than a quarter.
-BATCHES: Final = 10
-
-#: A window of fewer plate periods has no error: its batches would be correlated.
-SHORTEST_BATCHED: Final = 4 * BATCHES
-
-#: Sum of the squared weights of n periods over the square of their sum, times n: 900/630.
-SPREAD: Final = 10.0 / 7.0
+SPREAD: Final = 10.0 / 7.0  # sum of the squared weights of n periods over the square of their sum, times n
 
 
 class Variations(NamedTuple):

@@ -11,20 +11,10 @@ import numpy as np
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.jit import allocating, inlined, jit
 
-#: Flights repeat when their times and take-off phases agree within this, rad: above what is left of the
-#: settling in most cells, and far below the differences between the flights of a cycle.
-REPEATS: Final = 1e-6
-
-#: A cycle of s flights is taken for the limit of one of k s flights only if the difference of flights s apart
-#: falls by more than this part of itself: less may be the rounding of a true cycle of k s flights.
-FALLS: Final = 0.01
-
-#: Flights up to this many apart are compared to tell whether they settle. All but some 1 in 100 of the
-#: periodic cells have a cycle of at most 24 bounces.
-LAGS: Final = 24
-
-#: The fewest flights from which settling can be told: three parts of three flights, for the largest lag.
-FEWEST: Final = 12
+REPEATS: Final = 1e-6  # rad within which flights agree: above the rest of settling, below all differences
+FALLS: Final = 0.01  # part by which a difference must fall to a shorter cycle's; less is rounding
+LAGS: Final = 24  # flights up to this many apart tell settling; 99 in 100 cycles have at most 24
+FEWEST: Final = 12  # flights from which settling can be told: three parts of three, for the largest lag
 
 #: Flights settle where their difference falls below NEAR (rad) and to less than APPROACH of itself from the
 #: first third of the flights to the last.
@@ -38,20 +28,11 @@ CLOSE: Final = 0.01
 DRIFT: Final = 0.05
 
 
-#: For `find_repetition` flights agree within this, rad. They may also drift by no more until the run's end.
-AGREE: Final = 1e-10
-
-#: The last flights must follow a cycle so many times, which gives one difference fewer between its turns.
-TURNS: Final = 5
-
-#: Cycles of up to this many flights are looked for.
-LONGEST: Final = 24
-
-#: After every so many flights.
-CHECK: Final = 8
-
-#: Differences may grow by this, rad, from one turn to the next: it is rounding.
-ROUNDING: Final = 1e-13
+AGREE: Final = 1e-10  # rad; for `find_repetition` flights agree, and drift until the end, within this
+TURNS: Final = 5  # the last flights must follow a cycle so many times, which gives one difference fewer
+LONGEST: Final = 24  # cycles of up to this many flights are looked for, ...
+CHECK: Final = 8  # ... after every so many flights
+ROUNDING: Final = 1e-13  # rad by which differences may grow from one turn to the next
 
 
 class Flights(NamedTuple):

@@ -31,14 +31,9 @@ SMALLEST: Final = 1e-12
 #: the slope is then off by 1e-4 of itself, which costs Newton's method nothing.
 _CRITICAL: Final = 1e-4
 
-#: Relative size of Newton's step after which the next one, its square, is below rounding.
-_CONVERGED: Final = 1e-9
-
-#: -ln e above which (zeta > 3.4) zeta is computed from e by `strong_damping_ratio`.
-_STRONG: Final = 4.0
-
-#: Cap on Newton's steps; at most 7 are taken.
-_NEWTON_STEPS: Final = 20
+_CONVERGED: Final = 1e-9  # relative size of Newton's step after which the next one, its square, is rounding
+_STRONG: Final = 4.0  # -ln e above which (zeta > 3.4) zeta is computed by `strong_damping_ratio`
+_NEWTON_STEPS: Final = 20  # cap on Newton's steps; at most 7 are taken
 
 _Array = NDArray[np.float64]
 

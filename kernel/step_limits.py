@@ -25,15 +25,9 @@ from numpy.typing import ArrayLike, NDArray
 from kernel.portable_math import hypot
 from kernel.restitution import contact_time, damping_ratio
 
-#: More steps than this in a plate period are refused; a cell that needs them is unresolved. At about 4 ns a
-#: step one such period takes 40 ms.
-MOST_STEPS_PER_PERIOD: Final = 10_000_000
-
-#: Numbers of steps beyond this are cut to it before they are converted to integers, which end at 9.2e18.
-_MAX_COUNT: Final = 1e18
-
-#: Halvings of the bracket of Euler's stable step: to 2**-60 of Verlet's, below rounding.
-_HALVINGS: Final = 60
+MOST_STEPS_PER_PERIOD: Final = 10_000_000  # more are refused, as unresolved: such a period takes 40 ms
+_MAX_COUNT: Final = 1e18  # more steps are cut to this before they are converted to integers
+_HALVINGS: Final = 60  # of the bracket of Euler's stable step: to 2**-60 of Verlet's, below rounding
 
 _Array = NDArray[np.float64]
 

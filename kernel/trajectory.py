@@ -18,8 +18,7 @@ from kernel.numerics.first_root import HORIZON, ROOT, Phase
 from kernel.params import Cell, KernelInputError
 from kernel.validation import check_arrays
 
-#: Contacts and flights computed at most, so that a call ends within seconds.
-MAX_PHASES: Final = 50_000
+MAX_PHASES: Final = 50_000  # contacts and flights computed at most, so that a call ends within seconds
 
 
 class Trajectory(NamedTuple):

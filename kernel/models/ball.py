@@ -25,9 +25,7 @@ from kernel.numerics.jit import jit
 from kernel.portable_math import atan2
 from kernel.validation import check_arrays
 
-#: Contacts and flights after a take-off from rest that a cell caches, up to the next take-off if it comes so
-#: soon; the phases beyond are computed each time. They take 56 of the cell.CACHE_SIZE = 64 numbers.
-CACHED_PHASES: Final = 18
+CACHED_PHASES: Final = 18  # after a take-off from rest, up to the next; in 56 of the cell.CACHE_SIZE numbers
 
 # Layout of a cell's cache (`interface.replay`): the number of phases, the plate period of the take-off
 # before, then for each phase its duration, gap' after it, and 1.0 if a flight follows.

@@ -15,10 +15,7 @@ from typing import Final
 from kernel.numerics.jit import compilable, inlined, jit
 from kernel.restitution import nonadhesive_duration, scalar_damping_ratio, strong_damping_ratio
 
-#: The rest of a series of hops is summed once n changes over it by less than this part of itself. The
-#: formula then places its end with a relative error of the order of the square, 1e-6 of a span of about
-#: 1e-3 rad or less.
-STEADY: Final = 1e-3
+STEADY: Final = 1e-3  # part of n that chatter which is summed may change; its end is exact to the square
 
 compilable(nonadhesive_duration)
 compilable(scalar_damping_ratio)

@@ -12,19 +12,13 @@ from kernel.numerics.first_root import EPS, ROOT, Terms, departure_step, first_r
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
-#: Terms of the power series smaller than this part of their sum are omitted: a thousandth of EPS, so that
-#: all of them together are below rounding.
-NEGLIGIBLE: Final = 1e-19
-
-#: Highest order of that series, whose terms for tau * rate < 0.5 are of the order 0.5**16/16! = 7e-19.
-MAX_ORDER: Final = 16
+NEGLIGIBLE: Final = 1e-19  # part of their sum below which terms of the power series are omitted: EPS/1000
+MAX_ORDER: Final = 16  # of that series; its terms for tau * rate < 0.5 are of the order 0.5**16/16! = 7e-19
 
 #: Evaluations for the landing of a hop before the general search takes over. Two or three are usual.
 HOP_EVALUATIONS: Final = 20
 
-#: `_hop_bracket` looks for the landing within this many times gap'/|gap''|, a hop being twice that under a
-#: constant gap''.
-HOP_SPAN: Final = 2.5
+HOP_SPAN: Final = 2.5  # times gap'/|gap''|, in which a landing is sought; twice under a constant gap''
 
 #: ... and only if, over that span w, w |gap'''|/3 + w^2 |gap''''|/12 stays below this part of p = |gap''|.
 #: Then gap <= v w - 0.85 p w^2/2 = (2.5 - 2.66) v^2/p < 0 at the end, v being gap', and gap'' <= -0.1 p

@@ -13,29 +13,12 @@ from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, ROOT, householder, polish_step
 from kernel.numerics.jit import jit
 
-#: For times (rad) below this the gap is summed as a power series, which keeps the digits of small hops. The
-#: first term it omits is tau**15/15!, at most 2.4e-17.
-SHORT: Final = 0.5
-
-#: A take-off from rest within this (rad) of its closed form, 2 pi - phi_lift, is taken for it. Phases near
-#: 2 pi are rounded to 4.4e-16 each, and reach this point by a few additions; 4e-15 is nine such errors.
-TAKEOFF_TOLERANCE: Final = 4e-15
-
-#: The polisher expands the gap about an iterate if the next one is within this part of tau of it, which for
-#: short steps needs no further sine. Up to half of tau the difference of the two is exact (Sterbenz).
-EXPANSION_REACH: Final = 0.25
-
-#: Cap on the rounds of `_negative_point`, each of which about squares the relative distance of its two
-#: points: a handful ends it.
-TANGENT_ROUNDS: Final = 100
-
-#: phi_lift (rad) below which the plate barely recedes and the first flight from rest is short enough for
-#: the leading terms of its power series to give a guess.
-BARELY_RECEDING: Final = 0.5
-
-#: The plate's position varies by 2, so that no surface is more than 2 above where a flight began. Half an
-#: amplitude more makes `_landing_bound` safe against rounding.
-_HIGHEST_PLATE: Final = 2.5
+SHORT: Final = 0.5  # rad below which the gap is summed as a power series; the rest is at most 2.4e-17
+TAKEOFF_TOLERANCE: Final = 4e-15  # rad from 2 pi - phi_lift of a take-off from rest: nine rounding errors
+EXPANSION_REACH: Final = 0.25  # of tau, within which the gap is expanded about an iterate; exact up to 1/2
+TANGENT_ROUNDS: Final = 100  # cap on the rounds of `_negative_point`, which converges quadratically
+BARELY_RECEDING: Final = 0.5  # phi_lift (rad) below which the power series of a first flight gives a guess
+_HIGHEST_PLATE: Final = 2.5  # the plate varies by 2; half an amplitude more is safe against rounding
 
 
 class Drop(NamedTuple):

@@ -49,30 +49,13 @@ MAX_EVALUATIONS: Final = 60
 #: which the scalar functions have power series.
 SLOWEST: Final = 0.03
 
-#: The first guess of a step's width: this many rad of the plate's phase, ...
-FIRST_WIDTH: Final = 1.5
-
-#: ... or this many over the oscillator's rate, about half a period, if that is less. Guesses affect the
-#: number of evaluations only.
-FIRST_TURN: Final = 3.0
-
-#: After an evaluation the next width is the step times this if the step filled the width, ...
-GROW: Final = 2.0
-
-#: ... and times this if not, as in `first_root.safe_step`.
-KEEP: Final = 1.5
-
-#: Flights shorter than this (rad) are computed again by the scalar functions, whose power series keeps the
-#: digits. The closed form of the gap cancels to the order tau**3: here to 1e-4, which leaves 12 digits.
-SHORT_FLIGHT: Final = 0.05
-
-#: So are flights whose first safe step from the plate is shorter than this (rad): there the gap, of the
-#: order of the cube, 1e-12, is near the rounding of the closed form.
-SHORT_START: Final = 1e-4
-
-#: rad up to which `sincos_small` keeps its accuracy; a mode's angle must stay below, until the mode has
-#: decayed to nothing.
-LARGEST_ANGLE: Final = 1e5
+FIRST_WIDTH: Final = 1.5  # the first guess of a step's width: this many rad, ...
+FIRST_TURN: Final = 3.0  # ... or this many over the oscillator's rate, if less; guesses affect the cost only
+GROW: Final = 2.0  # after an evaluation the next width is the step times this if it filled the width, ...
+KEEP: Final = 1.5  # ... and times this if not, as in `first_root.safe_step`
+SHORT_FLIGHT: Final = 0.05  # rad; the scalar functions compute shorter flights: here the gap cancels to 1e-4
+SHORT_START: Final = 1e-4  # rad; and those with a shorter first safe step, where the gap is near rounding
+LARGEST_ANGLE: Final = 1e5  # rad up to which `sincos_small` is exact; a mode must have decayed before
 
 #: A lane's status after `advance`.
 SEARCHING: Final = 0.0

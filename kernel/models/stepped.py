@@ -36,20 +36,10 @@ from kernel.restitution import damping_ratio
 from kernel.step_limits import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
 from kernel.validation import check_arrays
 
-#: Steps between two evaluations of the plate's sine and cosine; in between a rotation advances them, whose
-#: error grows to some 1024 EPS = 2e-13.
-BLOCK: Final = 1024
-
-#: If less than this part of a step is left to the next grid point, that point is skipped: rounding moves
-#: grid points by about N EPS/2 of a step, 1e-9 for the largest N.
-MIN_STEP_FRACTION: Final = 1e-9
-
-#: A gap or elongation beyond this, in plate amplitudes, means that the scheme is unstable and has diverged.
-LARGEST: Final = 1e30
-
-#: Cap on the rounds of regula falsi (Illinois) for the end of a contact or flight. It converges like a
-#: secant method; halving alone would be down to rounding by then.
-ROUNDS: Final = 60
+BLOCK: Final = 1024  # steps between two evaluations of the plate's sine; rotations err by 2e-13
+MIN_STEP_FRACTION: Final = 1e-9  # a grid point nearer than this part of a step, which is rounding, is skipped
+LARGEST: Final = 1e30  # plate amplitudes; a gap or elongation beyond means that the scheme has diverged
+ROUNDS: Final = 60  # cap on those of regula falsi (Illinois), which converges like a secant method
 
 
 class SteppedPlate(NamedTuple):

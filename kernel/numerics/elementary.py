@@ -34,9 +34,7 @@ _HALF_PI_1: Final = 1.5707963267341256
 _HALF_PI_2: Final = 6.077100506303966e-11
 _HALF_PI_3: Final = 2.0222662487959506e-21
 
-#: rad up to which `sincos_small` keeps its accuracy: 6.4e4 turns of pi/2, whose products with the parts of
-#: pi/2 are exact, and whose remainder is known to 6.4e4 * 1e-37.
-_REDUCTION_LIMIT: Final = 1e5
+_REDUCTION_LIMIT: Final = 1e5  # rad up to which `sincos_small` is exact: 6.4e4 quarter turns
 
 #: 2/pi in pieces of 24 bits, for larger arguments: piece i counts 2**(-24 (i + 1)). The largest double begins
 #: at 2**(24 * 42), whose seven pieces behind the point need 49 of these.

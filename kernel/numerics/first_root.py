@@ -28,16 +28,14 @@ HORIZON: Final = 1  # no zero before the horizon
 BUDGET_EXHAUSTED: Final = 2  # the budget of evaluations ran out
 NON_FINITE: Final = 3  # a number stopped being finite
 
-#: Bound on the relative rounding error of one operation, 2**-52 = 2.22e-16 rounded up.
-EPS: Final = 2.3e-16
+EPS: Final = 2.3e-16  # bound on the relative rounding error of one operation, 2**-52 rounded up
 
 #: Householder's error estimate counts for Newton steps below this, in rad and in units of the time over
 #: which F changes its shape. The estimate stops at the fourth order of the step; what it omits is of the
 #: fifth, (3e-4)**5 = 2.4e-18, a hundredth of EPS.
 NEAR: Final = 3e-4
 
-#: No wider step than this is tried, rad: some 160 plate periods.
-WIDEST: Final = 1e3
+WIDEST: Final = 1e3  # rad, some 160 plate periods: no wider step is tried
 
 #: In `householder_step`, the weight of the known part of the error. The step agrees with the series of
 #: the zero in powers of N up to N**3; at N**4 they differ by 2 c2 c3 - c2**3 - c4, whose first two terms

@@ -10,13 +10,8 @@ from typing import Final, NamedTuple
 
 from kernel.numerics.jit import allocating, inlined, jit
 
-#: Cap on the rounds of Aberth's method. A dozen is usual; roots far apart in size take more. Where the cap
-#: is reached the roots are as good as they get, and `_polished` works from them.
-ROUNDS: Final = 100
-
-#: Relative change of the roots at which Aberth's method, of third order, has converged: the next change
-#: would be far below rounding.
-CONVERGED: Final = 1e-14
+ROUNDS: Final = 100  # cap on those of Aberth's method; a dozen is usual
+CONVERGED: Final = 1e-14  # relative change at which Aberth's method, of third order, has converged
 
 #: First guesses, in units of the largest and smallest roots' sizes. The coefficients are positive, so no
 #: root is a positive number: the guesses lie in the left half-plane, residual the real axis so that they can
@@ -31,9 +26,7 @@ _SECOND_GUESS: Final = complex(-0.8, -0.7)
 #: the pairs of complex roots that are not conjugates differ by order 1.
 _REAL: Final = 1e-4
 
-#: Newton rounds on a quadratic. Convergence is quadratic from errors of 1e-8 or better; the loop ends
-#: itself as soon as a round does not improve.
-_NEWTON_ROUNDS: Final = 5
+_NEWTON_ROUNDS: Final = 5  # on a quadratic, from errors of 1e-8; ends where a round does not improve
 
 
 class Factors(NamedTuple):
