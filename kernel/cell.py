@@ -8,17 +8,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from kernel import modes
 from kernel.interface import flies, rest
-from kernel.modes import (
-    CHECK,
-    Flights,
-    find_cycle,
-    find_mode,
-    find_repetition,
-    is_settling,
-    repeat_flights,
-    slot,
-)
+from kernel.modes import CHECK, Flights, slot
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import allocating, compilable, inlined, jit
@@ -52,7 +44,6 @@ class Window(NamedTuple):
     micro_flight: float  # rad; shorter flights do not count for the mode, unless all are
     settle_tolerance: float  # rad; flights repeating within it end the settling early; 0: never
     settle_until: int  # plate periods that a cell still settling may take in all; 0: no more than the window
-    exponents: int  # Lyapunov exponents computed
     settle_early: bool = False  # whether cycles that surely repeat are not computed
 
 
@@ -162,6 +153,15 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
     )  # fmt: skip
 
 
+@jit
+def at_period(run: Progress, period: int, recorded: int, flew: bool) -> Progress:
+    """`run` in another plate period, where a flight that begins takes off."""
+    return Progress(
+        run.phase, period, run.in_flight, run.gap, run.gap1, run.q, run.q1, run.phase, period,
+        recorded, flew, run.budget, run.ending, run.settle, run.end,
+    )  # fmt: skip
+
+
 @allocating
 def end_settling(before: Progress, run: Progress, window: Window, flights: Flights, first: int) -> Progress:
     """`run`, with its settling ended if its last flights repeat; `before`: before its last phase."""
@@ -169,13 +169,10 @@ def end_settling(before: Progress, run: Progress, window: Window, flights: Fligh
         return run
     tolerance = window.settle_tolerance
     time, phase, period = _counted(flights, first, run.recorded, SETTLING_CHECK, window.micro_flight)
-    bounces, _ = find_cycle(time, phase, period, tolerance)
+    bounces, _ = modes.find_cycle(time, phase, period, tolerance)
     if bounces == 0:
         return run
-    return Progress(
-        run.phase, run.settle, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, run.settle, 0, run.flew, run.budget, run.ending, run.settle, run.end,
-    )  # fmt: skip
+    return at_period(run, run.settle, 0, run.flew)
 
 
 @inlined
@@ -188,7 +185,7 @@ def may_repeat(before: Progress, run: Progress, window: Window) -> bool:
 @allocating
 def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
     """`run`, at a landing, moved on by the cycles left, as if computed, if they surely repeat."""
-    bounces, periods = find_repetition(flights, first, run.recorded, run.end - run.period)
+    bounces, periods = modes.find_repetition(flights, first, run.recorded, run.end - run.period)
     if bounces == 0:
         return run
     turns = (run.end - 1 - run.period) // periods
@@ -197,11 +194,10 @@ def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
     now = run.period + turns * periods
     recorded, begun = run.recorded, run.period >= run.settle
     if now >= run.settle:
-        recorded = repeat_flights(flights, first, run.recorded, bounces, periods, turns, run.settle, begun)
-    return Progress(
-        run.phase, now, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, now, recorded, run.flew or now >= run.settle, run.budget, run.ending, run.settle, run.end,
-    )  # fmt: skip
+        recorded = modes.repeat_flights(
+            flights, first, run.recorded, bounces, periods, turns, run.settle, begun
+        )
+    return at_period(run, now, recorded, run.flew or now >= run.settle)
 
 
 @jit
@@ -282,14 +278,14 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
         return AT_REST, 0, 0
     considered, cut = _considered(run, flights, first)
     time, phase, period = _counted(flights, first, run.recorded, considered, window.micro_flight)
-    bounces, periods = find_mode(time, phase, period)
+    bounces, periods = modes.find_mode(time, phase, period)
     if bounces > 0:
         return PERIODIC, bounces, periods
     if _comes_to_rest(run, flights, first):
         return SETTLING, 0, 0
     if cut:
         return UNRESOLVED, 0, 0
-    return SETTLING if is_settling(time, phase) else APERIODIC, 0, 0
+    return SETTLING if modes.is_settling(time, phase) else APERIODIC, 0, 0
 
 
 @jit

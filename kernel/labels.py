@@ -20,9 +20,7 @@ UNSTABLE: Final = LABELS.index("unstable")
 def exponent_resolution(observe: int) -> float:
     """The |lambda_1| per plate period that a window of `observe` plate periods does not tell from zero.
 
-    1/observe: exponents whose variations grow or shrink by less than a factor e over the window. On the tori
-    at Omega = 1, xi = 0.05, Gamma = 3.62 to 4.04, windows of 100 periods give at most 0.0096, those of 3,000
-    at most 0.00025.
+    Its variations grow or shrink by less than a factor e over the window.
     """
     return 1.0 / observe
 
@@ -45,8 +43,3 @@ def label_codes(outcome: Any, lyapunov: Any, observe: int) -> NDArray[np.uint8]:
     codes[aperiodic & (largest > resolution)] = CHAOTIC
     codes[(codes == Outcome.PERIODIC) & (largest > resolution)] = UNSTABLE
     return codes
-
-
-def labels(outcome: Any, lyapunov: Any, observe: int) -> NDArray[np.str_]:
-    """The labels of cells (...), as `label_codes`."""
-    return np.array(LABELS)[label_codes(outcome, lyapunov, observe)]

@@ -221,10 +221,8 @@ def _first_states(
 ) -> NDArray[np.float64]:
     """Where each line begins, (lines, 6) in its first cell's units, NaN at rest. Raises KernelInputError."""
     if not starts or len(gamma) % len(starts):
-        rule = (
-            f"must be one for each of several lines of equal length, got {len(starts)} for {len(gamma)} cells"
-        )
-        raise KernelInputError("start", rule)
+        rule = "must be one for each of several lines of equal length"
+        raise KernelInputError("start", f"{rule}, got {len(starts)} for {len(gamma)} cells")
     states = np.full((len(starts), len(STATE_FIELDS)), np.nan)
     for number, start in enumerate(starts):
         if start is not None:
@@ -249,7 +247,7 @@ class LineRun:
     settling may take in all; None: no more than the window.
     The periods are doubled as long as the cell settles, and the last `observe` of them are recorded.
     settle_early: whether the cycles that are left are not computed but repeated, once the last flights surely
-    follow one (`kernel.repetition`); not with `carry` or `exponents`.
+    follow one (`modes.find_repetition`); not with `carry` or `exponents`.
     exponents: Lyapunov exponents to compute. in_lanes: False computes cell by cell also where lanes could,
     for comparison; the last digits differ.
 
@@ -258,33 +256,17 @@ class LineRun:
     """
 
     def __init__(
-        self,
-        gamma: NDArray[np.float64],
-        omega: NDArray[np.float64],
-        xi: NDArray[np.float64],
-        *,
-        plate: Any,
-        carry: bool,
-        settle: int,
-        observe: int,
-        keep: int,
-        micro_flight: float = 0.0,
-        settle_tolerance: float = 0.0,
-        settle_until: int | None = None,
-        settle_early: bool = False,
-        exponents: int = 0,
-        start: Start | Sequence[Start | None] | None = None,
-        states: NDArray[np.float64] | None = None,
-        in_lanes: bool = True,
-    ) -> None:
+        self, gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64], *,
+        plate: Any, carry: bool, settle: int, observe: int, keep: int, micro_flight: float = 0.0,
+        settle_tolerance: float = 0.0, settle_until: int | None = None, settle_early: bool = False,
+        exponents: int = 0, start: Start | Sequence[Start | None] | None = None,
+        states: NDArray[np.float64] | None = None, in_lanes: bool = True,
+    ) -> None:  # fmt: skip
         arrays = {"gamma": gamma, "omega": omega, "xi": xi}
         check_arrays(arrays)
         check_window(settle, observe, keep, micro_flight, settle_tolerance, settle_until, exponents)
         if settle_early and (carry or exponents):
-            what = "a line that carries its state" if carry else "a run with exponents"
-            raise KernelInputError(
-                "settle_early", f"must be false on {what}, every cycle of which is computed"
-            )
+            raise KernelInputError("settle_early", "must be false with carry or exponents")
         _check_plate(plate, len(gamma))
         self.line = empty_line(len(gamma), keep, exponents)
         self._gamma, self._omega, self._xi = (np.ascontiguousarray(a) for a in arrays.values())
@@ -296,7 +278,7 @@ class LineRun:
             self._length = len(gamma) // len(starts)
         self._window = Window(
             int(settle), int(observe), float(micro_flight), float(settle_tolerance),
-            int(settle_until or 0), int(exponents), bool(settle_early),
+            int(settle_until or 0), bool(settle_early),
         )  # fmt: skip
         self._variations = lyapunov.allocate_variations(plate, exponents) if exponents else None
         in_lanes = in_lanes and type(plate) in advance_lanes and self._variations is None

@@ -49,14 +49,9 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
 
 
 def check_window(
-    settle: int,
-    observe: int,
-    keep: int,
-    micro_flight: float,
-    settle_tolerance: float = 0.0,
-    settle_until: int | None = None,
-    exponents: int = 0,
-) -> None:
+    settle: int, observe: int, keep: int, micro_flight: float, settle_tolerance: float,
+    settle_until: int | None, exponents: int,
+) -> None:  # fmt: skip
     """Check an observation window, as in `kernel.line.run_line`.
 
     settle, observe and settle_until are in plate periods, keep in flights, micro_flight and settle_tolerance

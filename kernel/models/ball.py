@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cell import Progress, Window, horizon_of, record
+from kernel.cell import Progress, Window, at_period, horizon_of, record
 from kernel.interface import contact, contact_force, flies, flight, prepare, replay, rest
 from kernel.models.contact_law import chatter_completes, chatter_time
 from kernel.models.free_fall import drop, landing, plate_recedes, state_after, takes_off
@@ -164,10 +164,7 @@ def _skip_cycles(run: Progress, cache: Any) -> Progress:
     cycles = (run.settle - 1 - run.period) // length if cache[BEFORE] >= 0.0 else 0
     period = run.period + max(cycles, 0) * length
     cache[BEFORE] = period
-    return Progress(
-        run.phase, period, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, period, run.recorded, run.flew, run.budget, run.ending, run.settle, run.end,
-    )  # fmt: skip
+    return at_period(run, period, run.recorded, run.flew)
 
 
 @replay.register(Ball)

@@ -44,9 +44,8 @@ from kernel.params import LANES
 #: every search ends long before; the cap keeps one that does not from holding up its lane.
 MAX_EVALUATIONS: Final = 60
 
-#: The lowest natural frequency (1/rad) of an oscillator in lanes, whatever its damping. The elongation of
-#: slower ones, of the order 1/(Gamma w), is so large against the gap that their closed form cancels, for
-#: which the scalar functions have power series.
+#: The lowest natural frequency (1/rad) in lanes. The elongation of slower oscillators, of the order
+#: 1/(Gamma w), is so large that the gap cancels; the scalar functions have power series.
 SLOWEST: Final = 0.03
 
 FIRST_WIDTH: Final = 1.5  # the first guess of a step's width: this many rad, ...
@@ -194,11 +193,8 @@ def search_end(table: Any, k: int) -> tuple[float, int, int]:
 
 @inlined
 def state_at_end(table: Any, k: int, osc: Oscillator) -> tuple[float, float, float, float]:
-    """sin and cos of the plate's phase, y and y', where the search in lane k ended with one oscillator.
-
-    They follow from the last evaluation by Taylor series in the last step, MOVE, to the fourth order (y) and
-    third (y'); MOVE is below first_root.NEAR, so that the rest is rounding.
-    """
+    """sin and cos of the plate's phase, y and y', where the search in lane k ended with one oscillator."""
+    # by Taylor series in the last step, which is below first_root.NEAR, so that the rest is rounding
     sin, cos, move = table[SIN * LANES + k], table[COS * LANES + k], table[MOVE * LANES + k]
     y, y1 = table[Y * LANES + k], table[Y1 * LANES + k]
     y2, y3, _ = derivatives(osc, y, y1)
@@ -234,12 +230,13 @@ def move_on(
     table: Any, k: int, tau: float, guess: float, f0: float, f1: float, f2: float, f3: float, f4: float,
     over: float, noise: float, near: bool,
 ) -> float:  # fmt: skip
-    """Move lane k on from tau, where F, three derivatives and the bound f4 are known (blocks 3 to 6).
+    """Move lane k on from tau, where F, three derivatives and the bound f4 are known.
 
     `over`: a step that surely passes no zero, beside that of F itself. `near`: whether Newton's step is so
     short that Householder's error estimate counts. Returns the longer safe step.
     """
-    # 3. Householder's step, and whether F surely falls through zero (first_root.monotone_width)
+    # Householder's step, and whether F surely falls through zero (first_root.monotone_width). From there on
+    # the lane is `closing`: only Householder's steps are taken
     inverse = 1.0 / f1
     newton, c2, c3 = -f0 * inverse, 0.5 * f2 * inverse, f3 * inverse * (1.0 / 6.0)
     move, error = householder_step(newton, c2, c3, f4 * abs(inverse) * (1.0 / 24.0), True)
@@ -247,9 +244,9 @@ def move_on(
     steepest = fma(width, fma(width, fma(width, f4 * (1.0 / 6.0), 0.5 * max(f3, 0.0)), max(f2, 0.0)), f1)
     falls = (f1 < 0.0) & (f0 > 0.0) & (fma(steepest, width, f0) < 0.0)
     closing = 1.0 if falls else table[CLOSING * LANES + k]
-    # 4. a step that cannot pass a zero
+    # a step that cannot pass a zero
     step = max(safe_step_once(max(f0, 0.0), f1, f2, f3, f4, guess), over)
-    # 5. the status
+    # the status
     horizon = table[HORIZON * LANES + k]
     exact = (abs(f0) <= noise) | (near & (error <= EPS * tau))
     zero = exact if closing > 0.0 else f0 <= noise
@@ -259,7 +256,7 @@ def move_on(
     count = table[COUNT * LANES + k] + 1.0
     failed = (count > MAX_EVALUATIONS) | (not (abs(f0) + f4 < math.inf))
     status = FALLBACK if failed else status
-    # 6. the search's new state
+    # the search's new state
     onward = min(tau + (move if closing > 0.0 else step), horizon)
     table[TAU * LANES + k] = onward if status == SEARCHING else tau
     table[CLOSING * LANES + k] = closing
@@ -273,20 +270,10 @@ def move_on(
 def advance(table: Any, used: int) -> None:
     """Evaluate F once in the first `used` lanes and move them on; one whose phase has ended stays.
 
-    The loop runs over the lanes, its body is straight-line code: conditions choose between values that are
-    both computed. Its blocks, in order:
-
-    1. the oscillator at tau: y, y' and, from its equation, the derivatives to the fifth;
-    2. F, three derivatives, a bound on the fourth from now on, and a bound on the ringing part;
-    3. Householder's step and its error, and whether F surely falls through zero at once, after which the
-       lane is `closing`: only Householder's steps are taken;
-    4. otherwise a step that cannot pass a zero, from all of F or, where its ringing part is small, from the
-       smooth part less the ringing's amplitude, whichever is longer;
-    5. the status: AT_ROOT where F is zero to rounding or the step's error is, AT_HORIZON, or FALLBACK;
-    6. the new tau and the state of the search.
+    The body is straight-line code: conditions choose between values that are both computed.
     """
     for k in range(used):
-        # 1. the oscillator
+        # the oscillator at tau: y, y' and, from its equation, the derivatives to the fifth
         tau = table[TAU * LANES + k]
         sin, cos = sincos_small(table[PHI * LANES + k] + tau)
         damping, stiffness = table[DAMPING * LANES + k], table[STIFFNESS * LANES + k]
@@ -313,7 +300,7 @@ def advance(table: Any, used: int) -> None:
         y3 = fma(drag, y2, -stiffness * y1)
         y4 = fma(drag, y3, -stiffness * y2)
         y5 = fma(drag, y4, -stiffness * y3)
-        # 2. F = smooth + ring with its derivatives, and bounds on the fourth and on the ring from now on
+        # F = smooth + ring with its derivatives, and bounds on the fourth and on the ring from now on
         p, r, a, b = table[P * LANES + k], table[R * LANES + k], table[A * LANES + k], table[B * LANES + k]
         k0, k1, k2 = table[K0 * LANES + k], table[K1 * LANES + k], table[K2 * LANES + k]
         rate, period = table[RATE * LANES + k], table[PERIOD * LANES + k]
@@ -331,7 +318,6 @@ def advance(table: Any, used: int) -> None:
         f4 = fma(abs(p), swing if by_energy else fade, fma(abs(r), swing1 if by_energy else fade1, smooth4))
         ringing = fma(abs(p), fma(period, abs(y1), abs(y)), abs(r) * fma(period, abs(y2), abs(y1)))
         clear = smooth - ringing
-        # 3. to 6.
         noise = fma(2.0 * EPS * tau, fma(k2, tau, abs(k1)), table[NOISE * LANES + k])
         guess = table[GUESS * LANES + k]
         over = safe_step_once(max(clear, 0.0), smooth1, smooth2, smooth3, smooth4, guess)

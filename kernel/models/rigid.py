@@ -155,10 +155,7 @@ def _stuck_terms(p: Stuck, tau: float) -> Terms:
 @inlined
 def _free(s: Spring, sin: float, cos: float, q: float, q1: float) -> tuple[float, float]:
     """The free elongation in contact and its rate."""
-    return (
-        q - s.static_elongation - (s.q_re * cos - s.q_im * sin),
-        q1 + (s.q_re * sin + s.q_im * cos),
-    )
+    return (q - s.static_elongation - (s.q_re * cos - s.q_im * sin), q1 + (s.q_re * sin + s.q_im * cos))
 
 
 @inlined

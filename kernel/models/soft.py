@@ -32,25 +32,9 @@ from kernel.models.soft_contact import (
     terms_of_parts,
 )
 from kernel.numerics.elementary import sincos
-from kernel.numerics.first_root import (
-    EPS,
-    HORIZON,
-    ROOT,
-    Phase,
-    Terms,
-    departure_step,
-    first_root,
-    terms,
-)
+from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import (
-    all_derivatives,
-    apart,
-    coordinates,
-    derivatives,
-    motion,
-    quiet_time,
-)
+from kernel.numerics.oscillator import all_derivatives, apart, coordinates, derivatives, motion, quiet_time
 from kernel.portable_math import hypot
 from kernel.validation import check_arrays
 

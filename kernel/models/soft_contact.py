@@ -356,18 +356,11 @@ def combine(
     return gap + coupled_gap, gap1 + coupled_gap1, q + coupled_q, q1 + coupled_q1
 
 
-@jit
-def to_modes(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> ModalState:
-    """The free modes of a state at phase phi: what is left without the static and driven parts."""
-    sin, cos = sincos(phi)
-    return modes_of(s, sin, cos, gap, gap1, q, q1)
-
-
 @inlined
 def modes_of(
     s: SoftSpring, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float
 ) -> ModalState:
-    """`to_modes` from the sine and cosine of the plate's phase."""
+    """The free modes of a state: what is left without the static and driven parts; sin, cos of the phase."""
     q -= s.static_elongation + s.q_re * cos - s.q_im * sin
     q1 += s.q_re * sin + s.q_im * cos
     gap -= s.static_gap + s.g_re * cos - s.g_im * sin
@@ -375,18 +368,11 @@ def modes_of(
     return separate(s, gap, gap1, q, q1)
 
 
-@jit
-def from_modes(s: SoftSpring, m: ModalState, phi: float, tau: float) -> tuple[float, float, float, float]:
-    """gap, gap', q, q' at tau rad, where the modes are `m` at phase phi and tau = 0."""
-    sin, cos = sincos(phi + tau)
-    return state_of(s, m, sin, cos, tau)
-
-
 @inlined
 def state_of(
     s: SoftSpring, m: ModalState, sin: float, cos: float, tau: float
 ) -> tuple[float, float, float, float]:
-    """`from_modes` from the sine and cosine of the plate's phase at tau."""
+    """gap, gap', q, q' tau rad after the modes were `m`; sin and cos are of the plate's phase then."""
     gap, gap1, q, q1 = combine(s, m, propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau))
     return (
         s.static_gap + s.g_re * cos - s.g_im * sin + gap,

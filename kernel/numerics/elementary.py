@@ -163,10 +163,7 @@ def _of_remainder(r: float, quadrant: np.int64, sign: float) -> tuple[float, flo
     sine, cosine = fma(r * u, odd, r), 1.0 - fma(-v, even, 0.5 * u)
     swapped = (quadrant & 1) != 0
     first, second = (cosine, sine) if swapped else (sine, cosine)
-    return (
-        -first if (quadrant & 2) != 0 else first,
-        -second if ((quadrant + 1) & 2) != 0 else second,
-    )
+    return (-first if (quadrant & 2) != 0 else first, -second if ((quadrant + 1) & 2) != 0 else second)
 
 
 @inlined

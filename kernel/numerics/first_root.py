@@ -30,9 +30,8 @@ NON_FINITE: Final = 3  # a number stopped being finite
 
 EPS: Final = 2.3e-16  # bound on the relative rounding error of one operation, 2**-52 rounded up
 
-#: Householder's error estimate counts for Newton steps below this, in rad and in units of the time over
-#: which F changes its shape. The estimate stops at the fourth order of the step; what it omits is of the
-#: fifth, (3e-4)**5 = 2.4e-18, a hundredth of EPS.
+#: Householder's error estimate counts for Newton steps below this, in rad and in units of the time over which
+#: F changes its shape. It omits the fifth order, (3e-4)**5 = 2.4e-18, a hundredth of EPS.
 NEAR: Final = 3e-4
 
 WIDEST: Final = 1e3  # rad, some 160 plate periods: no wider step is tried
@@ -44,11 +43,8 @@ WIDEST: Final = 1e3  # rad, some 160 plate periods: no wider step is tried
 HOUSEHOLDER_WEIGHT: Final = 5.0
 
 #: How `safe_step` finds the width h over which its parabola is built. Any h gives a safe step, so these set
-#: the cost only. A step that fills h is tried again with h WIDEN times as wide; one of less than half of h
-#: is tried again with h = NARROW steps, unless that cannot improve the best step so far. Chosen by trial, on
-#: 30 random cells of `rigid` and `soft` and six periods: 2.6 rounds a call and 2,066 evaluations in all.
-#: Between 2 and 6 for WIDEN and 1.1 and 2 for NARROW the evaluations change by less than 3 % and the rounds
-#: by up to a third; a cap of 2 rounds costs 8 % more evaluations, 4 rounds 2 %, 30 save nothing.
+#: the cost only, and were chosen by trial. A step that fills h is tried again with h WIDEN times as wide; one
+#: of less than half of h with h = NARROW steps, unless that cannot improve the best step so far.
 WIDEN: Final = 3.0
 NARROW: Final = 1.5
 SAFE_STEP_ROUNDS: Final = 8
@@ -154,8 +150,7 @@ def householder_step(newton: float, c2: float, c3: float, c4: float, fused: bool
 
     newton = -f0/f1, c2 = f2/(2 f1), c3 = f3/(6 f1), and c4 >= 0 bounds |f4/(24 f1)|. With N = newton the
     zero solves N = s + c2 s^2 + c3 s^3 + c4 s^4, and the step is N (1 + c2 N)/(1 + 2 c2 N + c3 N^2).
-    `fused`, a constant where this is called, chooses fused multiply-adds, as lanes use them; stored
-    results depend on the last digit of either.
+    `fused`, a constant where this is called, chooses fused multiply-adds, as lanes use them.
     """
     numerator = multiply_add(c2, newton, 1.0, fused)
     denominator = multiply_add(multiply_add(c3, newton, 2.0 * c2, fused), newton, 1.0, fused)
@@ -182,11 +177,9 @@ def polish_step(
 ) -> tuple[float, float, float, bool]:
     """One decision of the root polisher: (low, high, step, done) after F was evaluated at `tau`.
 
-    F > 0 at `low` and <= 0 at `high` (rad); the end with the sign of f0 moves to tau. `step` and its
-    `error` are Householder's. It is taken if F falls at tau and it stays in the bracket; otherwise the
-    bracket is halved, so that the search ends whatever F does. Done where F falls and the error is below
-    the rounding of tau or f0 below `noise`, or where no number is left between the ends. The zero is at
-    tau + step, clipped to the bracket.
+    F > 0 at `low` and <= 0 at `high` (rad). Householder's `step` is taken if F falls at tau and it stays in
+    the bracket; otherwise that is halved, so that the search ends whatever F does. Done where the error is
+    rounding, or no number is left between the ends. The zero is at tau + step, clipped to the bracket.
     """
     done = f1 < 0.0 and (error <= EPS * (tau + step) or abs(f0) <= noise)
     if f0 > 0.0:
@@ -204,8 +197,7 @@ def polish(phase: Any, low: float, high: float, tau: float, budget: int) -> tupl
     """The zero in [low, high] where F falls from positive to negative, from a first guess `tau`.
 
     Times in rad from the start of the phase. Returns (tau, ROOT, evaluations used), or NON_FINITE or,
-    after `budget` evaluations, BUDGET_EXHAUSTED in ROOT's place. Householder's steps need two or three
-    evaluations; the fallback, halving, one for each binary digit of (high - low)/EPS.
+    after `budget` evaluations, BUDGET_EXHAUSTED in ROOT's place. Two or three evaluations are usual.
     """
     for used in range(1, budget + 1):
         t = terms(phase, tau)

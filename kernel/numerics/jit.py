@@ -22,13 +22,8 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 #: Plain `numba.njit`, should numba's internals change: see `kernel.numerics.compilation`.
 PLAIN: Final = bool(os.environ.get("BOUNCE_PLAIN_NJIT"))
 
-# No "contract": which products are fused with sums would depend on how LLVM inlines, and code read from the
-# cache would differ in the last digit from code just compiled. Functions that gain by fused multiply-adds
-# write them out: see `elementary.fma`.
-#
-# Every option is stated: numba hands "forceinline" and "_nrt" down from the function that happens to be
-# compiling, so that otherwise the order of compilation would decide.
-#
+# No "contract": which products are fused with sums would depend on how LLVM inlines: see `elementary.fma`.
+# Every option is stated: numba hands "forceinline" and "_nrt" down from the function that it is compiling.
 # "_nrt": without numba's runtime no array is counted up and down as it passes through a function, which was
 # a tenth to a fifth of the time in lanes.
 _ALLOCATING: Final[Any] = {"nogil": True, "error_model": "numpy", "forceinline": False, "_nrt": True}
@@ -88,10 +83,8 @@ def compilable(function: _Function) -> _Function:
 class by_type:  # noqa: N801 - a decorator
     """Decorator: a kernel function with one implementation for each type of its first argument.
 
-    The types are NamedTuples. The choice is made at compile time and costs nothing at run time;
-    functions passed as arguments would serve as well but cannot be cached. Called from Python it is a
-    look-up, which raises TypeError for a type without an implementation. Whether an implementation is
-    inlined, its own decorator says.
+    The types are NamedTuples. The choice is made at compile time; functions passed as arguments could not be
+    cached. Called from Python it is a look-up, which raises TypeError for a type without an implementation.
     """
 
     def __init__(self, declaration: Callable[..., Any]) -> None:

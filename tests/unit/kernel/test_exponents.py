@@ -11,7 +11,7 @@ from tables import for_each
 
 from kernel import interface
 from kernel.branches.starts import cycles_at, start_on_cycle
-from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, exponent_resolution, label_codes, labels
+from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, exponent_resolution, label_codes
 from kernel.models import rigid
 from kernel.models.contact_law import contact_constants, damping_ratio
 from kernel.numerics.oscillator import motion
@@ -195,7 +195,7 @@ def test_rounding_holds_a_start_on_an_unstable_cycle_and_the_label_says_so():
     growth = np.max(np.abs(cycle.multiplier))
     assert growth > 1.5
     assert line.lyapunov[0, 0] == pytest.approx(np.log(growth), abs=1e-6)
-    assert labels(line.outcome, line.lyapunov, 100) == ["unstable"]
+    assert label_codes(line.outcome, line.lyapunov, 100) == [LABELS.index("unstable")]
 
 
 def test_labels_refine_aperiodic_and_unstable_cells_only():
@@ -206,9 +206,9 @@ def test_labels_refine_aperiodic_and_unstable_cells_only():
     told = {Outcome.APERIODIC: "chaotic", Outcome.PERIODIC: "unstable"}
     expected = [told.get(o, o.name.lower()) for o in Outcome]
     expected += ["quasi-periodic", "quasi-periodic", "chaotic", "aperiodic", "aperiodic"]
-    assert list(labels(outcome, lyapunov, 100)) == expected
+    assert [LABELS[code] for code in label_codes(outcome, lyapunov, 100)] == expected
     assert LABELS[: len(Outcome)] == tuple(o.name.lower() for o in Outcome)
     shape = (2, 3)
-    grid = labels(np.full(shape, Outcome.APERIODIC, np.uint8), np.zeros((*shape, 1)), 100)
+    grid = label_codes(np.full(shape, Outcome.APERIODIC, np.uint8), np.zeros((*shape, 1)), 100)
     assert grid.shape == shape
     assert np.all(grid == "quasi-periodic")
