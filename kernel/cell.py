@@ -26,12 +26,7 @@ QUIET: Final = 10.0  # plate periods; a contact this long, over the last half of
 CACHE_SIZE: Final = 64  # numbers that a model may use to cache what it knows of a cell (`interface.replay`)
 BUDGET: Final = 20_000  # evaluations that a cell may use for each plate period; 11 are usual
 
-PERIODIC: Final = int(Outcome.PERIODIC)
-APERIODIC: Final = int(Outcome.APERIODIC)
-AT_REST: Final = int(Outcome.AT_REST)
-UNRESOLVED: Final = int(Outcome.UNRESOLVED)
-DIVERGED: Final = int(Outcome.DIVERGED)
-SETTLING: Final = int(Outcome.SETTLING)
+_, PERIODIC, APERIODIC, AT_REST, UNRESOLVED, DIVERGED, SETTLING = map(int, Outcome)
 
 compilable(periods_followed)
 
@@ -198,12 +193,6 @@ def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
             flights, first, run.recorded, bounces, periods, turns, run.settle, begun
         )
     return at_period(run, now, recorded, run.flew or now >= run.settle)
-
-
-@jit
-def shows_no_mode(outcome: int) -> bool:
-    """Whether a window with this outcome is followed, to tell what settles from what does not."""
-    return outcome in (APERIODIC, SETTLING)
 
 
 @jit

@@ -48,11 +48,9 @@ def allocate_variations(plate: Any, exponents: int) -> Variations:
 
 @jit
 def _replace(vectors: Any, k: int) -> None:
-    """Give vector k a new direction, orthogonal to those before it.
-
-    Of the four vectors (+-1, +-1, +-1, +-1)/2 that are orthogonal to each other, the one least in their span
-    is taken. None of the four lies in the two dimensions of a rigid contact or of a ball.
-    """
+    """Give vector k a new direction, orthogonal to those before it."""
+    # of the four vectors (+-1, +-1, +-1, +-1)/2 the one least in their span; none lies in the two dimensions
+    # of a rigid contact or of a ball
     best, chosen = math.inf, 0
     for candidate in range(4):
         inside = 0.0
@@ -208,8 +206,8 @@ def write_exponents(lyapunov: Any, ending: int, variations: Variations) -> None:
 def exponent_error(ending: int, variations: Variations, observe: int) -> float:
     """The standard error of a cell's first exponent by batch means; NaN where it has none.
 
-    The means of BATCHES parts of the window scatter by the long-run variance over their length. The weighted
-    mean over the window has the variance of one over 1/SPREAD of it. A direction that was lost has no error.
+    The means scatter by the long-run variance over their length; the weighted mean over the window has the
+    variance of one over 1/SPREAD of it. A direction that was lost has no error.
     """
     if ending != HORIZON or observe < SHORTEST_BATCHED or math.isinf(variations.sums[0]):
         return math.nan

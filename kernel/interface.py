@@ -52,7 +52,7 @@ def contact_force(cell: Any, cos: float, gap: float, gap1: float, q: float, q1: 
 def replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
     """A run (`cell.Progress`) at a take-off from rest, advanced through phases known from earlier ones.
 
-    `cache` (CACHE_SIZE,) belongs to the cell and is zero when it begins. The default returns the run as it is.
+    `cache` (CACHE_SIZE,), the cell's, is zero when it begins. The default returns the run as it is.
     """
 
 
@@ -74,7 +74,7 @@ def advance_lanes(plate: Any, table: Any, used: int) -> None:
 
 @by_type
 def load_lane(cell: Any, table: Any, k: int, run: Any, sin: float, cos: float, horizon: float) -> bool:  # type: ignore[empty-body]
-    """Put the run's next phase into lane k; False: `contact` or `flight` must. sin, cos of the phase now."""
+    """Put the run's next phase into lane k, if lanes can compute it; sin and cos of the plate's phase."""
 
 
 @by_type
@@ -82,13 +82,13 @@ def unload_lane(cell: Any, table: Any, k: int, run: Any) -> tuple[Phase, float, 
     """The run's phase, which has ended in lane k, with sin and cos of the plate's phase at its end."""
 
 
-# Variations: how small differences of the state at a fixed phase, `vectors` (n, 4) of (gap, gap', q, q'), which
-# are overwritten, move through contacts, flights and events (docs/model.md, section 7).
+# Variations: how small differences of the state at a fixed phase, `vectors` (n, 4) of (gap, gap', q, q'),
+# move through contacts, flights and events (docs/model.md, section 7). They are overwritten.
 
 
 @by_type
 def dimension(plate: Any) -> int:  # type: ignore[empty-body]
-    """A model's number of Lyapunov exponents, the dimension of its state at a fixed phase; 0 without variations."""
+    """The number of exponents: the dimension of a state at a fixed phase; 0 without variations."""
 
 
 @dimension.otherwise

@@ -29,11 +29,8 @@ def label_codes(outcome: Any, lyapunov: Any, observe: int) -> NDArray[np.uint8]:
     """The code in LABELS of cells (...), from their outcomes (...) and exponents (..., n >= 1).
 
     An aperiodic cell is chaotic where lambda_1 is above the window's resolution and quasi-periodic where
-    |lambda_1| is within it. It stays aperiodic where lambda_1 is below it: such a cell approaches a cycle
-    that the window does not show yet, or that is too long to be found.
-
-    A periodic cell is unstable where lambda_1 is above the resolution. Only a start exactly on such a cycle
-    stays there: rounding returns its state to the same numbers. Every other cell keeps its outcome.
+    |lambda_1| is within it. Below, it stays aperiodic: it approaches a cycle that is not found. A periodic
+    cell is unstable where lambda_1 is above the resolution: rounding holds it there. Others keep their outcome.
     """
     codes: NDArray[np.uint8] = np.array(outcome, np.uint8)
     largest = np.asarray(lyapunov, np.float64)[..., 0]

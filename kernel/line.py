@@ -117,7 +117,7 @@ def _after_window(
             lyapunov.write_exponents(line.lyapunov[i], run.ending, variations)
             line.lyapunov_error[i] = lyapunov.exponent_error(run.ending, variations, window.observe)
         cell.write_record(line, i, run, flights, first, window)
-        if cell.shows_no_mode(line.outcome[i]):
+        if line.outcome[i] in (cell.APERIODIC, cell.SETTLING):  # followed, to tell one from the other
             cell.store_run(run, lanes.ends[k])
             lanes.followed[k] = True
             return cell.follow(before, window)

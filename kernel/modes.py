@@ -70,20 +70,14 @@ def find_cycle(
         periods = takeoff_period[n - 1] - takeoff_period[n - 1 - bounces]
         # phases either side of the turn of a period are neighbours
         difference = takeoff_phase[n - 1] - takeoff_phase[n - 1 - bounces]
-        if difference > math.pi:
-            periods += 1
-        elif difference < -math.pi:
-            periods -= 1
+        periods += 1 if difference > math.pi else (-1 if difference < -math.pi else 0)
         if periods < 1:
             continue
         repeats = True
         for i in range(n - 1, first - 1, -1):
             j = i - bounces
-            shift = (
-                takeoff_phase[i]
-                - takeoff_phase[j]
-                + TWO_PI * (takeoff_period[i] - takeoff_period[j] - periods)
-            )
+            turns = takeoff_period[i] - takeoff_period[j] - periods
+            shift = takeoff_phase[i] - takeoff_phase[j] + TWO_PI * turns
             if abs(flight_time[i] - flight_time[j]) > tolerance or abs(shift) > tolerance:
                 repeats = False
                 break
@@ -189,11 +183,10 @@ def find_repetition(flights: Flights, first: int, recorded: int, left: int) -> t
 
     `recorded` flights were written; `left`: plate periods of the run that are left.
 
-    Over TURNS turns of the cycle, all flights agree within AGREE with those of the turn before. Let a_k be
-    the largest difference of one turn from that before it. The flights of the turns that are left then differ
-    from those of the last by at most a_k n, n being their number, or by the sum of a geometric series, if a
-    has fallen throughout: its ratio is taken to be the largest of those measured. The cycle is accepted if
-    that is at most AGREE, and if a does not grow beyond rounding.
+    Over TURNS turns all flights agree within AGREE with those of the turn before. Let a be the largest
+    difference of one turn from that before. The flights of the n turns left then differ from those of the
+    last by at most a n or, if a has fallen throughout, by a geometric series with the largest ratio measured. The
+    cycle is accepted if that is at most AGREE, and if a does not grow beyond rounding.
     """
     phase, period = flights.phase, flights.period
     for bounces in range(1, min(LONGEST, min(recorded, flights.size) // TURNS) + 1):

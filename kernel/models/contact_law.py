@@ -22,12 +22,6 @@ compilable(scalar_damping_ratio)
 compilable(strong_damping_ratio)
 
 
-@jit
-def damping_ratio(e: float, adhesive: bool) -> float:
-    """`kernel.restitution.scalar_damping_ratio`, compiled."""
-    return scalar_damping_ratio(e, adhesive)
-
-
 @inlined
 def contact_constants(d: float, zeta: float) -> tuple[float, float]:
     """kappa and beta for penetration d > 0 (plate amplitudes) and damping ratio zeta."""

@@ -56,11 +56,7 @@ def begin_flight(
 
 @jit
 def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float, int, int]:
-    """The first time after `start` at which the gap falls to zero, as `first_root.first_root`.
-
-    From gap = gap' = 0 the search starts at a first safe step. From gap <= 0 < gap' it first tries to
-    bracket the landing of a hop.
-    """
+    """The first time after `start` at which the gap falls to zero, as `first_root.first_root`."""
     if start == 0.0 and p.gap == 0.0 and p.gap1 == 0.0:
         q2, q3, bound4 = derivatives(p.osc, p.q, p.q1)
         gap3 = -p.sin - 0.5 * q3
@@ -82,8 +78,8 @@ def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float
 def _hop_bracket(p: Flight) -> tuple[float, float]:
     """A time by which a short hop has surely landed, having risen and fallen once, and a guess of when.
 
-    For gap <= 0 < gap' and gap'' < 0. (0, 0) where that is not sure: where gap'' may change too much, or
-    where the mass, starting below the plate, emerges with less than half of its velocity.
+    (0, 0) where that is not sure: where gap'' may change too much, or where the mass, starting below the
+    plate, emerges with less than half of its velocity.
     """
     _, q3, bound4 = derivatives(p.osc, p.q, p.q1)
     press, gap3, gap4 = -p.gap2, -p.sin - 0.5 * q3, 1.0 + 0.5 * bound4

@@ -19,8 +19,7 @@ One call of `advance` or `advance_modes` evaluates every lane's F once and moves
 branch, so that the compiler turns it into vector instructions. What a lane does never depends on others.
 
 A lane differs from the scalar search where vector code requires it: one round of `safe_step` for each
-evaluation, with the width carried from one to the next; Householder's steps without a bracket, and a cap on
-the evaluations, beyond which the caller computes the phase again by the scalar functions.
+evaluation, with the width carried on; Householder's steps without a bracket, and a cap on the evaluations.
 """
 
 import math

@@ -25,10 +25,9 @@ from kernel.numerics.oscillator import Oscillator, decay_time, derivatives, enve
 from kernel.portable_math import hypot
 from kernel.validation import check_arrays
 
-#: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is computed,
-#: while it is in contact, as one whose Omega is 5e-9 beside it. The driven amplitude is the inverse, and the
-#: closed form, a difference of two such amplitudes, keeps eight of sixteen digits; nearer to resonance it
-#: would lose more.
+#: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is computed, in
+#: contact, as one whose Omega is 5e-9 beside it. The driven amplitude is the inverse, and the closed form, a
+#: difference of two such amplitudes, keeps eight of sixteen digits.
 NEAREST_RESONANCE: Final = 1e-8
 
 

@@ -107,7 +107,12 @@ def begin_contact(
     fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
     t = terms_of_parts(p, sin, cos, slow, fast)
     if gap < 0.0 and not s.adhesive and apart(p.fast_osc):
-        p = _beginning_with(p, t, plate_force(s.kappa, s.beta, gap, gap1))
+        # n is a small difference of kappa gap and beta gap'; the modes' sum has a few times its rounding
+        # error, which is given to the fast exponential, where it came from
+        fast_b = p.fast_b + (plate_force(s.kappa, s.beta, gap, gap1) - (t.smooth + t.ring))
+        p = LiftoffFunction(
+            p.slow_osc, p.fast_osc, phi, p.static, p.wave_re, p.wave_im, p.slow_a, p.slow_b, p.fast_a, fast_b
+        )
         fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
         t = terms_of_parts(p, sin, cos, slow, fast)
     margin = p.static - hypot(p.wave_re, p.wave_im)
@@ -146,25 +151,11 @@ def _contact(
     return Phase(tau, ending, ending == ROOT, gap, gap1, q, q1, used)
 
 
-@inlined
-def _beginning_with(p: LiftoffFunction, t: Terms, force: float) -> LiftoffFunction:
-    """`p`, whose terms at tau = 0 are `t`, with the force of the state there.
-
-    n is a small difference of kappa gap and beta gap'. The modes' sum has a few times its rounding error. The
-    difference is given to the fast exponential, which is where it came from.
-    """
-    fast_b = p.fast_b + (force - (t.smooth + t.ring))
-    return LiftoffFunction(
-        p.slow_osc, p.fast_osc, p.phi, p.static, p.wave_re, p.wave_im, p.slow_a, p.slow_b, p.fast_a, fast_b
-    )
-
-
 @jit
 def _lifts(s: SoftSpring, p: Flight) -> bool:
-    """Whether a mass without force on it, n = 0, takes off, `p` being the flight that would follow.
+    """Whether a mass with n = 0 takes off, `p` being the flight that would follow.
 
-    Contact and flight both ask it where they would end at once. Each computes its phase function in its own
-    way, and where n and n' are zero to rounding, both could end at once for ever.
+    Contact and flight both ask it where they would end at once, or both might for ever by rounding.
     """
     if s.adhesive or (p.gap == 0.0 and p.gap1 == 0.0):
         return p.gap1 > 0.0 or (p.gap1 == 0.0 and p.gap2 > 0.0)
@@ -184,34 +175,13 @@ def _recontact_terms(p: Recontact, tau: float) -> Terms:
     _, cos = sincos(f.phi + tau)
     gap4 = -cos - 0.5 * q4
     k, c = p.kappa, p.beta
-    return Terms(
-        smooth=k * (t.smooth + t.ring) + c * (t.smooth1 + t.ring1),
-        smooth1=k * (t.smooth1 + t.ring1) + c * (t.smooth2 + t.ring2),
-        smooth2=k * (t.smooth2 + t.ring2) + c * (t.smooth3 + t.ring3),
-        smooth3=k * (t.smooth3 + t.ring3) + c * gap4,
-        smooth4=k * (t.smooth4 + t.ring4) + c * (1.0 + 0.5 * bound5),
-        ring=0.0,
-        ring1=0.0,
-        ring2=0.0,
-        ring3=0.0,
-        ring4=0.0,
-        amplitude=math.inf,
-        noise=k * t.noise + 4.0 * EPS * c * abs(t.smooth1 + t.ring1),
-    )
-
-
-@inlined
-def _lowest_gap2(p: Flight, time: float) -> float:
-    """A lower bound <= 0 of gap'' over the first `time` rad of a flight: that of a parabola."""
-    _, q3, q4 = derivatives(p.osc, p.q, p.q1)
-    gap3 = -p.sin - 0.5 * q3
-    return min(p.gap2, p.gap2 + time * (gap3 - 0.5 * time * (1.0 + 0.5 * q4)), 0.0)
-
-
-@inlined
-def _no_recontact(s: SoftSpring, p: Flight, lowest_gap2: float, time: float) -> bool:
-    """Whether kappa gap + beta gap', zero at take-off, surely only grows for `time` rad."""
-    return s.kappa * (p.gap1 + time * lowest_gap2) + s.beta * lowest_gap2 > 0.0
+    f0 = k * (t.smooth + t.ring) + c * (t.smooth1 + t.ring1)
+    f1 = k * (t.smooth1 + t.ring1) + c * (t.smooth2 + t.ring2)
+    f2 = k * (t.smooth2 + t.ring2) + c * (t.smooth3 + t.ring3)
+    f3 = k * (t.smooth3 + t.ring3) + c * gap4
+    f4 = k * (t.smooth4 + t.ring4) + c * (1.0 + 0.5 * bound5)
+    noise = k * t.noise + 4.0 * EPS * c * abs(t.smooth1 + t.ring1)
+    return Terms(f0, f1, f2, f3, f4, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, noise)
 
 
 @inlined
@@ -219,18 +189,20 @@ def emergence_bound(s: SoftSpring, p: Flight) -> float:
     """Rad by which a mass from below the surface is surely above it without recontact; 0: not sure."""
     if p.gap1 <= 0.0:
         return 0.0
-    time = -2.0 * p.gap / p.gap1
-    lowest = _lowest_gap2(p, time)
-    return time if 0.5 * lowest * time * time > p.gap and _no_recontact(s, p, lowest, time) else 0.0
+    time = -2.0 * p.gap / p.gap1  # twice that at constant velocity
+    _, q3, q4 = derivatives(p.osc, p.q, p.q1)
+    # gap'' is at least a parabola that opens downwards, whose lowest value is at an end
+    lowest = min(p.gap2, p.gap2 + time * ((-p.sin - 0.5 * q3) - 0.5 * time * (1.0 + 0.5 * q4)), 0.0)
+    # kappa gap + beta gap', zero at take-off, only grows
+    grows = s.kappa * (p.gap1 + time * lowest) + s.beta * lowest > 0.0
+    return time if grows and 0.5 * lowest * time * time > p.gap else 0.0
 
 
 @jit
 def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tuple[float, int, int]:
     """Follow a flight from below the surface: (tau, ending, evaluations used) as of `first_root`.
 
-    ROOT with a gap <= 0: back in contact at tau. Otherwise, with a gap >= 0, the mass has emerged before tau
-    and has not landed.
-
+    ROOT with a gap <= 0: back in contact. Otherwise, with a gap >= 0, the mass has emerged and not landed.
     While c(tau) = kappa gap + beta gap' is positive, gap exp(kappa/beta tau) grows, so that the gap passes
     zero at most once: where it is positive it has been since. So only zeros of c are searched, up to a time
     by which the mass should have emerged, and beyond if it has not.
@@ -253,41 +225,25 @@ def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tup
 
 
 @interface.flight.register(SoftSpring)
-@inlined
+@jit
 def _flight(
     s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In flight until landing."""
+    """In flight until landing. One from below the surface may return to contact before it emerges."""
+    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    emerged, used = 0.0, 0
     if gap < 0.0:
-        return _flight_from_below(s, phi, gap, gap1, q, q1, horizon, budget)
-    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
-    return _until_landing(p, 0.0, horizon, budget)
-
-
-@jit
-def _flight_from_below(
-    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
-    """A flight that begins below the surface. It may return to contact before it emerges."""
-    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
-    emerged, used = emergence_bound(s, p), 0
-    if emerged == 0.0:
-        emerged, ending, used = _below_surface(s, p, horizon, budget)
-        gap, gap1, q, q1 = state_after(p, emerged)
-        if (ending != HORIZON and (ending != ROOT or gap <= 0.0)) or gap < 0.0:
-            return Phase(emerged, ending, ending != ROOT, gap, gap1, q, q1, used)
-    end = _until_landing(p, emerged, horizon, budget - used)
-    return Phase(end.tau, end.ending, end.in_flight, end.gap, end.gap1, end.q, end.q1, used + end.used)
-
-
-@jit
-def _until_landing(p: Flight, start: float, horizon: float, budget: int) -> Phase:
-    """The flight, above the surface at `start` rad, until it lands."""
-    tau, ending, used = landing(p, start, horizon, budget)
+        emerged = emergence_bound(s, p)
+        if emerged == 0.0:
+            emerged, ending, used = _below_surface(s, p, horizon, budget)
+            gap, gap1, q, q1 = state_after(p, emerged)
+            if (ending != HORIZON and (ending != ROOT or gap <= 0.0)) or gap < 0.0:
+                return Phase(emerged, ending, ending != ROOT, gap, gap1, q, q1, used)
+    tau, ending, more = landing(p, emerged, horizon, budget - used)
     gap, gap1, q, q1 = state_after(p, tau)
     if ending == ROOT:
         gap, gap1 = 0.0, min(gap1, 0.0)
-    return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used)
+    return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used + more)
 
 
 # --- in lanes: two free modes -------------------------------------------------------------------------------

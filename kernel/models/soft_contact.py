@@ -17,7 +17,7 @@ kappa gap + beta gap' cancels. So an overdamped mode is carried by its two ampli
 import math
 from typing import Final, NamedTuple
 
-from kernel.models.contact_law import contact_constants, damping_ratio, static_state
+from kernel.models.contact_law import contact_constants, static_state
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, Terms, terms
 from kernel.numerics.jit import inlined, jit
@@ -37,6 +37,7 @@ from kernel.numerics.oscillator import (
 )
 from kernel.numerics.quartic import paired, roots
 from kernel.portable_math import hypot
+from kernel.restitution import scalar_damping_ratio
 
 #: As in `rigid`: the relative distance to an undamped resonance is kept above this.
 NEAREST_RESONANCE: Final = 1e-8
@@ -78,8 +79,6 @@ class SoftSpring(NamedTuple):
     """One cell's constants."""
 
     gravity: float  # 1/Gamma
-    dashpot: float  # 2 xi/Omega
-    stiffness: float  # 1/Omega**2
     kappa: float  # contact stiffness 1/d**2
     beta: float  # contact damping 2 zeta/d
     adhesive: bool
@@ -128,9 +127,9 @@ def soft_spring(
     gamma: float, omega: float, xi: float, restitution: float, d: float, adhesive: bool
 ) -> SoftSpring:
     """The constants of one cell whose contact has this restitution and penetration d (plate amplitudes)."""
-    kappa, beta = contact_constants(d, damping_ratio(restitution, adhesive))
+    kappa, beta = contact_constants(d, scalar_damping_ratio(restitution, adhesive))
     w, b = 1.0 / (omega * omega), 2.0 * xi / omega
-    flight, stiffness = oscillator(b, 2.0 * w), w  # not shifted from a resonance, which is of the contact
+    flight = oscillator(b, 2.0 * w)  # not shifted from a resonance, which is of the contact
     # G (K (z - 1) - (2z - 1)) = 2z - 1 and (2z - 1) Q = K G, with z = w + i b and K = kappa + i beta
     z, k = complex(w, b), complex(kappa, beta)
     below = (z - 1.0) - (2.0 * z - 1.0) / k
@@ -145,8 +144,6 @@ def soft_spring(
     static_gap, static_elongation = static_state(gamma, w, kappa)
     return SoftSpring(
         gravity=1.0 / gamma,
-        dashpot=b,
-        stiffness=stiffness,
         kappa=kappa,
         beta=beta,
         adhesive=adhesive,
@@ -182,11 +179,8 @@ def _gap_to_elongation(c: _Contact, rate: float) -> float:
 
 @jit
 def _elongation_to_gap(c: _Contact, rate: float) -> float:
-    """gap/q of a free motion exp(rate tau).
-
-    Either (rate**2 + beta rate + kappa) gap = (b rate + w) q, or with the spring's force on both masses,
-    (2 rate**2 + beta rate + kappa) gap = -rate**2 q.
-    """
+    """gap/q of a free motion exp(rate tau)."""
+    # (rate**2 + beta rate + kappa) gap = (b rate + w) q, or with the spring's force on both masses below
     driving, kept = _sum(c.b * rate, c.w, 0.0)
     if kept > 0.5:
         return driving / (rate * rate + c.beta * rate + c.kappa)
@@ -195,11 +189,8 @@ def _elongation_to_gap(c: _Contact, rate: float) -> float:
 
 @jit
 def _gap_to_force(c: _Contact, rate: float) -> float:
-    """n/gap of a free motion exp(rate tau).
-
-    Either -(kappa + beta rate), or as n = gap'' - b q' - w q. The first cancels where the mass creeps in
-    an overdamped contact, the second where the contact is hardly felt.
-    """
+    """n/gap of a free motion exp(rate tau): -(kappa + beta rate), or as n = gap'' - b q' - w q."""
+    # the first cancels where the mass creeps in an overdamped contact, the second where it is hardly felt
     force, kept = _sum(c.kappa, c.beta * rate, 0.0)
     free, kept1 = _sum(rate * rate, 2.0 * c.b * rate, 2.0 * c.w)  # zero in flight
     stuck, kept2 = _sum(rate * rate, c.b * rate, c.w)  # zero on a rigid plate
@@ -261,9 +252,8 @@ def _coupling(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> tupl
 def _separate_modes(c: _Contact) -> Modes:
     """The free motion in two modes: of the six ways to choose them, that in which least cancels.
 
-    The free motion obeys q'' + b q' + w q = -gap'' and gap'' + beta gap' + kappa gap = b q' + w q, whose
-    characteristic polynomial is the quartic below. It has three pairs of quadratic factors, and either
-    factor of a pair may be the gap mode.
+    It obeys q'' + b q' + w q = -gap'' and gap'' + beta gap' + kappa gap = b q' + w q. The characteristic
+    quartic has three pairs of quadratic factors, and either of a pair may be the gap mode.
     """
     b, w, beta, kappa = c
     c3, c2, c1, c0 = beta + 2.0 * b, kappa + 2.0 * w + b * beta, b * kappa + w * beta, w * kappa
@@ -437,11 +427,8 @@ def terms_of_parts(p: LiftoffFunction, sin: float, cos: float, slow: Derivatives
 
 
 # --- a time until which the mass surely stays ---------------------------------------------------------------
-#
-# An impact compresses the contact within about d rad, and the first zero of the contact's ringing ends it. A
-# search by safe steps would follow that rise and fall in many steps. But between now and its next zero a free
-# oscillation rises and falls once, so that its values at a few instants bound all between them, and the
-# smooth part, which is slow, is bounded by its Taylor polynomial.
+# Between now and its next zero a free oscillation rises and falls once, so that its values at a few instants
+# bound all between them, and the smooth part, which is slow, is bounded by its Taylor polynomial.
 
 
 @jit

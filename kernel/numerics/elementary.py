@@ -54,14 +54,12 @@ _TWO_OVER_PI_PIECES: Final = np.array(
     dtype=np.int64,
 )  # fmt: skip
 
-#: Up to this argument `circular_or_hyperbolic` gives sinh and cosh to rounding. Its polynomials are fitted
-#: for x^2 > 0, |x| <= pi/4; with -x^2 they are extrapolated, whose error stays below two units in the last
-#: place up to here (measured against 50 digits; a test does so).
+#: Up to this argument `circular_or_hyperbolic` gives sinh and cosh within two units in the last place. Its
+#: polynomials are fitted for x^2 > 0, |x| <= pi/4, and extrapolated for -x^2.
 HYPERBOLIC_LIMIT: Final = 0.25
 
-#: `exp` of any x below this is exp(-300) = 5e-131: nothing beside any number that it is added to. Its
-#: products, and their squares, are normal doubles. Arithmetic with subnormal ones takes a hundred times as
-#: long: it was a third of the time of `soft`, whose contacts decay within a fraction of a flight.
+#: `exp` of any x below this is exp(-300) = 5e-131: nothing beside any number it is added to. Products and
+#: their squares are normal doubles: subnormal ones, a hundred times as slow, took a third of `soft`.
 LOWEST_EXPONENT: Final = -300.0
 
 
@@ -71,11 +69,7 @@ _BIAS: Final = 1023
 
 
 def fma(a: float, b: float, c: float) -> float:
-    """a * b + c, rounded once.
-
-    Written out, it gives the same bits wherever the code is inlined; left to the compiler, it does not (see
-    `kernel.numerics.jit`). Without compilation (NUMBA_DISABLE_JIT=1) the product is rounded.
-    """
+    """a * b + c, rounded once, wherever the code is inlined; rounded twice without compilation."""
     return a * b + c
 
 
@@ -126,11 +120,9 @@ def sincos_small(x: float) -> tuple[float, float]:
 
 @inlined
 def circular_or_hyperbolic(x: float, sign: float) -> tuple[float, float]:
-    """(sin x, cos x) for sign = 1 and |x| < 1e5 rad; (sinh x, cosh x) for sign = -1 and
-    |x| <= HYPERBOLIC_LIMIT.
+    """(sin x, cos x) for sign = 1, |x| < 1e5 rad; (sinh x, cosh x) for sign = -1, |x| <= HYPERBOLIC_LIMIT.
 
-    The power series of the two pairs differ only in the sign of x squared, so that each lane may choose
-    without a branch.
+    Their power series differ only in the sign of x squared, so that each lane chooses without a branch.
     """
     turns = math.floor(fma(x, _TWO_OVER_PI, 0.5))
     r = fma(turns, -_HALF_PI_3, fma(turns, -_HALF_PI_2, fma(turns, -_HALF_PI_1, x)))
@@ -174,12 +166,9 @@ def sincos(x: float) -> tuple[float, float]:
 
 @jit
 def _sincos_large(x: float) -> tuple[float, float]:
-    """(sin x, cos x) for |x| >= 1, by the method of Payne and Hanek.
-
-    |x| is four pieces of 24 bits. Of its product with 2/pi in such pieces, whole multiples of 2**24 quarter
-    turns do not matter, and of the rest the seven pieces behind the point determine the remainder to 2**-140,
-    2**-78 of the smallest one that a double leaves.
-    """
+    """(sin x, cos x) for |x| >= 1, by the method of Payne and Hanek."""
+    # |x| is four pieces of 24 bits. Of its product with 2/pi the seven pieces behind the point determine the
+    # remainder to 2**-140, 2**-78 of the smallest one that a double leaves
     t, top = abs(x), 0  # the first piece counts 2**(24 * top)
     if not t < math.inf:
         return math.nan, math.nan

@@ -13,7 +13,7 @@ import numba
 from numba import types
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import AbstractTemplate, infer_global
-from numba.extending import overload, register_jitable
+from numba.extending import register_jitable
 
 from kernel.numerics.compilation import Entry, Inner
 
@@ -91,10 +91,7 @@ class by_type:  # noqa: N801 - a decorator
         functools.update_wrapper(self, declaration)
         self._implementations: dict[type, Callable[..., Any]] = {}
         self._otherwise: Callable[..., Any] | None = None
-        if PLAIN:
-            overload(self, jit_options=_INLINED)(lambda first, *rest: self._resolve(first))
-        else:
-            infer_global(self, types.Function(self._template()))
+        infer_global(self, types.Function(self._template()))
 
     def __call__(self, first: Any, *rest: Any) -> Any:
         chosen = self._chosen(type(first))
@@ -109,11 +106,6 @@ class by_type:  # noqa: N801 - a decorator
     def _chosen(self, kind: type) -> Callable[..., Any] | None:
         """The implementation for a type, or the default one, or None."""
         return self._implementations.get(kind, self._otherwise)
-
-    def _resolve(self, first: Any) -> Callable[..., Any] | None:
-        """numba's side of the call under plain `njit`: `first` is the type of the argument."""
-        chosen = self._chosen(getattr(first, "instance_class", type(None)))
-        return None if chosen is None else lambda first, *rest: chosen(first, *rest)  # noqa: PLW0108
 
     def _template(self) -> type:
         """numba's side of the call, which it types and lowers as one of the implementation."""

@@ -13,9 +13,10 @@ from kernel import interface
 from kernel.branches.starts import cycles_at, start_on_cycle
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, exponent_resolution, label_codes
 from kernel.models import rigid
-from kernel.models.contact_law import contact_constants, damping_ratio
+from kernel.models.contact_law import contact_constants
 from kernel.numerics.oscillator import motion
 from kernel.params import Cell, KernelInputError, Outcome, Start
+from kernel.restitution import scalar_damping_ratio
 
 REFERENCE = json.loads((GOLDEN / "multipliers.json").read_text())
 ORBITS = REFERENCE["rigid"]
@@ -136,7 +137,7 @@ def test_their_sum_is_the_mean_rate_of_volume_of_soft(adhesive):
     assert line.outcome[0] == Outcome.PERIODIC
     bounces, time = int(line.bounces[0]), TWO_PI * int(line.periods[0])
     in_flight = recorded(line)[-bounces:].sum()
-    _, beta = contact_constants(d, damping_ratio(e, adhesive))
+    _, beta = contact_constants(d, scalar_damping_ratio(e, adhesive))
     volume = -4.0 * xi * time - beta * (time - in_flight)
     assert line.lyapunov[0].sum() * time / TWO_PI == pytest.approx(volume, abs=1e-6)
 

@@ -15,7 +15,6 @@ from naive_exact import pressed
 from paths import GOLDEN
 from tables import for_each
 
-from kernel.models.contact_law import damping_ratio
 from kernel.models.soft_contact import (
     liftoff_function,
     modes_of,
@@ -26,7 +25,7 @@ from kernel.models.soft_contact import (
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT, terms
 from kernel.numerics.quartic import Factors, paired, roots
-from kernel.restitution import restitution
+from kernel.restitution import restitution, scalar_damping_ratio
 
 FACTS = json.loads((GOLDEN / "facts.json").read_text())["restitution"]
 
@@ -67,7 +66,7 @@ def test_restitution_is_that_of_an_integrated_impact(zeta, adhesive):
 @pytest.mark.parametrize("fact", FACTS["trap"])
 def test_the_trap_is_real(fact):
     """Adhesive's damping in a contact that cannot pull gives a larger restitution than the requested one."""
-    got = restitution(damping_ratio(fact["asked"], True), False)
+    got = restitution(scalar_damping_ratio(fact["asked"], True), False)
     assert got == pytest.approx(fact["got"], abs=5e-4)
 
 
