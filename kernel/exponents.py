@@ -25,7 +25,6 @@ LOST: Final = 1e-12
 ALIGN: Final = 1.5  # windows for which variations turn to the directions that they grow in; 1 is not enough
 BATCHES: Final = 10  # parts of the window whose means tell the first exponent's error; more are correlated
 SHORTEST_BATCHED: Final = 4 * BATCHES  # plate periods; the batches of a shorter window would be correlated
-
 SPREAD: Final = 10.0 / 7.0  # sum of the squared weights of n periods over the square of their sum, times n
 
 

@@ -30,7 +30,7 @@ def label_codes(outcome: Any, lyapunov: Any, observe: int) -> NDArray[np.uint8]:
 
     An aperiodic cell is chaotic where lambda_1 is above the window's resolution and quasi-periodic where
     |lambda_1| is within it. Below, it stays aperiodic: it approaches a cycle that is not found. A periodic
-    cell is unstable where lambda_1 is above the resolution: rounding holds it there. Others keep their outcome.
+    cell is unstable where lambda_1 is above the resolution: rounding holds it there. Others stay as they are.
     """
     codes: NDArray[np.uint8] = np.array(outcome, np.uint8)
     largest = np.asarray(lyapunov, np.float64)[..., 0]

@@ -103,10 +103,9 @@ def _after_window(
     before: Progress, run: Progress, i: int, k: int, window: Window, line: Line, flights: Flights,
     lanes: Lanes, variations: Variations | None,
 ) -> Progress:  # fmt: skip
-    """What cell i in lane k does after `run` has ended; `before` is the run before its last phase.
+    """The run that follows `run`, which has ended after `before`: beyond its window, or in a later one.
 
-    Writes the record of a window. The cell may be followed beyond it, or have a later one. If not, the run
-    returned has ended.
+    Writes the window's record. Where nothing follows, the run returned has ended.
     """
     first = k * flights.size
     if lanes.followed[k]:

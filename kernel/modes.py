@@ -185,8 +185,8 @@ def find_repetition(flights: Flights, first: int, recorded: int, left: int) -> t
 
     Over TURNS turns all flights agree within AGREE with those of the turn before. Let a be the largest
     difference of one turn from that before. The flights of the n turns left then differ from those of the
-    last by at most a n or, if a has fallen throughout, by a geometric series with the largest ratio measured. The
-    cycle is accepted if that is at most AGREE, and if a does not grow beyond rounding.
+    last by at most a n or, if a has fallen throughout, by a geometric series with the largest ratio measured.
+    The cycle is accepted if that is at most AGREE, and if a does not grow beyond rounding.
     """
     phase, period = flights.phase, flights.period
     for bounces in range(1, min(LONGEST, min(recorded, flights.size) // TURNS) + 1):

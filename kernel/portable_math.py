@@ -118,13 +118,9 @@ def hypot(x: float, y: float) -> float:
         return math.inf
     if a < b:
         a, b = b, a
-    if a > _LARGE:
-        a, b = a / _SCALE, b / _SCALE
-        return math.sqrt(a * a + b * b) * _SCALE
-    if a < _SMALL:
-        a, b = a * _SCALE, b * _SCALE
-        return math.sqrt(a * a + b * b) / _SCALE
-    return math.sqrt(a * a + b * b)
+    scale = 1.0 / _SCALE if a > _LARGE else (_SCALE if a < _SMALL else 1.0)
+    a, b = a * scale, b * scale
+    return math.sqrt(a * a + b * b) / scale
 
 
 def atan2(y: float, x: float) -> float:

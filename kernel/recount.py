@@ -35,13 +35,9 @@ def counted(
 
 
 def recount(
-    flight_time: NDArray[np.float64],
-    takeoff_phase: NDArray[np.float64],
-    flights: NDArray[np.int32],
-    modes: Modes,
-    micro_flight: float,
-    shortest: float,
-) -> Modes:
+    flight_time: NDArray[np.float64], takeoff_phase: NDArray[np.float64], flights: NDArray[np.int32],
+    modes: Modes, micro_flight: float, shortest: float,
+) -> Modes:  # fmt: skip
     """The modes of n cells if only flights longer than `shortest` (rad) count, from their stored flights.
 
     flight_time, takeoff_phase: (n, keep) in rad, flights: (n,), as in `params.Line`; modes: as classified

@@ -1,8 +1,7 @@
 """Isolated impacts on the spring-dashpot contact: duration, restitution and damping ratio; no numba.
 
-An isolated impact is gap'' + 2 zeta gap' + gap = 0 from gap = 0, gap' = -1, one unit of time being d rad.
-The adhesive contact ends where the gap is zero again, the nonadhesive one where the force is
-(docs/model.md, section 2):
+An isolated impact is gap'' + 2 zeta gap' + gap = 0 from gap = 0, gap' = -1, in units of d rad, to where the
+gap (adhesive) or the force (nonadhesive) is zero again (docs/model.md, section 2):
 
     adhesive     duration pi/s                 zeta < 1                (Eq. 11)
     nonadhesive  duration 2 atan2(s, zeta)/s   zeta < 1

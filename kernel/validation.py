@@ -57,7 +57,7 @@ def check_window(
     settle, observe and settle_until are in plate periods, keep in flights, micro_flight and settle_tolerance
     in rad, exponents a number.
     """
-    fewest = settle + observe if _is_whole(settle) and _is_whole(observe) else 0
+    fewest = settle + observe if is_whole(settle) and is_whole(observe) else 0
     for name, value, least, most in (
         ("settle", settle, 0, math.inf),
         ("observe", observe, 1, math.inf),
@@ -65,7 +65,7 @@ def check_window(
         ("settle_until", fewest if settle_until is None else settle_until, fewest, math.inf),
         ("exponents", exponents, 0, MAX_EXPONENTS),
     ):
-        if not _is_whole(value) or not least <= value <= most:
+        if not is_whole(value) or not least <= value <= most:
             raise KernelInputError(name, f"must be an integer from {least} to {most}, got {value!r}")
     for name, length, longest in (
         ("micro_flight", micro_flight, math.inf),
@@ -75,7 +75,8 @@ def check_window(
             raise KernelInputError(name, f"must be from 0 to {longest:g} and finite, got {length!r}")
 
 
-def _is_whole(value: object) -> bool:
+def is_whole(value: object) -> bool:
+    """Whether this is an integer, and not True or False."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 

@@ -47,11 +47,7 @@ UNDEFINED: Final = Oscillator(math.nan, math.nan, math.nan, math.nan, math.nan, 
 
 
 class Coupling(NamedTuple):
-    """A quantity that follows the leading one, x, of a free mode.
-
-    It is first * x + second * x'. Where the mode's coordinates are amplitudes a and b, it is
-    first * a + second * b.
-    """
+    """A quantity that follows a mode's leading one: first * x + second * x', or of its amplitudes a and b."""
 
     first: float
     second: float
@@ -232,10 +228,9 @@ def _elongation_lift(c: _Contact, mode: Oscillator, gap: Coupling, adhesive: boo
 
 @jit
 def _coupling(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> tuple[Coupling, float]:
-    """The y of y'' + b y' + w y = c1 x' + c0 x, where x, and so y, moves as the oscillator does.
+    """The y of y'' + b y' + w y = c1 x' + c0 x, where x moves as the oscillator, as first * x + second * x'.
 
-    As first * x + second * x', whatever the mode's coordinates. Also returns the quality, 0 to 1: the part
-    of the terms it was computed from that did not cancel.
+    Also returns the quality, 0 to 1: the part of the terms it was computed from that did not cancel.
     """
     a1, a0 = 2.0 * osc.damping, osc.stiffness
     # (value + rate s)(p + r s) = c0 + c1 s wherever s**2 + a1 s + a0 = 0

@@ -34,7 +34,7 @@ from kernel.numerics.jit import inlined, jit
 from kernel.params import KernelInputError
 from kernel.restitution import damping_ratio
 from kernel.step_limits import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
-from kernel.validation import check_arrays
+from kernel.validation import check_arrays, is_whole
 
 BLOCK: Final = 1024  # steps between two evaluations of the plate's sine; rotations err by 2e-13
 MIN_STEP_FRACTION: Final = 1e-9  # a grid point nearer than this part of a step, which is rounding, is skipped
@@ -195,13 +195,9 @@ def previous_point(grid: Grid, m: March) -> Point:
 
 
 def plate(
-    *,
-    restitution: NDArray[np.float64],
-    penetration: NDArray[np.float64],
-    adhesive: bool,
-    steps_per_contact: int,
-    scheme: str,
-) -> SteppedPlate:
+    *, restitution: NDArray[np.float64], penetration: NDArray[np.float64], adhesive: bool,
+    steps_per_contact: int, scheme: str,
+) -> SteppedPlate:  # fmt: skip
     """The plate under n cells; restitution (n,) in [0, 1], penetration (n,) > 0 in plate amplitudes.
 
     steps_per_contact: an integer >= 1; scheme: "verlet" or "euler". Raises KernelInputError.
@@ -210,8 +206,7 @@ def plate(
     names = [s.name.lower() for s in Scheme]
     if scheme not in names:
         raise KernelInputError("scheme", f"must be one of {', '.join(names)}, got {scheme!r}")
-    whole = isinstance(steps_per_contact, int | np.integer) and not isinstance(steps_per_contact, bool)
-    if not whole or steps_per_contact < 1:
+    if not is_whole(steps_per_contact) or steps_per_contact < 1:
         raise KernelInputError("steps_per_contact", f"must be an integer >= 1, got {steps_per_contact!r}")
     damping = damping_ratio(restitution, adhesive)
     steps = steps_per_period(restitution, penetration, int(steps_per_contact), adhesive=adhesive)

@@ -44,8 +44,7 @@ def _put(vectors: Any, k: int, g: float, g1: float, q: float, q1: float) -> None
 @inlined
 def _forget(vectors: Any) -> None:
     """Motions that differ end in the same state."""
-    for k in range(len(vectors)):
-        _put(vectors, k, 0.0, 0.0, 0.0, 0.0)
+    vectors[:] = 0.0
 
 
 @inlined

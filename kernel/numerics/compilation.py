@@ -298,14 +298,6 @@ class _EntryCache:
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._short = function.__name__.strip("_")
 
-    @property
-    def cache_path(self) -> str | None:
-        """Read by numba's statistics."""
-        return str(_folder) if _folder else None
-
-    def flush(self) -> None:
-        """Called by `recompile`, which kernels do not use."""
-
     def described(self, arguments: tuple[Any, ...]) -> str:
         """The function and the contact model that its first argument belongs to."""
         model = _module(arguments).rpartition(".")[2]

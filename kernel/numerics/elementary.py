@@ -63,11 +63,6 @@ HYPERBOLIC_LIMIT: Final = 0.25
 LOWEST_EXPONENT: Final = -300.0
 
 
-#: IEEE double: the bits of the fraction, below the exponent, and the exponent's bias.
-_FRACTION: Final = 52
-_BIAS: Final = 1023
-
-
 def fma(a: float, b: float, c: float) -> float:
     """a * b + c, rounded once, wherever the code is inlined; rounded twice without compilation."""
     return a * b + c
@@ -91,7 +86,7 @@ def _declare_power_of_two(typing: Any, k: Any) -> Any:
     """The double whose biased exponent is k and whose fraction is zero."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        bias, fraction = (context.get_constant(types.int64, bits) for bits in (_BIAS, _FRACTION))
+        bias, fraction = (context.get_constant(types.int64, bits) for bits in (1023, 52))  # of an IEEE double
         exponent = builder.add(arguments[0], bias)
         return builder.bitcast(builder.shl(exponent, fraction), context.get_value_type(types.float64))
 

@@ -9,11 +9,6 @@ order. Once F surely falls through zero (`monotone_width`), `polish` closes in o
 F is given as a smooth part (a parabola and the plate's sinusoid) plus a ringing part (a damped
 oscillation). Where the ringing is fast but small against the smooth part, its amplitude alone bounds
 it, and the steps are as wide as the smooth part allows.
-
-Root polishing exists once, here: `householder_step` is the step and its error, `polish_step` keeps the
-bracket and decides. `polish` applies them to a phase function, `free_fall` to the ball's gap (which it
-re-expands about its iterates), and `kernel.models.lanes` uses `householder_step` without a bracket: a
-lane that does not converge is computed again by `first_root`.
 """
 
 import math
@@ -27,7 +22,6 @@ ROOT: Final = 0
 HORIZON: Final = 1  # no zero before the horizon
 BUDGET_EXHAUSTED: Final = 2  # the budget of evaluations ran out
 NON_FINITE: Final = 3  # a number stopped being finite
-
 EPS: Final = 2.3e-16  # bound on the relative rounding error of one operation, 2**-52 rounded up
 
 #: Householder's error estimate counts for Newton steps below this, in rad and in units of the time over which
