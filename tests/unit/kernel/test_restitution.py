@@ -8,6 +8,7 @@ from mpmath import mp, mpf
 from tables import for_each
 
 from kernel import restitution
+from kernel.models import contact_law
 from kernel.restitution import SMALLEST
 
 #: From hardly damped to the strongest damping there is, and around critical damping.
