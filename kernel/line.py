@@ -265,7 +265,9 @@ class LineRun:
         check_arrays(arrays)
         check_window(settle, observe, keep, micro_flight, settle_tolerance, settle_until, exponents)
         if settle_early and (carry or exponents):
-            raise KernelInputError("settle_early", "must be false with carry or exponents")
+            raise KernelInputError(
+                "settle_early", "must be false with carry or exponents, which compute every cycle"
+            )
         _check_plate(plate, len(gamma))
         self.line = empty_line(len(gamma), keep, exponents)
         self._gamma, self._omega, self._xi = (np.ascontiguousarray(a) for a in arrays.values())

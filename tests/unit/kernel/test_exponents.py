@@ -212,4 +212,4 @@ def test_labels_refine_aperiodic_and_unstable_cells_only():
     shape = (2, 3)
     grid = label_codes(np.full(shape, Outcome.APERIODIC, np.uint8), np.zeros((*shape, 1)), 100)
     assert grid.shape == shape
-    assert np.all(grid == "quasi-periodic")
+    assert np.all(grid == QUASI_PERIODIC)
