@@ -72,10 +72,9 @@ def _searching(table: Any, k: int) -> bool:
 
 @inlined
 def _ended(table: Any, k: int, run: Progress) -> bool:
-    """Whether lane k holds the end of the run's phase. Otherwise the scalar functions compute the phase.
+    """Whether lane k holds the end of the run's phase. If not, the scalar functions compute it.
 
-    They do for short flights, searches that failed, and contacts that reached their horizon: it may be the
-    time from which they never end, not the window's.
+    So for short flights, failed searches, and contacts at their horizon: they may never end from there on.
     """
     if table is None:
         return False
@@ -150,9 +149,9 @@ def _walk(
     used = 1 if table is None else lanes_used(lines)
     while counts[1] < len(gamma) and steps > 0:
         for k in range(used):
-            if index[k] >= 0 and _searching(table, k):
+            if (index[k] < 0 and counts[0] == lines) or (index[k] >= 0 and _searching(table, k)):
                 continue
-            spring, run, first = springs[k], runs[k], k * flights.size
+            run, first = runs[k], k * flights.size
             while steps > 0 and (index[k] < 0 or not _searching(table, k)):
                 steps -= 1
                 i, known, sin, cos = index[k], False, 0.0, 1.0
@@ -160,14 +159,14 @@ def _walk(
                 if not ends:
                     before = run
                     if table is not None and _ended(table, k, run):
-                        p, sin, cos = unload_lane(spring, table, k, run)
+                        p, sin, cos = unload_lane(springs[k], table, k, run)
                         known = True
                     else:
                         if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
-                            run = replay(spring, run, window, flights, lanes.cache)
-                        p = _scalar_phase(spring, run)
+                            run = replay(springs[k], run, window, flights, lanes.cache)
+                        p = _scalar_phase(springs[k], run)
                     if variations is not None and not lanes.followed[k]:
-                        lyapunov.carry_run(spring, before, run, p, window, variations)
+                        lyapunov.carry_run(springs[k], before, run, p, window, variations)
                     started = run
                     run = cell.record(started, p, window, flights, first)
                     if window.settle_tolerance > 0.0:
@@ -188,16 +187,16 @@ def _walk(
                         i = counts[0] * length
                         counts[0] += 1
                     index[k] = i
-                    spring = prepare(plate, i, gamma[i], omega[i], xi[i])
-                    run = cell.begin(spring, i, length, gamma, omega, states, run, state, window)
+                    springs[k] = prepare(plate, i, gamma[i], omega[i], xi[i])
+                    run = cell.begin(springs[k], i, length, gamma, omega, states, run, state, window)
                     if variations is not None:
                         lyapunov.start_variations(variations)
                 if table is not None:
                     if not known:
                         sin, cos = sincos(run.phase)
-                    loaded = load_lane(spring, table, k, run, sin, cos, cell.horizon_of(run))
+                    loaded = load_lane(springs[k], table, k, run, sin, cos, cell.horizon_of(run))
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
-            springs[k], runs[k] = spring, run
+            runs[k] = run
         if table is not None and steps > 0:
             advance_lanes(plate, table, used)
             steps -= 1
