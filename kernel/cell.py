@@ -73,8 +73,8 @@ def begin(
 ) -> Progress:  # fmt: skip
     """The run of the i-th cell, of lines of `length` cells with gamma (n,) and omega (n,).
 
-    The first cell of a line begins from its row of `states` (lines, 6), in its own units; the others go on from
-    `run`, the last cell's. Without a row, or with NaN, or after divergence: from rest. Overwrites `state` (6,).
+    The first cell of a line begins from its row of `states` (lines, 6), in its own units; others go on from
+    `run`, the last cell's. Without a row, with NaN or after divergence: from rest. Overwrites `state` (6,).
     """
     if i % length == 0:
         number = i // length
