@@ -8,52 +8,25 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.exponents import Variations, carry, forget
-from kernel.interface import contact, flies, flight, replay, rest
-from kernel.modes import find_cycle, find_mode, is_settling
+from kernel import modes
+from kernel.interface import flies, rest
+from kernel.modes import CHECK, Flights, slot
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import allocating, compilable, inlined, jit
 from kernel.params import Line, Outcome, periods_followed
-from kernel.repetition import CHECK, find_repetition, repeat_flights
 
-#: Flights shorter than this (rad) are not recorded: their length is of the order of the rounding errors of
-#: take-off and landing after long contacts.
-SHORTEST_FLIGHT: Final = 1e-9
+SHORTEST_FLIGHT: Final = 1e-9  # rad; shorter flights, often rounding after long contacts, are not recorded
+MODE_FLIGHTS: Final = 256  # considered for the mode, even if fewer are stored: cycles of up to 85 bounces
+MODE_PERIODS: Final = 24  # more are considered where these reach back fewer plate periods
+KEPT_FLIGHTS: Final = 4096  # as many of them are kept; a landing at e = 0.95 is followed by 400 hops
+FEWEST_PERIODS: Final = 3  # flights that reach back fewer, those before being lost, decide nothing
+SETTLING_CHECK: Final = 24  # flights after which a settle_tolerance is tested, and which the test considers
+QUIET: Final = 10.0  # plate periods; a contact this long, over the last half of the window, ends all flights
+CACHE_SIZE: Final = 64  # numbers that a model may use to cache what it knows of a cell (`interface.replay`)
+BUDGET: Final = 20_000  # evaluations that a cell may use for each plate period; 11 are usual
 
-#: Flights considered for the mode, even if fewer are stored: a cycle of up to 85 bounces is found.
-MODE_FLIGHTS: Final = 256
-
-#: More are considered where these reach back fewer plate periods than this, of so many that are kept: a
-#: landing with a restitution of 0.95 is followed by 400 hops that are longer than SHORTEST_FLIGHT.
-MODE_PERIODS: Final = 24
-KEPT_FLIGHTS: Final = 4096
-
-#: Flights that reach back fewer plate periods, because those before are lost, decide nothing: a cycle must be
-#: seen three times.
-FEWEST_PERIODS: Final = 3
-
-#: With a settle_tolerance, the number of flights after which settling is tested, and which the test
-#: considers: cycles of up to 8 bounces end it early.
-SETTLING_CHECK: Final = 24
-
-#: A contact of so many plate periods, if it takes the last half of the window, is taken for the end of all
-#: flights: the contacts of the cycles that a window is long enough for are far shorter.
-QUIET: Final = 10.0
-
-#: Size of the array that a model may use to cache what it knows of a cell (`interface.replay`).
-CACHE_SIZE: Final = 64
-
-#: Evaluations of a phase function that a cell may use for each plate period. 30 random cells of `rigid` and
-#: `soft` used 11 on average; hops that never end, as those of an elastic contact, would use any number.
-BUDGET: Final = 20_000
-
-PERIODIC: Final = int(Outcome.PERIODIC)
-APERIODIC: Final = int(Outcome.APERIODIC)
-AT_REST: Final = int(Outcome.AT_REST)
-UNRESOLVED: Final = int(Outcome.UNRESOLVED)
-DIVERGED: Final = int(Outcome.DIVERGED)
-SETTLING: Final = int(Outcome.SETTLING)
+_, PERIODIC, APERIODIC, AT_REST, UNRESOLVED, DIVERGED, SETTLING = map(int, Outcome)
 
 compilable(periods_followed)
 
@@ -66,22 +39,7 @@ class Window(NamedTuple):
     micro_flight: float  # rad; shorter flights do not count for the mode, unless all are
     settle_tolerance: float  # rad; flights repeating within it end the settling early; 0: never
     settle_until: int  # plate periods that a cell still settling may take in all; 0: no more than the window
-    exponents: int  # Lyapunov exponents computed
     settle_early: bool = False  # whether cycles that surely repeat are not computed
-
-
-class Flights(NamedTuple):
-    """The last flights of the cells in some lanes: ring buffers of `size` flights, one after another.
-
-    The newest flight of a lane is at first + (recorded - 1) % size, where first = size * lane.
-    Arrays (lanes * size,).
-    """
-
-    time: Any  # float64, rad
-    phase: Any  # float64, rad modulo 2 pi, at take-off
-    period: Any  # int64, plate periods since the cell began, at take-off
-    size: int
-    stored: int  # of which are stored with the cell
 
 
 class Progress(NamedTuple):
@@ -109,68 +67,34 @@ RUN_FIELDS: Final = len(Progress._fields)
 
 
 @jit
-def start_run(state: Any, window: Window, takes_off: bool) -> Progress:
-    """A run from `state` (6,), see params.STATE_FIELDS.
-
-    `takes_off`: whether the flight that the state begins takes off now, so that it is recorded.
-    """
-    budget = BUDGET * (window.settle + window.observe)
-    return Progress(
-        state[0],
-        0,
-        state[1] != 0.0,
-        state[2],
-        state[3],
-        state[4],
-        state[5],
-        state[0],
-        0 if takes_off else -1,
-        0,
-        False,
-        budget,
-        ROOT,
-        window.settle,
-        window.settle + window.observe,
-    )
-
-
-@jit
-def begin_line(cell: Any, states: Any, number: int, state: Any, window: Window) -> Progress:
-    """The run of the first cell of the line of this number; overwrites `state` (6,).
-
-    `states` (lines, 6), in the units of the line's first cell: a row whose phase is NaN begins from rest, and
-    if there are no rows, all lines do.
-    """
-    given = len(states) > 0 and not math.isnan(states[number, 0])
-    for field in range(len(state)):
-        state[field] = states[number, field] if given else 0.0
-    return _begin(cell, given, state, window)
-
-
-@jit
-def begin_next(
-    cell: Any, run: Progress, gamma: float, omega: float, next_gamma: float, next_omega: float,
-    state: Any, window: Window,
+def begin(
+    cell: Any, i: int, length: int, gamma: Any, omega: Any, states: Any, run: Progress, state: Any,
+    window: Window,
 ) -> Progress:  # fmt: skip
-    """The run of the next cell of a line, of `next_gamma` and `next_omega`; overwrites `state` (6,).
+    """The run of the i-th cell, of lines of `length` cells with gamma (n,) and omega (n,).
 
-    It goes on from `run`, which has ended at gamma and omega, or begins from rest if that diverged.
+    The first cell of a line begins from its row of `states` (lines, 6), in its own units; others go on from
+    `run`, the last cell's. Without a row, with NaN or after divergence: from rest. Overwrites `state` (6,).
     """
-    store_state(run, state)
-    rescale(state, gamma, omega, next_gamma, next_omega)
-    return _begin(cell, run.ending != NON_FINITE, state, window)
-
-
-@jit
-def _begin(cell: Any, given: bool, state: Any, window: Window) -> Progress:
-    """The run of a cell from `state` (6,), if it is given, or from rest; `state` is made to be its start."""
+    if i % length == 0:
+        number = i // length
+        given = len(states) > 0 and not math.isnan(states[number, 0])
+        for field in range(len(state)):
+            state[field] = states[number, field] if given else 0.0
+    else:
+        given = run.ending != NON_FINITE
+        store_state(run, state)
+        rescale(state, gamma[i - 1], omega[i - 1], gamma[i], omega[i])
     if not given:
         state[0], state[1] = 0.0, 0.0
         state[2], state[3], state[4], state[5] = rest(cell)
     in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
-    takes_off = in_flight and state[1] == 0.0
-    state[1] = 1.0 if in_flight else 0.0
-    return start_run(state, window, takes_off)
+    takes_off = in_flight and state[1] == 0.0  # now, so that the flight is recorded
+    end = window.settle + window.observe
+    return Progress(
+        state[0], 0, in_flight, state[2], state[3], state[4], state[5], state[0], 0 if takes_off else -1,
+        0, False, BUDGET * end, ROOT, window.settle, end,
+    )  # fmt: skip
 
 
 @jit
@@ -194,7 +118,7 @@ def horizon_of(run: Progress) -> float:
 def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int) -> Progress:
     """The run after the contact or flight `p`; adds a flight that lies inside the window to `flights`.
 
-    `first`: where the lane's ring buffer begins. While settling, flights are recorded only for the test of
+    While settling, flights are recorded only for the test of
     settle_tolerance and of settle_early, and forgotten when the window begins.
     """
     turns = math.floor((run.phase + p.tau) * (1.0 / TWO_PI))
@@ -209,10 +133,9 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
         tested = settling and (window.settle_early or window.settle_tolerance > 0.0)
         inside = run.takeoff_period >= run.settle or tested
         if p.ending == ROOT and inside and run.takeoff_period >= 0:
-            slot = first + recorded % flights.size
-            flights.time[slot] = p.tau
-            flights.phase[slot] = run.takeoff_phase
-            flights.period[slot] = run.takeoff_period
+            j = slot(flights, first, recorded)
+            flights.time[j], flights.phase[j] = p.tau, run.takeoff_phase
+            flights.period[j] = run.takeoff_period
             recorded += 1
     ending = p.ending
     if ending == HORIZON or (ending == ROOT and period >= run.end):
@@ -224,46 +147,39 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
     )  # fmt: skip
 
 
+@jit
+def at_period(run: Progress, period: int, recorded: int, flew: bool) -> Progress:
+    """`run` in another plate period, where a flight that begins takes off."""
+    return Progress(
+        run.phase, period, run.in_flight, run.gap, run.gap1, run.q, run.q1, run.phase, period,
+        recorded, flew, run.budget, run.ending, run.settle, run.end,
+    )  # fmt: skip
+
+
 @allocating
 def end_settling(before: Progress, run: Progress, window: Window, flights: Flights, first: int) -> Progress:
-    """`run`, with its settling ended if its last flights repeat within window.settle_tolerance.
-
-    `before` is the run before its last phase. Separate from `record`, which is inlined into the loop and
-    would grow too large.
-    """
+    """`run`, with its settling ended if its last flights repeat; `before`: before its last phase."""
     if run.recorded == before.recorded or run.period >= run.settle or run.recorded % SETTLING_CHECK:
         return run
     tolerance = window.settle_tolerance
     time, phase, period = _counted(flights, first, run.recorded, SETTLING_CHECK, window.micro_flight)
-    bounces, _ = find_cycle(time, phase, period, tolerance)
+    bounces, _ = modes.find_cycle(time, phase, period, tolerance)
     if bounces == 0:
         return run
-    return Progress(
-        run.phase, run.settle, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, run.settle, 0, run.flew, run.budget, run.ending, run.settle, run.end,
-    )  # fmt: skip
+    return at_period(run, run.settle, 0, run.flew)
 
 
 @inlined
 def may_repeat(before: Progress, run: Progress, window: Window) -> bool:
-    """Whether to look for cycles that repeat, after the phase from `before` to `run`.
-
-    Never in a run that is followed beyond its window.
-    """
+    """Whether to look for cycles that repeat, after the phase from `before` to `run`: not beyond a window."""
     enough = run.recorded // CHECK != before.recorded // CHECK
     return window.settle_early and enough and run.ending == ROOT and run.end - run.settle == window.observe
 
 
 @allocating
 def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
-    """`run`, at a landing, moved on by the cycles left before its end, if its last flights surely repeat.
-
-    The flights of these cycles are recorded as if they had been computed. Less than a cycle is left.
-    """
-    time, phase, period, size = flights.time, flights.phase, flights.period, flights.size
-    bounces, periods = find_repetition(
-        time, phase, period, first, size, run.recorded, run.end - run.period
-    )  # fmt: skip
+    """`run`, at a landing, moved on by the cycles left, as if computed, if they surely repeat."""
+    bounces, periods = modes.find_repetition(flights, first, run.recorded, run.end - run.period)
     if bounces == 0:
         return run
     turns = (run.end - 1 - run.period) // periods
@@ -272,27 +188,15 @@ def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
     now = run.period + turns * periods
     recorded, begun = run.recorded, run.period >= run.settle
     if now >= run.settle:
-        recorded = repeat_flights(
-            time, phase, period, first, size, run.recorded, bounces, periods, turns, run.settle, begun
-        )  # fmt: skip
-    return Progress(
-        run.phase, now, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, now, recorded, run.flew or now >= run.settle, run.budget, run.ending, run.settle, run.end,
-    )  # fmt: skip
-
-
-@jit
-def shows_no_mode(outcome: int) -> bool:
-    """Whether a window with this outcome is followed, to tell what settles from what does not."""
-    return outcome in (APERIODIC, SETTLING)
+        recorded = modes.repeat_flights(
+            flights, first, run.recorded, bounces, periods, turns, run.settle, begun
+        )
+    return at_period(run, now, recorded, run.flew or now >= run.settle)
 
 
 @jit
 def follow(before: Progress, window: Window) -> Progress:
-    """A run that goes on beyond its window, from `before` the phase in which that ended.
-
-    So a flight under way at the window's end is one flight. The flights recorded so far stay.
-    """
+    """A run beyond its window, from `before` the phase in which that ended, which stays one phase."""
     added = periods_followed(window.observe)
     return Progress(
         before.phase, before.period, before.in_flight, before.gap, before.gap1, before.q, before.q1,
@@ -327,48 +231,8 @@ def extend(run: Progress, outcome: int, window: Window) -> Progress:
 
 
 @jit
-def run_cell(
-    cell: Any, run: Progress, window: Window, flights: Flights, cache: Any,
-    variations: Variations | None, steps: int,
-) -> tuple[Progress, Progress, int]:  # fmt: skip
-    """Advance one cell by at most `steps` contacts and flights.
-
-    Returns the run before its last phase, the run, and the steps left. Its `ending` is ROOT if it has paused
-    before its end: the next call goes on from it. `cache` (CACHE_SIZE,) is zero when the cell begins, or goes
-    on beyond a window. `variations`: carried along, or None.
-    """
-    before = run
-    while run.ending == ROOT and steps > 0:
-        steps -= 1
-        before = run
-        if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
-            run = replay(cell, run, window, flights, cache)
-            if variations is not None and (run.period != before.period or run.phase != before.phase):
-                forget(variations, run.period >= run.settle)
-            if run.ending != ROOT:
-                break
-        started = run
-        horizon = horizon_of(run)
-        if run.in_flight:
-            p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
-        else:
-            p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
-        if variations is not None:
-            carry(cell, run, p, window, variations)
-        run = record(started, p, window, flights, 0)
-        if window.settle_tolerance > 0.0:
-            run = end_settling(started, run, window, flights, 0)
-        if may_repeat(started, run, window):
-            run = skip_cycles(run, flights, 0)
-    return before, run, steps
-
-
-@jit
 def store_run(run: Progress, numbers: Any) -> None:
-    """Write a run to `numbers` (RUN_FIELDS,) float64, from which `load_run` makes the same run.
-
-    Its integers are far below 2**53: the budget, the largest, is BUDGET for each plate period.
-    """
+    """Write a run to `numbers` (RUN_FIELDS,) float64. Its integers are far below 2**53."""
     numbers[0], numbers[1], numbers[2] = run.phase, run.period, run.in_flight
     numbers[3], numbers[4], numbers[5], numbers[6] = run.gap, run.gap1, run.q, run.q1
     numbers[7], numbers[8], numbers[9] = run.takeoff_phase, run.takeoff_period, run.recorded
@@ -402,36 +266,26 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
         return AT_REST, 0, 0
     considered, cut = _considered(run, flights, first)
     time, phase, period = _counted(flights, first, run.recorded, considered, window.micro_flight)
-    bounces, periods = find_mode(time, phase, period)
+    bounces, periods = modes.find_mode(time, phase, period)
     if bounces > 0:
         return PERIODIC, bounces, periods
     if _comes_to_rest(run, flights, first):
         return SETTLING, 0, 0
     if cut:
         return UNRESOLVED, 0, 0
-    return SETTLING if is_settling(time, phase) else APERIODIC, 0, 0
+    return SETTLING if modes.is_settling(time, phase) else APERIODIC, 0, 0
 
 
 @jit
 def _considered(run: Progress, flights: Flights, first: int) -> tuple[int, bool]:
-    """How many of the last flights are considered for the mode, and whether too many before them are lost.
-
-    As many as are stored, or MODE_FLIGHTS, or as reach back MODE_PERIODS.
-    """
+    """How many of the last flights are considered for the mode, and whether too many before them are lost."""
     kept = min(run.recorded, flights.size)
     number = min(run.recorded, max(flights.stored, MODE_FLIGHTS))
-    oldest = _takeoff(run, flights, first, number)
+    oldest = flights.period[slot(flights, first, run.recorded - number)]
     while number < kept and oldest > run.end - MODE_PERIODS:
         number += 1
-        oldest = _takeoff(run, flights, first, number)
+        oldest = flights.period[slot(flights, first, run.recorded - number)]
     return number, number < run.recorded and oldest > run.end - FEWEST_PERIODS
-
-
-@jit
-def _takeoff(run: Progress, flights: Flights, first: int, number: int) -> int:
-    """Plate periods before the `number`-th last flight."""
-    period: int = flights.period[first + (run.recorded - number) % flights.size]
-    return period
 
 
 @jit
@@ -439,7 +293,7 @@ def _comes_to_rest(run: Progress, flights: Flights, first: int) -> bool:
     """Whether a run was in contact for the last half of what was recorded, and for QUIET periods."""
     if run.in_flight or run.recorded == 0:
         return False
-    last = first + (run.recorded - 1) % flights.size
+    last = slot(flights, first, run.recorded - 1)
     landing = flights.period[last] + (flights.phase[last] + flights.time[last]) * (1.0 / TWO_PI)
     still: float = run.end - landing
     return still > max(0.5 * (run.end - run.settle), QUIET)
@@ -449,23 +303,18 @@ def _comes_to_rest(run: Progress, flights: Flights, first: int) -> bool:
 def _counted(
     flights: Flights, first: int, recorded: int, last: int, micro_flight: float
 ) -> tuple[Any, Any, Any]:
-    """Times, take-off phases and periods of those of the `last` flights that count: arrays (n,), in order.
-
-    Those longer than `micro_flight` count; if none is, all do.
-    """
+    """Times, take-off phases and periods, arrays (n,), of the `last` flights that count for the mode."""
     kept = min(recorded, last)
     longest = 0.0
     for i in range(recorded - kept, recorded):
-        longest = max(longest, flights.time[first + i % flights.size])
+        longest = max(longest, flights.time[slot(flights, first, i)])
     shortest = micro_flight if longest > micro_flight else 0.0
     time, phase, period = np.empty(kept), np.empty(kept), np.empty(kept, dtype=np.int64)
     count = 0
     for i in range(recorded - kept, recorded):
-        slot = first + i % flights.size
-        if flights.time[slot] > shortest:
-            time[count] = flights.time[slot]
-            phase[count] = flights.phase[slot]
-            period[count] = flights.period[slot]
+        j = slot(flights, first, i)
+        if flights.time[j] > shortest:
+            time[count], phase[count], period[count] = flights.time[j], flights.phase[j], flights.period[j]
             count += 1
     return time[:count], phase[:count], period[:count]
 
@@ -477,21 +326,17 @@ def allocate_flights(keep: int, lanes: int) -> Flights:
     return Flights(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64), size, keep)
 
 
-@jit
-def write_record(
-    line: Line, i: int, run: Progress, flights: Flights, first: int, state: Any, window: Window
-) -> None:
-    """Write the record of a cell whose run has ended as the i-th of `line`; `state` (6,) is its end state."""
+@allocating
+def write_record(line: Line, i: int, run: Progress, flights: Flights, first: int, window: Window) -> None:
+    """Write the record of a cell whose run has ended as the i-th of `line`."""
     outcome, bounces, periods = classify(run, flights, first, window)
     line.flights[i], line.outcome[i] = run.recorded, outcome
     line.bounces[i], line.periods[i] = bounces, periods
     keep = line.flight_time.shape[1]
     kept = min(run.recorded, keep)
     for k in range(kept):
-        slot = first + (run.recorded - kept + k) % flights.size
-        line.flight_time[i, k] = flights.time[slot]
-        line.takeoff_phase[i, k] = flights.phase[slot]
+        j = slot(flights, first, run.recorded - kept + k)
+        line.flight_time[i, k], line.takeoff_phase[i, k] = flights.time[j], flights.phase[j]
     for k in range(kept, keep):  # of an earlier window of this cell
         line.flight_time[i, k] = line.takeoff_phase[i, k] = math.nan
-    for field in range(len(state)):
-        line.end_state[i, field] = state[field]
+    store_state(run, line.end_state[i])

@@ -11,38 +11,21 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.interface import (
-    carry_in_contact,
-    carry_in_flight,
-    carry_through_landing,
-    carry_through_takeoff,
-    dimension,
-)
-from kernel.numerics.elementary import TWO_PI, log
+from kernel import interface
+from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, ROOT, Phase
 from kernel.numerics.jit import inlined, jit
 from kernel.params import KernelInputError
+from kernel.portable_math import log
 
 #: A variation is lost if less than this part of it is independent of those before it. Rounding leaves about
 #: 1e-16 of a direction that an event removes; what is left of one at 1e-12 still has four digits.
 LOST: Final = 1e-12
 
-
-#: Windows for which variations turn to the directions that they grow in, before they are measured. With 1,
-#: the split of two exponents that differ by less than 1/observe still shows where they began; with 2 it is
-#: as if they had always been carried.
-ALIGN: Final = 1.5
-
-
-#: Parts of the window whose means of the first logarithm tell the error of lambda_1. Shorter ones would be
-#: correlated, fewer would leave the error uncertain by more than a quarter.
-BATCHES: Final = 10
-
-#: A window of fewer plate periods has no error: its batches would be correlated.
-SHORTEST_BATCHED: Final = 4 * BATCHES
-
-#: Sum of the squared weights of n periods over the square of their sum, times n: 900/630.
-SPREAD: Final = 10.0 / 7.0
+ALIGN: Final = 1.5  # windows for which variations turn to the directions that they grow in; 1 is not enough
+BATCHES: Final = 10  # parts of the window whose means tell the first exponent's error; more are correlated
+SHORTEST_BATCHED: Final = 4 * BATCHES  # plate periods; the batches of a shorter window would be correlated
+SPREAD: Final = 10.0 / 7.0  # sum of the squared weights of n periods over the square of their sum, times n
 
 
 class Variations(NamedTuple):
@@ -56,7 +39,7 @@ class Variations(NamedTuple):
 
 def allocate_variations(plate: Any, exponents: int) -> Variations:
     """Room for this many exponents. Raises KernelInputError if the plate's model has fewer."""
-    most = dimension(plate)
+    most = interface.dimension(plate)
     if exponents > most:
         raise KernelInputError("exponents", f"must be at most {most} for this contact, got {exponents}")
     return Variations(np.zeros((exponents, 4)), np.zeros(exponents), np.zeros(1), np.zeros(BATCHES))
@@ -64,11 +47,9 @@ def allocate_variations(plate: Any, exponents: int) -> Variations:
 
 @jit
 def _replace(vectors: Any, k: int) -> None:
-    """Give vector k a new direction, orthogonal to those before it.
-
-    Of the four vectors (+-1, +-1, +-1, +-1)/2 that are orthogonal to each other, the one least in their span
-    is taken. None of the four lies in the two dimensions of a rigid contact or of a ball.
-    """
+    """Give vector k a new direction, orthogonal to those before it."""
+    # of the four vectors (+-1, +-1, +-1, +-1)/2 the one least in their span; none lies in the two dimensions
+    # of a rigid contact or of a ball
     best, chosen = math.inf, 0
     for candidate in range(4):
         inside = 0.0
@@ -140,10 +121,7 @@ def start_variations(variations: Variations) -> None:
 
 @jit
 def _orthonormalise(variations: Variations, weight: float, batch: int) -> None:
-    """Orthonormalise the vectors and add the logarithms of their lengths with this weight.
-
-    batch: to which that of the first belongs, if the weight is above 0.
-    """
+    """Orthonormalise the vectors; add the logarithms of their lengths, that of the first also to a batch."""
     vectors, sums = variations.vectors, variations.sums
     variations.weight[0] += weight
     for k in range(len(sums)):
@@ -191,9 +169,9 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
         at = TWO_PI * turn - run.phase if turn <= turns else p.tau
         if at > done:
             if run.in_flight:
-                carry_in_flight(cell, vectors, at - done)
+                interface.carry_in_flight(cell, vectors, at - done)
             else:
-                carry_in_contact(cell, vectors, at - done)
+                interface.carry_in_contact(cell, vectors, at - done)
             done = at
         if turn <= turns:
             period = run.period + turn
@@ -201,20 +179,19 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
             _orthonormalise(variations, _weight(period, run.settle, window), batch)
     if p.ending == ROOT:
         if run.in_flight:
-            carry_through_landing(cell, vectors, run.phase, run.gap, run.gap1, run.q, run.q1, p)
+            interface.carry_through_landing(cell, vectors, run.phase, run.gap, run.gap1, run.q, run.q1, p)
         else:
-            carry_through_takeoff(cell, vectors, p)
+            interface.carry_through_takeoff(cell, vectors, p)
 
 
 @jit
-def forget(variations: Variations, inside: bool) -> None:
-    """Lose all variations, as at a take-off after which the same motion always follows.
-
-    inside: whether the motion since then has reached the window.
-    """
-    variations.vectors[:] = 0.0
-    if inside:
-        variations.sums[:] = -math.inf
+def carry_run(cell: Any, before: Any, started: Any, p: Phase, window: Any, variations: Variations) -> None:
+    """`carry` over the phase `p` from `started`, which `interface.replay` has made of `before`."""
+    if started.period != before.period or started.phase != before.phase:
+        variations.vectors[:] = 0.0
+        if started.period >= started.settle:
+            variations.sums[:] = -math.inf
+    carry(cell, started, p, window, variations)
 
 
 @jit
@@ -228,8 +205,8 @@ def write_exponents(lyapunov: Any, ending: int, variations: Variations) -> None:
 def exponent_error(ending: int, variations: Variations, observe: int) -> float:
     """The standard error of a cell's first exponent by batch means; NaN where it has none.
 
-    The means of BATCHES parts of the window scatter by the long-run variance over their length. The weighted
-    mean over the window has the variance of one over 1/SPREAD of it. A direction that was lost has no error.
+    The means scatter by the long-run variance over their length; the weighted mean over the window has the
+    variance of one over 1/SPREAD of it. A direction that was lost has no error.
     """
     if ending != HORIZON or observe < SHORTEST_BATCHED or math.isinf(variations.sums[0]):
         return math.nan

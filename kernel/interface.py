@@ -40,10 +40,7 @@ def contact(  # type: ignore[empty-body]
 def flight(  # type: ignore[empty-body]
     cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """The flight that begins with this state, to its landing or to the horizon.
-
-    The state at its end is that after the impact.
-    """
+    """The flight that begins with this state, to after its landing or to the horizon."""
 
 
 @by_type
@@ -55,8 +52,7 @@ def contact_force(cell: Any, cos: float, gap: float, gap1: float, q: float, q1: 
 def replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
     """A run (`cell.Progress`) at a take-off from rest, advanced through phases known from earlier ones.
 
-    For models in which the same motion follows every take-off from rest. `cache` (CACHE_SIZE,) belongs to
-    the cell and is zero when the cell begins. The default returns the run as it is.
+    `cache` (CACHE_SIZE,), the cell's, is zero when it begins. The default returns the run as it is.
     """
 
 
@@ -67,8 +63,8 @@ def _no_replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> An
     return run
 
 
-# Lanes: contacts and flights of many cells side by side, in a table of `kernel.models.lanes`, whose k-th lane
-# holds the next phase of a run (`cell.Progress`). A model without these is computed cell by cell.
+# Lanes: phases of many runs (`cell.Progress`) side by side, in a table of `kernel.models.lanes`. A model
+# without these is computed cell by cell.
 
 
 @by_type
@@ -78,10 +74,7 @@ def advance_lanes(plate: Any, table: Any, used: int) -> None:
 
 @by_type
 def load_lane(cell: Any, table: Any, k: int, run: Any, sin: float, cos: float, horizon: float) -> bool:  # type: ignore[empty-body]
-    """Put the run's next phase into lane k; False if it must be computed by `contact` or `flight`.
-
-    sin and cos are of the plate's phase now.
-    """
+    """Put the run's next phase into lane k, if lanes can compute it; sin and cos of the plate's phase."""
 
 
 @by_type
@@ -89,17 +82,13 @@ def unload_lane(cell: Any, table: Any, k: int, run: Any) -> tuple[Phase, float, 
     """The run's phase, which has ended in lane k, with sin and cos of the plate's phase at its end."""
 
 
-# Variations: how a small difference of the state at a fixed phase of the plate moves through contacts,
-# flights and events (docs/model.md, section 7). `vectors` (n, 4) holds n differences of (gap, gap', q, q')
-# and is overwritten. A model that does not register these has no Lyapunov exponents (`kernel.exponents`).
+# Variations: how small differences of the state at a fixed phase, `vectors` (n, 4) of (gap, gap', q, q'),
+# move through contacts, flights and events (docs/model.md, section 7). They are overwritten.
 
 
 @by_type
 def dimension(plate: Any) -> int:  # type: ignore[empty-body]
-    """The dimension of a model's state at a fixed phase, which is its number of Lyapunov exponents.
-
-    0 for models without variations. Called from Python only.
-    """
+    """The number of exponents: the dimension of a state at a fixed phase; 0 without variations."""
 
 
 @dimension.otherwise

@@ -20,9 +20,7 @@ UNSTABLE: Final = LABELS.index("unstable")
 def exponent_resolution(observe: int) -> float:
     """The |lambda_1| per plate period that a window of `observe` plate periods does not tell from zero.
 
-    1/observe: exponents whose variations grow or shrink by less than a factor e over the window. On the tori
-    at Omega = 1, xi = 0.05, Gamma = 3.62 to 4.04, windows of 100 periods give at most 0.0096, those of 3,000
-    at most 0.00025.
+    Its variations grow or shrink by less than a factor e over the window.
     """
     return 1.0 / observe
 
@@ -31,11 +29,8 @@ def label_codes(outcome: Any, lyapunov: Any, observe: int) -> NDArray[np.uint8]:
     """The code in LABELS of cells (...), from their outcomes (...) and exponents (..., n >= 1).
 
     An aperiodic cell is chaotic where lambda_1 is above the window's resolution and quasi-periodic where
-    |lambda_1| is within it. It stays aperiodic where lambda_1 is below it: such a cell approaches a cycle
-    that the window does not show yet, or that is too long to be found.
-
-    A periodic cell is unstable where lambda_1 is above the resolution. Only a start exactly on such a cycle
-    stays there: rounding returns its state to the same numbers. Every other cell keeps its outcome.
+    |lambda_1| is within it. Below, it stays aperiodic: it approaches a cycle that is not found. A periodic
+    cell is unstable where lambda_1 is above the resolution: rounding holds it there. Others stay as they are.
     """
     codes: NDArray[np.uint8] = np.array(outcome, np.uint8)
     largest = np.asarray(lyapunov, np.float64)[..., 0]
@@ -45,8 +40,3 @@ def label_codes(outcome: Any, lyapunov: Any, observe: int) -> NDArray[np.uint8]:
     codes[aperiodic & (largest > resolution)] = CHAOTIC
     codes[(codes == Outcome.PERIODIC) & (largest > resolution)] = UNSTABLE
     return codes
-
-
-def labels(outcome: Any, lyapunov: Any, observe: int) -> NDArray[np.str_]:
-    """The labels of cells (...), as `label_codes`."""
-    return np.array(LABELS)[label_codes(outcome, lyapunov, observe)]

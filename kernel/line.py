@@ -12,125 +12,197 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cell import (
-    CACHE_SIZE,
-    RUN_FIELDS,
-    Flights,
-    Window,
-    allocate_flights,
-    begin_line,
-    begin_next,
-    decide,
-    extend,
-    follow,
-    load_run,
-    rescale,
-    run_cell,
-    shows_no_mode,
-    store_run,
-    store_state,
-    write_record,
-)
-from kernel.exponents import (
-    Variations,
-    allocate_variations,
-    begin_window,
-    exponent_error,
-    start_variations,
-    write_exponents,
-)
-from kernel.interface import advance_lanes, prepare
-from kernel.models import rigid_lanes as _rigid_lanes  # noqa: F401 - registers the model's lanes
-from kernel.models import soft_lanes as _soft_lanes  # noqa: F401 - registers the model's lanes
+from kernel import cell
+from kernel import exponents as lyapunov
+from kernel.cell import CACHE_SIZE, RUN_FIELDS, Progress, Window
+from kernel.exponents import Variations
+from kernel.interface import advance_lanes, contact, flight, load_lane, prepare, replay, unload_lane
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
-from kernel.models.lockstep import Lanes, allocate_lanes, run_lockstep
-from kernel.numerics.first_root import ROOT
-from kernel.numerics.jit import allocating
+from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU
+from kernel.modes import Flights
+from kernel.numerics.elementary import sincos
+from kernel.numerics.first_root import ROOT, Phase
+from kernel.numerics.jit import allocating, inlined, jit
 from kernel.params import LANES, STATE_FIELDS, KernelInputError, Line, Start, empty_line
-from kernel.validation import check_arrays, check_early, check_window, checked_state, checked_states
+from kernel.validation import check_arrays, check_window, checked_state, checked_states
 
 #: More steps than any line takes.
 _ALL: Final = 2**62
 
-#: Stages of a cell.
-NOT_BEGUN: Final = 0
-IN_WINDOW: Final = 1  # or before it
-FOLLOWED: Final = 2  # beyond its window
+#: Up to so many lines are computed one by one, more in a vector.
+FEW: Final = 3
 
 
-class Walk(NamedTuple):
-    """Where lines are that are computed cell by cell."""
+class Lanes(NamedTuple):
+    """Where lines are that are under way: as many cells at a time as there are lanes, LANES or one."""
 
-    counts: Any  # (2,) int64: cells done; stage of the cell under way
-    run: Any  # (RUN_FIELDS,) the run of the cell under way, or of the last one
-    end: Any  # (RUN_FIELDS,) while it is followed, the run at its window's end
-    cache: Any  # (CACHE_SIZE,) its model's
+    table: Any  # (ROWS * LANES,) the phases, see `lanes`; None: each is computed by the scalar functions
+    runs: Any  # (lanes, RUN_FIELDS) the cells' runs
+    index: Any  # (lanes,) int64, the cell in each lane; -1: none
+    counts: Any  # (2,) int64: lines put into a lane so far, cells done
+    followed: Any  # (lanes,) bool, whether the cell is followed beyond its window
+    ends: Any  # (lanes, RUN_FIELDS) of cells that are, the run at the window's end
+    cache: Any  # (CACHE_SIZE,) the model's, of a cell without a table
 
 
-def _allocate_walk() -> Walk:
-    """At the first cell."""
-    return Walk(np.zeros(2, np.int64), np.zeros(RUN_FIELDS), np.zeros(RUN_FIELDS), np.zeros(CACHE_SIZE))
+def _allocate_lanes(lanes: int) -> Lanes:
+    """Empty lanes, with a table if there are LANES."""
+    table = None
+    if lanes == LANES:
+        table = np.zeros(ROWS * LANES)
+        table[K0 * LANES : (K0 + 1) * LANES] = 1.0  # F = 1 keeps the arithmetic of idle lanes finite
+    runs, ends = np.zeros((lanes, RUN_FIELDS)), np.zeros((lanes, RUN_FIELDS))
+    followed = np.zeros(lanes, np.bool_)
+    return Lanes(table, runs, np.full(lanes, -1), np.zeros(2, np.int64), followed, ends, np.zeros(CACHE_SIZE))
+
+
+@jit
+def lanes_used(lines: int) -> int:
+    """Lanes that so many lines are computed in: one by one, one vector (half of all), or all."""
+    if lines <= FEW:
+        return lines
+    return LANES // 2 if lines <= LANES // 2 else LANES
+
+
+@inlined
+def _searching(table: Any, k: int) -> bool:
+    """Whether lane k holds a phase that has not ended."""
+    return False if table is None else table[STATUS * LANES + k] == SEARCHING
+
+
+@inlined
+def _ended(table: Any, k: int, run: Progress) -> bool:
+    """Whether lane k holds the end of the run's phase. If not, the scalar functions compute it.
+
+    So for short flights, failed searches, and contacts at their horizon: they may never end from there on.
+    """
+    if table is None:
+        return False
+    if table[STATUS * LANES + k] == AT_ROOT:
+        return not (run.in_flight and table[TAU * LANES + k] < SHORT_FLIGHT)
+    return table[STATUS * LANES + k] != FALLBACK and run.in_flight
+
+
+@inlined
+def _scalar_phase(spring: Any, run: Progress) -> Phase:
+    """The run's next phase by the scalar functions; one of no length if it has ended."""
+    if run.ending != ROOT:
+        return Phase(0.0, run.ending, run.in_flight, run.gap, run.gap1, run.q, run.q1, 0)
+    horizon = cell.horizon_of(run)
+    p: Phase
+    if run.in_flight:
+        p = flight(spring, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+    else:
+        p = contact(spring, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+    return p
+
+
+@allocating
+def _after_window(
+    before: Progress, run: Progress, i: int, k: int, window: Window, line: Line, flights: Flights,
+    lanes: Lanes, variations: Variations | None,
+) -> Progress:  # fmt: skip
+    """The run that follows `run`, which has ended after `before`: beyond its window, or in a later one.
+
+    Writes the window's record. Where nothing follows, the run returned has ended.
+    """
+    first = k * flights.size
+    if lanes.followed[k]:
+        line.outcome[i] = cell.decide(line.outcome[i], run, flights, first, window)
+        run, lanes.followed[k] = cell.load_run(lanes.ends[k]), False
+    else:
+        if variations is not None:
+            lyapunov.write_exponents(line.lyapunov[i], run.ending, variations)
+            line.lyapunov_error[i] = lyapunov.exponent_error(run.ending, variations, window.observe)
+        cell.write_record(line, i, run, flights, first, window)
+        if line.outcome[i] in (cell.APERIODIC, cell.SETTLING):  # followed, to tell one from the other
+            cell.store_run(run, lanes.ends[k])
+            lanes.followed[k] = True
+            return cell.follow(before, window)
+    run = cell.extend(run, line.outcome[i], window)
+    if variations is not None and run.ending == ROOT:
+        lyapunov.begin_window(variations)
+    return run
 
 
 @allocating
 def _walk(
     plate: Any, gamma: Any, omega: Any, xi: Any, length: int, states: Any, window: Window, line: Line,
-    flights: Flights, walk: Walk, variations: Variations | None, steps: int,
+    flights: Flights, lanes: Lanes, table: Any, variations: Variations | None, steps: int,
 ) -> bool:  # fmt: skip
-    """Run lines of `length` cells, cell by cell, for `steps` contacts and flights; whether all is done.
+    """Run lines of `length` cells each for about `steps` phases or moves of all lanes; whether all is done.
 
-    `states`: (n / length, 6) where each line begins, as in `cell.begin_line`. Fills `line`. The next call
-    goes on from `flights`, `walk` and `variations`, which are overwritten. `variations`: for the exponents,
-    or None.
+    `states`: (n / length, 6) where each line begins, as in `cell.begin`. Fills `line`. The next call
+    goes on from `flights`, `lanes` and `variations`. table: that of `lanes`; None is seen at compile time.
+    variations: for the exponents of one cell at a time, or None.
+
+    Each lane holds one cell and its phase. `advance_lanes` moves all on. A lane whose phase has ended goes
+    through the landing or take-off here, and gets its next phase or, at the end of its window, the next cell
+    of its line, or of the next line. Phases that lanes cannot compute well are computed by the scalar
+    functions at once, so that a record depends on nothing but its cell and those before it on its line.
     """
-    counts, state = walk.counts, np.zeros(len(STATE_FIELDS))
-    while counts[0] < len(gamma):
-        i = counts[0]
-        cell = prepare(plate, i, gamma[i], omega[i], xi[i])
-        run = load_run(walk.run)
-        if counts[1] == NOT_BEGUN:
-            if i % length == 0:
-                run = begin_line(cell, states, i // length, state, window)
-            else:
-                run = begin_next(
-                    cell, run, gamma[i - 1], omega[i - 1], gamma[i], omega[i], state, window
-                )  # fmt: skip
-            if variations is not None:
-                start_variations(variations)
-            walk.cache[:] = 0.0
-            counts[1] = IN_WINDOW
-        if counts[1] == FOLLOWED:
-            _, run, steps = run_cell(cell, run, window, flights, walk.cache, None, steps)
-            if run.ending != ROOT:
-                line.outcome[i] = decide(line.outcome[i], run, flights, 0, window)
-                run = load_run(walk.end)
-        else:
-            last, run, steps = run_cell(cell, run, window, flights, walk.cache, variations, steps)
-            if run.ending != ROOT:
-                if variations is not None:
-                    write_exponents(line.lyapunov[i], run.ending, variations)
-                    line.lyapunov_error[i] = exponent_error(run.ending, variations, window.observe)
-                store_state(run, state)
-                write_record(line, i, run, flights, 0, state, window)
-                if shows_no_mode(line.outcome[i]):
-                    store_run(run, walk.end)
-                    run = follow(last, window)
-                    walk.cache[:] = 0.0
-                    counts[1] = FOLLOWED
-        if run.ending != ROOT:
-            run = extend(run, line.outcome[i], window)
-            if run.ending == ROOT:
-                if variations is not None:
-                    begin_window(variations)
-                walk.cache[:] = 0.0
-                counts[1] = IN_WINDOW
-        store_run(run, walk.run)
-        if run.ending != ROOT:
-            counts[0] += 1
-            counts[1] = NOT_BEGUN
-        elif steps <= 0:
-            return False
-    return True
+    index, counts = lanes.index, lanes.counts
+    springs = [prepare(plate, max(i, 0), gamma[i], omega[i], xi[i]) for i in index]
+    runs = [cell.load_run(lanes.runs[k]) for k in range(len(index))]
+    state = np.zeros(len(STATE_FIELDS))
+    lines = len(gamma) // length
+    used = 1 if table is None else lanes_used(lines)
+    while counts[1] < len(gamma) and steps > 0:
+        for k in range(used):
+            if (index[k] < 0 and counts[0] == lines) or (index[k] >= 0 and _searching(table, k)):
+                continue
+            run, first = runs[k], k * flights.size
+            while steps > 0 and (index[k] < 0 or not _searching(table, k)):
+                steps -= 1
+                i, known, sin, cos = index[k], False, 0.0, 1.0
+                ends = i < 0
+                if not ends:
+                    before = run
+                    if table is not None and _ended(table, k, run):
+                        p, sin, cos = unload_lane(springs[k], table, k, run)
+                        known = True
+                    else:
+                        if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
+                            run = replay(springs[k], run, window, flights, lanes.cache)
+                        p = _scalar_phase(springs[k], run)
+                    if variations is not None and not lanes.followed[k]:
+                        lyapunov.carry_run(springs[k], before, run, p, window, variations)
+                    started = run
+                    run = cell.record(started, p, window, flights, first)
+                    if window.settle_tolerance > 0.0:
+                        run = cell.end_settling(started, run, window, flights, first)
+                    if cell.may_repeat(started, run, window):
+                        run = cell.skip_cycles(run, flights, first)
+                    if run.ending != ROOT:
+                        run = _after_window(before, run, i, k, window, line, flights, lanes, variations)
+                        lanes.cache[:] = 0.0
+                        known, ends = False, run.ending != ROOT
+                        counts[1] += 1 if ends else 0
+                if ends:
+                    i += 1
+                    if i % length == 0:  # the next line
+                        index[k] = -1
+                        if counts[0] == lines:
+                            break
+                        i = counts[0] * length
+                        counts[0] += 1
+                    index[k] = i
+                    springs[k] = prepare(plate, i, gamma[i], omega[i], xi[i])
+                    run = cell.begin(springs[k], i, length, gamma, omega, states, run, state, window)
+                    if variations is not None:
+                        lyapunov.start_variations(variations)
+                if table is not None:
+                    if not known:
+                        sin, cos = sincos(run.phase)
+                    loaded = load_lane(springs[k], table, k, run, sin, cos, cell.horizon_of(run))
+                    table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
+            runs[k] = run
+        if table is not None and steps > 0:
+            advance_lanes(plate, table, used)
+            steps -= 1
+    for k in range(len(index)):
+        cell.store_run(runs[k], lanes.runs[k])
+    return bool(counts[1] == len(gamma))
 
 
 def _check_plate(plate: Any, n: int) -> None:
@@ -145,21 +217,16 @@ def _check_plate(plate: Any, n: int) -> None:
 def _first_states(
     starts: Sequence[Start | None], gamma: NDArray[np.float64], omega: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Where each of as many lines begins, (lines, len(STATE_FIELDS)) in its first cell's units; NaN: at rest.
-
-    Raises KernelInputError.
-    """
+    """Where each line begins, (lines, 6) in its first cell's units, NaN at rest. Raises KernelInputError."""
     if not starts or len(gamma) % len(starts):
-        rule = (
-            f"must be one for each of several lines of equal length, got {len(starts)} for {len(gamma)} cells"
-        )
-        raise KernelInputError("start", rule)
+        rule = "must be one for each of several lines of equal length"
+        raise KernelInputError("start", f"{rule}, got {len(starts)} for {len(gamma)} cells")
     states = np.full((len(starts), len(STATE_FIELDS)), np.nan)
     for number, start in enumerate(starts):
         if start is not None:
             states[number] = checked_state(start)
             first = number * (len(gamma) // len(starts))
-            rescale(states[number], start.cell.gamma, start.cell.omega, gamma[first], omega[first])
+            cell.rescale(states[number], start.cell.gamma, start.cell.omega, gamma[first], omega[first])
     return states
 
 
@@ -178,7 +245,7 @@ class LineRun:
     settling may take in all; None: no more than the window.
     The periods are doubled as long as the cell settles, and the last `observe` of them are recorded.
     settle_early: whether the cycles that are left are not computed but repeated, once the last flights surely
-    follow one (`kernel.repetition`); not with `carry` or `exponents`.
+    follow one (`modes.find_repetition`); not with `carry` or `exponents`.
     exponents: Lyapunov exponents to compute. in_lanes: False computes cell by cell also where lanes could,
     for comparison; the last digits differ.
 
@@ -187,29 +254,19 @@ class LineRun:
     """
 
     def __init__(
-        self,
-        gamma: NDArray[np.float64],
-        omega: NDArray[np.float64],
-        xi: NDArray[np.float64],
-        *,
-        plate: Any,
-        carry: bool,
-        settle: int,
-        observe: int,
-        keep: int,
-        micro_flight: float = 0.0,
-        settle_tolerance: float = 0.0,
-        settle_until: int | None = None,
-        settle_early: bool = False,
-        exponents: int = 0,
-        start: Start | Sequence[Start | None] | None = None,
-        states: NDArray[np.float64] | None = None,
-        in_lanes: bool = True,
-    ) -> None:
+        self, gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64], *,
+        plate: Any, carry: bool, settle: int, observe: int, keep: int, micro_flight: float = 0.0,
+        settle_tolerance: float = 0.0, settle_until: int | None = None, settle_early: bool = False,
+        exponents: int = 0, start: Start | Sequence[Start | None] | None = None,
+        states: NDArray[np.float64] | None = None, in_lanes: bool = True,
+    ) -> None:  # fmt: skip
         arrays = {"gamma": gamma, "omega": omega, "xi": xi}
         check_arrays(arrays)
         check_window(settle, observe, keep, micro_flight, settle_tolerance, settle_until, exponents)
-        check_early(settle_early, carry=carry, exponents=exponents)
+        if settle_early and (carry or exponents):
+            raise KernelInputError(
+                "settle_early", "must be false with carry or exponents, which compute every cycle"
+            )
         _check_plate(plate, len(gamma))
         self.line = empty_line(len(gamma), keep, exponents)
         self._gamma, self._omega, self._xi = (np.ascontiguousarray(a) for a in arrays.values())
@@ -221,30 +278,25 @@ class LineRun:
             self._length = len(gamma) // len(starts)
         self._window = Window(
             int(settle), int(observe), float(micro_flight), float(settle_tolerance),
-            int(settle_until or 0), int(exponents), bool(settle_early),
+            int(settle_until or 0), bool(settle_early),
         )  # fmt: skip
-        self._variations = allocate_variations(plate, exponents) if exponents else None
+        self._variations = lyapunov.allocate_variations(plate, exponents) if exponents else None
         in_lanes = in_lanes and type(plate) in advance_lanes and self._variations is None
-        self._at: Lanes | Walk = allocate_lanes() if in_lanes else _allocate_walk()
-        self._flights = allocate_flights(keep, LANES if in_lanes else 1)
+        self._lanes = _allocate_lanes(LANES if in_lanes else 1)
+        self._flights = cell.allocate_flights(keep, len(self._lanes.index))
 
     def advance(self, steps: int = _ALL) -> bool:
         """Compute on for about `steps` >= 1 contacts and flights; whether every cell of `line` is done."""
-        if isinstance(self._at, Lanes):
-            return run_lockstep(
-                self._plate, self._gamma, self._omega, self._xi, self._length, self._states, self._window,
-                self.line, self._flights, self._at, steps,
-            )  # fmt: skip
         return _walk(
             self._plate, self._gamma, self._omega, self._xi, self._length, self._states, self._window,
-            self.line, self._flights, self._at, self._variations, steps,
+            self.line, self._flights, self._lanes, self._lanes.table, self._variations, steps,
         )  # fmt: skip
 
     def save(self) -> dict[str, NDArray[Any]]:
         """All that `advance` changes, by name: the arrays themselves, not copies."""
         return {
             f"{type(part).__name__}.{name}": array
-            for part in (self.line, self._flights, self._at, self._variations)
+            for part in (self.line, self._flights, self._lanes, self._variations)
             if part is not None
             for name, array in part._asdict().items()
             if isinstance(array, np.ndarray)

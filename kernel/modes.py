@@ -1,28 +1,20 @@
 """From the flights of a window to the mode (bounces, plate periods), or to whether they still settle.
 
-The rules are those of docs/model.md, section 4; `benchmarks.settling` measures them.
+The rules are those of docs/model.md, section 4; `benchmarks.settling` and `benchmarks.early` measure them.
 """
 
 import math
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 from kernel.numerics.elementary import TWO_PI
-from kernel.numerics.jit import jit
+from kernel.numerics.jit import allocating, inlined, jit
 
-#: Flights repeat when their times and take-off phases agree within this, rad: above what is left of the
-#: settling in most cells, and far below the differences between the flights of a cycle.
-REPEATS: Final = 1e-6
-
-#: A cycle of s flights is taken for the limit of one of k s flights only if the difference of flights s apart
-#: falls by more than this part of itself: less may be the rounding of a true cycle of k s flights.
-FALLS: Final = 0.01
-
-#: Flights up to this many apart are compared to tell whether they settle. All but some 1 in 100 of the
-#: periodic cells have a cycle of at most 24 bounces.
-LAGS: Final = 24
-
-#: The fewest flights from which settling can be told: three parts of three flights, for the largest lag.
-FEWEST: Final = 12
+REPEATS: Final = 1e-6  # rad within which flights agree: above the rest of settling, below all differences
+FALLS: Final = 0.01  # part by which a difference must fall to a shorter cycle's; less is rounding
+LAGS: Final = 24  # flights up to this many apart tell settling; 99 in 100 cycles have at most 24
+FEWEST: Final = 12  # flights from which settling can be told: three parts of three, for the largest lag
 
 #: Flights settle where their difference falls below NEAR (rad) and to less than APPROACH of itself from the
 #: first third of the flights to the last.
@@ -34,6 +26,32 @@ APPROACH: Final = 0.7
 #: attractor the difference stays as it is.
 CLOSE: Final = 0.01
 DRIFT: Final = 0.05
+
+
+AGREE: Final = 1e-10  # rad; for `find_repetition` flights agree, and drift until the end, within this
+TURNS: Final = 5  # the last flights must follow a cycle so many times, which gives one difference fewer
+LONGEST: Final = 24  # cycles of up to this many flights are looked for, ...
+CHECK: Final = 8  # ... after every so many flights
+ROUNDING: Final = 1e-13  # rad by which differences may grow from one turn to the next
+
+
+class Flights(NamedTuple):
+    """The last flights of the cells in some lanes: ring buffers of `size` flights, one after another.
+
+    Functions take where that of their lane begins, first = size * lane. Arrays (lanes * size,).
+    """
+
+    time: Any  # float64, rad
+    phase: Any  # float64, rad modulo 2 pi, at take-off
+    period: Any  # int64, plate periods since the cell began, at take-off
+    size: int
+    stored: int  # of which are stored with the cell
+
+
+@inlined
+def slot(flights: Flights, first: int, n: int) -> int:
+    """Where the n-th flight of a lane is whose ring buffer begins at `first`."""
+    return first + n % flights.size
 
 
 @jit
@@ -52,20 +70,14 @@ def find_cycle(
         periods = takeoff_period[n - 1] - takeoff_period[n - 1 - bounces]
         # phases either side of the turn of a period are neighbours
         difference = takeoff_phase[n - 1] - takeoff_phase[n - 1 - bounces]
-        if difference > math.pi:
-            periods += 1
-        elif difference < -math.pi:
-            periods -= 1
+        periods += 1 if difference > math.pi else (-1 if difference < -math.pi else 0)
         if periods < 1:
             continue
         repeats = True
         for i in range(n - 1, first - 1, -1):
             j = i - bounces
-            shift = (
-                takeoff_phase[i]
-                - takeoff_phase[j]
-                + TWO_PI * (takeoff_period[i] - takeoff_period[j] - periods)
-            )
+            turns = takeoff_period[i] - takeoff_period[j] - periods
+            shift = takeoff_phase[i] - takeoff_phase[j] + TWO_PI * turns
             if abs(flight_time[i] - flight_time[j]) > tolerance or abs(shift) > tolerance:
                 repeats = False
                 break
@@ -76,10 +88,7 @@ def find_cycle(
 
 @jit
 def find_mode(flight_time: Any, takeoff_phase: Any, takeoff_period: Any) -> tuple[int, int]:
-    """The mode (bounces, plate periods) of the flights of a window, or (0, 0): the limit of their cycle.
-
-    Arrays (n,) as in `find_cycle`.
-    """
+    """The mode (bounces, plate periods) of the flights, as of `find_cycle`: the limit of their cycle."""
     bounces, periods = find_cycle(flight_time, takeoff_phase, takeoff_period, REPEATS)
     if bounces > 0:
         limit = limit_cycle(flight_time, takeoff_phase, bounces)
@@ -154,11 +163,7 @@ def _thirds(flight_time: Any, takeoff_phase: Any, lag: int, part: int) -> tuple[
 
 @jit
 def _mean_square(flight_time: Any, takeoff_phase: Any, lag: int, first: int, part: int) -> float:
-    """The mean square difference (rad**2) of flights `lag` apart, over `part` flights from the `first` on.
-
-    The difference of two flights is the vector of those of their times and of their take-off phases, the
-    latter modulo 2 pi.
-    """
+    """The mean square difference (rad**2) of flights `lag` apart, over `part` flights from `first` on."""
     total = 0.0
     for i in range(first, first + part):
         time = flight_time[i] - flight_time[i - lag]
@@ -167,3 +172,82 @@ def _mean_square(flight_time: Any, takeoff_phase: Any, lag: int, first: int, par
         phase -= TWO_PI if phase > math.pi else (-TWO_PI if phase < -math.pi else 0.0)
         total += time * time + phase * phase
     return total / part
+
+
+# --- cycles that the last flights follow so closely that the others are known (`settle_early`) --------------
+
+
+@jit
+def find_repetition(flights: Flights, first: int, recorded: int, left: int) -> tuple[int, int]:
+    """The shortest cycle that the last flights of a run repeat: (bounces, plate periods), or (0, 0).
+
+    `recorded` flights were written; `left`: plate periods of the run that are left.
+
+    Over TURNS turns all flights agree within AGREE with those of the turn before. Let a be the largest
+    difference of one turn from that before. The flights of the n turns left then differ from those of the
+    last by at most a n or, if a has fallen throughout, by a geometric series with the largest ratio measured.
+    The cycle is accepted if that is at most AGREE, and if a does not grow beyond rounding.
+    """
+    phase, period = flights.phase, flights.period
+    for bounces in range(1, min(LONGEST, min(recorded, flights.size) // TURNS) + 1):
+        j, k = slot(flights, first, recorded - 1), slot(flights, first, recorded - 1 - bounces)
+        if abs(flights.time[j] - flights.time[k]) > AGREE:
+            continue
+        # phases either side of the turn of a period are neighbours
+        periods = period[j] - period[k] + round((phase[j] - phase[k]) * (1.0 / TWO_PI))
+        if periods >= 1 and _drift(flights, first, recorded, bounces, periods, left) <= AGREE:
+            return bounces, periods
+    return 0, 0
+
+
+@jit
+def _drift(flights: Flights, first: int, recorded: int, bounces: int, periods: int, left: int) -> float:
+    """A bound (rad) on how far flights of the turns left are from those of the last; infinite: no cycle."""
+    time, phase, period = flights.time, flights.phase, flights.period
+    ratio, older = 0.0, -1.0
+    for turn in range(TURNS - 2, -1, -1):
+        change = 0.0  # the largest difference from the turn before
+        for i in range(recorded - (turn + 1) * bounces, recorded - turn * bounces):
+            j, k = slot(flights, first, i), slot(flights, first, i - bounces)
+            shift = phase[j] - phase[k] + TWO_PI * (period[j] - period[k] - periods)
+            change = max(change, abs(time[j] - time[k]), abs(shift))
+            if change > AGREE:
+                return math.inf
+        if older >= 0.0:
+            if change > older + ROUNDING:
+                return math.inf
+            ratio = max(ratio, change / older if older > 0.0 else math.ceil(change))
+        older = change
+    turns = float(left // periods + 1)
+    return older * (min(turns, ratio / (1.0 - ratio)) if ratio < 1.0 else turns)
+
+
+@allocating
+def repeat_flights(
+    flights: Flights,
+    first: int,
+    recorded: int,
+    bounces: int,
+    periods: int,
+    turns: int,
+    settle: int,
+    begun: bool,
+) -> int:
+    """Record the last `bounces` flights `turns` times more, each turn `periods` plate periods later.
+
+    As the run would: those that take off before the plate period `settle` are left out and, unless the window
+    has `begun` already, those recorded before it are forgotten. Returns how many are recorded then.
+    """
+    cycle = np.empty((bounces, 2))
+    takeoff = np.empty(bounces, dtype=np.int64)
+    early = 0  # flights that take off before the window
+    for i in range(bounces):
+        j = slot(flights, first, recorded - bounces + i)
+        cycle[i, 0], cycle[i, 1], takeoff[i] = flights.time[j], flights.phase[j], flights.period[j]
+        early += min(max(-((takeoff[i] - settle) // periods) - 1, 0), turns)
+    base, total = recorded if begun else 0, turns * bounces
+    for n in range(max(early, total - flights.size), total):
+        j, i = slot(flights, first, base + n - early), n % bounces
+        flights.time[j], flights.phase[j] = cycle[i, 0], cycle[i, 1]
+        flights.period[j] = takeoff[i] + (n // bounces + 1) * periods
+    return base + total - early

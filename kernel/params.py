@@ -16,15 +16,12 @@ from numpy.typing import NDArray
 #: Part of every job's identity: raise it whenever any stored number may change.
 KERNEL_VERSION: Final = "4"
 
-
 #: Cells that `rigid` and `soft` compute side by side, in lanes: two vectors of eight doubles, so that the
 #: latency of one hides behind the other.
 LANES: Final = 16
 
-
-#: A cell whose window shows no mode is followed beyond it for FOLLOW times its `observe`, and at most
-#: MOST_FOLLOWED plate periods, before it is called aperiodic or settling. Chaotic transients look like chaos
-#: until they end: nothing but time tells them apart. This much ends 1 in 4 of those that a window leaves.
+#: A cell whose window shows no mode is followed for FOLLOW times its `observe`, at most MOST_FOLLOWED plate
+#: periods, before it is called aperiodic or settling: nothing but time tells chaotic transients.
 FOLLOW: Final = 2
 MOST_FOLLOWED: Final = 200
 

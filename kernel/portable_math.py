@@ -118,13 +118,9 @@ def hypot(x: float, y: float) -> float:
         return math.inf
     if a < b:
         a, b = b, a
-    if a > _LARGE:
-        a, b = a / _SCALE, b / _SCALE
-        return math.sqrt(a * a + b * b) * _SCALE
-    if a < _SMALL:
-        a, b = a * _SCALE, b * _SCALE
-        return math.sqrt(a * a + b * b) / _SCALE
-    return math.sqrt(a * a + b * b)
+    scale = 1.0 / _SCALE if a > _LARGE else (_SCALE if a < _SMALL else 1.0)
+    a, b = a * scale, b * scale
+    return math.sqrt(a * a + b * b) / scale
 
 
 def atan2(y: float, x: float) -> float:
@@ -146,10 +142,7 @@ def atan2(y: float, x: float) -> float:
 
 
 def _atan_of_ratio(b: float, a: float) -> float:
-    """atan(b/a) in [0, pi/4] for 0 <= b <= a, taking 0/0 for 0 and inf/inf for 1.
-
-    From one of the angles 0, atan(1/2) and pi/4, by atan(t) = atan(c) + atan((t - c)/(1 + t c)) with t = b/a.
-    """
+    """atan(b/a) for 0 <= b <= a, with 0/0 = 0 and inf/inf = 1; from 0, atan(1/2) or pi/4 on."""
     if b == 0.0:
         return 0.0
     if b == math.inf:

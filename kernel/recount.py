@@ -1,7 +1,7 @@
 """Modes of stored flights, with another shortest flight than the one they were classified with."""
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,7 @@ from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.jit import allocating, jit
 from kernel.params import Outcome
 
-PERIODIC: Final = int(Outcome.PERIODIC)
-APERIODIC: Final = int(Outcome.APERIODIC)
-SETTLING: Final = int(Outcome.SETTLING)
+_, PERIODIC, APERIODIC, _, _, _, SETTLING = map(int, Outcome)
 
 
 class Modes(NamedTuple):
@@ -37,20 +35,15 @@ def counted(
 
 
 def recount(
-    flight_time: NDArray[np.float64],
-    takeoff_phase: NDArray[np.float64],
-    flights: NDArray[np.int32],
-    modes: Modes,
-    micro_flight: float,
-    shortest: float,
-) -> Modes:
+    flight_time: NDArray[np.float64], takeoff_phase: NDArray[np.float64], flights: NDArray[np.int32],
+    modes: Modes, micro_flight: float, shortest: float,
+) -> Modes:  # fmt: skip
     """The modes of n cells if only flights longer than `shortest` (rad) count, from their stored flights.
 
     flight_time, takeoff_phase: (n, keep) in rad, flights: (n,), as in `params.Line`; modes: as classified
-    with `micro_flight` (rad). A cycle must be seen three times in the stored flights, of which there may be
-    fewer than those of the first classification. Cells keep their outcome and mode where no other flights
-    count than before, and aperiodic and settling ones their outcome where no mode is found: the kernel has
-    followed them beyond the stored flights.
+    with `micro_flight` (rad). A cycle must be seen three times in the stored flights. Cells keep outcome and
+    mode where no other flights count than before, and aperiodic and settling ones their outcome where no mode
+    is found: the kernel has followed them beyond the stored flights.
 
     Plate periods of take-offs are not stored: a contact between two flights is taken to be shorter than a
     plate period, except where the first classification tells how many periods a cycle has.

@@ -1,8 +1,7 @@
 """Isolated impacts on the spring-dashpot contact: duration, restitution and damping ratio; no numba.
 
-An isolated impact is gap'' + 2 zeta gap' + gap = 0 from gap = 0, gap' = -1, one unit of time being d rad.
-The adhesive contact ends where the gap is zero again, the nonadhesive one where the force is
-(docs/model.md, section 2):
+An isolated impact is gap'' + 2 zeta gap' + gap = 0 from gap = 0, gap' = -1, in units of d rad, to where the
+gap (adhesive) or the force (nonadhesive) is zero again (docs/model.md, section 2):
 
     adhesive     duration pi/s                 zeta < 1                (Eq. 11)
     nonadhesive  duration 2 atan2(s, zeta)/s   zeta < 1
@@ -22,23 +21,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from kernel.portable_math import asinh, atan2, exp, log, log1p
 
-#: The smallest restitution an impact is computed for. A nonadhesive contact reaches e = 0 only at
-#: infinite damping, and an adhesive one lasts for ever there; below this the contact is that of this e,
-#: whose rebound is below the rounding of anything that follows it.
+#: The smallest restitution an impact is computed for, whose rebound is below the rounding of what follows. At
+#: e = 0 a nonadhesive contact has infinite damping, and an adhesive one lasts for ever.
 SMALLEST: Final = 1e-12
 
 #: 1 - zeta**2 below this counts as zero in the slope of zeta * duration, whose quotient is 0/0 at zeta = 1;
 #: the slope is then off by 1e-4 of itself, which costs Newton's method nothing.
 _CRITICAL: Final = 1e-4
 
-#: Relative size of Newton's step after which the next one, its square, is below rounding.
-_CONVERGED: Final = 1e-9
-
-#: -ln e above which (zeta > 3.4) zeta is computed from e by `strong_damping_ratio`.
-_STRONG: Final = 4.0
-
-#: Cap on Newton's steps; at most 7 are taken.
-_NEWTON_STEPS: Final = 20
+_CONVERGED: Final = 1e-9  # relative size of Newton's step after which the next one, its square, is rounding
+_STRONG: Final = 4.0  # -ln e above which (zeta > 3.4) zeta is computed by `strong_damping_ratio`
+_NEWTON_STEPS: Final = 20  # cap on Newton's steps; at most 7 are taken
 
 _Array = NDArray[np.float64]
 
@@ -81,11 +74,8 @@ def scalar_damping_ratio(e: float, adhesive: bool) -> float:
 
 
 def strong_damping_ratio(e: float, zeta: float) -> float:
-    """zeta > 1 without the rounding of ln e, which is several times that of e; from zeta next to it.
-
-    e = exp(-r)/(2 zeta)**2, where r = zeta * duration - 2 ln(2 zeta) is small, written so that nothing
-    cancels.
-    """
+    """zeta > 1 without the rounding of ln e, which is several times that of e; from zeta next to it."""
+    # e = exp(-r)/(2 zeta)**2, where r = zeta * duration - 2 ln(2 zeta) is written so that nothing cancels
     s = math.sqrt((zeta - 1.0) * (zeta + 1.0))
     r = 2.0 * asinh(s) / (s * (s + zeta)) + 2.0 * log1p(-0.5 / (zeta * (s + zeta)))
     return 0.5 * exp(-0.5 * r) / math.sqrt(e)
@@ -143,8 +133,6 @@ def contact_time(e: ArrayLike, penetration: ArrayLike, adhesive: bool) -> _Array
 def restitution_of(xi: ArrayLike) -> _Array:
     """Restitution epsilon = f(xi) in [0, 1/2] of the ball equivalent to a rigid spring of damping xi >= 0.
 
-    Half the restitution of a nonadhesive impact at zeta = xi: the lower mass stops, the upper one
-    rebounds from it, and both share the remaining momentum (docs/model.md, section 5; the paper leaves f
-    open).
+    Half that of a nonadhesive impact at zeta = xi (docs/model.md, section 5; the paper leaves f open).
     """
     return 0.5 * restitution(xi, adhesive=False)

@@ -25,15 +25,9 @@ from numpy.typing import ArrayLike, NDArray
 from kernel.portable_math import hypot
 from kernel.restitution import contact_time, damping_ratio
 
-#: More steps than this in a plate period are refused; a cell that needs them is unresolved. At about 4 ns a
-#: step one such period takes 40 ms.
-MOST_STEPS_PER_PERIOD: Final = 10_000_000
-
-#: Numbers of steps beyond this are cut to it before they are converted to integers, which end at 9.2e18.
-_MAX_COUNT: Final = 1e18
-
-#: Halvings of the bracket of Euler's stable step: to 2**-60 of Verlet's, below rounding.
-_HALVINGS: Final = 60
+MOST_STEPS_PER_PERIOD: Final = 10_000_000  # more are refused, as unresolved: such a period takes 40 ms
+_MAX_COUNT: Final = 1e18  # more steps are cut to this before they are converted to integers
+_HALVINGS: Final = 60  # of the bracket of Euler's stable step: to 2**-60 of Verlet's, below rounding
 
 _Array = NDArray[np.float64]
 
@@ -53,14 +47,9 @@ def _largest_eigenvalue(spring: _Array, contact: _Array) -> _Array:
 
 
 def largest_stable_step(
-    omega: ArrayLike,
-    xi: ArrayLike,
-    restitution: ArrayLike,
-    penetration: ArrayLike,
-    *,
-    adhesive: bool = True,
-    scheme: Scheme = Scheme.VERLET,
-) -> _Array:
+    omega: ArrayLike, xi: ArrayLike, restitution: ArrayLike, penetration: ArrayLike, *,
+    adhesive: bool = True, scheme: Scheme = Scheme.VERLET,
+) -> _Array:  # fmt: skip
     """The step (rad) below which the scheme is stable in contact and in flight, and above which it is not.
 
     The positional arguments, in the ranges of docs/model.md, section 1, broadcast together. Under Verlet
@@ -87,22 +76,16 @@ def steps_per_period(
 ) -> NDArray[np.int64]:
     """Steps per plate period under the paper's rule (Eq. 13), an array of integers.
 
-    The fewest whose length is at most the contact's duration over `steps_per_contact`. A whole number of
-    steps makes a plate period, so that a step is 2 pi over this.
+    The fewest whose length is at most the contact's duration over `steps_per_contact`.
     """
     longest = contact_time(restitution, penetration, adhesive) / steps_per_contact
     return np.maximum(np.ceil(np.minimum(2.0 * np.pi / longest, _MAX_COUNT)), 1.0).astype(np.int64)
 
 
 def stable_steps_per_contact(
-    omega: ArrayLike,
-    xi: ArrayLike,
-    restitution: ArrayLike,
-    penetration: ArrayLike,
-    *,
-    adhesive: bool = True,
-    scheme: Scheme = Scheme.VERLET,
-) -> NDArray[np.int64]:
+    omega: ArrayLike, xi: ArrayLike, restitution: ArrayLike, penetration: ArrayLike, *,
+    adhesive: bool = True, scheme: Scheme = Scheme.VERLET,
+) -> NDArray[np.int64]:  # fmt: skip
     """The fewest `steps_per_contact` that are stable; the positional arguments broadcast together."""
     longest = largest_stable_step(omega, xi, restitution, penetration, adhesive=adhesive, scheme=scheme)
     fewest = contact_time(restitution, penetration, adhesive) / longest

@@ -3,19 +3,14 @@
 Every function raises KernelInputError, which names the argument and the rule it breaks.
 """
 
+import math
 from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import (
-    MAX_EXPONENTS,
-    MAX_SETTLE_TOLERANCE,
-    STATE_FIELDS,
-    KernelInputError,
-    Start,
-)
+from kernel.params import MAX_EXPONENTS, MAX_SETTLE_TOLERANCE, STATE_FIELDS, KernelInputError, Start
 
 #: Parameters must lie within this and its inverse. Their squares, such as 1/d^2, then stay within 1e60, and
 #: products of four of those, which the kernels form, within a double's range of 1e308.
@@ -35,11 +30,9 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
     """Check float64 arrays (n,) of one length, by name, each within its rule."""
     shape = None
     for name, array in arrays.items():
-        if not isinstance(array, np.ndarray) or array.dtype != np.float64:
-            kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
-            raise KernelInputError(
-                name, f"must be a float64 array, got {kind}; numpy.asarray(..., dtype=float) makes one"
-            )
+        kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+        if kind != np.float64:
+            raise KernelInputError(name, f"must be a float64 array, got {kind}")
         if array.ndim != 1 or len(array) == 0:
             raise KernelInputError(name, f"must have shape (n,) with n >= 1, got {array.shape}")
         shape = shape or array.shape
@@ -56,50 +49,34 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
 
 
 def check_window(
-    settle: int,
-    observe: int,
-    keep: int,
-    micro_flight: float,
-    settle_tolerance: float = 0.0,
-    settle_until: int | None = None,
-    exponents: int = 0,
-) -> None:
+    settle: int, observe: int, keep: int, micro_flight: float, settle_tolerance: float,
+    settle_until: int | None, exponents: int,
+) -> None:  # fmt: skip
     """Check an observation window, as in `kernel.line.run_line`.
 
     settle, observe and settle_until are in plate periods, keep in flights, micro_flight and settle_tolerance
     in rad, exponents a number.
     """
-    for name, value, minimum in (("settle", settle, 0), ("observe", observe, 1), ("keep", keep, 1)):
-        if not _is_whole(value) or value < minimum:
-            raise KernelInputError(name, f"must be an integer >= {minimum}, got {value!r}")
-    if settle_until is not None and (not _is_whole(settle_until) or settle_until < settle + observe):
-        raise KernelInputError(
-            "settle_until",
-            f"must be None or an integer >= settle + observe, {settle + observe}, got {settle_until!r}",
-        )
-    if not _is_whole(exponents) or not 0 <= exponents <= MAX_EXPONENTS:
-        raise KernelInputError(
-            "exponents", f"must be an integer from 0 to {MAX_EXPONENTS}, got {exponents!r}"
-        )
-    for name, length in (("micro_flight", micro_flight), ("settle_tolerance", settle_tolerance)):
-        if not np.isfinite(length) or length < 0.0:
-            raise KernelInputError(name, f"must be >= 0 and finite, got {length!r}")
-    if settle_tolerance > MAX_SETTLE_TOLERANCE:
-        raise KernelInputError(
-            "settle_tolerance", f"must be at most {MAX_SETTLE_TOLERANCE:g}, got {settle_tolerance!r}"
-        )
+    fewest = settle + observe if is_whole(settle) and is_whole(observe) else 0
+    for name, value, least, most in (
+        ("settle", settle, 0, math.inf),
+        ("observe", observe, 1, math.inf),
+        ("keep", keep, 1, math.inf),
+        ("settle_until", fewest if settle_until is None else settle_until, fewest, math.inf),
+        ("exponents", exponents, 0, MAX_EXPONENTS),
+    ):
+        if not is_whole(value) or not least <= value <= most:
+            raise KernelInputError(name, f"must be an integer from {least} to {most}, got {value!r}")
+    for name, length, longest in (
+        ("micro_flight", micro_flight, math.inf),
+        ("settle_tolerance", settle_tolerance, MAX_SETTLE_TOLERANCE),
+    ):
+        if not (0.0 <= length <= longest and length < math.inf):
+            raise KernelInputError(name, f"must be from 0 to {longest:g} and finite, got {length!r}")
 
 
-def check_early(settle_early: object, *, carry: bool, exponents: int) -> None:
-    """Check that settling may end early: not on a ramp, nor with exponents."""
-    if not isinstance(settle_early, bool):
-        raise KernelInputError("settle_early", f"must be true or false, got {settle_early!r}")
-    if settle_early and (carry or exponents):
-        what = "a line that carries its state" if carry else "a run with exponents"
-        raise KernelInputError("settle_early", f"must be false on {what}, every cycle of which is computed")
-
-
-def _is_whole(value: object) -> bool:
+def is_whole(value: object) -> bool:
+    """Whether this is an integer, and not True or False."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 

@@ -4,8 +4,8 @@ It falls freely (`kernel.models.free_fall`), leaves the plate again at -epsilon 
 it landed with (Eq. 4, with its sign corrected), and rests on it while n = 1/Gamma - cos(phi) > 0. The
 take-off from rest is at cos(phi) = 1/Gamma, in closed form, and the same motion follows it every time: a
 cell caches it and replays it (`_replay`). Chatter is followed hop by hop, each of them a flight, until n is
-steady over the rest of it (`kernel.models.chatter`). Its end is then in closed form, and its remaining hops,
-shorter than about 1e-3 (1 - epsilon) rad, are not recorded.
+steady over the rest of it (`contact_law.chatter_completes`). Its end is then in closed form, and its
+remaining hops, shorter than about 1e-3 (1 - epsilon) rad, are not recorded.
 """
 
 import math
@@ -14,18 +14,18 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cell import Flights, Progress, Window, horizon_of, record
+from kernel.cell import Progress, Window, at_period, horizon_of, record
 from kernel.interface import contact, contact_force, flies, flight, prepare, replay, rest
-from kernel.models.chatter import chatter_completes, chatter_time
+from kernel.models.contact_law import chatter_completes, chatter_time
 from kernel.models.free_fall import drop, landing, plate_recedes, state_after, takes_off
-from kernel.numerics.elementary import TWO_PI, atan2, sincos
+from kernel.modes import Flights
+from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT, Phase
 from kernel.numerics.jit import jit
+from kernel.portable_math import atan2
 from kernel.validation import check_arrays
 
-#: Contacts and flights after a take-off from rest that a cell caches, up to the next take-off if it comes so
-#: soon; the phases beyond are computed each time. They take 56 of the cell.CACHE_SIZE = 64 numbers.
-CACHED_PHASES: Final = 18
+CACHED_PHASES: Final = 18  # after a take-off from rest, up to the next; in 56 of the cell.CACHE_SIZE numbers
 
 # Layout of a cell's cache (`interface.replay`): the number of phases, the plate period of the take-off
 # before, then for each phase its duration, gap' after it, and 1.0 if a flight follows.
@@ -73,10 +73,7 @@ def _rest(b: Ball) -> tuple[float, float, float, float]:
 
 @jit
 def _stays(b: Ball, phi: float, hop: float, n: float, n1: float) -> bool:
-    """Whether a ball that leaves the plate at velocity `hop`, pressed back with n, counts as in contact.
-
-    n1 is the rate of change of n. It does where the chatter that begins with the hop may be summed.
-    """
+    """Whether a ball that leaves at velocity `hop`, pressed back with n, is taken to chatter in contact."""
     if plate_recedes(b.phi_lift, phi):
         return False
     return hop <= 0.0 or chatter_completes(hop, n, n1, 1.0, b.restitution)
@@ -162,18 +159,12 @@ def _fill_cache(b: Ball, phi: float, budget: int, cache: Any) -> None:
 
 @jit
 def _skip_cycles(run: Progress, cache: Any) -> Progress:
-    """The run at a take-off from rest, advanced by as many whole cycles as fit into the settling.
-
-    A cycle is the time since the take-off from rest before this one.
-    """
+    """The run at a take-off from rest, advanced by the cycles that fit into the settling."""
     length = max(run.period - int(cache[BEFORE]), 1)
     cycles = (run.settle - 1 - run.period) // length if cache[BEFORE] >= 0.0 else 0
     period = run.period + max(cycles, 0) * length
     cache[BEFORE] = period
-    return Progress(
-        run.phase, period, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, period, run.recorded, run.flew, run.budget, run.ending, run.settle, run.end,
-    )  # fmt: skip
+    return at_period(run, period, run.recorded, run.flew)
 
 
 @replay.register(Ball)

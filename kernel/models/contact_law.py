@@ -1,24 +1,25 @@
-"""The spring-dashpot contact that `soft` and `stepped` share (paper Eqs. 9 to 12; docs/model.md, section 2).
+"""Contacts that models share: the spring-dashpot of `soft` and `stepped`, the chatter of `rigid` and `ball`.
 
-With stiffness kappa = 1/d^2 and damping beta = 2 zeta/d the plate pushes the lower mass with
+Spring and dashpot (paper Eqs. 9 to 12; docs/model.md, section 2): with stiffness kappa = 1/d^2 and damping
+beta = 2 zeta/d the plate pushes the lower mass with n = -(kappa gap + beta gap'), in m A omega^2. An adhesive
+contact lasts while gap < 0 and may pull; a nonadhesive one while also n > 0.
 
-    n = -(kappa gap + beta gap')        (m A omega^2)
-
-An adhesive contact lasts while gap < 0 and may pull; a nonadhesive one while also n > 0.
+Chatter is the infinite series of ever smaller hops by which a mass comes to rest on the plate. One that
+leaves it at relative velocity v and is pressed back with n hops for 2 v/n and leaves again at e v. If n were
+constant, the rest of the series would take the geometric sum T = 2 v/(n (1 - e)); if n changes at the rate
+n', it takes T (1 - n' T/(3 n)) to first order.
 """
+
+from typing import Final
 
 from kernel.numerics.jit import compilable, inlined, jit
 from kernel.restitution import nonadhesive_duration, scalar_damping_ratio, strong_damping_ratio
 
+STEADY: Final = 1e-3  # part of n that chatter which is summed may change; its end is exact to the square
+
 compilable(nonadhesive_duration)
 compilable(scalar_damping_ratio)
 compilable(strong_damping_ratio)
-
-
-@jit
-def damping_ratio(e: float, adhesive: bool) -> float:
-    """`kernel.restitution.scalar_damping_ratio`, compiled."""
-    return scalar_damping_ratio(e, adhesive)
 
 
 @inlined
@@ -35,10 +36,7 @@ def plate_force(kappa: float, beta: float, gap: float, gap1: float) -> float:
 
 @inlined
 def lifted_off(gap: float, gap1: float, kappa: float, beta: float) -> bool:
-    """Whether a mass with this gap and gap' is not in contact; pass beta = 0 for the adhesive law.
-
-    Only the ratio of kappa to beta matters.
-    """
+    """Whether a mass with this gap and gap' is not in contact; beta = 0 for the adhesive law."""
     if gap > 0.0 or (gap == 0.0 and gap1 >= 0.0):
         return True
     return beta > 0.0 and kappa * gap + beta * gap1 >= 0.0
@@ -46,8 +44,25 @@ def lifted_off(gap: float, gap1: float, kappa: float, beta: float) -> bool:
 
 @inlined
 def static_state(gamma: float, stiffness: float, kappa: float) -> tuple[float, float]:
-    """Gap and elongation (both < 0) of a spring at rest on a plate that does not move.
-
-    stiffness = 1/Omega^2. The plate bears both masses, the spring the upper one.
-    """
+    """Gap and elongation, both < 0, of a spring at rest on a plate that does not move."""
     return -2.0 / (gamma * kappa), -1.0 / (gamma * stiffness)
+
+
+@jit
+def chatter_completes(hop: float, n: float, n1: float, n2: float, e: float) -> bool:
+    """Whether the hops from velocity `hop` >= 0 on may be summed: n is STEADY, and they end on the plate.
+
+    n > 0 is the force that presses the mass back, n1 its rate of change per rad, n2 >= 0 a bound on the rate
+    of change of n1, e < 1 the restitution. False for any other n or e.
+    """
+    if n <= 0.0 or e >= 1.0:
+        return False
+    series = 2.0 * hop / (n * (1.0 - e))
+    return series * series * (n1 * n1 + n2 * n) <= (STEADY * n) ** 2
+
+
+@jit
+def chatter_time(hop: float, n: float, n1: float, e: float) -> float:
+    """Rad from a hop at velocity `hop` to the end of the series, where `chatter_completes` holds."""
+    series = 2.0 * hop / (n * (1.0 - e))
+    return series * (1.0 - n1 * series / (3.0 * n))

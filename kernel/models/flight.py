@@ -12,19 +12,13 @@ from kernel.numerics.first_root import EPS, ROOT, Terms, departure_step, first_r
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
-#: Terms of the power series smaller than this part of their sum are omitted: a thousandth of EPS, so that
-#: all of them together are below rounding.
-NEGLIGIBLE: Final = 1e-19
-
-#: Highest order of that series, whose terms for tau * rate < 0.5 are of the order 0.5**16/16! = 7e-19.
-MAX_ORDER: Final = 16
+NEGLIGIBLE: Final = 1e-19  # part of their sum below which terms of the power series are omitted: EPS/1000
+MAX_ORDER: Final = 16  # of that series; its terms for tau * rate < 0.5 are of the order 0.5**16/16! = 7e-19
 
 #: Evaluations for the landing of a hop before the general search takes over. Two or three are usual.
 HOP_EVALUATIONS: Final = 20
 
-#: `_hop_bracket` looks for the landing within this many times gap'/|gap''|, a hop being twice that under a
-#: constant gap''.
-HOP_SPAN: Final = 2.5
+HOP_SPAN: Final = 2.5  # times gap'/|gap''|, in which a landing is sought; twice under a constant gap''
 
 #: ... and only if, over that span w, w |gap'''|/3 + w^2 |gap''''|/12 stays below this part of p = |gap''|.
 #: Then gap <= v w - 0.85 p w^2/2 = (2.5 - 2.66) v^2/p < 0 at the end, v being gap', and gap'' <= -0.1 p
@@ -62,11 +56,7 @@ def begin_flight(
 
 @jit
 def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float, int, int]:
-    """The first time after `start` at which the gap falls to zero, as `first_root.first_root`.
-
-    From gap = gap' = 0 the search starts at a first safe step. From gap <= 0 < gap' it first tries to
-    bracket the landing of a hop.
-    """
+    """The first time after `start` at which the gap falls to zero, as `first_root.first_root`."""
     if start == 0.0 and p.gap == 0.0 and p.gap1 == 0.0:
         q2, q3, bound4 = derivatives(p.osc, p.q, p.q1)
         gap3 = -p.sin - 0.5 * q3
@@ -88,8 +78,8 @@ def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float
 def _hop_bracket(p: Flight) -> tuple[float, float]:
     """A time by which a short hop has surely landed, having risen and fallen once, and a guess of when.
 
-    For gap <= 0 < gap' and gap'' < 0. (0, 0) where that is not sure: where gap'' may change too much, or
-    where the mass, starting below the plate, emerges with less than half of its velocity.
+    (0, 0) where that is not sure: where gap'' may change too much, or where the mass, starting below the
+    plate, emerges with less than half of its velocity.
     """
     _, q3, bound4 = derivatives(p.osc, p.q, p.q1)
     press, gap3, gap4 = -p.gap2, -p.sin - 0.5 * q3, 1.0 + 0.5 * bound4
@@ -156,10 +146,7 @@ def flight_terms(p: Flight, tau: float) -> Terms:
 
 @inlined
 def _power_series(p: Flight, tau: float) -> tuple[float, float, float]:
-    """gap, gap' and a bound on the gap's rounding error at tau, by the power series about tau = 0.
-
-    Its first terms, gap, gap' and gap'', are zero at a take-off from rest, where the closed form cancels.
-    """
+    """gap, gap' and a bound on the gap's rounding error at tau, by the power series about tau = 0."""
     before = -2.0 * p.osc.damping * p.q1 - p.osc.stiffness * p.q
     last = -2.0 * p.osc.damping * before - p.osc.stiffness * p.q1
     plate, plate_next = -p.sin, -p.cos  # third and fourth derivative of -cos(phi)

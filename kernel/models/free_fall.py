@@ -13,29 +13,12 @@ from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, ROOT, householder, polish_step
 from kernel.numerics.jit import jit
 
-#: For times (rad) below this the gap is summed as a power series, which keeps the digits of small hops. The
-#: first term it omits is tau**15/15!, at most 2.4e-17.
-SHORT: Final = 0.5
-
-#: A take-off from rest within this (rad) of its closed form, 2 pi - phi_lift, is taken for it. Phases near
-#: 2 pi are rounded to 4.4e-16 each, and reach this point by a few additions; 4e-15 is nine such errors.
-TAKEOFF_TOLERANCE: Final = 4e-15
-
-#: The polisher expands the gap about an iterate if the next one is within this part of tau of it, which for
-#: short steps needs no further sine. Up to half of tau the difference of the two is exact (Sterbenz).
-EXPANSION_REACH: Final = 0.25
-
-#: Cap on the rounds of `_negative_point`, each of which about squares the relative distance of its two
-#: points: a handful ends it.
-TANGENT_ROUNDS: Final = 100
-
-#: phi_lift (rad) below which the plate barely recedes and the first flight from rest is short enough for
-#: the leading terms of its power series to give a guess.
-BARELY_RECEDING: Final = 0.5
-
-#: The plate's position varies by 2, so that no surface is more than 2 above where a flight began. Half an
-#: amplitude more makes `_landing_bound` safe against rounding.
-_HIGHEST_PLATE: Final = 2.5
+SHORT: Final = 0.5  # rad below which the gap is summed as a power series; the rest is at most 2.4e-17
+TAKEOFF_TOLERANCE: Final = 4e-15  # rad from 2 pi - phi_lift of a take-off from rest: nine rounding errors
+EXPANSION_REACH: Final = 0.25  # of tau, within which the gap is expanded about an iterate; exact up to 1/2
+TANGENT_ROUNDS: Final = 100  # cap on the rounds of `_negative_point`, which converges quadratically
+BARELY_RECEDING: Final = 0.5  # phi_lift (rad) below which the power series of a first flight gives a guess
+_HIGHEST_PLATE: Final = 2.5  # the plate varies by 2; half an amplitude more is safe against rounding
 
 
 class Drop(NamedTuple):
@@ -51,14 +34,6 @@ class Drop(NamedTuple):
     gap2: float  # gap'' = cos - gravity, to more digits than these have
     gap: float
     gap1: float
-
-
-class Bracket(NamedTuple):
-    """An interval with one zero of the gap: gap >= 0 at `low`, < 0 at `high` (rad)."""
-
-    low: float
-    high: float
-    guess: float
 
 
 class Landing(NamedTuple):
@@ -180,11 +155,10 @@ def _negative_point(
 
 @jit
 def _guess(p: Drop, a: float, fa: float, da: float, b: float, fb: float, db: float, convex: bool) -> float:
-    """A first guess of the zero between a and b, from the gap and its slope there; rarely outside.
+    """A first guess of the zero between a and b, which affects the number of evaluations only.
 
-    Its quality affects the number of evaluations only: the polisher keeps the bracket. The cases are
-    Newton's step from a (on a convex gap never beyond the zero), a hop from the plate to second order in
-    its length, the first flight of a plate that barely recedes, and the zero of a parabola.
+    Newton's step from a on a convex gap, a hop from the plate to second order in its length, the first flight
+    of a plate that barely recedes, or the zero of a parabola.
     """
     if convex and da < 0.0:
         return a - fa / da
@@ -195,13 +169,8 @@ def _guess(p: Drop, a: float, fa: float, da: float, b: float, fb: float, db: flo
         # the expansion in the length of the hop serves while the hop is well inside the interval
         if hop < 0.5 * b and correction > 0.5:
             return hop / correction
-    if (
-        a == p.inflection
-        and p.gap == 0.0
-        and p.gap1 == 0.0
-        and p.gap2 == 0.0
-        and p.phi_lift < BARELY_RECEDING
-    ):
+    from_rest = p.gap == 0.0 and p.gap1 == 0.0 and p.gap2 == 0.0
+    if from_rest and a == p.inflection and p.phi_lift < BARELY_RECEDING:
         # from rest with gap = sin_lift tau^3/6 - gravity tau^4/24 to leading order
         return 4.0 * p.sin_lift / p.gravity
     width = b - a
@@ -211,37 +180,39 @@ def _guess(p: Drop, a: float, fa: float, da: float, b: float, fb: float, db: flo
 
 
 @jit
-def _bracket(p: Drop, horizon: float, budget: int) -> tuple[Bracket, int, int]:
-    """The interval of the first landing, ROOT | HORIZON | BUDGET_EXHAUSTED, and evaluations used."""
+def _bracket(p: Drop, horizon: float, budget: int) -> tuple[tuple[float, float, float], int, int]:
+    """A bracket of the first landing, ROOT | HORIZON | BUDGET_EXHAUSTED, and evaluations used.
+
+    A bracket: low, where gap >= 0, high, where gap < 0, with one zero between, and a guess of it (rad).
+    """
     a, fa, da = 0.0, p.gap, p.gap1
     b, convex = p.inflection, p.convex
     sine = p.sin_lift if convex else -p.sin_lift
     for used in range(1, budget + 1):
         if a >= horizon:
-            return Bracket(a, a, a), HORIZON, used
+            return (a, a, a), HORIZON, used
         if p.phi_lift == 0.0:  # no inflections: concave throughout
             b = _landing_bound(p)
             fb, db, _, _ = state_after(p, b)
         else:
             fb, db = _at_inflection(p, b, sine)
         if fb < 0.0:
-            return Bracket(a, b, _guess(p, a, fa, da, b, fb, db, convex)), ROOT, used
+            return (a, b, _guess(p, a, fa, da, b, fb, db, convex)), ROOT, used
         if convex and da < 0.0 < db:
             t, more = _negative_point(p, a, fa, da, b, fb, db)
             if t >= 0.0:
-                return Bracket(a, t, a - fa / da), ROOT, used + more
+                return (a, t, a - fa / da), ROOT, used + more
         a, fa, da = b, fb, db
         b += TWO_PI - 2.0 * p.phi_lift if convex else 2.0 * p.phi_lift
         convex, sine = not convex, -sine
-    return Bracket(a, a, a), BUDGET_EXHAUSTED, budget
+    return (a, a, a), BUDGET_EXHAUSTED, budget
 
 
 @jit
-def _polish(p: Drop, bracket: Bracket, budget: int) -> Landing:
+def _polish(p: Drop, bracket: tuple[float, float, float], budget: int) -> Landing:
     """The zero in a bracket to rounding: `first_root.polish_step` on the gap.
 
-    After the first evaluation the gap is expanded about an iterate (`here`, at `origin`), so that the next
-    ones need no sine. The derivatives at the zero follow from the last evaluation's by the Taylor series.
+    After the first evaluation the gap is expanded about an iterate (`here`, at `origin`), without a sine.
     """
     low, high, tau = bracket
     if not low < tau < high:

@@ -4,54 +4,56 @@ The search is that of `first_root.first_root`, for phase functions of one form,
 
     F(tau) = k0 + k1 tau - k2 tau^2 + a cos(phi + tau) + b sin(phi + tau) + p y + r y',
 
-with y a free damped oscillator: a rigid plate's normal force and the gap of a flight both have it. One call
-of `advance` evaluates every lane's F once and moves every lane on, without a branch, so that the compiler
-turns it into vector instructions. What a lane does never depends on its neighbours.
+with y a free damped oscillator, as a rigid plate's normal force and the gap of a flight, or, in place of
+p y + r y', x + y with two free modes: the lift-off function of a soft contact. A mode is carried by two
+coordinates, in which the underdamped and the overdamped motion have one form,
+
+    u = e^(g tau) (u0 cos(r tau) + v0 sin(r tau))      u' = g u + r v
+    v = e^(h tau) (v0 cos(r tau) - u0 sin(r tau))      v' = h v - r u
+
+Underdamped, g = h = -damping, r is the frequency and the mode is u; overdamped, g and h are the slow and the
+fast root, r = 0 and the mode is u + v, whose two amplitudes never cancel (`kernel.numerics.oscillator`). Any
+derivative of it is bounded from now on by |u| + |v| of that derivative.
+
+One call of `advance` or `advance_modes` evaluates every lane's F once and moves every lane on, without a
+branch, so that the compiler turns it into vector instructions. What a lane does never depends on others.
 
 A lane differs from the scalar search where vector code requires it: one round of `safe_step` for each
-evaluation, with the width carried from one to the next; Householder's steps without a bracket, and a cap on
-the evaluations, beyond which the caller computes the phase again by the scalar functions.
+evaluation, with the width carried on; Householder's steps without a bracket, and a cap on the evaluations.
 """
 
 import math
 from typing import Any, Final
 
-from kernel.numerics.elementary import HYPERBOLIC_LIMIT, circular_or_hyperbolic, exp, sincos_small
+from kernel.numerics import first_root
+from kernel.numerics.elementary import (
+    HYPERBOLIC_LIMIT,
+    LOWEST_EXPONENT,
+    circular_or_hyperbolic,
+    exp,
+    fma,
+    sincos_small,
+)
 from kernel.numerics.first_root import EPS, NEAR, householder_step
-from kernel.numerics.intrinsics import fma
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator
+from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator, derivatives
 from kernel.params import LANES
 
 #: Evaluations of one phase after which a lane falls back to the scalar functions. Almost
 #: every search ends long before; the cap keeps one that does not from holding up its lane.
 MAX_EVALUATIONS: Final = 60
 
-#: The lowest natural frequency (1/rad) of an oscillator in lanes, whatever its damping. The elongation of
-#: slower ones, of the order 1/(Gamma w), is so large against the gap that their closed form cancels, for
-#: which the scalar functions have power series.
+#: The lowest natural frequency (1/rad) in lanes. The elongation of slower oscillators, of the order
+#: 1/(Gamma w), is so large that the gap cancels; the scalar functions have power series.
 SLOWEST: Final = 0.03
 
-#: The first guess of a step's width: this many rad of the plate's phase, ...
-FIRST_WIDTH: Final = 1.5
-
-#: ... or this many over the oscillator's rate, about half a period, if that is less. Guesses affect the
-#: number of evaluations only.
-FIRST_TURN: Final = 3.0
-
-#: After an evaluation the next width is the step times this if the step filled the width, ...
-GROW: Final = 2.0
-
-#: ... and times this if not, as in `first_root.safe_step`.
-KEEP: Final = 1.5
-
-#: Flights shorter than this (rad) are computed again by the scalar functions, whose power series keeps the
-#: digits. The closed form of the gap cancels to the order tau**3: here to 1e-4, which leaves 12 digits.
-SHORT_FLIGHT: Final = 0.05
-
-#: So are flights whose first safe step from the plate is shorter than this (rad): there the gap, of the
-#: order of the cube, 1e-12, is near the rounding of the closed form.
-SHORT_START: Final = 1e-4
+FIRST_WIDTH: Final = 1.5  # the first guess of a step's width: this many rad, ...
+FIRST_TURN: Final = 3.0  # ... or this many over the oscillator's rate, if less; guesses affect the cost only
+GROW: Final = 2.0  # after an evaluation the next width is the step times this if it filled the width, ...
+KEEP: Final = 1.5  # ... and times this if not, as in `first_root.safe_step`
+SHORT_FLIGHT: Final = 0.05  # rad; the scalar functions compute shorter flights: here the gap cancels to 1e-4
+SHORT_START: Final = 1e-4  # rad; and those with a shorter first safe step, where the gap is near rounding
+LARGEST_ANGLE: Final = 1e5  # rad up to which `sincos_small` is exact; a mode must have decayed before
 
 #: A lane's status after `advance`.
 SEARCHING: Final = 0.0
@@ -66,9 +68,14 @@ FALLBACK: Final = 3.0  # MAX_EVALUATIONS were made, or a number is not finite
 (PHI, K0, K1, K2, A, B, HORIZON, NOISE) = range(8)
 (TAU, GUESS, CLOSING, COUNT, STATUS, MOVE, SIN, COS) = range(8, 16)
 # The oscillator (DAMPING to STIFFNESS; UNDER and NEARLY are 1.0 where it is underdamped or nearly critical),
-# its state at tau = 0, its coefficients in F, and y, y' of the last evaluation. `soft_lanes` has rows of its
-# own in their place.
+# its state at tau = 0, its coefficients in F, and y, y' of the last evaluation.
 (DAMPING, ROOT, INVERSE, SLOW, RATE, PERIOD, UNDER, NEARLY, STIFFNESS, Y0, V0, P, R, Y, Y1) = range(16, 31)
+# Or two modes: g, h and r of each, its coordinates at tau = 0, and the part of v in it, 1 or 0; the width of
+# the next step over the smooth part; four numbers of the caller's.
+(X_G, X_H, X_R, X_U, X_V, X_SUM) = range(16, 22)
+(Y_G, Y_H, Y_R, Y_U, Y_V, Y_SUM) = range(22, 28)
+WIDE: Final = 28
+OWN: Final = 29
 ROWS: Final = 33
 
 
@@ -79,14 +86,18 @@ def supports(osc: Oscillator) -> bool:
 
 
 @inlined
+def serves(osc: Oscillator, end: float) -> bool:
+    """Whether lanes can compute this mode up to `end` rad: not near critical damping, nor over many turns."""
+    if not osc.root > NEAR_CRITICAL * osc.damping:
+        return False
+    return osc.discriminant > 0.0 or osc.root * min(end, -LOWEST_EXPONENT / osc.damping) < LARGEST_ANGLE
+
+
+@inlined
 def load(
     table: Any, k: int, osc: Oscillator, phi: float, y: float, v: float, start: float, horizon: float
 ) -> None:
-    """Begin a phase in lane k: y and y' = v at tau = 0, the search from `start` to `horizon` (rad).
-
-    The caller then sets the coefficients of F with `coefficients`.
-    """
-    table[PHI * LANES + k] = phi
+    """Begin a phase in lane k: y and y' = v at tau = 0, the search from `start` to `horizon` (rad)."""
     table[DAMPING * LANES + k] = osc.damping
     table[ROOT * LANES + k] = osc.root
     table[INVERSE * LANES + k] = 1.0 / osc.root
@@ -98,11 +109,54 @@ def load(
     table[STIFFNESS * LANES + k] = osc.stiffness
     table[Y0 * LANES + k] = y
     table[V0 * LANES + k] = v
+    load_search(table, k, phi, start, horizon, min(FIRST_WIDTH, FIRST_TURN / osc.rate))
+
+
+@inlined
+def load_search(table: Any, k: int, phi: float, start: float, horizon: float, guess: float) -> None:
+    """Begin a search in lane k from `start` to `horizon` (rad), with a first width to try."""
+    table[PHI * LANES + k] = phi
     table[HORIZON * LANES + k] = horizon
     table[TAU * LANES + k] = min(start, horizon)
-    table[GUESS * LANES + k] = min(FIRST_WIDTH, FIRST_TURN / osc.rate)
+    table[GUESS * LANES + k] = guess
     table[CLOSING * LANES + k] = 0.0
     table[COUNT * LANES + k] = 0.0
+
+
+@inlined
+def load_modes(
+    table: Any, k: int, x: Oscillator, x_a: float, x_b: float, y: Oscillator, y_a: float, y_b: float
+) -> None:
+    """Put two modes with these coordinates (`oscillator.coordinates`) into lane k."""
+    _load_mode(table, k, X_G, x, x_a, x_b)
+    _load_mode(table, k, Y_G, y, y_a, y_b)
+    table[WIDE * LANES + k] = FIRST_WIDTH
+
+
+@inlined
+def keep(table: Any, k: int, a: float, b: float, c: float, d: float) -> None:
+    """Keep four numbers of the caller's beside a search with two modes, for `kept`."""
+    table[OWN * LANES + k], table[(OWN + 1) * LANES + k] = a, b
+    table[(OWN + 2) * LANES + k], table[(OWN + 3) * LANES + k] = c, d
+
+
+@inlined
+def kept(table: Any, k: int) -> tuple[float, float, float, float]:
+    """The numbers of `keep`."""
+    a, b = table[OWN * LANES + k], table[(OWN + 1) * LANES + k]
+    return a, b, table[(OWN + 2) * LANES + k], table[(OWN + 3) * LANES + k]
+
+
+@inlined
+def _load_mode(table: Any, k: int, first: int, osc: Oscillator, a: float, b: float) -> None:
+    """Put a mode with these coordinates (`oscillator.coordinates`) into the six rows from `first`."""
+    under = osc.discriminant < 0.0
+    table[first * LANES + k] = -osc.damping if under else osc.slow
+    table[(first + 1) * LANES + k] = -osc.damping if under else osc.fast
+    table[(first + 2) * LANES + k] = osc.root if under else 0.0
+    table[(first + 3) * LANES + k] = a
+    table[(first + 4) * LANES + k] = (b + osc.damping * a) / osc.root if under else b
+    table[(first + 5) * LANES + k] = 0.0 if under else 1.0
 
 
 @inlined
@@ -129,12 +183,41 @@ def smooth_coefficients(
     table[NOISE * LANES + k] = 4.0 * EPS * (abs(k0) + abs(a) + abs(b) + size)
 
 
+@inlined
+def search_end(table: Any, k: int) -> tuple[float, int, int]:
+    """tau (rad), `first_root.ROOT` or `HORIZON`, and the evaluations of the search that ended in lane k."""
+    ending = first_root.ROOT if table[STATUS * LANES + k] == AT_ROOT else first_root.HORIZON
+    return table[TAU * LANES + k] + table[MOVE * LANES + k], ending, int(table[COUNT * LANES + k])
+
+
+@inlined
+def state_at_end(table: Any, k: int, osc: Oscillator) -> tuple[float, float, float, float]:
+    """sin and cos of the plate's phase, y and y', where the search in lane k ended with one oscillator."""
+    # by Taylor series in the last step, which is below first_root.NEAR, so that the rest is rounding
+    sin, cos, move = table[SIN * LANES + k], table[COS * LANES + k], table[MOVE * LANES + k]
+    y, y1 = table[Y * LANES + k], table[Y1 * LANES + k]
+    y2, y3, _ = derivatives(osc, y, y1)
+    y4 = -2.0 * osc.damping * y3 - osc.stiffness * y2
+    y += move * (y1 + 0.5 * move * (y2 + move * (1.0 / 3.0) * (y3 + 0.25 * move * y4)))
+    y1 += move * (y2 + 0.5 * move * (y3 + move * (1.0 / 3.0) * y4))
+    square = move * move
+    sine, versine = move * (1.0 - square * (1.0 / 6.0)), square * (0.5 - square * (1.0 / 24.0))
+    return sin + cos * sine - sin * versine, cos - sin * sine - cos * versine, y, y1
+
+
+@inlined
+def gap_after(
+    table: Any, k: int, gravity: float, tau: float, sin: float, cos: float, q: float, q1: float
+) -> tuple[float, float]:
+    """gap and gap' at the end of the flight in lane k, from the elongation there."""
+    drift = table[K1 * LANES + k]
+    gap = table[K0 * LANES + k] - cos + (drift - 0.5 * gravity * tau) * tau - 0.5 * q
+    return gap, sin + drift - gravity * tau - 0.5 * q1
+
+
 @jit
 def safe_step_once(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -> float:
-    """A step of at most h on which F surely stays positive: one round of `first_root.safe_step`.
-
-    A curvature that is not positive is replaced by the tiniest one, whose parabola is a line.
-    """
+    """A step of at most h on which F surely stays positive: one round of `first_root.safe_step`."""
     curve = max(max(fma(f4 * (1.0 / 12.0), h, f3 * (-1.0 / 3.0)) * h, 0.0) - f2, 1e-300)
     root = math.sqrt(fma(f1, f1, 2.0 * curve * f0))
     rising = f1 > 0.0
@@ -146,12 +229,13 @@ def move_on(
     table: Any, k: int, tau: float, guess: float, f0: float, f1: float, f2: float, f3: float, f4: float,
     over: float, noise: float, near: bool,
 ) -> float:  # fmt: skip
-    """Move lane k on from tau, where F, three derivatives and the bound f4 are known (blocks 3 to 6).
+    """Move lane k on from tau, where F, three derivatives and the bound f4 are known.
 
     `over`: a step that surely passes no zero, beside that of F itself. `near`: whether Newton's step is so
     short that Householder's error estimate counts. Returns the longer safe step.
     """
-    # 3. Householder's step, and whether F surely falls through zero (first_root.monotone_width)
+    # Householder's step, and whether F surely falls through zero (first_root.monotone_width). From there on
+    # the lane is `closing`: only Householder's steps are taken
     inverse = 1.0 / f1
     newton, c2, c3 = -f0 * inverse, 0.5 * f2 * inverse, f3 * inverse * (1.0 / 6.0)
     move, error = householder_step(newton, c2, c3, f4 * abs(inverse) * (1.0 / 24.0), True)
@@ -159,9 +243,9 @@ def move_on(
     steepest = fma(width, fma(width, fma(width, f4 * (1.0 / 6.0), 0.5 * max(f3, 0.0)), max(f2, 0.0)), f1)
     falls = (f1 < 0.0) & (f0 > 0.0) & (fma(steepest, width, f0) < 0.0)
     closing = 1.0 if falls else table[CLOSING * LANES + k]
-    # 4. a step that cannot pass a zero
+    # a step that cannot pass a zero
     step = max(safe_step_once(max(f0, 0.0), f1, f2, f3, f4, guess), over)
-    # 5. the status
+    # the status
     horizon = table[HORIZON * LANES + k]
     exact = (abs(f0) <= noise) | (near & (error <= EPS * tau))
     zero = exact if closing > 0.0 else f0 <= noise
@@ -171,7 +255,7 @@ def move_on(
     count = table[COUNT * LANES + k] + 1.0
     failed = (count > MAX_EVALUATIONS) | (not (abs(f0) + f4 < math.inf))
     status = FALLBACK if failed else status
-    # 6. the search's new state
+    # the search's new state
     onward = min(tau + (move if closing > 0.0 else step), horizon)
     table[TAU * LANES + k] = onward if status == SEARCHING else tau
     table[CLOSING * LANES + k] = closing
@@ -185,20 +269,10 @@ def move_on(
 def advance(table: Any, used: int) -> None:
     """Evaluate F once in the first `used` lanes and move them on; one whose phase has ended stays.
 
-    The loop runs over the lanes, its body is straight-line code: conditions choose between values that are
-    both computed. Its blocks, in order:
-
-    1. the oscillator at tau: y, y' and, from its equation, the derivatives to the fifth;
-    2. F, three derivatives, a bound on the fourth from now on, and a bound on the ringing part;
-    3. Householder's step and its error, and whether F surely falls through zero at once, after which the
-       lane is `closing`: only Householder's steps are taken;
-    4. otherwise a step that cannot pass a zero, from all of F or, where its ringing part is small, from the
-       smooth part less the ringing's amplitude, whichever is longer;
-    5. the status: AT_ROOT where F is zero to rounding or the step's error is, AT_HORIZON, or FALLBACK;
-    6. the new tau and the state of the search.
+    The body is straight-line code: conditions choose between values that are both computed.
     """
     for k in range(used):
-        # 1. the oscillator
+        # the oscillator at tau: y, y' and, from its equation, the derivatives to the fifth
         tau = table[TAU * LANES + k]
         sin, cos = sincos_small(table[PHI * LANES + k] + tau)
         damping, stiffness = table[DAMPING * LANES + k], table[STIFFNESS * LANES + k]
@@ -225,7 +299,7 @@ def advance(table: Any, used: int) -> None:
         y3 = fma(drag, y2, -stiffness * y1)
         y4 = fma(drag, y3, -stiffness * y2)
         y5 = fma(drag, y4, -stiffness * y3)
-        # 2. F = smooth + ring with its derivatives, and bounds on the fourth and on the ring from now on
+        # F = smooth + ring with its derivatives, and bounds on the fourth and on the ring from now on
         p, r, a, b = table[P * LANES + k], table[R * LANES + k], table[A * LANES + k], table[B * LANES + k]
         k0, k1, k2 = table[K0 * LANES + k], table[K1 * LANES + k], table[K2 * LANES + k]
         rate, period = table[RATE * LANES + k], table[PERIOD * LANES + k]
@@ -243,7 +317,6 @@ def advance(table: Any, used: int) -> None:
         f4 = fma(abs(p), swing if by_energy else fade, fma(abs(r), swing1 if by_energy else fade1, smooth4))
         ringing = fma(abs(p), fma(period, abs(y1), abs(y)), abs(r) * fma(period, abs(y2), abs(y1)))
         clear = smooth - ringing
-        # 3. to 6.
         noise = fma(2.0 * EPS * tau, fma(k2, tau, abs(k1)), table[NOISE * LANES + k])
         guess = table[GUESS * LANES + k]
         over = safe_step_once(max(clear, 0.0), smooth1, smooth2, smooth3, smooth4, guess)
@@ -256,3 +329,66 @@ def advance(table: Any, used: int) -> None:
         table[Y1 * LANES + k] = y1
         table[SIN * LANES + k] = sin
         table[COS * LANES + k] = cos
+
+
+@inlined
+def _mode_at(table: Any, k: int, first: int, tau: float) -> tuple[float, float]:
+    """The coordinates u and v of a mode at tau."""
+    g, h = table[first * LANES + k], table[(first + 1) * LANES + k]
+    sin, cos = sincos_small(table[(first + 2) * LANES + k] * tau)
+    u, v = table[(first + 3) * LANES + k], table[(first + 4) * LANES + k]
+    return exp(g * tau) * fma(u, cos, v * sin), exp(h * tau) * fma(v, cos, -u * sin)
+
+
+@inlined
+def _mode_derivative(table: Any, k: int, first: int, u: float, v: float) -> tuple[float, float]:
+    """The coordinates of the derivative of the mode with coordinates u and v."""
+    g, h, r = table[first * LANES + k], table[(first + 1) * LANES + k], table[(first + 2) * LANES + k]
+    return fma(g, u, r * v), fma(h, v, -r * u)
+
+
+@jit
+def advance_modes(table: Any, used: int) -> None:
+    """As `advance`, for F with two modes."""
+    for k in range(used):
+        tau = table[TAU * LANES + k]
+        sin, cos = sincos_small(table[PHI * LANES + k] + tau)
+        x_sum, y_sum = table[X_SUM * LANES + k], table[Y_SUM * LANES + k]
+        u0, v0 = _mode_at(table, k, X_G, tau)
+        u1, v1 = _mode_derivative(table, k, X_G, u0, v0)
+        u2, v2 = _mode_derivative(table, k, X_G, u1, v1)
+        u3, v3 = _mode_derivative(table, k, X_G, u2, v2)
+        u4, v4 = _mode_derivative(table, k, X_G, u3, v3)
+        a, b = table[A * LANES + k], table[B * LANES + k]
+        k0, k1, k2 = table[K0 * LANES + k], table[K1 * LANES + k], table[K2 * LANES + k]
+        wave, wave1 = fma(a, cos, b * sin), fma(b, cos, -a * sin)
+        smooth = fma(fma(-k2, tau, k1), tau, k0) + wave + fma(x_sum, v0, u0)
+        smooth1 = fma(-2.0 * k2, tau, k1) + wave1 + fma(x_sum, v1, u1)
+        smooth2 = fma(-2.0, k2, -wave) + fma(x_sum, v2, u2)
+        smooth3 = fma(x_sum, v3, u3) - wave1
+        smooth4 = abs(a) + abs(b) + abs(u4) + abs(v4)
+        size = abs(u0) + abs(v0)
+        u0, v0 = _mode_at(table, k, Y_G, tau)
+        u1, v1 = _mode_derivative(table, k, Y_G, u0, v0)
+        u2, v2 = _mode_derivative(table, k, Y_G, u1, v1)
+        u3, v3 = _mode_derivative(table, k, Y_G, u2, v2)
+        u4, v4 = _mode_derivative(table, k, Y_G, u3, v3)
+        f0, f1 = smooth + fma(y_sum, v0, u0), smooth1 + fma(y_sum, v1, u1)
+        f2, f3 = smooth2 + fma(y_sum, v2, u2), smooth3 + fma(y_sum, v3, u3)
+        f4 = smooth4 + (abs(u4) + abs(v4))
+        amplitude = abs(u0) + abs(v0)
+        clear = smooth - amplitude
+        drift = fma(2.0 * EPS * tau, fma(k2, tau, abs(k1)), table[NOISE * LANES + k])
+        noise = fma(4.0 * EPS, size + amplitude, drift)
+        # about the time over which F changes its shape, as in first_root
+        natural = 2.0 * max(abs(f3), math.sqrt(abs(f2) * f4)) / f4
+        guess = table[GUESS * LANES + k]
+        guess = guess if guess > 0.0 else natural
+        wide = table[WIDE * LANES + k]
+        over = safe_step_once(max(clear, 0.0), smooth1, smooth2, smooth3, smooth4, wide)
+        inverse = 1.0 / f1
+        newton = abs(-f0 * inverse)
+        near = (newton < NEAR) & (newton * newton * newton * f4 * abs(inverse) < NEAR * NEAR * NEAR)
+        step = move_on(table, k, tau, guess, f0, f1, f2, f3, f4, over if clear > 0.0 else 0.0, noise, near)
+        table[GUESS * LANES + k] = (GROW if step >= guess else KEEP) * step
+        table[WIDE * LANES + k] = (GROW if over >= wide else KEEP) * over if clear > 0.0 else wide

@@ -4,28 +4,30 @@ In contact the lower mass sticks to the plate and the elongation q is a driven d
 off where the plate's normal force n (Eq. 8) falls to zero. In flight the centre of mass falls freely and q
 oscillates; it lands where the gap falls to zero. There the lower mass leaves again at -e times its relative
 velocity, and for e = 0 takes the plate's. Chatter is followed hop by hop, each of them a flight, until n is
-steady over the rest of it (`kernel.models.chatter`). From there on the mass counts as stuck, which over so
-short a time moves the spring as the hops would.
+steady over the rest of it (`contact_law.chatter_completes`). From there on the mass counts as stuck, which
+over so short a time moves the spring as the hops would.
 """
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import contact, contact_force, flies, flight, prepare, rest
-from kernel.models.chatter import chatter_completes
+from kernel import interface
+from kernel.cell import Progress
+from kernel.models import lanes
+from kernel.models.contact_law import chatter_completes
 from kernel.models.flight import begin_flight, landing, state_after
-from kernel.numerics.elementary import hypot, sincos
-from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
+from kernel.numerics.elementary import sincos
+from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import Oscillator, decay_time, derivatives, envelope, motion, oscillator
+from kernel.portable_math import hypot
 from kernel.validation import check_arrays
 
-#: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is computed,
-#: while it is in contact, as one whose Omega is 5e-9 beside it. The driven amplitude is the inverse, and the
-#: closed form, a difference of two such amplitudes, keeps eight of sixteen digits; nearer to resonance it
-#: would lose more.
+#: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is computed, in
+#: contact, as one whose Omega is 5e-9 beside it. The driven amplitude is the inverse, and the closed form, a
+#: difference of two such amplitudes, keeps eight of sixteen digits.
 NEAREST_RESONANCE: Final = 1e-8
 
 
@@ -59,10 +61,7 @@ class Spring(NamedTuple):
 
 
 class Stuck(NamedTuple):
-    """The normal force in contact: n(tau) = mean_force - Re(N e^{i phi}) - b h' - w h, h the free elongation.
-
-    The terms in h are its free part: h'' but for NEAREST_RESONANCE.
-    """
+    """n(tau) = mean_force - Re(N e^{i phi}) - b h' - w h in contact, h being the free elongation."""
 
     spring: Spring
     phi: float
@@ -70,7 +69,7 @@ class Stuck(NamedTuple):
     ring1: float  # its derivative
 
 
-@prepare.register(RigidPlate)
+@interface.prepare.register(RigidPlate)
 @jit
 def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -> Spring:
     """The constants of cell i."""
@@ -104,21 +103,21 @@ def normal_force(s: Spring, cos: float, q: float, q1: float) -> float:
     return s.gravity - cos - s.dashpot * q1 - s.stiffness * q
 
 
-@contact_force.register(Spring)
+@interface.contact_force.register(Spring)
 @jit
 def _contact_force(s: Spring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
     """n in contact."""
     return normal_force(s, cos, q, q1)
 
 
-@rest.register(Spring)
+@interface.rest.register(Spring)
 @jit
 def _rest(s: Spring) -> tuple[float, float, float, float]:
     """On the plate, at the static elongation."""
     return 0.0, 0.0, s.static_elongation, 0.0
 
 
-@flies.register(Spring)
+@interface.flies.register(Spring)
 @jit
 def _flies(s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
     """Off the plate, or on it with n < 0."""
@@ -152,18 +151,30 @@ def _stuck_terms(p: Stuck, tau: float) -> Terms:
     )
 
 
-@contact.register(Spring)
+@inlined
+def _free(s: Spring, sin: float, cos: float, q: float, q1: float) -> tuple[float, float]:
+    """The free elongation in contact and its rate."""
+    return (q - s.static_elongation - (s.q_re * cos - s.q_im * sin), q1 + (s.q_re * sin + s.q_im * cos))
+
+
+@inlined
+def _stuck_until(
+    s: Spring, sin: float, cos: float, tau: float, ending: int, h: float, h1: float, used: int
+) -> Phase:
+    """The end of a contact whose free elongation there is h; sin and cos are of the plate's phase."""
+    q = s.static_elongation + (s.q_re * cos - s.q_im * sin) + h
+    q1 = h1 - (s.q_re * sin + s.q_im * cos)
+    return Phase(tau, ending, ending == ROOT, 0.0, 0.0, q, q1, used)
+
+
+@interface.contact.register(Spring)
 @jit
 def _contact(
     s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """Stuck until n falls to zero.
-
-    The search ends early once the free part of n is too small to bring n to zero.
-    """
+    """Stuck until n falls to zero. The search ends once its free part is too small to bring it there."""
     sin, cos = sincos(phi)
-    h = q - s.static_elongation - (s.q_re * cos - s.q_im * sin)
-    h1 = q1 + (s.q_re * sin + s.q_im * cos)
+    h, h1 = _free(s, sin, cos, q, q1)
     h2, _, _ = derivatives(s.stuck, h, h1)
     ring, ring1 = -s.dashpot * h1 - s.stiffness * h, -s.dashpot * h2 - s.stiffness * h1
     decayed = decay_time(s.stuck, ring, ring1, s.mean_force - hypot(s.n_re, s.n_im))
@@ -172,12 +183,10 @@ def _contact(
         tau = horizon
     h, h1 = motion(s.stuck, h, h1, tau)
     sin, cos = sincos(phi + tau)
-    q = s.static_elongation + (s.q_re * cos - s.q_im * sin) + h
-    q1 = h1 - (s.q_re * sin + s.q_im * cos)
-    return Phase(tau, ending, ending == ROOT, 0.0, 0.0, q, q1, used)
+    return _stuck_until(s, sin, cos, tau, ending, h, h1, used)
 
 
-@flight.register(Spring)
+@interface.flight.register(Spring)
 @inlined
 def _flight(
     s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
@@ -196,10 +205,7 @@ def _flight(
 def land(
     s: Spring, sin: float, cos: float, tau: float, impact: float, q: float, q1: float, used: int
 ) -> Phase:
-    """The end of a flight of `tau` rad that lands at relative velocity `impact` <= 0.
-
-    A hop follows, or sticking, or at once a new take-off. sin and cos are of the plate's phase at landing.
-    """
+    """The end of a flight that lands at gap' = `impact` <= 0; sin and cos of the plate's phase there."""
     hop = max(-s.restitution * impact, 0.0)
     q1 += impact  # of a mass that sticks; the upper mass keeps its velocity
     if hop > 0.0 and _chatter_ends(s, sin, cos, hop, q, q1):
@@ -212,9 +218,80 @@ def land(
 @inlined
 def _chatter_ends(s: Spring, sin: float, cos: float, hop: float, q: float, q1: float) -> bool:
     """Whether the chatter that begins with `hop` may be summed, n being that of a mass that sticks."""
-    h, h1 = q - s.static_elongation - (s.q_re * cos - s.q_im * sin), q1 + (s.q_re * sin + s.q_im * cos)
+    h, h1 = _free(s, sin, cos, q, q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
     h4, h5, _ = derivatives(s.stuck, h2, h3)
     rate = h3 + s.n_re * sin + s.n_im * cos
     bound = abs(s.n_re) + abs(s.n_im) + envelope(s.stuck, h4, h5)
     return chatter_completes(hop, normal_force(s, cos, q, q1), rate, bound, s.restitution)
+
+
+# --- in lanes ----------------------------------------------------------------------------------------------
+
+
+@interface.advance_lanes.register(RigidPlate)
+@inlined
+def _advance(plate: RigidPlate, table: Any, used: int) -> None:
+    """`lanes.advance`."""
+    lanes.advance(table, used)
+
+
+@inlined
+def _load_contact(
+    table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
+) -> bool:
+    """Put a contact into lane k, unless it never ends, which `rigid` knows in closed form."""
+    h, h1 = _free(s, sin, cos, run.q, run.q1)
+    h2, h3, _ = derivatives(s.stuck, h, h1)
+    decayed = decay_time(s.stuck, h2, h3, s.mean_force - hypot(s.n_re, s.n_im))
+    if decayed == 0.0:
+        return False
+    lanes.load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, decayed))
+    lanes.coefficients(table, k, -s.stiffness, -s.dashpot, s.mean_force, 0.0, 0.0, -s.n_re, s.n_im)
+    return True
+
+
+@inlined
+def _load_flight(
+    table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
+) -> bool:
+    """Put a flight into lane k, unless it begins with a short hop or too close to the plate."""
+    q2, q3, q4 = derivatives(s.flight, run.q, run.q1)
+    gap2, start = cos - s.gravity - 0.5 * q2, 0.0
+    if run.gap == 0.0 and run.gap1 == 0.0:
+        start = departure_step(max(gap2, 0.0), -sin - 0.5 * q3, 1.0 + 0.5 * q4)
+        if start < lanes.SHORT_START:
+            return False
+    elif run.gap == 0.0 and 2.0 * run.gap1 < -gap2 * lanes.SHORT_FLIGHT:
+        return False
+    lanes.load(table, k, s.flight, run.phase, run.q, run.q1, start, horizon)
+    lanes.coefficients(
+        table, k, -0.5, 0.0, run.gap + (cos + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin),
+        0.5 * s.gravity, -1.0, 0.0,
+    )  # fmt: skip
+    return True
+
+
+@interface.load_lane.register(Spring)
+@inlined
+def _load(s: Spring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float) -> bool:
+    """Put the run's next phase into lane k, if lanes support its oscillators."""
+    if run.in_flight:
+        loaded = _load_flight(table, k, s, run, sin, cos, horizon)
+    else:
+        loaded = _load_contact(table, k, s, run, sin, cos, horizon)
+    return loaded and lanes.supports(s.stuck) and lanes.supports(s.flight)
+
+
+@interface.unload_lane.register(Spring)
+@inlined
+def _unload(s: Spring, table: Any, k: int, run: Progress) -> tuple[Phase, float, float]:
+    """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
+    tau, ending, used = lanes.search_end(table, k)
+    sin, cos, y, y1 = lanes.state_at_end(table, k, s.flight if run.in_flight else s.stuck)
+    if not run.in_flight:
+        return _stuck_until(s, sin, cos, tau, ending, y, y1, used), sin, cos
+    gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, y, y1)
+    if ending != ROOT:
+        return Phase(tau, ending, True, gap, gap1, y, y1, used), sin, cos
+    return land(s, sin, cos, tau, gap1, y, y1, used), sin, cos

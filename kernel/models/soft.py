@@ -10,12 +10,14 @@ mass is above it, n would turn positive again where kappa gap + beta gap' falls 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import contact, contact_force, flies, flight, prepare, rest
+from kernel import interface
+from kernel.cell import Progress
+from kernel.models import lanes
 from kernel.models.contact_law import lifted_off, plate_force
 from kernel.models.flight import Flight, begin_flight, flight_terms, landing, state_after
 from kernel.models.soft_contact import (
@@ -26,13 +28,14 @@ from kernel.models.soft_contact import (
     modes_of,
     soft_spring,
     state_of,
+    sure_contact_time,
     terms_of_parts,
 )
-from kernel.models.soft_liftoff import sure_contact_time
-from kernel.numerics.elementary import hypot, sincos
-from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
+from kernel.numerics.elementary import sincos
+from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import all_derivatives, apart, derivatives, motion, quiet_time
+from kernel.numerics.oscillator import all_derivatives, apart, coordinates, derivatives, motion, quiet_time
+from kernel.portable_math import hypot
 from kernel.validation import check_arrays
 
 
@@ -61,28 +64,28 @@ class Recontact(NamedTuple):
     beta: float
 
 
-@prepare.register(SoftPlate)
+@interface.prepare.register(SoftPlate)
 @jit
 def _prepare(plate: SoftPlate, i: int, gamma: float, omega: float, xi: float) -> SoftSpring:
     """The constants of cell i."""
     return soft_spring(gamma, omega, xi, plate.restitution[i], plate.penetration[i], plate.adhesive)
 
 
-@contact_force.register(SoftSpring)
+@interface.contact_force.register(SoftSpring)
 @jit
 def _contact_force(s: SoftSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
     """n in contact."""
     return plate_force(s.kappa, s.beta, gap, gap1)
 
 
-@rest.register(SoftSpring)
+@interface.rest.register(SoftSpring)
 @jit
 def _rest(s: SoftSpring) -> tuple[float, float, float, float]:
     """At the static gap and elongation."""
     return s.static_gap, 0.0, s.static_elongation, 0.0
 
 
-@flies.register(SoftSpring)
+@interface.flies.register(SoftSpring)
 @jit
 def _flies(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
     """Not in contact under the cell's law."""
@@ -104,7 +107,12 @@ def begin_contact(
     fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
     t = terms_of_parts(p, sin, cos, slow, fast)
     if gap < 0.0 and not s.adhesive and apart(p.fast_osc):
-        p = _beginning_with(p, t, plate_force(s.kappa, s.beta, gap, gap1))
+        # n is a small difference of kappa gap and beta gap'; the modes' sum has a few times its rounding
+        # error, which is given to the fast exponential, where it came from
+        fast_b = p.fast_b + (plate_force(s.kappa, s.beta, gap, gap1) - (t.smooth + t.ring))
+        p = LiftoffFunction(
+            p.slow_osc, p.fast_osc, phi, p.static, p.wave_re, p.wave_im, p.slow_a, p.slow_b, p.fast_a, fast_b
+        )
         fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
         t = terms_of_parts(p, sin, cos, slow, fast)
     margin = p.static - hypot(p.wave_re, p.wave_im)
@@ -117,15 +125,12 @@ def begin_contact(
     return m, p, t, sure_contact_time(p, t), decayed
 
 
-@contact.register(SoftSpring)
+@interface.contact.register(SoftSpring)
 @jit
 def _contact(
     s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In contact until the lift-off function falls to zero.
-
-    The search ends early once both free modes are too small to bring it there.
-    """
+    """In contact until the lift-off function falls to zero, or both modes are too small for that."""
     sin, cos = sincos(phi)
     m, p, _, start, decayed = begin_contact(s, phi, sin, cos, gap, gap1, q, q1)
     end = min(horizon, decayed)
@@ -146,25 +151,11 @@ def _contact(
     return Phase(tau, ending, ending == ROOT, gap, gap1, q, q1, used)
 
 
-@inlined
-def _beginning_with(p: LiftoffFunction, t: Terms, force: float) -> LiftoffFunction:
-    """`p`, whose terms at tau = 0 are `t`, with the force of the state there.
-
-    n is a small difference of kappa gap and beta gap'. The modes' sum has a few times its rounding error. The
-    difference is given to the fast exponential, which is where it came from.
-    """
-    fast_b = p.fast_b + (force - (t.smooth + t.ring))
-    return LiftoffFunction(
-        p.slow_osc, p.fast_osc, p.phi, p.static, p.wave_re, p.wave_im, p.slow_a, p.slow_b, p.fast_a, fast_b
-    )
-
-
 @jit
 def _lifts(s: SoftSpring, p: Flight) -> bool:
-    """Whether a mass without force on it, n = 0, takes off, `p` being the flight that would follow.
+    """Whether a mass with n = 0 takes off, `p` being the flight that would follow.
 
-    Contact and flight both ask it where they would end at once. Each computes its phase function in its own
-    way, and where n and n' are zero to rounding, both could end at once for ever.
+    Contact and flight both ask it where they would end at once, or both might for ever by rounding.
     """
     if s.adhesive or (p.gap == 0.0 and p.gap1 == 0.0):
         return p.gap1 > 0.0 or (p.gap1 == 0.0 and p.gap2 > 0.0)
@@ -184,59 +175,34 @@ def _recontact_terms(p: Recontact, tau: float) -> Terms:
     _, cos = sincos(f.phi + tau)
     gap4 = -cos - 0.5 * q4
     k, c = p.kappa, p.beta
-    return Terms(
-        smooth=k * (t.smooth + t.ring) + c * (t.smooth1 + t.ring1),
-        smooth1=k * (t.smooth1 + t.ring1) + c * (t.smooth2 + t.ring2),
-        smooth2=k * (t.smooth2 + t.ring2) + c * (t.smooth3 + t.ring3),
-        smooth3=k * (t.smooth3 + t.ring3) + c * gap4,
-        smooth4=k * (t.smooth4 + t.ring4) + c * (1.0 + 0.5 * bound5),
-        ring=0.0,
-        ring1=0.0,
-        ring2=0.0,
-        ring3=0.0,
-        ring4=0.0,
-        amplitude=math.inf,
-        noise=k * t.noise + 4.0 * EPS * c * abs(t.smooth1 + t.ring1),
-    )
-
-
-@inlined
-def _lowest_gap2(p: Flight, time: float) -> float:
-    """A lower bound <= 0 of gap'' over the first `time` rad of a flight.
-
-    gap'' is at least a parabola that opens downwards, whose lowest value is at an end.
-    """
-    _, q3, q4 = derivatives(p.osc, p.q, p.q1)
-    gap3 = -p.sin - 0.5 * q3
-    return min(p.gap2, p.gap2 + time * (gap3 - 0.5 * time * (1.0 + 0.5 * q4)), 0.0)
-
-
-@inlined
-def _no_recontact(s: SoftSpring, p: Flight, lowest_gap2: float, time: float) -> bool:
-    """Whether kappa gap + beta gap', zero at take-off, surely only grows for `time` rad."""
-    return s.kappa * (p.gap1 + time * lowest_gap2) + s.beta * lowest_gap2 > 0.0
+    f0 = k * (t.smooth + t.ring) + c * (t.smooth1 + t.ring1)
+    f1 = k * (t.smooth1 + t.ring1) + c * (t.smooth2 + t.ring2)
+    f2 = k * (t.smooth2 + t.ring2) + c * (t.smooth3 + t.ring3)
+    f3 = k * (t.smooth3 + t.ring3) + c * gap4
+    f4 = k * (t.smooth4 + t.ring4) + c * (1.0 + 0.5 * bound5)
+    noise = k * t.noise + 4.0 * EPS * c * abs(t.smooth1 + t.ring1)
+    return Terms(f0, f1, f2, f3, f4, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, noise)
 
 
 @inlined
 def emergence_bound(s: SoftSpring, p: Flight) -> float:
-    """A time (rad) by which a mass that takes off below the surface is surely above it, without recontact.
-
-    Twice -gap/gap', the time at constant velocity; 0 if that is not sure.
-    """
+    """Rad by which a mass from below the surface is surely above it without recontact; 0: not sure."""
     if p.gap1 <= 0.0:
         return 0.0
-    time = -2.0 * p.gap / p.gap1
-    lowest = _lowest_gap2(p, time)
-    return time if 0.5 * lowest * time * time > p.gap and _no_recontact(s, p, lowest, time) else 0.0
+    time = -2.0 * p.gap / p.gap1  # twice that at constant velocity
+    _, q3, q4 = derivatives(p.osc, p.q, p.q1)
+    # gap'' is at least a parabola that opens downwards, whose lowest value is at an end
+    lowest = min(p.gap2, p.gap2 + time * ((-p.sin - 0.5 * q3) - 0.5 * time * (1.0 + 0.5 * q4)), 0.0)
+    # kappa gap + beta gap', zero at take-off, only grows
+    grows = s.kappa * (p.gap1 + time * lowest) + s.beta * lowest > 0.0
+    return time if grows and 0.5 * lowest * time * time > p.gap else 0.0
 
 
 @jit
 def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tuple[float, int, int]:
     """Follow a flight from below the surface: (tau, ending, evaluations used) as of `first_root`.
 
-    ROOT with a gap <= 0: back in contact at tau. Otherwise, with a gap >= 0, the mass has emerged before tau
-    and has not landed.
-
+    ROOT with a gap <= 0: back in contact. Otherwise, with a gap >= 0, the mass has emerged and not landed.
     While c(tau) = kappa gap + beta gap' is positive, gap exp(kappa/beta tau) grows, so that the gap passes
     zero at most once: where it is positive it has been since. So only zeros of c are searched, up to a time
     by which the mass should have emerged, and beyond if it has not.
@@ -258,39 +224,133 @@ def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tup
             return tau, ending, used
 
 
-@flight.register(SoftSpring)
-@inlined
+@interface.flight.register(SoftSpring)
+@jit
 def _flight(
     s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In flight until landing."""
+    """In flight until landing. One from below the surface may return to contact before it emerges."""
+    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    emerged, used = 0.0, 0
     if gap < 0.0:
-        return _flight_from_below(s, phi, gap, gap1, q, q1, horizon, budget)
-    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
-    return _until_landing(p, 0.0, horizon, budget)
-
-
-@jit
-def _flight_from_below(
-    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
-    """A flight that begins below the surface. It may return to contact before it emerges."""
-    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
-    emerged, used = emergence_bound(s, p), 0
-    if emerged == 0.0:
-        emerged, ending, used = _below_surface(s, p, horizon, budget)
-        gap, gap1, q, q1 = state_after(p, emerged)
-        if (ending != HORIZON and (ending != ROOT or gap <= 0.0)) or gap < 0.0:
-            return Phase(emerged, ending, ending != ROOT, gap, gap1, q, q1, used)
-    end = _until_landing(p, emerged, horizon, budget - used)
-    return Phase(end.tau, end.ending, end.in_flight, end.gap, end.gap1, end.q, end.q1, used + end.used)
-
-
-@jit
-def _until_landing(p: Flight, start: float, horizon: float, budget: int) -> Phase:
-    """The flight, above the surface at `start` rad, until it lands."""
-    tau, ending, used = landing(p, start, horizon, budget)
+        emerged = emergence_bound(s, p)
+        if emerged == 0.0:
+            emerged, ending, used = _below_surface(s, p, horizon, budget)
+            gap, gap1, q, q1 = state_after(p, emerged)
+            if (ending != HORIZON and (ending != ROOT or gap <= 0.0)) or gap < 0.0:
+                return Phase(emerged, ending, ending != ROOT, gap, gap1, q, q1, used)
+    tau, ending, more = landing(p, emerged, horizon, budget - used)
     gap, gap1, q, q1 = state_after(p, tau)
     if ending == ROOT:
         gap, gap1 = 0.0, min(gap1, 0.0)
-    return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used)
+    return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used + more)
+
+
+# --- in lanes: two free modes -------------------------------------------------------------------------------
+
+#: A contact that begins with a force of zero is searched from where that is above so many times its rounding.
+RISEN: Final = 16.0
+
+
+@jit
+def _rising_time(t: Terms) -> float:
+    """A time (rad) at which F, zero to rounding in `t`, has surely risen clearly above; 0 if it may not."""
+    f1, f2, f3, f4 = t.smooth1 + t.ring1, t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
+    width = 2.0 * max(abs(f3), math.sqrt(abs(f2) * f4)) / f4
+    if not (f1 > 0.0 and width > 0.0):
+        return 0.0
+    # F is above a parabola from zero to zero, half-way at f1 time / 2
+    time = 0.5 * lanes.safe_step_once(0.0, f1, f2, f3, f4, width)
+    return time if 0.5 * f1 * time > RISEN * t.noise else 0.0
+
+
+@jit
+def _load_contact(
+    s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float
+) -> bool:
+    """Put a contact into lane k, unless it never ends or might end at once."""
+    m, p, t, start, decayed = begin_contact(s, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1)
+    end = min(horizon, decayed)
+    f0 = t.smooth + t.ring
+    if start == 0.0 and abs(f0) <= 4.0 * t.noise:
+        start = _rising_time(t)
+    at_once = start == 0.0 and f0 <= 4.0 * t.noise
+    if at_once or decayed == 0.0 or not (lanes.serves(p.slow_osc, end) and lanes.serves(p.fast_osc, end)):
+        return False
+    lanes.load_modes(table, k, p.slow_osc, p.slow_a, p.slow_b, p.fast_osc, p.fast_a, p.fast_b)
+    lanes.smooth_coefficients(table, k, p.static, 0.0, 0.0, p.wave_re, -p.wave_im, 0.0)
+    lanes.load_search(table, k, run.phase, start, end, 0.0)
+    lanes.keep(table, k, m.gap_a, m.gap_b, m.elongation_a, m.elongation_b)
+    return True
+
+
+@jit
+def _load_flight(
+    s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float
+) -> bool:
+    """Put a flight into lane k, if it surely emerges and begins neither with a short hop nor too close."""
+    if not (lanes.supports(s.flight) and lanes.serves(s.flight, horizon)):
+        return False
+    emerged, sin0, cos0 = 0.0, sin, cos
+    gap, gap1, q, q1 = run.gap, run.gap1, run.q, run.q1
+    if gap < 0.0:
+        p = begin_flight(s.flight, s.gravity, run.phase, gap, gap1, q, q1)
+        emerged = emergence_bound(s, p)
+        if emerged == 0.0 or emerged >= horizon:
+            return False
+        gap, gap1, q, q1 = state_after(p, emerged)
+        sin, cos = sincos(run.phase + emerged)
+    start = emerged
+    if emerged > 0.0 or gap == 0.0:
+        q2, q3, q4 = derivatives(s.flight, q, q1)
+        gap2 = cos - s.gravity - 0.5 * q2
+        if gap1 >= 0.0 and (gap2 >= 0.0 or gap1 == 0.0):
+            safe = departure_step(max(gap2, 0.0), -sin - 0.5 * q3, 1.0 + 0.5 * q4)
+            if safe < lanes.SHORT_START:
+                return False
+            start += safe
+        elif 2.0 * gap1 < -gap2 * lanes.SHORT_FLIGHT:
+            return False
+    a, b = coordinates(s.flight, -0.5 * run.q, -0.5 * run.q1)
+    lanes.load_modes(table, k, s.flight, 0.0, 0.0, s.flight, a, b)
+    lanes.smooth_coefficients(
+        table, k, run.gap + (cos0 + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin0), 0.5 * s.gravity,
+        -1.0, 0.0, 0.5 * abs(run.q),
+    )  # fmt: skip
+    lanes.load_search(table, k, run.phase, start, horizon, lanes.FIRST_WIDTH)
+    return True
+
+
+@interface.load_lane.register(SoftSpring)
+@inlined
+def _load(s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float) -> bool:
+    """Put the run's next phase into lane k."""
+    if run.in_flight:
+        return _load_flight(s, table, k, run, sin, cos, horizon)
+    return _load_contact(s, table, k, run, sin, cos, horizon)
+
+
+@interface.unload_lane.register(SoftSpring)
+@inlined
+def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, float, float]:
+    """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
+    tau, ending, used = lanes.search_end(table, k)
+    sin, cos = sincos(run.phase + tau)
+    if run.in_flight:
+        q, q1 = motion(s.flight, run.q, run.q1, tau)
+        gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, q, q1)
+        if ending == ROOT:
+            gap, gap1 = 0.0, min(gap1, 0.0)
+        return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used), sin, cos
+    gap_a, gap_b, elongation_a, elongation_b = lanes.kept(table, k)
+    gap, gap1, q, q1 = state_of(s, ModalState(gap_a, gap_b, elongation_a, elongation_b), sin, cos, tau)
+    if s.adhesive:
+        gap, gap1 = 0.0, max(gap1, 0.0)
+    return Phase(tau, ending, True, gap, gap1, q, q1, used), sin, cos
+
+
+@interface.advance_lanes.register(SoftPlate)
+@inlined
+def _advance(plate: SoftPlate, table: Any, used: int) -> None:
+    """`lanes.advance_modes`."""
+    lanes.advance_modes(table, used)

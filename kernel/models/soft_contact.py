@@ -17,8 +17,8 @@ kappa gap + beta gap' cancels. So an overdamped mode is carried by its two ampli
 import math
 from typing import Final, NamedTuple
 
-from kernel.models.contact_law import contact_constants, damping_ratio, static_state
-from kernel.numerics.elementary import hypot, sincos
+from kernel.models.contact_law import contact_constants, static_state
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, Terms, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import (
@@ -28,12 +28,16 @@ from kernel.numerics.oscillator import (
     all_derivatives,
     apart,
     coordinates,
+    derivative,
+    first_falling_zero,
     oscillator,
     position,
     propagate,
     propagator,
 )
 from kernel.numerics.quartic import paired, roots
+from kernel.portable_math import hypot
+from kernel.restitution import scalar_damping_ratio
 
 #: As in `rigid`: the relative distance to an undamped resonance is kept above this.
 NEAREST_RESONANCE: Final = 1e-8
@@ -43,11 +47,7 @@ UNDEFINED: Final = Oscillator(math.nan, math.nan, math.nan, math.nan, math.nan, 
 
 
 class Coupling(NamedTuple):
-    """A quantity that follows the leading one, x, of a free mode.
-
-    It is first * x + second * x'. Where the mode's coordinates are amplitudes a and b, it is
-    first * a + second * b.
-    """
+    """A quantity that follows a mode's leading one: first * x + second * x', or of its amplitudes a and b."""
 
     first: float
     second: float
@@ -75,8 +75,6 @@ class SoftSpring(NamedTuple):
     """One cell's constants."""
 
     gravity: float  # 1/Gamma
-    dashpot: float  # 2 xi/Omega
-    stiffness: float  # 1/Omega**2
     kappa: float  # contact stiffness 1/d**2
     beta: float  # contact damping 2 zeta/d
     adhesive: bool
@@ -125,9 +123,9 @@ def soft_spring(
     gamma: float, omega: float, xi: float, restitution: float, d: float, adhesive: bool
 ) -> SoftSpring:
     """The constants of one cell whose contact has this restitution and penetration d (plate amplitudes)."""
-    kappa, beta = contact_constants(d, damping_ratio(restitution, adhesive))
+    kappa, beta = contact_constants(d, scalar_damping_ratio(restitution, adhesive))
     w, b = 1.0 / (omega * omega), 2.0 * xi / omega
-    flight, stiffness = oscillator(b, 2.0 * w), w  # not shifted from a resonance, which is of the contact
+    flight = oscillator(b, 2.0 * w)  # not shifted from a resonance, which is of the contact
     # G (K (z - 1) - (2z - 1)) = 2z - 1 and (2z - 1) Q = K G, with z = w + i b and K = kappa + i beta
     z, k = complex(w, b), complex(kappa, beta)
     below = (z - 1.0) - (2.0 * z - 1.0) / k
@@ -142,8 +140,6 @@ def soft_spring(
     static_gap, static_elongation = static_state(gamma, w, kappa)
     return SoftSpring(
         gravity=1.0 / gamma,
-        dashpot=b,
-        stiffness=stiffness,
         kappa=kappa,
         beta=beta,
         adhesive=adhesive,
@@ -179,11 +175,8 @@ def _gap_to_elongation(c: _Contact, rate: float) -> float:
 
 @jit
 def _elongation_to_gap(c: _Contact, rate: float) -> float:
-    """gap/q of a free motion exp(rate tau).
-
-    Either (rate**2 + beta rate + kappa) gap = (b rate + w) q, or with the spring's force on both masses,
-    (2 rate**2 + beta rate + kappa) gap = -rate**2 q.
-    """
+    """gap/q of a free motion exp(rate tau)."""
+    # (rate**2 + beta rate + kappa) gap = (b rate + w) q, or with the spring's force on both masses below
     driving, kept = _sum(c.b * rate, c.w, 0.0)
     if kept > 0.5:
         return driving / (rate * rate + c.beta * rate + c.kappa)
@@ -192,11 +185,8 @@ def _elongation_to_gap(c: _Contact, rate: float) -> float:
 
 @jit
 def _gap_to_force(c: _Contact, rate: float) -> float:
-    """n/gap of a free motion exp(rate tau).
-
-    Either -(kappa + beta rate), or as n = gap'' - b q' - w q. The first cancels where the mass creeps in
-    an overdamped contact, the second where the contact is hardly felt.
-    """
+    """n/gap of a free motion exp(rate tau): -(kappa + beta rate), or as n = gap'' - b q' - w q."""
+    # the first cancels where the mass creeps in an overdamped contact, the second where it is hardly felt
     force, kept = _sum(c.kappa, c.beta * rate, 0.0)
     free, kept1 = _sum(rate * rate, 2.0 * c.b * rate, 2.0 * c.w)  # zero in flight
     stuck, kept2 = _sum(rate * rate, c.b * rate, c.w)  # zero on a rigid plate
@@ -238,10 +228,9 @@ def _elongation_lift(c: _Contact, mode: Oscillator, gap: Coupling, adhesive: boo
 
 @jit
 def _coupling(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> tuple[Coupling, float]:
-    """The y of y'' + b y' + w y = c1 x' + c0 x, where x, and so y, moves as the oscillator does.
+    """The y of y'' + b y' + w y = c1 x' + c0 x, where x moves as the oscillator, as first * x + second * x'.
 
-    As first * x + second * x', whatever the mode's coordinates. Also returns the quality, 0 to 1: the part
-    of the terms it was computed from that did not cancel.
+    Also returns the quality, 0 to 1: the part of the terms it was computed from that did not cancel.
     """
     a1, a0 = 2.0 * osc.damping, osc.stiffness
     # (value + rate s)(p + r s) = c0 + c1 s wherever s**2 + a1 s + a0 = 0
@@ -258,9 +247,8 @@ def _coupling(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> tupl
 def _separate_modes(c: _Contact) -> Modes:
     """The free motion in two modes: of the six ways to choose them, that in which least cancels.
 
-    The free motion obeys q'' + b q' + w q = -gap'' and gap'' + beta gap' + kappa gap = b q' + w q, whose
-    characteristic polynomial is the quartic below. It has three pairs of quadratic factors, and either
-    factor of a pair may be the gap mode.
+    It obeys q'' + b q' + w q = -gap'' and gap'' + beta gap' + kappa gap = b q' + w q. The characteristic
+    quartic has three pairs of quadratic factors, and either of a pair may be the gap mode.
     """
     b, w, beta, kappa = c
     c3, c2, c1, c0 = beta + 2.0 * b, kappa + 2.0 * w + b * beta, b * kappa + w * beta, w * kappa
@@ -353,18 +341,11 @@ def combine(
     return gap + coupled_gap, gap1 + coupled_gap1, q + coupled_q, q1 + coupled_q1
 
 
-@jit
-def to_modes(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> ModalState:
-    """The free modes of a state at phase phi: what is left without the static and driven parts."""
-    sin, cos = sincos(phi)
-    return modes_of(s, sin, cos, gap, gap1, q, q1)
-
-
 @inlined
 def modes_of(
     s: SoftSpring, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float
 ) -> ModalState:
-    """`to_modes` from the sine and cosine of the plate's phase."""
+    """The free modes of a state: what is left without the static and driven parts; sin, cos of the phase."""
     q -= s.static_elongation + s.q_re * cos - s.q_im * sin
     q1 += s.q_re * sin + s.q_im * cos
     gap -= s.static_gap + s.g_re * cos - s.g_im * sin
@@ -372,18 +353,11 @@ def modes_of(
     return separate(s, gap, gap1, q, q1)
 
 
-@jit
-def from_modes(s: SoftSpring, m: ModalState, phi: float, tau: float) -> tuple[float, float, float, float]:
-    """gap, gap', q, q' at tau rad, where the modes are `m` at phase phi and tau = 0."""
-    sin, cos = sincos(phi + tau)
-    return state_of(s, m, sin, cos, tau)
-
-
 @inlined
 def state_of(
     s: SoftSpring, m: ModalState, sin: float, cos: float, tau: float
 ) -> tuple[float, float, float, float]:
-    """`from_modes` from the sine and cosine of the plate's phase at tau."""
+    """gap, gap', q, q' tau rad after the modes were `m`; sin and cos are of the plate's phase then."""
     gap, gap1, q, q1 = combine(s, m, propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau))
     return (
         s.static_gap + s.g_re * cos - s.g_im * sin + gap,
@@ -395,10 +369,7 @@ def state_of(
 
 @inlined
 def liftoff_function(s: SoftSpring, m: ModalState, phi: float) -> LiftoffFunction:
-    """The lift-off function -(kappa gap + c gap') from phi on, with c = 0 (adhesive) or beta (nonadhesive).
-
-    The stiffer of the two modes is its ringing part.
-    """
+    """The lift-off function from phi on; the stiffer of the two modes is its ringing part."""
     c = 0.0 if s.adhesive else s.beta
     f_a, f_b = _coupled(s.gap_lift, s.gap_mode, m.gap_a, m.gap_b)
     g_a, g_b = _coupled(s.elongation_lift, s.elongation_mode, m.elongation_a, m.elongation_b)
@@ -448,3 +419,51 @@ def terms_of_parts(p: LiftoffFunction, sin: float, cos: float, slow: Derivatives
         amplitude=fast.size,
         noise=4.0 * EPS * (p.static + bound + slow.size + fast.size),
     )
+
+
+# --- a time until which the mass surely stays ---------------------------------------------------------------
+# Between now and its next zero a free oscillation rises and falls once, so that its values at a few instants
+# bound all between them, and the smooth part, which is slow, is bounded by its Taylor polynomial.
+
+
+@jit
+def _ringing(p: LiftoffFunction, tau: float) -> tuple[float, float]:
+    """The ringing part and its rate at tau."""
+    return position(p.fast_osc, *advance(p.fast_osc, p.fast_a, p.fast_b, tau))
+
+
+@jit
+def sure_contact_time(p: LiftoffFunction, t: Terms) -> float:
+    """A time (rad) until which the lift-off function surely stays positive; 0 where none is sure.
+
+    `t`: its terms at the start of the contact, where it is not negative. Three steps: the end is the
+    ringing's next zero; the smooth part's lowest value until then decides whether the end holds as it is;
+    if not, it is moved back to where the ringing still outweighs that value.
+    """
+    if t.ring + t.smooth < -t.noise or (t.ring1 <= 0.0 and t.ring <= 0.0) or (t.ring < 0.0 <= t.ring2):
+        return 0.0
+    end = first_falling_zero(p.fast_osc, p.fast_a, p.fast_b)
+    if end == math.inf:
+        return 0.0
+    slope = abs(t.smooth1) + end * (
+        abs(t.smooth2) / 2.0 + end * (abs(t.smooth3) / 6.0 + end * t.smooth4 / 24.0)
+    )
+    lowest = t.smooth - end * slope - t.noise  # of the smooth part until `end`
+    if lowest > 0.0 and (t.ring >= 0.0 or -t.ring > end * slope):
+        return end  # the ringing is positive, or outgrows the smooth part's decrease before it is
+    if t.ring1 > 0.0:  # rising, and concave up to its maximum
+        top = first_falling_zero(p.fast_osc, *derivative(p.fast_osc, p.fast_a, p.fast_b))
+        height, _ = _ringing(p, top)
+        if top >= end or height <= -lowest or height - t.ring <= top * slope:
+            return 0.0
+    else:
+        top = 0.0
+    if lowest > 0.0:
+        return end
+    # back by twice the time in which the ringing, at its speed at the zero, falls by -lowest
+    _, fall = _ringing(p, end)
+    end += 2.0 * lowest / abs(fall)
+    if end <= top:
+        return 0.0
+    last, _ = _ringing(p, end)
+    return end if last > -lowest else 0.0

@@ -1,16 +1,23 @@
 """The soft plate by fixed time steps: the paper's molecular dynamics (section 2.2; docs/model.md, section 2).
 
 The contact is that of `kernel.models.soft`, gap'' = b q' + w q - 1/Gamma + cos(phi) - kappa gap - beta gap'
-while it lasts, integrated by one of the schemes of `kernel.models.time_stepping`. The step is h = 2 pi/N
-rad, N being the fewest steps per plate period for which h is at most the contact's duration over
-`steps_per_contact` (Eq. 13, `kernel.step_limits`). So the grid of phases at which steps end is the same in
-every period.
+while it lasts. The step is h = 2 pi/N rad, N being the fewest steps per plate period for which h is at most
+the contact's duration over `steps_per_contact` (Eq. 13, `kernel.step_limits`). So the grid of phases at which
+steps end is the same in every period.
 
 The spring takes off or lands inside a step. That step is shortened so that it ends there (at the zero of
 the same scheme's own gap or force), and another shortened one leads back to the grid. Otherwise the force
 would set in late by up to h, and both schemes would be of first order. Events are detected at the ends of
 steps only: a touch or a hop shorter than a step may be missed, and one that ends before the first grid
 point ends there.
+
+One formula makes both schemes, m = 1/2 for velocity Verlet and m = 0 for semi-implicit Euler:
+    v(1) = v + (1 - m) h a(x, v, phi)      x+ = x + h v(1)
+    v+ = v(1) + m h a(x+, v+, phi + h)
+With m = 1/2 the damping at the end of a step is that of the velocity there, which keeps Verlet of second
+order and stable under any damping; the forces are linear, so that v+ costs a constant 2 x 2 matrix. Only
+v(1) is carried from step to step: v(1)+ = P v(1) - S x+ + R f(phi + h), with f = cos(phi) - 1/Gamma. At the
+end of a step v = v(1) + m (v(1)+ - v(1)). x is (gap, q), v their velocities per rad.
 """
 
 import math
@@ -21,40 +28,18 @@ from numpy.typing import NDArray
 
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.models.contact_law import contact_constants, lifted_off, plate_force, static_state
-from kernel.models.time_stepping import (
-    Grid,
-    Law,
-    March,
-    Point,
-    begin_march,
-    end_function,
-    law,
-    march,
-    previous_point,
-    step,
-)
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import inlined, jit
 from kernel.params import KernelInputError
 from kernel.restitution import damping_ratio
 from kernel.step_limits import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
-from kernel.validation import check_arrays
+from kernel.validation import check_arrays, is_whole
 
-#: Steps between two evaluations of the plate's sine and cosine; in between a rotation advances them, whose
-#: error grows to some 1024 EPS = 2e-13.
-BLOCK: Final = 1024
-
-#: If less than this part of a step is left to the next grid point, that point is skipped: rounding moves
-#: grid points by about N EPS/2 of a step, 1e-9 for the largest N.
-MIN_STEP_FRACTION: Final = 1e-9
-
-#: A gap or elongation beyond this, in plate amplitudes, means that the scheme is unstable and has diverged.
-LARGEST: Final = 1e30
-
-#: Cap on the rounds of regula falsi (Illinois) for the end of a contact or flight. It converges like a
-#: secant method; halving alone would be down to rounding by then.
-ROUNDS: Final = 60
+BLOCK: Final = 1024  # steps between two evaluations of the plate's sine; rotations err by 2e-13
+MIN_STEP_FRACTION: Final = 1e-9  # a grid point nearer than this part of a step, which is rounding, is skipped
+LARGEST: Final = 1e30  # plate amplitudes; a gap or elongation beyond means that the scheme has diverged
+ROUNDS: Final = 60  # cap on those of regula falsi (Illinois), which converges like a secant method
 
 
 class SteppedPlate(NamedTuple):
@@ -65,6 +50,51 @@ class SteppedPlate(NamedTuple):
     steps: NDArray[np.int64]  # (n,) to the plate period
     adhesive: bool
     implicit: float  # 1/2 for velocity Verlet, 0 for semi-implicit Euler
+
+
+class Grid(NamedTuple):
+    """The steps of a cell."""
+
+    steps: int  # to the plate period
+    step: float  # h = 2 pi/steps, rad
+    cos: float  # of h
+    sin: float
+    implicit: float  # m
+
+
+class Law(NamedTuple):
+    """The forces of a contact or flight, and a step of the grid under them."""
+
+    dashpot: float  # b = 2 xi/Omega
+    stiffness: float  # w = 1/Omega**2
+    kappa: float  # 1/d**2 in contact, 0 in flight
+    beta: float  # 2 zeta/d in contact, 0 in flight
+    lead: float  # contact while gap + lead * gap' < 0: 0 (adhesive) or beta/kappa
+    flying: bool
+    p: tuple[float, float, float, float]  # P by rows
+    s: tuple[float, float, float, float]  # S by rows
+    r: tuple[float, float]  # R
+
+
+class Point(NamedTuple):
+    """The state at the end of a step."""
+
+    gap: float
+    gap1: float
+    q: float
+    q1: float
+
+
+class March(NamedTuple):
+    """A row of steps so far."""
+
+    taken: int  # steps
+    over: bool  # whether the contact or flight ended within the last of them
+    now: Point
+    v: float  # gap' and q' as carried into the next step: v(1) of the last one
+    u: float
+    v0: float  # and of the one before
+    u0: float
 
 
 class SteppedSpring(NamedTuple):
@@ -78,14 +108,96 @@ class SteppedSpring(NamedTuple):
     static_gap: float  # < 0
 
 
+@jit
+def _inverse(beta: float, b: float, mh: float) -> tuple[float, float, float, float]:
+    """(1 + mh C)^-1 by rows, C = ((beta, -b), (-beta, 2b)) being the damping matrix for (gap', q')."""
+    det = 1.0 + mh * (beta + 2.0 * b) + mh * mh * beta * b
+    return (1.0 + 2.0 * mh * b) / det, mh * b / det, mh * beta / det, (1.0 + mh * beta) / det
+
+
+@jit
+def law(grid: Grid, b: float, w: float, kappa: float, beta: float, lead: float, flying: bool) -> Law:
+    """The law of a contact, or with kappa = beta = 0 of a flight."""
+    h = grid.step
+    i, j, k, n = _inverse(beta, b, grid.implicit * h)
+    g = (1.0 - grid.implicit) * h
+    drag, drag1 = 1.0 - g * beta, 1.0 - 2.0 * g * b
+    return Law(
+        b, w, kappa, beta, lead, flying,
+        p=(i * drag + j * g * beta, i * g * b + j * drag1, k * drag + n * g * beta, k * g * b + n * drag1),
+        s=(h * kappa * (i - j), h * w * (2.0 * j - i), h * kappa * (k - n), h * w * (2.0 * n - k)),
+        r=(h * i, h * k),
+    )  # fmt: skip
+
+
+@jit
+def end_function(law: Law, x: Point) -> float:
+    """A function of the state that is negative within a contact or flight and zero at its end."""
+    force = x.gap + law.lead * x.gap1
+    return -max(x.gap, force) if law.flying else force
+
+
+@jit
+def _acceleration(law: Law, f: float, x: Point) -> tuple[float, float]:
+    """gap'' and q'', with f = cos(phi) - 1/Gamma."""
+    spring = law.stiffness * x.q + law.dashpot * x.q1
+    press = law.kappa * x.gap + law.beta * x.gap1
+    return f + spring - press, press - 2.0 * spring
+
+
+@jit
+def step(law: Law, m: float, f0: float, f1: float, x: Point, h: float) -> Point:
+    """One step from x of any length h (rad), with f = f0 before and f1 after it."""
+    a, a1 = _acceleration(law, f0, x)
+    v, u = x.gap1 + (1.0 - m) * h * a, x.q1 + (1.0 - m) * h * a1
+    gap, q = x.gap + h * v, x.q + h * u
+    a, a1 = _acceleration(law, f1, Point(gap, 0.0, q, 0.0))
+    v, u = v + m * h * a, u + m * h * a1
+    i, j, k, n = _inverse(law.beta, law.dashpot, m * h)
+    return Point(gap, i * v + j * u, q, k * v + n * u)
+
+
+@jit
+def begin_march(grid: Grid, law: Law, f: float, x: Point) -> March:
+    """A row of no steps yet that begins at x, where f = cos(phi) - 1/Gamma."""
+    a, a1 = _acceleration(law, f, x)
+    v, u = x.gap1 - grid.implicit * grid.step * a, x.q1 - grid.implicit * grid.step * a1
+    return March(0, False, x, v, u, v, u)
+
+
+@jit
+def march(grid: Grid, law: Law, gravity: float, c: float, d: float, start: March, steps: int) -> March:
+    """`start` advanced by at most `steps` steps; c and d are cos and sin of the plate's phase."""
+    (p0, p1, p2, p3), (s0, s1, s2, s3), (r0, r1) = law.p, law.s, law.r
+    h, cos, sin, m, lead, flying = grid.step, grid.cos, grid.sin, grid.implicit, law.lead, law.flying
+    gap, q = start.now.gap, start.now.q
+    v, u, v0, u0 = start.v, start.u, start.v0, start.u0
+    i = 0
+    while True:
+        f = c - gravity
+        v1 = p0 * v + p1 * u - (s0 * gap + s1 * q) + r0 * f
+        u1 = p2 * v + p3 * u - (s2 * gap + s3 * q) + r1 * f
+        force = gap + lead * (v + m * (v1 - v))
+        ended = gap < 0.0 and force < 0.0 if flying else force > 0.0
+        if ended or i == steps:
+            return March(i, ended, Point(gap, v + m * (v1 - v), q, u + m * (u1 - u)), v, u, v0, u0)
+        gap, q = gap + h * v1, q + h * u1
+        v0, u0, v, u = v, u, v1, u1
+        c, d = c * cos - d * sin, d * cos + c * sin
+        i += 1
+
+
+@jit
+def previous_point(grid: Grid, m: March) -> Point:
+    """The end of the step before the last."""
+    v, u = m.v0 + grid.implicit * (m.v - m.v0), m.u0 + grid.implicit * (m.u - m.u0)
+    return Point(m.now.gap - grid.step * m.v, v, m.now.q - grid.step * m.u, u)
+
+
 def plate(
-    *,
-    restitution: NDArray[np.float64],
-    penetration: NDArray[np.float64],
-    adhesive: bool,
-    steps_per_contact: int,
-    scheme: str,
-) -> SteppedPlate:
+    *, restitution: NDArray[np.float64], penetration: NDArray[np.float64], adhesive: bool,
+    steps_per_contact: int, scheme: str,
+) -> SteppedPlate:  # fmt: skip
     """The plate under n cells; restitution (n,) in [0, 1], penetration (n,) > 0 in plate amplitudes.
 
     steps_per_contact: an integer >= 1; scheme: "verlet" or "euler". Raises KernelInputError.
@@ -94,8 +206,7 @@ def plate(
     names = [s.name.lower() for s in Scheme]
     if scheme not in names:
         raise KernelInputError("scheme", f"must be one of {', '.join(names)}, got {scheme!r}")
-    whole = isinstance(steps_per_contact, int | np.integer) and not isinstance(steps_per_contact, bool)
-    if not whole or steps_per_contact < 1:
+    if not is_whole(steps_per_contact) or steps_per_contact < 1:
         raise KernelInputError("steps_per_contact", f"must be an integer >= 1, got {steps_per_contact!r}")
     damping = damping_ratio(restitution, adhesive)
     steps = steps_per_period(restitution, penetration, int(steps_per_contact), adhesive=adhesive)
@@ -155,10 +266,7 @@ def _forcing(s: SteppedSpring, phi: float) -> float:
 
 @jit
 def _locate(s: SteppedSpring, law: Law, x: Point, phi: float) -> tuple[float, Point]:
-    """The length (rad) of the step from x at phi that ends where the contact or flight does, and its end.
-
-    By regula falsi on `end_function`, as a function of the step's length.
-    """
+    """The length (rad) of the step from x at phi that ends where the contact or flight does, and its end."""
     m, f0 = s.grid.implicit, _forcing(s, phi)
     low, high, side = 0.0, s.grid.step, 0
     end = step(law, m, f0, _forcing(s, phi + high), x, high)
@@ -183,10 +291,7 @@ def _locate(s: SteppedSpring, law: Law, x: Point, phi: float) -> tuple[float, Po
 
 @jit
 def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[float, int, Point]:
-    """The end of a contact or flight that began at phi and is over at the n-th grid point.
-
-    Returns rad, ending and state, as `_run` does.
-    """
+    """The end of a contact or flight that began at phi and is over at the n-th grid point, as `_run`."""
     if row.taken == 0:
         return n * s.grid.step - phi, ROOT, row.now
     part, end = _locate(s, law, previous_point(s.grid, row), (n - 1) % s.grid.steps * s.grid.step)
@@ -199,10 +304,7 @@ def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[fl
 def _run(
     s: SteppedSpring, law: Law, phi: float, x: Point, horizon: float, budget: int
 ) -> tuple[float, int, Point]:
-    """Step from x at phi until the contact or flight is over, or to the horizon: rad, ending and state.
-
-    The horizon is rounded to the nearest grid point.
-    """
+    """Step from x at phi until the end or the grid point nearest to the horizon: rad, ending and state."""
     steps, h, m = s.grid.steps, s.grid.step, s.grid.implicit
     if budget <= 0 or steps > MOST_STEPS_PER_PERIOD:
         return 0.0, BUDGET_EXHAUSTED, x
@@ -243,10 +345,7 @@ def _contact(
 def _flight(
     s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In flight until contact returns. The budget counts as in `_contact`.
-
-    A flight that begins below the surface may end there, rising: its velocity then stays.
-    """
+    """In flight until contact returns; from below the surface perhaps rising: its velocity stays."""
     tau, ending, x = _run(s, s.flight, phi, Point(gap, gap1, q, q1), horizon, budget)
     after, after1 = x.gap, x.gap1
     if ending == ROOT:

@@ -16,13 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from kernel.interface import (
-    carry_in_contact,
-    carry_in_flight,
-    carry_through_landing,
-    carry_through_takeoff,
-    dimension,
-)
+from kernel import interface
 from kernel.models import flight, free_fall
 from kernel.models.ball import Ball, BallPlate
 from kernel.models.rigid import RigidPlate, Spring
@@ -50,8 +44,7 @@ def _put(vectors: Any, k: int, g: float, g1: float, q: float, q1: float) -> None
 @inlined
 def _forget(vectors: Any) -> None:
     """Motions that differ end in the same state."""
-    for k in range(len(vectors)):
-        _put(vectors, k, 0.0, 0.0, 0.0, 0.0)
+    vectors[:] = 0.0
 
 
 @inlined
@@ -60,9 +53,12 @@ def _oscillate(osc: Oscillator, c: float, s: float, s1: float, x: float, x1: flo
     return x * c + x1 * s, x1 * s1 - osc.stiffness * s * x
 
 
-@inlined
-def _fly(osc: Oscillator, vectors: Any, tau: float) -> None:
-    """A spring's flight: its centre of mass, at gap + q/2, moves freely and its elongation as `osc`."""
+@interface.carry_in_flight.register(Spring)
+@interface.carry_in_flight.register(SoftSpring)
+@jit
+def _fly(spring: Any, vectors: Any, tau: float) -> None:
+    """A spring's flight: its centre of mass, at gap + q/2, moves freely and its elongation swings."""
+    osc = spring.flight
     c, s, s1 = response(osc, tau)
     for k in range(len(vectors)):
         g, g1, q, q1 = _get(vectors, k)
@@ -81,13 +77,13 @@ def _delay(g: float, impact: float) -> float:
 # --- rigid ----------------------------------------------------------------------------------------------
 
 
-@dimension.register(RigidPlate)
+@interface.dimension.register(RigidPlate)
 def _rigid_dimension(plate: RigidPlate) -> int:
     """After a landing without restitution gap' is always zero at gap = 0."""
     return SPRING_DIMENSION if np.all(plate.restitution > 0.0) else INELASTIC_DIMENSION
 
 
-@carry_in_contact.register(Spring)
+@interface.carry_in_contact.register(Spring)
 @jit
 def _rigid_contact(s: Spring, vectors: Any, tau: float) -> None:
     """The gap stays zero; the elongation moves as the stuck oscillator."""
@@ -98,14 +94,7 @@ def _rigid_contact(s: Spring, vectors: Any, tau: float) -> None:
         _put(vectors, k, 0.0, 0.0, q, q1)
 
 
-@carry_in_flight.register(Spring)
-@jit
-def _rigid_flight(s: Spring, vectors: Any, tau: float) -> None:
-    """The flight of a spring."""
-    _fly(s.flight, vectors, tau)
-
-
-@carry_through_takeoff.register(Spring)
+@interface.carry_through_takeoff.register(Spring)
 @jit
 def _rigid_takeoff(s: Spring, vectors: Any, end: Phase) -> None:
     """n = 0 at take-off, so that the rates before and after it are the same, and gap = gap' = 0 still."""
@@ -114,7 +103,7 @@ def _rigid_takeoff(s: Spring, vectors: Any, end: Phase) -> None:
         _put(vectors, k, 0.0, 0.0, q, q1)
 
 
-@carry_through_landing.register(Spring)
+@interface.carry_through_landing.register(Spring)
 @jit
 def _rigid_landing(
     s: Spring, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
@@ -144,13 +133,13 @@ def _rigid_landing(
 # --- soft -----------------------------------------------------------------------------------------------
 
 
-@dimension.register(SoftPlate)
+@interface.dimension.register(SoftPlate)
 def _soft_dimension(plate: SoftPlate) -> int:
     """Gap and elongation with their velocities."""
     return SPRING_DIMENSION
 
 
-@carry_in_contact.register(SoftSpring)
+@interface.carry_in_contact.register(SoftSpring)
 @jit
 def _soft_contact(s: SoftSpring, vectors: Any, tau: float) -> None:
     """The two free modes of `kernel.models.soft_contact`, without its static and driven parts."""
@@ -161,14 +150,7 @@ def _soft_contact(s: SoftSpring, vectors: Any, tau: float) -> None:
         _put(vectors, k, gap, gap1, q, q1)
 
 
-@carry_in_flight.register(SoftSpring)
-@jit
-def _soft_flight(s: SoftSpring, vectors: Any, tau: float) -> None:
-    """The flight of a spring."""
-    _fly(s.flight, vectors, tau)
-
-
-@carry_through_takeoff.register(SoftSpring)
+@interface.carry_through_takeoff.register(SoftSpring)
 @jit
 def _soft_takeoff(s: SoftSpring, vectors: Any, end: Phase) -> None:
     """Adhesive: the force falls from -beta W to 0. Nonadhesive: it is 0 before and after."""
@@ -178,7 +160,7 @@ def _soft_takeoff(s: SoftSpring, vectors: Any, end: Phase) -> None:
             _put(vectors, k, g, g1 + s.beta * g, q, q1 - s.beta * g)
 
 
-@carry_through_landing.register(SoftSpring)
+@interface.carry_through_landing.register(SoftSpring)
 @jit
 def _soft_landing(
     s: SoftSpring, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
@@ -194,20 +176,21 @@ def _soft_landing(
 # --- ball -----------------------------------------------------------------------------------------------
 
 
-@dimension.register(BallPlate)
+@interface.dimension.register(BallPlate)
 def _ball_dimension(plate: BallPlate) -> int:
     """Gap and its velocity."""
     return BALL_DIMENSION
 
 
-@carry_in_contact.register(Ball)
+@interface.carry_in_contact.register(Ball)
+@interface.carry_through_takeoff.register(Ball)
 @jit
-def _ball_contact(b: Ball, vectors: Any, tau: float) -> None:
+def _ball_contact(b: Ball, vectors: Any, contact: Any) -> None:
     """A ball at rest on the plate has no state to vary."""
     _forget(vectors)
 
 
-@carry_in_flight.register(Ball)
+@interface.carry_in_flight.register(Ball)
 @jit
 def _ball_flight(b: Ball, vectors: Any, tau: float) -> None:
     """Free fall. A ball has no elongation."""
@@ -216,14 +199,7 @@ def _ball_flight(b: Ball, vectors: Any, tau: float) -> None:
         _put(vectors, k, g + tau * g1, g1, 0.0, 0.0)
 
 
-@carry_through_takeoff.register(Ball)
-@jit
-def _ball_takeoff(b: Ball, vectors: Any, end: Phase) -> None:
-    """As in contact."""
-    _forget(vectors)
-
-
-@carry_through_landing.register(Ball)
+@interface.carry_through_landing.register(Ball)
 @jit
 def _ball_landing(
     b: Ball, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase

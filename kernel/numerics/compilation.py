@@ -54,9 +54,8 @@ _PASSES: Final = (
     typed.NoPythonBackend,
 )
 
-
 #: The modules of operators and functions whose types `_Typing` remembers, and the types of their arguments.
-_BUILT_IN: Final = frozenset({"_operator", "builtins", "math", "kernel.numerics.intrinsics"})
+_BUILT_IN: Final = frozenset({"_operator", "builtins", "math", "kernel.numerics.elementary"})
 _VALUES: Final = (
     types.Float, types.Complex, types.Integer, types.IntegerLiteral, types.Boolean, types.BooleanLiteral,
     types.Array,
@@ -70,11 +69,9 @@ _ROUNDS: Final = 2
 class Compilation(NamedTuple):
     """An entry that this process compiles, or that it waits for while another process compiles it."""
 
-    kernel: str  # the function and the contact model, such as "run_lockstep of rigid"
+    kernel: str  # the function and the contact model, such as "walk of rigid"
     began: float  # time.time()
 
-
-_CHECKSUM_BYTES: Final = 32
 
 #: Where entries are kept; None: nowhere.
 _folder: Path | None = None
@@ -95,25 +92,17 @@ def compilations() -> list[Compilation]:
 
 
 @contextmanager
-def _no_collection() -> Iterator[None]:
-    """No collection of garbage: a compiler makes millions of objects that stay until it is done."""
-    collects = gc.isenabled()
+def _compiling(kernel: str) -> Iterator[None]:
+    """Tell `compilations`, and collect no garbage: a compiler makes millions of objects that stay."""
+    thread, collects = threading.get_ident(), gc.isenabled()
+    _under_way[thread] = Compilation(kernel, time.time())
     gc.disable()
     try:
         yield
     finally:
+        del _under_way[thread]
         if collects:
             gc.enable()
-
-
-@contextmanager
-def _announced(kernel: str) -> Iterator[None]:
-    thread = threading.get_ident()
-    _under_way[thread] = Compilation(kernel, time.time())
-    try:
-        yield
-    finally:
-        del _under_way[thread]
 
 
 class _InnerLibrary(JITCodeLibrary):
@@ -167,21 +156,15 @@ class _EntryLibrary(_InnerLibrary):
         return address
 
     @classmethod
-    def from_bitcode(cls, codegen: Any, name: str, bitcode: bytes) -> "_EntryLibrary":
-        """Optimise and emit linked code."""
+    def loaded(cls, codegen: Any, name: str, code: bytes, *, emitted: bool) -> "_EntryLibrary":
+        """The library of machine code, or of linked code, which is optimised and emitted."""
         library = cls(codegen, name)
         library.enable_object_caching()
-        library._final_module = llvm.parse_bitcode(bitcode)
-        library._optimize_final_module()
-        library._finalize_final_module()
-        return library
-
-    @classmethod
-    def from_object(cls, codegen: Any, name: str, code: bytes) -> "_EntryLibrary":
-        """Load machine code."""
-        library = cls(codegen, name)
-        library.enable_object_caching()
-        library._set_compiled_object(code)
+        if emitted:
+            library._set_compiled_object(code)
+        else:
+            library._final_module = llvm.parse_bitcode(code)
+            library._optimize_final_module()
         library._finalize_final_module()
         return library
 
@@ -304,7 +287,7 @@ class Entry(CPUDispatcher):
         arguments = tuple(sig.args) if hasattr(sig, "args") else tuple(sig)
         if arguments in self.overloads:
             return super().compile(sig)
-        with _announced(self._cache.described(arguments)), self._cache.locked(arguments), _no_collection():
+        with _compiling(self._cache.described(arguments)), self._cache.locked(arguments):
             return super().compile(sig)
 
 
@@ -314,14 +297,6 @@ class _EntryCache:
     def __init__(self, function: Callable[..., Any]) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._short = function.__name__.strip("_")
-
-    @property
-    def cache_path(self) -> str | None:
-        """Read by numba's statistics."""
-        return str(_folder) if _folder else None
-
-    def flush(self) -> None:
-        """Called by `recompile`, which kernels do not use."""
 
     def described(self, arguments: tuple[Any, ...]) -> str:
         """The function and the contact model that its first argument belongs to."""
@@ -335,15 +310,14 @@ class _EntryCache:
         if (path := self._path(sig)) is None:
             return None
         machine_code = _machine_code(path, codegen)
-        if (found := _load(machine_code)) is not None:
-            code, facts = found
-            return _rebuilt(target, _EntryLibrary.from_object(codegen, self._name, code), facts)
-        if (found := _load(path)) is not None:
-            bitcode, facts = found
-            library = _EntryLibrary.from_bitcode(codegen, self._name, bitcode)
-            result = _rebuilt(target, library, facts)
-            _save(machine_code, (library._get_compiled_object(), facts))
-            return result
+        for file in (machine_code, path):
+            if (found := _load(file)) is not None:
+                code, facts = found
+                library = _EntryLibrary.loaded(codegen, self._name, code, emitted=file == machine_code)
+                result = _rebuilt(target, library, facts)
+                if file == path:
+                    _save(machine_code, (library._get_compiled_object(), facts))
+                return result
         return None
 
     def save_overload(self, sig: Any, result: CompileResult) -> None:
@@ -368,10 +342,7 @@ class _EntryCache:
             yield
 
     def _path(self, sig: Any) -> Path | None:
-        """The file of a signature before optimisation; None where nothing is cached.
-
-        A model that is not part of the kernel is not: the folder is named after the kernel's sources.
-        """
+        """The file of a signature before optimisation; None if nothing is cached, as of others' models."""
         arguments = tuple(sig.args) if hasattr(sig, "args") else tuple(sig)
         module = _module(arguments)
         if _folder is None or not (module or "kernel.").startswith("kernel."):
@@ -414,8 +385,7 @@ def _load(path: Path) -> Any:
         content = path.read_bytes()
     except OSError:
         return None
-    checksum, pickled = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
-    return pickle.loads(pickled) if hashlib.sha256(pickled).digest() == checksum else None
+    return pickle.loads(content[32:]) if hashlib.sha256(content[32:]).digest() == content[:32] else None
 
 
 def _save(path: Path, content: Any) -> None:

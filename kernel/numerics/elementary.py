@@ -1,64 +1,28 @@
 """Elementary functions for compiled code; no other module under `kernel` calls the C library's.
 
-A call into the C library takes one number at a time, and its last digit depends on the library. log,
-hypot, atan2 and others are those of `kernel.portable_math`, in which plain Python and compiled code agree.
-sin, cos, exp and expm1 are here, as straight-line arithmetic, which the compiler can vectorise over lanes
-of cells. Each reduces its argument by a constant split into parts, so that the reduction is exact, then
-evaluates a polynomial (a Chebyshev fit in 50-digit arithmetic whose error is below the rounding of the
-result), summed in pairs to shorten the chain of dependent operations. Results are accurate to two units
-in the last place; the tests compare them with 50 digits.
+A call into the C library takes one number at a time, and its last digit depends on the library. log, hypot,
+atan2 and others are those of `kernel.portable_math`, in which plain Python and compiled code agree. sin, cos,
+exp, expm1 and the fused multiply-add are here, as straight-line arithmetic, which the compiler can vectorise
+over lanes of cells. Each reduces its argument by a constant split into parts, so that the reduction is exact,
+then evaluates a polynomial (a Chebyshev fit in 50-digit arithmetic whose error is below the rounding of the
+result), summed in pairs to shorten the chain of dependent operations. Results are accurate to two units in
+the last place; the tests compare them with 50 digits.
 """
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic, overload
 
 from kernel import portable_math
-from kernel.numerics.intrinsics import fma, power_of_two
+from kernel.numerics.compilation import Inner
 from kernel.numerics.jit import compilable, inlined, jit
-from kernel.portable_math import (
-    EXP_POLYNOMIAL,
-    LN2_HIGH,
-    LN2_LOW,
-    ONE_OVER_LN2,
-    asinh,
-    atan2,
-    atanh,
-    hypot,
-    log,
-    log1p,
-)
+from kernel.portable_math import EXP_POLYNOMIAL, LN2_HIGH, LN2_LOW, ONE_OVER_LN2
 
-__all__ = [
-    "HYPERBOLIC_LIMIT",
-    "LOWEST_EXPONENT",
-    "TWO_PI",
-    "asinh",
-    "atan2",
-    "atanh",
-    "circular_or_hyperbolic",
-    "exp",
-    "expm1",
-    "hypot",
-    "log",
-    "log1p",
-    "sincos",
-    "sincos_small",
-]
-
-for _function in (
-    portable_math._log_of_sum,
-    portable_math._atan_of_ratio,
-    portable_math.exp,
-    asinh,
-    atan2,
-    atanh,
-    hypot,
-    log,
-    log1p,
-):
-    compilable(_function)
+for _name in ("_log_of_sum", "_atan_of_ratio", "exp", "asinh", "atan2", "atanh", "hypot", "log", "log1p"):
+    compilable(getattr(portable_math, _name))
 
 TWO_PI: Final = 2.0 * math.pi
 
@@ -70,9 +34,7 @@ _HALF_PI_1: Final = 1.5707963267341256
 _HALF_PI_2: Final = 6.077100506303966e-11
 _HALF_PI_3: Final = 2.0222662487959506e-21
 
-#: rad up to which `sincos_small` keeps its accuracy: 6.4e4 turns of pi/2, whose products with the parts of
-#: pi/2 are exact, and whose remainder is known to 6.4e4 * 1e-37.
-_REDUCTION_LIMIT: Final = 1e5
+_REDUCTION_LIMIT: Final = 1e5  # rad up to which `sincos_small` is exact: 6.4e4 quarter turns
 
 #: 2/pi in pieces of 24 bits, for larger arguments: piece i counts 2**(-24 (i + 1)). The largest double begins
 #: at 2**(24 * 42), whose seven pieces behind the point need 49 of these.
@@ -92,15 +54,57 @@ _TWO_OVER_PI_PIECES: Final = np.array(
     dtype=np.int64,
 )  # fmt: skip
 
-#: Up to this argument `circular_or_hyperbolic` gives sinh and cosh to rounding. Its polynomials are fitted
-#: for x^2 > 0, |x| <= pi/4; with -x^2 they are extrapolated, whose error stays below two units in the last
-#: place up to here (measured against 50 digits; a test does so).
+#: Up to this argument `circular_or_hyperbolic` gives sinh and cosh within two units in the last place. Its
+#: polynomials are fitted for x^2 > 0, |x| <= pi/4, and extrapolated for -x^2.
 HYPERBOLIC_LIMIT: Final = 0.25
 
-#: `exp` of any x below this is exp(-300) = 5e-131: nothing beside any number that it is added to. Its
-#: products, and their squares, are normal doubles. Arithmetic with subnormal ones takes a hundred times as
-#: long: it was a third of the time of `soft`, whose contacts decay within a fraction of a flight.
+#: `exp` of any x below this is exp(-300) = 5e-131: nothing beside any number it is added to. Products and
+#: their squares are normal doubles: subnormal ones, a hundred times as slow, took a third of `soft`.
 LOWEST_EXPONENT: Final = -300.0
+
+
+def fma(a: float, b: float, c: float) -> float:
+    """a * b + c, rounded once, wherever the code is inlined; rounded twice without compilation."""
+    return a * b + c
+
+
+def power_of_two(k: int) -> float:
+    """2**k for -1022 <= k <= 1023."""
+    return math.ldexp(1.0, int(k))
+
+
+def _declare_fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """LLVM's fma, as numba's `intrinsic` wants it: a signature and a code generator."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fma(*arguments)
+
+    return types.float64(types.float64, types.float64, types.float64), generate
+
+
+def _declare_power_of_two(typing: Any, k: Any) -> Any:
+    """The double whose biased exponent is k and whose fraction is zero."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        bias, fraction = (context.get_constant(types.int64, bits) for bits in (1023, 52))  # of an IEEE double
+        exponent = builder.add(arguments[0], bias)
+        return builder.bitcast(builder.shl(exponent, fraction), context.get_value_type(types.float64))
+
+    return types.float64(types.int64), generate
+
+
+_fma: Final[Any] = intrinsic(_declare_fma)
+_power_of_two: Final[Any] = intrinsic(_declare_power_of_two)
+_INLINED: Final[Any] = {"forceinline": True, "pipeline_class": Inner}
+# numba requires a Python function as the implementation, not the intrinsic itself
+overload(fma, jit_options=_INLINED)(lambda a, b, c: lambda a, b, c: _fma(a, b, c))  # noqa: PLW0108
+overload(power_of_two, jit_options=_INLINED)(lambda k: lambda k: _power_of_two(k))  # noqa: PLW0108
+
+
+@inlined
+def multiply_add(a: float, b: float, c: float, fused: bool) -> float:
+    """a * b + c, rounded once if `fused`, else twice; a constant `fused` costs nothing."""
+    return fma(a, b, c) if fused else a * b + c
 
 
 @jit
@@ -111,11 +115,9 @@ def sincos_small(x: float) -> tuple[float, float]:
 
 @inlined
 def circular_or_hyperbolic(x: float, sign: float) -> tuple[float, float]:
-    """(sin x, cos x) for sign = 1 and |x| < 1e5 rad; (sinh x, cosh x) for sign = -1 and
-    |x| <= HYPERBOLIC_LIMIT.
+    """(sin x, cos x) for sign = 1, |x| < 1e5 rad; (sinh x, cosh x) for sign = -1, |x| <= HYPERBOLIC_LIMIT.
 
-    The power series of the two pairs differ only in the sign of x squared, so that each lane may choose
-    without a branch.
+    Their power series differ only in the sign of x squared, so that each lane chooses without a branch.
     """
     turns = math.floor(fma(x, _TWO_OVER_PI, 0.5))
     r = fma(turns, -_HALF_PI_3, fma(turns, -_HALF_PI_2, fma(turns, -_HALF_PI_1, x)))
@@ -148,10 +150,7 @@ def _of_remainder(r: float, quadrant: np.int64, sign: float) -> tuple[float, flo
     sine, cosine = fma(r * u, odd, r), 1.0 - fma(-v, even, 0.5 * u)
     swapped = (quadrant & 1) != 0
     first, second = (cosine, sine) if swapped else (sine, cosine)
-    return (
-        -first if (quadrant & 2) != 0 else first,
-        -second if ((quadrant + 1) & 2) != 0 else second,
-    )
+    return (-first if (quadrant & 2) != 0 else first, -second if ((quadrant + 1) & 2) != 0 else second)
 
 
 @inlined
@@ -162,12 +161,9 @@ def sincos(x: float) -> tuple[float, float]:
 
 @jit
 def _sincos_large(x: float) -> tuple[float, float]:
-    """(sin x, cos x) for |x| >= 1, by the method of Payne and Hanek.
-
-    |x| is four pieces of 24 bits. Of its product with 2/pi in such pieces, whole multiples of 2**24 quarter
-    turns do not matter, and of the rest the seven pieces behind the point determine the remainder to 2**-140,
-    2**-78 of the smallest one that a double leaves.
-    """
+    """(sin x, cos x) for |x| >= 1, by the method of Payne and Hanek."""
+    # |x| is four pieces of 24 bits. Of its product with 2/pi the seven pieces behind the point determine the
+    # remainder to 2**-140, 2**-78 of the smallest one that a double leaves
     t, top = abs(x), 0  # the first piece counts 2**(24 * top)
     if not t < math.inf:
         return math.nan, math.nan

@@ -9,17 +9,12 @@ order. Once F surely falls through zero (`monotone_width`), `polish` closes in o
 F is given as a smooth part (a parabola and the plate's sinusoid) plus a ringing part (a damped
 oscillation). Where the ringing is fast but small against the smooth part, its amplitude alone bounds
 it, and the steps are as wide as the smooth part allows.
-
-Root polishing exists once, here: `householder_step` is the step and its error, `polish_step` keeps the
-bracket and decides. `polish` applies them to a phase function, `free_fall` to the ball's gap (which it
-re-expands about its iterates), and `kernel.models.lanes` uses `householder_step` without a bracket: a
-lane that does not converge is computed again by `first_root`.
 """
 
 import math
 from typing import Any, Final, NamedTuple
 
-from kernel.numerics.intrinsics import multiply_add
+from kernel.numerics.elementary import multiply_add
 from kernel.numerics.jit import by_type, inlined, jit
 
 #: How a search ends.
@@ -27,17 +22,13 @@ ROOT: Final = 0
 HORIZON: Final = 1  # no zero before the horizon
 BUDGET_EXHAUSTED: Final = 2  # the budget of evaluations ran out
 NON_FINITE: Final = 3  # a number stopped being finite
+EPS: Final = 2.3e-16  # bound on the relative rounding error of one operation, 2**-52 rounded up
 
-#: Bound on the relative rounding error of one operation, 2**-52 = 2.22e-16 rounded up.
-EPS: Final = 2.3e-16
-
-#: Householder's error estimate counts for Newton steps below this, in rad and in units of the time over
-#: which F changes its shape. The estimate stops at the fourth order of the step; what it omits is of the
-#: fifth, (3e-4)**5 = 2.4e-18, a hundredth of EPS.
+#: Householder's error estimate counts for Newton steps below this, in rad and in units of the time over which
+#: F changes its shape. It omits the fifth order, (3e-4)**5 = 2.4e-18, a hundredth of EPS.
 NEAR: Final = 3e-4
 
-#: No wider step than this is tried, rad: some 160 plate periods.
-WIDEST: Final = 1e3
+WIDEST: Final = 1e3  # rad, some 160 plate periods: no wider step is tried
 
 #: In `householder_step`, the weight of the known part of the error. The step agrees with the series of
 #: the zero in powers of N up to N**3; at N**4 they differ by 2 c2 c3 - c2**3 - c4, whose first two terms
@@ -46,11 +37,8 @@ WIDEST: Final = 1e3
 HOUSEHOLDER_WEIGHT: Final = 5.0
 
 #: How `safe_step` finds the width h over which its parabola is built. Any h gives a safe step, so these set
-#: the cost only. A step that fills h is tried again with h WIDEN times as wide; one of less than half of h
-#: is tried again with h = NARROW steps, unless that cannot improve the best step so far. Chosen by trial, on
-#: 30 random cells of `rigid` and `soft` and six periods: 2.6 rounds a call and 2,066 evaluations in all.
-#: Between 2 and 6 for WIDEN and 1.1 and 2 for NARROW the evaluations change by less than 3 % and the rounds
-#: by up to a third; a cap of 2 rounds costs 8 % more evaluations, 4 rounds 2 %, 30 save nothing.
+#: the cost only, and were chosen by trial. A step that fills h is tried again with h WIDEN times as wide; one
+#: of less than half of h with h = NARROW steps, unless that cannot improve the best step so far.
 WIDEN: Final = 3.0
 NARROW: Final = 1.5
 SAFE_STEP_ROUNDS: Final = 8
@@ -156,8 +144,7 @@ def householder_step(newton: float, c2: float, c3: float, c4: float, fused: bool
 
     newton = -f0/f1, c2 = f2/(2 f1), c3 = f3/(6 f1), and c4 >= 0 bounds |f4/(24 f1)|. With N = newton the
     zero solves N = s + c2 s^2 + c3 s^3 + c4 s^4, and the step is N (1 + c2 N)/(1 + 2 c2 N + c3 N^2).
-    `fused`, a constant where this is called, chooses fused multiply-adds, as lanes use them; stored
-    results depend on the last digit of either.
+    `fused`, a constant where this is called, chooses fused multiply-adds, as lanes use them.
     """
     numerator = multiply_add(c2, newton, 1.0, fused)
     denominator = multiply_add(multiply_add(c3, newton, 2.0 * c2, fused), newton, 1.0, fused)
@@ -168,10 +155,7 @@ def householder_step(newton: float, c2: float, c3: float, c4: float, fused: bool
 
 @jit
 def householder(f0: float, f1: float, f2: float, f3: float, f4: float) -> tuple[float, float]:
-    """`householder_step` from F and its derivatives; the error is infinite for steps that are not NEAR.
-
-    f4 bounds the fourth derivative; (f4/|f1|)**(1/3) is taken for the rate at which F changes its shape.
-    """
+    """`householder_step` from F and its derivatives; the error is infinite for steps that are not NEAR."""
     inverse = 1.0 / f1
     newton = -f0 * inverse
     rate4 = f4 * abs(inverse)
@@ -187,11 +171,9 @@ def polish_step(
 ) -> tuple[float, float, float, bool]:
     """One decision of the root polisher: (low, high, step, done) after F was evaluated at `tau`.
 
-    F > 0 at `low` and <= 0 at `high` (rad); the end with the sign of f0 moves to tau. `step` and its
-    `error` are Householder's. It is taken if F falls at tau and it stays in the bracket; otherwise the
-    bracket is halved, so that the search ends whatever F does. Done where F falls and the error is below
-    the rounding of tau or f0 below `noise`, or where no number is left between the ends. The zero is at
-    tau + step, clipped to the bracket.
+    F > 0 at `low` and <= 0 at `high` (rad). Householder's `step` is taken if F falls at tau and it stays in
+    the bracket; otherwise that is halved, so that the search ends whatever F does. Done where the error is
+    rounding, or no number is left between the ends. The zero is at tau + step, clipped to the bracket.
     """
     done = f1 < 0.0 and (error <= EPS * (tau + step) or abs(f0) <= noise)
     if f0 > 0.0:
@@ -209,8 +191,7 @@ def polish(phase: Any, low: float, high: float, tau: float, budget: int) -> tupl
     """The zero in [low, high] where F falls from positive to negative, from a first guess `tau`.
 
     Times in rad from the start of the phase. Returns (tau, ROOT, evaluations used), or NON_FINITE or,
-    after `budget` evaluations, BUDGET_EXHAUSTED in ROOT's place. Householder's steps need two or three
-    evaluations; the fallback, halving, one for each binary digit of (high - low)/EPS.
+    after `budget` evaluations, BUDGET_EXHAUSTED in ROOT's place. Two or three evaluations are usual.
     """
     for used in range(1, budget + 1):
         t = terms(phase, tau)

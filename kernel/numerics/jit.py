@@ -13,7 +13,7 @@ import numba
 from numba import types
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import AbstractTemplate, infer_global
-from numba.extending import overload, register_jitable
+from numba.extending import register_jitable
 
 from kernel.numerics.compilation import Entry, Inner
 
@@ -22,13 +22,8 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 #: Plain `numba.njit`, should numba's internals change: see `kernel.numerics.compilation`.
 PLAIN: Final = bool(os.environ.get("BOUNCE_PLAIN_NJIT"))
 
-# No "contract": which products are fused with sums would depend on how LLVM inlines, and code read from the
-# cache would differ in the last digit from code just compiled. Functions that gain by fused multiply-adds
-# write them out: see `kernel.numerics.intrinsics`.
-#
-# Every option is stated: numba hands "forceinline" and "_nrt" down from the function that happens to be
-# compiling, so that otherwise the order of compilation would decide.
-#
+# No "contract": which products are fused with sums would depend on how LLVM inlines: see `elementary.fma`.
+# Every option is stated: numba hands "forceinline" and "_nrt" down from the function that it is compiling.
 # "_nrt": without numba's runtime no array is counted up and down as it passes through a function, which was
 # a tenth to a fifth of the time in lanes.
 _ALLOCATING: Final[Any] = {"nogil": True, "error_model": "numpy", "forceinline": False, "_nrt": True}
@@ -81,30 +76,22 @@ def allocating(function: _Function) -> _Function:
 
 def compilable(function: _Function) -> _Function:
     """Let compiled code call a plain Python function, which stays one for its other callers."""
-    return register_jitable(**_OPTIONS, **_pipeline())(function)  # type: ignore[no-any-return]
-
-
-def _pipeline() -> dict[str, Any]:
-    return {} if PLAIN else {"pipeline_class": Inner}
+    pipeline = {} if PLAIN else {"pipeline_class": Inner}
+    return register_jitable(**_OPTIONS, **pipeline)(function)  # type: ignore[no-any-return]
 
 
 class by_type:  # noqa: N801 - a decorator
     """Decorator: a kernel function with one implementation for each type of its first argument.
 
-    The types are NamedTuples. The choice is made at compile time and costs nothing at run time;
-    functions passed as arguments would serve as well but cannot be cached. Called from Python it is a
-    look-up, which raises TypeError for a type without an implementation. Whether an implementation is
-    inlined, its own decorator says.
+    The types are NamedTuples. The choice is made at compile time; functions passed as arguments could not be
+    cached. Called from Python it is a look-up, which raises TypeError for a type without an implementation.
     """
 
     def __init__(self, declaration: Callable[..., Any]) -> None:
         functools.update_wrapper(self, declaration)
         self._implementations: dict[type, Callable[..., Any]] = {}
         self._otherwise: Callable[..., Any] | None = None
-        if PLAIN:
-            overload(self, jit_options=_INLINED)(lambda first, *rest: self._resolve(first))
-        else:
-            infer_global(self, types.Function(self._template()))
+        infer_global(self, types.Function(self._template()))
 
     def __call__(self, first: Any, *rest: Any) -> Any:
         chosen = self._chosen(type(first))
@@ -119,11 +106,6 @@ class by_type:  # noqa: N801 - a decorator
     def _chosen(self, kind: type) -> Callable[..., Any] | None:
         """The implementation for a type, or the default one, or None."""
         return self._implementations.get(kind, self._otherwise)
-
-    def _resolve(self, first: Any) -> Callable[..., Any] | None:
-        """numba's side of the call under plain `njit`: `first` is the type of the argument."""
-        chosen = self._chosen(getattr(first, "instance_class", type(None)))
-        return None if chosen is None else lambda first, *rest: chosen(first, *rest)  # noqa: PLW0108
 
     def _template(self) -> type:
         """numba's side of the call, which it types and lowers as one of the implementation."""

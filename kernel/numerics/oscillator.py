@@ -13,8 +13,9 @@ coordinates are x and x' themselves.
 import math
 from typing import Final, NamedTuple
 
-from kernel.numerics.elementary import LOWEST_EXPONENT, TWO_PI, atan2, atanh, exp, expm1, hypot, log, sincos
+from kernel.numerics.elementary import LOWEST_EXPONENT, TWO_PI, exp, expm1, sincos
 from kernel.numerics.jit import inlined, jit
+from kernel.portable_math import atan2, atanh, hypot, log
 
 #: Overdamped, C and S are differences of two exponentials over sqrt(D). Above this ratio of sqrt(D) to a
 #: that form loses at most a factor a/sqrt(D) = 10 of the precision, one digit. Below it they are written
@@ -57,10 +58,7 @@ def apart(osc: Oscillator) -> bool:
 
 @inlined
 def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
-    """C(tau), S(tau) and S'(tau) of docs/model.md, section 3; tau >= 0 in rad.
-
-    C(0) = 1, C'(0) = 0, S(0) = 0, S'(0) = 1 and C' = -w S.
-    """
+    """C(tau), S(tau) and S'(tau) of docs/model.md, section 3; tau >= 0 in rad. C' = -w S."""
     if tau == 0.0:
         return 1.0, 0.0, 1.0
     if osc.discriminant < 0.0:
@@ -113,10 +111,7 @@ def envelope(osc: Oscillator, x: float, v: float) -> float:
 
 @jit
 def decay_time(osc: Oscillator, x: float, v: float, level: float) -> float:
-    """A time (rad) after which |x| surely stays below `level`, with x and v = x' now.
-
-    0 where it does from the start; infinite where `level` <= 0 or nothing damps the motion.
-    """
+    """Rad after which |x| surely stays below `level`; infinite if level <= 0 or nothing is damped."""
     if level <= 0.0:
         return math.inf
     if envelope(osc, x, v) < level:
@@ -132,10 +127,7 @@ def decay_time(osc: Oscillator, x: float, v: float, level: float) -> float:
 
 @jit
 def displacement(osc: Oscillator, x0: float, v0: float, tau: float) -> float:
-    """x(tau) - x0 by its power series, for tau * rate < SHORT.
-
-    Keeps the digits that x0 C - x0 + v0 S would lose.
-    """
+    """x(tau) - x0 by its power series, which keeps their digits, for tau * rate < SHORT."""
     before, last = x0, v0
     power = tau
     total = v0 * tau
@@ -235,10 +227,7 @@ def quiet_time(osc: Oscillator, a: float, b: float, level: float) -> float:
 
 @jit
 def first_falling_zero(osc: Oscillator, a: float, b: float) -> float:
-    """The time (rad) at which a motion from x >= 0, or from x < 0 and rising, first falls to zero.
-
-    Infinite if it never does. a and b are its coordinates.
-    """
+    """Rad to the first zero of a motion from x >= 0, or from x < 0 and rising; infinite if there is none."""
     if apart(osc):
         return log(-b / a) / (2.0 * osc.root) if a < 0.0 <= a + b else math.inf
     push = b + osc.damping * a

@@ -10,30 +10,19 @@ from typing import Final, NamedTuple
 
 from kernel.numerics.jit import allocating, inlined, jit
 
-#: Cap on the rounds of Aberth's method. A dozen is usual; roots far apart in size take more. Where the cap
-#: is reached the roots are as good as they get, and `_polished` works from them.
-ROUNDS: Final = 100
+ROUNDS: Final = 100  # cap on those of Aberth's method; a dozen is usual
+CONVERGED: Final = 1e-14  # relative change at which Aberth's method, of third order, has converged
 
-#: Relative change of the roots at which Aberth's method, of third order, has converged: the next change
-#: would be far below rounding.
-CONVERGED: Final = 1e-14
-
-#: First guesses, in units of the largest and smallest roots' sizes. The coefficients are positive, so no
-#: root is a positive number: the guesses lie in the left half-plane, residual the real axis so that they can
-#: become complex pairs, at about unit size, and apart from each other and from each other's conjugates, as
-#: symmetric guesses would stay symmetric. Within that the digits are free; they affect the number of
-#: rounds only.
+#: First guesses, in units of the largest and smallest roots' sizes: in the left half-plane, where the roots
+#: are, off the real axis, and apart from each other's conjugates, as symmetric guesses would stay symmetric.
 _FIRST_GUESS: Final = complex(-0.6, 0.8)
 _SECOND_GUESS: Final = complex(-0.8, -0.7)
 
-#: Relative imaginary part above which a pair's sum or product is not that of a real quadratic. Rounding
-#: moves the roots of a double pair by the square root of EPS, 1.5e-8, further where pairs nearly coincide;
-#: the pairs of complex roots that are not conjugates differ by order 1.
+#: Relative imaginary part above which a pair's sum or product is not that of a real quadratic. Rounding moves
+#: the roots of a double pair by 1.5e-8 and more; complex roots that are not conjugates differ by order 1.
 _REAL: Final = 1e-4
 
-#: Newton rounds on a quadratic. Convergence is quadratic from errors of 1e-8 or better; the loop ends
-#: itself as soon as a round does not improve.
-_NEWTON_ROUNDS: Final = 5
+_NEWTON_ROUNDS: Final = 5  # on a quadratic, from errors of 1e-8; ends where a round does not improve
 
 
 class Factors(NamedTuple):
@@ -119,10 +108,9 @@ def _pairing(p: complex, q: complex, r: complex, s: complex) -> tuple[float, Fac
 def paired(
     c3: float, c2: float, c1: float, c0: float, z: tuple[complex, complex, complex, complex], partner: int
 ) -> tuple[float, Factors]:
-    """The factors in which the smallest of the roots z is paired with z[partner], partner 1 to 3.
+    """Separation (see `_pairing`) and factors that pair the smallest of the roots z with z[partner].
 
-    Returns their separation in [0, 1] (see `_pairing`) and the factors. At separation 0 they are not real
-    or share a root, and are not to be used.
+    At separation 0 they are not real or share a root, and are not to be used.
     """
     second, third = (2, 3) if partner == 1 else (1, 3) if partner == 2 else (1, 2)
     apart, f = _pairing(z[0], z[partner], z[second], z[third])

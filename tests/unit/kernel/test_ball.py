@@ -12,7 +12,7 @@ from tables import for_each
 
 from kernel import interface, restitution
 from kernel.cell import CACHE_SIZE
-from kernel.models import ball, chatter, free_fall
+from kernel.models import ball, contact_law, free_fall
 from kernel.models.ball import BallPlate
 from kernel.params import Cell, Line, Outcome, Start
 
@@ -162,9 +162,9 @@ def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> flo
 def test_chatter_ends_when_its_hops_do(epsilon: float, phi: float):
     gamma = 2.0
     press, press1 = 1.0 / gamma - math.cos(phi), math.sin(phi)
-    hop = bisect(lambda v: chatter.chatter_completes(v, press, press1, 1.0, epsilon), 0.0, 0.1)
-    closed = chatter.chatter_time(hop, press, press1, epsilon)
-    assert closed == pytest.approx(hops_one_by_one(gamma, phi, hop, epsilon), rel=chatter.STEADY**2)
+    hop = bisect(lambda v: contact_law.chatter_completes(v, press, press1, 1.0, epsilon), 0.0, 0.1)
+    closed = contact_law.chatter_time(hop, press, press1, epsilon)
+    assert closed == pytest.approx(hops_one_by_one(gamma, phi, hop, epsilon), rel=contact_law.STEADY**2)
     assert closed < 2e-3 * math.sqrt(press)
 
 

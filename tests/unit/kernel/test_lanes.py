@@ -8,7 +8,7 @@ import pytest
 from kernel_runs import Model, run_line
 from tables import for_each
 
-from kernel.models.lockstep import FEW
+from kernel.line import FEW
 from kernel.numerics import elementary
 from kernel.params import LANES, Line, Outcome
 

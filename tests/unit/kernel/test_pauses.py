@@ -75,9 +75,9 @@ def test_only_what_was_saved_of_the_same_line_is_restored():
     run = line_run("stepped", True, {})
     saved = run.save()
     run.advance(100)
-    assert run.save()["Walk.counts"][0] < len(GAMMA)
+    assert run.save()["Lanes.counts"][1] < len(GAMMA)
     other = line_run("rigid", False, {})
-    damaged = [saved | {"Walk.run": array} for array in (np.zeros(3), np.zeros(RUN_FIELDS, int))]
+    damaged = [saved | {"Lanes.runs": array} for array in (np.zeros(3), np.zeros(RUN_FIELDS, int))]
     for wrong in ({}, other.save(), *damaged):
         with pytest.raises(ValueError, match="must be as saved by a run of the same line"):
             run.restore(wrong)

@@ -12,8 +12,8 @@ from kernel.models.ball import BallPlate
 from kernel.models.rigid import RigidPlate
 from kernel.models.soft import SoftPlate
 from kernel.models.stepped import SteppedPlate
+from kernel.modes import LONGEST, TURNS, Flights, find_repetition, repeat_flights
 from kernel.params import KernelInputError, Line, Outcome
-from kernel.repetition import LONGEST, TURNS, find_repetition, repeat_flights
 
 SIZE = 64
 
@@ -44,6 +44,7 @@ class Ring:
     def __init__(self, first: int = 0, size: int = SIZE) -> None:
         self.arrays = np.zeros(first + size), np.zeros(first + size), np.zeros(first + size, dtype=np.int64)
         self.first, self.size, self.recorded = first, size, 0
+        self.flights = Flights(*self.arrays, size, size)
 
     def add(self, *flight: float) -> None:
         """One flight more."""
@@ -59,7 +60,7 @@ class Ring:
 
     def found(self, left: int = 200) -> tuple[int, int]:
         """The cycle that repeats."""
-        return find_repetition(*self.arrays, self.first, self.size, self.recorded, left)
+        return find_repetition(self.flights, self.first, self.recorded, left)
 
 
 @for_each(("flights", "periods"), [(1, 1), (1, 3), (2, 2), (3, 2), (7, 4), (LONGEST, 11)])
@@ -123,9 +124,7 @@ def test_the_flights_recorded_are_those_of_the_turns_left_out(seed: int):
     ends = (before + turns - 1) * periods + cycle[-1][2] + (cycle[-1][0] + cycle[-1][1]) / (2 * math.pi)
     if ends < settle:
         return  # nothing is in the window
-    short.recorded = repeat_flights(
-        *short.arrays, 3, size, short.recorded, flights, periods, turns, settle, begun
-    )  # fmt: skip
+    short.recorded = repeat_flights(short.flights, 3, short.recorded, flights, periods, turns, settle, begun)
     assert short.recorded == whole.recorded
     kept = [(whole.first + n % size) for n in range(max(0, whole.recorded - size), whole.recorded)]
     for a, b in zip(short.arrays, whole.arrays, strict=True):
@@ -175,5 +174,5 @@ def test_it_takes_fewer_steps(plate: str):
 
 @pytest.mark.parametrize("options", [{"carry": True}, {"exponents": 1}])
 def test_ramps_and_exponents_compute_every_cycle(options: dict[str, Any]):
-    with pytest.raises(KernelInputError, match=r"settle_early.*every cycle of which is computed"):
+    with pytest.raises(KernelInputError, match=r"settle_early.*compute every cycle"):
         line_run("rigid", True, **options)

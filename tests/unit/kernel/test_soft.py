@@ -15,12 +15,17 @@ from naive_exact import pressed
 from paths import GOLDEN
 from tables import for_each
 
-from kernel.models.contact_law import damping_ratio
-from kernel.models.soft_contact import from_modes, liftoff_function, soft_spring, to_modes
-from kernel.models.soft_liftoff import sure_contact_time
+from kernel.models.soft_contact import (
+    liftoff_function,
+    modes_of,
+    soft_spring,
+    state_of,
+    sure_contact_time,
+)
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT, terms
 from kernel.numerics.quartic import Factors, paired, roots
-from kernel.restitution import restitution
+from kernel.restitution import restitution, scalar_damping_ratio
 
 FACTS = json.loads((GOLDEN / "facts.json").read_text())["restitution"]
 
@@ -61,7 +66,7 @@ def test_restitution_is_that_of_an_integrated_impact(zeta, adhesive):
 @pytest.mark.parametrize("fact", FACTS["trap"])
 def test_the_trap_is_real(fact):
     """Adhesive's damping in a contact that cannot pull gives a larger restitution than the requested one."""
-    got = restitution(damping_ratio(fact["asked"], True), False)
+    got = restitution(scalar_damping_ratio(fact["asked"], True), False)
     assert got == pytest.approx(fact["got"], abs=5e-4)
 
 
@@ -156,7 +161,7 @@ def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **
         return  # resonance is computed beside itself: see test_rigid
     state, tau = (gap * s.penetration, gap1, q * min(1.0, s.omega**2), q1), 10.0**tau
     cell = constants(s)
-    got = from_modes(cell, to_modes(cell, phase, *state), phase, tau)
+    got = state_of(cell, modes_of(cell, *sincos(phase), *state), *sincos(phase + tau), tau)
     true = [float(x) for x in pressed(s, phase, state).state(tau)]
     size = 1.0 + abs(gap1) + abs(q1)
     # a phase error grows with every ringing that is still there
@@ -176,7 +181,7 @@ def test_no_contact_ends_while_its_ringing_is_stepped_over():
         e = rng.uniform(0.001, 1.0) ** 2
         s = soft_spring(gamma, omega, xi, e, d, adhesive)
         state = (rng.uniform(0, TWO_PI), 0.0, -(10.0 ** rng.uniform(-6, 1)), *rng.normal(0, 2, 2))
-        contact = liftoff_function(s, to_modes(s, *state), state[0])
+        contact = liftoff_function(s, modes_of(s, *sincos(state[0]), *state[1:]), state[0])
         end = sure_contact_time(contact, terms(contact, 0.0))
         jumps += end > 0.0
         for tau in np.linspace(0.0, end, 400):

@@ -7,7 +7,7 @@ import pytest
 from kernel_runs import Model, run_line
 
 from kernel import restitution
-from kernel.models import time_stepping
+from kernel.models import stepped
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Line, Outcome
 from kernel.step_limits import Scheme, largest_stable_step, stable_steps_per_contact
@@ -72,12 +72,12 @@ def random_contacts(count: int) -> list[dict]:
     ]
 
 
-def step_law(h: float, m: float, contact: dict, pressed: bool) -> time_stepping.Law:
+def step_law(h: float, m: float, contact: dict, pressed: bool) -> stepped.Law:
     omega, d = contact["omega"], contact["penetration"]
     zeta = float(restitution.damping_ratio(contact["restitution"], contact["adhesive"]))
     kappa, beta = (1.0 / d**2, 2.0 * zeta / d) if pressed else (0.0, 0.0)
-    grid = time_stepping.Grid(1, h, math.cos(h), math.sin(h), m)
-    return time_stepping.law(grid, 2.0 * contact["xi"] / omega, 1.0 / omega**2, kappa, beta, 0.0, not pressed)
+    grid = stepped.Grid(1, h, math.cos(h), math.sin(h), m)
+    return stepped.law(grid, 2.0 * contact["xi"] / omega, 1.0 / omega**2, kappa, beta, 0.0, not pressed)
 
 
 def propagation(h: float, m: float, contact: dict, pressed: bool) -> np.ndarray:
@@ -85,7 +85,7 @@ def propagation(h: float, m: float, contact: dict, pressed: bool) -> np.ndarray:
     law = step_law(h, m, contact, pressed)
     columns = []
     for gap, gap1, q, q1 in np.diag([1.0, 1.0 / h, 1.0, 1.0 / h]):
-        end = time_stepping.step(law, m, 0.0, 0.0, time_stepping.Point(gap, gap1, q, q1), h)
+        end = stepped.step(law, m, 0.0, 0.0, stepped.Point(gap, gap1, q, q1), h)
         columns.append((end.gap, h * end.gap1, end.q, h * end.q1))
     return np.array(columns).T
 
@@ -106,17 +106,17 @@ def test_limit_of_stability_is_where_an_eigenvalue_leaves_the_circle(kind: Schem
 @pytest.mark.parametrize("m", [0.5, 0.0])
 def test_marching_is_stepping(m: float):
     h = TWO_PI / 1000
-    grid = time_stepping.Grid(1000, h, math.cos(h), math.sin(h), m)
-    law = time_stepping.law(grid, 0.5, 2.0, 400.0, 10.0, 0.0, False)
-    point, gravity = time_stepping.Point(-1e-2, -0.3, -0.4, 0.2), 5.0
-    start = time_stepping.begin_march(grid, law, 1.0 - gravity, point)
-    row = time_stepping.march(grid, law, gravity, 1.0, 0.0, start, 30)
+    grid = stepped.Grid(1000, h, math.cos(h), math.sin(h), m)
+    law = stepped.law(grid, 0.5, 2.0, 400.0, 10.0, 0.0, False)
+    point, gravity = stepped.Point(-1e-2, -0.3, -0.4, 0.2), 5.0
+    start = stepped.begin_march(grid, law, 1.0 - gravity, point)
+    row = stepped.march(grid, law, gravity, 1.0, 0.0, start, 30)
     for i in range(30):
         f0, f1 = (math.cos(j * h) - gravity for j in (i, i + 1))
-        before, point = point, time_stepping.step(law, m, f0, f1, point, h)
+        before, point = point, stepped.step(law, m, f0, f1, point, h)
     assert (row.taken, row.over) == (30, False)
     assert row.now == pytest.approx(point, abs=1e-13)
-    assert time_stepping.previous_point(grid, row) == pytest.approx(before, abs=1e-13)
+    assert stepped.previous_point(grid, row) == pytest.approx(before, abs=1e-13)
 
 
 @pytest.mark.parametrize("adhesive", [True, False])
@@ -124,11 +124,11 @@ def test_contact_time_is_that_of_an_isolated_impact(adhesive: bool):
     """Let a light, free mass fall on the plate: march until it leaves."""
     for e in (0.9, 0.3, 0.02):
         zeta = float(restitution.damping_ratio(e, adhesive))
-        grid = time_stepping.Grid(100_000, 1e-4, math.cos(1e-4), math.sin(1e-4), 0.5)
-        law = time_stepping.law(grid, 0.0, 1e-9, 1.0, 2.0 * zeta, 0.0 if adhesive else 2.0 * zeta, False)
-        first = time_stepping.step(law, 0.5, 0.0, 0.0, time_stepping.Point(0.0, -1.0, 0.0, 0.0), 1e-4)
-        start = time_stepping.begin_march(grid, law, 0.0, first)
-        row = time_stepping.march(grid._replace(cos=1.0, sin=0.0), law, 0.0, 0.0, 0.0, start, 200_000)
+        grid = stepped.Grid(100_000, 1e-4, math.cos(1e-4), math.sin(1e-4), 0.5)
+        law = stepped.law(grid, 0.0, 1e-9, 1.0, 2.0 * zeta, 0.0 if adhesive else 2.0 * zeta, False)
+        first = stepped.step(law, 0.5, 0.0, 0.0, stepped.Point(0.0, -1.0, 0.0, 0.0), 1e-4)
+        start = stepped.begin_march(grid, law, 0.0, first)
+        row = stepped.march(grid._replace(cos=1.0, sin=0.0), law, 0.0, 0.0, 0.0, start, 200_000)
         assert row.over
         assert (row.taken + 1) * 1e-4 == pytest.approx(
             float(restitution.contact_time(e, 1.0, adhesive)), abs=3e-4
