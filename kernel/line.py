@@ -23,8 +23,18 @@ from kernel.modes import Flights
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT, Phase
 from kernel.numerics.jit import allocating, inlined, jit
-from kernel.params import LANES, STATE_FIELDS, KernelInputError, Line, Start, empty_line
-from kernel.validation import check_arrays, check_window, checked_state, checked_states
+from kernel.params import (
+    LANES,
+    STATE_FIELDS,
+    KernelInputError,
+    Line,
+    Start,
+    check_arrays,
+    check_window,
+    checked_state,
+    checked_states,
+    empty_line,
+)
 
 #: More steps than any line takes.
 _ALL: Final = 2**62

@@ -15,8 +15,7 @@ from kernel.cell import BUDGET, SHORTEST_FLIGHT
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import HORIZON, ROOT, Phase
-from kernel.params import Cell, KernelInputError
-from kernel.validation import check_arrays
+from kernel.params import Cell, KernelInputError, check_arrays
 
 MAX_PHASES: Final = 50_000  # contacts and flights computed at most, so that a call ends within seconds
 

@@ -93,7 +93,7 @@ def run(
     """
     import xarray
 
-    from service.client import accessor  # noqa: F401 - registers `dataset.bounce`
+    import service.client.dataset  # noqa: F401 - registers `dataset.bounce`
 
     def opened(url: str) -> "xarray.Dataset":
         dataset: xarray.Dataset = xarray.open_zarr(url, consolidated=True, chunks=None)

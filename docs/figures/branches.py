@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from kernel.branches.events import Kind, branch_and_events
 from kernel.threshold import threshold
-from service.client.accessor import draw_branches, draw_diagram
+from service.client.dataset import draw_branches, draw_diagram
 from service.local import run
 
 XI = 0.05

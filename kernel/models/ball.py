@@ -22,8 +22,8 @@ from kernel.modes import Flights
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT, Phase
 from kernel.numerics.jit import jit
+from kernel.params import check_arrays
 from kernel.portable_math import atan2
-from kernel.validation import check_arrays
 
 CACHED_PHASES: Final = 18  # after a take-off from rest, up to the next; in 56 of the cell.CACHE_SIZE numbers
 

@@ -22,8 +22,8 @@ from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import Oscillator, decay_time, derivatives, envelope, motion, oscillator
+from kernel.params import check_arrays
 from kernel.portable_math import hypot
-from kernel.validation import check_arrays
 
 #: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is computed, in
 #: contact, as one whose Omega is 5e-9 beside it. The driven amplitude is the inverse, and the closed form, a

@@ -35,8 +35,8 @@ from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import all_derivatives, apart, coordinates, derivatives, motion, quiet_time
+from kernel.params import check_arrays
 from kernel.portable_math import hypot
-from kernel.validation import check_arrays
 
 
 class SoftPlate(NamedTuple):

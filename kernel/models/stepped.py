@@ -31,10 +31,9 @@ from kernel.models.contact_law import contact_constants, lifted_off, plate_force
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import inlined, jit
-from kernel.params import KernelInputError
+from kernel.params import KernelInputError, check_arrays, is_whole
 from kernel.restitution import damping_ratio
 from kernel.step_limits import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
-from kernel.validation import check_arrays, is_whole
 
 BLOCK: Final = 1024  # steps between two evaluations of the plate's sine; rotations err by 2e-13
 MIN_STEP_FRACTION: Final = 1e-9  # a grid point nearer than this part of a step, which is rounding, is skipped

@@ -18,7 +18,7 @@ from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
 from zarr.core.sync import sync
 from zarr.storage import LocalStore, MemoryStore, ObjectStore, WrapperStore
 
-from service.client import accessor  # noqa: F401 - registers `dataset.bounce`
+from service.client import dataset  # noqa: F401 - registers `dataset.bounce`
 from service.client.errors import NotFound, Refused, StoreUnreachable, UnexpectedAnswer
 from service.client.transport import Transport
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
+from kernel.modes import counted
 from kernel.params import Outcome
-from kernel.recount import counted
 from kernel.threshold import threshold
 from service.views.selection import (
     LABEL,

@@ -10,8 +10,8 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import Field
 
+from kernel.modes import counted
 from kernel.params import Outcome
-from kernel.recount import counted
 from service.errors import InvalidRequest
 from service.views.selection import (
     LABEL,

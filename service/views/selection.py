@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.labels import LABELS, UNSTABLE, label_codes
+from kernel.modes import Modes, recount
 from kernel.params import KERNEL_VERSION, Outcome
-from kernel.recount import Modes, recount
 from service.errors import InvalidRequest, OutdatedJob
 from service.software import software
 from worker import schema, store

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.numerics.first_root import HORIZON, Phase
 from kernel.numerics.jit import jit
-from kernel.validation import check_arrays
+from kernel.params import check_arrays
 from worker.spec.contact_models import ContactFields, ContactModel
 
 

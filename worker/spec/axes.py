@@ -181,7 +181,7 @@ def values_of(axis: AxisValue) -> NDArray[np.float64]:
     return values
 
 
-#: The lowest positive number that kernels accept (`kernel.validation`).
+#: The lowest positive number that kernels accept (`kernel.params`).
 SMALLEST_POSITIVE: Final = 1e-30
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from service.api import parameters, schemas
+from service.api import schemas
 from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep, tag
 from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
 from service.jobs.manager import Submission
@@ -45,7 +45,7 @@ IdempotencyKey = Annotated[
 def submit_job(
     service: ServiceDep,
     body: JsonBody,
-    query: Annotated[parameters.SubmitQuery, Query()],
+    query: Annotated[schemas.SubmitQuery, Query()],
     owner: OwnerDep,
     idempotency_key: IdempotencyKey = None,
 ) -> Response:
@@ -78,7 +78,7 @@ def _cost(service: ServiceDep, spec: Any) -> Response:
 
 
 @router.get("/jobs", summary="List jobs", responses=problem_responses(422))
-def list_jobs(service: ServiceDep, query: Annotated[parameters.JobsQuery, Query()]) -> schemas.JobList:
+def list_jobs(service: ServiceDep, query: Annotated[schemas.JobsQuery, Query()]) -> schemas.JobList:
     """Those that all parameters allow, in the `order` asked for; `next` is the cursor of the next page."""
     search, after = query.jobs, query.after()
     with service.ledger.reading() as ledger:

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Header, HTTPException, Query, Response
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from service.api import dependencies, parameters
+from service.api import dependencies, schemas
 from service.api.capacity import SMALL_ANSWER, Cost, costly
 from service.api.dependencies import JobDep, ResultsJob, ServiceDep
 from service.api.schemas import NOT_MODIFIED, content, problem_responses
@@ -38,7 +38,7 @@ class _OpenFile(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-def _export_cost(service: ServiceDep, job: JobRecord, query: parameters.ExportQuery) -> Cost:
+def _export_cost(service: ServiceDep, job: JobRecord, query: schemas.ExportQuery) -> Cost:
     group = files.GROUP_BYTES if query.format == "parquet" else 0
     chunk = service.manager.preparer.prepare(job).layout.chunk_bytes
     return Cost(BASE_MEMORY + group + _CHUNK_COPIES * chunk)
@@ -50,9 +50,7 @@ def _export_cost(service: ServiceDep, job: JobRecord, query: parameters.ExportQu
     responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 501, 507)},
 )
 @costly(_export_cost, "export")
-def export_job(
-    service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQuery, Query()]
-) -> Response:
+def export_job(service: ServiceDep, job: JobDep, query: Annotated[schemas.ExportQuery, Query()]) -> Response:
     """The whole study as one file: NetCDF holds the store's arrays, Parquet a row for every cell.
 
     Of a job of basins or multistability Parquet has a row for every attractor of a cell. With

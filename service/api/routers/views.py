@@ -16,8 +16,14 @@ from kernel.params import KernelInputError
 from service.api import dependencies
 from service.api.capacity import Cost, costly
 from service.api.dependencies import JsonBody, ResultsJob, Service, ServiceDep
-from service.api.parameters import MotionQuery
-from service.api.schemas import NOT_MODIFIED, PENDING_RESPONSE, content, json_body, problem_responses
+from service.api.schemas import (
+    NOT_MODIFIED,
+    PENDING_RESPONSE,
+    MotionQuery,
+    content,
+    json_body,
+    problem_responses,
+)
 from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES, DatasetFormat
 from service.jobs.model import JobRecord

@@ -10,8 +10,8 @@ import pytest
 
 from kernel.line import run_line
 from kernel.models import rigid, soft
+from kernel.modes import Modes, recount
 from kernel.params import Line, Outcome
-from kernel.recount import Modes, recount
 
 GAMMA = np.linspace(1.05, 6.0, 100)
 OMEGA, XI = np.full(100, 0.5), np.full(100, 0.26)

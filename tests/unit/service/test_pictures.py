@@ -25,7 +25,7 @@ from paths import GOLDEN, ROOT
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
-from service.client import accessor
+from service.client import dataset as accessor
 from service.tradeoff import SIZE, Measurement, compose
 from service.views import diagram, multistability
 from service.views.selection import LABEL
