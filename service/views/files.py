@@ -16,8 +16,6 @@ from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Final
 
-import h5netcdf
-import h5py
 import numpy as np
 import xarray
 from numpy.typing import NDArray
@@ -160,6 +158,8 @@ class _UnrefusedFile(io.FileIO):
 
 def _write_netcdf(export: Export, blocks: Iterable[_Block], path: Path) -> None:
     """NetCDF 4 with the dimensions, coordinates, arrays and attributes of the store."""
+    import h5netcdf
+
     with _UnrefusedFile(path, "w+") as target:
         with h5netcdf.File(target, "w") as file:
             _define(file, export)
@@ -173,6 +173,8 @@ def _write_netcdf(export: Export, blocks: Iterable[_Block], path: Path) -> None:
 
 
 def _define(file: Any, export: Export) -> None:
+    import h5py
+
     layout = export.stored
     file.dimensions = {
         dim: n for row in export.arrays for dim, n in zip(row.dims, layout.shape(row), strict=True)
