@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 NICER: Final = 10
 #: A process that uses more memory than this after an answer exits, returning the memory to the system. The
 #: imports and loads of all kinds of answers take 350 MB, and seconds of a processor in each new process.
-MOST_KEPT: Final = 448 * 2**20
+MOST_KEPT: Final = 400 * 2**20
 #: Growth in bytes after which a process tells the C library to return memory.
 MUCH: Final = 16 * 2**20
 #: Seconds without work after which all processes but one end.
