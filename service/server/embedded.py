@@ -289,6 +289,7 @@ def _create(name: str) -> Any:
 
 
 def _warm_answers(background: Processes) -> None:
-    """Start the first process for answers before the first request."""
+    """Import what answers need, and start the first process for them, before the first request."""
+    registry.warm()
     with suppress(NotComputed):  # the service was stopped meanwhile
         background.run(registry.warm)

@@ -106,4 +106,5 @@ def _encoded(view: View, study: Stored[Any] | None, found: Dataset, format: str)
 
 
 def warm() -> None:
-    """Import what most answers need: this module did."""
+    """Import what most answers need: this module did, but xarray imports Dask with its first Dataset."""
+    Dataset({"x": ("x", [0])})
