@@ -33,7 +33,7 @@ def test_cancelling_does_not_wait_for_compilation(tmp_path: Path):
     """The kernel of exponents is not compiled at the start of a worker, and takes many seconds."""
     executor = Dask(workers=1, kernel_cache=tmp_path / "cache", memory=2 << 30)
     try:
-        wait_for(executor.ready, seconds=PATIENCE)
+        wait_for(lambda: executor.workers() == 1, seconds=PATIENCE)
         worker = pids(executor, 1)
         with running(tmp_path, executor) as service:
             sweep = costing(exponents=3, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
