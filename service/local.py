@@ -159,7 +159,6 @@ def run_to_file(
     from service.background import InThisProcess
     from service.files import complete_file
     from service.views import diagram, files
-    from service.views.provenance import attributes_of
     from service.views.registry import admit, answer
     from service.views.selection import Stored
     from service.views.view import Query
@@ -177,7 +176,7 @@ def run_to_file(
     ):
         study = Stored(job.spec, job.store_url, complete=True, job=record.id, forms=job.forms)
         if format in EXPORTS:
-            attributes = attributes_of(record, job)
+            attributes = files.attributes_of(record, job)
             whole = files.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
             with files.make(InThisProcess(), whole, settings.exports_path) as made:
                 file.writelines(files.pieces(made))
@@ -257,10 +256,10 @@ def _settings(folder: Path) -> "Settings":
 
 def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
     """Compile in one interruptible thread rather than in all workers at once."""
-    from worker.spec import SweepSpec
+    from worker.analysis.model_selection import is_open
     from worker.tasks import compile_for
 
-    if not isinstance(spec, SweepSpec) or spec.model.kind == "auto":
+    if is_open(spec):  # choosing its model compiles
         return
     # In a thread: the compiler blocks Python for seconds, and may lose an exception.
     thread = ThreadPoolExecutor(1, thread_name_prefix="compile")

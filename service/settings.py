@@ -117,7 +117,7 @@ class Settings(BaseSettings):
         10.0, description="Seconds for a request's headers to arrive, and for its body."
     )
     stall_seconds: Positive = Field(
-        60.0, description="Seconds after which a client that reads nothing is disconnected."
+        60.0, description="Seconds after which a client that reads nothing is disconnected, on Linux."
     )
     max_cells: Count = Field(DEFAULT_MAX_CELLS, description="Cells of one sweep.")
     max_bytes: Count = Field(DEFAULT_MAX_BYTES, description="Bytes of one sweep's arrays before compression.")

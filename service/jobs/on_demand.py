@@ -17,8 +17,7 @@ from typing import Any, Final
 
 from service.background import asker
 from service.errors import Busy, NotComputed
-from worker.executors.base import Executor
-from worker.executors.errors import ExecutorError
+from worker.executors.base import Executor, ExecutorError
 
 #: Number of results kept, the last requested.
 MAX_RESULTS: Final = 64

@@ -12,7 +12,7 @@ from itertools import accumulate
 from typing import Final, NamedTuple
 
 from worker import store
-from worker.executors.errors import ClusterLost, WorkerLeft, WorkerLost, WorkerRefused
+from worker.executors.base import ClusterLost, WorkerLeft, WorkerLost, WorkerRefused
 from worker.store import StoreDamaged
 from worker.tasks import ChunkCancelled, ChunkPaused, PredecessorMissing
 

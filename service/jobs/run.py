@@ -13,7 +13,7 @@ from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import PreparedJob
 from service.jobs.ready_queue import ReadyQueue
 from service.jobs.retry import FAILED_TRIES, Action, History, RetryPolicy
-from worker.executors.errors import ExecutorError
+from worker.executors.base import ExecutorError
 from worker.tasks import ChunkReport
 
 #: Maximum characters of a traceback kept, from its end.

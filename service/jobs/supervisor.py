@@ -23,8 +23,7 @@ from service.jobs.transactions import Unfinished
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, choose, is_open, resolved
-from worker.executors.base import ClusterState, Executor
-from worker.executors.errors import ExecutorError, ReportMismatch, WorkerDied
+from worker.executors.base import ClusterState, Executor, ExecutorError, ReportMismatch, WorkerDied
 from worker.store import StoreConflict
 from worker.studies import Chunk
 from worker.tasks import SLICE_SECONDS, ChunkOptions, ChunkPaused, ChunkReport

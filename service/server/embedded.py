@@ -34,10 +34,9 @@ from service.server.logging import log_to_stderr, quiet_libraries
 from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings
 from service.views import registry
-from worker.executors.base import Executor
+from worker.executors.base import ClusterLost, Executor
 from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
-from worker.executors.errors import ClusterLost
 from worker.kernel_cache import CacheRefused
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
 

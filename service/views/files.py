@@ -5,11 +5,13 @@ The file is unlinked before it is sent, so that nothing of it stays on the disk 
 
 import errno
 import io
+import json
 import math
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import cached_property, partial
 from importlib.util import find_spec
 from itertools import chain
@@ -23,10 +25,12 @@ from numpy.typing import NDArray
 from service.background import Background
 from service.errors import InvalidRequest, NoSpace, NotInstalled, TooLarge
 from service.formats import ExportFormat, ExportLayout
+from service.jobs.model import JobRecord
+from service.jobs.prepare import PreparedJob
 from service.views.encode import record_batch, tables
 from service.views.selection import LABEL, Stored, labelled, read_stored
 from worker import schema
-from worker.schema import Layout
+from worker.schema import Layout, flat_attributes
 from worker.spec import SweepSpec
 from worker.studies import Plan, study_of
 
@@ -43,6 +47,31 @@ GROUP_ROWS: Final = 2**17
 GROUP_BYTES: Final = 16 * 2**20
 
 
+def attributes_of(job: JobRecord, prepared: PreparedJob) -> dict[str, str | int | float]:
+    """What a file says of its job, the same in every format: texts and numbers, values with parts as JSON.
+
+    The store's attributes depend on the specification alone. A file adds what computed it: software,
+    libraries, processor, times and core-seconds. Workers must have the versions of the service.
+    """
+    layout, runs = prepared.layout, json.loads(job.runs)
+    software = [f"bouncing-spring {run['release']}, kernel version {job.kernel_version}" for run in runs]
+    events = [(job.created, "accepted")]
+    events += [(run["began"], f"computing with {text}") for run, text in zip(runs, software, strict=True)]
+    if job.finished is not None and not job.repairing:
+        events.append((job.finished, str(job.state)))
+    times = [f"{datetime.fromtimestamp(at, UTC):%Y-%m-%dT%H:%M:%SZ} {what}" for at, what in events]
+    attributes = {**layout.attributes, **prepared.attributes, **layout.identity}
+    attributes |= {"job": job.id, "kernel_version": job.kernel_version, "history": "\n".join(times)}
+    if runs:
+        libraries = {"python": runs[-1]["python"], **runs[-1]["libraries"]}
+        attributes |= {
+            "software": software[-1], "libraries": libraries, "processor": runs[-1]["processor"],
+        }  # fmt: skip
+    if job.core_seconds:  # of adopted results it is not known
+        attributes["core_seconds"] = round(job.core_seconds, 3)
+    return flat_attributes(attributes)
+
+
 @dataclass(frozen=True)
 class Export:
     """A study to be written as one file."""
@@ -51,8 +80,7 @@ class Export:
     plan: Plan
     format: ExportFormat
     layout: ExportLayout = "cells"  # what a row of a table is
-    #: What the file says of the job, as `service.views.provenance.attributes_of` gives it.
-    attributes: Mapping[str, str | int | float] = field(default_factory=dict)
+    attributes: Mapping[str, str | int | float] = field(default_factory=dict)  # see `attributes_of`
 
     @cached_property
     def stored(self) -> Layout:

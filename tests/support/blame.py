@@ -3,7 +3,7 @@
 import pytest
 
 from service.jobs.run import JobRun
-from worker.executors.errors import WorkerDied, WorkerLost
+from worker.executors.base import WorkerDied, WorkerLost
 
 
 def noting_errors(monkeypatch: pytest.MonkeyPatch) -> list[BaseException]:

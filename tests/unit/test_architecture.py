@@ -57,7 +57,7 @@ REACHABLE = {
 FACES = {"worker/spec", "worker/store", "service/client"}
 
 #: Modules of one folder at most, __init__ apart.
-MOST_MODULES = 17
+MOST_MODULES = 16
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The interface of executors, which compute chunks for the service."""
+"""The interface of executors, which compute chunks for the service, and their errors."""
 
 import math
 from collections.abc import Callable
@@ -10,6 +10,34 @@ from worker.studies import Chunk, Spec
 from worker.tasks import USUAL, ChunkOptions, ChunkReport
 
 Result = TypeVar("Result")
+
+
+class ExecutorError(Exception):
+    """A task has no result, although it raised nothing itself."""
+
+
+class WorkerDied(ExecutorError):
+    """The worker process died while it ran this task; the message gives the reason, if known."""
+
+
+class WorkerLost(ExecutorError):
+    """The worker process died while this task waited there: another task is to blame."""
+
+
+class WorkerLeft(ExecutorError):
+    """The worker was told to leave before the task was done."""
+
+
+class WorkerRefused(ExecutorError):
+    """The worker may not compute: it differs from the service, or does not see the stores."""
+
+
+class ReportMismatch(ExecutorError):
+    """The worker reported another chunk than the one it was given, or other cells."""
+
+
+class ClusterLost(ExecutorError):
+    """The scheduler cannot be reached; all its tasks are lost."""
 
 
 @dataclass(frozen=True)

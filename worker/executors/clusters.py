@@ -16,7 +16,7 @@ from typing import Any, Final
 import dask
 from distributed import LocalCluster, Security, Status, system
 
-from worker.executors.errors import ClusterLost
+from worker.executors.base import ClusterLost
 from worker.ownership import temporary_folder
 
 log = logging.getLogger(__name__)

@@ -12,8 +12,8 @@ import dask
 from distributed import Client, WorkerPlugin
 from distributed.comm.addressing import get_address_host_port
 
+from worker.executors.base import ClusterLost
 from worker.executors.clusters import NO_SCHEDULER, SCHEDULER_SETTINGS, Target, environment_variable
-from worker.executors.errors import ClusterLost
 from worker.executors.plugins import DEMAND, ROSTER, Demand
 from worker.watchdog import TOPIC
 

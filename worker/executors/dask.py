@@ -16,17 +16,19 @@ from typing import Any, Final
 from distributed import KilledWorker
 from distributed.protocol.pickle import dumps
 
-from worker.executors.base import ClusterState, Compiling, Result
-from worker.executors.clusters import CreatedCluster, LocalWorkers, SchedulerFile, Target
-from worker.executors.connection import SchedulerConnection
-from worker.executors.errors import (
+from worker.executors.base import (
     ClusterLost,
+    ClusterState,
+    Compiling,
     ExecutorError,
+    Result,
     WorkerDied,
     WorkerLeft,
     WorkerLost,
     WorkerRefused,
 )
+from worker.executors.clusters import CreatedCluster, LocalWorkers, SchedulerFile, Target
+from worker.executors.connection import SchedulerConnection
 from worker.executors.plugins import WorkerAdmission, facts, refusal, rest, run_if_admitted
 from worker.executors.roster import MARKS, REST_SECONDS, Roster
 from worker.studies import Chunk, Spec

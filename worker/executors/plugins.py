@@ -99,7 +99,7 @@ class WorkerAdmission(WorkerPlugin):
             return
         from worker.kernel_cache import BESIDE  # noqa: PLC0415 - see above
 
-        command = [sys.executable, "-m", "worker.kernel_cache", BESIDE, self._cache or ""]
+        command = [sys.executable, "-P", "-m", "worker.kernel_cache", BESIDE, self._cache or ""]
         null = subprocess.DEVNULL
         self._compiling = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=null, stderr=null)
 
@@ -209,7 +209,7 @@ def run_if_admitted(call: bytes) -> Any:
     a worker may be unable to unpickle them.
     """
     if reason := refusal(get_worker()):
-        from worker.executors.errors import WorkerRefused  # noqa: PLC0415 - see above
+        from worker.executors.base import WorkerRefused  # noqa: PLC0415 - see above
 
         return WorkerRefused(reason)
     function, *arguments = pickle.loads(call)

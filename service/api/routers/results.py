@@ -16,7 +16,6 @@ from service.api.schemas import NOT_MODIFIED, content, problem_responses
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.jobs.model import JobRecord, JobState
 from service.views import files
-from service.views.provenance import attributes_of
 from service.views.selection import BASE_MEMORY
 from worker.store import ROOT
 
@@ -60,7 +59,7 @@ def export_job(service: ServiceDep, job: JobDep, query: Annotated[schemas.Export
     study, prepared = dependencies.stored(service, job), service.manager.preparer.prepare(job)
     limit = service.settings.max_export_bytes
     files.check(study.spec, prepared.plan, query.format, query.layout, limit)
-    attributes = attributes_of(job, prepared)
+    attributes = files.attributes_of(job, prepared)
     export = files.Export(study, prepared.plan, query.format, query.layout, attributes)
     file = files.make(service.background, export, service.settings.exports_path)
     headers = {

@@ -11,8 +11,8 @@ from running import Running, costing, running
 from scripted import wait_for
 
 from service.jobs.model import JobRecord, JobState
+from worker.executors.base import WorkerDied, WorkerLeft
 from worker.executors.dask import Dask
-from worker.executors.errors import WorkerDied, WorkerLeft
 from worker.kernel_cache import use_cache
 
 PATIENCE = 240.0

@@ -18,8 +18,8 @@ from stores import marked
 from service.jobs.model import JobState
 from service.server.embedded import connected_cluster
 from service.settings import Settings
+from worker.executors.base import ClusterLost
 from worker.executors.dask import Dask
-from worker.executors.errors import ClusterLost
 from worker.kernel_cache import use_cache
 
 PATIENCE = 180.0

@@ -21,8 +21,8 @@ from stores import marked
 from service.api.monitoring import Readiness
 from service.jobs.model import JobState
 from worker import store
+from worker.executors.base import ClusterLost, WorkerRefused
 from worker.executors.dask import Dask
-from worker.executors.errors import ClusterLost, WorkerRefused
 from worker.executors.plugins import WorkerAdmission, facts
 from worker.kernel_cache import use_cache
 from worker.tasks import ChunkCancelled, ChunkPaused

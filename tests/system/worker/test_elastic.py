@@ -14,9 +14,9 @@ from scripted import wait_for
 
 from service.api.monitoring import Readiness
 from service.jobs.model import JobState
+from worker.executors.base import ClusterLost
 from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
-from worker.executors.errors import ClusterLost
 from worker.kernel_cache import use_cache
 
 PATIENCE = 180.0

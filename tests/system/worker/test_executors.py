@@ -15,9 +15,8 @@ from paths import CACHE
 from scripted import DEADLINE, wait_for
 
 from worker import store
-from worker.executors.base import Executor
+from worker.executors.base import ClusterLost, Executor
 from worker.executors.dask import Dask
-from worker.executors.errors import ClusterLost
 from worker.plan import Plan, make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec

@@ -10,7 +10,7 @@ from worker.kernel_cache import BESIDE
 
 
 def beside(root: Path) -> "subprocess.Popen[bytes]":
-    command = [sys.executable, "-m", "worker.kernel_cache", BESIDE, str(root)]
+    command = [sys.executable, "-P", "-m", "worker.kernel_cache", BESIDE, str(root)]
     return subprocess.Popen(command, stdin=subprocess.PIPE)
 
 

@@ -14,8 +14,8 @@ from scripted import wait_for
 from service.jobs.model import JobState
 from worker import store, watchdog
 from worker.executors import dask
+from worker.executors.base import WorkerLeft
 from worker.executors.dask import Dask
-from worker.executors.errors import WorkerLeft
 from worker.executors.roster import MARKS
 from worker.kernel_cache import use_cache
 from worker.plan import make_plan

@@ -25,7 +25,7 @@ from service.settings import Settings
 from service.views import diagram
 from service.views.selection import Stored
 from worker import store
-from worker.executors.errors import ClusterLost, WorkerDied, WorkerLeft, WorkerLost
+from worker.executors.base import ClusterLost, WorkerDied, WorkerLeft, WorkerLost
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport

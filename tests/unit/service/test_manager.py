@@ -27,8 +27,7 @@ from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.settings import Settings
 from worker import store
-from worker.executors.base import ClusterState
-from worker.executors.errors import WorkerLost
+from worker.executors.base import ClusterState, WorkerLost
 from worker.executors.inline import Inline
 from worker.plan import Chunk, make_plan
 from worker.schema import layout

@@ -13,7 +13,7 @@ from scripted import wait_for
 from served import service
 
 from worker import store
-from worker.executors.errors import ClusterLost, WorkerDied
+from worker.executors.base import ClusterLost, WorkerDied
 from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.spec import SweepSpec

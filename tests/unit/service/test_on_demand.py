@@ -13,7 +13,7 @@ from service.background import Asker
 from service.errors import Busy, NotComputed
 from service.jobs import on_demand
 from service.jobs.on_demand import OnDemandCache, Pending
-from worker.executors.errors import ClusterLost, WorkerDied
+from worker.executors.base import ClusterLost, WorkerDied
 
 
 class Pool:

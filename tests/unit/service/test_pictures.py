@@ -25,7 +25,7 @@ from paths import GOLDEN, ROOT
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
-from service.client import dataset as accessor
+from service.client.dataset import draw_branches, draw_diagram, draw_modes, draw_thresholds
 from service.tradeoff import SIZE, Measurement, compose
 from service.views import diagram, multistability
 from service.views.selection import LABEL
@@ -105,7 +105,7 @@ def client_diagram(figure: Figure) -> None:
         times = np.array([[NAN, NAN], [4.0, NAN], [3.0, 6.0]])
         fixed = {"omega": 0.5, "xi": 0.26, "direction": direction}
         dataset = xarray.Dataset({"flight_time": (("gamma", "flight"), times)})
-        accessor.draw_diagram(axes, dataset.assign_coords(gamma=[1.1, 1.2, 1.4], **fixed))
+        draw_diagram(axes, dataset.assign_coords(gamma=[1.1, 1.2, 1.4], **fixed))
     shape = ("branch", "point")
     branches = xarray.Dataset(
         {
@@ -115,7 +115,7 @@ def client_diagram(figure: Figure) -> None:
             "gamma": (shape, 1.0 + np.arange(8.0).reshape(2, 4) / 20),
         }
     )
-    accessor.draw_branches(axes, branches)
+    draw_branches(axes, branches)
 
 
 def client_map(figure: Figure) -> None:
@@ -128,8 +128,8 @@ def client_map(figure: Figure) -> None:
             "periods": (("omega", "gamma"), np.array([[0, 1, 0, 0, 0, 0], [0, 2, 3, 4, 5, 6]])),
         }
     ).assign_coords(omega=[0.5, 0.6], gamma=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5], xi=0.26)
-    accessor.draw_modes(left, modes)
-    accessor.draw_modes(right, modes.assign(label=(("omega", "gamma"), codes)))
+    draw_modes(left, modes)
+    draw_modes(right, modes.assign(label=(("omega", "gamma"), codes)))
 
 
 def client_thresholds(figure: Figure) -> None:
@@ -137,7 +137,7 @@ def client_thresholds(figure: Figure) -> None:
     values = {"analytic": [1.0, 1.1, 1.3], "predicted_down": [0.8, NAN, 1.0], "up": [1.0, 1.1, 1.31]}
     for axes, down in zip(figure.subplots(1, 2), ([0.8, 0.9, 1.01], [NAN] * 3), strict=True):
         columns = {name: ("omega", column) for name, column in (values | {"down": down}).items()}
-        accessor.draw_thresholds(axes, xarray.Dataset(columns).assign_coords(omega=[0.5, 0.6, 0.8], xi=0.26))
+        draw_thresholds(axes, xarray.Dataset(columns).assign_coords(omega=[0.5, 0.6, 0.8], xi=0.26))
 
 
 #: Size in inches, and what draws.

@@ -16,7 +16,7 @@ from service.jobs.retry import (
     History,
     RetryPolicy,
 )
-from worker.executors.errors import ClusterLost, WorkerDied, WorkerLeft, WorkerLost, WorkerRefused
+from worker.executors.base import ClusterLost, WorkerDied, WorkerLeft, WorkerLost, WorkerRefused
 from worker.store import UNREACHABLE, StoreDamaged, StoreMissing
 from worker.tasks import ChunkCancelled, PredecessorMissing
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from worker.executors import clusters
+from worker.executors.base import ClusterLost
 from worker.executors.clusters import FIRST_PAUSE, UNANSWERED, CreatedCluster, SchedulerFile
-from worker.executors.errors import ClusterLost
 
 
 @pytest.fixture
