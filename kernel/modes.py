@@ -31,6 +31,9 @@ APPROACH: Final = 0.7
 CLOSE: Final = 0.01
 DRIFT: Final = 0.05
 
+# of mean squares
+_FALLEN, _NEAR, _APPROACHED = (1.0 - FALLS) ** 2, NEAR**2, APPROACH**2
+_CLOSE, _DRIFTED = CLOSE**2, (1.0 - DRIFT) ** 2
 
 AGREE: Final = 1e-10  # rad; for `find_repetition` flights agree, and drift until the end, within this
 TURNS: Final = 5  # the last flights must follow a cycle so many times, which gives one difference fewer
@@ -123,7 +126,7 @@ def limit_cycle(flight_time: Any, takeoff_phase: Any, bounces: int) -> int:
         if part == 0:
             continue
         first, middle, last = _thirds(flight_time, takeoff_phase, lag, part)
-        falls = middle < first and last < (1.0 - FALLS) ** 2 * first
+        falls = middle < first and last < _FALLEN * first
         if falls and 1.0 / last - 1.0 / middle >= 1.0 / middle - 1.0 / first:
             return lag
     return bounces
@@ -149,9 +152,9 @@ def is_settling(flight_time: Any, takeoff_phase: Any) -> bool:
         return False
     first, middle, last = _thirds(flight_time, takeoff_phase, best, (n - best) // 3)
     if last < middle < first:
-        approaches = last < NEAR**2 and last < APPROACH**2 * first
-        return approaches or (first < CLOSE**2 and last < (1.0 - DRIFT) ** 2 * first)
-    return first < middle < last < CLOSE**2 and first < (1.0 - DRIFT) ** 2 * last
+        approaches = last < _NEAR and last < _APPROACHED * first
+        return approaches or (first < _CLOSE and last < _DRIFTED * first)
+    return first < middle < last < _CLOSE and first < _DRIFTED * last
 
 
 @jit

@@ -58,7 +58,7 @@ def chatter_completes(hop: float, n: float, n1: float, n2: float, e: float) -> b
     if n <= 0.0 or e >= 1.0:
         return False
     series = 2.0 * hop / (n * (1.0 - e))
-    return series * series * (n1 * n1 + n2 * n) <= (STEADY * n) ** 2
+    return series * series * (n1 * n1 + n2 * n) <= (STEADY * n) * (STEADY * n)
 
 
 @jit

@@ -61,9 +61,8 @@ _VALUES: Final = (
     types.Array,
 )  # fmt: skip
 
-#: LLVM's level of optimisation, and how often: level 3 makes kernels no faster.
-_SPEED_LEVEL: Final = 2
-_ROUNDS: Final = 2
+#: LLVM's levels of optimisation, one after the other: 2 before 2, or 3, makes kernels no faster.
+_SPEED_LEVELS: Final = (1, 2)
 
 
 class Compilation(NamedTuple):
@@ -93,15 +92,28 @@ def compilations() -> list[Compilation]:
 
 @contextmanager
 def _compiling(kernel: str) -> Iterator[None]:
-    """Tell `compilations`, and collect no garbage: a compiler makes millions of objects that stay."""
-    thread, collects = threading.get_ident(), gc.isenabled()
+    """Tell `compilations`."""
+    thread = threading.get_ident()
     _under_way[thread] = Compilation(kernel, time.time())
-    gc.disable()
     try:
         yield
     finally:
         del _under_way[thread]
+
+
+@contextmanager
+def _collecting_later() -> Iterator[None]:
+    """Collect the million objects that a compiler makes before the next compilation: most need but one."""
+    collects = gc.isenabled()
+    if gc.get_freeze_count():
+        gc.unfreeze()
+        gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
         if collects:
+            gc.freeze()
             gc.enable()
 
 
@@ -143,9 +155,9 @@ class _EntryLibrary(_InnerLibrary):
             loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
         )
         cheap.run(module, builder)
-        options = llvm.create_pipeline_tuning_options(speed_level=_SPEED_LEVEL)
-        options.loop_vectorization = True
-        for _ in range(_ROUNDS):
+        for level in _SPEED_LEVELS:
+            options = llvm.create_pipeline_tuning_options(speed_level=level)
+            options.loop_vectorization = True
             builder = llvm.create_pass_builder(codegen._tm, options)
             builder.getModulePassManager().run(module, builder)
 
@@ -263,7 +275,8 @@ class _EntryCompiler(_Compiler):
         state.flags.no_cfunc_wrapper = True
         state.library = library = _EntryLibrary(state.targetctx.codegen(), func.__qualname__)
         library.enable_object_caching()
-        result = super().compile_extra(func)
+        with _collecting_later():
+            result = super().compile_extra(func)
         for environment in _environments(library):
             library.codegen.set_env(environment.env_name, environment)
         return result

@@ -42,6 +42,11 @@ class _Kernel(CPUDispatcher):
     def __call__(self, *args: Any) -> Any:
         return self.entry(*args)
 
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """As numba does, but not for each constant that is passed as an integer anew."""
+        plain = (types.unliteral(each) if isinstance(each, types.IntegerLiteral) else each for each in args)
+        return super().get_call_template(tuple(plain), kws)
+
     def compile(self, sig: Any) -> Any:
         """As numba does, quicker where that is done: it asks at every call that it types."""
         done = self.overloads.get(sig) if isinstance(sig, tuple) else None
