@@ -30,8 +30,6 @@ _MODELS: Final[dict[str, Any]] = {
 }
 #: Compiles every contact model, its exponents and its trajectories.
 _ALL: Final = """
-from worker.kernel_cache import use_cache
-use_cache()
 import numpy as np
 from kernel.interface import dimension
 from kernel.line import LineRun
