@@ -1,8 +1,8 @@
 """The program `bounce`: its commands, which signals end at any moment.
 
-Ctrl-C means exit code 130 and no traceback, also while modules are imported, kernels compiled and workers
-started. A command that is not at its end soon after is ended: results on the disk are whole at any moment.
-SIGTERM and SIGHUP end a command orderly. `bounce serve` handles SIGINT and SIGTERM itself.
+SIGINT, SIGTERM and SIGHUP mean exit code 128 + the signal and no traceback, also while modules are imported,
+kernels compiled and workers started. A command that is not at its end soon after is ended: results on the
+disk are whole at any moment. `bounce serve` handles SIGINT and SIGTERM itself.
 """
 
 import logging
@@ -12,20 +12,20 @@ import signal
 import sys
 import threading
 from contextlib import suppress
+from functools import partial
 from types import FrameType
 from typing import Final
 
 from worker.ownership import remove_temporary_folders
 
-#: Seconds that a command may take to end orderly after Ctrl-C.
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+#: Seconds that a command may take to end orderly after a signal.
 GRACE_SECONDS: Final = 1.2
-#: The exit code of a command that Ctrl-C ended: 128 + SIGINT.
-INTERRUPTED: Final = 130
 
 
 def main() -> None:
     """Run the command that the arguments name."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as by nohup, and by scripts beside which it runs
             signal.signal(number, _end)
     code: object = None
@@ -38,27 +38,28 @@ def main() -> None:
         raise
     finally:
         # The interpreter would wait for threads at its end, and free compiled code.
-        if code == INTERRUPTED or signal.getsignal(signal.SIGINT) is _end_now:
-            _end_now()
+        if isinstance(ending := signal.getsignal(signal.SIGTERM), partial):
+            ending()
+        if code == 128 + signal.SIGINT:
+            _end_now(code)
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    """Raise SystemExit in the main thread; after SIGINT, another one or time ends the process at once."""
+    """Raise SystemExit in the main thread; another signal or time ends the process at once."""
+    end_now = partial(_end_now, 128 + number)
+    for other in _SIGNALS:
+        signal.signal(other, end_now)
+    logging.disable()  # what libraries say of connections that end
+    timer = threading.Timer(GRACE_SECONDS, end_now)
+    timer.daemon = True
+    timer.start()
     if number == signal.SIGINT:
-        signal.signal(signal.SIGINT, _end_now)
-        logging.disable()  # what libraries say of connections that end
-        timer = threading.Timer(GRACE_SECONDS, _end_now)
-        timer.daemon = True
-        timer.start()
         with suppress(OSError):
             os.write(2, b"\n")  # after ^C
-    else:
-        for other in (signal.SIGTERM, signal.SIGHUP):  # a second one does not interrupt the clean-up
-            signal.signal(other, signal.SIG_IGN)
     sys.exit(128 + number)
 
 
-def _end_now(*_: object) -> None:
+def _end_now(code: int, *_: object) -> None:
     """End this process with all that it has started, and remove its temporary folders."""
     for process in multiprocessing.active_children():
         process.kill()
@@ -67,7 +68,7 @@ def _end_now(*_: object) -> None:
         with suppress(OSError, ValueError):  # nobody reads it
             stream.flush()
     _remove_semaphores()
-    os._exit(INTERRUPTED)
+    os._exit(code)
 
 
 def _remove_semaphores() -> None:

@@ -4,7 +4,9 @@ Importing this module does not load matplotlib.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
+from threading import Thread
 from typing import TYPE_CHECKING, Final
 
 from service import presets
@@ -41,8 +43,18 @@ def make(selected: Sequence[FigurePreset], client: Client, *, progress: bool = T
     figures while earlier ones are drawn.
     """
     submitted = [[client.submit(sweep) for sweep in figure.sweeps] for figure in selected]
+    if any(figure.number == 2 for figure in selected):
+        Thread(target=_compile_motions, args=(client,), daemon=True).start()
     for figure, jobs in zip(selected, submitted, strict=True):
         yield _drawing(figure.number, client, [job.wait(progress=progress) for job in jobs])
+
+
+def _compile_motions(client: Client) -> None:
+    """Let the service compile what Fig. 2's insets need while workers compile what its sweeps need."""
+    from service.figures.flights import motion
+
+    with suppress(Exception):  # the figure asks again, and tells what is wrong
+        motion(client, max(presets.INSETS), settle=0)
 
 
 def _drawing(number: int, client: Client, jobs: Sequence[Job]) -> "Drawing":

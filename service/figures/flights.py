@@ -41,8 +41,7 @@ def figure_2(client: Client, rest: Job, ramped: Job) -> Drawing:
         for job, name in ((ramped, f"{SYMBOLS['gamma']} ramped up"), (rest, "from rest"))
     ]
     both = xarray.concat(diagrams, "direction", combine_attrs="override")
-    cell = {"omega": 0.5, "xi": 0.26, "model": SOFT, "settle": 200, "periods": PERIODS, "samples": 100}
-    motions = {gamma: client.trajectory({**cell, "gamma": gamma}) for gamma in INSETS}
+    motions = {gamma: motion(client, gamma) for gamma in INSETS}
 
     def draw(area: SubFigure) -> None:
         areas: Any = area.subfigures(2, 1, height_ratios=(3.3, 2.9))
@@ -72,6 +71,12 @@ def figure_2(client: Client, rest: Job, ramped: Job) -> Drawing:
     ramped_up = ", when Γ is ramped up as the paper says it was"
     claims += [_claim(gamma, mode, ramped_up) for gamma, mode in modes_up.items() if mode != modes[gamma]]
     return Drawing(Caption(2, shows, tuple(claims)), 6.2, draw)
+
+
+def motion(client: Client, gamma: float, settle: int = 200) -> xarray.Dataset:
+    """The motion in one of Fig. 2's insets, after so many plate periods from rest."""
+    cell = {"gamma": gamma, "omega": 0.5, "xi": 0.26, "model": SOFT, "settle": settle}
+    return client.trajectory(cell | {"periods": PERIODS, "samples": 100})
 
 
 def _draw_motion(axes: Axes, motion: xarray.Dataset) -> None:

@@ -80,7 +80,7 @@ def test_what_workers_shared_is_removed_without_a_word_whenever_a_command_ends()
         "import multiprocessing, os, sys; from service.cli import entry;"
         "queue = multiprocessing.get_context('spawn').Queue();"
         "sys.stdout.write(queue._rlock._semlock.name);"
-        "entry._end_now()"
+        "entry._end_now(130)"
     )
     # Its standard error closes with the last process that has it: the tracker of what is shared.
     done = subprocess.run(
