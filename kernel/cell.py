@@ -321,7 +321,7 @@ def _counted(
 
 def allocate_flights(keep: int, lanes: int) -> Flights:
     """Ring buffers for `lanes` cells at a time, of which `keep` flights are stored."""
-    size = max(keep, KEPT_FLIGHTS)
+    size = max(1 << (keep - 1).bit_length(), KEPT_FLIGHTS)
     n = lanes * size
     return Flights(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64), size, keep)
 

@@ -18,7 +18,7 @@ from kernel.cell import CACHE_SIZE, RUN_FIELDS, Progress, Window
 from kernel.exponents import Variations
 from kernel.interface import advance_lanes, contact, flight, load_lane, prepare, replay, unload_lane
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
-from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU
+from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU, index_of
 from kernel.modes import Flights
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT, Phase
@@ -158,7 +158,8 @@ def _walk(
     lines = len(gamma) // length
     used = 1 if table is None else lanes_used(lines)
     while counts[1] < len(gamma) and steps > 0:
-        for k in range(used):
+        for lane in range(used):
+            k = index_of(lane)
             if (index[k] < 0 and counts[0] == lines) or (index[k] >= 0 and _searching(table, k)):
                 continue
             run, first = runs[k], k * flights.size

@@ -7,16 +7,21 @@ contact. Lengths in plate amplitudes, times and phases in rad.
 import math
 from typing import Final, NamedTuple
 
+from kernel.models.free_fall import remainders
 from kernel.numerics.elementary import sincos
-from kernel.numerics.first_root import EPS, ROOT, Terms, departure_step, first_root, polish, terms
+from kernel.numerics.first_root import EPS, Terms, departure_step, first_root, householder, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
 NEGLIGIBLE: Final = 1e-19  # part of their sum below which terms of the power series are omitted: EPS/1000
 MAX_ORDER: Final = 16  # of that series; its terms for tau * rate < 0.5 are of the order 0.5**16/16! = 7e-19
 
-#: Evaluations for the landing of a hop before the general search takes over. Two or three are usual.
-HOP_EVALUATIONS: Final = 20
+#: `short_hop` sums power series in tau to this order, for tau * rate below SHORT. Before it takes a hop
+#: the bound on gap'''' says that |q^(k)|/2 <= 2.4 p rate^(k-4)/tau^2 for k >= 4, p being |gap''|: what is
+#: omitted is below 2.4 p tau^2 0.5**12/16! = 3e-17 p tau^2, while gap' tau is about p tau^2/2.
+HOP_ORDER: Final = 15
+HOP_EVALUATIONS: Final = 2  # of the series; one is usual
+HOP_GUESSES: Final = 2  # Newton's steps on the polynomial of degree 6
 
 HOP_SPAN: Final = 2.5  # times gap'/|gap''|, in which a landing is sought; twice under a constant gap''
 
@@ -65,33 +70,94 @@ def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float
             q4, _, _ = derivatives(p.osc, q2, q3)
             _, _, bound5 = derivatives(p.osc, p.q1, q2)
             start = departure_step(gap3, -p.cos - 0.5 * q4, 1.0 + 0.5 * bound5)
-    if p.gap <= 0.0 < p.gap1 and p.gap2 < 0.0:
-        width, guess = _hop_bracket(p)
-        if width < horizon and start < guess < width:
-            tau, ending, used = polish(p, start, width, guess, min(budget, HOP_EVALUATIONS))
-            if ending == ROOT:
-                return tau, ending, used
     return first_root(p, start, horizon, budget)
 
 
-@jit
-def _hop_bracket(p: Flight) -> tuple[float, float]:
-    """A time by which a short hop has surely landed, having risen and fallen once, and a guess of when.
+class Hop(NamedTuple):
+    """The landing of a short hop."""
 
-    (0, 0) where that is not sure: where gap'' may change too much, or where the mass, starting below the
-    plate, emerges with less than half of its velocity.
+    served: bool  # whether it was found
+    tau: float
+    sin: float  # of the plate's phase there
+    cos: float
+    gap1: float
+    q: float
+    q1: float
+    used: int  # evaluations
+
+
+@jit
+def short_hop(p: Flight, start: float, horizon: float) -> Hop:
+    """The landing of a hop from the plate, or from below it, that is surely over soon: without a sine.
+
+    Where HOP_VARIATION bounds gap'', the gap rises and falls once, so that a zero at which it falls is the
+    first landing. Newton's steps on its polynomial guess it; a power series of the state there and
+    Householder's step end it to rounding. Not served: where gap'' may change too much, where the mass
+    emerges with less than half of its velocity, or where the series is too long.
     """
-    _, q3, bound4 = derivatives(p.osc, p.q, p.q1)
-    press, gap3, gap4 = -p.gap2, -p.sin - 0.5 * q3, 1.0 + 0.5 * bound4
+    drag, pull = -2.0 * p.osc.damping, -p.osc.stiffness
+    q2 = drag * p.q1 + pull * p.q
+    q3 = drag * q2 + pull * p.q1
+    q4 = drag * q3 + pull * q2
+    press, gap3, bound4 = -p.gap2, -p.sin - 0.5 * q3, 1.0 + 0.5 * math.sqrt(q4 * q4 - pull * q3 * q3)
+    emerging = p.gap1
+    if p.gap < 0.0:
+        emerging = math.sqrt(max(p.gap1 * p.gap1 + 2.0 * press * p.gap, 0.0))  # gap' where the gap is zero
     width = HOP_SPAN * p.gap1 / press
-    emerging = math.sqrt(max(p.gap1 * p.gap1 + 2.0 * press * p.gap, 0.0))  # gap' where the gap is zero
-    varies = width * (abs(gap3) / 3.0 + width * gap4 / 12.0) > HOP_VARIATION * press
-    if varies or 2.0 * emerging < p.gap1:
-        return 0.0, 0.0
-    # the landing under a constant gap'', corrected by Newton's step for the cubic term
-    guess = (p.gap1 + emerging) / press
-    cubic = 0.5 * gap3 * guess * guess
-    return width, guess + guess * cubic / (3.0 * (emerging - cubic))
+    tau = (p.gap1 + emerging) / press  # under a constant gap''
+    varies = width * (abs(gap3) / 3.0 + width * bound4 / 12.0) > HOP_VARIATION * press
+    if varies or 2.0 * emerging < p.gap1 or tau * max(p.osc.rate, 1.0) > SHORT:
+        return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+    q5 = drag * q4 + pull * q3
+    q6 = drag * q5 + pull * q4
+    c2, c3, c4 = 0.5 * p.gap2, gap3 / 6.0, (-p.cos - 0.5 * q4) / 24.0
+    c5, c6 = (p.sin - 0.5 * q5) / 120.0, (p.cos - 0.5 * q6) / 720.0
+    for _ in range(HOP_GUESSES):
+        gap = p.gap + tau * (p.gap1 + tau * (c2 + tau * (c3 + tau * (c4 + tau * (c5 + tau * c6)))))
+        slope = 2.0 * c2 + tau * (3.0 * c3 + tau * (4.0 * c4 + tau * (5.0 * c5 + tau * 6.0 * c6)))
+        tau -= gap / (p.gap1 + tau * slope)
+    for used in range(1, HOP_EVALUATIONS + 1):
+        sin, cos, gap, gap1, q, q1 = _after_hop(p, q2, q3, tau)
+        second = drag * q1 + pull * q
+        third = drag * second + pull * q1
+        fourth = drag * third + pull * second
+        gap2, gap3, gap4 = cos - p.gravity - 0.5 * second, -sin - 0.5 * third, -cos - 0.5 * fourth
+        step, error = householder(gap, gap1, gap2, gap3, bound4)
+        tau += step
+        if error <= EPS * tau:
+            # by Taylor series in the step, which is below first_root.NEAR, so that the rest is rounding
+            gap1 += step * (gap2 + 0.5 * step * (gap3 + step * (1.0 / 3.0) * gap4))
+            q += step * (q1 + 0.5 * step * (second + step * (1.0 / 3.0) * (third + 0.25 * step * fourth)))
+            q1 += step * (second + 0.5 * step * (third + step * (1.0 / 3.0) * fourth))
+            sine, versine = step * (1.0 - step * step * (1.0 / 6.0)), 0.5 * step * step
+            sin, cos = sin + cos * sine - sin * versine, cos - sin * sine - cos * versine
+            served = start < tau < min(width, horizon) and gap1 < 0.0
+            return Hop(served, tau, sin, cos, gap1, q, q1, used)
+    return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, HOP_EVALUATIONS)
+
+
+@inlined
+def _after_hop(
+    p: Flight, q2: float, q3: float, tau: float
+) -> tuple[float, float, float, float, float, float]:
+    """sin and cos of the plate's phase, gap, gap', q and q' at tau by power series, from q'' and q'''."""
+    drag, pull = -2.0 * p.osc.damping, -p.osc.stiffness
+    odd, even = remainders(tau)
+    half = 0.5 * tau * tau
+    sine, versine = tau - odd, half - even
+    # q and q' without the terms that gap'' has
+    before, last, power = q2, q3, half
+    rest, rest1 = 0.0, 0.0
+    for order in range(3, HOP_ORDER + 1):
+        rest1 += last * power
+        power *= tau / order
+        rest += last * power
+        before, last = last, drag * last + pull * before
+    gap = p.gap + tau * p.gap1 + half * p.gap2 - (p.sin * odd + p.cos * even + 0.5 * rest)
+    gap1 = p.gap1 + tau * p.gap2 - (p.sin * versine + p.cos * odd + 0.5 * rest1)
+    q, q1 = p.q + (tau * p.q1 + half * q2 + rest), p.q1 + (tau * q2 + rest1)
+    sin, cos = p.sin + (p.cos * sine - p.sin * versine), p.cos - (p.sin * sine + p.cos * versine)
+    return sin, cos, gap, gap1, q, q1
 
 
 @inlined

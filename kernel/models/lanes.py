@@ -25,6 +25,8 @@ evaluation, with the width carried on; Householder's steps without a bracket, an
 import math
 from typing import Any, Final
 
+import numpy as np
+
 from kernel.numerics import first_root
 from kernel.numerics.elementary import (
     HYPERBOLIC_LIMIT,
@@ -77,6 +79,12 @@ FALLBACK: Final = 3.0  # MAX_EVALUATIONS were made, or a number is not finite
 WIDE: Final = 28
 OWN: Final = 29
 ROWS: Final = 33
+
+
+@inlined
+def index_of(k: int) -> int:
+    """k, surely not negative: numba makes an index that might be safe at each access."""
+    return np.int64(np.uint32(k))
 
 
 @inlined

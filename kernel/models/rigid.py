@@ -17,7 +17,7 @@ from kernel import interface
 from kernel.cell import Progress
 from kernel.models import lanes
 from kernel.models.contact_law import chatter_completes
-from kernel.models.flight import begin_flight, landing, state_after
+from kernel.models.flight import begin_flight, landing, short_hop, state_after
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
@@ -58,6 +58,7 @@ class Spring(NamedTuple):
     mean_force: float  # 2/Gamma
     n_re: float  # the driven normal force is mean_force - Re(N e^{i phi}), |N| = 2/Gamma_th
     n_im: float
+    margin: float  # mean_force - |N|: what the free part must bring up for a take-off, if positive
 
 
 class Stuck(NamedTuple):
@@ -81,6 +82,8 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
     re, im = driven - 1.0, dashpot
     size = hypot(re, im)
     q_re, q_im = re / size / size, -im / size / size
+    mean_force = (1.0 + stiffness / driven) / gamma
+    n_re, n_im = 1.0 + stiffness * q_re - dashpot * q_im, stiffness * q_im + dashpot * q_re
     return Spring(
         gravity=1.0 / gamma,
         dashpot=dashpot,
@@ -91,9 +94,10 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
         static_elongation=-1.0 / (gamma * driven),
         q_re=q_re,
         q_im=q_im,
-        mean_force=(1.0 + stiffness / driven) / gamma,
-        n_re=1.0 + stiffness * q_re - dashpot * q_im,
-        n_im=stiffness * q_im + dashpot * q_re,
+        mean_force=mean_force,
+        n_re=n_re,
+        n_im=n_im,
+        margin=mean_force - hypot(n_re, n_im),
     )
 
 
@@ -177,7 +181,7 @@ def _contact(
     h, h1 = _free(s, sin, cos, q, q1)
     h2, _, _ = derivatives(s.stuck, h, h1)
     ring, ring1 = -s.dashpot * h1 - s.stiffness * h, -s.dashpot * h2 - s.stiffness * h1
-    decayed = decay_time(s.stuck, ring, ring1, s.mean_force - hypot(s.n_re, s.n_im))
+    decayed = decay_time(s.stuck, ring, ring1, s.margin)
     tau, ending, used = first_root(Stuck(s, phi, ring, ring1), 0.0, min(horizon, decayed), budget)
     if ending == HORIZON:
         tau = horizon
@@ -193,6 +197,10 @@ def _flight(
 ) -> Phase:
     """In flight until the gap falls to zero."""
     p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
+        hop = short_hop(p, 0.0, horizon)
+        if hop.served:
+            return land(s, hop.sin, hop.cos, hop.tau, hop.gap1, hop.q, hop.q1, hop.used)
     tau, ending, used = landing(p, 0.0, horizon, budget)
     gap, gap1, q, q1 = state_after(p, tau)
     if ending != ROOT:
@@ -243,7 +251,7 @@ def _load_contact(
     """Put a contact into lane k, unless it never ends, which `rigid` knows in closed form."""
     h, h1 = _free(s, sin, cos, run.q, run.q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
-    decayed = decay_time(s.stuck, h2, h3, s.mean_force - hypot(s.n_re, s.n_im))
+    decayed = decay_time(s.stuck, h2, h3, s.margin)
     if decayed == 0.0:
         return False
     lanes.load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, decayed))

@@ -19,7 +19,7 @@ from kernel import interface
 from kernel.cell import Progress
 from kernel.models import lanes
 from kernel.models.contact_law import lifted_off, plate_force
-from kernel.models.flight import Flight, begin_flight, flight_terms, landing, state_after
+from kernel.models.flight import Flight, begin_flight, flight_terms, landing, short_hop, state_after
 from kernel.models.soft_contact import (
     LiftoffFunction,
     ModalState,
@@ -36,7 +36,6 @@ from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departu
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import all_derivatives, apart, coordinates, derivatives, motion, quiet_time
 from kernel.params import check_arrays
-from kernel.portable_math import hypot
 
 
 class SoftPlate(NamedTuple):
@@ -115,12 +114,11 @@ def begin_contact(
         )
         fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
         t = terms_of_parts(p, sin, cos, slow, fast)
-    margin = p.static - hypot(p.wave_re, p.wave_im)
     decayed = 0.0
-    if slow.size + fast.size >= margin:
+    if slow.size + fast.size >= s.margin:
         decayed = max(
-            quiet_time(p.slow_osc, p.slow_a, p.slow_b, 0.5 * margin),
-            quiet_time(p.fast_osc, p.fast_a, p.fast_b, 0.5 * margin),
+            quiet_time(p.slow_osc, p.slow_a, p.slow_b, 0.5 * s.margin),
+            quiet_time(p.fast_osc, p.fast_a, p.fast_b, 0.5 * s.margin),
         )
     return m, p, t, sure_contact_time(p, t), decayed
 
@@ -239,6 +237,10 @@ def _flight(
             gap, gap1, q, q1 = state_after(p, emerged)
             if (ending != HORIZON and (ending != ROOT or gap <= 0.0)) or gap < 0.0:
                 return Phase(emerged, ending, ending != ROOT, gap, gap1, q, q1, used)
+    if p.gap <= 0.0 < p.gap1 and p.gap2 < 0.0:
+        hop = short_hop(p, emerged, horizon)
+        if hop.served:
+            return Phase(hop.tau, ROOT, False, 0.0, hop.gap1, hop.q, hop.q1, used + hop.used)
     tau, ending, more = landing(p, emerged, horizon, budget - used)
     gap, gap1, q, q1 = state_after(p, tau)
     if ending == ROOT:
@@ -269,6 +271,7 @@ def _load_contact(
     s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float
 ) -> bool:
     """Put a contact into lane k, unless it never ends or might end at once."""
+    k = lanes.index_of(k)
     m, p, t, start, decayed = begin_contact(s, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1)
     end = min(horizon, decayed)
     f0 = t.smooth + t.ring
@@ -291,6 +294,7 @@ def _load_flight(
     """Put a flight into lane k, if it surely emerges and begins neither with a short hop nor too close."""
     if not (lanes.supports(s.flight) and lanes.serves(s.flight, horizon)):
         return False
+    k = lanes.index_of(k)
     emerged, sin0, cos0 = 0.0, sin, cos
     gap, gap1, q, q1 = run.gap, run.gap1, run.q, run.q1
     if gap < 0.0:
