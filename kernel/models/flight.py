@@ -49,10 +49,10 @@ class Flight(NamedTuple):
 
 @inlined
 def begin_flight(
-    osc: Oscillator, gravity: float, phi: float, gap: float, gap1: float, q: float, q1: float
-) -> Flight:
+    osc: Oscillator, gravity: float, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float,
+    q1: float,
+) -> Flight:  # fmt: skip
     """The flight from this state, with gravity = 1/Gamma and `osc` the elongation's oscillator in flight."""
-    sin, cos = sincos(phi)
     gap2 = cos - gravity + osc.damping * q1 + 0.5 * osc.stiffness * q
     if gap == 0.0 and gap1 == 0.0 and gap2 < 0.0:
         gap2 = 0.0  # a take-off is where n = 0; a negative value is rounding

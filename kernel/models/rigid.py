@@ -174,10 +174,10 @@ def _stuck_until(
 @interface.contact.register(Spring)
 @jit
 def _contact(
-    s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    s: Spring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """Stuck until n falls to zero. The search ends once its free part is too small to bring it there."""
-    sin, cos = sincos(phi)
     h, h1 = _free(s, sin, cos, q, q1)
     h2, _, _ = derivatives(s.stuck, h, h1)
     ring, ring1 = -s.dashpot * h1 - s.stiffness * h, -s.dashpot * h2 - s.stiffness * h1
@@ -193,10 +193,11 @@ def _contact(
 @interface.flight.register(Spring)
 @inlined
 def _flight(
-    s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    s: Spring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """In flight until the gap falls to zero."""
-    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    p = begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
     if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
         hop = short_hop(p, 0.0, horizon)
         if hop.served:

@@ -126,15 +126,15 @@ def begin_contact(
 @interface.contact.register(SoftSpring)
 @jit
 def _contact(
-    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    s: SoftSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """In contact until the lift-off function falls to zero, or both modes are too small for that."""
-    sin, cos = sincos(phi)
     m, p, _, start, decayed = begin_contact(s, phi, sin, cos, gap, gap1, q, q1)
     end = min(horizon, decayed)
     tau, ending, used = first_root(p, start, end, budget)
     if tau == 0.0 and ending == ROOT:
-        if _lifts(s, begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)):
+        if _lifts(s, begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)):
             if s.adhesive:
                 gap, gap1 = 0.0, max(gap1, 0.0)
             return Phase(0.0, ROOT, True, gap, gap1, q, q1, used)
@@ -225,10 +225,11 @@ def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tup
 @interface.flight.register(SoftSpring)
 @jit
 def _flight(
-    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    s: SoftSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """In flight until landing. One from below the surface may return to contact before it emerges."""
-    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    p = begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
     emerged, used = 0.0, 0
     if gap < 0.0:
         emerged = emergence_bound(s, p)
@@ -298,7 +299,7 @@ def _load_flight(
     emerged, sin0, cos0 = 0.0, sin, cos
     gap, gap1, q, q1 = run.gap, run.gap1, run.q, run.q1
     if gap < 0.0:
-        p = begin_flight(s.flight, s.gravity, run.phase, gap, gap1, q, q1)
+        p = begin_flight(s.flight, s.gravity, run.phase, sin, cos, gap, gap1, q, q1)
         emerged = emergence_bound(s, p)
         if emerged == 0.0 or emerged >= horizon:
             return False
