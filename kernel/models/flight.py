@@ -7,8 +7,10 @@ contact. Lengths in plate amplitudes, times and phases in rad.
 import math
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from kernel.models.free_fall import remainders
-from kernel.numerics.elementary import sincos
+from kernel.numerics.elementary import fma, sincos
 from kernel.numerics.first_root import EPS, Terms, departure_step, first_root, householder, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
@@ -22,6 +24,9 @@ MAX_ORDER: Final = 16  # of that series; its terms for tau * rate < 0.5 are of t
 HOP_ORDER: Final = 15
 HOP_EVALUATIONS: Final = 2  # of the series; one is usual
 HOP_GUESSES: Final = 2  # Newton's steps on the polynomial of degree 6
+
+#: Of the order n, at n.
+_ONE_OVER: Final = np.array([math.inf, *(1.0 / n for n in range(1, HOP_ORDER + 1))])
 
 HOP_SPAN: Final = 2.5  # times gap'/|gap''|, in which a landing is sought; twice under a constant gap''
 
@@ -113,9 +118,9 @@ def short_hop(p: Flight, start: float, horizon: float) -> Hop:
     c2, c3, c4 = 0.5 * p.gap2, gap3 / 6.0, (-p.cos - 0.5 * q4) / 24.0
     c5, c6 = (p.sin - 0.5 * q5) / 120.0, (p.cos - 0.5 * q6) / 720.0
     for _ in range(HOP_GUESSES):
-        gap = p.gap + tau * (p.gap1 + tau * (c2 + tau * (c3 + tau * (c4 + tau * (c5 + tau * c6)))))
-        slope = 2.0 * c2 + tau * (3.0 * c3 + tau * (4.0 * c4 + tau * (5.0 * c5 + tau * 6.0 * c6)))
-        tau -= gap / (p.gap1 + tau * slope)
+        high, high1 = fma(fma(c6, tau, c5), tau, c4), fma(fma(6.0 * c6, tau, 5.0 * c5), tau, 4.0 * c4)
+        gap = fma(fma(fma(fma(high, tau, c3), tau, c2), tau, p.gap1), tau, p.gap)
+        tau -= gap / fma(fma(fma(high1, tau, 3.0 * c3), tau, 2.0 * c2), tau, p.gap1)
     for used in range(1, HOP_EVALUATIONS + 1):
         sin, cos, gap, gap1, q, q1 = _after_hop(p, q2, q3, tau)
         second = drag * q1 + pull * q
@@ -149,10 +154,10 @@ def _after_hop(
     before, last, power = q2, q3, half
     rest, rest1 = 0.0, 0.0
     for order in range(3, HOP_ORDER + 1):
-        rest1 += last * power
-        power *= tau / order
-        rest += last * power
-        before, last = last, drag * last + pull * before
+        rest1 = fma(last, power, rest1)
+        power *= tau * _ONE_OVER[order]
+        rest = fma(last, power, rest)
+        before, last = last, fma(drag, last, pull * before)
     gap = p.gap + tau * p.gap1 + half * p.gap2 - (p.sin * odd + p.cos * even + 0.5 * rest)
     gap1 = p.gap1 + tau * p.gap2 - (p.sin * versine + p.cos * odd + 0.5 * rest1)
     q, q1 = p.q + (tau * p.q1 + half * q2 + rest), p.q1 + (tau * q2 + rest1)
