@@ -15,18 +15,16 @@ from kernel.numerics.first_root import EPS, Terms, departure_step, first_root, h
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
-NEGLIGIBLE: Final = 1e-19  # part of their sum below which terms of the power series are omitted: EPS/1000
-MAX_ORDER: Final = 16  # of that series; its terms for tau * rate < 0.5 are of the order 0.5**16/16! = 7e-19
+#: `_soon_after` sums the power series of q in tau to this order, for tau * rate < SHORT. With |q^(4)| <= b,
+#: |q^(k)| is at most 1.62 b rate^(k-4): what is omitted is below 1.62 b tau^4 0.5**12/16! = 2e-17 b tau^4, a
+#: rounding error of the fourth order's term. In a hop b tau^2 is at most 3 |gap''|, as HOP_VARIATION says, so
+#: that its landing moves by less than 1e-16 of it.
+SERIES_ORDER: Final = 15
+#: Of the order n, at n.
+_ONE_OVER: Final = np.array([math.inf, *(1.0 / n for n in range(1, SERIES_ORDER + 1))])
 
-#: `short_hop` sums power series in tau to this order, for tau * rate below SHORT. Before it takes a hop
-#: the bound on gap'''' says that |q^(k)|/2 <= 2.4 p rate^(k-4)/tau^2 for k >= 4, p being |gap''|: what is
-#: omitted is below 2.4 p tau^2 0.5**12/16! = 3e-17 p tau^2, while gap' tau is about p tau^2/2.
-HOP_ORDER: Final = 15
 HOP_EVALUATIONS: Final = 2  # of the series; one is usual
 HOP_GUESSES: Final = 2  # Newton's steps on the polynomial of degree 6
-
-#: Of the order n, at n.
-_ONE_OVER: Final = np.array([math.inf, *(1.0 / n for n in range(1, HOP_ORDER + 1))])
 
 HOP_SPAN: Final = 2.5  # times gap'/|gap''|, in which a landing is sought; twice under a constant gap''
 
@@ -92,7 +90,7 @@ class Hop(NamedTuple):
 
 
 @jit
-def short_hop(p: Flight, start: float, horizon: float) -> Hop:
+def short_hop(p: Flight, start: float, horizon: float, budget: int) -> Hop:
     """The landing of a hop from the plate, or from below it, that is surely over soon: without a sine.
 
     Where HOP_VARIATION bounds gap'', the gap rises and falls once, so that a zero at which it falls is the
@@ -111,7 +109,8 @@ def short_hop(p: Flight, start: float, horizon: float) -> Hop:
     width = HOP_SPAN * p.gap1 / press
     tau = (p.gap1 + emerging) / press  # under a constant gap''
     varies = width * (abs(gap3) / 3.0 + width * bound4 / 12.0) > HOP_VARIATION * press
-    if varies or 2.0 * emerging < p.gap1 or tau * max(p.osc.rate, 1.0) > SHORT:
+    too_long = width * max(p.osc.rate, 1.0) > SHORT or budget < HOP_EVALUATIONS
+    if varies or 2.0 * emerging < p.gap1 or too_long:
         return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
     q5 = drag * q4 + pull * q3
     q6 = drag * q5 + pull * q4
@@ -122,7 +121,7 @@ def short_hop(p: Flight, start: float, horizon: float) -> Hop:
         gap = fma(fma(fma(fma(high, tau, c3), tau, c2), tau, p.gap1), tau, p.gap)
         tau -= gap / fma(fma(fma(high1, tau, 3.0 * c3), tau, 2.0 * c2), tau, p.gap1)
     for used in range(1, HOP_EVALUATIONS + 1):
-        sin, cos, gap, gap1, q, q1 = _after_hop(p, q2, q3, tau)
+        sin, cos, gap, gap1, q, q1 = _soon_after(p, q2, q3, tau)
         second = drag * q1 + pull * q
         third = drag * second + pull * q1
         fourth = drag * third + pull * second
@@ -142,7 +141,7 @@ def short_hop(p: Flight, start: float, horizon: float) -> Hop:
 
 
 @inlined
-def _after_hop(
+def _soon_after(
     p: Flight, q2: float, q3: float, tau: float
 ) -> tuple[float, float, float, float, float, float]:
     """sin and cos of the plate's phase, gap, gap', q and q' at tau by power series, from q'' and q'''."""
@@ -153,7 +152,7 @@ def _after_hop(
     # q and q' without the terms that gap'' has
     before, last, power = q2, q3, half
     rest, rest1 = 0.0, 0.0
-    for order in range(3, HOP_ORDER + 1):
+    for order in range(3, SERIES_ORDER + 1):
         rest1 = fma(last, power, rest1)
         power *= tau * _ONE_OVER[order]
         rest = fma(last, power, rest)
@@ -168,10 +167,11 @@ def _after_hop(
 @inlined
 def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
     """gap, gap', q, q' at tau."""
-    q, q1 = motion(p.osc, p.q, p.q1, tau)
     if tau * max(p.osc.rate, 1.0) < SHORT:
-        gap, gap1, _ = _power_series(p, tau)
+        q2, q3, _ = derivatives(p.osc, p.q, p.q1)
+        _, _, gap, gap1, q, q1 = _soon_after(p, q2, q3, tau)
         return gap, gap1, q, q1
+    q, q1 = motion(p.osc, p.q, p.q1, tau)
     sin, cos = sincos(p.phi + tau)
     gap = p.gap + (p.cos - cos) + p.drift * tau - 0.5 * p.gravity * tau * tau
     gap1 = sin + p.drift - p.gravity * tau - 0.5 * q1
@@ -182,15 +182,21 @@ def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
 @inlined
 def flight_terms(p: Flight, tau: float) -> Terms:
     """The gap as a phase function. For short times a power series keeps its digits."""
-    sin, cos = sincos(p.phi + tau)
-    q, q1 = motion(p.osc, p.q, p.q1, tau)
-    q2, q3, q4 = derivatives(p.osc, q, q1)
     if tau * max(p.osc.rate, 1.0) < SHORT:
-        gap, gap1, noise = _power_series(p, tau)
+        q2, q3, q4 = derivatives(p.osc, p.q, p.q1)
+        # the sizes of the first terms; later ones are small against the larger of the last two
+        third, fourth = abs(p.sin) + 0.5 * abs(q3), 1.0 + 0.5 * q4
+        size = abs(p.gap2) + tau * (third * (1.0 / 3.0) + tau * fourth * (1.0 / 12.0))
+        noise = 4.0 * EPS * (abs(p.gap) + tau * (abs(p.gap1) + 0.5 * tau * size))
+        sin, cos, gap, gap1, q, q1 = _soon_after(p, q2, q3, tau)
+        q2, q3, q4 = derivatives(p.osc, q, q1)
         # from gap2, as the series is: the rounding that begin_flight removed must not return here
         gap2 = p.gap2 + (cos - p.cos) - 0.5 * (q2 + 2.0 * p.osc.damping * p.q1 + p.osc.stiffness * p.q)
         gap3, bound = -sin - 0.5 * q3, 1.0 + 0.5 * q4
         return Terms(gap, gap1, gap2, gap3, bound, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, noise)
+    sin, cos = sincos(p.phi + tau)
+    q, q1 = motion(p.osc, p.q, p.q1, tau)
+    q2, q3, q4 = derivatives(p.osc, q, q1)
     fall = 0.5 * p.gravity * tau * tau
     smooth = p.gap + (p.cos - cos) + p.drift * tau - fall
     if tau * p.osc.rate < SHORT:
@@ -213,31 +219,3 @@ def flight_terms(p: Flight, tau: float) -> Terms:
         amplitude=amplitude,
         noise=2.0 * EPS * (abs(p.gap) + 2.0 + abs(p.drift) * tau + fall + size),
     )
-
-
-@inlined
-def _power_series(p: Flight, tau: float) -> tuple[float, float, float]:
-    """gap, gap' and a bound on the gap's rounding error at tau, by the power series about tau = 0."""
-    before = -2.0 * p.osc.damping * p.q1 - p.osc.stiffness * p.q
-    last = -2.0 * p.osc.damping * before - p.osc.stiffness * p.q1
-    plate, plate_next = -p.sin, -p.cos  # third and fourth derivative of -cos(phi)
-    power = 0.5 * tau * tau
-    gap = p.gap + p.gap1 * tau + p.gap2 * power
-    gap1 = p.gap1 + p.gap2 * tau
-    size = abs(p.gap) + abs(p.gap1) * tau + abs(p.gap2) * power
-    size1 = abs(p.gap1) + abs(p.gap2) * tau
-    previous = 0.0
-    for order in range(3, MAX_ORDER + 1):
-        derivative = plate - 0.5 * last
-        gap1 += derivative * power
-        size1 += abs(derivative) * power
-        largest = abs(plate) + 0.5 * abs(last)
-        if order > 3 and (largest + previous) * power <= NEGLIGIBLE * size1:
-            break  # the derivatives that follow are combinations of these two
-        previous = largest
-        power *= tau / order
-        gap += derivative * power
-        size += abs(derivative) * power
-        before, last = last, -2.0 * p.osc.damping * last - p.osc.stiffness * before
-        plate, plate_next = plate_next, -plate
-    return gap, gap1, 4.0 * EPS * size

@@ -199,7 +199,7 @@ def _flight(
     """In flight until the gap falls to zero."""
     p = begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
     if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
-        hop = short_hop(p, 0.0, horizon)
+        hop = short_hop(p, 0.0, horizon, budget)
         if hop.served:
             return land(s, hop.sin, hop.cos, hop.tau, hop.gap1, hop.q, hop.q1, hop.used)
     tau, ending, used = landing(p, 0.0, horizon, budget)

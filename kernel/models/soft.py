@@ -239,7 +239,7 @@ def _flight(
             if (ending != HORIZON and (ending != ROOT or gap <= 0.0)) or gap < 0.0:
                 return Phase(emerged, ending, ending != ROOT, gap, gap1, q, q1, used)
     if p.gap <= 0.0 < p.gap1 and p.gap2 < 0.0:
-        hop = short_hop(p, emerged, horizon)
+        hop = short_hop(p, emerged, horizon, budget - used)
         if hop.served:
             return Phase(hop.tau, ROOT, False, 0.0, hop.gap1, hop.q, hop.q1, used + hop.used)
     tau, ending, more = landing(p, emerged, horizon, budget - used)
