@@ -16,10 +16,10 @@ from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
 #: `_soon_after` sums the power series of q in tau to this order, for tau * rate < SHORT. With |q^(4)| <= b,
-#: |q^(k)| is at most 1.62 b rate^(k-4): what is omitted is below 1.62 b tau^4 0.5**12/16! = 2e-17 b tau^4, a
-#: rounding error of the fourth order's term. In a hop b tau^2 is at most 3 |gap''|, as HOP_VARIATION says, so
-#: that its landing moves by less than 1e-16 of it.
-SERIES_ORDER: Final = 15
+#: |q^(k)| is at most 1.62 b rate^(k-4): what is omitted is below 1.62 b tau^4 0.5**13/17! = 6e-19 b tau^4 of
+#: q and 1e-17 b tau^3 of q', rounding errors of the fourth order's terms. In a hop b tau^2 is at most
+#: 3 |gap''|, as HOP_VARIATION says, so that its end moves by less than 1e-16 of it.
+SERIES_ORDER: Final = 16
 #: Of the order n, at n.
 _ONE_OVER: Final = np.array([math.inf, *(1.0 / n for n in range(1, SERIES_ORDER + 1))])
 
@@ -77,12 +77,13 @@ def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float
 
 
 class Hop(NamedTuple):
-    """The landing of a short hop."""
+    """The end of a short hop."""
 
     served: bool  # whether it was found
     tau: float
     sin: float  # of the plate's phase there
     cos: float
+    gap: float
     gap1: float
     q: float
     q1: float
@@ -90,54 +91,62 @@ class Hop(NamedTuple):
 
 
 @jit
-def short_hop(p: Flight, start: float, horizon: float, budget: int) -> Hop:
-    """The landing of a hop from the plate, or from below it, that is surely over soon: without a sine.
+def short_hop(p: Flight, lead: float, start: float, horizon: float, budget: int) -> Hop:
+    """The end of a hop that is surely over soon: where gap + lead gap', at most zero now, is zero again.
 
-    Where HOP_VARIATION bounds gap'', the gap rises and falls once, so that a zero at which it falls is the
-    first landing. Newton's steps on its polynomial guess it; a power series of the state there and
-    Householder's step end it to rounding. Not served: where gap'' may change too much, where the mass
-    emerges with less than half of its velocity, or where the series is too long.
+    lead = 0 is a landing. Where HOP_VARIATION bounds its second derivative, the function rises and falls
+    once, so that the zero at which it falls is the first. Newton's steps on its polynomial guess it; a power
+    series of the state there and Householder's step end it to rounding, without a sine. Not served: where the
+    second derivative may change too much, where the function leaves zero at less than half of its rate now,
+    or where the series is too long.
     """
     drag, pull = -2.0 * p.osc.damping, -p.osc.stiffness
     q2 = drag * p.q1 + pull * p.q
     q3 = drag * q2 + pull * p.q1
     q4 = drag * q3 + pull * q2
-    press, gap3, bound4 = -p.gap2, -p.sin - 0.5 * q3, 1.0 + 0.5 * math.sqrt(q4 * q4 - pull * q3 * q3)
-    emerging = p.gap1
-    if p.gap < 0.0:
-        emerging = math.sqrt(max(p.gap1 * p.gap1 + 2.0 * press * p.gap, 0.0))  # gap' where the gap is zero
-    width = HOP_SPAN * p.gap1 / press
-    tau = (p.gap1 + emerging) / press  # under a constant gap''
-    varies = width * (abs(gap3) / 3.0 + width * bound4 / 12.0) > HOP_VARIATION * press
-    too_long = width * max(p.osc.rate, 1.0) > SHORT or budget < HOP_EVALUATIONS
-    if varies or 2.0 * emerging < p.gap1 or too_long:
-        return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
     q5 = drag * q4 + pull * q3
+    gap3, gap4, gap5 = -p.sin - 0.5 * q3, -p.cos - 0.5 * q4, p.sin - 0.5 * q5
+    f0, f1, f2, f3 = p.gap + lead * p.gap1, p.gap1 + lead * p.gap2, p.gap2 + lead * gap3, gap3 + lead * gap4
+    bound4 = math.sqrt(q4 * q4 - pull * q3 * q3) + lead * math.sqrt(q5 * q5 - pull * q4 * q4)
+    bound4 = 1.0 + lead + 0.5 * bound4
+    leaving = f1  # the rate at which the function leaves zero
+    if f0 < 0.0:
+        leaving = math.sqrt(max(f1 * f1 - 2.0 * f2 * f0, 0.0))
+    width = HOP_SPAN * f1 / -f2
+    varies = width * (abs(f3) * (1.0 / 3.0) + width * bound4 * (1.0 / 12.0)) > HOP_VARIATION * -f2
+    too_long = width * max(p.osc.rate, 1.0) > SHORT or budget < HOP_EVALUATIONS
+    if not (f1 > 0.0 > f2) or varies or 2.0 * leaving < f1 or too_long:
+        return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
     q6 = drag * q5 + pull * q4
-    c2, c3, c4 = 0.5 * p.gap2, gap3 / 6.0, (-p.cos - 0.5 * q4) / 24.0
-    c5, c6 = (p.sin - 0.5 * q5) / 120.0, (p.cos - 0.5 * q6) / 720.0
+    gap6, gap7 = p.cos - 0.5 * q6, -p.sin - 0.5 * (drag * q6 + pull * q5)
+    c2, c3, c4 = 0.5 * f2, f3 * (1.0 / 6.0), (gap4 + lead * gap5) * (1.0 / 24.0)
+    c5, c6 = (gap5 + lead * gap6) * (1.0 / 120.0), (gap6 + lead * gap7) * (1.0 / 720.0)
+    tau = (f1 + leaving) / -f2  # under a constant second derivative
     for _ in range(HOP_GUESSES):
         high, high1 = fma(fma(c6, tau, c5), tau, c4), fma(fma(6.0 * c6, tau, 5.0 * c5), tau, 4.0 * c4)
-        gap = fma(fma(fma(fma(high, tau, c3), tau, c2), tau, p.gap1), tau, p.gap)
-        tau -= gap / fma(fma(fma(high1, tau, 3.0 * c3), tau, 2.0 * c2), tau, p.gap1)
+        value = fma(fma(fma(fma(high, tau, c3), tau, c2), tau, f1), tau, f0)
+        tau -= value / fma(fma(fma(high1, tau, 3.0 * c3), tau, 2.0 * c2), tau, f1)
     for used in range(1, HOP_EVALUATIONS + 1):
         sin, cos, gap, gap1, q, q1 = _soon_after(p, q2, q3, tau)
         second = drag * q1 + pull * q
         third = drag * second + pull * q1
         fourth = drag * third + pull * second
         gap2, gap3, gap4 = cos - p.gravity - 0.5 * second, -sin - 0.5 * third, -cos - 0.5 * fourth
-        step, error = householder(gap, gap1, gap2, gap3, bound4)
+        falling = gap1 + lead * gap2
+        step, error = householder(gap + lead * gap1, falling, gap2 + lead * gap3, gap3 + lead * gap4, bound4)
         tau += step
         if error <= EPS * tau:
             # by Taylor series in the step, which is below first_root.NEAR, so that the rest is rounding
-            gap1 += step * (gap2 + 0.5 * step * (gap3 + step * (1.0 / 3.0) * gap4))
-            q += step * (q1 + 0.5 * step * (second + step * (1.0 / 3.0) * (third + 0.25 * step * fourth)))
-            q1 += step * (second + 0.5 * step * (third + step * (1.0 / 3.0) * fourth))
-            sine, versine = step * (1.0 - step * step * (1.0 / 6.0)), 0.5 * step * step
+            half, third_of = 0.5 * step, step * (1.0 / 3.0)
+            gap += step * (gap1 + half * (gap2 + third_of * (gap3 + 0.25 * step * gap4)))
+            gap1 += step * (gap2 + half * (gap3 + third_of * gap4))
+            q += step * (q1 + half * (second + third_of * (third + 0.25 * step * fourth)))
+            q1 += step * (second + half * (third + third_of * fourth))
+            sine, versine = step * (1.0 - step * step * (1.0 / 6.0)), half * step
             sin, cos = sin + cos * sine - sin * versine, cos - sin * sine - cos * versine
-            served = start < tau < min(width, horizon) and gap1 < 0.0
-            return Hop(served, tau, sin, cos, gap1, q, q1, used)
-    return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, HOP_EVALUATIONS)
+            served = start < tau < min(width, horizon) and falling < 0.0
+            return Hop(served, tau, sin, cos, gap, gap1, q, q1, used)
+    return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, HOP_EVALUATIONS)
 
 
 @inlined

@@ -55,6 +55,7 @@ GROW: Final = 2.0  # after an evaluation the next width is the step times this i
 KEEP: Final = 1.5  # ... and times this if not, as in `first_root.safe_step`
 SHORT_FLIGHT: Final = 0.05  # rad; the scalar functions compute shorter flights: here the gap cancels to 1e-4
 SHORT_START: Final = 1e-4  # rad; and those with a shorter first safe step, where the gap is near rounding
+LONGEST_CONTACT: Final = 4.0 * math.pi  # rad; the scalar functions know when a longer one never ends
 LARGEST_ANGLE: Final = 1e5  # rad up to which `sincos_small` is exact; a mode must have decayed before
 
 #: A lane's status after `advance`.

@@ -199,7 +199,7 @@ def _flight(
     """In flight until the gap falls to zero."""
     p = begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
     if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
-        hop = short_hop(p, 0.0, horizon, budget)
+        hop = short_hop(p, 0.0, 0.0, horizon, budget)
         if hop.served:
             return land(s, hop.sin, hop.cos, hop.tau, hop.gap1, hop.q, hop.q1, hop.used)
     tau, ending, used = landing(p, 0.0, horizon, budget)
@@ -229,10 +229,12 @@ def _chatter_ends(s: Spring, sin: float, cos: float, hop: float, q: float, q1: f
     """Whether the chatter that begins with `hop` may be summed, n being that of a mass that sticks."""
     h, h1 = _free(s, sin, cos, q, q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
+    n, rate = normal_force(s, cos, q, q1), h3 + s.n_re * sin + s.n_im * cos
+    if not chatter_completes(hop, n, rate, 0.0, s.restitution):  # which needs no bound to be told
+        return False
     h4, h5, _ = derivatives(s.stuck, h2, h3)
-    rate = h3 + s.n_re * sin + s.n_im * cos
     bound = abs(s.n_re) + abs(s.n_im) + envelope(s.stuck, h4, h5)
-    return chatter_completes(hop, normal_force(s, cos, q, q1), rate, bound, s.restitution)
+    return chatter_completes(hop, n, rate, bound, s.restitution)
 
 
 # --- in lanes ----------------------------------------------------------------------------------------------
@@ -252,10 +254,9 @@ def _load_contact(
     """Put a contact into lane k, unless it never ends, which `rigid` knows in closed form."""
     h, h1 = _free(s, sin, cos, run.q, run.q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
-    decayed = decay_time(s.stuck, h2, h3, s.margin)
-    if decayed == 0.0:
+    if envelope(s.stuck, h2, h3) < s.margin:
         return False
-    lanes.load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, decayed))
+    lanes.load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, lanes.LONGEST_CONTACT))
     lanes.coefficients(table, k, -s.stiffness, -s.dashpot, s.mean_force, 0.0, 0.0, -s.n_re, s.n_im)
     return True
 
