@@ -114,7 +114,7 @@ def horizon_of(run: Progress) -> float:
     return TWO_PI * (run.end - run.period) - run.phase
 
 
-@inlined
+@jit
 def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int) -> Progress:
     """The run after the contact or flight `p`; adds a flight that lies inside the window to `flights`.
 

@@ -85,7 +85,7 @@ ROWS: Final = 33
 @inlined
 def index_of(k: int) -> int:
     """k, surely not negative: numba makes an index that might be safe at each access."""
-    return np.int64(np.uint32(k))
+    return np.int64(np.uint32(k))  # type: ignore[return-value]
 
 
 @inlined

@@ -337,7 +337,7 @@ def _load(s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: flo
 
 
 @interface.unload_lane.register(SoftSpring)
-@inlined
+@jit
 def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, float, float]:
     """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
     tau, ending, used = lanes.search_end(table, k)
