@@ -114,7 +114,7 @@ def horizon_of(run: Progress) -> float:
     return TWO_PI * (run.end - run.period) - run.phase
 
 
-@inlined
+@jit
 def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int) -> Progress:
     """The run after the contact or flight `p`; adds a flight that lies inside the window to `flights`.
 
@@ -321,7 +321,7 @@ def _counted(
 
 def allocate_flights(keep: int, lanes: int) -> Flights:
     """Ring buffers for `lanes` cells at a time, of which `keep` flights are stored."""
-    size = max(keep, KEPT_FLIGHTS)
+    size = max(1 << (keep - 1).bit_length(), KEPT_FLIGHTS)
     n = lanes * size
     return Flights(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64), size, keep)
 

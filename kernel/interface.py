@@ -3,9 +3,9 @@
 A model has a *plate*, the contact under each cell of a line, and a *cell*, the constants of one cell. Its
 module has a function `plate`, which makes the former from checked arrays (n,), and registers the functions
 below. A state is (gap, gap', q, q'): the lower mass above the plate and the elongation, in plate
-amplitudes, with their velocities per rad; phi is the plate's phase in rad. Times are in rad from the start
-of a contact or flight; a horizon is the time at which it is cut off, a budget the number of evaluations of
-a phase function it may use.
+amplitudes, with their velocities per rad; phi is the plate's phase in rad, sin and cos are of it. Times are
+in rad from the start of a contact or flight; a horizon is the time at which it is cut off, a budget the
+number of evaluations of a phase function it may use.
 """
 
 from typing import Any
@@ -31,14 +31,32 @@ def flies(cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float) -
 
 @by_type
 def contact(  # type: ignore[empty-body]
-    cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
+    cell: Any,
+    phi: float,
+    sin: float,
+    cos: float,
+    gap: float,
+    gap1: float,
+    q: float,
+    q1: float,
+    horizon: float,
+    budget: int,
 ) -> Phase:
     """The contact that begins with this state, to its take-off or to the horizon."""
 
 
 @by_type
 def flight(  # type: ignore[empty-body]
-    cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
+    cell: Any,
+    phi: float,
+    sin: float,
+    cos: float,
+    gap: float,
+    gap1: float,
+    q: float,
+    q1: float,
+    horizon: float,
+    budget: int,
 ) -> Phase:
     """The flight that begins with this state, to after its landing or to the horizon."""
 

@@ -18,7 +18,7 @@ from kernel.cell import CACHE_SIZE, RUN_FIELDS, Progress, Window
 from kernel.exponents import Variations
 from kernel.interface import advance_lanes, contact, flight, load_lane, prepare, replay, unload_lane
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
-from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU
+from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU, index_of
 from kernel.modes import Flights
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT, Phase
@@ -94,16 +94,16 @@ def _ended(table: Any, k: int, run: Progress) -> bool:
 
 
 @inlined
-def _scalar_phase(spring: Any, run: Progress) -> Phase:
+def _scalar_phase(spring: Any, run: Progress, sin: float, cos: float) -> Phase:
     """The run's next phase by the scalar functions; one of no length if it has ended."""
     if run.ending != ROOT:
         return Phase(0.0, run.ending, run.in_flight, run.gap, run.gap1, run.q, run.q1, 0)
     horizon = cell.horizon_of(run)
     p: Phase
     if run.in_flight:
-        p = flight(spring, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+        p = flight(spring, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
     else:
-        p = contact(spring, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+        p = contact(spring, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
     return p
 
 
@@ -158,13 +158,15 @@ def _walk(
     lines = len(gamma) // length
     used = 1 if table is None else lanes_used(lines)
     while counts[1] < len(gamma) and steps > 0:
-        for k in range(used):
+        for lane in range(used):
+            k = index_of(lane)
             if (index[k] < 0 and counts[0] == lines) or (index[k] >= 0 and _searching(table, k)):
                 continue
             run, first = runs[k], k * flights.size
+            exact, sin, cos = False, 0.0, 1.0  # whether these are sincos(run.phase), to the last digit
             while steps > 0 and (index[k] < 0 or not _searching(table, k)):
                 steps -= 1
-                i, known, sin, cos = index[k], False, 0.0, 1.0
+                i, known = index[k], False
                 ends = i < 0
                 if not ends:
                     before = run
@@ -174,7 +176,9 @@ def _walk(
                     else:
                         if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
                             run = replay(springs[k], run, window, flights, lanes.cache)
-                        p = _scalar_phase(springs[k], run)
+                        if not exact:
+                            sin, cos = sincos(run.phase)
+                        p = _scalar_phase(springs[k], run, sin, cos)
                     if variations is not None and not lanes.followed[k]:
                         lyapunov.carry_run(springs[k], before, run, p, window, variations)
                     started = run
@@ -201,6 +205,7 @@ def _walk(
                     run = cell.begin(springs[k], i, length, gamma, omega, states, run, state, window)
                     if variations is not None:
                         lyapunov.start_variations(variations)
+                exact = table is not None and not known
                 if table is not None:
                     if not known:
                         sin, cos = sincos(run.phase)

@@ -51,14 +51,14 @@ class Flights(NamedTuple):
     time: Any  # float64, rad
     phase: Any  # float64, rad modulo 2 pi, at take-off
     period: Any  # int64, plate periods since the cell began, at take-off
-    size: int
+    size: int  # a power of two
     stored: int  # of which are stored with the cell
 
 
 @inlined
 def slot(flights: Flights, first: int, n: int) -> int:
     """Where the n-th flight of a lane is whose ring buffer begins at `first`."""
-    return first + n % flights.size
+    return first + (n & (flights.size - 1))
 
 
 @jit

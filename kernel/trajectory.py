@@ -50,7 +50,9 @@ class _Point(NamedTuple):
     def until(self, spring: Any, time: float, budget: int) -> Phase:
         """The contact or flight that begins here, cut off at this phase of the plate."""
         run = flight if self.in_flight else contact
-        phase: Phase = run(spring, self.phase, *self.state, max(time - self.at, 0.0), budget)
+        phase: Phase = run(
+            spring, self.phase, *sincos(self.phase), *self.state, max(time - self.at, 0.0), budget
+        )
         return phase
 
     def after(self, p: Phase) -> "_Point":

@@ -92,13 +92,13 @@ def _flies(b: Ball, phi: float, gap: float, gap1: float, q: float, q1: float) ->
 @contact.register(Ball)
 @jit
 def _contact(
-    b: Ball, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    b: Ball, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """With gap' > 0 the rest of the chatter, which ends in a contact; else resting until take-off."""
     if budget <= 0:
         return Phase(0.0, BUDGET_EXHAUSTED, False, 0.0, gap1, 0.0, 0.0, 0)
     if gap1 > 0.0:
-        sin, cos = sincos(phi)
         end = chatter_time(gap1, b.gravity - cos, sin, b.restitution)
         if end >= horizon:  # in a geometric series the hop velocity falls linearly in time
             return Phase(horizon, HORIZON, False, 0.0, gap1 * (1.0 - horizon / end), 0.0, 0.0, 1)
@@ -112,8 +112,9 @@ def _contact(
 @flight.register(Ball)
 @jit
 def _flight(
-    b: Ball, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    b: Ball, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """In flight until landing, then the impact."""
     if budget <= 0:
         return Phase(0.0, BUDGET_EXHAUSTED, True, gap, gap1, 0.0, 0.0, 0)
@@ -141,10 +142,11 @@ def _fill_cache(b: Ball, phi: float, budget: int, cache: Any) -> None:
     """Cache the phases from the take-off from rest at phi to the next one, or the first CACHED_PHASES."""
     flying, hop = True, 0.0
     for k in range(CACHED_PHASES):
+        sin, cos = sincos(phi)
         if flying:
-            p = _flight(b, phi, 0.0, hop, 0.0, 0.0, math.inf, budget)
+            p = _flight(b, phi, sin, cos, 0.0, hop, 0.0, 0.0, math.inf, budget)
         else:
-            p = _contact(b, phi, 0.0, hop, 0.0, 0.0, math.inf, budget)
+            p = _contact(b, phi, sin, cos, 0.0, hop, 0.0, 0.0, math.inf, budget)
         if p.ending != ROOT:
             return
         at = FIRST + WIDTH * k

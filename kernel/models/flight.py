@@ -7,16 +7,24 @@ contact. Lengths in plate amplitudes, times and phases in rad.
 import math
 from typing import Final, NamedTuple
 
-from kernel.numerics.elementary import sincos
-from kernel.numerics.first_root import EPS, ROOT, Terms, departure_step, first_root, polish, terms
+import numpy as np
+
+from kernel.models.free_fall import remainders
+from kernel.numerics.elementary import fma, sincos
+from kernel.numerics.first_root import EPS, Terms, departure_step, first_root, householder, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
-NEGLIGIBLE: Final = 1e-19  # part of their sum below which terms of the power series are omitted: EPS/1000
-MAX_ORDER: Final = 16  # of that series; its terms for tau * rate < 0.5 are of the order 0.5**16/16! = 7e-19
+#: `_soon_after` sums the power series of q in tau to this order, for tau * rate < SHORT. With |q^(4)| <= b,
+#: |q^(k)| is at most 1.62 b rate^(k-4): what is omitted is below 1.62 b tau^4 0.5**13/17! = 6e-19 b tau^4 of
+#: q and 1e-17 b tau^3 of q', rounding errors of the fourth order's terms. In a hop b tau^2 is at most
+#: 3 |gap''|, as HOP_VARIATION says, so that its end moves by less than 1e-16 of it.
+SERIES_ORDER: Final = 16
+#: Of the order n, at n.
+_ONE_OVER: Final = np.array([math.inf, *(1.0 / n for n in range(1, SERIES_ORDER + 1))])
 
-#: Evaluations for the landing of a hop before the general search takes over. Two or three are usual.
-HOP_EVALUATIONS: Final = 20
+HOP_EVALUATIONS: Final = 2  # of the series; one is usual
+HOP_GUESSES: Final = 2  # Newton's steps on the polynomial of degree 6
 
 HOP_SPAN: Final = 2.5  # times gap'/|gap''|, in which a landing is sought; twice under a constant gap''
 
@@ -44,10 +52,10 @@ class Flight(NamedTuple):
 
 @inlined
 def begin_flight(
-    osc: Oscillator, gravity: float, phi: float, gap: float, gap1: float, q: float, q1: float
-) -> Flight:
+    osc: Oscillator, gravity: float, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float,
+    q1: float,
+) -> Flight:  # fmt: skip
     """The flight from this state, with gravity = 1/Gamma and `osc` the elongation's oscillator in flight."""
-    sin, cos = sincos(phi)
     gap2 = cos - gravity + osc.damping * q1 + 0.5 * osc.stiffness * q
     if gap == 0.0 and gap1 == 0.0 and gap2 < 0.0:
         gap2 = 0.0  # a take-off is where n = 0; a negative value is rounding
@@ -65,42 +73,114 @@ def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float
             q4, _, _ = derivatives(p.osc, q2, q3)
             _, _, bound5 = derivatives(p.osc, p.q1, q2)
             start = departure_step(gap3, -p.cos - 0.5 * q4, 1.0 + 0.5 * bound5)
-    if p.gap <= 0.0 < p.gap1 and p.gap2 < 0.0:
-        width, guess = _hop_bracket(p)
-        if width < horizon and start < guess < width:
-            tau, ending, used = polish(p, start, width, guess, min(budget, HOP_EVALUATIONS))
-            if ending == ROOT:
-                return tau, ending, used
     return first_root(p, start, horizon, budget)
 
 
-@jit
-def _hop_bracket(p: Flight) -> tuple[float, float]:
-    """A time by which a short hop has surely landed, having risen and fallen once, and a guess of when.
+class Hop(NamedTuple):
+    """The end of a short hop."""
 
-    (0, 0) where that is not sure: where gap'' may change too much, or where the mass, starting below the
-    plate, emerges with less than half of its velocity.
+    served: bool  # whether it was found
+    tau: float
+    sin: float  # of the plate's phase there
+    cos: float
+    gap: float
+    gap1: float
+    q: float
+    q1: float
+    used: int  # evaluations
+
+
+@jit
+def short_hop(p: Flight, lead: float, start: float, horizon: float, budget: int) -> Hop:
+    """The end of a hop that is surely over soon: where gap + lead gap', at most zero now, is zero again.
+
+    lead = 0 is a landing. Where HOP_VARIATION bounds its second derivative, the function rises and falls
+    once, so that the zero at which it falls is the first. Newton's steps on its polynomial guess it; a power
+    series of the state there and Householder's step end it to rounding, without a sine. Not served: where the
+    second derivative may change too much, where the function leaves zero at less than half of its rate now,
+    or where the series is too long.
     """
-    _, q3, bound4 = derivatives(p.osc, p.q, p.q1)
-    press, gap3, gap4 = -p.gap2, -p.sin - 0.5 * q3, 1.0 + 0.5 * bound4
-    width = HOP_SPAN * p.gap1 / press
-    emerging = math.sqrt(max(p.gap1 * p.gap1 + 2.0 * press * p.gap, 0.0))  # gap' where the gap is zero
-    varies = width * (abs(gap3) / 3.0 + width * gap4 / 12.0) > HOP_VARIATION * press
-    if varies or 2.0 * emerging < p.gap1:
-        return 0.0, 0.0
-    # the landing under a constant gap'', corrected by Newton's step for the cubic term
-    guess = (p.gap1 + emerging) / press
-    cubic = 0.5 * gap3 * guess * guess
-    return width, guess + guess * cubic / (3.0 * (emerging - cubic))
+    drag, pull = -2.0 * p.osc.damping, -p.osc.stiffness
+    q2 = drag * p.q1 + pull * p.q
+    q3 = drag * q2 + pull * p.q1
+    q4 = drag * q3 + pull * q2
+    q5 = drag * q4 + pull * q3
+    gap3, gap4, gap5 = -p.sin - 0.5 * q3, -p.cos - 0.5 * q4, p.sin - 0.5 * q5
+    f0, f1, f2, f3 = p.gap + lead * p.gap1, p.gap1 + lead * p.gap2, p.gap2 + lead * gap3, gap3 + lead * gap4
+    bound4 = math.sqrt(q4 * q4 - pull * q3 * q3) + lead * math.sqrt(q5 * q5 - pull * q4 * q4)
+    bound4 = 1.0 + lead + 0.5 * bound4
+    leaving = f1  # the rate at which the function leaves zero
+    if f0 < 0.0:
+        leaving = math.sqrt(max(f1 * f1 - 2.0 * f2 * f0, 0.0))
+    width = HOP_SPAN * f1 / -f2
+    varies = width * (abs(f3) * (1.0 / 3.0) + width * bound4 * (1.0 / 12.0)) > HOP_VARIATION * -f2
+    too_long = width * max(p.osc.rate, 1.0) > SHORT or budget < HOP_EVALUATIONS
+    if not (f1 > 0.0 > f2) or varies or 2.0 * leaving < f1 or too_long:
+        return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+    q6 = drag * q5 + pull * q4
+    gap6, gap7 = p.cos - 0.5 * q6, -p.sin - 0.5 * (drag * q6 + pull * q5)
+    c2, c3, c4 = 0.5 * f2, f3 * (1.0 / 6.0), (gap4 + lead * gap5) * (1.0 / 24.0)
+    c5, c6 = (gap5 + lead * gap6) * (1.0 / 120.0), (gap6 + lead * gap7) * (1.0 / 720.0)
+    tau = (f1 + leaving) / -f2  # under a constant second derivative
+    for _ in range(HOP_GUESSES):
+        high, high1 = fma(fma(c6, tau, c5), tau, c4), fma(fma(6.0 * c6, tau, 5.0 * c5), tau, 4.0 * c4)
+        value = fma(fma(fma(fma(high, tau, c3), tau, c2), tau, f1), tau, f0)
+        tau -= value / fma(fma(fma(high1, tau, 3.0 * c3), tau, 2.0 * c2), tau, f1)
+    for used in range(1, HOP_EVALUATIONS + 1):
+        sin, cos, gap, gap1, q, q1 = _soon_after(p, q2, q3, tau)
+        second = drag * q1 + pull * q
+        third = drag * second + pull * q1
+        fourth = drag * third + pull * second
+        gap2, gap3, gap4 = cos - p.gravity - 0.5 * second, -sin - 0.5 * third, -cos - 0.5 * fourth
+        falling = gap1 + lead * gap2
+        step, error = householder(gap + lead * gap1, falling, gap2 + lead * gap3, gap3 + lead * gap4, bound4)
+        tau += step
+        if error <= EPS * tau:
+            # by Taylor series in the step, which is below first_root.NEAR, so that the rest is rounding
+            half, third_of = 0.5 * step, step * (1.0 / 3.0)
+            gap += step * (gap1 + half * (gap2 + third_of * (gap3 + 0.25 * step * gap4)))
+            gap1 += step * (gap2 + half * (gap3 + third_of * gap4))
+            q += step * (q1 + half * (second + third_of * (third + 0.25 * step * fourth)))
+            q1 += step * (second + half * (third + third_of * fourth))
+            sine, versine = step * (1.0 - step * step * (1.0 / 6.0)), half * step
+            sin, cos = sin + cos * sine - sin * versine, cos - sin * sine - cos * versine
+            served = start < tau < min(width, horizon) and falling < 0.0
+            return Hop(served, tau, sin, cos, gap, gap1, q, q1, used)
+    return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, HOP_EVALUATIONS)
+
+
+@inlined
+def _soon_after(
+    p: Flight, q2: float, q3: float, tau: float
+) -> tuple[float, float, float, float, float, float]:
+    """sin and cos of the plate's phase, gap, gap', q and q' at tau by power series, from q'' and q'''."""
+    drag, pull = -2.0 * p.osc.damping, -p.osc.stiffness
+    odd, even = remainders(tau)
+    half = 0.5 * tau * tau
+    sine, versine = tau - odd, half - even
+    # q and q' without the terms that gap'' has
+    before, last, power = q2, q3, half
+    rest, rest1 = 0.0, 0.0
+    for order in range(3, SERIES_ORDER + 1):
+        rest1 = fma(last, power, rest1)
+        power *= tau * _ONE_OVER[order]
+        rest = fma(last, power, rest)
+        before, last = last, fma(drag, last, pull * before)
+    gap = p.gap + tau * p.gap1 + half * p.gap2 - (p.sin * odd + p.cos * even + 0.5 * rest)
+    gap1 = p.gap1 + tau * p.gap2 - (p.sin * versine + p.cos * odd + 0.5 * rest1)
+    q, q1 = p.q + (tau * p.q1 + half * q2 + rest), p.q1 + (tau * q2 + rest1)
+    sin, cos = p.sin + (p.cos * sine - p.sin * versine), p.cos - (p.sin * sine + p.cos * versine)
+    return sin, cos, gap, gap1, q, q1
 
 
 @inlined
 def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
     """gap, gap', q, q' at tau."""
-    q, q1 = motion(p.osc, p.q, p.q1, tau)
     if tau * max(p.osc.rate, 1.0) < SHORT:
-        gap, gap1, _ = _power_series(p, tau)
+        q2, q3, _ = derivatives(p.osc, p.q, p.q1)
+        _, _, gap, gap1, q, q1 = _soon_after(p, q2, q3, tau)
         return gap, gap1, q, q1
+    q, q1 = motion(p.osc, p.q, p.q1, tau)
     sin, cos = sincos(p.phi + tau)
     gap = p.gap + (p.cos - cos) + p.drift * tau - 0.5 * p.gravity * tau * tau
     gap1 = sin + p.drift - p.gravity * tau - 0.5 * q1
@@ -111,15 +191,21 @@ def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
 @inlined
 def flight_terms(p: Flight, tau: float) -> Terms:
     """The gap as a phase function. For short times a power series keeps its digits."""
-    sin, cos = sincos(p.phi + tau)
-    q, q1 = motion(p.osc, p.q, p.q1, tau)
-    q2, q3, q4 = derivatives(p.osc, q, q1)
     if tau * max(p.osc.rate, 1.0) < SHORT:
-        gap, gap1, noise = _power_series(p, tau)
+        q2, q3, q4 = derivatives(p.osc, p.q, p.q1)
+        # the sizes of the first terms; later ones are small against the larger of the last two
+        third, fourth = abs(p.sin) + 0.5 * abs(q3), 1.0 + 0.5 * q4
+        size = abs(p.gap2) + tau * (third * (1.0 / 3.0) + tau * fourth * (1.0 / 12.0))
+        noise = 4.0 * EPS * (abs(p.gap) + tau * (abs(p.gap1) + 0.5 * tau * size))
+        sin, cos, gap, gap1, q, q1 = _soon_after(p, q2, q3, tau)
+        q2, q3, q4 = derivatives(p.osc, q, q1)
         # from gap2, as the series is: the rounding that begin_flight removed must not return here
         gap2 = p.gap2 + (cos - p.cos) - 0.5 * (q2 + 2.0 * p.osc.damping * p.q1 + p.osc.stiffness * p.q)
         gap3, bound = -sin - 0.5 * q3, 1.0 + 0.5 * q4
         return Terms(gap, gap1, gap2, gap3, bound, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, noise)
+    sin, cos = sincos(p.phi + tau)
+    q, q1 = motion(p.osc, p.q, p.q1, tau)
+    q2, q3, q4 = derivatives(p.osc, q, q1)
     fall = 0.5 * p.gravity * tau * tau
     smooth = p.gap + (p.cos - cos) + p.drift * tau - fall
     if tau * p.osc.rate < SHORT:
@@ -142,31 +228,3 @@ def flight_terms(p: Flight, tau: float) -> Terms:
         amplitude=amplitude,
         noise=2.0 * EPS * (abs(p.gap) + 2.0 + abs(p.drift) * tau + fall + size),
     )
-
-
-@inlined
-def _power_series(p: Flight, tau: float) -> tuple[float, float, float]:
-    """gap, gap' and a bound on the gap's rounding error at tau, by the power series about tau = 0."""
-    before = -2.0 * p.osc.damping * p.q1 - p.osc.stiffness * p.q
-    last = -2.0 * p.osc.damping * before - p.osc.stiffness * p.q1
-    plate, plate_next = -p.sin, -p.cos  # third and fourth derivative of -cos(phi)
-    power = 0.5 * tau * tau
-    gap = p.gap + p.gap1 * tau + p.gap2 * power
-    gap1 = p.gap1 + p.gap2 * tau
-    size = abs(p.gap) + abs(p.gap1) * tau + abs(p.gap2) * power
-    size1 = abs(p.gap1) + abs(p.gap2) * tau
-    previous = 0.0
-    for order in range(3, MAX_ORDER + 1):
-        derivative = plate - 0.5 * last
-        gap1 += derivative * power
-        size1 += abs(derivative) * power
-        largest = abs(plate) + 0.5 * abs(last)
-        if order > 3 and (largest + previous) * power <= NEGLIGIBLE * size1:
-            break  # the derivatives that follow are combinations of these two
-        previous = largest
-        power *= tau / order
-        gap += derivative * power
-        size += abs(derivative) * power
-        before, last = last, -2.0 * p.osc.damping * last - p.osc.stiffness * before
-        plate, plate_next = plate_next, -plate
-    return gap, gap1, 4.0 * EPS * size

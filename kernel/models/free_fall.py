@@ -75,7 +75,7 @@ def drop(gravity: float, phi_lift: float, sin_lift: float, phi: float, gap: floa
 
 
 @jit
-def _remainders(tau: float) -> tuple[float, float]:
+def remainders(tau: float) -> tuple[float, float]:
     """tau - sin(tau) and tau^2/2 - 1 + cos(tau) for |tau| < SHORT, by their power series."""
     t = tau * tau
     odd = 1.0 / 39916800.0 - t / 6227020800.0
@@ -89,7 +89,7 @@ def _remainders(tau: float) -> tuple[float, float]:
 def state_after(p: Drop, tau: float) -> tuple[float, float, float, float]:
     """gap, gap', gap'', gap''' at tau (rad), which may be negative if |tau| < SHORT."""
     if abs(tau) < SHORT:
-        odd, even = _remainders(tau)
+        odd, even = remainders(tau)
         half = 0.5 * tau * tau
         sin, versine = tau - odd, half - even  # sin(tau) and 1 - cos(tau)
         gap = p.gap + tau * p.gap1 + half * p.gap2 - p.sin * odd - p.cos * even

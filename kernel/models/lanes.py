@@ -25,6 +25,8 @@ evaluation, with the width carried on; Householder's steps without a bracket, an
 import math
 from typing import Any, Final
 
+import numpy as np
+
 from kernel.numerics import first_root
 from kernel.numerics.elementary import (
     HYPERBOLIC_LIMIT,
@@ -53,6 +55,7 @@ GROW: Final = 2.0  # after an evaluation the next width is the step times this i
 KEEP: Final = 1.5  # ... and times this if not, as in `first_root.safe_step`
 SHORT_FLIGHT: Final = 0.05  # rad; the scalar functions compute shorter flights: here the gap cancels to 1e-4
 SHORT_START: Final = 1e-4  # rad; and those with a shorter first safe step, where the gap is near rounding
+LONGEST_CONTACT: Final = 4.0 * math.pi  # rad; the scalar functions know when a longer one never ends
 LARGEST_ANGLE: Final = 1e5  # rad up to which `sincos_small` is exact; a mode must have decayed before
 
 #: A lane's status after `advance`.
@@ -77,6 +80,12 @@ FALLBACK: Final = 3.0  # MAX_EVALUATIONS were made, or a number is not finite
 WIDE: Final = 28
 OWN: Final = 29
 ROWS: Final = 33
+
+
+@inlined
+def index_of(k: int) -> int:
+    """k, surely not negative: numba makes an index that might be safe at each access."""
+    return np.int64(np.uint32(k))  # type: ignore[return-value]
 
 
 @inlined

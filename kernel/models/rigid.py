@@ -17,7 +17,7 @@ from kernel import interface
 from kernel.cell import Progress
 from kernel.models import lanes
 from kernel.models.contact_law import chatter_completes
-from kernel.models.flight import begin_flight, landing, state_after
+from kernel.models.flight import begin_flight, landing, short_hop, state_after
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
@@ -58,6 +58,7 @@ class Spring(NamedTuple):
     mean_force: float  # 2/Gamma
     n_re: float  # the driven normal force is mean_force - Re(N e^{i phi}), |N| = 2/Gamma_th
     n_im: float
+    margin: float  # mean_force - |N|: what the free part must bring up for a take-off, if positive
 
 
 class Stuck(NamedTuple):
@@ -81,6 +82,8 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
     re, im = driven - 1.0, dashpot
     size = hypot(re, im)
     q_re, q_im = re / size / size, -im / size / size
+    mean_force = (1.0 + stiffness / driven) / gamma
+    n_re, n_im = 1.0 + stiffness * q_re - dashpot * q_im, stiffness * q_im + dashpot * q_re
     return Spring(
         gravity=1.0 / gamma,
         dashpot=dashpot,
@@ -91,9 +94,10 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
         static_elongation=-1.0 / (gamma * driven),
         q_re=q_re,
         q_im=q_im,
-        mean_force=(1.0 + stiffness / driven) / gamma,
-        n_re=1.0 + stiffness * q_re - dashpot * q_im,
-        n_im=stiffness * q_im + dashpot * q_re,
+        mean_force=mean_force,
+        n_re=n_re,
+        n_im=n_im,
+        margin=mean_force - hypot(n_re, n_im),
     )
 
 
@@ -170,14 +174,14 @@ def _stuck_until(
 @interface.contact.register(Spring)
 @jit
 def _contact(
-    s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    s: Spring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """Stuck until n falls to zero. The search ends once its free part is too small to bring it there."""
-    sin, cos = sincos(phi)
     h, h1 = _free(s, sin, cos, q, q1)
     h2, _, _ = derivatives(s.stuck, h, h1)
     ring, ring1 = -s.dashpot * h1 - s.stiffness * h, -s.dashpot * h2 - s.stiffness * h1
-    decayed = decay_time(s.stuck, ring, ring1, s.mean_force - hypot(s.n_re, s.n_im))
+    decayed = decay_time(s.stuck, ring, ring1, s.margin)
     tau, ending, used = first_root(Stuck(s, phi, ring, ring1), 0.0, min(horizon, decayed), budget)
     if ending == HORIZON:
         tau = horizon
@@ -189,10 +193,15 @@ def _contact(
 @interface.flight.register(Spring)
 @inlined
 def _flight(
-    s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    s: Spring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """In flight until the gap falls to zero."""
-    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    p = begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
+    if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
+        hop = short_hop(p, 0.0, 0.0, horizon, budget)
+        if hop.served:
+            return land(s, hop.sin, hop.cos, hop.tau, hop.gap1, hop.q, hop.q1, hop.used)
     tau, ending, used = landing(p, 0.0, horizon, budget)
     gap, gap1, q, q1 = state_after(p, tau)
     if ending != ROOT:
@@ -220,10 +229,12 @@ def _chatter_ends(s: Spring, sin: float, cos: float, hop: float, q: float, q1: f
     """Whether the chatter that begins with `hop` may be summed, n being that of a mass that sticks."""
     h, h1 = _free(s, sin, cos, q, q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
+    n, rate = normal_force(s, cos, q, q1), h3 + s.n_re * sin + s.n_im * cos
+    if not chatter_completes(hop, n, rate, 0.0, s.restitution):  # which needs no bound to be told
+        return False
     h4, h5, _ = derivatives(s.stuck, h2, h3)
-    rate = h3 + s.n_re * sin + s.n_im * cos
     bound = abs(s.n_re) + abs(s.n_im) + envelope(s.stuck, h4, h5)
-    return chatter_completes(hop, normal_force(s, cos, q, q1), rate, bound, s.restitution)
+    return chatter_completes(hop, n, rate, bound, s.restitution)
 
 
 # --- in lanes ----------------------------------------------------------------------------------------------
@@ -243,10 +254,9 @@ def _load_contact(
     """Put a contact into lane k, unless it never ends, which `rigid` knows in closed form."""
     h, h1 = _free(s, sin, cos, run.q, run.q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
-    decayed = decay_time(s.stuck, h2, h3, s.mean_force - hypot(s.n_re, s.n_im))
-    if decayed == 0.0:
+    if envelope(s.stuck, h2, h3) < s.margin:
         return False
-    lanes.load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, decayed))
+    lanes.load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, lanes.LONGEST_CONTACT))
     lanes.coefficients(table, k, -s.stiffness, -s.dashpot, s.mean_force, 0.0, 0.0, -s.n_re, s.n_im)
     return True
 

@@ -19,7 +19,7 @@ from kernel import interface
 from kernel.cell import Progress
 from kernel.models import lanes
 from kernel.models.contact_law import lifted_off, plate_force
-from kernel.models.flight import Flight, begin_flight, flight_terms, landing, state_after
+from kernel.models.flight import Flight, begin_flight, flight_terms, landing, short_hop, state_after
 from kernel.models.soft_contact import (
     LiftoffFunction,
     ModalState,
@@ -36,7 +36,6 @@ from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departu
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import all_derivatives, apart, coordinates, derivatives, motion, quiet_time
 from kernel.params import check_arrays
-from kernel.portable_math import hypot
 
 
 class SoftPlate(NamedTuple):
@@ -95,11 +94,11 @@ def _flies(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: flo
 @inlined
 def begin_contact(
     s: SoftSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float
-) -> tuple[ModalState, LiftoffFunction, Terms, float, float]:
+) -> tuple[ModalState, LiftoffFunction, Terms, float, bool]:
     """The contact from this state: its modes, its lift-off function with its terms now, and where to search.
 
-    That is between two times (rad): the mass surely stays until the first, and from the second on both free
-    modes are too small to lift it. sin and cos are of the plate's phase phi.
+    That is from a time (rad) until which the mass surely stays; the last value is whether it stays for ever,
+    both free modes being too small to lift it. sin and cos are of the plate's phase phi.
     """
     m = modes_of(s, sin, cos, gap, gap1, q, q1)
     p = liftoff_function(s, m, phi)
@@ -115,28 +114,24 @@ def begin_contact(
         )
         fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
         t = terms_of_parts(p, sin, cos, slow, fast)
-    margin = p.static - hypot(p.wave_re, p.wave_im)
-    decayed = 0.0
-    if slow.size + fast.size >= margin:
-        decayed = max(
-            quiet_time(p.slow_osc, p.slow_a, p.slow_b, 0.5 * margin),
-            quiet_time(p.fast_osc, p.fast_a, p.fast_b, 0.5 * margin),
-        )
-    return m, p, t, sure_contact_time(p, t), decayed
+    return m, p, t, sure_contact_time(p, t), slow.size + fast.size < s.margin
 
 
 @interface.contact.register(SoftSpring)
 @jit
 def _contact(
-    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    s: SoftSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """In contact until the lift-off function falls to zero, or both modes are too small for that."""
-    sin, cos = sincos(phi)
-    m, p, _, start, decayed = begin_contact(s, phi, sin, cos, gap, gap1, q, q1)
-    end = min(horizon, decayed)
+    m, p, _, start, stays = begin_contact(s, phi, sin, cos, gap, gap1, q, q1)
+    end = 0.0
+    if not stays:  # until both modes have decayed
+        slow = quiet_time(p.slow_osc, p.slow_a, p.slow_b, 0.5 * s.margin)
+        end = min(horizon, max(slow, quiet_time(p.fast_osc, p.fast_a, p.fast_b, 0.5 * s.margin)))
     tau, ending, used = first_root(p, start, end, budget)
     if tau == 0.0 and ending == ROOT:
-        if _lifts(s, begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)):
+        if _lifts(s, begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)):
             if s.adhesive:
                 gap, gap1 = 0.0, max(gap1, 0.0)
             return Phase(0.0, ROOT, True, gap, gap1, q, q1, used)
@@ -227,18 +222,27 @@ def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tup
 @interface.flight.register(SoftSpring)
 @jit
 def _flight(
-    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    s: SoftSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """In flight until landing. One from below the surface may return to contact before it emerges."""
-    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    p = begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
     emerged, used = 0.0, 0
     if gap < 0.0:
         emerged = emergence_bound(s, p)
         if emerged == 0.0:
-            emerged, ending, used = _below_surface(s, p, horizon, budget)
-            gap, gap1, q, q1 = state_after(p, emerged)
+            hop = short_hop(p, s.beta / s.kappa, 0.0, horizon, budget)
+            emerged, ending, used = hop.tau, ROOT, hop.used
+            gap, gap1, q, q1 = hop.gap, hop.gap1, hop.q, hop.q1
+            if not hop.served:
+                emerged, ending, used = _below_surface(s, p, horizon, budget)
+                gap, gap1, q, q1 = state_after(p, emerged)
             if (ending != HORIZON and (ending != ROOT or gap <= 0.0)) or gap < 0.0:
                 return Phase(emerged, ending, ending != ROOT, gap, gap1, q, q1, used)
+    if p.gap <= 0.0 < p.gap1 and p.gap2 < 0.0:
+        hop = short_hop(p, 0.0, emerged, horizon, budget - used)
+        if hop.served:
+            return Phase(hop.tau, ROOT, False, 0.0, hop.gap1, hop.q, hop.q1, used + hop.used)
     tau, ending, more = landing(p, emerged, horizon, budget - used)
     gap, gap1, q, q1 = state_after(p, tau)
     if ending == ROOT:
@@ -269,13 +273,14 @@ def _load_contact(
     s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float
 ) -> bool:
     """Put a contact into lane k, unless it never ends or might end at once."""
-    m, p, t, start, decayed = begin_contact(s, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1)
-    end = min(horizon, decayed)
+    k = lanes.index_of(k)
+    m, p, t, start, stays = begin_contact(s, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1)
+    end = min(horizon, lanes.LONGEST_CONTACT)
     f0 = t.smooth + t.ring
     if start == 0.0 and abs(f0) <= 4.0 * t.noise:
         start = _rising_time(t)
     at_once = start == 0.0 and f0 <= 4.0 * t.noise
-    if at_once or decayed == 0.0 or not (lanes.serves(p.slow_osc, end) and lanes.serves(p.fast_osc, end)):
+    if at_once or stays or not (lanes.serves(p.slow_osc, end) and lanes.serves(p.fast_osc, end)):
         return False
     lanes.load_modes(table, k, p.slow_osc, p.slow_a, p.slow_b, p.fast_osc, p.fast_a, p.fast_b)
     lanes.smooth_coefficients(table, k, p.static, 0.0, 0.0, p.wave_re, -p.wave_im, 0.0)
@@ -291,10 +296,11 @@ def _load_flight(
     """Put a flight into lane k, if it surely emerges and begins neither with a short hop nor too close."""
     if not (lanes.supports(s.flight) and lanes.serves(s.flight, horizon)):
         return False
+    k = lanes.index_of(k)
     emerged, sin0, cos0 = 0.0, sin, cos
     gap, gap1, q, q1 = run.gap, run.gap1, run.q, run.q1
     if gap < 0.0:
-        p = begin_flight(s.flight, s.gravity, run.phase, gap, gap1, q, q1)
+        p = begin_flight(s.flight, s.gravity, run.phase, sin, cos, gap, gap1, q, q1)
         emerged = emergence_bound(s, p)
         if emerged == 0.0 or emerged >= horizon:
             return False
@@ -331,7 +337,7 @@ def _load(s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: flo
 
 
 @interface.unload_lane.register(SoftSpring)
-@inlined
+@jit
 def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, float, float]:
     """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
     tau, ending, used = lanes.search_end(table, k)

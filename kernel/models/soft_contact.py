@@ -18,25 +18,24 @@ import math
 from typing import Final, NamedTuple
 
 from kernel.models.contact_law import contact_constants, static_state
-from kernel.numerics.elementary import sincos
+from kernel.numerics.elementary import TWO_PI, exp, sincos
 from kernel.numerics.first_root import EPS, Terms, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import (
+    NEAR_CRITICAL,
     Derivatives,
     Oscillator,
     advance,
     all_derivatives,
     apart,
     coordinates,
-    derivative,
-    first_falling_zero,
     oscillator,
     position,
     propagate,
     propagator,
 )
 from kernel.numerics.quartic import paired, roots
-from kernel.portable_math import hypot
+from kernel.portable_math import atan2, hypot, log
 from kernel.restitution import scalar_damping_ratio
 
 #: As in `rigid`: the relative distance to an undamped resonance is kept above this.
@@ -92,6 +91,10 @@ class SoftSpring(NamedTuple):
     q_im: float
     g_re: float  # driven gap Re(G e^{i phi})
     g_im: float
+    static_lift: float  # of the lift-off function, > 0
+    wave_re: float  # its driven part Re(W e^{i phi})
+    wave_im: float
+    margin: float  # static_lift - |W|: what both free modes must bring up for a take-off, if positive
 
 
 class ModalState(NamedTuple):
@@ -138,6 +141,9 @@ def soft_spring(
     c = _Contact(b, w, beta, kappa)
     free = _separate_modes(c)
     static_gap, static_elongation = static_state(gamma, w, kappa)
+    c1 = 0.0 if adhesive else beta
+    wave_re = -(kappa * driven_gap.real - c1 * driven_gap.imag)
+    wave_im = -(kappa * driven_gap.imag + c1 * driven_gap.real)
     return SoftSpring(
         gravity=1.0 / gamma,
         kappa=kappa,
@@ -157,6 +163,10 @@ def soft_spring(
         q_im=driven_q.imag,
         g_re=driven_gap.real,
         g_im=driven_gap.imag,
+        static_lift=-kappa * static_gap,
+        wave_re=wave_re,
+        wave_im=wave_im,
+        margin=-kappa * static_gap - hypot(wave_re, wave_im),
     )
 
 
@@ -370,7 +380,6 @@ def state_of(
 @inlined
 def liftoff_function(s: SoftSpring, m: ModalState, phi: float) -> LiftoffFunction:
     """The lift-off function from phi on; the stiffer of the two modes is its ringing part."""
-    c = 0.0 if s.adhesive else s.beta
     f_a, f_b = _coupled(s.gap_lift, s.gap_mode, m.gap_a, m.gap_b)
     g_a, g_b = _coupled(s.elongation_lift, s.elongation_mode, m.elongation_a, m.elongation_b)
     gap_rings = s.gap_mode.stiffness >= s.elongation_mode.stiffness
@@ -379,9 +388,9 @@ def liftoff_function(s: SoftSpring, m: ModalState, phi: float) -> LiftoffFunctio
         s.elongation_mode if gap_rings else s.gap_mode,
         s.gap_mode if gap_rings else s.elongation_mode,
         phi,
-        static=-s.kappa * s.static_gap,
-        wave_re=-(s.kappa * s.g_re - c * s.g_im),
-        wave_im=-(s.kappa * s.g_im + c * s.g_re),
+        static=s.static_lift,
+        wave_re=s.wave_re,
+        wave_im=s.wave_im,
         slow_a=slow_a,
         slow_b=slow_b,
         fast_a=fast_a,
@@ -422,48 +431,61 @@ def terms_of_parts(p: LiftoffFunction, sin: float, cos: float, slow: Derivatives
 
 
 # --- a time until which the mass surely stays ---------------------------------------------------------------
-# Between now and its next zero a free oscillation rises and falls once, so that its values at a few instants
-# bound all between them, and the smooth part, which is slow, is bounded by its Taylor polynomial.
+# An underdamped free oscillation x that rises is concave up to its maximum, then falls to its next zero, so
+# that its values at two instants bound all between them. The smooth part is bounded by its Taylor polynomial.
 
-
-@jit
-def _ringing(p: LiftoffFunction, tau: float) -> tuple[float, float]:
-    """The ringing part and its rate at tau."""
-    return position(p.fast_osc, *advance(p.fast_osc, p.fast_a, p.fast_b, tau))
+#: The angle by which x is off a zero when the contact begins, up to which it stands for its arcus tangent.
+SMALL_TILT: Final = 0.1
+#: The angle before x's next zero, below which 1 - angle^2/6 is above 2/3.
+MOST_TURNED: Final = 1.4
 
 
 @jit
 def sure_contact_time(p: LiftoffFunction, t: Terms) -> float:
     """A time (rad) until which the lift-off function surely stays positive; 0 where none is sure.
 
-    `t`: its terms at the start of the contact, where it is not negative. Three steps: the end is the
-    ringing's next zero; the smooth part's lowest value until then decides whether the end holds as it is;
-    if not, it is moved back to where the ringing still outweighs that value.
+    `t`: its terms at the start of the contact, where it is not negative. The end is the next zero of the
+    ringing part x, if the smooth part's lowest value until then is positive; else it is moved back to where
+    x still outweighs that value.
     """
-    if t.ring + t.smooth < -t.noise or (t.ring1 <= 0.0 and t.ring <= 0.0) or (t.ring < 0.0 <= t.ring2):
+    osc, x, x1 = p.fast_osc, t.ring, t.ring1
+    damping, root = osc.damping, osc.root
+    if x + t.smooth < -t.noise or (x1 <= 0.0 and x <= 0.0) or (x < 0.0 <= t.ring2):
         return 0.0
-    end = first_falling_zero(p.fast_osc, p.fast_a, p.fast_b)
-    if end == math.inf:
+    if apart(osc):  # x falls from the start, as a difference of two exponentials
+        if not p.fast_a < 0.0 <= p.fast_a + p.fast_b:
+            return 0.0
+        end = log(-p.fast_b / p.fast_a) / (2.0 * root)
+        fall, decay = -2.0 * root * p.fast_a, -osc.slow
+    elif osc.discriminant < 0.0 and root > NEAR_CRITICAL * damping:
+        # x = C exp(-damping tau) sin(root tau + tilt); C root sin(tilt) = swing, C root cos(tilt) = push
+        push, swing = x1 + damping * x, root * x
+        tilt = swing / push
+        if abs(tilt) < SMALL_TILT and push > 0.0:  # pi - atan(tilt), or a little less
+            angle = math.pi - tilt + min(tilt * tilt * tilt, 0.0) * (1.0 / 3.0)
+        else:
+            angle = atan2(swing, -push)
+            angle += 0.0 if x >= 0.0 else TWO_PI
+        end = angle / root
+        fall, decay = math.sqrt(push * push + swing * swing), damping
+    else:
         return 0.0
     slope = abs(t.smooth1) + end * (
-        abs(t.smooth2) / 2.0 + end * (abs(t.smooth3) / 6.0 + end * t.smooth4 / 24.0)
+        abs(t.smooth2) * 0.5 + end * (abs(t.smooth3) * (1.0 / 6.0) + end * t.smooth4 * (1.0 / 24.0))
     )
     lowest = t.smooth - end * slope - t.noise  # of the smooth part until `end`
-    if lowest > 0.0 and (t.ring >= 0.0 or -t.ring > end * slope):
-        return end  # the ringing is positive, or outgrows the smooth part's decrease before it is
-    if t.ring1 > 0.0:  # rising, and concave up to its maximum
-        top = first_falling_zero(p.fast_osc, *derivative(p.fast_osc, p.fast_a, p.fast_b))
-        height, _ = _ringing(p, top)
-        if top >= end or height <= -lowest or height - t.ring <= top * slope:
+    if lowest > 0.0 and (x >= 0.0 or -x > end * slope):
+        return end  # x is positive, or outgrows the smooth part's decrease before it is
+    rising = 0.0
+    if x1 > 0.0:
+        # before the maximum, since atan(u) >= u/(1 + 2 u/pi); there x is at least its Taylor polynomial
+        rising = 1.0 / (max(damping + osc.stiffness * x / x1, 0.0) + (2.0 / math.pi) * root)
+        gain = 0.5 * t.ring2 + rising * (t.ring3 * (1.0 / 6.0) - rising * t.ring4 * (1.0 / 24.0))
+        gain = rising * (x1 + rising * gain)
+        if rising >= end or x + gain <= -lowest or gain <= rising * slope:
             return 0.0
-    else:
-        top = 0.0
     if lowest > 0.0:
         return end
-    # back by twice the time in which the ringing, at its speed at the zero, falls by -lowest
-    _, fall = _ringing(p, end)
-    end += 2.0 * lowest / abs(fall)
-    if end <= top:
-        return 0.0
-    last, _ = _ringing(p, end)
-    return end if last > -lowest else 0.0
+    # s before its zero x is at least fall s (1 - (root s)^2/6), of which more than half is left
+    back = -2.0 * lowest / (fall * exp(-decay * end))
+    return end - back if root * back < MOST_TURNED and end - back > rising else 0.0

@@ -329,8 +329,9 @@ def _run(
 @contact.register(SteppedSpring)
 @jit
 def _contact(
-    s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    s: SteppedSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """In contact until take-off. The budget counts contacts and flights; steps have a limit of their own."""
     tau, ending, x = _run(s, s.contact, phi, Point(gap, gap1, q, q1), horizon, budget)
     gap, gap1 = x.gap, x.gap1
@@ -342,8 +343,9 @@ def _contact(
 @flight.register(SteppedSpring)
 @jit
 def _flight(
-    s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    s: SteppedSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """In flight until contact returns; from below the surface perhaps rising: its velocity stays."""
     tau, ending, x = _run(s, s.flight, phi, Point(gap, gap1, q, q1), horizon, budget)
     after, after1 = x.gap, x.gap1

@@ -117,7 +117,8 @@ def _rigid_landing(
     if end.gap1 > 0.0:
         e, impact = s.restitution, -end.gap1 / s.restitution
     else:
-        e, p = 0.0, flight.begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+        sin, cos = sincos(phi)
+        e, p = 0.0, flight.begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
         _, impact, _, _ = flight.state_after(p, end.tau)
     _, cos = sincos(phi + end.tau)
     after2 = cos - s.gravity + s.dashpot * end.q1 + s.stiffness * end.q  # gap''

@@ -107,7 +107,7 @@ def multiply_add(a: float, b: float, c: float, fused: bool) -> float:
     return fma(a, b, c) if fused else a * b + c
 
 
-@jit
+@inlined
 def sincos_small(x: float) -> tuple[float, float]:
     """(sin x, cos x) for |x| < 1e5 rad; beyond that the reduction loses digits."""
     return circular_or_hyperbolic(x, 1.0)

@@ -13,9 +13,9 @@ coordinates are x and x' themselves.
 import math
 from typing import Final, NamedTuple
 
-from kernel.numerics.elementary import LOWEST_EXPONENT, TWO_PI, exp, expm1, sincos
+from kernel.numerics.elementary import LOWEST_EXPONENT, exp, expm1, sincos
 from kernel.numerics.jit import inlined, jit
-from kernel.portable_math import atan2, atanh, hypot, log
+from kernel.portable_math import log
 
 #: Overdamped, C and S are differences of two exponentials over sqrt(D). Above this ratio of sqrt(D) to a
 #: that form loses at most a factor a/sqrt(D) = 10 of the precision, one digit. Below it they are written
@@ -117,7 +117,8 @@ def decay_time(osc: Oscillator, x: float, v: float, level: float) -> float:
     if envelope(osc, x, v) < level:
         return 0.0
     if osc.discriminant < 0.0:
-        amplitude, rate = hypot(x, (v + osc.damping * x) / osc.root), osc.damping
+        push = (v + osc.damping * x) / osc.root
+        amplitude, rate = math.sqrt(x * x + push * push), osc.damping
     else:
         amplitude, rate = (abs(v - osc.fast * x) + abs(v - osc.slow * x)) / (2.0 * osc.root), -osc.slow
     if not (amplitude < math.inf and rate > 0.0):
@@ -164,14 +165,6 @@ def coordinates(osc: Oscillator, x: float, v: float) -> tuple[float, float]:
 def position(osc: Oscillator, a: float, b: float) -> tuple[float, float]:
     """x and x' of the motion with these coordinates."""
     return (a + b, osc.slow * a + osc.fast * b) if apart(osc) else (a, b)
-
-
-@inlined
-def derivative(osc: Oscillator, a: float, b: float) -> tuple[float, float]:
-    """The coordinates of x'."""
-    if apart(osc):
-        return osc.slow * a, osc.fast * b
-    return b, -2.0 * osc.damping * b - osc.stiffness * a
 
 
 @inlined
@@ -223,20 +216,3 @@ def quiet_time(osc: Oscillator, a: float, b: float, level: float) -> float:
     if not (slow < math.inf and fast < math.inf):
         return math.inf
     return max(log(max(slow, 1.0)) / -osc.slow, log(max(fast, 1.0)) / -osc.fast)
-
-
-@jit
-def first_falling_zero(osc: Oscillator, a: float, b: float) -> float:
-    """Rad to the first zero of a motion from x >= 0, or from x < 0 and rising; infinite if there is none."""
-    if apart(osc):
-        return log(-b / a) / (2.0 * osc.root) if a < 0.0 <= a + b else math.inf
-    push = b + osc.damping * a
-    if osc.discriminant < 0.0:
-        angle = atan2(a, -push / osc.root)
-        return (angle if a >= 0.0 else angle + TWO_PI) / osc.root
-    if a < 0.0 or push >= 0.0:
-        return math.inf
-    if osc.root == 0.0:
-        return -a / push
-    tangent = -a * osc.root / push  # of the hyperbolic angle root * tau
-    return atanh(tangent) / osc.root if tangent < 1.0 else math.inf

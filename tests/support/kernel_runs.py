@@ -14,6 +14,7 @@ from plates import Model, plate_of, run_line
 from kernel import interface, trajectory
 from kernel.models.rigid import RigidPlate
 from kernel.models.soft import SoftPlate
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT
 from kernel.params import Cell, Line
 from kernel.trajectory import Trajectory
@@ -119,7 +120,8 @@ def constants(s: Setting) -> Any:
 
 def one_phase(s: Setting, flying: bool, phi: float, state: State, horizon: float, budget: int) -> Step:
     """The contact or flight that begins in this state."""
-    answer = (interface.flight if flying else interface.contact)(constants(s), phi, *state, horizon, budget)
+    follow = interface.flight if flying else interface.contact
+    answer = follow(constants(s), phi, *sincos(phi), *state, horizon, budget)
     after = (answer.gap, answer.gap1, answer.q, answer.q1)
     return Step(flying, phi, state, answer.tau, answer.ending, after, answer.in_flight, answer.used)
 

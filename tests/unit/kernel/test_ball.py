@@ -14,6 +14,7 @@ from kernel import interface, restitution
 from kernel.cell import CACHE_SIZE
 from kernel.models import ball, contact_law, free_fall
 from kernel.models.ball import BallPlate
+from kernel.numerics.elementary import sincos
 from kernel.params import Cell, Line, Outcome, Start
 
 TWO_PI = 2.0 * math.pi
@@ -183,7 +184,7 @@ def test_replayed_phases_are_those_that_would_be_computed(epsilon: float):
         phi, period, hop, flying, expected = 0.0, 0, 0.0, True, []
         while period < 100:
             end = (interface.flight if flying else interface.contact)(
-                cell, phi, 0.0, hop, 0.0, 0.0, math.inf, 10_000
+                cell, phi, *sincos(phi), 0.0, hop, 0.0, 0.0, math.inf, 10_000
             )
             landed = period + math.floor((phi + end.tau) / TWO_PI)
             if flying and period >= 40 and landed < 100:

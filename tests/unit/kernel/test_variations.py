@@ -10,6 +10,7 @@ from kernel_runs import Model, plate_of
 from kernel import interface
 from kernel.models.ball import Ball
 from kernel.models.rigid import Spring
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import HORIZON, ROOT
 
 TWO_PI = 2.0 * math.pi
@@ -56,7 +57,7 @@ def cell_of(s: Setting):
 def phase(cell, here: Point, horizon: float):
     """The phase that begins here, and what follows it."""
     run = interface.flight if here.flying else interface.contact
-    p = run(cell, here.phi, *here.state, horizon, BUDGET)
+    p = run(cell, here.phi, *sincos(here.phi), *here.state, horizon, BUDGET)
     assert p.ending in (ROOT, HORIZON)
     flying = p.in_flight if p.ending == ROOT else here.flying
     return p, Point((here.phi + p.tau) % TWO_PI, flying, (p.gap, p.gap1, p.q, p.q1))

@@ -20,6 +20,7 @@ from naive_steps import Stepper
 from kernel import interface
 from kernel.cell import KEPT_FLIGHTS
 from kernel.models.ball import BallPlate
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Outcome
 from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
@@ -60,7 +61,8 @@ def test_any_phase_of_a_ball_obeys_the_equations_of_motion(gamma, epsilon):
     phi, state = 0.0, interface.rest(ball)
     flying = interface.flies(ball, phi, *state)
     for _ in range(12):
-        phase = (interface.flight if flying else interface.contact)(ball, phi, *state, 20.0 * TWO_PI, 100_000)
+        follow = interface.flight if flying else interface.contact
+        phase = follow(ball, phi, *sincos(phi), *state, 20.0 * TWO_PI, 100_000)
         assert phase.ending in (ROOT, HORIZON)
         assert 0.0 <= phase.tau < math.inf
         if flying:
