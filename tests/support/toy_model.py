@@ -3,7 +3,6 @@
 Its module (this one) with the functions a kernel needs, its fields, and its row of the table.
 """
 
-import math
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -54,16 +53,18 @@ def _flies(g: Glued, phi: float, gap: float, gap1: float, q: float, q1: float) -
 @contact.register(Glued)
 @jit
 def _contact(
-    g: Glued, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
-    return Phase(horizon, HORIZON, False, 0.0, 0.0, math.cos(phi), 0.0, 1)
+    g: Glued, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
+    return Phase(horizon, HORIZON, False, 0.0, 0.0, cos, 0.0, 1)
 
 
 @flight.register(Glued)
 @jit
 def _flight(
-    g: Glued, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
+    g: Glued, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     return Phase(horizon, HORIZON, False, 0.0, 0.0, 0.0, 0.0, 1)
 
 
