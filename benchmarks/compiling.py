@@ -3,9 +3,10 @@
     python -m benchmarks.compiling [--repeat 3] [--against FOLDER] [commands]
 
 Runs `bounce figure 2`, `bounce run` of one `rigid` and of one `soft` sweep, and a process that compiles every
-kernel, each with a cache of its own. Prints the medians of the processor time of all processes that a
-command starts, and of the wall time, and each as a share of `bounce figure 2` of the other checkout (of this
-one without `--against`). FOLDER is a checkout with an environment of its own in `.venv`.
+kernel, each in an empty folder for its cache (the last process writes none). Prints the medians of the
+processor time of all processes that a command starts, and of the wall time, and each as a share of `bounce
+figure 2` of the other checkout (of this one without `--against`). FOLDER is a checkout with an environment of
+its own in `.venv`.
 """
 
 import json

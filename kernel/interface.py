@@ -31,33 +31,17 @@ def flies(cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float) -
 
 @by_type
 def contact(  # type: ignore[empty-body]
-    cell: Any,
-    phi: float,
-    sin: float,
-    cos: float,
-    gap: float,
-    gap1: float,
-    q: float,
-    q1: float,
-    horizon: float,
-    budget: int,
-) -> Phase:
+    cell: Any, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """The contact that begins with this state, to its take-off or to the horizon."""
 
 
 @by_type
 def flight(  # type: ignore[empty-body]
-    cell: Any,
-    phi: float,
-    sin: float,
-    cos: float,
-    gap: float,
-    gap1: float,
-    q: float,
-    q1: float,
-    horizon: float,
-    budget: int,
-) -> Phase:
+    cell: Any, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
+    horizon: float, budget: int,
+) -> Phase:  # fmt: skip
     """The flight that begins with this state, to after its landing or to the horizon."""
 
 

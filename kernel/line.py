@@ -163,7 +163,8 @@ def _walk(
             if (index[k] < 0 and counts[0] == lines) or (index[k] >= 0 and _searching(table, k)):
                 continue
             run, first = runs[k], k * flights.size
-            exact, sin, cos = False, 0.0, 1.0  # whether these are sincos(run.phase), to the last digit
+            # whether these are sincos(run.phase) to the last digit, as a run paused here would compute them
+            exact, sin, cos = False, 0.0, 1.0
             while steps > 0 and (index[k] < 0 or not _searching(table, k)):
                 steps -= 1
                 i, known = index[k], False

@@ -137,11 +137,11 @@ def short_hop(p: Flight, lead: float, start: float, horizon: float, budget: int)
         tau += step
         if error <= EPS * tau:
             # by Taylor series in the step, which is below first_root.NEAR, so that the rest is rounding
-            half, third_of = 0.5 * step, step * (1.0 / 3.0)
-            gap += step * (gap1 + half * (gap2 + third_of * (gap3 + 0.25 * step * gap4)))
-            gap1 += step * (gap2 + half * (gap3 + third_of * gap4))
-            q += step * (q1 + half * (second + third_of * (third + 0.25 * step * fourth)))
-            q1 += step * (second + half * (third + third_of * fourth))
+            half, part = 0.5 * step, step * (1.0 / 3.0)
+            gap += step * (gap1 + half * (gap2 + part * (gap3 + 0.25 * step * gap4)))
+            gap1 += step * (gap2 + half * (gap3 + part * gap4))
+            q += step * (q1 + half * (second + part * (third + 0.25 * step * fourth)))
+            q1 += step * (second + half * (third + part * fourth))
             sine, versine = step * (1.0 - step * step * (1.0 / 6.0)), half * step
             sin, cos = sin + cos * sine - sin * versine, cos - sin * sine - cos * versine
             served = start < tau < min(width, horizon) and falling < 0.0

@@ -84,7 +84,7 @@ ROWS: Final = 33
 
 @inlined
 def index_of(k: int) -> int:
-    """k, surely not negative: numba makes an index that might be safe at each access."""
+    """k >= 0, so that the compiler sees its sign: numba checks that of an index at each access."""
     return np.int64(np.uint32(k))  # type: ignore[return-value]
 
 

@@ -103,7 +103,7 @@ def _compiling(kernel: str) -> Iterator[None]:
 
 @contextmanager
 def _collecting_later() -> Iterator[None]:
-    """Collect the million objects that a compiler makes before the next compilation: most need but one."""
+    """Keep the million objects that a compiler makes until the next compilation: most processes need one."""
     collects = gc.isenabled()
     if gc.get_freeze_count():
         gc.unfreeze()
