@@ -28,15 +28,16 @@ class Ended(NamedTuple):
     """How a command ended."""
 
     code: int | None
-    seconds: float  # from Ctrl-C until it and all that it started had ended
+    number: int  # of the signal
+    seconds: float  # from the signal until it and all that it started had ended
     output: str
     left: tuple[str, ...]  # processes, temporary files, held locks
 
     @property
     def faults(self) -> list[str]:
         """What is wrong: code, time, lines of the output, things left behind."""
-        # Before Python has started, the signal itself ends it; a shell says 130 of that, too.
-        faults = [f"exit code {self.code}"] if self.code not in (130, -signal.SIGINT) else []
+        # Before Python has started, the signal itself ends it; a shell says 128 + the signal of that, too.
+        faults = [f"exit code {self.code}"] if self.code not in (128 + self.number, -self.number) else []
         faults += [f"{self.seconds:.1f} s"] if self.seconds > 2.0 else []
         faults += sorted({line.strip()[:160] for line in self.output.splitlines() if NOISE.search(line)})
         return faults + [f"left: {name}" for name in self.left]
@@ -97,12 +98,15 @@ class Command:
                 found.append(int(folder.name))
         return found
 
-    def interrupt(self) -> Ended | None:
-        """Press Ctrl-C and wait for the end; None if it had ended already."""
+    def interrupt(self, number: int = signal.SIGINT) -> Ended | None:
+        """Press Ctrl-C, or send another signal, and wait for the end; None if it had ended already."""
         if self._process.poll() is not None:
             self._close()
             return None
-        os.write(self._ours, CTRL_C)
+        if number == signal.SIGINT:
+            os.write(self._ours, CTRL_C)
+        else:
+            self._process.send_signal(number)
         began = time.monotonic()
         while (alive := self.processes()) and time.monotonic() - began < LIMIT:
             self._process.poll()
@@ -116,7 +120,7 @@ class Command:
         left += [f"temporary {path.name}" for path in sorted(self._temporary.iterdir())]
         left += _locks(self._folder)
         left += [f"file {path.name}" for path in self._folder.rglob(".*.*") if path.parent.name != "stores"]
-        return Ended(None if alive else code, seconds, self.output, tuple(left))
+        return Ended(None if alive else code, number, seconds, self.output, tuple(left))
 
     def _read(self) -> None:
         try:

@@ -1,6 +1,7 @@
-"""Ctrl-C on a terminal: exit code 130, no traceback, nothing left."""
+"""Ctrl-C on a terminal, and SIGTERM: exit code 128 + the signal, no traceback, nothing left."""
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -29,6 +30,8 @@ LONG = {
     "settle_early": False,
 }
 
+RUN = ("run", "long.json", "-o", "long.zarr")
+
 Reached = Callable[[Command], bool]
 
 
@@ -53,21 +56,24 @@ def has_loaded(library: str) -> Reached:
 
 
 @pytest.mark.parametrize(
-    ("words", "reached", "is_compiled"),
+    ("words", "reached", "is_compiled", "number"),
     [
-        pytest.param(("figure", "2"), has_loaded("_multiarray_umath"), True, id="importing"),
-        pytest.param(("figure", "2"), has_processes(4), True, id="starting workers"),
-        pytest.param(("run", "long.json", "-o", "long.zarr"), writes("compiling"), False, id="compiling"),
-        pytest.param(("serve", "--port", "0"), writes("chunks done"), True, id="serving and computing"),
+        pytest.param(("figure", "2"), has_loaded("_multiarray_umath"), True, signal.SIGINT, id="importing"),
+        pytest.param(("figure", "2"), has_processes(4), True, signal.SIGINT, id="starting workers"),
+        pytest.param(RUN, writes("compiling"), False, signal.SIGINT, id="compiling"),
+        pytest.param(("figure", "2"), writes("compiling"), False, signal.SIGTERM, id="compiling a motion"),
+        pytest.param(("serve", "--port", "0"), writes("chunks done"), True, signal.SIGINT, id="serving"),
     ],
 )
-def test_ctrl_c_ends_everything(tmp_path: Path, words: tuple[str, ...], reached: Reached, is_compiled: bool):
+def test_a_signal_ends_everything(
+    tmp_path: Path, words: tuple[str, ...], reached: Reached, is_compiled: bool, number: int
+):
     (tmp_path / "long.json").write_text(json.dumps(LONG))
     if words[0] == "serve":
         queue(tmp_path)
     command = Command(words, tmp_path, CACHE if is_compiled else tmp_path / "cache")
     command.wait_for(reached)
-    ended = command.interrupt()
+    ended = command.interrupt(number)
     assert ended is not None
     # On an overloaded machine it takes longer than its faults allow.
     assert [fault for fault in ended.faults if not fault.endswith(" s")] == [], ended.output
