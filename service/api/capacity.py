@@ -168,13 +168,14 @@ class _Leased(Response):
 
 
 def costly(
-    cost: Cost | Callable[..., Cost], activity: Activity = "read"
+    cost: Cost | Callable[..., Cost], activity: Activity = "read", *, quick: bool = False
 ) -> Callable[[Callable[..., Response]], Callable[..., Coroutine[Any, Any, Response]]]:
     """Declare an endpoint costly; it must have a parameter `service: ServiceDep`.
 
-    `cost`: of every answer, or a function of the endpoint's arguments that estimates it. A request that finds
-    no thread or no memory within `turn_seconds` gets 429. Nothing is computed for a client that left before
-    its turn; computing stops GRACE seconds after it leaves.
+    `cost`: of every answer, or a function of the endpoint's arguments that estimates it, called in a thread
+    unless it is `quick`, reading nothing. A request that finds no thread or no memory within `turn_seconds`
+    gets 429. Nothing is computed for a client that left before its turn; computing stops GRACE seconds after
+    it leaves.
     """
 
     def declare(endpoint: Callable[..., Response]) -> Callable[..., Coroutine[Any, Any, Response]]:
@@ -185,27 +186,35 @@ def costly(
         async def limited(request: Request, **arguments: Any) -> Response:
             if takes_request:
                 arguments["request"] = request
-            memory, small = await run_in_threadpool(cost, **arguments) if callable(cost) else cost
+            if isinstance(cost, Cost):
+                memory, small = cost
+            elif quick:
+                memory, small = cost(**arguments)
+            else:
+                memory, small = await run_in_threadpool(cost, **arguments)
             if small:
                 arguments["service"] = arguments["service"].small
-            turn = asyncio.ensure_future(arguments["service"].capacity.acquire(activity, memory))
-            if await _leaves(request, turn):
-                turn.cancel()
-                with suppress(asyncio.CancelledError, Busy):
-                    (await turn).keep(0)
-                return Response(status_code=CLIENT_GONE)
-            asker = Asker(request.client)
-            work = functools.partial(asker.run, functools.partial(endpoint, **arguments))
-            computed: asyncio.Future[Response] = asyncio.ensure_future(turn.result().run(work))
-            if await _leaves(request, computed):
-                await asyncio.wait({computed}, timeout=GRACE)
-                asker.leave()
+            gone = asyncio.ensure_future(_gone(request))
             try:
+                turn = asyncio.ensure_future(arguments["service"].capacity.acquire(activity, memory))
+                if await _leaves(gone, turn):
+                    turn.cancel()
+                    with suppress(asyncio.CancelledError, Busy):
+                        (await turn).keep(0)
+                    return Response(status_code=CLIENT_GONE)
+                asker = Asker(request.client)
+                work = functools.partial(asker.run, functools.partial(endpoint, **arguments))
+                computed: asyncio.Future[Response] = asyncio.ensure_future(turn.result().run(work))
+                if await _leaves(gone, computed):
+                    await asyncio.wait({computed}, timeout=GRACE)
+                    asker.leave()
                 return await computed
             except NotComputed:
                 if asker.left:
                     return Response(status_code=CLIENT_GONE)
                 raise
+            finally:
+                gone.cancel()
 
         if not takes_request:
             parameter = inspect.Parameter("request", inspect.Parameter.KEYWORD_ONLY, annotation=Request)
@@ -216,17 +225,14 @@ def costly(
     return declare
 
 
-async def _leaves(request: Request, task: asyncio.Future[Any]) -> bool:
-    """Wait for the task; whether the client closes its connection before it is done."""
-    gone = asyncio.ensure_future(_gone(request))
+async def _leaves(gone: asyncio.Future[None], task: asyncio.Future[Any]) -> bool:
+    """Wait for the task; whether `gone`, that the client closes its connection, is done before it."""
     try:
         await asyncio.wait({task, gone}, return_when=asyncio.FIRST_COMPLETED)
         return gone.done()
     except asyncio.CancelledError:
         task.cancel()
         raise
-    finally:
-        gone.cancel()
 
 
 async def _gone(request: Request) -> None:

@@ -167,6 +167,7 @@ def parse_modes(text: str) -> tuple[Mode, ...]:
     return tuple(sorted(modes))
 
 
+@lru_cache(64)  # asked twice for each answer
 def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
     """Flight times of a branch. Raises InvalidRequest above MAX_GRID, and for a spring without branches."""
     try:
