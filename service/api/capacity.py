@@ -160,9 +160,9 @@ class _Leased(Response):
             start = {"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers}
             await send(start)
             body = memoryview(self._response.body)
-            for low in range(0, len(body), PIECE):
-                await send({"type": "http.response.body", "body": body[low : low + PIECE], "more_body": True})
-            await send({"type": "http.response.body", "body": b"", "more_body": False})
+            for low in range(0, max(len(body), 1), PIECE):
+                piece, more = body[low : low + PIECE], low + PIECE < len(body)
+                await send({"type": "http.response.body", "body": piece, "more_body": more})
         finally:
             self._lease.keep(0)
 

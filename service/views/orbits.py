@@ -167,7 +167,7 @@ def parse_modes(text: str) -> tuple[Mode, ...]:
     return tuple(sorted(modes))
 
 
-@lru_cache(64)  # asked twice for each answer
+@lru_cache(64)  # one answer takes it several times
 def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
     """Flight times of a branch. Raises InvalidRequest above MAX_GRID, and for a spring without branches."""
     try:
@@ -228,9 +228,10 @@ def orbit_parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
     return [] if quick else [(branch_and_events, *grid) for grid in grids]
 
 
-def _grids(query: OrbitsQuery) -> list[tuple[float, float, int, int]]:
+@lru_cache(64)  # one answer takes it several times
+def _grids(query: OrbitsQuery) -> tuple[tuple[float, float, int, int], ...]:
     """Spring, plate periods and points of each branch."""
-    return [(query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes)]
+    return tuple((query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes))
 
 
 def compute_orbits(study: None, query: OrbitsQuery, *found: tuple[Branch, Events]) -> xarray.Dataset:

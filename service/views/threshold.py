@@ -325,7 +325,7 @@ def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
     raise InvalidRequest.of("predict", f"{rule}; none leaves predictions out")
 
 
-@lru_cache(8)  # one answer takes it several times
+@lru_cache(64)  # one answer takes it several times
 def _seconds(spec: SweepSpec, xi: float, words: float) -> NDArray[np.float64]:
     """Core-seconds of the predictions up to each omega, with `words` for the words of each."""
     return np.cumsum([words + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
