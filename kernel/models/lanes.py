@@ -38,7 +38,7 @@ from kernel.numerics.elementary import (
 )
 from kernel.numerics.first_root import EPS, NEAR, householder_step
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator, derivatives
+from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator, apart, derivatives, propagator
 from kernel.params import LANES
 
 #: Evaluations of one phase after which a lane falls back to the scalar functions. Almost
@@ -56,6 +56,8 @@ KEEP: Final = 1.5  # ... and times this if not, as in `first_root.safe_step`
 SHORT_FLIGHT: Final = 0.05  # rad; the scalar functions compute shorter flights: here the gap cancels to 1e-4
 SHORT_START: Final = 1e-4  # rad; and those with a shorter first safe step, where the gap is near rounding
 LONGEST_CONTACT: Final = 4.0 * math.pi  # rad; the scalar functions know when a longer one never ends
+#: Times a mode's fastest rate: a last step for which the first terms of its power series leave only rounding.
+SHORT_MOVE: Final = 1e-3
 LARGEST_ANGLE: Final = 1e5  # rad up to which `sincos_small` is exact; a mode must have decayed before
 
 #: A lane's status after `advance`.
@@ -73,13 +75,14 @@ FALLBACK: Final = 3.0  # MAX_EVALUATIONS were made, or a number is not finite
 # The oscillator (DAMPING to STIFFNESS; UNDER and NEARLY are 1.0 where it is underdamped or nearly critical),
 # its state at tau = 0, its coefficients in F, and y, y' of the last evaluation.
 (DAMPING, ROOT, INVERSE, SLOW, RATE, PERIOD, UNDER, NEARLY, STIFFNESS, Y0, V0, P, R, Y, Y1) = range(16, 31)
-# Or two modes: g, h and r of each, its coordinates at tau = 0, and the part of v in it, 1 or 0; the width of
-# the next step over the smooth part; four numbers of the caller's.
-(X_G, X_H, X_R, X_U, X_V, X_SUM) = range(16, 22)
-(Y_G, Y_H, Y_R, Y_U, Y_V, Y_SUM) = range(22, 28)
-WIDE: Final = 28
-OWN: Final = 29
-ROWS: Final = 33
+# Or two modes: g, h and r of each, its coordinates at tau = 0, the part of v in it, 1 or 0, and of the last
+# evaluation e^(g tau) cos(r tau) and e^(g tau) sin(r tau), or e^(h tau) where overdamped; the width of the
+# next step over the smooth part; four numbers of the caller's.
+(X_G, X_H, X_R, X_U, X_V, X_SUM, X_COS, X_SIN) = range(16, 24)
+(Y_G, Y_H, Y_R, Y_U, Y_V, Y_SUM, Y_COS, Y_SIN) = range(24, 32)
+WIDE: Final = 32
+OWN: Final = 33
+ROWS: Final = 37
 
 
 @inlined
@@ -158,7 +161,7 @@ def kept(table: Any, k: int) -> tuple[float, float, float, float]:
 
 @inlined
 def _load_mode(table: Any, k: int, first: int, osc: Oscillator, a: float, b: float) -> None:
-    """Put a mode with these coordinates (`oscillator.coordinates`) into the six rows from `first`."""
+    """Put a mode with these coordinates (`oscillator.coordinates`) into the rows from `first`."""
     under = osc.discriminant < 0.0
     table[first * LANES + k] = -osc.damping if under else osc.slow
     table[(first + 1) * LANES + k] = -osc.damping if under else osc.fast
@@ -203,15 +206,46 @@ def search_end(table: Any, k: int) -> tuple[float, int, int]:
 def state_at_end(table: Any, k: int, osc: Oscillator) -> tuple[float, float, float, float]:
     """sin and cos of the plate's phase, y and y', where the search in lane k ended with one oscillator."""
     # by Taylor series in the last step, which is below first_root.NEAR, so that the rest is rounding
-    sin, cos, move = table[SIN * LANES + k], table[COS * LANES + k], table[MOVE * LANES + k]
-    y, y1 = table[Y * LANES + k], table[Y1 * LANES + k]
+    y, y1, move = table[Y * LANES + k], table[Y1 * LANES + k], table[MOVE * LANES + k]
     y2, y3, _ = derivatives(osc, y, y1)
     y4 = -2.0 * osc.damping * y3 - osc.stiffness * y2
     y += move * (y1 + 0.5 * move * (y2 + move * (1.0 / 3.0) * (y3 + 0.25 * move * y4)))
     y1 += move * (y2 + 0.5 * move * (y3 + move * (1.0 / 3.0) * y4))
-    square = move * move
-    sine, versine = move * (1.0 - square * (1.0 / 6.0)), square * (0.5 - square * (1.0 / 24.0))
-    return sin + cos * sine - sin * versine, cos - sin * sine - cos * versine, y, y1
+    return (*plate_at_end(table, k), y, y1)
+
+
+@inlined
+def plate_at_end(table: Any, k: int) -> tuple[float, float]:
+    """sin and cos of the plate's phase where the search in lane k ended."""
+    return _turned(table[SIN * LANES + k], table[COS * LANES + k], table[MOVE * LANES + k])
+
+
+@inlined
+def _turned(sin: float, cos: float, by: float) -> tuple[float, float]:
+    """sin and cos of an angle that is larger by so little that the power series' rest is rounding."""
+    square = by * by
+    sine, versine = by * (1.0 - square * (1.0 / 6.0)), square * (0.5 - square * (1.0 / 24.0))
+    return sin + cos * sine - sin * versine, cos - sin * sine - cos * versine
+
+
+@inlined
+def _grown(value: float, by: float) -> float:
+    """value e^by, as `_turned`."""
+    return value + value * by * (1.0 + by * (0.5 + by * ((1.0 / 6.0) + by * (1.0 / 24.0))))
+
+
+@inlined
+def propagator_at_end(table: Any, k: int, first: int, osc: Oscillator) -> tuple[float, float, float]:
+    """`oscillator.propagator` of the mode in the rows from `first`, where the search in lane k ended."""
+    move = table[MOVE * LANES + k]
+    if osc.rate * abs(move) > SHORT_MOVE:
+        return propagator(osc, table[TAU * LANES + k] + move)
+    cos, sin = table[(first + 6) * LANES + k], table[(first + 7) * LANES + k]
+    if apart(osc):
+        return _grown(cos, osc.slow * move), _grown(sin, osc.fast * move), 0.0
+    sin, cos = _turned(sin, cos, osc.root * move)
+    cosine, sine = _grown(cos, -osc.damping * move), _grown(sin, -osc.damping * move) / osc.root
+    return cosine + osc.damping * sine, sine, cosine - osc.damping * sine
 
 
 @inlined
@@ -342,11 +376,13 @@ def advance(table: Any, used: int) -> None:
 
 @inlined
 def _mode_at(table: Any, k: int, first: int, tau: float) -> tuple[float, float]:
-    """The coordinates u and v of a mode at tau."""
-    g, h = table[first * LANES + k], table[(first + 1) * LANES + k]
+    """The coordinates u and v of a mode at tau. Keeps what `propagator_at_end` needs."""
     sin, cos = sincos_small(table[(first + 2) * LANES + k] * tau)
+    grown, other = exp(table[first * LANES + k] * tau), exp(table[(first + 1) * LANES + k] * tau)
     u, v = table[(first + 3) * LANES + k], table[(first + 4) * LANES + k]
-    return exp(g * tau) * fma(u, cos, v * sin), exp(h * tau) * fma(v, cos, -u * sin)
+    table[(first + 6) * LANES + k] = grown * cos
+    table[(first + 7) * LANES + k] = other if table[(first + 5) * LANES + k] > 0.0 else grown * sin
+    return grown * fma(u, cos, v * sin), other * fma(v, cos, -u * sin)
 
 
 @inlined
@@ -362,6 +398,8 @@ def advance_modes(table: Any, used: int) -> None:
     for k in range(used):
         tau = table[TAU * LANES + k]
         sin, cos = sincos_small(table[PHI * LANES + k] + tau)
+        table[SIN * LANES + k] = sin
+        table[COS * LANES + k] = cos
         x_sum, y_sum = table[X_SUM * LANES + k], table[Y_SUM * LANES + k]
         u0, v0 = _mode_at(table, k, X_G, tau)
         u1, v1 = _mode_derivative(table, k, X_G, u0, v0)

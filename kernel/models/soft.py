@@ -24,6 +24,7 @@ from kernel.models.soft_contact import (
     LiftoffFunction,
     ModalState,
     SoftSpring,
+    gap_rings,
     liftoff_function,
     modes_of,
     soft_spring,
@@ -34,7 +35,17 @@ from kernel.models.soft_contact import (
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import all_derivatives, apart, coordinates, derivatives, motion, quiet_time
+from kernel.numerics.oscillator import (
+    all_derivatives,
+    apart,
+    coordinates,
+    derivatives,
+    motion,
+    position,
+    propagate,
+    propagator,
+    quiet_time,
+)
 from kernel.params import check_arrays
 
 
@@ -140,7 +151,9 @@ def _contact(
     if ending == HORIZON:
         tau = horizon
     sin, cos = sincos(phi + tau)
-    gap, gap1, q, q1 = state_of(s, m, sin, cos, tau)
+    gap, gap1, q, q1 = state_of(
+        s, m, sin, cos, propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau)
+    )
     if ending == ROOT and s.adhesive:
         gap, gap1 = 0.0, max(gap1, 0.0)
     return Phase(tau, ending, ending == ROOT, gap, gap1, q, q1, used)
@@ -341,15 +354,20 @@ def _load(s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: flo
 def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, float, float]:
     """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
     tau, ending, used = lanes.search_end(table, k)
-    sin, cos = sincos(run.phase + tau)
+    sin, cos = lanes.plate_at_end(table, k)
     if run.in_flight:
-        q, q1 = motion(s.flight, run.q, run.q1, tau)
+        over = lanes.propagator_at_end(table, k, lanes.Y_G, s.flight)
+        q, q1 = position(s.flight, *propagate(s.flight, *coordinates(s.flight, run.q, run.q1), over))
         gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, q, q1)
         if ending == ROOT:
             gap, gap1 = 0.0, min(gap1, 0.0)
         return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used), sin, cos
     gap_a, gap_b, elongation_a, elongation_b = lanes.kept(table, k)
-    gap, gap1, q, q1 = state_of(s, ModalState(gap_a, gap_b, elongation_a, elongation_b), sin, cos, tau)
+    gap_rows, elongation_rows = (lanes.Y_G, lanes.X_G) if gap_rings(s) else (lanes.X_G, lanes.Y_G)
+    gap_over = lanes.propagator_at_end(table, k, gap_rows, s.gap_mode)
+    elongation_over = lanes.propagator_at_end(table, k, elongation_rows, s.elongation_mode)
+    m = ModalState(gap_a, gap_b, elongation_a, elongation_b)
+    gap, gap1, q, q1 = state_of(s, m, sin, cos, gap_over, elongation_over)
     if s.adhesive:
         gap, gap1 = 0.0, max(gap1, 0.0)
     return Phase(tau, ending, True, gap, gap1, q, q1, used), sin, cos
