@@ -38,11 +38,8 @@ from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import (
     all_derivatives,
     apart,
-    coordinates,
     derivatives,
     motion,
-    position,
-    propagate,
     propagator,
     quiet_time,
 )
@@ -295,9 +292,13 @@ def _load_contact(
     at_once = start == 0.0 and f0 <= 4.0 * t.noise
     if at_once or stays or not (lanes.serves(p.slow_osc, end) and lanes.serves(p.fast_osc, end)):
         return False
-    lanes.load_modes(table, k, p.slow_osc, p.slow_a, p.slow_b, p.fast_osc, p.fast_a, p.fast_b)
-    lanes.smooth_coefficients(table, k, p.static, 0.0, 0.0, p.wave_re, -p.wave_im, 0.0)
-    lanes.load_search(table, k, run.phase, start, end, 0.0)
+    lanes.load_mode(table, k, lanes.X_G, p.slow_osc, p.slow_a, p.slow_b)
+    lanes.load_mode(table, k, lanes.Y_G, p.fast_osc, p.fast_a, p.fast_b)
+    lanes.load_smooth(table, k, p.static, 0.0, 0.0, p.wave_re, -p.wave_im, 0.0)
+    # about the time over which F changes its shape, as in first_root
+    f2, f3, f4 = t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
+    width = 2.0 * max(abs(f3), math.sqrt(abs(f2) * f4)) / f4
+    lanes.load_search(table, k, run.phase, start, end, width)
     lanes.keep(table, k, m.gap_a, m.gap_b, m.elongation_a, m.elongation_b)
     return True
 
@@ -330,13 +331,10 @@ def _load_flight(
             start += safe
         elif 2.0 * gap1 < -gap2 * lanes.SHORT_FLIGHT:
             return False
-    a, b = coordinates(s.flight, -0.5 * run.q, -0.5 * run.q1)
-    lanes.load_modes(table, k, s.flight, 0.0, 0.0, s.flight, a, b)
-    lanes.smooth_coefficients(
-        table, k, run.gap + (cos0 + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin0), 0.5 * s.gravity,
-        -1.0, 0.0, 0.5 * abs(run.q),
-    )  # fmt: skip
-    lanes.load_search(table, k, run.phase, start, horizon, lanes.FIRST_WIDTH)
+    lanes.load_mode(table, k, lanes.X_G, s.flight, 0.0, 0.0)
+    lanes.load_flight(
+        table, k, s.flight, s.gravity, run.phase, sin0, cos0, run.gap, run.gap1, run.q, run.q1, start, horizon
+    )
     return True
 
 
@@ -356,8 +354,7 @@ def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, fl
     tau, ending, used = lanes.search_end(table, k)
     sin, cos = lanes.plate_at_end(table, k)
     if run.in_flight:
-        over = lanes.propagator_at_end(table, k, lanes.Y_G, s.flight)
-        q, q1 = position(s.flight, *propagate(s.flight, *coordinates(s.flight, run.q, run.q1), over))
+        q, q1 = lanes.moved(table, k, s.flight, run.q, run.q1)
         gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, q, q1)
         if ending == ROOT:
             gap, gap1 = 0.0, min(gap1, 0.0)
@@ -376,5 +373,5 @@ def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, fl
 @interface.advance_lanes.register(SoftPlate)
 @inlined
 def _advance(plate: SoftPlate, table: Any, used: int) -> None:
-    """`lanes.advance_modes`."""
-    lanes.advance_modes(table, used)
+    """`lanes.advance` of two modes."""
+    lanes.advance(table, used, True)
