@@ -100,7 +100,8 @@ def serves(osc: Oscillator, end: float) -> bool:
     """Whether lanes can compute this mode up to `end` rad: not near critical damping, nor over many turns."""
     if not osc.root > NEAR_CRITICAL * osc.damping:
         return False
-    return osc.discriminant > 0.0 or osc.root * min(end, -LOWEST_EXPONENT / osc.damping) < LARGEST_ANGLE
+    decays = osc.root * -LOWEST_EXPONENT < LARGEST_ANGLE * osc.damping
+    return osc.discriminant > 0.0 or osc.root * end < LARGEST_ANGLE or decays
 
 
 @inlined
@@ -123,7 +124,7 @@ def load_mode(table: Any, k: int, first: int, osc: Oscillator, a: float, b: floa
     table[(first + 1) * LANES + k] = -osc.damping if under else osc.fast
     table[(first + 2) * LANES + k] = osc.root if under else 0.0
     table[(first + 3) * LANES + k] = a
-    table[(first + 4) * LANES + k] = (b + osc.damping * a) / osc.root if under else b
+    table[(first + 4) * LANES + k] = (b + osc.damping * a) * osc.inverse if under else b
     table[(first + 5) * LANES + k] = 0.0 if under else 1.0
 
 
@@ -202,13 +203,13 @@ def propagator_at_end(table: Any, k: int, first: int, osc: Oscillator) -> tuple[
     if apart(osc):
         return _grown(cos, osc.slow * move), _grown(sin, osc.fast * move), 0.0
     sin, cos = _turned(sin, cos, osc.root * move)
-    cosine, sine = _grown(cos, -osc.damping * move), _grown(sin, -osc.damping * move) / osc.root
+    cosine, sine = _grown(cos, -osc.damping * move), _grown(sin, -osc.damping * move) * osc.inverse
     return cosine + osc.damping * sine, sine, cosine - osc.damping * sine
 
 
 @inlined
 def moved(table: Any, k: int, osc: Oscillator, x: float, v: float) -> tuple[float, float]:
-    """x and x' of the second mode's oscillator at the end of the search in lane k, from those at its start."""
+    """x and x' of the second mode's oscillator where the search in lane k ended, from those at its start."""
     over = propagator_at_end(table, k, Y_G, osc)
     return position(osc, *propagate(osc, *coordinates(osc, x, v), over))
 

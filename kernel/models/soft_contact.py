@@ -41,7 +41,7 @@ from kernel.restitution import scalar_damping_ratio
 NEAREST_RESONANCE: Final = 1e-8
 
 #: The modes of a cell whose numbers are too far apart for any factors to be found: the cell diverges.
-UNDEFINED: Final = Oscillator(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
+UNDEFINED: Final = Oscillator(*(math.nan,) * len(Oscillator._fields))
 
 
 class Coupling(NamedTuple):
