@@ -2,11 +2,11 @@
 
 The search is that of `first_root.first_root`, for phase functions of one form,
 
-    F(tau) = k0 + k1 tau - k2 tau^2 + a cos(phi + tau) + b sin(phi + tau) + p y + r y',
+    F(tau) = k0 + k1 tau - k2 tau^2 + a cos(phi + tau) + b sin(phi + tau) + y,
 
-with y a free damped oscillator, as a rigid plate's normal force and the gap of a flight, or, in place of
-p y + r y', x + y with two free modes: the lift-off function of a soft contact. A mode is carried by two
-coordinates, in which the underdamped and the overdamped motion have one form,
+with y a free mode of the motion, a damped oscillator: a rigid plate's normal force and the gap of a flight;
+or x + y with two of them: the lift-off function of a soft contact. A mode is carried by two coordinates, in
+which the underdamped and the overdamped motion have one form,
 
     u = e^(g tau) (u0 cos(r tau) + v0 sin(r tau))      u' = g u + r v
     v = e^(h tau) (v0 cos(r tau) - u0 sin(r tau))      v' = h v - r u
@@ -15,7 +15,7 @@ Underdamped, g = h = -damping, r is the frequency and the mode is u; overdamped,
 fast root, r = 0 and the mode is u + v, whose two amplitudes never cancel (`kernel.numerics.oscillator`). Any
 derivative of it is bounded from now on by |u| + |v| of that derivative.
 
-One call of `advance` or `advance_modes` evaluates every lane's F once and moves every lane on, without a
+One call of `advance` evaluates every lane's F once and moves every lane on, without a
 branch, so that the compiler turns it into vector instructions. What a lane does never depends on others.
 
 A lane differs from the scalar search where vector code requires it: one round of `safe_step` for each
@@ -28,17 +28,18 @@ from typing import Any, Final
 import numpy as np
 
 from kernel.numerics import first_root
-from kernel.numerics.elementary import (
-    HYPERBOLIC_LIMIT,
-    LOWEST_EXPONENT,
-    circular_or_hyperbolic,
-    exp,
-    fma,
-    sincos_small,
-)
+from kernel.numerics.elementary import LOWEST_EXPONENT, exp, fma, sincos_small
 from kernel.numerics.first_root import EPS, NEAR, householder_step
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator, derivatives
+from kernel.numerics.oscillator import (
+    NEAR_CRITICAL,
+    Oscillator,
+    apart,
+    coordinates,
+    position,
+    propagate,
+    propagator,
+)
 from kernel.params import LANES
 
 #: Evaluations of one phase after which a lane falls back to the scalar functions. Almost
@@ -56,6 +57,8 @@ KEEP: Final = 1.5  # ... and times this if not, as in `first_root.safe_step`
 SHORT_FLIGHT: Final = 0.05  # rad; the scalar functions compute shorter flights: here the gap cancels to 1e-4
 SHORT_START: Final = 1e-4  # rad; and those with a shorter first safe step, where the gap is near rounding
 LONGEST_CONTACT: Final = 4.0 * math.pi  # rad; the scalar functions know when a longer one never ends
+#: Times a mode's fastest rate: a last step for which the first terms of its power series leave only rounding.
+SHORT_MOVE: Final = 1e-3
 LARGEST_ANGLE: Final = 1e5  # rad up to which `sincos_small` is exact; a mode must have decayed before
 
 #: A lane's status after `advance`.
@@ -70,16 +73,14 @@ FALLBACK: Final = 3.0  # MAX_EVALUATIONS were made, or a number is not finite
 # cos(phi + tau) of the last evaluation.
 (PHI, K0, K1, K2, A, B, HORIZON, NOISE) = range(8)
 (TAU, GUESS, CLOSING, COUNT, STATUS, MOVE, SIN, COS) = range(8, 16)
-# The oscillator (DAMPING to STIFFNESS; UNDER and NEARLY are 1.0 where it is underdamped or nearly critical),
-# its state at tau = 0, its coefficients in F, and y, y' of the last evaluation.
-(DAMPING, ROOT, INVERSE, SLOW, RATE, PERIOD, UNDER, NEARLY, STIFFNESS, Y0, V0, P, R, Y, Y1) = range(16, 31)
-# Or two modes: g, h and r of each, its coordinates at tau = 0, and the part of v in it, 1 or 0; the width of
-# the next step over the smooth part; four numbers of the caller's.
-(X_G, X_H, X_R, X_U, X_V, X_SUM) = range(16, 22)
-(Y_G, Y_H, Y_R, Y_U, Y_V, Y_SUM) = range(22, 28)
-WIDE: Final = 28
-OWN: Final = 29
-ROWS: Final = 33
+# Two modes, or the second alone: g, h and r of each, its coordinates at tau = 0, the part of v in it, 1 or 0,
+# and of the last evaluation e^(g tau) cos(r tau) and e^(g tau) sin(r tau), or e^(h tau) where overdamped; the
+# width of the next step over the smooth part; four numbers of the caller's.
+(X_G, X_H, X_R, X_U, X_V, X_SUM, X_COS, X_SIN) = range(16, 24)
+(Y_G, Y_H, Y_R, Y_U, Y_V, Y_SUM, Y_COS, Y_SIN) = range(24, 32)
+WIDE: Final = 32
+OWN: Final = 33
+ROWS: Final = 37
 
 
 @inlined
@@ -99,26 +100,8 @@ def serves(osc: Oscillator, end: float) -> bool:
     """Whether lanes can compute this mode up to `end` rad: not near critical damping, nor over many turns."""
     if not osc.root > NEAR_CRITICAL * osc.damping:
         return False
-    return osc.discriminant > 0.0 or osc.root * min(end, -LOWEST_EXPONENT / osc.damping) < LARGEST_ANGLE
-
-
-@inlined
-def load(
-    table: Any, k: int, osc: Oscillator, phi: float, y: float, v: float, start: float, horizon: float
-) -> None:
-    """Begin a phase in lane k: y and y' = v at tau = 0, the search from `start` to `horizon` (rad)."""
-    table[DAMPING * LANES + k] = osc.damping
-    table[ROOT * LANES + k] = osc.root
-    table[INVERSE * LANES + k] = 1.0 / osc.root
-    table[SLOW * LANES + k] = osc.slow
-    table[RATE * LANES + k] = math.sqrt(osc.stiffness)
-    table[PERIOD * LANES + k] = 1.0 / math.sqrt(osc.stiffness)
-    table[UNDER * LANES + k] = 1.0 if osc.discriminant < 0.0 else 0.0
-    table[NEARLY * LANES + k] = 1.0 if osc.root <= NEAR_CRITICAL * osc.damping else 0.0
-    table[STIFFNESS * LANES + k] = osc.stiffness
-    table[Y0 * LANES + k] = y
-    table[V0 * LANES + k] = v
-    load_search(table, k, phi, start, horizon, min(FIRST_WIDTH, FIRST_TURN / osc.rate))
+    decays = osc.root * -LOWEST_EXPONENT < LARGEST_ANGLE * osc.damping
+    return osc.discriminant > 0.0 or osc.root * end < LARGEST_ANGLE or decays
 
 
 @inlined
@@ -128,18 +111,34 @@ def load_search(table: Any, k: int, phi: float, start: float, horizon: float, gu
     table[HORIZON * LANES + k] = horizon
     table[TAU * LANES + k] = min(start, horizon)
     table[GUESS * LANES + k] = guess
+    table[WIDE * LANES + k] = FIRST_WIDTH
     table[CLOSING * LANES + k] = 0.0
     table[COUNT * LANES + k] = 0.0
 
 
 @inlined
-def load_modes(
-    table: Any, k: int, x: Oscillator, x_a: float, x_b: float, y: Oscillator, y_a: float, y_b: float
-) -> None:
-    """Put two modes with these coordinates (`oscillator.coordinates`) into lane k."""
-    _load_mode(table, k, X_G, x, x_a, x_b)
-    _load_mode(table, k, Y_G, y, y_a, y_b)
-    table[WIDE * LANES + k] = FIRST_WIDTH
+def load_mode(table: Any, k: int, first: int, osc: Oscillator, a: float, b: float) -> None:
+    """Put a mode with these coordinates (`oscillator.coordinates`) into the rows from `first`."""
+    under = osc.discriminant < 0.0
+    table[first * LANES + k] = -osc.damping if under else osc.slow
+    table[(first + 1) * LANES + k] = -osc.damping if under else osc.fast
+    table[(first + 2) * LANES + k] = osc.root if under else 0.0
+    table[(first + 3) * LANES + k] = a
+    table[(first + 4) * LANES + k] = (b + osc.damping * a) * osc.inverse if under else b
+    table[(first + 5) * LANES + k] = 0.0 if under else 1.0
+
+
+@inlined
+def load_flight(
+    table: Any, k: int, osc: Oscillator, gravity: float, phi: float, sin: float, cos: float, gap: float,
+    gap1: float, q: float, q1: float, start: float, horizon: float,
+) -> None:  # fmt: skip
+    """Begin the search for the landing of a flight in lane k from `start` (rad), the gap being its F."""
+    load_mode(table, k, Y_G, osc, *coordinates(osc, -0.5 * q, -0.5 * q1))
+    load_smooth(
+        table, k, gap + (cos + 0.5 * q), gap1 + (0.5 * q1 - sin), 0.5 * gravity, -1.0, 0.0, 0.5 * abs(q)
+    )
+    load_search(table, k, phi, start, horizon, min(FIRST_WIDTH, FIRST_TURN / osc.rate))
 
 
 @inlined
@@ -157,33 +156,8 @@ def kept(table: Any, k: int) -> tuple[float, float, float, float]:
 
 
 @inlined
-def _load_mode(table: Any, k: int, first: int, osc: Oscillator, a: float, b: float) -> None:
-    """Put a mode with these coordinates (`oscillator.coordinates`) into the six rows from `first`."""
-    under = osc.discriminant < 0.0
-    table[first * LANES + k] = -osc.damping if under else osc.slow
-    table[(first + 1) * LANES + k] = -osc.damping if under else osc.fast
-    table[(first + 2) * LANES + k] = osc.root if under else 0.0
-    table[(first + 3) * LANES + k] = a
-    table[(first + 4) * LANES + k] = (b + osc.damping * a) / osc.root if under else b
-    table[(first + 5) * LANES + k] = 0.0 if under else 1.0
-
-
-@inlined
-def coefficients(
-    table: Any, k: int, p: float, r: float, k0: float, k1: float, k2: float, a: float, b: float
-) -> None:
-    """Set the coefficients of lane k's phase function, and a bound on its rounding error at tau = 0."""
-    table[P * LANES + k] = p
-    table[R * LANES + k] = r
-    ring = abs(p * table[Y0 * LANES + k]) + abs(r * table[V0 * LANES + k])
-    smooth_coefficients(table, k, k0, k1, k2, a, b, ring)
-
-
-@inlined
-def smooth_coefficients(
-    table: Any, k: int, k0: float, k1: float, k2: float, a: float, b: float, size: float
-) -> None:
-    """Set those of F without its free modes, and the bound; `size` bounds what else was added up for F."""
+def load_smooth(table: Any, k: int, k0: float, k1: float, k2: float, a: float, b: float, size: float) -> None:
+    """Set the coefficients of F without its modes; `size` bounds what else was added up for F at tau = 0."""
     table[K0 * LANES + k] = k0
     table[K1 * LANES + k] = k1
     table[K2 * LANES + k] = k2
@@ -200,18 +174,44 @@ def search_end(table: Any, k: int) -> tuple[float, int, int]:
 
 
 @inlined
-def state_at_end(table: Any, k: int, osc: Oscillator) -> tuple[float, float, float, float]:
-    """sin and cos of the plate's phase, y and y', where the search in lane k ended with one oscillator."""
-    # by Taylor series in the last step, which is below first_root.NEAR, so that the rest is rounding
-    sin, cos, move = table[SIN * LANES + k], table[COS * LANES + k], table[MOVE * LANES + k]
-    y, y1 = table[Y * LANES + k], table[Y1 * LANES + k]
-    y2, y3, _ = derivatives(osc, y, y1)
-    y4 = -2.0 * osc.damping * y3 - osc.stiffness * y2
-    y += move * (y1 + 0.5 * move * (y2 + move * (1.0 / 3.0) * (y3 + 0.25 * move * y4)))
-    y1 += move * (y2 + 0.5 * move * (y3 + move * (1.0 / 3.0) * y4))
-    square = move * move
-    sine, versine = move * (1.0 - square * (1.0 / 6.0)), square * (0.5 - square * (1.0 / 24.0))
-    return sin + cos * sine - sin * versine, cos - sin * sine - cos * versine, y, y1
+def plate_at_end(table: Any, k: int) -> tuple[float, float]:
+    """sin and cos of the plate's phase where the search in lane k ended."""
+    return _turned(table[SIN * LANES + k], table[COS * LANES + k], table[MOVE * LANES + k])
+
+
+@inlined
+def _turned(sin: float, cos: float, by: float) -> tuple[float, float]:
+    """sin and cos of an angle larger by so little that the power series leaves only rounding."""
+    square = by * by
+    sine, versine = by * (1.0 - square * (1.0 / 6.0)), square * (0.5 - square * (1.0 / 24.0))
+    return sin + cos * sine - sin * versine, cos - sin * sine - cos * versine
+
+
+@inlined
+def _grown(value: float, by: float) -> float:
+    """value e^by, as `_turned`."""
+    return value + value * by * (1.0 + by * (0.5 + by * ((1.0 / 6.0) + by * (1.0 / 24.0))))
+
+
+@inlined
+def propagator_at_end(table: Any, k: int, first: int, osc: Oscillator) -> tuple[float, float, float]:
+    """`oscillator.propagator` of the mode in the rows from `first`, where the search in lane k ended."""
+    move = table[MOVE * LANES + k]
+    if osc.rate * abs(move) > SHORT_MOVE:
+        return propagator(osc, table[TAU * LANES + k] + move)
+    cos, sin = table[(first + 6) * LANES + k], table[(first + 7) * LANES + k]
+    if apart(osc):
+        return _grown(cos, osc.slow * move), _grown(sin, osc.fast * move), 0.0
+    sin, cos = _turned(sin, cos, osc.root * move)
+    cosine, sine = _grown(cos, -osc.damping * move), _grown(sin, -osc.damping * move) * osc.inverse
+    return cosine + osc.damping * sine, sine, cosine - osc.damping * sine
+
+
+@inlined
+def moved(table: Any, k: int, osc: Oscillator, x: float, v: float) -> tuple[float, float]:
+    """x and x' of the second mode's oscillator where the search in lane k ended, from those at its start."""
+    over = propagator_at_end(table, k, Y_G, osc)
+    return position(osc, *propagate(osc, *coordinates(osc, x, v), over))
 
 
 @inlined
@@ -274,79 +274,32 @@ def move_on(
     return step
 
 
-@jit
-def advance(table: Any, used: int) -> None:
-    """Evaluate F once in the first `used` lanes and move them on; one whose phase has ended stays.
-
-    The body is straight-line code: conditions choose between values that are both computed.
-    """
-    for k in range(used):
-        # the oscillator at tau: y, y' and, from its equation, the derivatives to the fifth
-        tau = table[TAU * LANES + k]
-        sin, cos = sincos_small(table[PHI * LANES + k] + tau)
-        damping, stiffness = table[DAMPING * LANES + k], table[STIFFNESS * LANES + k]
-        drag = -2.0 * damping
-        root, slow, under = table[ROOT * LANES + k], table[SLOW * LANES + k], table[UNDER * LANES + k] > 0.0
-        # C, S and S' as in oscillator.response: by sin and cos where underdamped; overdamped, by sinh and
-        # cosh up to HYPERBOLIC_LIMIT, which are continuous through root = 0, then by two exponentials
-        angle = root * tau
-        hyperbolic = (angle <= HYPERBOLIC_LIMIT) & (not under)
-        product = under | hyperbolic  # of exp(-damping tau) and a circular or hyperbolic function
-        decay = exp((-damping if product else slow) * tau)
-        ratio = exp(-2.0 * angle)  # of the fast exponential to the slow one
-        odd, even = circular_or_hyperbolic(angle, -1.0 if hyperbolic else 1.0)
-        fast = -(damping + root)
-        scale = 0.5 * decay * table[INVERSE * LANES + k]
-        sine = 2.0 * scale * odd if product else scale * (1.0 - ratio)
-        sine = decay * tau if angle == 0.0 else sine
-        cosine = fma(decay, even, damping * sine) if product else scale * fma(slow, ratio, -fast)
-        sine1 = fma(decay, even, -damping * sine) if product else scale * fma(-fast, ratio, slow)
-        y0, v0 = table[Y0 * LANES + k], table[V0 * LANES + k]
-        y = fma(y0, cosine, v0 * sine)
-        y1 = fma(v0, sine1, -stiffness * sine * y0)
-        y2 = fma(drag, y1, -stiffness * y)
-        y3 = fma(drag, y2, -stiffness * y1)
-        y4 = fma(drag, y3, -stiffness * y2)
-        y5 = fma(drag, y4, -stiffness * y3)
-        # F = smooth + ring with its derivatives, and bounds on the fourth and on the ring from now on
-        p, r, a, b = table[P * LANES + k], table[R * LANES + k], table[A * LANES + k], table[B * LANES + k]
-        k0, k1, k2 = table[K0 * LANES + k], table[K1 * LANES + k], table[K2 * LANES + k]
-        rate, period = table[RATE * LANES + k], table[PERIOD * LANES + k]
-        wave, wave1 = fma(a, cos, b * sin), fma(b, cos, -a * sin)
-        smooth, smooth1 = fma(fma(-k2, tau, k1), tau, k0) + wave, fma(-2.0 * k2, tau, k1) + wave1
-        smooth2, smooth3, smooth4 = fma(-2.0, k2, -wave), -wave1, abs(a) + abs(b)
-        f0, f1 = smooth + fma(p, y, r * y1), smooth1 + fma(p, y1, r * y2)
-        f2, f3 = smooth2 + fma(p, y2, r * y3), smooth3 + fma(p, y3, r * y4)
-        half = 0.5 * table[INVERSE * LANES + k]
-        swing, swing1 = fma(rate, abs(y3), abs(y4)), fma(rate, abs(y4), abs(y5))
-        fade = half * fma(-slow, abs(fma(-fast, y3, y4)), -fast * abs(fma(slow, y3, -y4)))
-        fade1 = half * fma(-slow, abs(fma(-fast, y4, y5)), -fast * abs(fma(slow, y4, -y5)))
-        # the bound by the two exponentials (oscillator.derivatives) needs roots that are apart
-        by_energy = under | (table[NEARLY * LANES + k] > 0.0)
-        f4 = fma(abs(p), swing if by_energy else fade, fma(abs(r), swing1 if by_energy else fade1, smooth4))
-        ringing = fma(abs(p), fma(period, abs(y1), abs(y)), abs(r) * fma(period, abs(y2), abs(y1)))
-        clear = smooth - ringing
-        noise = fma(2.0 * EPS * tau, fma(k2, tau, abs(k1)), table[NOISE * LANES + k])
-        guess = table[GUESS * LANES + k]
-        over = safe_step_once(max(clear, 0.0), smooth1, smooth2, smooth3, smooth4, guess)
-        newton = -f0 * (1.0 / f1)
-        near = newton * newton * fma(drag, drag, stiffness + 1.0) < NEAR * NEAR
-        over = over if clear > 0.0 else 0.0
-        step = move_on(table, k, tau, guess, f0, f1, f2, f3, f4, over, noise, near)
-        table[GUESS * LANES + k] = (GROW if step >= guess else KEEP) * step
-        table[Y * LANES + k] = y
-        table[Y1 * LANES + k] = y1
-        table[SIN * LANES + k] = sin
-        table[COS * LANES + k] = cos
-
-
 @inlined
-def _mode_at(table: Any, k: int, first: int, tau: float) -> tuple[float, float]:
-    """The coordinates u and v of a mode at tau."""
-    g, h = table[first * LANES + k], table[(first + 1) * LANES + k]
+def _mode_terms(
+    table: Any, k: int, first: int, tau: float
+) -> tuple[float, float, float, float, float, float]:
+    """A mode at tau, three derivatives, and bounds on the fourth and on itself from then on.
+
+    Keeps what `propagator_at_end` needs.
+    """
     sin, cos = sincos_small(table[(first + 2) * LANES + k] * tau)
-    u, v = table[(first + 3) * LANES + k], table[(first + 4) * LANES + k]
-    return exp(g * tau) * fma(u, cos, v * sin), exp(h * tau) * fma(v, cos, -u * sin)
+    grown, other = exp(table[first * LANES + k] * tau), exp(table[(first + 1) * LANES + k] * tau)
+    u, v, part = (
+        table[(first + 3) * LANES + k],
+        table[(first + 4) * LANES + k],
+        table[(first + 5) * LANES + k],
+    )
+    table[(first + 6) * LANES + k] = grown * cos
+    table[(first + 7) * LANES + k] = other if part > 0.0 else grown * sin
+    u, v = grown * fma(u, cos, v * sin), other * fma(v, cos, -u * sin)
+    u1, v1 = _mode_derivative(table, k, first, u, v)
+    u2, v2 = _mode_derivative(table, k, first, u1, v1)
+    u3, v3 = _mode_derivative(table, k, first, u2, v2)
+    u4, v4 = _mode_derivative(table, k, first, u3, v3)
+    return (
+        fma(part, v, u), fma(part, v1, u1), fma(part, v2, u2), fma(part, v3, u3), abs(u4) + abs(v4),
+        abs(u) + abs(v),
+    )  # fmt: skip
 
 
 @inlined
@@ -356,44 +309,35 @@ def _mode_derivative(table: Any, k: int, first: int, u: float, v: float) -> tupl
     return fma(g, u, r * v), fma(h, v, -r * u)
 
 
-@jit
-def advance_modes(table: Any, used: int) -> None:
-    """As `advance`, for F with two modes."""
+@inlined
+def advance(table: Any, used: int, both: bool) -> None:
+    """Evaluate F once in the first `used` lanes and move them on; one whose phase has ended stays.
+
+    The body is straight-line code: conditions choose between values that are both computed. `both`, a
+    constant where this is called: whether F has both modes, or the second alone.
+    """
     for k in range(used):
         tau = table[TAU * LANES + k]
         sin, cos = sincos_small(table[PHI * LANES + k] + tau)
-        x_sum, y_sum = table[X_SUM * LANES + k], table[Y_SUM * LANES + k]
-        u0, v0 = _mode_at(table, k, X_G, tau)
-        u1, v1 = _mode_derivative(table, k, X_G, u0, v0)
-        u2, v2 = _mode_derivative(table, k, X_G, u1, v1)
-        u3, v3 = _mode_derivative(table, k, X_G, u2, v2)
-        u4, v4 = _mode_derivative(table, k, X_G, u3, v3)
+        table[SIN * LANES + k] = sin
+        table[COS * LANES + k] = cos
         a, b = table[A * LANES + k], table[B * LANES + k]
         k0, k1, k2 = table[K0 * LANES + k], table[K1 * LANES + k], table[K2 * LANES + k]
         wave, wave1 = fma(a, cos, b * sin), fma(b, cos, -a * sin)
-        smooth = fma(fma(-k2, tau, k1), tau, k0) + wave + fma(x_sum, v0, u0)
-        smooth1 = fma(-2.0 * k2, tau, k1) + wave1 + fma(x_sum, v1, u1)
-        smooth2 = fma(-2.0, k2, -wave) + fma(x_sum, v2, u2)
-        smooth3 = fma(x_sum, v3, u3) - wave1
-        smooth4 = abs(a) + abs(b) + abs(u4) + abs(v4)
-        size = abs(u0) + abs(v0)
-        u0, v0 = _mode_at(table, k, Y_G, tau)
-        u1, v1 = _mode_derivative(table, k, Y_G, u0, v0)
-        u2, v2 = _mode_derivative(table, k, Y_G, u1, v1)
-        u3, v3 = _mode_derivative(table, k, Y_G, u2, v2)
-        u4, v4 = _mode_derivative(table, k, Y_G, u3, v3)
-        f0, f1 = smooth + fma(y_sum, v0, u0), smooth1 + fma(y_sum, v1, u1)
-        f2, f3 = smooth2 + fma(y_sum, v2, u2), smooth3 + fma(y_sum, v3, u3)
-        f4 = smooth4 + (abs(u4) + abs(v4))
-        amplitude = abs(u0) + abs(v0)
+        smooth, smooth1 = fma(fma(-k2, tau, k1), tau, k0) + wave, fma(-2.0 * k2, tau, k1) + wave1
+        smooth2, smooth3, smooth4 = fma(-2.0, k2, -wave), -wave1, abs(a) + abs(b)
+        size = 0.0
+        if both:
+            x, x1, x2, x3, x4, size = _mode_terms(table, k, X_G, tau)
+            smooth, smooth1, smooth2, smooth3, smooth4 = (
+                smooth + x, smooth1 + x1, smooth2 + x2, smooth3 + x3, smooth4 + x4
+            )  # fmt: skip
+        y, y1, y2, y3, y4, amplitude = _mode_terms(table, k, Y_G, tau)
+        f0, f1, f2, f3, f4 = smooth + y, smooth1 + y1, smooth2 + y2, smooth3 + y3, smooth4 + y4
         clear = smooth - amplitude
         drift = fma(2.0 * EPS * tau, fma(k2, tau, abs(k1)), table[NOISE * LANES + k])
         noise = fma(4.0 * EPS, size + amplitude, drift)
-        # about the time over which F changes its shape, as in first_root
-        natural = 2.0 * max(abs(f3), math.sqrt(abs(f2) * f4)) / f4
-        guess = table[GUESS * LANES + k]
-        guess = guess if guess > 0.0 else natural
-        wide = table[WIDE * LANES + k]
+        guess, wide = table[GUESS * LANES + k], table[WIDE * LANES + k]
         over = safe_step_once(max(clear, 0.0), smooth1, smooth2, smooth3, smooth4, wide)
         inverse = 1.0 / f1
         newton = abs(-f0 * inverse)

@@ -21,7 +21,15 @@ from kernel.models.flight import begin_flight, landing, short_hop, state_after
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import Oscillator, decay_time, derivatives, envelope, motion, oscillator
+from kernel.numerics.oscillator import (
+    Oscillator,
+    coordinates,
+    decay_time,
+    derivatives,
+    envelope,
+    motion,
+    oscillator,
+)
 from kernel.params import check_arrays
 from kernel.portable_math import hypot
 
@@ -243,8 +251,8 @@ def _chatter_ends(s: Spring, sin: float, cos: float, hop: float, q: float, q1: f
 @interface.advance_lanes.register(RigidPlate)
 @inlined
 def _advance(plate: RigidPlate, table: Any, used: int) -> None:
-    """`lanes.advance`."""
-    lanes.advance(table, used)
+    """`lanes.advance` of one mode."""
+    lanes.advance(table, used, False)
 
 
 @inlined
@@ -256,9 +264,13 @@ def _load_contact(
     h2, h3, _ = derivatives(s.stuck, h, h1)
     if envelope(s.stuck, h2, h3) < s.margin:
         return False
-    lanes.load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, lanes.LONGEST_CONTACT))
-    lanes.coefficients(table, k, -s.stiffness, -s.dashpot, s.mean_force, 0.0, 0.0, -s.n_re, s.n_im)
-    return True
+    end = min(horizon, lanes.LONGEST_CONTACT)
+    ring, ring1 = -s.dashpot * h1 - s.stiffness * h, -s.dashpot * h2 - s.stiffness * h1
+    lanes.load_mode(table, k, lanes.Y_G, s.stuck, *coordinates(s.stuck, ring, ring1))
+    lanes.load_smooth(table, k, s.mean_force, 0.0, 0.0, -s.n_re, s.n_im, abs(ring))
+    lanes.load_search(table, k, run.phase, 0.0, end, min(lanes.FIRST_WIDTH, lanes.FIRST_TURN / s.stuck.rate))
+    lanes.keep(table, k, h, h1, 0.0, 0.0)
+    return lanes.serves(s.stuck, end)
 
 
 @inlined
@@ -274,12 +286,10 @@ def _load_flight(
             return False
     elif run.gap == 0.0 and 2.0 * run.gap1 < -gap2 * lanes.SHORT_FLIGHT:
         return False
-    lanes.load(table, k, s.flight, run.phase, run.q, run.q1, start, horizon)
-    lanes.coefficients(
-        table, k, -0.5, 0.0, run.gap + (cos + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin),
-        0.5 * s.gravity, -1.0, 0.0,
-    )  # fmt: skip
-    return True
+    lanes.load_flight(
+        table, k, s.flight, s.gravity, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1, start, horizon
+    )
+    return lanes.serves(s.flight, horizon)
 
 
 @interface.load_lane.register(Spring)
@@ -298,10 +308,13 @@ def _load(s: Spring, table: Any, k: int, run: Progress, sin: float, cos: float, 
 def _unload(s: Spring, table: Any, k: int, run: Progress) -> tuple[Phase, float, float]:
     """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
     tau, ending, used = lanes.search_end(table, k)
-    sin, cos, y, y1 = lanes.state_at_end(table, k, s.flight if run.in_flight else s.stuck)
+    sin, cos = lanes.plate_at_end(table, k)
     if not run.in_flight:
-        return _stuck_until(s, sin, cos, tau, ending, y, y1, used), sin, cos
-    gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, y, y1)
+        h, h1, _, _ = lanes.kept(table, k)
+        h, h1 = lanes.moved(table, k, s.stuck, h, h1)
+        return _stuck_until(s, sin, cos, tau, ending, h, h1, used), sin, cos
+    q, q1 = lanes.moved(table, k, s.flight, run.q, run.q1)
+    gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, q, q1)
     if ending != ROOT:
-        return Phase(tau, ending, True, gap, gap1, y, y1, used), sin, cos
-    return land(s, sin, cos, tau, gap1, y, y1, used), sin, cos
+        return Phase(tau, ending, True, gap, gap1, q, q1, used), sin, cos
+    return land(s, sin, cos, tau, gap1, q, q1, used), sin, cos

@@ -24,6 +24,7 @@ from kernel.models.soft_contact import (
     LiftoffFunction,
     ModalState,
     SoftSpring,
+    gap_rings,
     liftoff_function,
     modes_of,
     soft_spring,
@@ -34,7 +35,14 @@ from kernel.models.soft_contact import (
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import all_derivatives, apart, coordinates, derivatives, motion, quiet_time
+from kernel.numerics.oscillator import (
+    all_derivatives,
+    apart,
+    derivatives,
+    motion,
+    propagator,
+    quiet_time,
+)
 from kernel.params import check_arrays
 
 
@@ -140,7 +148,9 @@ def _contact(
     if ending == HORIZON:
         tau = horizon
     sin, cos = sincos(phi + tau)
-    gap, gap1, q, q1 = state_of(s, m, sin, cos, tau)
+    gap, gap1, q, q1 = state_of(
+        s, m, sin, cos, propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau)
+    )
     if ending == ROOT and s.adhesive:
         gap, gap1 = 0.0, max(gap1, 0.0)
     return Phase(tau, ending, ending == ROOT, gap, gap1, q, q1, used)
@@ -282,9 +292,13 @@ def _load_contact(
     at_once = start == 0.0 and f0 <= 4.0 * t.noise
     if at_once or stays or not (lanes.serves(p.slow_osc, end) and lanes.serves(p.fast_osc, end)):
         return False
-    lanes.load_modes(table, k, p.slow_osc, p.slow_a, p.slow_b, p.fast_osc, p.fast_a, p.fast_b)
-    lanes.smooth_coefficients(table, k, p.static, 0.0, 0.0, p.wave_re, -p.wave_im, 0.0)
-    lanes.load_search(table, k, run.phase, start, end, 0.0)
+    lanes.load_mode(table, k, lanes.X_G, p.slow_osc, p.slow_a, p.slow_b)
+    lanes.load_mode(table, k, lanes.Y_G, p.fast_osc, p.fast_a, p.fast_b)
+    lanes.load_smooth(table, k, p.static, 0.0, 0.0, p.wave_re, -p.wave_im, 0.0)
+    # about the time over which F changes its shape, as in first_root
+    f2, f3, f4 = t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
+    width = 2.0 * max(abs(f3), math.sqrt(abs(f2) * f4)) / f4
+    lanes.load_search(table, k, run.phase, start, end, width)
     lanes.keep(table, k, m.gap_a, m.gap_b, m.elongation_a, m.elongation_b)
     return True
 
@@ -317,13 +331,10 @@ def _load_flight(
             start += safe
         elif 2.0 * gap1 < -gap2 * lanes.SHORT_FLIGHT:
             return False
-    a, b = coordinates(s.flight, -0.5 * run.q, -0.5 * run.q1)
-    lanes.load_modes(table, k, s.flight, 0.0, 0.0, s.flight, a, b)
-    lanes.smooth_coefficients(
-        table, k, run.gap + (cos0 + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin0), 0.5 * s.gravity,
-        -1.0, 0.0, 0.5 * abs(run.q),
-    )  # fmt: skip
-    lanes.load_search(table, k, run.phase, start, horizon, lanes.FIRST_WIDTH)
+    lanes.load_mode(table, k, lanes.X_G, s.flight, 0.0, 0.0)
+    lanes.load_flight(
+        table, k, s.flight, s.gravity, run.phase, sin0, cos0, run.gap, run.gap1, run.q, run.q1, start, horizon
+    )
     return True
 
 
@@ -341,15 +352,19 @@ def _load(s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: flo
 def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, float, float]:
     """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
     tau, ending, used = lanes.search_end(table, k)
-    sin, cos = sincos(run.phase + tau)
+    sin, cos = lanes.plate_at_end(table, k)
     if run.in_flight:
-        q, q1 = motion(s.flight, run.q, run.q1, tau)
+        q, q1 = lanes.moved(table, k, s.flight, run.q, run.q1)
         gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, q, q1)
         if ending == ROOT:
             gap, gap1 = 0.0, min(gap1, 0.0)
         return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used), sin, cos
     gap_a, gap_b, elongation_a, elongation_b = lanes.kept(table, k)
-    gap, gap1, q, q1 = state_of(s, ModalState(gap_a, gap_b, elongation_a, elongation_b), sin, cos, tau)
+    gap_rows, elongation_rows = (lanes.Y_G, lanes.X_G) if gap_rings(s) else (lanes.X_G, lanes.Y_G)
+    gap_over = lanes.propagator_at_end(table, k, gap_rows, s.gap_mode)
+    elongation_over = lanes.propagator_at_end(table, k, elongation_rows, s.elongation_mode)
+    m = ModalState(gap_a, gap_b, elongation_a, elongation_b)
+    gap, gap1, q, q1 = state_of(s, m, sin, cos, gap_over, elongation_over)
     if s.adhesive:
         gap, gap1 = 0.0, max(gap1, 0.0)
     return Phase(tau, ending, True, gap, gap1, q, q1, used), sin, cos
@@ -358,5 +373,5 @@ def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, fl
 @interface.advance_lanes.register(SoftPlate)
 @inlined
 def _advance(plate: SoftPlate, table: Any, used: int) -> None:
-    """`lanes.advance_modes`."""
-    lanes.advance_modes(table, used)
+    """`lanes.advance` of two modes."""
+    lanes.advance(table, used, True)

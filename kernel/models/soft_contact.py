@@ -32,7 +32,6 @@ from kernel.numerics.oscillator import (
     oscillator,
     position,
     propagate,
-    propagator,
 )
 from kernel.numerics.quartic import paired, roots
 from kernel.portable_math import atan2, hypot, log
@@ -42,7 +41,7 @@ from kernel.restitution import scalar_damping_ratio
 NEAREST_RESONANCE: Final = 1e-8
 
 #: The modes of a cell whose numbers are too far apart for any factors to be found: the cell diverges.
-UNDEFINED: Final = Oscillator(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
+UNDEFINED: Final = Oscillator(*(math.nan,) * len(Oscillator._fields))
 
 
 class Coupling(NamedTuple):
@@ -365,10 +364,14 @@ def modes_of(
 
 @inlined
 def state_of(
-    s: SoftSpring, m: ModalState, sin: float, cos: float, tau: float
-) -> tuple[float, float, float, float]:
-    """gap, gap', q, q' tau rad after the modes were `m`; sin and cos are of the plate's phase then."""
-    gap, gap1, q, q1 = combine(s, m, propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau))
+    s: SoftSpring, m: ModalState, sin: float, cos: float, gap_over: tuple[float, float, float],
+    elongation_over: tuple[float, float, float],
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """gap, gap', q, q' some time after the modes were `m`, of which these are the propagators.
+
+    sin and cos are of the plate's phase then.
+    """
+    gap, gap1, q, q1 = combine(s, m, gap_over, elongation_over)
     return (
         s.static_gap + s.g_re * cos - s.g_im * sin + gap,
         -(s.g_re * sin + s.g_im * cos) + gap1,
@@ -378,15 +381,21 @@ def state_of(
 
 
 @inlined
+def gap_rings(s: SoftSpring) -> bool:
+    """Whether the gap mode is the ringing part of the lift-off function: the stiffer of the two."""
+    return s.gap_mode.stiffness >= s.elongation_mode.stiffness
+
+
+@inlined
 def liftoff_function(s: SoftSpring, m: ModalState, phi: float) -> LiftoffFunction:
-    """The lift-off function from phi on; the stiffer of the two modes is its ringing part."""
+    """The lift-off function from phi on."""
     f_a, f_b = _coupled(s.gap_lift, s.gap_mode, m.gap_a, m.gap_b)
     g_a, g_b = _coupled(s.elongation_lift, s.elongation_mode, m.elongation_a, m.elongation_b)
-    gap_rings = s.gap_mode.stiffness >= s.elongation_mode.stiffness
-    slow_a, slow_b, fast_a, fast_b = (g_a, g_b, f_a, f_b) if gap_rings else (f_a, f_b, g_a, g_b)
+    rings = gap_rings(s)
+    slow_a, slow_b, fast_a, fast_b = (g_a, g_b, f_a, f_b) if rings else (f_a, f_b, g_a, g_b)
     return LiftoffFunction(
-        s.elongation_mode if gap_rings else s.gap_mode,
-        s.gap_mode if gap_rings else s.elongation_mode,
+        s.elongation_mode if rings else s.gap_mode,
+        s.gap_mode if rings else s.elongation_mode,
         phi,
         static=s.static_lift,
         wave_re=s.wave_re,

@@ -54,10 +54,6 @@ _TWO_OVER_PI_PIECES: Final = np.array(
     dtype=np.int64,
 )  # fmt: skip
 
-#: Up to this argument `circular_or_hyperbolic` gives sinh and cosh within two units in the last place. Its
-#: polynomials are fitted for x^2 > 0, |x| <= pi/4, and extrapolated for -x^2.
-HYPERBOLIC_LIMIT: Final = 0.25
-
 #: `exp` of any x below this is exp(-300) = 5e-131: nothing beside any number it is added to. Products and
 #: their squares are normal doubles: subnormal ones, a hundred times as slow, took a third of `soft`.
 LOWEST_EXPONENT: Final = -300.0
@@ -110,24 +106,15 @@ def multiply_add(a: float, b: float, c: float, fused: bool) -> float:
 @inlined
 def sincos_small(x: float) -> tuple[float, float]:
     """(sin x, cos x) for |x| < 1e5 rad; beyond that the reduction loses digits."""
-    return circular_or_hyperbolic(x, 1.0)
-
-
-@inlined
-def circular_or_hyperbolic(x: float, sign: float) -> tuple[float, float]:
-    """(sin x, cos x) for sign = 1, |x| < 1e5 rad; (sinh x, cosh x) for sign = -1, |x| <= HYPERBOLIC_LIMIT.
-
-    Their power series differ only in the sign of x squared, so that each lane chooses without a branch.
-    """
     turns = math.floor(fma(x, _TWO_OVER_PI, 0.5))
     r = fma(turns, -_HALF_PI_3, fma(turns, -_HALF_PI_2, fma(turns, -_HALF_PI_1, x)))
-    return _of_remainder(r, np.int64(turns), sign)
+    return _of_remainder(r, np.int64(turns))
 
 
 @inlined
-def _of_remainder(r: float, quadrant: np.int64, sign: float) -> tuple[float, float]:
-    """`circular_or_hyperbolic` of r + quadrant pi/2, |r| <= pi/4."""
-    u = sign * r * r
+def _of_remainder(r: float, quadrant: np.int64) -> tuple[float, float]:
+    """sin and cos of r + quadrant pi/2, |r| <= pi/4."""
+    u = r * r
     v = u * u
     odd = fma(
         v,
@@ -194,7 +181,7 @@ def _sincos_large(x: float) -> tuple[float, float]:
         fraction, total = -rest, total + 1
     r = fraction * _HALF_PI
     lost = fma(fraction, _HALF_PI, -r) + fraction * _HALF_PI_REST  # what r was rounded by
-    sine, cosine = _of_remainder(r, np.int64(total), 1.0)
+    sine, cosine = _of_remainder(r, np.int64(total))
     sine, cosine = fma(lost, cosine, sine), fma(-lost, sine, cosine)
     return -sine if x < 0.0 else sine, cosine
 

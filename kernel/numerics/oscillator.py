@@ -35,6 +35,7 @@ class Oscillator(NamedTuple):
     stiffness: float  # w > 0, 1/rad**2
     discriminant: float  # D = a**2 - w
     root: float  # sqrt(|D|)
+    inverse: float  # 1/root
     slow: float  # where D >= 0, the slow root -w/(a + sqrt(D)), without cancellation
     fast: float  # where D >= 0, the fast root -(a + sqrt(D))
     rate: float  # about the fastest rate of the motion, 1/rad: max(2 a, sqrt(w))
@@ -47,7 +48,7 @@ def oscillator(damping: float, stiffness: float) -> Oscillator:
     root = math.sqrt(abs(discriminant))
     fast = -(damping + root)
     rate = max(2.0 * damping, math.sqrt(stiffness))
-    return Oscillator(damping, stiffness, discriminant, root, stiffness / fast, fast, rate)
+    return Oscillator(damping, stiffness, discriminant, root, 1.0 / root, stiffness / fast, fast, rate)
 
 
 @inlined
@@ -66,7 +67,7 @@ def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
         # once nothing is left of the motion, its phase does not matter; for large ones `sincos` is slow
         sin, cos = sincos(osc.root * tau if osc.damping * tau < -LOWEST_EXPONENT else 0.0)
         cosine = decay * cos
-        sine = decay * sin / osc.root
+        sine = decay * sin * osc.inverse
         return cosine + osc.damping * sine, sine, cosine - osc.damping * sine
     slow = exp(osc.slow * tau)
     spread = 2.0 * osc.root * tau
@@ -99,7 +100,7 @@ def derivatives(osc: Oscillator, x: float, v: float) -> tuple[float, float, floa
     bound = math.sqrt(x4 * x4 + osc.stiffness * x3 * x3)
     if osc.discriminant > 0.0:
         roots = abs(osc.slow * (x4 - osc.fast * x3)) + abs(osc.fast * (osc.slow * x3 - x4))
-        bound = min(bound, roots / (2.0 * osc.root))
+        bound = min(bound, 0.5 * roots * osc.inverse)
     return x2, x3, bound
 
 
@@ -157,7 +158,8 @@ class Derivatives(NamedTuple):
 def coordinates(osc: Oscillator, x: float, v: float) -> tuple[float, float]:
     """The coordinates of the motion with this x and v = x'."""
     if apart(osc):
-        return (v - osc.fast * x) / (2.0 * osc.root), (osc.slow * x - v) / (2.0 * osc.root)
+        half = 0.5 * osc.inverse
+        return half * (v - osc.fast * x), half * (osc.slow * x - v)
     return x, v
 
 

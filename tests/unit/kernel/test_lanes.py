@@ -33,11 +33,6 @@ def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, lines=0,
             (elementary.sincos_small, (mpmath.sin, mpmath.cos), scale * RANDOM)
             for scale in (1e-6, 1.0, 1e3, 9e4)
         ),
-        (
-            lambda x: elementary.circular_or_hyperbolic(x, -1.0),
-            (mpmath.sinh, mpmath.cosh),
-            np.append(elementary.HYPERBOLIC_LIMIT * RANDOM**8, 0.0),
-        ),
         (lambda x: (elementary.exp(x),), (mpmath.exp,), elementary.LOWEST_EXPONENT * RANDOM**8),
     ],
 )
