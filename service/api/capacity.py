@@ -168,14 +168,13 @@ class _Leased(Response):
 
 
 def costly(
-    cost: Cost | Callable[..., Cost], activity: Activity = "read", *, quick: bool = False
+    cost: Cost | Callable[..., Cost], activity: Activity = "read"
 ) -> Callable[[Callable[..., Response]], Callable[..., Coroutine[Any, Any, Response]]]:
     """Declare an endpoint costly; it must have a parameter `service: ServiceDep`.
 
-    `cost`: of every answer, or a function of the endpoint's arguments that estimates it, called in a thread
-    unless it is `quick`, reading nothing. A request that finds no thread or no memory within `turn_seconds`
-    gets 429. Nothing is computed for a client that left before its turn; computing stops GRACE seconds after
-    it leaves.
+    `cost`: of every answer, or a function of the endpoint's arguments that estimates it. A request that finds
+    no thread or no memory within `turn_seconds` gets 429. Nothing is computed for a client that left before
+    its turn; computing stops GRACE seconds after it leaves.
     """
 
     def declare(endpoint: Callable[..., Response]) -> Callable[..., Coroutine[Any, Any, Response]]:
@@ -186,12 +185,7 @@ def costly(
         async def limited(request: Request, **arguments: Any) -> Response:
             if takes_request:
                 arguments["request"] = request
-            if isinstance(cost, Cost):
-                memory, small = cost
-            elif quick:
-                memory, small = cost(**arguments)
-            else:
-                memory, small = await run_in_threadpool(cost, **arguments)
+            memory, small = await run_in_threadpool(cost, **arguments) if callable(cost) else cost
             if small:
                 arguments["service"] = arguments["service"].small
             gone = asyncio.ensure_future(_gone(request))

@@ -14,7 +14,7 @@ from pydantic import BaseModel, JsonValue, create_model
 
 from kernel.params import KernelInputError
 from service.api import dependencies
-from service.api.capacity import Activity, Cost, costly
+from service.api.capacity import Cost, costly
 from service.api.dependencies import JsonBody, ResultsJob, Service, ServiceDep
 from service.api.schemas import (
     NOT_MODIFIED,
@@ -136,10 +136,9 @@ def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
             return Cost(BASE_MEMORY + memory)
         return dependencies.cost_of_read(service, job, memory, *estimate.reads)
 
-    alone = view.study is None
-    activity: Activity = "on demand" if view.parts else "trajectory" if view.computes or alone else "read"
+    computes = view.computes or view.name in SPRINGS
 
-    @costly(cost, activity, quick=alone)
+    @costly(cost, "on demand" if view.parts else "trajectory" if computes else "read")
     def get(service: ServiceDep, job: job_type, query: Annotated[model, Query()]) -> Response:
         return _answer(service, view, study_of(service, job), query)
 
