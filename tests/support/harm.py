@@ -23,6 +23,7 @@ from worker.executors.dask import Dask
 from worker.kernel_cache import use_cache
 from worker.plan import Chunk
 from worker.spec import SweepSpec
+from worker.store import backend
 from worker.tasks import USUAL, ChunkReport, run_chunk, with_options
 
 #: Seconds until the report of the chunk before has left the worker. If it were lost with the worker, that
@@ -64,7 +65,26 @@ def fail() -> None:
     raise ValueError("the spring broke")
 
 
-HARMS = {harm.__name__: harm for harm in (hang, freeze, hog, poison, fail)}
+def die_writing() -> None:
+    """The first time that a store's file is complete but not in its place, kill this process."""
+    place = backend.place
+
+    def die_once(url: str, partial: Path, key: str) -> None:
+        written = died_writing(url)
+        if not written.exists():
+            written.write_bytes(partial.read_bytes())
+            os.kill(os.getpid(), signal.SIGKILL)
+        place(url, partial, key)
+
+    backend.place = die_once
+
+
+def died_writing(url: str) -> Path:
+    """Beside a store, a copy of the file that a worker wrote as it died."""
+    return Path(url).with_suffix(".died")
+
+
+HARMS = {harm.__name__: harm for harm in (hang, freeze, hog, poison, fail, die_writing)}
 
 
 def run_harmed(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:

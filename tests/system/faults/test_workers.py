@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from harm import fragile_cluster, pids, wait_until_ready
+from harm import died_writing, fragile_cluster, pids, wait_until_ready
 from running import Counting, costing, running
 from scripted import wait_for
 
@@ -60,24 +60,14 @@ def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, f
             assert counting.submitted - calm.chunks_total <= 4  # the window
 
 
-def test_what_killed_workers_had_begun_to_write_goes_with_the_end_of_the_job(tmp_path: Path, fragile: Dask):
+def test_what_a_killed_worker_had_begun_to_write_goes_with_the_end_of_the_job(tmp_path: Path, fragile: Dask):
+    wait_until_ready(fragile)
     with running(tmp_path, fragile) as service:
-        for number in range(10):
-            wait_until_ready(fragile)
-            workers, job = pids(fragile), service.submit(costing(str(number)))
-            partial = Path(service.settings.store_of(job.id)) / ".partial"
-            wait_for(lambda job=job: service.job(job).state is not JobState.QUEUED)
-            deadline = time.monotonic() + 10.0
-            while not list(partial.glob("*")) and time.monotonic() < deadline:
-                pass  # it is there for some milliseconds
-            for pid in workers:
-                os.kill(pid, signal.SIGKILL)
-            half_written = list(partial.glob("*"))
-            service.until(job, JobState.DONE)
-            assert not list(partial.glob("*"))
-            if half_written:
-                return
-    pytest.fail("no worker was killed while it wrote")
+        job = service.submit(costing("die_writing:2"))
+        url = service.settings.store_of(job.id)
+        service.until(job, JobState.DONE)
+        assert died_writing(url).read_bytes()
+        assert not list(Path(url, ".partial").iterdir())
 
 
 @pytest.mark.timeout(400)
