@@ -54,7 +54,7 @@ def test_on_another_processor_only_machine_code_is_made_anew(folder, monkeypatch
     (folder / after).rename(folder / f"{before}.another")
     monkeypatch.setattr(compilation._EntryCompiler, "compile_extra", None)
     assert entry(quadrupled)(2.5) == 10.0
-    assert codes(folder) == [before, after, f"{before}.another"]
+    assert codes(folder) == sorted([before, after, f"{before}.another"])
 
 
 @pytest.mark.parametrize("damage", [lambda code: code[:-100], lambda code: b"", lambda code: b"?" * 500])
