@@ -24,6 +24,7 @@ from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT, Phase
 from kernel.numerics.jit import allocating, inlined, jit
 from kernel.params import (
+    FEW,
     LANES,
     STATE_FIELDS,
     KernelInputError,
@@ -38,9 +39,6 @@ from kernel.params import (
 
 #: More steps than any line takes.
 _ALL: Final = 2**62
-
-#: Up to so many lines are computed one by one, more in a vector.
-FEW: Final = 3
 
 
 class Lanes(NamedTuple):

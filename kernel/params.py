@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Part of every job's identity: raise it whenever any stored number may change.
-KERNEL_VERSION: Final = "6"
+KERNEL_VERSION: Final = "7"
 
 #: Cells that `rigid` and `soft` compute side by side, in lanes: two vectors of eight doubles, so that the
 #: latency of one hides behind the other.
 LANES: Final = 16
+#: Up to so many lines are computed one by one, more in a vector.
+FEW: Final = 3
 
 #: A cell whose window shows no mode is followed for FOLLOW times its `observe`, at most MOST_FOLLOWED plate
 #: periods, before it is called aperiodic or settling: nothing but time tells chaotic transients.

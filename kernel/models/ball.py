@@ -1,11 +1,11 @@
 """The bouncing ball: one rigid point mass on an ideal plate (paper section 2.1; docs/model.md, section 2).
 
-It falls freely (`kernel.models.free_fall`), leaves the plate again at -epsilon times the relative velocity
-it landed with (Eq. 4, with its sign corrected), and rests on it while n = 1/Gamma - cos(phi) > 0. The
-take-off from rest is at cos(phi) = 1/Gamma, in closed form, and the same motion follows it every time: a
-cell caches it and replays it (`_replay`). Chatter is followed hop by hop, each of them a flight, until n is
-steady over the rest of it (`contact_law.chatter_completes`). Its end is then in closed form, and its
-remaining hops, shorter than about 1e-3 (1 - epsilon) rad, are not recorded.
+It flies as a spring does whose elongation stays zero (`kernel.models.flight`), leaves the plate again at
+-epsilon times the relative velocity it landed with (Eq. 4, with its sign corrected), and rests on it while
+n = 1/Gamma - cos(phi) > 0. The take-off from rest is at cos(phi) = 1/Gamma, in closed form, and the same
+motion follows it every time: a cell caches it and replays it (`_replay`). Chatter is followed hop by hop,
+each of them a flight, until n is steady over the rest of it (`contact_law.chatter_completes`). Its end is
+then in closed form, and its remaining hops, shorter than about 1e-3 (1 - epsilon) rad, are not recorded.
 """
 
 import math
@@ -17,13 +17,19 @@ from numpy.typing import NDArray
 from kernel.cell import Progress, Window, at_period, horizon_of, record
 from kernel.interface import contact, contact_force, flies, flight, prepare, replay, rest
 from kernel.models.contact_law import chatter_completes, chatter_time
-from kernel.models.free_fall import drop, landing, plate_recedes, state_after, takes_off
+from kernel.models.flight import Flight, begin_flight, landing, short_hop, state_after
 from kernel.modes import Flights
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT, Phase
-from kernel.numerics.jit import jit
+from kernel.numerics.jit import inlined, jit
+from kernel.numerics.oscillator import Oscillator
 from kernel.params import check_arrays
 from kernel.portable_math import atan2
+
+TAKEOFF_TOLERANCE: Final = 4e-15  # rad from 2 pi - phi_lift of a take-off from rest: nine rounding errors
+
+#: A spring without motion, of unit stiffness.
+STILL: Final = Oscillator(0.0, 1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0)
 
 CACHED_PHASES: Final = 18  # after a take-off from rest, up to the next; in 56 of the cell.CACHE_SIZE numbers
 
@@ -69,6 +75,28 @@ def _prepare(plate: BallPlate, i: int, gamma: float, omega: float, xi: float) ->
 def _rest(b: Ball) -> tuple[float, float, float, float]:
     """On the plate; a ball has no elongation."""
     return 0.0, 0.0, 0.0, 0.0
+
+
+@jit
+def plate_recedes(phi_lift: float, phi: float) -> bool:
+    """Whether cos(phi) > 1/Gamma, phi in [0, 2 pi): the plate accelerates away from a mass at rest on it."""
+    return phi < phi_lift or phi >= TWO_PI - phi_lift > math.pi
+
+
+@jit
+def takes_off(phi_lift: float, phi: float, gap: float, gap1: float) -> bool:
+    """Whether this state is the take-off from rest, within TAKEOFF_TOLERANCE."""
+    return (
+        gap == 0.0 and gap1 == 0.0 and phi_lift > 0.0 and abs(phi - (TWO_PI - phi_lift)) <= TAKEOFF_TOLERANCE
+    )
+
+
+@inlined
+def fall(b: Ball, phi: float, sin: float, cos: float, gap: float, gap1: float) -> Flight:
+    """The flight from gap >= 0 and gap' at phi in [0, 2 pi). From rest, cos(phi) is 1/Gamma exactly."""
+    if takes_off(b.phi_lift, phi, gap, gap1):
+        sin, cos = -b.sin_lift, b.gravity
+    return begin_flight(STILL, b.gravity, phi, sin, cos, gap, gap1, 0.0, 0.0)
 
 
 @jit
@@ -118,16 +146,25 @@ def _flight(
     """In flight until landing, then the impact."""
     if budget <= 0:
         return Phase(0.0, BUDGET_EXHAUSTED, True, gap, gap1, 0.0, 0.0, 0)
-    p = drop(b.gravity, b.phi_lift, b.sin_lift, phi, gap, gap1)
-    end = landing(p, horizon, budget)
-    if end.ending != ROOT:
-        gap, gap1, _, _ = state_after(p, end.tau)
-        return Phase(end.tau, end.ending, True, max(gap, 0.0), gap1, 0.0, 0.0, end.used)
-    hop = max(-b.restitution * end.gap1, 0.0)
-    phi += end.tau
+    p = fall(b, phi, sin, cos, gap, gap1)
+    if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
+        end = short_hop(p, 0.0, 0.0, horizon, budget)
+        if end.served:
+            return _land(b, phi + end.tau, end.sin, end.cos, end.tau, end.gap1, end.used)
+    tau, ending, used = landing(p, 0.0, horizon, budget)
+    gap, gap1, _, _ = state_after(p, tau)
+    if ending != ROOT:
+        return Phase(tau, ending, True, max(gap, 0.0), gap1, 0.0, 0.0, used)
+    sin, cos = sincos(phi + tau)
+    return _land(b, phi + tau, sin, cos, tau, gap1, used)
+
+
+@inlined
+def _land(b: Ball, phi: float, sin: float, cos: float, tau: float, impact: float, used: int) -> Phase:
+    """The end of a flight that lands at the phase phi with gap' = `impact`."""
+    hop = max(-b.restitution * impact, 0.0)
     phi -= TWO_PI * math.floor(phi / TWO_PI)
-    bounces = not _stays(b, phi, hop, -end.gap2, -end.gap3)
-    return Phase(end.tau, ROOT, bounces, 0.0, hop, 0.0, 0.0, end.used)
+    return Phase(tau, ROOT, not _stays(b, phi, hop, b.gravity - cos, sin), 0.0, hop, 0.0, 0.0, used)
 
 
 @contact_force.register(Ball)

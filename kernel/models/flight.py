@@ -9,7 +9,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from kernel.models.free_fall import remainders
 from kernel.numerics.elementary import fma, sincos
 from kernel.numerics.first_root import EPS, Terms, departure_step, first_root, householder, terms
 from kernel.numerics.jit import inlined, jit
@@ -32,6 +31,17 @@ HOP_SPAN: Final = 2.5  # times gap'/|gap''|, in which a landing is sought; twice
 #: Then gap <= v w - 0.85 p w^2/2 = (2.5 - 2.66) v^2/p < 0 at the end, v being gap', and gap'' <= -0.1 p
 #: throughout, so that the gap rises and falls once.
 HOP_VARIATION: Final = 0.15
+
+
+@jit
+def _remainders(tau: float) -> tuple[float, float]:
+    """tau - sin(tau) and tau^2/2 - 1 + cos(tau) for |tau| < SHORT, by their power series."""
+    t = tau * tau
+    odd = 1.0 / 39916800.0 - t / 6227020800.0
+    odd = 1.0 / 6.0 - t * (1.0 / 120.0 - t * (1.0 / 5040.0 - t * (1.0 / 362880.0 - t * odd)))
+    even = 1.0 / 479001600.0 - t / 87178291200.0
+    even = 1.0 / 24.0 - t * (1.0 / 720.0 - t * (1.0 / 40320.0 - t * (1.0 / 3628800.0 - t * even)))
+    return tau * t * odd, t * t * even
 
 
 class Flight(NamedTuple):
@@ -155,7 +165,7 @@ def _soon_after(
 ) -> tuple[float, float, float, float, float, float]:
     """sin and cos of the plate's phase, gap, gap', q and q' at tau by power series, from q'' and q'''."""
     drag, pull = -2.0 * p.osc.damping, -p.osc.stiffness
-    odd, even = remainders(tau)
+    odd, even = _remainders(tau)
     half = 0.5 * tau * tau
     sine, versine = tau - odd, half - even
     # q and q' without the terms that gap'' has

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from kernel import interface
-from kernel.models import flight, free_fall
-from kernel.models.ball import Ball, BallPlate
+from kernel.models import flight
+from kernel.models.ball import Ball, BallPlate, fall
 from kernel.models.rigid import RigidPlate, Spring
 from kernel.models.soft import SoftPlate
 from kernel.models.soft_contact import SoftSpring, combine, separate
@@ -212,8 +212,9 @@ def _ball_landing(
     if end.gap1 > 0.0:
         e, impact = b.restitution, -end.gap1 / b.restitution
     else:
-        e, p = 0.0, free_fall.drop(b.gravity, b.phi_lift, b.sin_lift, phi, gap, gap1)
-        _, impact, _, _ = free_fall.state_after(p, end.tau)
+        sin, cos = sincos(phi)
+        e, p = 0.0, fall(b, phi, sin, cos, gap, gap1)
+        _, impact, _, _ = flight.state_after(p, end.tau)
     _, cos = sincos(phi + end.tau)
     gap2 = cos - b.gravity
     for k in range(len(vectors)):

@@ -34,11 +34,11 @@ MAX_STEPS_PER_CONTACT: Final = 1_000_000
 #: Core-microseconds per cell per plate period of `rigid`: of a cell by itself, and with restitution
 #: above 0, in lanes and by itself.
 RIGID_ALONE_US: Final = 0.75
-RIGID_ELASTIC_US: Final = 0.68
+RIGID_ELASTIC_US: Final = 0.52
 RIGID_ELASTIC_ALONE_US: Final = 1.9
 #: The same of `soft`: the stiffer the contact, the more hops follow an impact, for each decade of penetration
 #: below the default; of a cell by itself.
-SOFT_DECADE_US: Final = 0.085
+SOFT_DECADE_US: Final = 0.075
 SOFT_ALONE_US: Final = 2.0
 
 _Array = NDArray[np.float64]
@@ -237,12 +237,12 @@ class ContactModel(NamedTuple):
 #: docs/architecture.md). Costs: means over cells of all kinds (`python -m benchmarks.cost --estimates`). On a
 #: ramp few cells of springs are at rest, and more cells of a ball.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
-    "soft": ContactModel(Soft, "kernel.models.soft", 0.52, "soft contact", 0.7, 1.3),
+    "soft": ContactModel(Soft, "kernel.models.soft", 0.39, "soft contact", 0.7, 1.4),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
     "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.165, "rigid contact", 0.7, 1.4),
-    "ball": ContactModel(Ball, "kernel.models.ball", 0.06, "ball contact", 0.7, 0.7),
+    "ball": ContactModel(Ball, "kernel.models.ball", 0.13, "ball contact", 0.7, 0.7),
     # Until a model is chosen: the exact one, which is the most expensive.
-    "auto": ContactModel(Auto, "kernel.models.soft", 0.52, "auto contact", 0.7, 1.3),
+    "auto": ContactModel(Auto, "kernel.models.soft", 0.39, "auto contact", 0.7, 1.4),
 }
 
 

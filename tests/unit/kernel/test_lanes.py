@@ -8,9 +8,8 @@ import pytest
 from kernel_runs import Model, run_line
 from tables import for_each
 
-from kernel.line import FEW
 from kernel.numerics import elementary
-from kernel.params import LANES, Line, Outcome
+from kernel.params import FEW, LANES, Line, Outcome
 
 RANDOM = np.random.default_rng(1).uniform(-1.0, 1.0, 400)
 
