@@ -11,11 +11,12 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Final, overload
 
 import numpy as np
 
-from kernel.params import LANES
+from kernel.params import FEW, LANES
 from worker.cost import cell_seconds, cells_at_once, lines_of
 from worker.schema import bytes_per_cell
 from worker.spec import AXES, SweepSpec
@@ -199,15 +200,15 @@ def block(spec: SweepSpec, cells: int) -> tuple[int, ...]:
     """Chunk shape of at most `cells` cells: as long as possible along the ramp, then balanced."""
     grid = dict(zip(AXES, spec.shape[1:], strict=True))
     is_long = cells * bytes_per_cell(spec) > MAX_CHUNK_BYTES
-    along: dict[str, int] = {}
+    size, at_once = dict[str, int](), 1
     if spec.ramp_axis:
         # all lanes, or one vector of them if there are few lines
         at_once = cells_at_once(spec)
         at_once = at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
         length = even(grid.pop(spec.ramp_axis), max(1, cells // at_once))
-        along, cells = {spec.ramp_axis: length}, cells // length
+        size, cells = {spec.ramp_axis: length}, cells // length
         cells -= cells % at_once if cells > at_once else 0  # lines that fill the lanes
-    size = along | _balanced(grid, max(1, cells))
+    size |= (_filling if 1 < cells <= at_once else _balanced)(grid, max(1, cells))
     shape = tuple(size[axis] for axis in AXES)
     return tuple(map(_halvable, shape, spec.shape[1:])) if is_long else shape
 
@@ -225,6 +226,24 @@ def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:
         if axis in size:
             size[axis] = even(grid[axis], cells * size[axis] // math.prod(size.values()))
     return size
+
+
+def _filling(grid: Mapping[str, int], most: int) -> dict[str, int]:
+    """Chunk sizes of at most `most` lines of a ramp that leave the fewest lanes idle."""
+    (slow, height), (fast, width) = grid.items()
+
+    def lanes(size: Mapping[str, int]) -> float:
+        rows, columns = ([(each, grid[axis] // each), (grid[axis] % each, 1)] for axis, each in size.items())
+        return sum(n * m * _lanes(a * b) for (a, n), (b, m) in product(rows, columns))
+
+    sizes = [{slow: even(height, n), fast: even(width, most // n)} for n in range(1, min(height, most) + 1)]
+    return min(sizes, key=lanes)
+
+
+def _lanes(lines: int) -> float:
+    """Lanes that take as long as a chunk of so many lines; FEW of them, one by one, take that of a vector."""
+    vector = LANES // 2
+    return lines * vector / FEW if lines <= FEW else vector * -(-lines // vector)
 
 
 def even(n: int, max_size: int) -> int:
