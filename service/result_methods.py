@@ -26,12 +26,12 @@ class ResultMethods(Methods):
 
     RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
         "diagram": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("flight_time",)),
-        "modes": (("json", "bin", "nc", "csv", "parquet"), ("outcome",)),
-        "threshold": (("json", "bin", "nc", "csv", "parquet"), ("up_status",)),
-        "orbits": (("json", "bin", "nc", "csv", "parquet"), ("event_gamma", "skipped_gamma")),
+        "modes": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("outcome",)),
+        "threshold": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("up_status",)),
+        "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("event_gamma", "skipped_gamma")),
         "basins": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("attractor_fraction",)),
         "multistability": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("cells",)),
-        "trajectory": (("json", "bin", "nc", "csv", "parquet"), ("plate",)),
+        "trajectory": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("plate",)),
     }
 
     def diagram(
@@ -214,8 +214,8 @@ class SpringMethods(Methods):
 
     RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
         "threshold": (("json", "bin", "nc"), ()),
-        "orbits": (("json", "bin", "nc", "csv", "parquet"), ("event_gamma",)),
-        "curves": (("json", "bin", "nc", "csv", "parquet"), ("event_gamma",)),
+        "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("event_gamma",)),
+        "curves": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("event_gamma",)),
     }
 
     def threshold(

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from kernel.branches.events import Kind, branch_and_events
 from kernel.threshold import threshold
-from service.client.dataset import draw_branches, draw_diagram
 from service.local import run
+from service.pictures import draw_branches, draw_diagram
 
 XI = 0.05
 #: Ω, and the last Γ and flight time of its panel: hysteresis, a torus, and beyond the cusp.

@@ -15,6 +15,7 @@ from kernel.params import Outcome
 from kernel.restitution import restitution_of
 from service.client import Client, Job
 from service.figures.drawing import Caption, Claim, Drawing, compared, left_open, named, percent
+from service.pictures import BLUE, SYMBOLS
 from service.presets import (
     CONTACTS,
     ELASTIC,
@@ -27,7 +28,6 @@ from service.presets import (
     SOFT,
 )
 from service.views.diagram import PERIOD, draw_flights, draw_legend
-from service.views.style import BLUE, SYMBOLS
 
 #: Rest length of the drawn spring of Fig. 2, in plate amplitudes; the motion does not depend on it.
 LENGTH: Final = 1.6

@@ -6,7 +6,7 @@ from matplotlib.figure import SubFigure
 from matplotlib.patches import Circle, Rectangle
 
 from service.figures.drawing import Caption, Drawing, compared, left_open
-from service.views.style import BLUE
+from service.pictures import BLUE
 
 CAPTION = Caption(
     1,

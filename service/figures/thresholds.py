@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from kernel.threshold import threshold
 from service.client import Job
 from service.figures.drawing import Caption, Claim, Drawing, compared, left_open, percent
+from service.pictures import BLUE, RED, SYMBOLS
 from service.presets import DAMPINGS, GAMMAS, OMEGAS, XI
-from service.views.style import BLUE, COLOURS, RED, SYMBOLS
+from service.views.style import COLOURS
 
 #: Line style and marker of each damping.
 LINE_STYLES: Final[Any] = (("-", "o"), ((0, (5, 1.5)), "s"), ((0, (1, 1)), "^"), ("-.", "D"))

@@ -1,7 +1,7 @@
 """Curves of the events of a spring's cycles over one of its parameters, in closed form."""
 
 from collections.abc import Sequence
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
 import xarray
@@ -10,11 +10,16 @@ from pydantic import Field
 from kernel.branches.curves import CURVES, Curves, Parameter, curves
 from kernel.branches.events import Kind, join_events
 from service.errors import InvalidRequest
+from service.pictures import AXES, SYMBOLS
 from service.views import orbits
 from service.views.orbits import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
+from service.views.style import COLOURS
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Omega, Query, View, Xi
 from worker.spec.errors import one_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Core-seconds that one answer may take, and those of one mode over the flight times of its branch at the
 #: range's smaller omega.
@@ -113,7 +118,26 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
             f"one answer is {MAX_SECONDS:g}: ask for the first {fitting}, or take a larger omega"
         )
         raise InvalidRequest.of("modes", rule)
-    return Estimate({"curve": len(modes), "point": _POINTS}, memory=_MEMORY)
+    return Estimate({"curve": len(modes), "point": _POINTS}, memory=_MEMORY, small=False)
+
+
+def draw(found: xarray.Dataset, figure: "Figure") -> None:
+    """Γ of every curve, each kind in its colour; dotted where no cycle of the spring is."""
+    axes, along = figure.subplots(), found.attrs["along"]
+    kinds = sorted(set(found.curve_kind.values.tolist()))
+    for i in range(found.sizes["curve"]):
+        curve = found.isel(curve=i)
+        colour, there = COLOURS[kinds.index(curve.curve_kind.item())], curve.admissible.values == 0
+        for shown, style in ((there, "-"), (~there, ":")):
+            axes.plot(curve[along].values, np.where(shown, curve.gamma.values, np.nan), style, color=colour)
+    for kind, colour in zip(kinds, COLOURS, strict=False):
+        axes.plot([], [], color=colour, label=kind)
+    if kinds:
+        axes.legend(frameon=False)
+    axes.set_xlabel(AXES[along])
+    axes.set_ylabel(AXES["gamma"])
+    other = "xi" if along == "omega" else "omega"
+    axes.set_title(f"{SYMBOLS[other]} = {found[other].item():g}")
 
 
 VIEW: Final = View(
@@ -122,5 +146,5 @@ VIEW: Final = View(
         *(ROWS[name] for name in ("omega", "xi", "gamma", "flight_time", "admissible")),
         *(ROWS[f"curve_{name}"] for name in ("kind", "bounces", "periods")), *EVENTS,
     ),
-    rows="gamma", printed=("event_gamma",), parts=parts,
+    rows="gamma", printed=("event_gamma",), parts=parts, draw=draw,
 )  # fmt: skip

@@ -14,6 +14,7 @@ from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.modes import counted
 from kernel.params import Outcome
 from kernel.threshold import threshold
+from service.pictures import BLUE, GREY, RED, SYMBOLS
 from service.views.selection import (
     LABEL,
     Stored,
@@ -24,7 +25,7 @@ from service.views.selection import (
     recounted,
     shortest,
 )
-from service.views.style import BLUE, DPI, GREY, RED, SYMBOLS
+from service.views.style import DPI
 from service.views.variables import cells_dataset, coordinate
 from service.views.view import Direction, Estimate, Every, MinFlight, Number, Query, View
 from worker import schema

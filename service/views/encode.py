@@ -219,12 +219,13 @@ def _list_column(
     """The numbers of each row along the other dimensions; of flights without the NaN at the end."""
     rows = _repeated(part, variable.dims, variable.values, dims)[kept]
     numbers = rows.reshape(len(rows), prod(rows.shape[1:]))
-    there = np.ones(numbers.shape, bool)
+    most = numbers.shape[1]
+    lengths = np.full(len(rows), most)
     if variable.dims[-1] == "flight" and numbers.dtype.kind == "f":
-        # Where this or a later number of the row is there.
-        there = np.logical_or.accumulate(~np.isnan(numbers[:, ::-1]), axis=1)[:, ::-1]
-    ends = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int32)
-    return Column(numbers[there], ends=ends)
+        there = ~np.isnan(numbers)
+        lengths = np.where(there.any(axis=1), most - there[:, ::-1].argmax(axis=1), 0)
+    ends = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
+    return Column(numbers[np.arange(most) < lengths[:, None]], ends=ends)
 
 
 def _repeated(

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from enum import IntEnum
 from math import prod
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 import xarray
@@ -13,6 +13,7 @@ from pydantic import Field
 from kernel.modes import counted
 from kernel.params import Outcome
 from service.errors import InvalidRequest
+from service.pictures import draw_modes
 from service.views.selection import (
     LABEL,
     MAX_READ,
@@ -32,6 +33,9 @@ from service.views.view import Direction, Estimate, Every, MinFlight, Number, Qu
 from worker import schema
 from worker.schema import COMPUTED, OUTCOME
 from worker.spec import SweepSpec
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Flights of cells with one mode are those of different cycles if they differ by more than this, rad, when
 #: sorted. A cycle is found when its flights repeat within 1e-6 rad; beside a fold they are still 1e-4 away
@@ -224,7 +228,16 @@ def _last(
     return np.sort(found, axis=1)
 
 
+def draw(found: xarray.Dataset, figure: "Figure") -> None:
+    """A map of each direction."""
+    ways = [found.isel(direction=i) for i in range(found.sizes.get("direction", 0))] or [found]
+    for axes, way in zip(figure.subplots(1, len(ways), squeeze=False)[0], ways, strict=True):
+        draw_modes(axes, way)
+        if len(ways) > 1:
+            axes.set_title(f"{axes.get_title()}, {way.direction.item()}")
+
+
 VIEW: Final = View(
     "modes", "Mode map", SweepSpec, ModesQuery, compute, estimate,
-    variables=(*_ROWS, VARIABLES["hysteresis"]), rows="outcome",
+    variables=(*_ROWS, VARIABLES["hysteresis"]), rows="outcome", draw=draw, size=(11.0, 4.2),
 )  # fmt: skip

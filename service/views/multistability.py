@@ -18,8 +18,9 @@ from pydantic import Field
 
 from kernel.params import Outcome
 from service.errors import TooLarge
+from service.pictures import SYMBOLS, edges
 from service.views.selection import Stored, attractor_label, nearest_index, read_stored
-from service.views.style import COLOURS, SYMBOLS, UNDECIDED, legend_beside
+from service.views.style import COLOURS, UNDECIDED, legend_beside
 from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.multistability import MAX_ATTRACTORS
@@ -299,18 +300,10 @@ def _map(axes: "Axes", found: xarray.Dataset, values: NDArray[np.int64], colours
     from matplotlib.colors import ListedColormap
 
     axes.pcolormesh(
-        _edges(found.gamma.values), _edges(found.omega.values), values, cmap=ListedColormap(list(colours)),
+        edges(found.gamma.values), edges(found.omega.values), values, cmap=ListedColormap(list(colours)),
         vmin=-0.5, vmax=len(colours) - 0.5, rasterized=True,
     )  # fmt: skip
     axes.set_xlabel(SYMBOLS["gamma"])
-
-
-def _edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ends of the cells around increasing values."""
-    if len(values) == 1:
-        return np.array([values[0] - 0.5, values[0] + 0.5])
-    middle = 0.5 * (values[1:] + values[:-1])
-    return np.concatenate([[2.0 * values[0] - middle[0]], middle, [2.0 * values[-1] - middle[-1]]])
 
 
 def _draw_line(found: xarray.Dataset, axes: "Axes") -> None:

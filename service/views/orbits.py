@@ -7,7 +7,7 @@ is a row along the first dimension, padded beyond its last point.
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from math import prod
-from typing import Annotated, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
 import numpy as np
 import xarray
@@ -19,6 +19,7 @@ from kernel.branches.events import Branch, Events, branch_and_events, flight_tim
 from kernel.branches.words import WordBranch
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
+from service.pictures import AXES, FLIGHT, SYMBOLS, draw_branches
 from service.views.selection import (
     MAX_READ,
     GridValue,
@@ -27,7 +28,7 @@ from service.views.selection import (
     nearest_index,
 )
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
-from service.views.view import AT_ONCE_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
+from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker import orbits, schema, store
 from worker.analysis.prediction import branch_seconds
 from worker.analysis.words import MAX_WORDS, POINTS, Skipped, Words, continue_words
@@ -35,6 +36,9 @@ from worker.orbits import MAX_GRID, MAX_POINTS, Mode, check_modes, read_mode
 from worker.schema import Array
 from worker.spec import SweepSpec
 from worker.spec.errors import BrokenRuleError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
 GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
@@ -49,6 +53,9 @@ MISSING_POINT: Final = 255
 #: Of each branch, and the energy balance of a cycle.
 BRANCH: Final = ("branch_bounces", "branch_periods", "points")
 BALANCE: Final = tuple(each.name for each in ENERGY)
+
+#: Branches and estimates kept in a process, those requested last.
+KEPT: Final = 64
 
 #: Real and imaginary part of both multipliers.
 _PARTS: Final = {"multiplier": 2, "part": 2}
@@ -167,7 +174,7 @@ def parse_modes(text: str) -> tuple[Mode, ...]:
     return tuple(sorted(modes))
 
 
-@lru_cache(64)  # one answer takes it several times
+@lru_cache(KEPT)  # as _seconds
 def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
     """Flight times of a branch. Raises InvalidRequest above MAX_GRID, and for a spring without branches."""
     try:
@@ -198,9 +205,6 @@ def rows_of(record: Record, rows: slice | NDArray[np.bool_]) -> Record:
     return record._replace(**arrays)
 
 
-#: Branches kept in a process, those requested last.
-KEPT: Final = 64
-
 #: Bytes of a point of a branch, with what is computed on the way to it.
 _PER_POINT: Final = 4_000
 
@@ -223,12 +227,16 @@ class OrbitsQuery(Query):
 
 def orbit_parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
     """The branch of each mode, if they take longer than AT_ONCE_SECONDS together."""
-    grids = _grids(query)
-    quick = sum(branch_seconds(*grid) for grid in grids) <= AT_ONCE_SECONDS
-    return [] if quick else [(branch_and_events, *grid) for grid in grids]
+    quick = _seconds(query) <= AT_ONCE_SECONDS
+    return [] if quick else [(branch_and_events, *grid) for grid in _grids(query)]
 
 
-@lru_cache(64)  # one answer takes it several times
+@lru_cache(KEPT)  # one answer takes it several times
+def _seconds(query: OrbitsQuery) -> float:
+    return sum(branch_seconds(*grid) for grid in _grids(query))
+
+
+@lru_cache(KEPT)  # as _seconds
 def _grids(query: OrbitsQuery) -> tuple[tuple[float, float, int, int], ...]:
     """Spring, plate periods and points of each branch."""
     return tuple((query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes))
@@ -258,13 +266,22 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
     """All points of the branches. Raises InvalidRequest for a branch that is too long, or not there."""
     lengths = [grid_length(*grid) for grid in _grids(query)]
     sizes = {"branch": len(lengths), "point": max(lengths), "multiplier": 2, "part": 2}
-    return Estimate(sizes, memory=sum(lengths) * _PER_POINT)
+    return Estimate(sizes, memory=sum(lengths) * _PER_POINT, small=_seconds(query) <= SMALL_SECONDS)
+
+
+def draw(found: xarray.Dataset, figure: "Figure") -> None:
+    """Flight times over Γ: solid where stable, dashed where not, thin where no cycle of the spring is."""
+    axes = figure.subplots()
+    draw_branches(axes, found)
+    axes.set_xlabel(AXES["gamma"])
+    axes.set_ylabel(FLIGHT)
+    axes.set_title(", ".join(f"{SYMBOLS[axis]} = {found[axis].item():g}" for axis in ("omega", "xi")))
 
 
 ORBITS: Final = View(
     "orbits", "Branches of a spring", None, OrbitsQuery, compute_orbits, estimate_orbits,
     variables=tuple(ROWS[name] for name in (*_OF_POINT, *BALANCE, *BRANCH)) + EVENTS,
-    rows="gamma", printed=("event_gamma",), parts=orbit_parts,
+    rows="gamma", printed=("event_gamma",), parts=orbit_parts, draw=draw,
 )  # fmt: skip
 
 
@@ -345,5 +362,5 @@ WORDS: Final = View(
         *(ROWS[name] for name in (*_OF_WORD, *_OF_FLIGHT, *BALANCE, *BRANCH, "word")),
         *EVENTS, ROWS["event_branch"], *(ROWS[f"skipped_{name}"] for name in Skipped._fields),
     ),
-    rows="flight_time", printed=("event_gamma", "skipped_gamma"), parts=word_parts,
+    rows="flight_time", printed=("event_gamma", "skipped_gamma"), parts=word_parts, draw=draw,
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the pictures share: letters, symbols, colours, resolution, and how a figure becomes a file.
+"""What the files of pictures share: letters, colours, resolution, and how a figure becomes a file.
 
 Does not import matplotlib, which only a process that draws loads.
 """
@@ -22,11 +22,7 @@ STYLE: Final[dict[Any, Any]] = {
 }  # fmt: skip
 FONT: Final = "STIXGeneral"
 TEXT: Final[dict[str, Any]] = {"fontfamily": FONT, "math_fontfamily": "stix"}
-SYMBOLS: Final = {"gamma": r"$\Gamma$", "omega": r"$\Omega$", "xi": r"$\xi$"}
 DPI: Final = 200
-
-#: Colours that remain distinct to colour-blind readers and on a photocopy (ColorBrewer's RdBu).
-GREY, RED, BLUE = "#a6a6a6", "#b2182b", "#2166ac"
 
 #: Colours of the attractors in order, repeated beyond (Okabe and Ito); of undecided starts.
 COLOURS: Final = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#666666")

@@ -14,9 +14,10 @@ from kernel.branches.thresholds import Thresholds
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
+from service.pictures import draw_thresholds
 from service.views.selection import MAX_READ, ROUNDING, Stored, check_kernel, nearest_index, read_direction
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
-from service.views.view import AT_ONCE_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
+from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker.analysis.prediction import predict, predict_each, predict_from_cells, prediction_seconds
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, on_grid, refine
 from worker.cost import cell_seconds
@@ -87,9 +88,14 @@ def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
     return [(predict, query.omega, query.xi)]
 
 
+def estimate_spring(spec: None, query: SpringQuery) -> Estimate:
+    """One number of each variable."""
+    return Estimate({}, small=prediction_seconds(query.omega, query.xi) <= SMALL_SECONDS)
+
+
 SPRING: Final = View(
     "threshold", "Thresholds of a spring", None, SpringQuery, compute_spring,
-    lambda spec, query: Estimate({}), variables=_OF_SPRING, parts=spring_parts,
+    estimate_spring, variables=_OF_SPRING, parts=spring_parts,
 )  # fmt: skip
 
 
@@ -372,5 +378,5 @@ def _below(fold: Fold | None, delta: float, window: int) -> str:
 
 VIEW: Final = View(
     "threshold", "Thresholds of a sweep", SweepSpec, ThresholdQuery, compute, estimate, variables=_ROWS,
-    rows="up_status", parts=parts,
+    rows="up_status", parts=parts, draw=lambda found, figure: draw_thresholds(figure.subplots(), found),
 )  # fmt: skip

@@ -1,6 +1,6 @@
 """The motion of one cell while the caller waits: plate, masses and contact force, sample by sample."""
 
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
 import xarray
@@ -14,6 +14,7 @@ from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
+from service.pictures import BLUE, RED
 from service.views.selection import (
     Stored,
     check_kernel,
@@ -35,6 +36,9 @@ from worker.spec.protocols import MAX_START_PERIODS, OnCycle
 from worker.spec.specification import Document
 from worker.spec.sweep import WITH_CYCLES, no_cycle
 from worker.tasks import plate_of, run_cells
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Samples in one answer.
 MAX_SAMPLES: Final = 20_000
@@ -374,7 +378,23 @@ def _check_ended(field: str, outcome: int) -> None:
         raise InvalidRequest.of(field, f"the cell is {name} before the first sample")
 
 
+def draw(found: xarray.Dataset, figure: "Figure") -> None:
+    """Plate and masses, the upper one lowered by the spring's rest length, and the contact force."""
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    periods = found.phase.values / TWO_PI
+    above.plot(
+        periods, found.z1.values - found.attrs["rest_length"], color=RED, label="upper mass − rest length"
+    )
+    above.plot(periods, found.z2.values, color=BLUE, label="lower mass")
+    above.plot(periods, found.plate.values, color="black", label="plate")
+    above.set_ylabel("height (plate amplitudes)")
+    above.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    below.plot(periods, found.force.values, color="black")
+    below.set_ylabel(r"force ($mA\omega^2$)")
+    below.set_xlabel("plate periods")
+
+
 VIEW: Final = View(
     "trajectory", "Motion of a cell", _Spec, TrajectoryQuery, compute, estimate,
-    variables=tuple(_ROWS.values()), rows="plate", computes=True,
+    variables=tuple(_ROWS.values()), rows="plate", computes=True, draw=draw,
 )  # fmt: skip

@@ -35,6 +35,8 @@ MinFlight = Annotated[
 
 #: Core-seconds of closed forms that are computed while the caller waits.
 AT_ONCE_SECONDS: Final = 1.0
+#: Core-seconds of closed forms that are small: the service computes them in its own process.
+SMALL_SECONDS: Final = 0.1
 
 #: A function of `worker` and its arguments, which can be hashed.
 Call = tuple[Any, ...]

@@ -14,7 +14,7 @@ from pydantic import BaseModel, JsonValue, create_model
 
 from kernel.params import KernelInputError
 from service.api import dependencies
-from service.api.capacity import Cost, costly
+from service.api.capacity import SMALL_CHUNKS, Cost, costly
 from service.api.dependencies import JsonBody, ResultsJob, Service, ServiceDep
 from service.api.schemas import (
     NOT_MODIFIED,
@@ -132,13 +132,13 @@ def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
     def cost(service: ServiceDep, job: JobRecord | None, query: Any) -> Cost:
         _, estimate = _asked(service, view, study_of(service, job), query)
         memory = estimate.memory + estimate.points * _PER_POINT[query.format]
-        if job is None or query.format in PICTURES or not estimate.small:
+        if query.format in PICTURES or not estimate.small:
             return Cost(BASE_MEMORY + memory)
+        if job is None:
+            return Cost(BASE_MEMORY + memory, memory <= SMALL_CHUNKS)
         return dependencies.cost_of_read(service, job, memory, *estimate.reads)
 
-    computes = view.computes or view.name in SPRINGS
-
-    @costly(cost, "on demand" if view.parts else "trajectory" if computes else "read")
+    @costly(cost, "on demand" if view.parts else "trajectory" if view.computes else "read")
     def get(service: ServiceDep, job: job_type, query: Annotated[model, Query()]) -> Response:
         return _answer(service, view, study_of(service, job), query)
 

@@ -142,6 +142,16 @@ def test_formats_of_a_diagram(client: TestClient, figure_2: str, format: str, me
         assert ElementTree.fromstring(answer.text).tag.endswith("svg")
 
 
+@pytest.mark.parametrize("path", ["modes", "threshold", "trajectory?gamma=2", "/v1/orbits?omega=0.6&xi=0.1"])
+def test_results_are_drawn(client: TestClient, figure_2: str, path: str):
+    place, _, query = path.partition("?")
+    answer = client.get(
+        place if place.startswith("/") else f"{figure_2}/{place}",
+        params={**dict(pair.split("=") for pair in query.split("&") if pair), "format": "png"},
+    )
+    assert answer.content.startswith(PNG), answer.text
+
+
 # Operation
 
 

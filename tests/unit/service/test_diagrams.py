@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from kernel.threshold import threshold
+from service.pictures import BLUE, GREY, RED
 from service.views import diagram, encode, style
-from service.views.style import BLUE, GREY, RED
 from service.views.variables import variable
 from worker import schema
 

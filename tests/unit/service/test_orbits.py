@@ -18,7 +18,7 @@ from served import service as begun
 from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
 from service.client import Client
-from service.client.dataset import draw_thresholds
+from service.pictures import draw_thresholds
 from service.views import curves as curves_view
 from service.views import orbits as orbits_view
 from service.views import threshold

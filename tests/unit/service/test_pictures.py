@@ -25,7 +25,7 @@ from paths import GOLDEN, ROOT
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
-from service.client.dataset import draw_branches, draw_diagram, draw_modes, draw_thresholds
+from service.pictures import draw_branches, draw_diagram, draw_modes, draw_thresholds
 from service.tradeoff import SIZE, Measurement, compose
 from service.views import diagram, multistability
 from service.views.selection import LABEL
@@ -182,3 +182,12 @@ def write() -> None:
 
 if __name__ == "__main__":
     write()
+
+
+def test_a_map_of_one_row_shows_its_cells():
+    """Of one omega, around which there is no distance to the next."""
+    cells = {"outcome": [[1, 2, 3]], "periods": [[1, 0, 0]]}
+    data = {name: (("omega", "gamma"), np.array(values)) for name, values in cells.items()}
+    axes = Figure().subplots()
+    draw_modes(axes, xarray.Dataset(data, {"omega": [0.5], "gamma": [1.0, 2.0, 3.0], "xi": 0.2}))
+    assert axes.collections[0].get_datalim(axes.transData).height > 0.0

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from served import computing
 
 from service.client import BounceError, Client, Job
-from service.client.dataset import AXES, DIFFER, FLIGHT, HATCH
+from service.pictures import AXES, DIFFER, FLIGHT, HATCH
 
 RAMP: dict[str, Any] = {
     "gamma": {"start": 0.5, "stop": 1.5, "num": 21}, "omega": [0.6, 0.9, 1.2], "xi": 0.05,
