@@ -1,13 +1,14 @@
 """This version's kernel against another's, alternating in one run.
 
     git worktree add ../before COMMIT
-    python -m benchmarks.against ../before [--repeat 7] [--only rest,ramp]
+    python -m benchmarks.against ../before [--repeat 7] [--processes 3] [--only rest,ramp]
 
 Each version has a process of its own and both compute the same random cells in turn: Gamma 0.3 to 6, Omega
 0.2 to 2, xi 0.01 to 1, 200 + 100 plate periods; on a ramp, lines of 50 cells of Gamma. Prints
 core-microseconds per cell and plate period, medians over the repetitions, the median ratio of the two runs
 of a repetition, which holds on a busy machine too, and the share of cells with the same outcome and mode:
-chaotic cells may differ where the last digit does.
+chaotic cells may differ where the last digit does. A process may be a tenth faster or slower throughout, so
+that the ratio is the median over several pairs of them.
 """
 
 import importlib
@@ -112,24 +113,28 @@ def main() -> None:
     """Print the table."""
     from benchmarks.measuring import HERE, describe, options, ratio, short, table
 
-    given = options(__doc__, tree=Path, repeat=7, only="")
-    versions = [Version(given.tree), Version(HERE)]
+    given = options(__doc__, tree=Path, repeat=7, processes=3, only="")
+    names = [name for name in CASES if any(word in name for word in given.only.split(","))]
     print(describe(), flush=True)
+    times: dict[str, list[Any]] = {name: [] for name in names}
+    same: dict[str, float] = {}
+    for _ in range(given.processes):
+        versions = [Version(given.tree), Version(HERE)]
+        for name in names:
+            runs = [[version.run(name) for version in versions] for _ in range(given.repeat)]
+            times[name].append([[run["seconds"] for run in both] for both in runs])
+            modes = (np.equal(*pair) for pair in zip(*(run["modes"] for run in runs[0]), strict=True))
+            same[name] = np.logical_and.reduce(list(modes)).mean()
+        for version in versions:
+            version.close()
     rows = []
-    for name, case in CASES.items():
-        if not any(word in name for word in given.only.split(",")):
-            continue
-        runs = [[version.run(name) for version in versions] for _ in range(given.repeat)]
-        times = np.array([[run["seconds"] for run in both] for both in runs])
-        units = len(cells_of(case)[0]) * sum(PERIODS.values()) * 1e-6
-        modes = (np.equal(*pair) for pair in zip(*(run["modes"] for run in runs[0]), strict=True))
-        same = np.logical_and.reduce(list(modes)).mean()
-        medians = map(short, np.median(times, axis=0) / units)
-        rows.append((name, *medians, f"{ratio(times, 1):.2f}", f"{same:.1%}"))
-        print(*rows[-1], flush=True)
-    for version in versions:
-        version.close()
-    print("\n" + table(["", "before, µs", "now, µs", "ratio", "same outcome and mode"], rows))
+    for name in names:
+        units = len(cells_of(CASES[name])[0]) * sum(PERIODS.values()) * 1e-6
+        ratios = sorted(ratio(np.array(process), 1) for process in times[name])
+        medians = np.median(times[name], axis=(0, 1)) / units
+        spread = f"{ratios[0]:.2f} to {ratios[-1]:.2f}"
+        rows.append((name, *map(short, medians), f"{np.median(ratios):.2f}", spread, f"{same[name]:.1%}"))
+    print(table(["", "before, µs", "now, µs", "ratio", "of processes", "same outcome and mode"], rows))
 
 
 if __name__ == "__main__":
