@@ -24,6 +24,7 @@ import numpy as np
 
 LENGTH = 50
 PERIODS = {"settle": 200, "observe": 100}
+MICRO_FLIGHT = 0.05
 SOFT = {"restitution": 0.01, "penetration": 1e-3, "adhesive": True}
 
 
@@ -34,11 +35,12 @@ class Case(NamedTuple):
     options: dict[str, float | bool]  # of the plate; numbers are for every cell
     cells: int = 0
     lines: int = 0  # of a ramp
+    keep: int = 16  # flights; with restitution a cycle has many hops
 
 
 CASES = {
     "rigid from rest": Case("rigid", {"restitution": 0.0}, 2000),
-    "rigid from rest, e = 0.3": Case("rigid", {"restitution": 0.3}, 600),
+    "rigid from rest, e = 0.3": Case("rigid", {"restitution": 0.3}, 600, keep=128),
     "rigid ramp, 32 lines": Case("rigid", {"restitution": 0.0}, lines=32),
     "rigid ramp, 8 lines": Case("rigid", {"restitution": 0.0}, lines=8),
     "rigid ramp, 1 line": Case("rigid", {"restitution": 0.0}, lines=1),
@@ -47,7 +49,7 @@ CASES = {
     "soft, nonadhesive, d = 1e-3": Case("soft", SOFT | {"adhesive": False}, 200),
     "soft ramp, adhesive, d = 1e-3": Case("soft", SOFT, lines=4),
     "soft ramp, 16 lines": Case("soft", SOFT, lines=16),
-    "ball, e = 0.3": Case("ball", {"restitution": 0.3}, 2000),
+    "ball, e = 0.3": Case("ball", {"restitution": 0.3}, 2000, keep=128),
 }
 
 
@@ -70,7 +72,8 @@ def runner(case: Case) -> Callable[[], Any]:
     n = len(cells[0])
     plate = model.plate(**{k: v if isinstance(v, bool) else np.full(n, v) for k, v in case.options.items()})
     ramp: dict[str, Any] = {"start": [None] * case.lines} if case.lines else {}
-    return lambda: line.run_line(*cells, plate=plate, keep=16, carry=bool(case.lines), **PERIODS, **ramp)
+    kept = {"keep": case.keep, "micro_flight": MICRO_FLIGHT}
+    return lambda: line.run_line(*cells, plate=plate, carry=bool(case.lines), **kept, **PERIODS, **ramp)
 
 
 def answer(tree: str) -> None:

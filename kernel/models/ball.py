@@ -5,7 +5,7 @@ It flies as a spring does whose elongation stays zero (`kernel.models.flight`), 
 n = 1/Gamma - cos(phi) > 0. The take-off from rest is at cos(phi) = 1/Gamma, in closed form, and the same
 motion follows it every time: a cell caches it and replays it (`_replay`). Chatter is followed hop by hop,
 each of them a flight, until n is steady over the rest of it (`contact_law.chatter_completes`). Its end is
-then in closed form, and its remaining hops, shorter than about 1e-3 (1 - epsilon) rad, are not recorded.
+then in closed form, and its remaining hops, shorter than about 1e-2 (1 - epsilon) rad, are not recorded.
 """
 
 import math

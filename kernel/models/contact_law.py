@@ -7,7 +7,8 @@ contact lasts while gap < 0 and may pull; a nonadhesive one while also n > 0.
 Chatter is the infinite series of ever smaller hops by which a mass comes to rest on the plate. One that
 leaves it at relative velocity v and is pressed back with n hops for 2 v/n and leaves again at e v. If n were
 constant, the rest of the series would take the geometric sum T = 2 v/(n (1 - e)); if n changes at the rate
-n', it takes T (1 - n' T/(3 n)) to first order.
+n', it takes T (1 - n' T/(3 n)) to first order. The gap's integral over it, likewise, is A (1 - L n'/n) with
+A = 2 v^3/(3 n^2 (1 - e^3)) and L = T (1 - e + e^2)/(2 (1 + e^2)), and the integral of gap times time is A L.
 """
 
 from typing import Final
@@ -15,7 +16,7 @@ from typing import Final
 from kernel.numerics.jit import compilable, inlined, jit
 from kernel.restitution import nonadhesive_duration, scalar_damping_ratio, strong_damping_ratio
 
-STEADY: Final = 1e-3  # part of n that chatter which is summed may change; its end is exact to the square
+STEADY: Final = 1e-2  # part of n that chatter which is summed may change; its sums are exact to the square
 
 compilable(nonadhesive_duration)
 compilable(scalar_damping_ratio)
@@ -66,3 +67,11 @@ def chatter_time(hop: float, n: float, n1: float, e: float) -> float:
     """Rad from a hop at velocity `hop` to the end of the series, where `chatter_completes` holds."""
     series = 2.0 * hop / (n * (1.0 - e))
     return series * (1.0 - n1 * series / (3.0 * n))
+
+
+@jit
+def chatter_lift(hop: float, n: float, n1: float, e: float) -> tuple[float, float]:
+    """Integrals of the gap, and of the gap times the time since `hop`, where `chatter_completes` holds."""
+    area = 2.0 * hop * hop * hop / (3.0 * n * n * (1.0 - e * e * e))
+    centre = hop / (n * (1.0 - e)) * (1.0 - e + e * e) / (1.0 + e * e)
+    return area * (1.0 - centre * n1 / n), area * centre

@@ -4,8 +4,8 @@ In contact the lower mass sticks to the plate and the elongation q is a driven d
 off where the plate's normal force n (Eq. 8) falls to zero. In flight the centre of mass falls freely and q
 oscillates; it lands where the gap falls to zero. There the lower mass leaves again at -e times its relative
 velocity, and for e = 0 takes the plate's. Chatter is followed hop by hop, each of them a flight, until n is
-steady over the rest of it (`contact_law.chatter_completes`). From there on the mass counts as stuck, which
-over so short a time moves the spring as the hops would.
+steady over the rest of it (`contact_law.chatter_completes`). From there on the mass counts as stuck, and what
+the rest would do to the spring is added in closed form (`_rest_of_chatter`).
 """
 
 from typing import Any, Final, NamedTuple
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from kernel import interface
 from kernel.cell import Progress
 from kernel.models import lanes
-from kernel.models.contact_law import chatter_completes
+from kernel.models.contact_law import chatter_completes, chatter_lift
 from kernel.models.flight import begin_flight, landing, short_hop, state_after
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
@@ -225,24 +225,37 @@ def land(
     """The end of a flight that lands at gap' = `impact` <= 0; sin and cos of the plate's phase there."""
     hop = max(-s.restitution * impact, 0.0)
     q1 += impact  # of a mass that sticks; the upper mass keeps its velocity
-    if hop > 0.0 and _chatter_ends(s, sin, cos, hop, q, q1):
-        hop = 0.0
+    if hop > 0.0:
+        completes, more, more1 = _rest_of_chatter(s, sin, cos, hop, q, q1)
+        if completes:
+            q, q1, hop = q + more, q1 + more1, 0.0
     q1 -= hop
     in_flight = hop > 0.0 or normal_force(s, cos, q, q1) < 0.0
     return Phase(tau, ROOT, in_flight, 0.0, hop, q, q1, used)
 
 
 @inlined
-def _chatter_ends(s: Spring, sin: float, cos: float, hop: float, q: float, q1: float) -> bool:
-    """Whether the chatter that begins with `hop` may be summed, n being that of a mass that sticks."""
+def _rest_of_chatter(
+    s: Spring, sin: float, cos: float, hop: float, q: float, q1: float
+) -> tuple[bool, float, float]:
+    """Whether chatter that begins with `hop` may be summed; what it adds to q and q' of a mass that sticks.
+
+    In a hop the upper mass is accelerated by b gap' + w gap more than if the lower one stuck. All of it is
+    added now, as what is free in contact carries it on. That acceleration lowers n too, which moves the sums
+    as far as a rate of b n would.
+    """
     h, h1 = _free(s, sin, cos, q, q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
     n, rate = normal_force(s, cos, q, q1), h3 + s.n_re * sin + s.n_im * cos
     if not chatter_completes(hop, n, rate, 0.0, s.restitution):  # which needs no bound to be told
-        return False
+        return False, 0.0, 0.0
     h4, h5, _ = derivatives(s.stuck, h2, h3)
-    bound = abs(s.n_re) + abs(s.n_im) + envelope(s.stuck, h4, h5)
-    return chatter_completes(hop, n, rate, bound, s.restitution)
+    b, w = s.dashpot, s.stiffness
+    bound = abs(s.n_re) + abs(s.n_im) + envelope(s.stuck, h4, h5) + (b * b + w) * n
+    if not chatter_completes(hop, n, rate, bound, s.restitution):
+        return False, 0.0, 0.0
+    area, moment = chatter_lift(hop, n, rate + b * n, s.restitution)
+    return True, b * area - (w - b * b) * moment, (w - b * b) * area + b * (2.0 * w - b * b) * moment
 
 
 # --- in lanes ----------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ of the state before and after it,
     d+ = DR (d- + f- dphi) - f+ dphi
 
 The functions below write this out for each event. Nothing is approximated except where a model sums chatter:
-there the varied motion is that of the model, which sticks at once.
+there the varied motion sticks at once, and what the rest of the chatter adds does not vary with it.
 """
 
 from typing import Any

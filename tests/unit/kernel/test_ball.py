@@ -166,7 +166,7 @@ def test_chatter_ends_when_its_hops_do(epsilon: float, phi: float):
     hop = bisect(lambda v: contact_law.chatter_completes(v, press, press1, 1.0, epsilon), 0.0, 0.1)
     closed = contact_law.chatter_time(hop, press, press1, epsilon)
     assert closed == pytest.approx(hops_one_by_one(gamma, phi, hop, epsilon), rel=contact_law.STEADY**2)
-    assert closed < 2e-3 * math.sqrt(press)
+    assert closed < 2.0 * contact_law.STEADY * math.sqrt(press)
 
 
 def test_cached_phases_fit_into_the_cache():

@@ -9,6 +9,7 @@ from kernel_runs import Model, plate_of
 
 from kernel import interface
 from kernel.models.ball import Ball
+from kernel.models.contact_law import STEADY
 from kernel.models.rigid import Spring
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import HORIZON, ROOT
@@ -177,7 +178,9 @@ def test_jacobians_through_events_are_those_of_the_motion(setting):
         vectors = np.zeros((len(directions), 4))
         vectors[range(len(directions)), directions] = 1.0
         carried(cell, here, span, vectors)
-        assert np.max(np.abs(vectors.T - expected)) < TOLERANCE * np.max(np.abs(expected)), (here, span)
+        sums = setting.restitution > 0.0 and here.flying and not phase(cell, here, span)[1].flying
+        tolerance = 10.0 * STEADY**2 if sums and isinstance(cell, Spring) else TOLERANCE
+        assert np.max(np.abs(vectors.T - expected)) < tolerance * np.max(np.abs(expected)), (here, span)
         compared += 1
         if compared == EVENTS:
             break
