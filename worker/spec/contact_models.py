@@ -34,8 +34,8 @@ MAX_STEPS_PER_CONTACT: Final = 1_000_000
 #: Core-microseconds per cell per plate period of `rigid`: of a cell by itself, and with restitution
 #: above 0, in lanes and by itself.
 RIGID_ALONE_US: Final = 0.75
-RIGID_ELASTIC_US: Final = 0.52
-RIGID_ELASTIC_ALONE_US: Final = 1.9
+RIGID_ELASTIC_US: Final = 0.4
+RIGID_ELASTIC_ALONE_US: Final = 1.3
 #: The same of `soft`: the stiffer the contact, the more hops follow an impact, for each decade of penetration
 #: below the default; of a cell by itself.
 SOFT_DECADE_US: Final = 0.075

@@ -143,7 +143,7 @@ def test_a_window_of_chaos_is_seldom_told_from_the_next():
     )
     aperiodic = one.outcome == 2
     assert np.mean(deviations(one, two, 0.0)[aperiodic] > 0.05) < 0.12
-    assert np.mean(deviations(one, ball, 0.0)[aperiodic] > 0.05) > 0.9
+    assert np.mean(deviations(one, ball, 0.0)[aperiodic] > 0.05) > 0.85
 
 
 def test_cells_without_an_answer_are_not_compared_and_do_not_pass():
