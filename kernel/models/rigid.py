@@ -244,15 +244,16 @@ def _rest_of_chatter(
     added now, as what is free in contact carries it on. That acceleration lowers n too, which moves the sums
     as far as a rate of b n would.
     """
+    b, w = s.dashpot, s.stiffness
+    n = normal_force(s, cos, q, q1)
+    bound = abs(s.n_re) + abs(s.n_im) + (b * b + w) * n
+    if not chatter_completes(hop, n, 0.0, bound, s.restitution):  # as for most hops
+        return False, 0.0, 0.0
     h, h1 = _free(s, sin, cos, q, q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
-    n, rate = normal_force(s, cos, q, q1), h3 + s.n_re * sin + s.n_im * cos
-    if not chatter_completes(hop, n, rate, 0.0, s.restitution):  # which needs no bound to be told
-        return False, 0.0, 0.0
     h4, h5, _ = derivatives(s.stuck, h2, h3)
-    b, w = s.dashpot, s.stiffness
-    bound = abs(s.n_re) + abs(s.n_im) + envelope(s.stuck, h4, h5) + (b * b + w) * n
-    if not chatter_completes(hop, n, rate, bound, s.restitution):
+    rate = h3 + s.n_re * sin + s.n_im * cos
+    if not chatter_completes(hop, n, rate, bound + envelope(s.stuck, h4, h5), s.restitution):
         return False, 0.0, 0.0
     area, moment = chatter_lift(hop, n, rate + b * n, s.restitution)
     return True, b * area - (w - b * b) * moment, (w - b * b) * area + b * (2.0 * w - b * b) * moment
