@@ -146,7 +146,7 @@ class Ledger(AbstractContextManager["Ledger"]):
                     self._write_lock.release()
         except LedgerUnavailable as error:
             return str(error)
-        return self._refused
+        return self._stores_fault or self._refused
 
     def _begin(self) -> None:
         """Begin to write; keeps the reason of a refusal, such as another program's lock."""

@@ -3,11 +3,12 @@
 import hashlib
 import logging
 import time
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
-from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
+from service.errors import IllegalTransition, KeyReused, LedgerUnavailable, QueueFull, UnknownJob
 from service.jobs.ledger import NOT_LOCAL, Ledger
 from service.jobs.ledger_files import network_file_system
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
@@ -64,6 +65,8 @@ class JobManager:
         """
         self._replace_outdated()
         self._deleter.start()  # before the others notice missing stores and nothing is written
+        with suppress(LedgerUnavailable):  # the first request is refused too
+            self._ledger.check()
         self.scrubber.start()
         self.supervisor.start()
 

@@ -165,7 +165,9 @@ def test_a_log_that_is_the_ledgers_own_is_applied_and_leaves_no_copy(data: Path)
 def refused(client: TestClient, reason: str) -> None:
     """Nothing is accepted, and the reason is told; what was done can still be read."""
     spec = sweep(omega=0.77).as_submitted()
-    for answer in (client.get("/readyz"), client.post("/v1/jobs", json=spec)):
+    submission = client.post("/v1/jobs", json=spec)
+    wait_for(lambda: client.get("/readyz").status_code == 503)  # it does not wait for a writer
+    for answer in (submission, client.get("/readyz")):
         assert answer.status_code == 503
         assert reason in answer.json()["detail"]
         assert answer.headers["Retry-After"]
