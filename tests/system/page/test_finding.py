@@ -154,6 +154,7 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         screenshot(page, "compare-overlay")
         page.get_by_label("Layout").select_option("side by side")
         assert plots.count() == 3
+        page.locator(".panel .plot[data-shown]").nth(2).wait_for()
         page.locator("figure").nth(1).locator(".plot").focus()
         page.keyboard.press("+")
         page.wait_for_function("() => location.hash.includes('x0=')")
