@@ -53,7 +53,7 @@ export class SweepForm {
     const elements = (fields) => Object.values(fields).map(({ element }) => element);
     this.preset = h("select", { id: "preset", onchange: (event) => { setQuery({ figure: event.target.value || null, from: null }); this.show(); } });
     this.cost = h("p", { className: "cost", role: "status" }, "…");
-    this.button = h("button", { type: "submit", className: "button" }, "Compute");
+    this.button = h("button", { type: "submit", className: "button", disabled: true }, "Compute");
     this.snippets = new Snippets();
     this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) },
       elements(rows), h("fieldset", { className: "plain" }, h("legend", {}, "Recording"), elements(recorded)),
@@ -66,8 +66,11 @@ export class SweepForm {
     this.#fill({});
   }
 
-  /** Fill the form with the figure or the sweep that the address names; edited fields keep their values. */
+  /** Fill the form with the figure or the sweep that the address names; edited fields keep their values, and nothing is submitted before. */
   async #load() {
+    this.isLoaded = false;
+    this.estimating?.abort();
+    if (this.form) [this.button.disabled, this.cost.textContent] = [true, "…"];
     const { figure, from, omega, xi } = currentQuery();
     const isOutdated = () => this.closed || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
@@ -79,9 +82,11 @@ export class SweepForm {
       if (isOutdated()) return;
       this.preset.replaceChildren(h("option", { value: "" }, "default values"), ...presets.map(({ label, title, sweeps }) =>
         h("optgroup", { label: `${label}: ${title}` }, sweeps.map(({ key, text }) => h("option", { value: key, selected: key === figure }, text)))));
-      this.#fill((job || presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec ?? springOf(omega, xi));
       this.isLoaded = true;
+      this.#fill((job || presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec ?? springOf(omega, xi));
     } catch (error) {
+      if (isOutdated()) return;
+      this.isLoaded = error.status === 404; // the sweep is gone: the form has the default values
       this.#showError(error);
     }
   }
@@ -110,6 +115,7 @@ export class SweepForm {
   }
 
   async #estimate() {
+    if (!this.isLoaded) return; // another specification would be estimated, and submitted
     this.estimating?.abort();
     this.estimating = new AbortController();
     try {
@@ -135,7 +141,7 @@ export class SweepForm {
     }
     if (isHandledElsewhere(error)) return;
     showProblems(this.form ?? this.container, this.problem, error);
-    if (this.form) this.button.disabled = INVALID.has(error.status);
+    if (this.form) this.button.disabled = !this.isLoaded || INVALID.has(error.status);
   }
 
   async #submit(event) {
