@@ -7,6 +7,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from typing import Any
 
 from worker import store
@@ -136,9 +137,15 @@ def wait_for(
     describe: Callable[[], str] = lambda: "the condition never held",
     seconds: float = DEADLINE,
 ) -> None:
-    """Ask until the condition holds; the longer it takes the less often, as asking takes processor time."""
+    """Ask until the condition holds; the longer it takes the less often, as asking takes processor time.
+
+    It does not hold while a file that it reads is missing, or is removed as it is read.
+    """
     began = time.monotonic()
-    while not condition():
+    while True:
+        with suppress(FileNotFoundError):
+            if condition():
+                return
         waited = time.monotonic() - began
         assert waited < seconds, describe()
         time.sleep(min(max(0.005, 0.1 * waited), 0.05))

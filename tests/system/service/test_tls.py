@@ -49,7 +49,7 @@ def test_a_scheduler_of_tls_takes_those_with_certificates_alone(tmp_path: Path):
     with dask_processes(tmp_path / "dask") as processes:
         tls = ["--protocol", "tls", "--scheduler-file", str(written), *LOOPBACK, *options(files)]
         processes.start(["dask", "scheduler", *tls, "--port", "0"])
-        wait_for(lambda: written.exists() and written.read_text().endswith("}"), processes.log, PATIENCE)
+        wait_for(lambda: written.read_text().endswith("}"), processes.log, PATIENCE)
         address = json.loads(written.read_text())["address"]
         assert address.startswith("tls://127.0.0.1:")
         processes.start(

@@ -48,4 +48,4 @@ def test_damage_to_a_study_of_any_kind_is_found_and_repaired(tmp_path: Path, mon
     (url / "count/c.2").write_bytes(b"damaged")
     (url / "number/zarr.json").unlink()
     with computing(tmp_path):
-        wait_for(lambda: {path: path.read_bytes() for path in intact if path.is_file()} == intact)
+        wait_for(lambda: {path: path.read_bytes() for path in intact} == intact)
