@@ -167,15 +167,15 @@ def test_a_read_waits_for_a_busy_service_as_long_as_its_timeout(
         assert time.monotonic() - began < 1.0 + DEADLINE / 4
     if asked != "0":  # a tenth of a second may be over before the thread that shows it runs
         assert "the service is busy: waiting" in capsys.readouterr().err
-    with scripted(busy, busy) as (_, client), Client(client.url, timeout=0.05) as hurried:
+    with scripted(busy, busy) as (_, client), Client(client.url, timeout=0.5) as hurried:
         with pytest.raises(Busy, match="full") as caught:
             hurried.job(ID)
         assert caught.value.__suppress_context__ or caught.value.__context__ is None
     script = (Answer(body=view()), busy, Answer(body={}))
-    with scripted(*script) as (_, client), Client(client.url, timeout=0.05) as hurried:
+    with scripted(*script) as (_, client), Client(client.url, timeout=0.5) as hurried:
         job = hurried.job(ID)
         with pytest.raises(UnexpectedAnswer):
-            job.threshold(timeout=0.1, progress=False)
+            job.threshold(timeout=0.5, progress=False)
 
 
 def test_an_error_of_the_connection_is_one_sentence(unused_address: str):

@@ -154,7 +154,7 @@ def test_a_worker_says_what_it_begins_and_returns_the_report(watched: Watched, t
     assert report.index == 0
     assert store.read_chunk(watched.url, watched.plan[0], ["outcome"])["outcome"].all()
     assert watched.events() == [watched.begun]
-    assert not watching()
+    wait_for(lambda: not watching())
     assert timers == [(105.0, True), ("cancelled",)]  # five seconds more than the chunk has
 
 
