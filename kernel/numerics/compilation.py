@@ -9,8 +9,8 @@ is the same on all processors, and the machine code of one processor. A file app
 so any number of processes share a folder; of several that need the same entry one compiles it.
 
 All that rests on numba's internals is in this module and `kernel.numerics.jit`;
-`tests/unit/kernel/test_compilation.py` fails when numba changes them. With BOUNCE_PLAIN_NJIT=1 `numba.njit`
-compiles the kernel instead, without a cache.
+`tests/unit/kernel/numerics/test_compilation.py` fails when numba changes them. With BOUNCE_PLAIN_NJIT=1
+`numba.njit` compiles the kernel instead, without a cache.
 """
 
 import fcntl

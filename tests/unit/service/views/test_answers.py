@@ -1,8 +1,8 @@
 """Answers of the service about small jobs of every kind, as they are and as the client reads them.
 
-All numbers have to be those of tests/golden/answers.json; `python tests/unit/service/test_answers.py` writes
-that file anew. The cells are at rest or on cycles: of chaotic ones the last digits would depend on the
-machine.
+All numbers have to be those of tests/golden/answers.json;
+`python tests/unit/service/views/test_answers.py` writes that file anew. The cells are at rest or on
+cycles: the last digits of chaotic ones would depend on the machine.
 """
 
 import csv
@@ -21,7 +21,7 @@ from fastapi.testclient import TestClient
 from json_results import from_json
 
 if __name__ == "__main__":
-    sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
+    sys.path[:0] = [str(Path(__file__).parents[3] / "support"), str(Path(__file__).parents[4])]
 
     from paths import CACHE
 

@@ -1,7 +1,7 @@
 """Pictures of the service and of the client, drawn from small data and read back from their artists.
 
-What is drawn has to be what tests/golden/pictures.json says; `python tests/unit/service/test_pictures.py`
-writes that file anew, after a look at the pictures.
+What is drawn has to be what tests/golden/pictures.json says;
+`python tests/unit/service/views/test_pictures.py` writes that file anew, after a look at the pictures.
 """
 
 import json
@@ -18,7 +18,7 @@ import xarray
 from matplotlib.figure import Figure
 
 if __name__ == "__main__":
-    sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
+    sys.path[:0] = [str(Path(__file__).parents[3] / "support"), str(Path(__file__).parents[4])]
 
 from artists import difference, read_back
 from paths import GOLDEN, ROOT

@@ -28,7 +28,7 @@ SPEC: dict[str, Any] = {
     "name": "Fig. 2", "gamma": [3.56, 3.58, 3.6, 3.62, 3.64], "omega": [0.5, 0.502], "xi": 0.26,
     "model": {"kind": "rigid"}, "protocol": {"kind": "multistability"}, "settle": 300, "observe": 60,
 }  # fmt: skip
-#: Two attractors in every cell; one grazes, which changes its mode: tests/unit/worker/test_multistability.py.
+#: Two attractors in every cell; one grazes, which changes its mode (worker/basins/test_multistability.py).
 MODES = [["aperiodic", "(3,4)", "(3,4)", "(4,4)", "(2,2)"], ["(1,2)"] * 5]
 
 

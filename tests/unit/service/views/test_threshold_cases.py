@@ -3,7 +3,7 @@
 A row gives the outcomes of the cells along gamma, 1.0 at the first, in steps of 0.1: r at rest, p periodic,
 a aperiodic, s settling, u unresolved, d diverged, . missing. The outcomes are put into the store of a
 finished job, so that every case takes the way from the store to the answer. What the kernel itself gives is
-tested in tests/unit/worker/test_thresholds.py.
+tested in tests/unit/worker/analysis/test_thresholds.py.
 """
 
 from collections.abc import Iterator

@@ -23,7 +23,7 @@ SPEC: dict[str, Any] = {
     "name": "drops", "gamma": [0.6, 1.27], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
     "protocol": {"kind": "basin", "rows": 16, "columns": 24}, "settle": 200, "exponents": 1,
 }  # fmt: skip
-#: The two cycles (1,1) at Gamma = 1.27, Omega = 0.5, xi = 0.26: tests/unit/worker/test_basins.py.
+#: The two cycles (1,1) at Gamma = 1.27, Omega = 0.5, xi = 0.26: tests/unit/worker/basins/test_basins.py.
 FLIGHTS = [4.631301, 3.374643]
 
 
