@@ -96,6 +96,7 @@ def test_a_limit_on_file_sizes_fails_the_job_only(tmp_path: Path, cluster: Dask)
         assert (service.outcomes(job) != Outcome.MISSING).all()
 
 
+@pytest.mark.essential
 @pytest.mark.parametrize("format", ["nc", "parquet"])
 def test_an_export_leaves_room_for_jobs_and_ledger(small_disk: Path, format: str):
     with service(small_disk / "data", Held(capacity=0)) as client:
