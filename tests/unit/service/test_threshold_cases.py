@@ -154,14 +154,13 @@ def test_the_service_answers_it(case: Case, client: TestClient):
     assert answer["attrs"]["complete"] == all("." not in row for rows in case.rows.values() for row in rows)
 
 
-#: Ω, ξ, `down`, steps in Γ, and why `down` is not predicted: a fold at Γ = 0.553245, then Eq. 25 at 0.869608.
+#: Of folds at Γ = 0.553245, and of Eq. 25 at 0.869608.
 DIFFERENCES: Final = [
     (0.6, 0.05, 0.56, 0.01, ""),
     (0.6, 0.05, 0.55, 0.01, "bouncing lives about 61 plate periods 0.00324 below the fold, longer than the"),
     (0.6, 0.05, 0.45, 0.01, "another cycle than those of one bounce lives 0.103 below the prediction"),
     (0.6, 0.05, 0.58, 0.02, "the ramp lost the cycle 0.0268 above the fold: its steps of 0.02 excite the"),
     (0.5, 0.26, 1.1, 0.1, "the sweep stops bouncing 0.23 above Eq. 25: it still settles, or its window is"),
-    (0.5, 0.26, 0.8, 0.1, "another cycle than those of one bounce lives 0.0696 below the prediction"),
 ]
 
 
@@ -169,12 +168,10 @@ DIFFERENCES: Final = [
 def test_the_answer_says_why_a_threshold_is_not_the_predicted_one(
     omega: float, xi: float, down: float, step: float, why: str, client: TestClient
 ):
-    ramp = {"down": ("rrppp",)}
-    case = Case("", ramp, (), xi=xi, omega=(omega,), gamma=(down - 2 * step, step))
+    case = Case("", {"down": ("rrppp",)}, (), xi=xi, omega=(omega,), gamma=(down - 2 * step, step))
     found = get(client, f"{submitted(client, case)}/threshold")["data_vars"]
     assert found["down"]["data"] == [down]
-    assert found["difference"]["data"][0].startswith(why)
-    assert bool(found["difference"]["data"][0]) == bool(why)
+    assert found["difference"]["data"][0][: len(why) or None] == why
 
 
 def test_refining_more_than_one_answer_may_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch):
