@@ -77,7 +77,7 @@ class Stepper:
         return flights
 
     def plain_flights(self, periods: int) -> list[Flown]:
-        """The same with no step shortened: the plate presses at each of their ends if the state there says so."""
+        """The same with no step shortened: the plate presses at their ends if the state says so."""
         gap, _, q, _ = self.s.at_rest()
         x, v, pressed, took_off, flights = np.array([gap, q]), np.zeros(2), True, 0.0, []
         for n in range(self.number * periods):
