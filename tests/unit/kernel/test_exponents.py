@@ -105,7 +105,7 @@ def test_the_chaos_of_fig_2():
     [(5.0, 0.5, 0.26), (4.2, 1.0, 0.05), (3.5, 0.6, 0.05), (11.3271, 1.0489, 0.0214)],
 )
 def test_the_error_of_the_largest_is_the_scatter_of_independent_windows(gamma, omega, xi):
-    """100 windows of 100 plate periods, 250 apart, within 2: the last cell, which switches slowly, has the least."""
+    """100 windows of 100 plate periods, 250 apart, within 2; least where a motion switches slowly."""
     windows = run(
         np.full(100, gamma), omega, xi, restitution=0.0, carry=True, settle=250, observe=100, exponents=1
     )
