@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from urllib.parse import urlsplit
 from uuid import uuid4
 
+from worker.files import make_folder, replacing, sync, synced
+
 if TYPE_CHECKING:
     from obstore.store import S3Store
 
@@ -143,18 +145,12 @@ def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[byt
 
 
 def put(url: str, key: str, content: bytes) -> None:
-    """Write a key of a store, whole or not at all; its folder must exist."""
+    """Write a key of a store, whole or not at all, and sync it; its folder must exist."""
     if in_bucket(url):
         _bucket(url).put(key, content)
         return
-    path = Path(url, key)
-    partial = path.with_name(f"{path.name}.{uuid4().hex}.partial")
-    try:
-        partial.write_bytes(content)
-        partial.replace(path)
-    except OSError:
-        partial.unlink(missing_ok=True)
-        raise
+    with replacing(Path(url, key)) as file:
+        file.write(content)
 
 
 def write_partial(url: str, content: bytes) -> Path:
@@ -163,16 +159,10 @@ def write_partial(url: str, content: bytes) -> Path:
     A file that cannot be written whole is removed.
     """
     path = Path(url, PARTIAL, f"{uuid4().hex}.partial")
+    path.parent.mkdir(exist_ok=True)  # not the store itself: if missing, it is being removed
     try:
-        file = path.open("xb")
-    except FileNotFoundError:
-        path.parent.mkdir(exist_ok=True)  # not the store itself: if missing, it is being removed
-        file = path.open("xb")
-    try:
-        with file:
+        with synced(path) as file:
             file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
     except OSError:
         path.unlink(missing_ok=True)
         raise
@@ -206,7 +196,7 @@ def sizes_in(url: str, folder: str) -> Iterator[tuple[str, int]]:
 def make_place(url: str) -> None:
     """Create the folder at an address and its parents; a bucket needs none."""
     if not in_bucket(url):
-        Path(url).mkdir(parents=True, exist_ok=True)
+        make_folder(Path(url))
 
 
 def is_writable(url: str) -> bool:
@@ -233,6 +223,7 @@ def rename_for_deletion(url: str, renamed: str) -> None:
     elif Path(url).exists():
         remove(renamed)  # of an interrupted deletion
         Path(url).rename(renamed)
+        sync(Path(url).parent)
 
 
 def created_at(url: str) -> float | None:

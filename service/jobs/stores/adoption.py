@@ -40,7 +40,7 @@ class StoresMarker:
     """The marker of one ledger's stores."""
 
     def __init__(self, ledger: Ledger, settings: Settings) -> None:
-        self._ledger, self._url = ledger, settings.stores_url
+        self._ledger, self._settings, self._url = ledger, settings, settings.stores_url
         self._within_data = settings.stores is None  # no other data folder has them
         self._remembered = REMEMBERED_SECONDS if store.in_bucket(self._url) else 0.0
         self._checked = float("-inf")
@@ -57,7 +57,9 @@ class StoresMarker:
             there = store.read_marker(self._url)
             if there not in (None, "", ours) and (made or not self._within_data):
                 raise LedgerUnusable(self._foreign(str(there)))
-            if there != ours and (adopting or not made):
+            # Left empty by a power cut, it is ours where the ledger knows every store beside it.
+            emptied = there == "" and not find_unknown(self._ledger, self._settings)
+            if there != ours and (adopting or not made or emptied):
                 store.write_marker(self._url, ours)
             elif there != ours:
                 return
