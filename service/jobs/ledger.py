@@ -348,7 +348,7 @@ def _make_tables(connection: sqlite3.Connection) -> None:
 @contextmanager
 def locked(path: Path) -> Iterator[IO[str]]:
     """Lock the folder of a ledger; the system unlocks it when the process dies. Raises DataFolderBusy."""
-    with lock_of(path).open("w") as file:
+    with lock_of(path).open("a") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:

@@ -116,11 +116,22 @@ def _opened(url: str, key: str) -> Iterator[BinaryIO | None]:
         return
     try:
         status = os.fstat(descriptor)
-        linked = any(part.is_symlink() for part in path.parents[: key.count("/")])
+        linked = _link(path, key.count("/")) is not None
         is_ours = stat.S_ISREG(status.st_mode) and status.st_size <= MAX_FILE_BYTES and not linked
         yield open(descriptor, "rb", buffering=0, closefd=False) if is_ours else None  # noqa: SIM115
     finally:
         os.close(descriptor)
+
+
+def _link(path: Path, above: int) -> Path | None:
+    """A symbolic link among the `above` folders over a path."""
+    return next((folder for folder in path.parents[:above] if folder.is_symlink()), None)
+
+
+def refuse_links(url: str, key: str) -> None:
+    """Raise OSError if the folder of a store, or one in it, over a key is a symbolic link."""
+    if not in_bucket(url) and (link := _link(Path(url, key), key.count("/") + 1)):
+        raise OSError(errno.ELOOP, "nothing is written through a symbolic link", str(link))
 
 
 def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
@@ -159,6 +170,7 @@ def write_partial(url: str, content: bytes) -> Path:
     A file that cannot be written whole is removed.
     """
     path = Path(url, PARTIAL, f"{uuid4().hex}.partial")
+    refuse_links(url, f"{PARTIAL}/{path.name}")
     path.parent.mkdir(exist_ok=True)  # not the store itself: if missing, it is being removed
     try:
         with synced(path) as file:
@@ -172,6 +184,7 @@ def write_partial(url: str, content: bytes) -> Path:
 def place(url: str, partial: Path, key: str) -> None:
     """Give a partial file its key, replacing any file; creates missing folders below the store's."""
     path = Path(url, key)
+    refuse_links(url, key)
     try:
         partial.replace(path)
     except FileNotFoundError:
@@ -209,7 +222,7 @@ def delete(url: str, key: str) -> None:
     with suppress(FileNotFoundError):
         if in_bucket(url):
             _bucket(url).delete(key)
-        else:
+        elif _link(Path(url, key), key.count("/")) is None:
             Path(url, key).unlink()
 
 
