@@ -263,8 +263,8 @@ LYAPUNOV: Final = array(
 )  # fmt: skip
 LYAPUNOV_ERROR: Final = array(
     "lyapunov_error", CELL_DIMS, "<f8", "standard error of the largest Lyapunov exponent",
-    comment="per plate period, by the means of ten parts of the window; NaN: a lost direction, a failed run, "
-    "or observe below 40. For a chaotic motion; others converge faster",
+    comment="per plate period, by means over overlapping thirds of the window; NaN: a lost direction, a "
+    "failed run, or observe below 40",
 )  # fmt: skip
 COMPUTED: Final = array(
     "computed", CELL_DIMS, "|u1", "whether the cell was computed", None,

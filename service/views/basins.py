@@ -90,7 +90,8 @@ def _as_result(row: Array) -> Array:
 def _labels(spec: BasinSpec, stored: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.str_]:
     codes = stored["attractor_outcome"][:count]
     if spec.exponents:
-        codes = label_codes(codes, stored["lyapunov"][:count], EXPONENT_WINDOW)
+        lyapunov, error = stored["lyapunov"][:count], stored["lyapunov_error"][:count]
+        codes = label_codes(codes, lyapunov, error, EXPONENT_WINDOW)
     modes = zip(codes.tolist(), stored["bounces"].tolist(), stored["periods"].tolist(), strict=False)
     return np.array([attractor_label(*mode) for mode in modes], np.str_)
 

@@ -53,6 +53,7 @@ _PER_COMPARED: Final = 48
 _PLANE: Final = ("omega", "gamma")
 _ROWS: Final = (
     *(row for row in schema.RECORD if row.name in schema.MODE_ARRAYS), OUTCOME, LABEL, COMPUTED,
+    schema.LYAPUNOV, schema.LYAPUNOV_ERROR,
 )  # fmt: skip
 
 Window = dict[str, slice]
@@ -144,6 +145,8 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
         memory += comparison_memory(spec)
     if len(directions) > 1:
         lengths = {"direction": len(directions), **lengths}
+    if spec.exponents:
+        lengths["exponent"] = spec.exponents
     return Estimate(lengths, _PLANE, query.every, reads=_PLANE, memory=memory, most=most)
 
 

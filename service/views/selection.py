@@ -216,13 +216,13 @@ def needs_flights(spec: SweepSpec, min_flight: float | None) -> bool:
 def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...]:
     """The stored arrays that `recounted` needs."""
     flights = ("flight_time", "takeoff_phase", "flights") if needs_flights(spec, min_flight) else ()
-    exponents = (schema.LYAPUNOV.name,) if spec.exponents else ()
+    exponents = (schema.LYAPUNOV.name, schema.LYAPUNOV_ERROR.name) if spec.exponents else ()
     computed = () if spec.refine is None else (schema.COMPUTED.name,)
     return (*flights, *MODE_ARRAYS, *exponents, *computed)
 
 
 def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict[str, NDArray[Any]]:
-    """MODE_ARRAYS by name if flights longer than `min_flight` (rad) count, and LABEL if there are exponents.
+    """MODE_ARRAYS by name if flights longer than `min_flight` (rad) count, and `labelled` arrays.
 
     Of an adaptive map also `computed`: the other cells have no flights, and keep the mode of their block.
     `arrays` are those of any cells, at least `arrays_of_modes`.
@@ -244,10 +244,12 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
 
 
 def labelled(spec: SweepSpec, outcome: NDArray[np.uint8], arrays: Arrays) -> dict[str, NDArray[Any]]:
-    """The array LABEL by name; nothing where no exponents are stored."""
+    """By name LABEL and the arrays that it is told by; nothing where no exponents are stored."""
     if not spec.exponents:
         return {}
-    return {LABEL.name: label_codes(outcome, arrays[schema.LYAPUNOV.name], spec.observe)}
+    lyapunov, error = arrays[schema.LYAPUNOV.name], arrays[schema.LYAPUNOV_ERROR.name]
+    label = label_codes(outcome, lyapunov, error, spec.observe)
+    return {LABEL.name: label, schema.LYAPUNOV.name: lyapunov, schema.LYAPUNOV_ERROR.name: error}
 
 
 def attractor_label(code: int, bounces: int, periods: int) -> str:

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.modes import counted
 from kernel.params import Line, Outcome
 
 #: Longest common cycle, in plate periods, over which two periodic cells are compared flight by flight.
@@ -34,7 +35,7 @@ def deviations(exact: Line, other: Line, micro_flight: float) -> _Array:
     0 where both are at rest; infinite where only one is, or where `other` is unresolved or diverged. Both
     periodic: the largest difference of the sorted flights over a common cycle, where a flight without a
     counterpart counts with its whole time. Otherwise: the largest difference of the quantiles, less the
-    scatter. Flights of at most `micro_flight` (rad) are ignored.
+    scatter. Flights of at most `micro_flight` (rad) are ignored, unless a cell has no others.
     """
     return np.array([_deviation(exact, other, i, micro_flight) for i in range(len(exact.outcome))])
 
@@ -66,9 +67,9 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
 
 
 def _flights(line: Line, i: int, micro_flight: float) -> _Array:
-    """The recorded flights of a cell longer than `micro_flight`."""
-    flights = line.flight_time[i, : min(int(line.flights[i]), line.flight_time.shape[1])]
-    return flights[flights > micro_flight]
+    """The recorded flights of a cell that count for its mode."""
+    flights = line.flight_time[[i]]
+    return flights[counted(flights, line.flights[[i]], micro_flight)]
 
 
 def _between_cycles(exact: _Array, other: _Array) -> float:

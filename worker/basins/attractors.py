@@ -97,6 +97,7 @@ class Attractor:
     flight_time: _Floats = field(default_factory=lambda: np.empty(0))  # (keep,) of its window
     takeoff_phase: _Floats = field(default_factory=lambda: np.empty(0))
     lyapunov: _Floats = field(default_factory=lambda: np.empty(0))
+    lyapunov_error: float = np.nan
 
     @property
     def longest_flight(self) -> float:
@@ -353,7 +354,7 @@ class _Search:
             window = EXPONENT_WINDOW
             line = self._record(Request(states, 2 * window, window, 1, spec.exponents))
             for i, attractor in enumerate(attractors):
-                attractor.lyapunov = line.lyapunov[i]
+                attractor.lyapunov, attractor.lyapunov_error = line.lyapunov[i], float(line.lyapunov_error[i])
 
 
 class _Sample(NamedTuple):

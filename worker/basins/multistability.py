@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from kernel.cell import rescale
 from kernel.params import Line, Outcome
-from worker.basins.attractors import CYCLE_FLIGHTS, SAME_CYCLE, counted
+from worker.basins.attractors import CYCLE_FLIGHTS, CYCLE_REPRESENTATIVES, LONG_CYCLE, SAME_CYCLE, counted
 from worker.basins.schema import COUNT, OF_ATTRACTORS, OUTCOME, sizes_of_attractors
-from worker.basins.spec import MultistabilitySpec
+from worker.basins.spec import MAX_DROPS, MultistabilitySpec
 from worker.basins.starts import Steps, line_run, starts_of
 from worker.cost import Cost, cell_seconds, period_seconds
 from worker.plan import LONGEST_SECONDS, TARGET_SECONDS, Chunk, Plan
@@ -154,6 +154,7 @@ class _Search:
         xi, omega, self._gamma = (spec.axis_values(axis)[span] for axis, span in axes.items())
         xi_grid, omega_grid = np.meshgrid(xi, omega, indexing="ij")
         self._xi, self._omega = xi_grid.ravel(), omega_grid.ravel()  # of each line
+        self._longer = spec.until - 2 * (spec.settle + spec.observe) - spec.observe
 
     def run(self) -> None:
         """Compute every cell. Raises ChunkCancelled, ChunkPaused."""
@@ -169,12 +170,15 @@ class _Search:
             step()
             self._work.finish_step()
 
-    def _run(self, places: Sequence[tuple[int, int]], states: NDArray[np.float64]) -> list[Reached]:
-        """Run starts (n, len(STATE_FIELDS)), each in its cell (line, j)."""
+    def _run(
+        self, places: Sequence[tuple[int, int]], states: NDArray[np.float64], settle: int = 0
+    ) -> list[Reached]:
+        """Run starts (n, len(STATE_FIELDS)), each in its cell (line, j), for at least `settle` periods."""
         spec = self._spec
         lines, js = np.array(places, np.intp).reshape(-1, 2).T
         cells = (self._gamma[js], self._omega[lines], self._xi[lines])
-        window = {"settle": spec.settle, "observe": spec.observe, "settle_until": spec.until}
+        settle = max(settle, spec.settle)
+        window = {"settle": settle, "observe": spec.observe, "settle_until": spec.until}
         answer = self._work.answer(
             lambda: line_run(spec, cells, states, keep=CYCLE_FLIGHTS, **window),
             partial(_reduced, micro_flight=spec.micro_flight, keep=spec.keep),
@@ -200,11 +204,35 @@ class _Search:
                 if end.decided or of_cell[members[0]].outcome == Outcome.APERIODIC:
                     for i in members:
                         of_cell[i] = end
+        self._outlast(places, ends)
         for place, of_cell in zip(places, ends, strict=True):
             groups = [[of_cell[i] for i in group] for group in _groups(of_cell)]
             for group in sorted(groups, key=lambda group: (-len(group), *group[0].order)):
                 self._cells.add(*place, group[0], len(group) / n)
             self._cells.of["undecided"][place] = 1.0 - sum(map(len, groups)) / n
+
+    def _outlast(self, places: Sequence[tuple[int, int]], ends: Sequence[list[Reached]]) -> None:
+        """Run what is aperiodic after two windows on up to `until`: it may be a chaotic transient.
+
+        Some drops of a cell run on, and all where one leaves. What is aperiodic then is undecided, except
+        where only long cycles are reached: a torus seems to be on one for a while.
+        """
+        left = dict.fromkeys(range(len(ends)), LONG_CYCLE)  # cells, and flights of the shortest cycle reached
+        for most in (CYCLE_REPRESENTATIVES, MAX_DROPS):
+            followed = [(cell, i) for cell in left for i in _aperiodic(ends[cell], most)]
+            if not followed:
+                break
+            states = np.stack([ends[cell][i].state for cell, i in followed])
+            later = self._run([places[cell] for cell, _ in followed], states, self._longer)
+            left = {} if most < MAX_DROPS else left
+            for (cell, i), end in zip(followed, later, strict=True):
+                if end.outcome != Outcome.SETTLING:
+                    ends[cell][i] = end
+                if end.outcome in (Outcome.PERIODIC, Outcome.AT_REST):
+                    left[cell] = min(left.get(cell, LONG_CYCLE), end.bounces)
+        for cell, bounces in left.items():
+            for i in _aperiodic(ends[cell], MAX_DROPS) if bounces < LONG_CYCLE else ():
+                ends[cell][i] = ends[cell][i]._replace(outcome=Outcome.SETTLING)
 
     def _follow(self, name: str, j: int, neighbour: int) -> None:
         """Start the cells `neighbour` of all lines from the attractors of the cells `j`."""
@@ -215,7 +243,7 @@ class _Search:
         for state in states:
             rescale(state, self._gamma[j], 1.0, self._gamma[neighbour], 1.0)
         ends = self._run([(line, neighbour) for line, _ in waiting], states)
-        # An attractor that no drop has found may not have settled yet.
+        # An attractor that no drop has found may not have settled yet, or not be one.
         unknown = [
             i
             for i, ((line, _), end) in enumerate(zip(waiting, ends, strict=True))
@@ -223,9 +251,10 @@ class _Search:
         ]
         if unknown:
             places = [(waiting[i][0], neighbour) for i in unknown]
-            later = self._run(places, np.stack([ends[i].state for i in unknown]))
-            for i, end in zip(unknown, later, strict=True):
-                ends[i] = end
+            later = self._run(places, np.stack([ends[i].state for i in unknown]), self._longer)
+            for i, (line, _), end in zip(unknown, places, later, strict=True):
+                transient = self._cells.of["undecided"][line, neighbour] and end.outcome == Outcome.APERIODIC
+                ends[i] = end._replace(outcome=Outcome.SETTLING) if transient else end
         for (line, k), end in zip(waiting, ends, strict=True):
             reached = NOWHERE
             if end.decided:
@@ -238,6 +267,12 @@ def _standing(ends: Sequence[Reached]) -> list[list[int]]:
     """The starts of a cell whose first runs on for all: those on each cycle, and every aperiodic one."""
     cycles = [group for group in _groups(ends) if ends[group[0]].outcome == Outcome.PERIODIC]
     return sorted([*cycles, *([i] for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC)])
+
+
+def _aperiodic(ends: Sequence[Reached], most: int) -> list[int]:
+    """At most so many aperiodic starts of a cell, evenly spaced."""
+    found = [i for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC]
+    return found[:: -(-len(found) // most) or 1]
 
 
 def _groups(ends: Sequence[Reached]) -> list[list[int]]:

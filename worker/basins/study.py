@@ -17,7 +17,7 @@ from worker.basins.spec import BasinSpec
 from worker.basins.starts import Steps, line_run, starts_of
 from worker.cost import Cost, cell_seconds, period_seconds
 from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Chunk, Plan, even
-from worker.schema import Array, Layout, array, bytes_of, empty_record, grid_layout
+from worker.schema import LYAPUNOV_ERROR, Array, Layout, array, bytes_of, empty_record, grid_layout
 from worker.spec import AXES, SweepSpec
 from worker.tasks import ChunkReport
 
@@ -35,6 +35,7 @@ def arrays(spec: BasinSpec) -> tuple[Array, ...]:
     exponents = [
         array("lyapunov", (*AXES, "id", "exponent"), "<f8", "Lyapunov exponents, the largest first",
               comment="per plate period, natural logarithm"),
+        array("lyapunov_error", (*AXES, "id"), "<f8", LYAPUNOV_ERROR.attrs["long_name"]),
     ]  # fmt: skip
     return (
         array("attractor", (*AXES, "row", "column"), "|u1", "attractor that a start reaches",
@@ -158,6 +159,7 @@ def _fill_in(spec: BasinSpec, found: Found, record: _Arrays, index: tuple[int, .
             record[name][*index, i] = getattr(attractor, name.removeprefix("attractor_"))
         if spec.exponents:
             record["lyapunov"][*index, i] = attractor.lyapunov
+            record["lyapunov_error"][*index, i] = attractor.lyapunov_error
     record["attractor_count"][index] = len(found.attractors)
     record["undecided"][index] = np.mean(ids == 0)
     record["basin_entropy"][index], record["boundary_entropy"][index] = entropies(ids)

@@ -88,7 +88,16 @@ const LABEL_TEXTS = ["not computed yet", "", "aperiodic", "at rest on the plate"
 /** A cell's outcome or label as text. */
 export const outcomeText = (code, bounces, periods) => (code === OUTCOME.periodic ? `mode (${bounces}, ${periods})` : LABEL_TEXTS[code]);
 
-const NUMBERS = { cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
+/** "λ₁ 0.496 ± 0.05": the largest Lyapunov exponent with its standard error, where there is one. */
+export const exponentText = (exponent, error) => `λ₁ ${number(exponent, 3)}${Number.isFinite(error) ? ` ± ${number(error, 2)}` : ""}`;
+
+/** The same of one of some cells, as a list: empty where it is not known. */
+export function exponentOf({ lyapunov, lyapunov_error: errors }, cell) {
+  const exponent = lyapunov?.[(cell * lyapunov.length) / errors.length];
+  return Number.isFinite(exponent) ? [exponentText(exponent, errors[cell])] : [];
+}
+
+const NUMBERS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
 
 /** How addresses name a start in place of a direction: on a cycle ("cycle", its periods, its flight time), with a drop, in contact, on an attractor. */
 export const startName = (kind, ...values) => [kind, ...values.map((value) => Number(value.toPrecision(12)))].join(":");

@@ -3,7 +3,7 @@
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
-import { AXES, outcomeText, startName, startOf } from "../lib/physics.js";
+import { AXES, exponentText, outcomeText, startName, startOf } from "../lib/physics.js";
 import { attractorColour, theme } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { PlaneView, legendEntry } from "./cells.js";
@@ -95,10 +95,10 @@ export class Basin extends PlaneView {
   }
 }
 
-/** "(3, 4), flights up to 7.956 rad, λ₁ −0.31" */
-function attractorText({ attractor_outcome: outcome, attractor_label: label, attractor_bounces: bounces, attractor_periods: periods, attractor_longest_flight: longest, attractor_lyapunov: exponents }) {
+/** "(3, 4), flights up to 7.956 rad, λ₁ −0.31 ± 0.02" */
+function attractorText({ attractor_outcome: outcome, attractor_label: label, attractor_bounces: bounces, attractor_periods: periods, attractor_longest_flight: longest, attractor_lyapunov: exponents, attractor_lyapunov_error: error }) {
   const parts = [label.startsWith("(") || label === "rest" ? outcomeText(outcome, bounces, periods) : label];
   if (longest) parts.push(`flights up to ${number(longest, 4)} rad`);
-  if (Number.isFinite(exponents?.[0])) parts.push(`λ₁ ${number(exponents[0], 3)}`);
+  if (Number.isFinite(exponents?.[0])) parts.push(exponentText(exponents[0], error));
   return parts.join(", ");
 }

@@ -55,6 +55,7 @@ def test_the_basin_of_a_cell(found: xarray.Dataset, job: Job):
     assert found.attractor_label.values.tolist() == ["(1,1)", "(1,1)"]
     assert np.isnan(found.attractor_lifetime).all()  # infinite in the store
     assert (found.attractor_lyapunov[:, 0] < -0.1).all()
+    assert (found.attractor_lyapunov_error < 1e-3).all()
     ids = found.attractor_of_start
     assert [float((ids == i).mean()) for i in (1, 2)] == found.attractor_fraction.values.tolist()
     assert found.undecided == 0.0

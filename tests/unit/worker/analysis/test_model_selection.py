@@ -56,6 +56,17 @@ def test_a_ball_that_bounces_where_the_spring_rests_has_no_bound():
     assert "ball unbounded" in choice.reason
 
 
+def test_cells_whose_flights_all_are_small_are_compared_by_these():
+    """Just above the threshold, and on all of Fig. 2 if flights up to 7 rad are small."""
+    above = 0.869609004563236
+    onset = choose(sweep(1e-3, gamma=[above, above + 1e-5]))
+    assert onset.model == "rigid"
+    assert 0.0 < percentiles(onset)["rigid"] < 1e-3
+    assert percentiles(onset)["ball"] is None
+    large = choose(sweep(1e-2, micro_flight=7.0))
+    assert percentiles(large)["soft"] == 0.0 < percentiles(large)["rigid"]
+
+
 def test_ramps_are_compared_along_their_own_lines():
     ramp = {"kind": "ramp", "axis": "gamma", "direction": "both"}
     spec = sweep(

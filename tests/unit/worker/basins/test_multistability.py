@@ -110,6 +110,19 @@ def test_an_attractor_that_no_drop_reaches_is_found_by_following(tmp_path: Path)
     assert modes == {(3, 4), (1, 2)}
 
 
+def test_a_chaotic_transient_is_followed_to_its_cycle_and_undecided_where_it_outlives_until(tmp_path: Path):
+    """All drops end on a cycle of 14 flights; after 1,900 plate periods one of 24 is still chaotic."""
+    cell: dict[str, Any] = {"gamma": 4.0, "omega": 0.6, "settle": 800, "observe": 150}
+    found = computed(str(tmp_path / "a.zarr"), multistability(**cell)).squeeze(drop=True)
+    assert (int(found.attractor_count), float(found.undecided)) == (1, 0.0)
+    assert (int(found.bounces[0]), float(found.fraction[0])) == (14, 1.0)
+    short = multistability(**cell | {"settle": 300, "settle_until": 600}, rows=20, columns=20)
+    cut = computed(str(tmp_path / "b.zarr"), short).squeeze(drop=True)
+    assert int(cut.attractor_count) == 1
+    assert 0.0 < float(cut.undecided) < 0.5
+    assert float(cut.undecided + cut.fraction[0]) == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize(
     ("columns", "undecided", "outcome"), [(1, 1.0, Outcome.UNRESOLVED), (2, 0.5, Outcome.PERIODIC)]
 )
