@@ -31,6 +31,12 @@ def test_compose_file_is_valid():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_workflows_are_valid():
+    files = sorted(str(path) for path in (ROOT / ".github/workflows").glob("*.yml"))
+    done = tool("check-jsonschema", "--builtin-schema", "vendor.github-workflows", *files)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_dockerfile_passes_hadolint():
     done = tool("hadolint", "Dockerfile")
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
