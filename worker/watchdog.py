@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from distributed import get_worker
 
-from kernel.numerics.compilation import compilations
+from kernel.numerics.cache import compilations
 from kernel.stopping import Stopped, stopped_if
 from worker import store
 from worker.studies import Chunk, Spec, run_task

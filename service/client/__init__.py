@@ -6,7 +6,6 @@ The specifications and their parts can be imported from here too: they load nump
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
-from service.client.asynchronous import AsyncClient, AsyncJob
 from service.client.client import Client
 from service.client.errors import (
     BadRequest,
@@ -39,8 +38,6 @@ if TYPE_CHECKING:
     from worker.spec.refine import Refine
 
 __all__ = [
-    "AsyncClient",
-    "AsyncJob",
     "Auto",
     "BadRequest",
     "Ball",

@@ -17,7 +17,7 @@ from worker.cost import Cost
 from worker.refinement import first_round
 from worker.schema import Layout
 from worker.spec.errors import SpecError
-from worker.studies import Chunk, Plan, Study, from_json, parse, study_of
+from worker.studies import Chunk, Plan, Study, from_json, study_of
 
 #: Prepared jobs kept, the last used, and the maximum characters of their specifications together.
 MAX_JOBS: Final = 128
@@ -25,9 +25,6 @@ MAX_SPEC_CHARS: Final = 8_000_000
 
 #: Minimum core-seconds that measure a contact model: in less, starting up dominates.
 MIN_SECONDS: Final = 0.05
-
-#: Fields of a sweep with stricter rules than under kernel version 1; no reader of results uses them.
-BOUNDED_SINCE: Final = ("settle_tolerance", "name")
 
 
 @dataclass(frozen=True)
@@ -141,7 +138,7 @@ class JobPreparer:
             return self._jobs[key][0]
 
     def _prepared(self, job: JobRecord) -> PreparedJob:
-        submitted, choice = parse_stored(job.spec, job.kernel_version), choice_of(job)
+        submitted, choice = from_json(job.spec), choice_of(job)
         return PreparedJob(
             job_id=job.id,
             submitted=submitted,
@@ -188,16 +185,3 @@ def _kind(spec: Any) -> tuple[Study, str | None]:
 def choice_of(job: JobRecord) -> ModelChoice | None:
     """The model chosen for a job; None if it names its model, and until the choice is made."""
     return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
-
-
-def parse_stored(text: str, kernel_version: str) -> Any:
-    """A job's specification; for an outdated job by the rules of its time, so that it can be read.
-
-    Raises SpecError.
-    """
-    if kernel_version == KERNEL_VERSION:
-        return from_json(text)
-    fields = json.loads(text)
-    kept = {name: fields.pop(name) for name in BOUNDED_SINCE if name in fields}
-    spec = parse(fields)
-    return spec.model_copy(update=kept) if kept else spec

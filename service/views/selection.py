@@ -233,8 +233,7 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
             np.ascontiguousarray(arrays[name]).reshape(-1, spec.keep)
             for name in ("flight_time", "takeoff_phase")
         )
-        bounces, periods = (arrays[name].ravel().astype(np.int32) for name in ("bounces", "periods"))
-        stored = Modes(arrays["outcome"].ravel(), bounces, periods)  # kernel version 1 stored 16 bits
+        stored = Modes(*(arrays[name].ravel() for name in MODE_ARRAYS))
         found = recount(
             times, phases, arrays["flights"].ravel(), stored, spec.micro_flight, shortest(spec, min_flight)
         )

@@ -7,7 +7,7 @@ from concurrent.futures import Future, InvalidStateError, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
-from kernel.numerics.compilation import compilations
+from kernel.numerics.cache import compilations
 from kernel.stopping import check, stopped_if
 from worker.executors.base import ClusterState, Compiling, Result
 from worker.studies import Chunk, Spec, run_task

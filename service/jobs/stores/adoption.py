@@ -19,14 +19,14 @@ from kernel.params import Outcome
 from service.errors import LedgerUnavailable, LedgerUnusable, NotAdoptable
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, NewJob
-from service.jobs.prepare import new_job, parse_stored
+from service.jobs.prepare import new_job
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, is_open, resolved
 from worker.schema import COMPUTED
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
-from worker.studies import Plan, study_of
+from worker.studies import Plan, from_json, study_of
 from worker.tasks import ChunkReport, report_of
 
 log = logging.getLogger(__name__)
@@ -182,7 +182,7 @@ def _contents(url: str, job_id: str) -> tuple[NewJob, Any, Plan, str | None]:
     """
     attrs = store.read_attrs(url)
     version = str(attrs["kernel_version"])
-    spec = parse_stored(json.dumps(attrs["spec"]), version)
+    spec = from_json(json.dumps(attrs["spec"]))
     if not attrs["job"] == spec.job_id(version) == job_id:
         raise ValueError(f"it says that it holds job {attrs['job']}, its sweep is {spec.job_id(version)}")
     plan: Plan = study_of(spec).plan(spec, tuple(attrs["chunk_shape"]))

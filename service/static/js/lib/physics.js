@@ -24,7 +24,7 @@ export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unres
 /** Codes of kernel.labels beyond those of outcomes: cells told apart by their Lyapunov exponents. */
 export const LABEL = { quasiPeriodic: 7, chaotic: 8, unstable: 9 };
 
-/** Codes of service.results.hysteresis: how the two directions of a cell compare. */
+/** Codes of service.views.modes.Hysteresis: how the two directions of a cell compare. */
 export const HYSTERESIS = { none: 0, mode: 1, flights: 2 };
 
 /** Threshold of lift-off from rest, Eq. 25: the Γ above which a spring resting on the plate begins to bounce. */
