@@ -15,7 +15,15 @@ import numpy as np
 import xarray
 
 from service.client.errors import BounceError, UnexpectedAnswer
-from service.pictures import AXES, draw_branches, draw_diagram, draw_modes, draw_thresholds
+from service.pictures import (
+    AXES,
+    SYMBOLS,
+    along_of,
+    draw_branches,
+    draw_diagram,
+    draw_modes,
+    draw_thresholds,
+)
 
 if TYPE_CHECKING:
     import pandas
@@ -129,6 +137,8 @@ class BounceAccessor:
         dims = set(dataset.outcome.dims)
         if len(dims - {"direction"}) == 1 and "flight_time" in dataset:
             draw_diagram(ax, dataset)
+            fixed = [axis for axis in AXES if axis != along_of(dataset)]
+            ax.set_title(", ".join(f"{SYMBOLS[axis]} = {dataset[axis].item():g}" for axis in fixed))
             if branches is not None:
                 draw_branches(ax, branches)
         elif dims == {"gamma", "omega"}:

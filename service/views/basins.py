@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from kernel.labels import label_codes
 from kernel.params import STATE_FIELDS, Outcome
-from service.pictures import SYMBOLS
+from service.pictures import ATTRACTORS, SYMBOLS, UNDECIDED
 from service.views.selection import Stored, attractor_label, nearest_index, read_stored
-from service.views.style import COLOURS, UNDECIDED, legend_beside
+from service.views.style import legend_beside
 from service.views.variables import VARIABLES, coordinate, dataset, of_attractor, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.attractors import EXPONENT_WINDOW
@@ -112,7 +112,7 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
     from matplotlib.colors import ListedColormap
 
     axes = figure.subplots()
-    colours = [COLOURS[i % len(COLOURS)] for i in range(found.sizes["attractor"])]
+    colours = [ATTRACTORS[i % len(ATTRACTORS)] for i in range(found.sizes["attractor"])]
     axes.imshow(
         found.attractor_of_start, origin="lower", aspect="auto", interpolation="nearest",
         extent=(*_ends(found.column.values), *_ends(found.row.values)),

@@ -18,9 +18,9 @@ from pydantic import Field
 
 from kernel.params import Outcome
 from service.errors import TooLarge
-from service.pictures import SYMBOLS, edges
+from service.pictures import ATTRACTORS, OTHER_ATTRACTORS, PALETTE, SYMBOLS, UNDECIDED, edges
 from service.views.selection import Stored, attractor_label, nearest_index, read_stored
-from service.views.style import COLOURS, UNDECIDED, legend_beside
+from service.views.style import legend_beside
 from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.multistability import MAX_ATTRACTORS
@@ -265,11 +265,11 @@ def _events(
 
 
 #: Colours of cells by their number of attractors: not computed, none, 1, 2, 3, 4 and more.
-COUNTS: Final = ("#ffffff", "#bbbbbb", "#e8edf2", "#56b4e9", "#d55e00", "#000000")
+COUNTS: Final[tuple[str, ...]] = tuple(PALETTE["attractor_counts"])
 _OF_COUNTS: Final = ("not computed", "undecided", "one attractor", "two", "three", "four or more")
 
 #: Colours by id: none, one of their own for those with most cells, and that of all others.
-_BY_ID: Final = (UNDECIDED, *COLOURS[:-1], "#999999")
+_BY_ID: Final = (UNDECIDED, *ATTRACTORS, OTHER_ATTRACTORS)
 
 
 def draw(found: xarray.Dataset, figure: "Figure") -> None:

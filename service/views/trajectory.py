@@ -14,7 +14,7 @@ from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
-from service.pictures import BLUE, RED
+from service.pictures import LINES
 from service.views.selection import (
     Stored,
     check_kernel,
@@ -382,10 +382,9 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
     """Plate and masses, the upper one lowered by the spring's rest length, and the contact force."""
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     periods = found.phase.values / TWO_PI
-    above.plot(
-        periods, found.z1.values - found.attrs["rest_length"], color=RED, label="upper mass − rest length"
-    )
-    above.plot(periods, found.z2.values, color=BLUE, label="lower mass")
+    upper = found.z1.values - found.attrs["rest_length"]
+    above.plot(periods, upper, color=LINES["upper-mass"], label="upper mass − rest length")
+    above.plot(periods, found.z2.values, color=LINES["lower-mass"], label="lower mass")
     above.plot(periods, found.plate.values, color="black", label="plate")
     above.set_ylabel("height (plate amplitudes)")
     above.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))

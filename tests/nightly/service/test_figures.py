@@ -46,9 +46,9 @@ from service import presets
 from service.client import Client
 from service.figures import catalogue
 from service.figures.drawing import WIDTH
+from service.pictures import DPI
 from service.server import embedded
 from service.settings import Settings
-from service.views.style import DPI
 from worker.executors.dask import Dask
 
 #: The figures of this tier.

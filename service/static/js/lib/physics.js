@@ -83,6 +83,8 @@ export function directionsOf({ protocol }) {
   return protocol.direction === "both" ? ["up", "down"] : [protocol.direction];
 }
 
+/** Names of outcomes and labels by their code, as in `kernel.labels`. */
+export const LABEL_NAMES = ["missing", "periodic", "aperiodic", "at_rest", "unresolved", "diverged", "settling", "quasi-periodic", "chaotic", "unstable"];
 const LABEL_TEXTS = ["not computed yet", "", "aperiodic", "at rest on the plate", "unresolved", "diverged", "still settling", "quasi-periodic", "chaotic", "unstable cycle"];
 
 /** A cell's outcome or label as text. */

@@ -52,7 +52,7 @@ export class Basin extends PlaneView {
   showLegend() {
     const [undecided, entropy, boundary] = ["undecided", "basin_entropy", "boundary_entropy"].map((name) => this.basin[name].data);
     this.legend.replaceChildren(
-      ...this.attractors.map((attractor) => legendEntry(attractorColour(attractor.attractor), h("button", {
+      ...this.attractors.map((attractor) => legendEntry(attractorColour(attractor.attractor, theme().dark), h("button", {
         type: "button", className: "link", title: "See the attractor move",
         onclick: () => this.onSelect({ ...this.cell, direction: startName("attractor", attractor.attractor) }),
       }, attractorText(attractor)), " ", h("small", {}, share(attractor.attractor_fraction)))),
@@ -80,7 +80,7 @@ export class Basin extends PlaneView {
   }
 
   #drawStarts(ctx, box) {
-    const colours = [rgba32(box.theme.surface), ...this.attractors.map(({ attractor }) => rgba32(attractorColour(attractor)))];
+    const colours = [rgba32(box.theme.surface), ...this.attractors.map(({ attractor }) => rgba32(attractorColour(attractor, box.theme.dark)))];
     this.drawCells(ctx, box, (row, column) => colours[this.map[row * this.columns.length + column]]);
   }
 

@@ -166,10 +166,10 @@ export class Diagram extends PlotView {
     else if (this.current) this.#atCurrent().forEach((each) => drawCurrent(ctx, box, each));
   }
 
-  /** A sweep of one direction is drawn in black, as in the paper; of several sweeps, each in a colour of its own. */
+  /** The colour of a direction; of several sweeps, each has a colour of its own. */
   #colour({ source = this.source, direction }, theme) {
     if (this.sources.length > 1) return branchColour(source.number, theme.dark);
-    return directionColour(this.directions.length > 1 ? direction : "rest", theme);
+    return directionColour(direction, theme);
   }
 
   /** The selected cell if it lies on a shown line. */
