@@ -28,6 +28,9 @@ STILL_SETTLING_SHARE: Final = 0.35
 
 #: Share of the cells whose window shows no mode and which are followed beyond it, of 24,000 random cells.
 FOLLOWED_SHARE: Final = 0.25
+#: Cells are followed beyond their window if they take less than this many times the usual evaluations: most
+#: busier ones use up their budget in it.
+BUSIEST_FOLLOWED: Final = 100.0
 
 #: Cost of a cell with Lyapunov exponents relative to one without, both computed one by one, at most
 #: (`python -m benchmarks.exponents`).
@@ -92,14 +95,16 @@ def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
 
 
 def longest_cell_seconds(spec: SweepSpec) -> float:
-    """Core-seconds of a cell among the busiest that settles for as long as it may."""
+    """Core-seconds of a cell that settles until settle_until, among the busiest of the sweep."""
     windows = [spec.settle + spec.observe, *_extensions(spec)]
-    return longest_period_seconds(spec) * sum(added + periods_followed(spec.observe) for added in windows)
+    return longest_seconds(spec, sum(added + periods_followed(spec.observe) for added in windows))
 
 
-def longest_period_seconds(spec: SweepSpec) -> float:
-    """Core-seconds per plate period of the busiest cells."""
-    return period_seconds(spec) * spec.model.busiest(*map(spec.axis_values, ("gamma", "omega", "xi")))
+def longest_seconds(spec: SweepSpec, until: int) -> float:
+    """Core-seconds of a cell followed for `until` plate periods, among the busiest of the sweep."""
+    window = spec.settle + spec.observe
+    busiest = spec.model.busiest(*map(spec.axis_values, ("gamma", "omega", "xi")))
+    return period_seconds(spec) * (busiest * window + min(busiest, BUSIEST_FOLLOWED) * (until - window))
 
 
 def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:

@@ -16,7 +16,7 @@ from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord, JobState, summary_of
 from service.jobs.prepare import JobPreparer
-from service.jobs.ready_queue import Rotation, chunk_seconds
+from service.jobs.ready_queue import Rotation
 from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
 from service.jobs.run import JobRun, text_of
 from service.jobs.transactions import Unfinished
@@ -213,7 +213,7 @@ class Supervisor:
         if report is not None and (mismatch := _mismatch(run.prepared.plan[chunk], report)):
             error, report = mismatch, None
         if isinstance(error, ChunkPaused):
-            run.add_slice(chunk, error.seconds)
+            run.add_slice(error.seconds)
         # The rotation counts at most a slice.
         seconds = report.seconds if report else run.chunk_seconds
         seconds = min(math.inf if isinstance(error, ChunkPaused) else seconds, self._rotation.slice_seconds)
@@ -223,7 +223,7 @@ class Supervisor:
             self._rotation.earn(seconds)
         run.remove_in_flight(chunk)
         if report is not None:
-            run.add_report(report)
+            run.unsaved_reports.append(report)
             self.tally.add_computed(report.seconds)
             return
         if isinstance(error, store.StoreDamaged):
@@ -306,11 +306,7 @@ class Supervisor:
         estimates = self._core_seconds
         self._core_seconds = {job.id: estimates.get(job.id) or self._estimate(job.id) for job in unfinished}
         waiting = [
-            job._replace(
-                chunk_seconds=chunk_seconds(
-                    self._core_seconds[job.id] / job.chunks_total, job.core_seconds, job.timed
-                )
-            )
+            job._replace(chunk_seconds=self._core_seconds[job.id] / job.chunks_total)
             for job in unfinished
             if job.id not in self._runs
         ]

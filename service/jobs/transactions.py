@@ -43,13 +43,11 @@ class Unfinished(NamedTuple):
     chunks_done: int
     chunks_total: int
     owner: str | None  # the name of the access token that submitted it
-    core_seconds: float  # spent so far
-    timed: float  # chunks whose time is known
-    chunk_seconds: float = 0.0  # core-seconds of a chunk, see `ready_queue.chunk_seconds`
+    chunk_seconds: float = 0.0  # core-seconds of a chunk, by the cost table; known to the supervisor
 
     @property
     def remaining_seconds(self) -> float:
-        """Core-seconds of the remaining chunks."""
+        """Core-seconds of the remaining chunks, by the cost table."""
         return (self.chunks_total - self.chunks_done) * self.chunk_seconds
 
 
@@ -128,8 +126,7 @@ class ReadTransaction:
     def unfinished(self, limit: int) -> list[Unfinished]:
         """Running jobs, then queued ones, each in the order they were accepted."""
         sql = (
-            "SELECT id, cancel_requested, seq, chunks_done, chunks_total, owner, core_seconds,"
-            " 1.0 * chunks_total * cells_timed / cells_total FROM jobs"
+            "SELECT id, cancel_requested, seq, chunks_done, chunks_total, owner FROM jobs"
             " WHERE state IN (?, ?) ORDER BY state = ?, seq LIMIT ?"
         )
         return [Unfinished(*row) for row in self._rows(sql, *UNFINISHED, JobState.QUEUED, limit)]
