@@ -39,7 +39,7 @@ WORKERS_TO_WAIT: Final = 4
 #: The priority of a job's turn: above that of all other chunks, which is negative.
 TURN_PRIORITY: Final = 0.0
 #: Seconds for which later chunks of smaller jobs overtake a chunk waiting at the executor; less if its own
-#: job has less than a core-second left.
+#: job is small too: half if it has as many core-seconds left.
 PASSED_SECONDS: Final = 10.0
 #: Runs of a job abandoned after unforeseen errors before the job fails.
 MAX_BROKEN_RUNS: Final = 3
@@ -213,10 +213,11 @@ class Supervisor:
         if report is not None and (mismatch := _mismatch(run.prepared.plan[chunk], report)):
             error, report = mismatch, None
         if isinstance(error, ChunkPaused):
-            run.add_slice(error.seconds)
-        # The rotation counts at most a slice.
-        seconds = report.seconds if report else run.chunk_seconds
-        seconds = min(math.inf if isinstance(error, ChunkPaused) else seconds, self._rotation.slice_seconds)
+            run.add_slice(seconds := error.seconds)
+        elif report is not None:
+            seconds = report.seconds - report.paused_seconds
+        else:
+            seconds = min(run.chunk_seconds, self._rotation.slice_seconds)
         if chunk in run.turns:
             self._rotation.end_turn(run.turns[chunk], seconds)
         else:
@@ -510,7 +511,7 @@ class Supervisor:
 
     def _send(self, run: JobRun, is_turn: bool) -> None:
         """Submit a job's next chunk. After an error the job submits nothing until the next sync."""
-        waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
+        waits = PASSED_SECONDS * run.remaining_seconds / (run.remaining_seconds + PASSED_SECONDS)
         priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
         chunk = run.prepared.plan[run.queue.pop()]
         cost = run.prepared.cost

