@@ -39,13 +39,14 @@ class JobRun:
         self.flagged = False  # its store has the cancel flag
         self.refused = False  # the executor refused a chunk; nothing is submitted until the next sync
         self.in_flight: dict[int, Future[ChunkReport]] = {}
-        self.turns: set[int] = set()  # chunks in flight that were submitted as the job's turn
+        self.turns: dict[int, float] = {}  # chunks in flight as the job's turn, with their estimates
         self.unsaved_reports: list[ChunkReport] = []  # of chunks that are stored and not yet marked
         self._policy = policy
         self.begun = set(paused)  # chunks that may have a checkpoint
         plan = prepared.plan
         self.queue = ReadyQueue(plan.lines, done)
-        self.chunk_seconds = prepared.cost.core_seconds / len(plan)  # on average, by the cost table
+        self._estimate = prepared.cost.upper_core_seconds / len(plan)  # of a chunk, by the cost table
+        self._paused_seconds = self.unsaved_seconds = 0.0  # of paused slices; missing from the ledger
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
         self.unsaved_damage: set[int] = set()  # chunks to unmark: their stored end states are damaged
@@ -78,11 +79,22 @@ class JobRun:
     def remove_in_flight(self, chunk: int) -> None:
         """Note that a chunk has come back from the executor, with or without a report."""
         del self.in_flight[chunk]
-        self.turns.discard(chunk)
+        self.turns.pop(chunk, None)
+
+    def add_slice(self, seconds: float) -> None:
+        """Note the time of a slice after which a chunk paused."""
+        self._paused_seconds += seconds
+        self.unsaved_seconds += seconds
+
+    @property
+    def chunk_seconds(self) -> float:
+        """Core-seconds of a chunk by the cost table, or of its paused slices, on average, if that is more."""
+        done = len(self.prepared.plan) - self.queue.remaining
+        return max(self._estimate, self._paused_seconds / (1 + done))
 
     @property
     def remaining_seconds(self) -> float:
-        """Core-seconds of the remaining chunks, by the cost table."""
+        """Core-seconds of the remaining chunks."""
         return self.queue.remaining * self.chunk_seconds
 
     @property
@@ -145,6 +157,7 @@ class JobRun:
         self.queue.complete(report.index for report in self.unsaved_reports)
         self.begun.difference_update(report.index for report in self.unsaved_reports)
         self.unsaved_reports.clear()
+        self.unsaved_seconds = 0.0
         self.unsaved_damage.clear()
         self.unsaved_failures.clear()
 

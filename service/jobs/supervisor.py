@@ -39,7 +39,7 @@ WORKERS_TO_WAIT: Final = 4
 #: The priority of a job's turn: above that of all other chunks, which is negative.
 TURN_PRIORITY: Final = 0.0
 #: Seconds for which later chunks of smaller jobs overtake a chunk waiting at the executor; less if its own
-#: job has less than a core-second left.
+#: job is small too: half if it has as many core-seconds left.
 PASSED_SECONDS: Final = 10.0
 #: Runs of a job abandoned after unforeseen errors before the job fails.
 MAX_BROKEN_RUNS: Final = 3
@@ -212,11 +212,14 @@ class Supervisor:
         report = None if error else future.result()
         if report is not None and (mismatch := _mismatch(run.prepared.plan[chunk], report)):
             error, report = mismatch, None
-        # The rotation counts at most a slice.
-        seconds = report.seconds if report else run.chunk_seconds
-        seconds = min(math.inf if isinstance(error, ChunkPaused) else seconds, self._rotation.slice_seconds)
+        if isinstance(error, ChunkPaused):
+            run.add_slice(seconds := error.seconds)
+        elif report is not None:
+            seconds = report.seconds - report.paused_seconds
+        else:
+            seconds = min(run.chunk_seconds, self._rotation.slice_seconds)
         if chunk in run.turns:
-            self._rotation.end_turn(run.chunk_seconds, seconds)
+            self._rotation.end_turn(run.turns[chunk], seconds)
         else:
             self._rotation.earn(seconds)
         run.remove_in_flight(chunk)
@@ -242,11 +245,12 @@ class Supervisor:
 
     def _save(self, run: JobRun) -> None:
         """Write the changes of a job's chunks to the ledger; until that succeeds the run keeps them."""
-        if run.has_unsaved:
+        if run.has_unsaved or run.unsaved_seconds:
             if run.unsaved_reports:
                 store.sync_folders(run.prepared.store_url, run.prepared.layout)
             with self._ledger.writing() as ledger:
                 ledger.mark_done(run.job, run.unsaved_reports)
+                ledger.note_paused(run.job, run.unsaved_seconds)
                 ledger.note_failures(run.job, run.unsaved_failures)
                 unmarked = ledger.unmark(run.job, run.unsaved_damage) if run.unsaved_damage else []
             run.mark_saved()
@@ -311,10 +315,10 @@ class Supervisor:
         self._rotation.update({job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)})
 
     def _estimate(self, job_id: str) -> float:
-        """Core-seconds of a whole job; 0 if it cannot be prepared, which its start will report."""
+        """Core-seconds of a whole job, at most; 0 if it cannot be prepared, which its start will report."""
         job = self._ledger.find(job_id)
         try:
-            return 0.0 if job is None else self._preparer.prepare(job).cost.core_seconds
+            return 0.0 if job is None else self._preparer.prepare(job).cost.upper_core_seconds
         except Exception:  # noqa: BLE001 - it concerns this job alone
             return 0.0
 
@@ -508,11 +512,11 @@ class Supervisor:
 
     def _send(self, run: JobRun, is_turn: bool) -> None:
         """Submit a job's next chunk. After an error the job submits nothing until the next sync."""
-        waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
+        waits = PASSED_SECONDS * run.remaining_seconds / (run.remaining_seconds + PASSED_SECONDS)
         priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
         chunk = run.prepared.plan[run.queue.pop()]
         cost = run.prepared.cost
-        longest = (cost.longest_core_seconds or cost.core_seconds) / cost.cells * chunk.cells
+        longest = cost.upper_core_seconds / cost.cells * chunk.cells
         try:
             future = self._executor.submit(
                 run.prepared.spec,
@@ -529,7 +533,7 @@ class Supervisor:
             return
         run.add_in_flight(chunk.index, future)
         if is_turn:
-            run.turns.add(chunk.index)
+            run.turns[chunk.index] = run.chunk_seconds
             self._rotation.begin_turn(run.job.id, run.chunk_seconds)
         message = Message(run.job.id, [chunk.index], future)
         future.add_done_callback(lambda _: self._inbox.put(message))

@@ -341,9 +341,13 @@ class WriteTransaction(ReadTransaction):
             cells_done=sum(report.cells for report in marked),
             cells_settling=sum(_settling(report.outcomes) for report in marked),
             cells_computed=sum(report.computed or 0 for report in marked),
-            core_seconds=sum(report.seconds for report in marked),
+            core_seconds=sum(report.seconds - report.paused_seconds for report in marked),
             cells_timed=sum(report.cells for report in marked if report.seconds > 0),
         )
+
+    def note_paused(self, job: JobRecord, seconds: float) -> None:
+        """Add the time of slices after which chunks paused."""
+        self._add(job, core_seconds=seconds)
 
     def unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
         """Unmark chunks to compute them again; a done job runs again. Returns those that were marked."""

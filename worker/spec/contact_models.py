@@ -20,7 +20,14 @@ from pydantic import (
     model_validator,
 )
 
-from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, LANES, SPRING_DIMENSION
+from kernel.params import (
+    BALL_DIMENSION,
+    BUDGET,
+    INELASTIC_DIMENSION,
+    LANES,
+    SPRING_DIMENSION,
+    USUAL_EVALUATIONS,
+)
 from kernel.restitution import restitution_of as spring_restitution
 from kernel.step_limits import steps_per_period
 from worker.spec.axes import NUMBER, WHOLE, Strict, check_kind, kind_of
@@ -50,6 +57,11 @@ RIGID_ELASTIC_ALONE_US: Final = 1.3
 SOFT_DECADE_US: Final = 0.075
 SOFT_ALONE_US: Final = 2.0
 
+#: Evaluations per plate period of the busiest cells: HOPS/(1 - e) where every landing is followed by chatter,
+#: and as many as RINGS/Omega, at most 1/xi, where the spring rings from landing to landing.
+HOPS: Final = 7.0
+RINGS: Final = 4.0
+
 _Array = NDArray[np.float64]
 _Restitution = Annotated[float, Field(ge=0.0, le=1.0), NUMBER]
 
@@ -74,6 +86,16 @@ class ContactFields(Strict):
         base: `ContactModel.cost_us`. at_once: cells, or lines of a ramp, computed side by side.
         """
         return base
+
+    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
+        """How many times `cost_us` the busiest cells take, which hop and ring as often as any."""
+        ends = self.plate_arguments(gamma[[0, -1]], omega[[0, -1]], xi[[0, -1]])
+        with np.errstate(divide="ignore"):
+            hops = np.mean(HOPS / (1.0 - ends.get("restitution", 0.0)))
+            lowest = 1.0 / np.min(ends.get("penetration", 0.0))  # a mass that hops lower stays in contact
+            rings = min(np.mean(RINGS / omega), np.mean(1.0 / xi))
+        evaluations = min(hops, HOPS + lowest) + rings
+        return float(np.clip(evaluations, USUAL_EVALUATIONS, BUDGET) / USUAL_EVALUATIONS)
 
     @property
     def exponents(self) -> int:
@@ -176,6 +198,10 @@ class Stepped(_SoftContact):
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         steps = steps_per_period(self.restitution, depths, self.steps_per_contact, adhesive=self.adhesive)
         return base * float(np.sqrt(np.prod(steps.astype(float))))
+
+    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
+        """Steps take as long whatever happens."""
+        return 1.0
 
     @model_validator(mode="after")
     def _ends(self) -> "Stepped":

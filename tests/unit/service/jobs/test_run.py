@@ -67,6 +67,16 @@ def test_nothing_is_submitted_while_something_is_unsaved(run: JobRun):
     assert run.may_submit
 
 
+def test_what_is_left_follows_the_time_of_paused_slices(run: JobRun):
+    chunk, estimated = submit(run), run.remaining_seconds
+    run.remove_in_flight(chunk)
+    run.add_slice(100.0)
+    assert run.remaining_seconds == 100.0 * run.queue.remaining > 10.0 * estimated
+    run.queue.requeue(chunk, first=True)
+    finish(run, submit(run))
+    assert run.remaining_seconds == 50.0 * run.queue.remaining  # of two chunks one may have taken it all
+
+
 def test_a_chunk_begins_once_unless_it_has_a_checkpoint(run: JobRun):
     paused = JobRun(run.job, run.prepared, np.zeros(12, np.bool_), POLICY, paused=[0])
     assert paused.begun == {0}

@@ -28,8 +28,10 @@ from worker.basins.study import (
     run_chunk,
     sizes,
 )
+from worker.cost import check_size
 from worker.schema import empty_record
 from worker.spec import SpecError
+from worker.spec.errors import SpecTooLarge
 from worker.studies import STUDIES
 from worker.tasks import ChunkCancelled, ChunkOptions, ChunkPaused, with_options
 
@@ -333,3 +335,26 @@ def test_cost_grows_with_the_starts_and_with_settle_until():
     assert large.core_seconds == pytest.approx(4.0 * small.core_seconds)
     assert large.longest_core_seconds > 5.0 * large.core_seconds
     assert seconds(settle_until=100_000).longest_core_seconds > 10.0 * large.core_seconds
+
+
+@for_each(
+    ("fields", "least", "most"),
+    [
+        ({}, 1.0, 50.0),
+        ({"model": {"kind": "rigid", "restitution": 0.3}}, 1.0, 60.0),
+        ({"model": {"kind": "rigid", "restitution": 0.99}}, 500.0, 3_000.0),
+        ({"model": {"kind": "rigid", "restitution": 1.0}}, 2_000.0, 10_000.0),
+        ({"model": {"kind": "rigid", "restitution": 0.9}, "omega": 1e-6, "xi": 1e-30}, 2_000.0, 10_000.0),
+        ({"model": {"kind": "soft", "restitution": 0.9999999, "penetration": 1e-6}}, 2_000.0, 10_000.0),
+        ({"model": {"kind": "stepped", "restitution": 0.5}, "xi": 1e-30}, 5.0, 50.0),
+    ],
+)
+def test_the_upper_end_of_the_cost_grows_with_the_hops_of_a_period(
+    fields: dict[str, Any], least: float, most: float
+):
+    """Relative to the usual cost; the kernel's budget of evaluations for each period bounds it."""
+    spec = basin(**{"rows": 8, "columns": 8, "omega": 0.5, "xi": 0.26, "settle": 500, "observe": 60} | fields)
+    cost = BASINS.estimate(spec, BASINS.plan(spec))
+    assert least <= cost.upper_core_seconds / cost.core_seconds <= most
+    with pytest.raises(SpecTooLarge, match="up to"):
+        check_size(cost, max_core_seconds=2.0 * cost.core_seconds)

@@ -263,13 +263,13 @@ def test_time_steps_are_counted():
 
 def test_too_much_is_refused_with_the_limit():
     cost = cost_of(sweep(gamma=1000))
-    check_size(cost, max_cells=1000, max_bytes=1_037_000, max_core_seconds=cost.core_seconds)
+    check_size(cost, max_cells=1000, max_bytes=1_037_000, max_core_seconds=cost.upper_core_seconds)
     for limit, rule in (
         ({"max_cells": 999}, r"^asks for 1000 cells; at most 999 are allowed: take fewer values$"),
         ({"max_bytes": 1_036_999}, r"^keep: asks for 1037000 bytes, 1037 per cell; at most 1036999 are"),
         (
-            {"max_core_seconds": 0.99 * cost.core_seconds},
-            r"^asks for about \S+ core-seconds; at most \S+ are",
+            {"max_core_seconds": 0.99 * cost.upper_core_seconds},
+            r"^asks for up to \S+ core-seconds; at most \S+ are",
         ),
     ):
         with pytest.raises(SpecTooLarge, match=rule):
