@@ -25,8 +25,8 @@ from worker import store
 from worker.analysis.model_selection import ModelChoice, choose, is_open, resolved
 from worker.executors.base import ClusterState, Executor, ExecutorError, ReportMismatch, WorkerDied
 from worker.store import StoreConflict
-from worker.studies import Chunk
-from worker.tasks import SLICE_SECONDS, ChunkOptions, ChunkPaused, ChunkReport
+from worker.study import Chunk, ChunkOptions, ChunkPaused, ChunkReport
+from worker.study.task import SLICE_SECONDS
 
 log = logging.getLogger(__name__)
 

@@ -28,9 +28,9 @@ from service.views.selection import (
 from service.views.style import DPI
 from service.views.variables import cells_dataset, coordinate
 from service.views.view import Direction, Estimate, Every, MinFlight, Number, Query, View
-from worker import schema
-from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS
+from worker.study import Array
+from worker.sweep import AXES, SweepSpec, schema
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,7 +83,7 @@ def _window(spec: SweepSpec, query: DiagramQuery) -> range:
     return between(spec.axis_values(query.along), query.start, query.stop)
 
 
-def rows_of(spec: SweepSpec) -> Iterator[schema.Array]:
+def rows_of(spec: SweepSpec) -> Iterator[Array]:
     """The stored variables without the end states, and the label where exponents are stored."""
     yield from (row for row in schema.arrays(spec) if row is not schema.END_STATE)
     if spec.exponents:

@@ -30,9 +30,8 @@ from service.views.selection import (
 )
 from service.views.variables import VARIABLES, cells_dataset, coordinate, variable
 from service.views.view import Direction, Estimate, Every, MinFlight, Number, Query, View
-from worker import schema
-from worker.schema import COMPUTED, OUTCOME
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec, schema
+from worker.sweep.schema import COMPUTED, OUTCOME
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

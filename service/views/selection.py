@@ -19,12 +19,14 @@ from kernel.modes import Modes, recount
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import InvalidRequest, OutdatedJob
 from service.software import software
-from worker import schema, store
-from worker.schema import MODE_ARRAYS
-from worker.spec import AXES, SweepSpec
+from worker import store
 from worker.spec.errors import one_of
 from worker.spec.specification import Specification
 from worker.studies import study_of
+from worker.study import Array
+from worker.study.layout import CELL_DIMS
+from worker.sweep import AXES, SweepSpec, schema
+from worker.sweep.schema import MODE_ARRAYS
 
 #: Flights, or outcomes, held in memory for one picture or one summary; longer lines are thinned.
 MAX_READ: Final = 8_000_000
@@ -42,8 +44,8 @@ Arrays = Mapping[str, NDArray[Any]]
 _Spec_co = TypeVar("_Spec_co", bound=Specification, covariant=True)
 
 #: What an answer has beside the stored arrays where exponents are stored.
-LABEL: Final = schema.Array(
-    "label", schema.CELL_DIMS, "|u1", 0,
+LABEL: Final = Array(
+    "label", CELL_DIMS, "|u1", 0,
     {
         "long_name": "outcome, with aperiodic and unstable cells told apart by Lyapunov exponents",
         "units": "1",

@@ -20,10 +20,10 @@ from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker.analysis.prediction import predict, predict_each, predict_from_cells, prediction_seconds
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, on_grid, refine
-from worker.cost import cell_seconds
-from worker.schema import COMPUTED
-from worker.spec import SweepSpec
 from worker.spec.contact_models import Rigid
+from worker.sweep import SweepSpec
+from worker.sweep.cost import cell_seconds
+from worker.sweep.schema import COMPUTED
 
 #: The contact of the closed form.
 CONTACT: Final = "rigid, restitution 0"

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.formats import PICTURES
 from service.views import encode
 from service.views.selection import thinning
-from worker.schema import Array
+from worker.study import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

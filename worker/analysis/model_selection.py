@@ -17,10 +17,10 @@ from pydantic import Field
 from kernel.params import Line as Record
 from kernel.params import Outcome
 from worker.analysis.deviation import deviations, percentile
-from worker.spec import AXES, SweepSpec
 from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS, Auto, Ball, Rigid, Soft
-from worker.tasks import run_cells
+from worker.sweep import AXES, SweepSpec
+from worker.sweep.task import run_cells
 
 #: Cells of a sample from rest; lines of a sample along a ramp, and cells on each of them.
 CELLS: Final = 48

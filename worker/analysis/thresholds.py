@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
 from worker import store
-from worker.schema import COMPUTED
-from worker.spec import LARGEST, SMALLEST, SweepSpec
-from worker.spec.sweep import MAX_PERIODS
-from worker.tasks import run_cells
+from worker.spec.axes import LARGEST, SMALLEST
+from worker.sweep import SweepSpec
+from worker.sweep.schema import COMPUTED
+from worker.sweep.specification import MAX_PERIODS
+from worker.sweep.task import run_cells
 
 #: Maximum cells computed for one threshold on a ramp; beyond it the threshold is not refined.
 MAX_CELLS: Final = 2_000

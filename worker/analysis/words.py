@@ -20,8 +20,8 @@ from kernel.branches.words import Word, WordBranch, from_flights
 from kernel.params import KernelInputError, Outcome
 from worker import store
 from worker.analysis.thresholds import BOUNCING
-from worker.schema import COMPUTED
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
+from worker.sweep.schema import COMPUTED
 
 Floats = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import STATE_FIELDS, Line, Outcome
-from worker.basins.spec import BasinSpec
+from worker.basins.specification import BasinSpec
 
 _Floats = NDArray[np.float64]
 _Ints = NDArray[np.intp]

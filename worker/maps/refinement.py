@@ -12,8 +12,7 @@ differ are computed whole. For this to hold at a tile's border, the adjacent blo
 Their cells are not stored. A cell that is not computed takes the values of its block's nearest vertex.
 """
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from kernel.params import Outcome
 from worker.spec.refine import MAX_MODE_PERIODS, Refine
+from worker.sweep import SweepSpec
 
 #: Blocks: rows and columns of the first and last corner.
 _Blocks = NDArray[np.int64]  # (n, 4)
@@ -55,6 +55,13 @@ _WITHOUT_MODE: Final = (Outcome.APERIODIC, Outcome.SETTLING)
 _MODES: Final = len(Outcome)
 
 
+def refine_of(spec: SweepSpec) -> Refine:
+    """How a map is refined. Raises TypeError for a sweep that computes every cell."""
+    if spec.refine is None:
+        raise TypeError("the sweep computes every cell: it is no adaptive map")
+    return spec.refine
+
+
 def classes(
     refine: Refine, outcome: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any]
 ) -> NDArray[np.int64]:
@@ -68,23 +75,6 @@ def classes(
         return np.where(np.isin(kinds, _BOUNCES), Outcome.PERIODIC, kinds)
     short = (outcome == Outcome.PERIODIC) & (periods <= MAX_MODE_PERIODS)
     return np.where(short, _MODES + bounces.astype(np.int64) * (MAX_MODE_PERIODS + 1) + periods, kinds)
-
-
-def first_round(shape: Sequence[int], tile: Sequence[int], refine: Refine) -> int:
-    """Cells of the first rounds of all tiles of a map, which any map needs.
-
-    shape: cells along (xi, omega, gamma), cut into tiles of `tile` cells.
-    """
-    xis, *grid = shape
-    rows, columns = (
-        Counter(min(size, n - low) for low in range(0, n, size))
-        for n, size in zip(grid, tile[1:], strict=True)
-    )
-    return xis * sum(
-        times * again * Refinement((height, width), refine).cells.size
-        for height, times in rows.items()
-        for width, again in columns.items()
-    )
 
 
 class Refinement:

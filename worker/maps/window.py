@@ -8,10 +8,10 @@ from pydantic import AfterValidator, Field
 
 from worker.spec.axes import WHOLE, AxisValue, Number, Range
 from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid
-from worker.spec.protocols import Rest
 from worker.spec.refine import Refine
 from worker.spec.specification import Document
-from worker.spec.sweep import SweepSpec
+from worker.sweep import SweepSpec
+from worker.sweep.protocols import Rest
 
 #: Minimum values of a window along an axis.
 FEWEST_VALUES: Final = 129

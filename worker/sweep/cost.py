@@ -1,24 +1,14 @@
-"""Cost of a sweep before it is computed: cells, chunks, stored bytes, core-seconds; and its limits."""
+"""Cost of a sweep before it is computed: chunks, stored bytes, core-seconds."""
 
 import math
 from collections.abc import Iterator
-from typing import Any, Final, Literal
-
-from pydantic import Field
+from typing import Final
 
 from kernel.params import LANES, periods_followed
-from worker.schema import bytes_of_map, bytes_per_cell
-from worker.spec import SweepSpec
-from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS
-from worker.spec.errors import Problem, SpecTooLarge
-from worker.spec.refine import Refine
-
-#: Limits on one sweep; the settings of a service may set others.
-DEFAULT_MAX_CELLS: Final = 20_000_000
-DEFAULT_MAX_BYTES: Final = 32 * 2**30
-#: Six days of two cores. The largest sweep allowed, at the default window, takes a hundredth of it.
-DEFAULT_MAX_CORE_SECONDS: Final = 1e6
+from worker.study.plan import Cost, Plan
+from worker.sweep.schema import bytes_per_cell
+from worker.sweep.specification import SweepSpec
 
 #: Share of the cells that still settle at the end of their window, and the share of those that still do after
 #: each doubling of the periods: of 24,000 random cells 5.3% after 300 periods, 1.9% after 600, 0.7%
@@ -32,43 +22,6 @@ FOLLOWED_SHARE: Final = 0.25
 #: Cost of a cell with Lyapunov exponents relative to one without, both computed one by one, at most
 #: (`python -m benchmarks.exponents`).
 WITH_EXPONENTS: Final = 1.5
-
-
-#: Least and largest share of an adaptive map's cells that are computed, for REFINED_SIDE rows and columns:
-#: measured 0.2% to 0.9% by bouncing and 15% to 26% by mode at three xi (`python -m
-#: benchmarks.adaptive`). Windows on their finest parts have more.
-REFINED_SHARE: Final = {"bouncing": (0.001, 0.03), "mode": (0.02, 0.30)}
-REFINED_SIDE: Final = 1025
-#: The share falls with the number of rows as its reciprocal to this power, which follows from the dimension
-#: of the boundaries: 1 for bouncing, about 1.3 for modes.
-REFINED_POWER: Final = {"bouncing": 1.0, "mode": 0.7}
-#: With a margin, at most this many times the cells.
-REFINED_MARGIN: Final = 2.0
-#: A refined cell takes at most this many times as long as one of a full grid: cells settle slowly near
-#: boundaries, and settling and chaotic cells are computed rather than filled in.
-REFINED_SECONDS: Final = 3.0
-#: Core-seconds that storing a tile takes, however few of its cells are computed.
-TILE_SECONDS: Final = 0.03
-
-
-class Cost(Strict):
-    """What a sweep will take."""
-
-    cells: int
-    chunks: int
-    bytes: int = Field(description="of stored arrays before compression; an upper limit for an adaptive map")
-    core_seconds: float = Field(description="an upper limit for an adaptive map")
-    computed_cells: tuple[int, int] | None = Field(
-        None, description="adaptive maps: range of the cells usually computed"
-    )
-    least_core_seconds: float | None = Field(None, description="adaptive maps: lower limit; null for others")
-    longest_core_seconds: float | None = Field(
-        None, description="if every cell settles until settle_until; null without it"
-    )
-    basis: Literal["measured", "table"] = Field(
-        "table", description="measured: from this service's last jobs with the same contact model"
-    )
-    workers: int = Field(0, description="tasks that the service's workers can run at once now")
 
 
 def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
@@ -127,62 +80,13 @@ def _extensions(spec: SweepSpec) -> Iterator[int]:
         taken += added
 
 
-def estimate(spec: SweepSpec, chunks: int) -> Cost:
-    """Cost of a sweep cut into `chunks` chunks, from the table of contact models.
-
-    An adaptive map is known only once computed: its cost is the most that such maps usually take.
-    """
-    cells, seconds = math.prod(spec.shape), cell_seconds(spec)
-    shares = (1.0, 1.0) if spec.refine is None else computed_shares(spec, spec.refine)
-    low, high = (math.ceil(share * cells) for share in shares)
-    of_map: dict[str, Any] = {}
-    if spec.refine is not None:
-        of_map = {"computed_cells": (low, high), "least_core_seconds": low * seconds}
-        seconds = REFINED_SECONDS * seconds + TILE_SECONDS * chunks / high
+def estimate(spec: SweepSpec, plan: Plan) -> Cost:
+    """Cost of a sweep, from the table of contact models."""
+    cells = math.prod(spec.shape)
     return Cost(
         cells=cells,
-        chunks=chunks,
-        bytes=high * bytes_per_cell(spec) + (cells - high) * bytes_of_map(spec),
-        core_seconds=high * seconds,
-        longest_core_seconds=None if spec.settle_until is None else high * longest_cell_seconds(spec),
-        **of_map,
+        chunks=len(plan),
+        bytes=cells * bytes_per_cell(spec),
+        core_seconds=cells * cell_seconds(spec),
+        longest_core_seconds=None if spec.settle_until is None else cells * longest_cell_seconds(spec),
     )
-
-
-def computed_shares(spec: SweepSpec, refine: Refine) -> tuple[float, float]:
-    """Least and largest share of an adaptive map's cells that are usually computed."""
-    _, _, omegas, gammas = spec.shape
-    side = math.sqrt(omegas * gammas)
-    finer = (REFINED_SIDE / side) ** REFINED_POWER[refine.by]
-    coarsest = 2.0 / refine.coarsest**2  # a corner and a centre for each block
-    low, high = (coarsest + share * finer for share in REFINED_SHARE[refine.by])
-    return min(low, 1.0), min(high * (REFINED_MARGIN if refine.margin else 1.0), 1.0)
-
-
-def check_size(
-    cost: Cost,
-    *,
-    max_cells: int = DEFAULT_MAX_CELLS,
-    max_bytes: int = DEFAULT_MAX_BYTES,
-    max_core_seconds: float = DEFAULT_MAX_CORE_SECONDS,
-) -> None:
-    """Raise `SpecTooLarge` for more cells, stored bytes before compression, or core-seconds than these.
-
-    An adaptive map is counted by its computed cells, a range by its upper end.
-    """
-    cells, computed = (
-        (cost.cells, "") if cost.computed_cells is None else (cost.computed_cells[1], "computed ")
-    )
-    if cells > max_cells:
-        rule = f"asks for {cells} {computed}cells; at most {max_cells} are allowed: take fewer values"
-        raise SpecTooLarge([Problem("", rule)])
-    if cost.bytes > max_bytes:
-        per_cell = cost.bytes // cost.cells
-        rule = f"asks for {cost.bytes} bytes, {per_cell} per cell; at most {max_bytes} are allowed"
-        raise SpecTooLarge([Problem("keep", f"{rule}: keep fewer flights or take fewer values")])
-    if cost.core_seconds > max_core_seconds:
-        rule = (
-            f"asks for about {cost.core_seconds:,.0f} core-seconds; at most {max_core_seconds:,.0f} "
-            "are allowed (max_core_seconds)"
-        )
-        raise SpecTooLarge([Problem("", f"{rule}: take fewer values, or fewer periods (settle, observe)")])

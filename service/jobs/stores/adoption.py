@@ -23,10 +23,10 @@ from service.jobs.prepare import new_job, parse_stored
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice
-from worker.schema import COMPUTED
 from worker.spec.errors import SpecError
-from worker.studies import Plan, study_of
-from worker.tasks import ChunkReport, report_of
+from worker.studies import study_of
+from worker.study import ChunkReport, Plan
+from worker.study.task import report_of
 
 log = logging.getLogger(__name__)
 
@@ -195,8 +195,7 @@ def _whole_chunks(url: str, spec: Any, plan: Any) -> list[ChunkReport]:
             record = store.read_chunk(url, chunk, layout.names, complete=True)
         except store.StoreError:
             continue
-        computed = int(record[COMPUTED.name].sum()) if COMPUTED.name in record else None
-        report = report_of(chunk, record, stored, (0.0, 0.0), computed)
+        report = report_of(chunk, record, stored, (0.0, 0.0))
         if len(report.outcomes) == len(Outcome) and not report.outcomes[Outcome.MISSING]:
             reports.append(report)
     return reports

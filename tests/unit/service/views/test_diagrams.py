@@ -18,7 +18,7 @@ from kernel.threshold import threshold
 from service.pictures import BLUE, GREY, RED
 from service.views import diagram, encode, style
 from service.views.variables import variable
-from worker import schema
+from worker.sweep import schema
 
 NAN = np.nan
 ROWS = {row.name: row for row in (*schema.RECORD, schema.OUTCOME)}

@@ -18,10 +18,10 @@ from worker.analysis.words import (
     _up_to_shorter,
     continue_words,
 )
-from worker.plan import make_plan
-from worker.schema import COMPUTED, layout
-from worker.spec import SweepSpec
-from worker.tasks import run_chunk
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import COMPUTED, layout
+from worker.sweep.task import run_chunk
 
 
 def doubled(first: np.ndarray, second: np.ndarray, word: str = "ss") -> WordBranch:

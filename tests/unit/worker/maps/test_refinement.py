@@ -10,15 +10,17 @@ import pytest
 from tables import for_each
 
 from kernel.params import Outcome
-from worker import schema, store, tasks
-from worker.cost import check_size, estimate
-from worker.plan import make_plan
-from worker.refinement import NOTHING, Beyond, Refinement, classes
-from worker.schema import MODE_ARRAYS, layout
-from worker.spec import SweepSpec
+from worker import store, work
+from worker.maps.plan import estimate, make_plan, tile_shape
+from worker.maps.refinement import NOTHING, Beyond, Refinement, classes
 from worker.spec.errors import SpecInvalid, SpecTooLarge
 from worker.spec.refine import COARSEST, MAX_COARSEST, MAX_MODE_PERIODS, SETTLE_UNTIL, Refine
-from worker.tasks import ChunkOptions, ChunkPaused, run_chunk, with_options
+from worker.studies import run_task, study_of
+from worker.study import ChunkOptions, ChunkPaused
+from worker.study.plan import check_size
+from worker.study.task import with_options
+from worker.sweep import SweepSpec, schema
+from worker.sweep.schema import MODE_ARRAYS
 
 #: A plane with the threshold, modes, chaos and tongues; rows and columns that no number of blocks fits.
 SPACE: dict[str, Any] = {
@@ -45,10 +47,10 @@ def adaptive(**refine: Any) -> SweepSpec:
 
 def compute(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
     """The plane of a map, computed chunk by chunk in this process."""
-    plan = make_plan(spec, chunk_shape=shape)
-    store.create(str(url), layout(spec, plan.chunk_shape))
+    plan = study_of(spec).plan(spec, shape)
+    store.create(str(url), schema.layout(spec, plan.chunk_shape))
     for chunk in plan:
-        run_chunk(spec, chunk, str(url))
+        run_task(spec, chunk, str(url))
     return plane(spec, url)
 
 
@@ -258,17 +260,17 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
     refine, omega = {"by": "mode", "coarsest": 8, "margin": True}, {"start": 0.35, "stop": 0.7, "num": 20}
     spec = sweep(refine=refine, omega=omega, settle_until=300)
     compute(spec, tmp_path / "whole.zarr")
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 16384)
-    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
-    monkeypatch.setattr(tasks, "KEPT_BYTES", 2**60)  # and the same pauses
-    plan, url = make_plan(spec, chunk_shape=TILE), tmp_path / "paused.zarr"
-    store.create(str(url), layout(spec, plan.chunk_shape))
+    monkeypatch.setattr(work, "FIRST_STEPS", 16384)
+    monkeypatch.setattr(work, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    monkeypatch.setattr(work, "KEPT_BYTES", 2**60)  # and the same pauses
+    plan, url = make_plan(spec, TILE), tmp_path / "paused.zarr"
+    store.create(str(url), schema.layout(spec, plan.chunk_shape))
     pauses = 0
     for chunk in plan:
         while True:
             try:
                 with with_options(ChunkOptions(0.0)):
-                    run_chunk(spec, chunk, str(url))
+                    run_task(spec, chunk, str(url))
             except ChunkPaused:
                 pauses += 1
                 assert pauses < 10_000
@@ -320,12 +322,26 @@ def test_cells_of_an_adaptive_map_settle_before_others_take_their_values():
         sweep(**briefly | {"settle": "long"})
 
 
+@for_each(
+    ("keep", "coarsest", "side"),
+    [
+        (1, 2, 129), (1, 3, 127), (1, 16, 129), (200, 2, 79), (200, 16, 65), (200, 128, 80), (1000, 3, 34),
+        (1000, 64, 36),
+    ],
+)  # fmt: skip
+def test_the_tiles_of_an_adaptive_map(keep, coarsest, side):
+    """What is computed of a map depends on them: a map in other tiles is another one."""
+    axes = {axis: {"start": 1.0, "stop": 2.0, "num": 300} for axis in ("omega", "gamma")}
+    spec = sweep(**axes, xi=[0.05, 0.1], keep=keep, refine={"by": "mode", "coarsest": coarsest})
+    assert tile_shape(spec, coarsest) == make_plan(spec).chunk_shape == (1, side, side)
+
+
 def test_the_estimate_is_a_range_and_limits_hold_its_upper_end():
     spec = sweep(
         omega={"start": 0.2, "stop": 1.2, "num": 10_000}, gamma={"start": 0.9, "stop": 6, "num": 10_000},
         keep=64, refine={"by": "mode"},
     )  # fmt: skip
-    cost = estimate(spec, len(make_plan(spec)))
+    cost = estimate(spec, make_plan(spec))
     low, high = cost.computed_cells
     assert cost.cells == 10**8
     assert 10**5 < low < high < 10**7

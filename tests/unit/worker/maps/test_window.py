@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 from tables import for_each
 
-from worker.spec import SweepSpec
+from worker.maps.window import FEWEST_VALUES, Window
 from worker.spec.errors import SpecInvalid
-from worker.spec.window import FEWEST_VALUES, Window
+from worker.sweep import SweepSpec
 
 JOB = "0123456789abcdef" * 2
 MAP: dict[str, Any] = {

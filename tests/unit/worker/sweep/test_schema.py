@@ -5,20 +5,20 @@ from scripted import small
 from tables import for_each
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS
-from worker import schema
-from worker.schema import Layout, layout
-from worker.spec import SweepSpec
+from worker.study import Array, Layout
+from worker.sweep import SweepSpec, schema
+from worker.sweep.schema import layout
 
 UP_AND_DOWN = {"kind": "ramp", "axis": "gamma", "direction": "both"}
 
 
 def sized(**sizes: int) -> Layout:
     """One chunk of so many cells of 8 bytes."""
-    array = schema.Array("outcome", tuple(sizes), "<f8", 0, {})
+    array = Array("outcome", tuple(sizes), "<f8", 0, {})
     return Layout(sizes, {dim: np.arange(n) for dim, n in sizes.items()}, {}, (array,))
 
 
-def arrays(spec: SweepSpec) -> dict[str, schema.Array]:
+def arrays(spec: SweepSpec) -> dict[str, Array]:
     return {array.name: array for array in schema.arrays(spec)}
 
 
