@@ -5,7 +5,15 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BeforeValidator, Field, SecretStr, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    SecretStr,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from service import tokens
@@ -274,6 +282,21 @@ class Settings(BaseSettings):
     def store_of(self, job_id: str) -> str:
         """The address of a job's zarr store: an absolute path or an s3:// URL."""
         return f"{self.stores_url}/{job_id}.zarr"
+
+
+def read_settings(**overrides: Any) -> Settings:
+    """Settings from `BOUNCE_*` variables, overridden by arguments that are not None.
+
+    Raises NotStarted naming the setting and the rule.
+    """
+    try:
+        return Settings(**{name: value for name, value in overrides.items() if value is not None})
+    except ValidationError as error:
+        rules = [
+            ": ".join([*map(str, entry["loc"]), entry["msg"].removeprefix("Value error, ")])
+            for entry in error.errors()
+        ]
+        raise NotStarted("settings: " + "; ".join(rules)) from error
 
 
 def _is_loopback(host: str) -> bool:

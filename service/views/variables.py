@@ -1,6 +1,6 @@
 """The variables of results: name, dimensions beside the cell's, type, units and long name of each, once.
 
-Stored variables come from `worker.schema` and `worker.basins.schema`; this module adds derived ones.
+Stored variables come from `worker.sweep.schema` and `worker.basins.schema`; this module adds derived ones.
 """
 
 from collections.abc import Iterable, Mapping

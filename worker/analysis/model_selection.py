@@ -20,7 +20,6 @@ from worker.analysis.deviation import deviations, percentile
 from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS, Auto, Ball, Rigid, Soft
 from worker.sweep import AXES, SweepSpec
-from worker.sweep.task import run_cells
 
 #: Cells of a sample from rest; lines of a sample along a ramp, and cells on each of them.
 CELLS: Final = 48
@@ -167,6 +166,8 @@ def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball, settle_tolerance: fl
 
 def _run(spec: SweepSpec, lines: list[Line]) -> tuple[list[Record], float]:
     """The record of each line, and core-microseconds per cell per plate period."""
+    from worker.sweep.task import run_cells  # noqa: PLC0415 - numba, where `choose` runs: in a worker
+
     gamma, omega, xi = (axis[:1] for axis in lines[0])
     run_cells(spec.model_copy(update={"settle": 0, "observe": 1}), gamma, omega, xi, None)  # compiles
     began = time.thread_time()

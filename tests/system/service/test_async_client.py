@@ -21,6 +21,7 @@ from service.client import (
     WaitTimeout,
 )
 from service.server import embedded
+from service.settings import read_settings
 
 LINE: dict[str, Any] = {
     "gamma": {"start": 0.6, "stop": 1.6, "num": 11}, "omega": 0.5, "xi": 0.26,
@@ -37,7 +38,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 @pytest.fixture
 def held(tmp_path: Path) -> Iterator[str]:
     """A service whose jobs never end."""
-    settings = embedded.settings(data=tmp_path, port=0, active_jobs=1)
+    settings = read_settings(data=tmp_path, port=0, active_jobs=1)
     with embedded.running(settings, Held()) as address:
         yield address
 
