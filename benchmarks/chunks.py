@@ -41,8 +41,7 @@ from worker.executors.base import ClusterState
 from worker.executors.dask import Dask
 from worker.studies import run_task, study_of
 from worker.study import Chunk, ChunkOptions, ChunkReport, Plan
-from worker.study.plan import TARGET_SECONDS
-from worker.study.task import with_options
+from worker.study.chunks import TARGET_SECONDS, with_options
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 

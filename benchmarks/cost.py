@@ -28,7 +28,7 @@ from benchmarks.scaling import sweep_seconds, warmed
 from kernel.line import run_line
 from tests.support.plates import Model
 from worker.sweep import SweepSpec
-from worker.sweep.cost import cell_seconds
+from worker.sweep.plan import cell_seconds
 from worker.work import plate_of
 
 USUAL: dict[str, Any] = {"gamma": 2.0, "omega": 0.5, "xi": 0.26, "settle": 200, "observe": 100, "d": 1e-3}

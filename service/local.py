@@ -256,7 +256,7 @@ def _settings(folder: Path) -> "Settings":
 
 def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
     """Compile in one interruptible thread rather than in all workers at once."""
-    from worker.analysis.model_selection import is_open
+    from worker.sweep.specification import is_open
     from worker.work import compile_for
 
     if is_open(spec):  # choosing its model compiles

@@ -19,7 +19,12 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from service import tokens
 from service.errors import NotStarted
 from worker import store
-from worker.study.plan import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, DEFAULT_MAX_CORE_SECONDS, LONGEST_SECONDS
+from worker.study.chunks import (
+    DEFAULT_MAX_BYTES,
+    DEFAULT_MAX_CELLS,
+    DEFAULT_MAX_CORE_SECONDS,
+    LONGEST_SECONDS,
+)
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 #: The upper limits are those of the system's clocks and SQLite.

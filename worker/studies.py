@@ -4,6 +4,7 @@ Another kind of study is a package of its own and a row of STUDIES; its queries 
 (see docs/architecture.md).
 """
 
+from importlib import import_module
 from typing import Any, Final
 
 from worker.basins import plan as basins
@@ -16,9 +17,9 @@ from worker.orbits.specification import OrbitsSpec
 from worker.spec import parsing
 from worker.spec.specification import Specification
 from worker.study import Chunk, ChunkReport, Study
-from worker.sweep import SweepSpec, cost, plan, schema
+from worker.sweep import SweepSpec, plan, schema
 
-SWEEP: Final = Study(SweepSpec.parse, plan.make_plan, schema.layout, cost.estimate, "worker.sweep.task")
+SWEEP: Final = Study(SweepSpec.parse, plan.make_plan, schema.layout, plan.estimate, "worker.sweep.task")
 
 #: A sweep from rest with the field `refine`.
 MAP: Final = Study(
@@ -61,4 +62,5 @@ def from_json(text: str | bytes) -> Any:
 
 def run_task(spec: Specification, chunk: Chunk, store_url: str) -> ChunkReport:
     """Compute one chunk of a study of any kind: the function that executors run in workers."""
-    return study_of(spec).run(spec, chunk, store_url)
+    report: ChunkReport = import_module(study_of(spec).task).run_chunk(spec, chunk, store_url)
+    return report

@@ -22,7 +22,7 @@ from worker import store
 from worker.spec.specification import Specification
 from worker.studies import run_task
 from worker.study import Chunk, ChunkCancelled, ChunkOptions, ChunkPaused, ChunkReport, TaskError
-from worker.study.task import USUAL, with_options
+from worker.study.chunks import USUAL, with_options
 from worker.work import compile_for
 
 #: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the

@@ -22,15 +22,13 @@ from kernel.params import Cell, Line
 from kernel.trajectory import sample
 from worker import store
 from worker.spec.contact_models import CONTACT_MODELS, Contact
+from worker.study.chunks import LEAVING, OPTIONS, Chunk, ChunkCancelled, ChunkPaused, ChunkReport, report_of
 from worker.study.layout import Array
-from worker.study.plan import Chunk
-from worker.study.task import LEAVING, OPTIONS, ChunkCancelled, ChunkPaused, ChunkReport, report_of
 
 log = logging.getLogger(__name__)
 
 #: A task computes at least a second per this many bytes of its record, which a pause has to write.
 KEPT_BYTES: Final = 16 * 2**20
-
 
 #: Seconds between two checks of the cancel flag, which may be in a distant bucket.
 CANCEL_SECONDS: Final = 0.25
@@ -49,7 +47,6 @@ _DONE: Final = "done"
 _SECONDS: Final = "seconds"
 _LINE: Final = "line/"
 _RECORD: Final = "record/"
-
 
 _Arrays = dict[str, NDArray[Any]]
 

@@ -22,7 +22,7 @@ from worker.executors.base import Compiling, Executor
 from worker.spec.errors import SpecError
 from worker.studies import from_json, study_of
 from worker.study import Plan
-from worker.study.plan import check_size
+from worker.study.chunks import check_size
 
 log = logging.getLogger(__name__)
 

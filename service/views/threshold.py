@@ -22,7 +22,7 @@ from worker.analysis.prediction import predict, predict_each, predict_from_cells
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, on_grid, refine
 from worker.spec.contact_models import Rigid
 from worker.sweep import SweepSpec
-from worker.sweep.cost import cell_seconds
+from worker.sweep.plan import cell_seconds
 from worker.sweep.schema import COMPUTED
 
 #: The contact of the closed form.

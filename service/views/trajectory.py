@@ -31,7 +31,7 @@ from worker.spec.contact_models import Contact, Rigid, Soft, penetration_of
 from worker.spec.errors import BrokenRuleError, describe, one_of
 from worker.spec.specification import Document
 from worker.sweep import AXES, SweepSpec, schema
-from worker.sweep.cost import period_seconds
+from worker.sweep.plan import period_seconds
 from worker.sweep.protocols import MAX_START_PERIODS, OnCycle
 from worker.sweep.specification import WITH_CYCLES, no_cycle
 from worker.sweep.task import run_cells

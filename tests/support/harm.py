@@ -23,7 +23,7 @@ from worker.executors.dask import Dask
 from worker.kernel_cache import use_cache
 from worker.store import backend
 from worker.study import Chunk, ChunkReport
-from worker.study.task import USUAL, with_options
+from worker.study.chunks import USUAL, with_options
 from worker.sweep import SweepSpec
 from worker.sweep.task import run_chunk
 

@@ -86,11 +86,6 @@ def choose(spec: SweepSpec) -> ModelChoice:
     return _choice(auto, table, next((row for row in table if _is_within(auto, row)), table[-1]))
 
 
-def is_open(spec: object) -> bool:
-    """Whether a specification is a sweep with the model `auto`."""
-    return isinstance(spec, SweepSpec) and isinstance(spec.model, Auto)
-
-
 def resolved(spec: SweepSpec, choice: ModelChoice) -> SweepSpec:
     """The sweep with the chosen model; the job's id remains that of the sweep with `auto`."""
     return spec.model_copy(update={"model": _candidates(_auto(spec))[choice.model]})

@@ -17,9 +17,8 @@ from worker.basins.attractors import CYCLE_FLIGHTS, SAME_CYCLE, counted
 from worker.basins.schema import FOLLOWED_ARRAYS, MAX_FOLLOWED, sizes_of_attractors
 from worker.basins.specification import MultistabilitySpec
 from worker.basins.starts import Steps, line_run, starts_of
+from worker.study.chunks import Chunk, ChunkReport
 from worker.study.layout import empty_record
-from worker.study.plan import Chunk
-from worker.study.task import ChunkReport
 from worker.sweep import AXES
 
 #: Starts per run, in whole cells, few enough to lose little and use little memory.
@@ -240,7 +239,7 @@ def run_chunk(spec: MultistabilitySpec, chunk: Chunk, store_url: str) -> ChunkRe
     """Compute the lines of `chunk` and store them; the store must exist.
 
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
-    the slice of `study.task.OPTIONS`, or a `store.StoreError`.
+    the slice of `study.chunks.OPTIONS`, or a `store.StoreError`.
     """
     record = empty_record(chunk.shape, FOLLOWED_ARRAYS, sizes_of_attractors(spec, MAX_FOLLOWED))
     cycles = np.full((*chunk.shape, MAX_FOLLOWED, CYCLE), np.nan)

@@ -4,10 +4,10 @@ from typing import Final
 
 from worker.basins.schema import FOLLOWED_ARRAYS, MAX_FOLLOWED, basin_arrays, basin_sizes, sizes_of_attractors
 from worker.basins.specification import BasinSpec, MultistabilitySpec
+from worker.study.chunks import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even
 from worker.study.layout import bytes_of
-from worker.study.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even
 from worker.sweep import SweepSpec
-from worker.sweep.cost import cell_seconds, period_seconds
+from worker.sweep.plan import cell_seconds, period_seconds
 
 #: Average runs of a cell of a multistability study: of each drop with its continuation, and of followed
 #: attractors.

@@ -15,9 +15,8 @@ from worker.basins.attractors import Found, Request, find
 from worker.basins.schema import BOX, LIFETIME, MAX_ATTRACTORS, OF_ATTRACTORS, basin_arrays, basin_sizes
 from worker.basins.specification import BasinSpec
 from worker.basins.starts import Steps, line_run, starts_of
+from worker.study.chunks import Chunk, ChunkReport
 from worker.study.layout import empty_record
-from worker.study.plan import Chunk
-from worker.study.task import ChunkReport
 from worker.sweep import AXES
 
 _Arrays = dict[str, NDArray[Any]]
@@ -27,7 +26,7 @@ def run_chunk(spec: BasinSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     """Compute every cell of `chunk` and store it; the store must exist.
 
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
-    the slice of `study.task.OPTIONS`, or a `store.StoreError`.
+    the slice of `study.chunks.OPTIONS`, or a `store.StoreError`.
     """
     record = empty_record(chunk.shape, basin_arrays(spec), basin_sizes(spec))
     values = [spec.axis_values(axis)[span] for axis, span in zip(AXES, chunk.slices, strict=True)]

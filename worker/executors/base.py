@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeVar
 
 from worker.spec.specification import Specification
 from worker.study import Chunk, ChunkOptions, ChunkReport
-from worker.study.task import USUAL
+from worker.study.chunks import USUAL
 
 Result = TypeVar("Result")
 

@@ -33,7 +33,7 @@ from worker.executors.plugins import WorkerAdmission, facts, refusal, rest, run_
 from worker.executors.roster import MARKS, REST_SECONDS, Roster
 from worker.spec.specification import Specification
 from worker.study import Chunk, ChunkOptions, ChunkReport, TaskError
-from worker.study.task import USUAL
+from worker.study.chunks import USUAL
 from worker.watchdog import call_while_wanted, run_watched
 
 log = logging.getLogger(__name__)

@@ -13,7 +13,7 @@ from worker.executors.base import ClusterState, Compiling, Result
 from worker.spec.specification import Specification
 from worker.studies import run_task
 from worker.study import Chunk, ChunkOptions, ChunkReport
-from worker.study.task import USUAL, with_options
+from worker.study.chunks import USUAL, with_options
 
 
 class Inline:

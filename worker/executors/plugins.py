@@ -251,7 +251,7 @@ def _log_event(worker: Any, **what: Any) -> None:
 
 async def _end(worker: Any, status: int) -> None:
     """End this process, once its chunks have stored their progress."""
-    if (task := sys.modules.get("worker.study.task")) is not None:  # else refused, perhaps for this import
+    if (task := sys.modules.get("worker.study.chunks")) is not None:  # else refused, perhaps for this import
         task.LEAVING.set()
         deadline = time.monotonic() + PAUSE_SECONDS
         await asyncio.sleep(REPORT_SECONDS)

@@ -8,8 +8,8 @@ import numpy as np
 
 from worker.maps.refinement import Refinement, refine_of
 from worker.spec.refine import Refine
-from worker.study.plan import LONGEST_SECONDS, Cost, Plan
-from worker.sweep.cost import cell_seconds, longest_cell_seconds
+from worker.study.chunks import LONGEST_SECONDS, Cost, Plan
+from worker.sweep.plan import cell_seconds, longest_cell_seconds
 from worker.sweep.schema import arrays, bytes_per_cell
 from worker.sweep.specification import SweepSpec
 

@@ -7,9 +7,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from worker.maps.refinement import Beyond, Refinement, refine_of, surroundings
+from worker.study.chunks import Chunk, ChunkReport
 from worker.study.layout import COMPUTED, empty_record
-from worker.study.plan import Chunk
-from worker.study.task import ChunkReport
 from worker.sweep.schema import MODE_ARRAYS, sizes
 from worker.sweep.schema import arrays as stored_arrays
 from worker.sweep.specification import AXES, SweepSpec

@@ -6,8 +6,8 @@ from typing import Final
 from kernel.branches.events import POINTS as GRID
 from worker.orbits.schema import ARRAYS, sizes
 from worker.orbits.specification import OrbitsSpec, grid_points
+from worker.study.chunks import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even
 from worker.study.layout import bytes_of
-from worker.study.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even
 
 #: Core-seconds of a branch over the square of its flight times (`python -m benchmarks.branches`).
 SECONDS: Final = 7e-8

@@ -11,9 +11,8 @@ from kernel.branches.events import Branch, Events, Kind, branch_and_events
 from kernel.params import KernelInputError, Outcome
 from worker.orbits.schema import ARRAYS, KINDS, sizes
 from worker.orbits.specification import DIMS, OrbitsSpec
+from worker.study.chunks import Chunk, ChunkReport
 from worker.study.layout import empty_record
-from worker.study.plan import Chunk
-from worker.study.task import ChunkReport
 from worker.work import Work
 
 

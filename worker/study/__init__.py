@@ -2,19 +2,20 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
-from worker.study.layout import Array, Layout
-from worker.study.plan import Chunk, Cost, Plan
-from worker.study.task import (
+from worker.study.chunks import (
+    Chunk,
     ChunkCancelled,
     ChunkOptions,
     ChunkPaused,
     ChunkReport,
+    Cost,
+    Plan,
     PredecessorMissing,
     TaskError,
 )
+from worker.study.layout import Array, Layout
 
 __all__ = [
     "Array", "Chunk", "ChunkCancelled", "ChunkOptions", "ChunkPaused", "ChunkReport", "Cost", "Layout",
@@ -40,13 +41,8 @@ class Study:
     estimate: Callable[[Any, Plan], Cost]
     #: The module that only workers import, with `run_chunk(spec, chunk, store_url)`: compute one chunk, store
     #: it and return its `ChunkReport`; repeated, it writes the same bytes. Raises a `TaskError` or a
-    #: `store.StoreError`. If it takes longer than the slice of `study.task.OPTIONS` it should store its
+    #: `store.StoreError`. If it takes longer than the slice of `study.chunks.OPTIONS` it should store its
     #: progress and raise `ChunkPaused`: it is called again.
     task: str
     #: (spec, plan): the cells sure to be computed, of a study that fills in others (`layout.COMPUTED`).
     first_cells: Callable[[Any, Plan], int] = lambda spec, plan: 0
-
-    def run(self, spec: Any, chunk: Chunk, store_url: str) -> ChunkReport:
-        """Compute one chunk and store it: the task, in a worker process."""
-        report: ChunkReport = import_module(self.task).run_chunk(spec, chunk, store_url)
-        return report

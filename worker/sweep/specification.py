@@ -20,6 +20,7 @@ from worker.spec.contact_models import (
     CONTACT_MODELS,
     MAX_PENETRATION,
     MIN_PENETRATION,
+    Auto,
     Contact,
     Soft,
     Stepped,
@@ -245,6 +246,11 @@ class SweepSpec(Specification):
         if self.settle_early or not isinstance(self.protocol, Rest) or self.exponents:
             left_out.add("settle_early")  # on, or without effect
         return super().left_out() | left_out
+
+
+def is_open(spec: object) -> bool:
+    """Whether a specification is a sweep with the model `auto`."""
+    return isinstance(spec, SweepSpec) and isinstance(spec.model, Auto)
 
 
 @lru_cache(maxsize=2 * MAX_STARTS)

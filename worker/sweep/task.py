@@ -10,11 +10,10 @@ from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
 from kernel.stopping import check
 from worker import store
+from worker.study.chunks import Chunk, ChunkReport, PredecessorMissing
 from worker.study.layout import empty_record
-from worker.study.plan import Chunk
-from worker.study.task import ChunkReport, PredecessorMissing
 from worker.sweep import schema
-from worker.sweep.cost import cells_at_once
+from worker.sweep.plan import cells_at_once
 from worker.sweep.protocols import Ramp
 from worker.sweep.specification import AXES, SweepSpec, start_of
 from worker.work import FIRST_STEPS, Work, plate_of

@@ -26,7 +26,7 @@ from worker.analysis.model_selection import ModelChoice
 from worker.spec.errors import SpecError
 from worker.studies import study_of
 from worker.study import ChunkReport, Plan
-from worker.study.task import report_of
+from worker.study.chunks import report_of
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from served import computing, finished, read
 from kernel.params import Outcome
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.sweep import SweepSpec
-from worker.sweep.cost import FOLLOWED_SHARE
+from worker.sweep.plan import FOLLOWED_SHARE
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from worker.executors.inline import Inline
 from worker.store import backend
 from worker.studies import run_task
 from worker.study import ChunkOptions
-from worker.study.task import with_options
+from worker.study.chunks import with_options
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout

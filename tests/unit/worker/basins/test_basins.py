@@ -25,8 +25,8 @@ from worker.basins.task import _fill_in, entropies, run_chunk
 from worker.spec.errors import SpecError
 from worker.studies import STUDIES
 from worker.study import ChunkCancelled, ChunkOptions, ChunkPaused
+from worker.study.chunks import with_options
 from worker.study.layout import empty_record
-from worker.study.task import with_options
 
 BASINS = STUDIES["basin"]
 

@@ -17,8 +17,7 @@ from worker.spec.errors import SpecInvalid, SpecTooLarge
 from worker.spec.refine import COARSEST, MAX_COARSEST, MAX_MODE_PERIODS, SETTLE_UNTIL, Refine
 from worker.studies import run_task, study_of
 from worker.study import ChunkOptions, ChunkPaused
-from worker.study.plan import check_size
-from worker.study.task import with_options
+from worker.study.chunks import check_size, with_options
 from worker.sweep import SweepSpec, schema
 from worker.sweep.schema import MODE_ARRAYS
 

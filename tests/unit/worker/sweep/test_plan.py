@@ -15,11 +15,21 @@ from kernel.params import LANES
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import SpecTooLarge
 from worker.study import Chunk, Cost, Plan
+from worker.study.chunks import MAX_CHUNK_BYTES, TARGET_SECONDS, check_size
 from worker.study.layout import INNER_BYTES
-from worker.study.plan import MAX_CHUNK_BYTES, TARGET_SECONDS, check_size
 from worker.sweep import AXES, SweepSpec, schema
-from worker.sweep.cost import FOLLOWED_SHARE, cell_seconds, cells_at_once, estimate, longest_cell_seconds
-from worker.sweep.plan import FEWEST_CHUNKS, MAX_SHARD_BYTES, SMALLEST_SECONDS, block, make_plan
+from worker.sweep.plan import (
+    FEWEST_CHUNKS,
+    FOLLOWED_SHARE,
+    MAX_SHARD_BYTES,
+    SMALLEST_SECONDS,
+    block,
+    cell_seconds,
+    cells_at_once,
+    estimate,
+    longest_cell_seconds,
+    make_plan,
+)
 from worker.sweep.schema import layout
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]

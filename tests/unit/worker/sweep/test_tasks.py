@@ -13,7 +13,7 @@ from kernel.branches.thresholds import thresholds
 from kernel.params import STATE_FIELDS, Cell, Outcome
 from worker import store, work
 from worker.study import ChunkCancelled, ChunkOptions, ChunkPaused, ChunkReport, Plan, PredecessorMissing
-from worker.study.task import LEAVING, with_options
+from worker.study.chunks import LEAVING, with_options
 from worker.sweep import AXES, SweepSpec, task
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout

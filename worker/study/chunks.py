@@ -1,21 +1,27 @@
-"""A study before it is computed: its division into chunks, and what it costs. A plan is pure.
+"""The chunks of a study: its division and cost, how a task computes a chunk, and what it reports.
 
-Chunks form a regular grid and are numbered in an order in which they can run, the last axis fastest. On a
-ramp, the first chunks of all lines precede the second ones, and "down" follows "up": consecutive numbers
-rarely depend on each other.
+A plan is pure. Chunks form a regular grid and are numbered in an order in which they can run, the last axis
+fastest. On a ramp, the first chunks of all lines precede the second ones, and "down" follows "up":
+consecutive numbers rarely depend on each other.
 """
 
 import math
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Literal, overload
+from typing import Any, Final, Literal, overload
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
+from kernel.params import Outcome
 from worker.spec.axes import Strict
 from worker.spec.errors import Problem, SpecTooLarge
+from worker.study.layout import COMPUTED
 
 #: Core-seconds of a chunk: long enough to hide a task's overhead; short enough for progress, for little loss
 #: on a failure, and for small jobs to start soon between the chunks of large ones.
@@ -24,12 +30,15 @@ TARGET_SECONDS: Final = 0.75
 LONGEST_SECONDS: Final = 30.0
 #: Before compression; reading one cell reads its whole chunk.
 MAX_CHUNK_BYTES: Final = 16 * 2**20
+#: Core-seconds that a task computes before it pauses: the longest wait of another job's chunk for a worker
+#: with its own core. Twice the target of a chunk, so that few chunks harder than estimated pause. Measured in
+#: core time: on a busy machine, pauses would otherwise use up the worker's share.
+SLICE_SECONDS: Final = 1.5
 #: Limits on one study; the settings of a service may set others.
 DEFAULT_MAX_CELLS: Final = 20_000_000
 DEFAULT_MAX_BYTES: Final = 32 * 2**30
 #: Six days of two cores. The largest sweep allowed, at the default window, takes a hundredth of it.
 DEFAULT_MAX_CORE_SECONDS: Final = 1e6
-
 
 Span = tuple[int, int]
 
@@ -186,3 +195,70 @@ def even(n: int, max_size: int) -> int:
     """The size that divides n into the fewest parts of at most `max_size`, as equal as possible."""
     parts = -(-n // max_size)
     return -(-n // parts)
+
+
+@dataclass(frozen=True)
+class ChunkOptions:
+    """How a chunk is computed; changes no result."""
+
+    slice_seconds: float = math.inf  # core-seconds after which it pauses
+    begins: bool = False  # the chunk's first task: no checkpoint to look for
+
+
+USUAL: Final = ChunkOptions()
+
+#: For the chunk that this thread computes.
+OPTIONS: Final[ContextVar[ChunkOptions]] = ContextVar("options", default=USUAL)
+
+#: Set in a worker process that was told to leave: its chunks pause at once, so that nothing is lost.
+LEAVING: Final = threading.Event()
+
+
+@contextmanager
+def with_options(options: ChunkOptions) -> Iterator[None]:
+    """Options for the tasks of this thread within the block."""
+    token = OPTIONS.set(options)
+    try:
+        yield
+    finally:
+        OPTIONS.reset(token)
+
+
+class TaskError(Exception):
+    """Why a chunk was not computed."""
+
+
+class ChunkCancelled(TaskError):
+    """The cancel flag of the store is set; nothing of the chunk was written."""
+
+
+class ChunkPaused(TaskError):
+    """The chunk's time slice is over; the next task continues from its checkpoint."""
+
+
+class PredecessorMissing(TaskError):
+    """The chunk before this one on its ramp is not in the store."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkReport:
+    """What a task reports of its chunk."""
+
+    index: int
+    cells: int
+    seconds: float  # wall time, storing included
+    kernel_seconds: float  # the part spent in the kernel
+    checksum: str  # of the stored bytes; see store.find_corrupt
+    outcomes: tuple[int, ...]  # number of cells by kernel.params.Outcome
+    computed: int | None = None  # of a study with COMPUTED: cells not filled in
+    bytes: int | None = None  # stored, of all arrays; None if unknown
+
+
+def report_of(
+    chunk: Any, record: Mapping[str, NDArray[Any]], stored: tuple[str, int], seconds: tuple[float, float]
+) -> ChunkReport:
+    """The report of a stored chunk. `stored`: checksum and bytes; `seconds`: in all, and in the kernel."""
+    outcomes = tuple(np.bincount(record["outcome"].ravel(), minlength=len(Outcome)).tolist())
+    computed = int(record[COMPUTED].sum()) if COMPUTED in record else None
+    checksum, size = stored
+    return ChunkReport(chunk.index, chunk.cells, *seconds, checksum, outcomes, computed, size)
