@@ -40,7 +40,7 @@ REFINEMENTS: Final[Mapping[str, dict[str, Any]]] = {
     "bouncing": {"by": "bouncing"},
     "mode": {"by": "mode"},
     "mode, first blocks of 64": {"by": "mode", "coarsest": 64},
-    "mode, margin": {"by": "mode", "margin": True},
+    "mode, first blocks of 8": {"by": "mode", "coarsest": 8},
 }
 
 _Map = dict[str, NDArray[Any]]

@@ -297,10 +297,8 @@ def draw_legend(axes: "Axes", **options: Any) -> None:
     ).set_zorder(4)
 
 
-_LARGEST: Final = SweepSpec.parse(
-    {"gamma": [1, 2], "omega": 1, "xi": 0.1, "exponents": 1, "refine": {"by": "mode"}}
-)
 VIEW: Final = View(
     "diagram", "Bifurcation diagram", SweepSpec, DiagramQuery, compute, estimate,
-    variables=tuple(rows_of(_LARGEST)), rows="flight_time", draw=draw, size=SIZE,
+    variables=(*(row for row in schema.ARRAYS if row is not schema.END_STATE), LABEL),
+    rows="flight_time", draw=draw, size=SIZE,
 )  # fmt: skip

@@ -219,14 +219,13 @@ def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...
     """The stored arrays that `recounted` needs."""
     flights = ("flight_time", "takeoff_phase", "flights") if needs_flights(spec, min_flight) else ()
     exponents = (schema.LYAPUNOV.name,) if spec.exponents else ()
-    computed = () if spec.refine is None else (schema.COMPUTED.name,)
-    return (*flights, *MODE_ARRAYS, *exponents, *computed)
+    return (*flights, *MODE_ARRAYS, *exponents, *(row.name for row in schema.some_computed(spec)))
 
 
 def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict[str, NDArray[Any]]:
     """MODE_ARRAYS by name if flights longer than `min_flight` (rad) count, and LABEL if there are exponents.
 
-    Of an adaptive map also `computed`: the other cells have no flights, and keep the mode of their block.
+    Also `computed`, where other cells are filled in: those have no flights, and keep their mode.
     `arrays` are those of any cells, at least `arrays_of_modes`.
     """
     modes = {name: arrays[name] for name in MODE_ARRAYS}
@@ -241,7 +240,7 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
             times, phases, arrays["flights"].ravel(), stored, spec.micro_flight, shortest(spec, min_flight)
         )
         modes = {name: getattr(found, name).reshape(arrays["flights"].shape) for name in MODE_ARRAYS}
-    computed = {} if spec.refine is None else {schema.COMPUTED.name: arrays[schema.COMPUTED.name]}
+    computed = {row.name: arrays[row.name] for row in schema.some_computed(spec)}
     return modes | labelled(spec, modes[schema.OUTCOME.name], arrays) | computed
 
 

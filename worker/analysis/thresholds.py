@@ -18,8 +18,9 @@ from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
 from worker import store
 from worker.spec.axes import LARGEST, SMALLEST
+from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
-from worker.sweep.schema import COMPUTED
+from worker.sweep.schema import some_computed
 from worker.sweep.specification import MAX_PERIODS
 from worker.sweep.task import run_cells
 
@@ -143,13 +144,13 @@ def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], toleranc
 def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, endless: bool) -> OnGrid:
     """The threshold on the line of cells at indices (direction, xi, omega).
 
-    In an adaptive map, deciding cells that were filled in from their block are computed first.
+    Deciding cells that were filled in from others are computed first.
     """
-    names = ("outcome",) if spec.refine is None else ("outcome", COMPUTED.name)
     direction, xi, omega = line
+    names = ("outcome", *(row.name for row in some_computed(spec)))
     stored = store.read_slice(url, names, direction=direction, xi=xi, omega=omega)
     outcome = stored["outcome"]
-    computed = stored.get(COMPUTED.name, np.ones(len(outcome)))
+    computed = stored.get(COMPUTED, np.ones(len(outcome)))
     while True:
         found = on_grid(outcome, down, endless)
         lowest = next(iter(np.flatnonzero(outcome != Outcome.AT_REST)), None)

@@ -13,9 +13,8 @@ from worker.sweep.plan import cell_seconds, longest_cell_seconds
 from worker.sweep.schema import arrays, bytes_per_cell
 from worker.sweep.specification import SweepSpec
 
-#: Rows and columns of an adaptive map's tiles. Each tile is a chunk, refined by itself (with a margin,
-#: together with the blocks just beyond its border). Large enough to fill the lanes in most rounds, small
-#: enough that a map of 513 rows and columns has some for every worker.
+#: Rows and columns of an adaptive map's tiles. Each tile is a chunk, refined by itself. Large enough to fill
+#: the lanes in most rounds, small enough that a map of 513 rows and columns has some for every worker.
 TILE_SIDE: Final = 128
 MAX_TILE_BYTES: Final = 20 * 2**20
 
@@ -27,8 +26,6 @@ REFINED_SIDE: Final = 1025
 #: The share falls with the number of rows as its reciprocal to this power, which follows from the dimension
 #: of the boundaries: 1 for bouncing, about 1.3 for modes.
 REFINED_POWER: Final = {"bouncing": 1.0, "mode": 0.7}
-#: With a margin, at most this many times the cells.
-REFINED_MARGIN: Final = 2.0
 #: A refined cell takes at most this many times as long as one of a full grid: cells settle slowly near
 #: boundaries, and settling and chaotic cells are computed rather than filled in.
 REFINED_SECONDS: Final = 3.0
@@ -90,7 +87,7 @@ def computed_shares(spec: SweepSpec, refine: Refine) -> tuple[float, float]:
     finer = (REFINED_SIDE / side) ** REFINED_POWER[refine.by]
     coarsest = 2.0 / refine.coarsest**2  # a corner and a centre for each block
     low, high = (coarsest + share * finer for share in REFINED_SHARE[refine.by])
-    return min(low, 1.0), min(high * (REFINED_MARGIN if refine.margin else 1.0), 1.0)
+    return min(low, 1.0), min(high, 1.0)
 
 
 def first_round(spec: SweepSpec, plan: Plan) -> int:

@@ -29,7 +29,7 @@ RECORD: Final = (
     array("bounces", CELL_DIMS, "<i4", "mode: bounces in one cycle, 0 if none was found"),
     array("periods", CELL_DIMS, "<i4", "mode: plate periods in one cycle, 0 if none was found"),
 )  # fmt: skip
-#: The arrays of a cell's mode.
+#: The arrays of a cell's mode, which a cell that is filled in has from another.
 MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
 END_STATE: Final = array(
     "end_state", (*CELL_DIMS, "state"), "<f8", "state at the end of the window, in the cell's own units",
@@ -57,6 +57,10 @@ OUTCOME: Final = array(
 )  # fmt: skip
 
 
+#: Every array that a sweep may have.
+ARRAYS: Final = (*RECORD, LYAPUNOV, LYAPUNOV_ERROR, END_STATE, COMPUTED, OUTCOME)
+
+
 def arrays(spec: SweepSpec) -> Iterator[Array]:
     """The arrays of a sweep in the order they are written; `end_state` only for ramps."""
     yield from RECORD
@@ -65,9 +69,13 @@ def arrays(spec: SweepSpec) -> Iterator[Array]:
         yield LYAPUNOV_ERROR
     if spec.ramp_axis is not None:
         yield END_STATE
-    if spec.refine is not None:
-        yield COMPUTED
+    yield from some_computed(spec)
     yield OUTCOME
+
+
+def some_computed(spec: SweepSpec) -> tuple[Array, ...]:
+    """COMPUTED, of a sweep that computes only some cells and fills in the others; else nothing."""
+    return () if spec.refine is None else (COMPUTED,)
 
 
 def sizes(spec: SweepSpec) -> dict[str, int]:
