@@ -245,7 +245,7 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
         ({"by": "mode", "coarsest": MAX_COARSEST + 1}, "refine.coarsest", f"at most {MAX_COARSEST}"),
         ({"by": "mode", "coarsest": 8.5}, "refine.coarsest", "8 or 9"),
         ({"by": "mode", "margin": 1}, "refine.margin", "true or false"),
-        ({"by": "mode", "margin": True}, "refine.margin", "a coarsest of 8 leaves as few cells wrong"),
+        ({"by": "mode", "margin": True}, "refine.margin", "a coarsest of 8"),
         ({"by": "mode", "coarse": 8}, "refine.coarse", "did you mean 'coarsest'"),
         ("mode", "refine", "object"),
     ],
