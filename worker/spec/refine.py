@@ -26,7 +26,7 @@ COARSEST: Final = {"mode": 16, "bouncing": 64}
 
 def _no_margin(value: object) -> object:
     if value is True:
-        rule = "must be false: maps have no margin any more; a coarsest of 8, or 6, leaves about as few cells wrong"
+        rule = "must be false: maps have no margin any more; a coarsest of 8 leaves about as few cells wrong"
         raise BrokenRuleError("", rule)
     return value
 
