@@ -26,7 +26,7 @@ MANY_CHUNKS: Final = 15_000
 #: From this many lines of a ramp on, chunks fill all lanes. With fewer, twice as many chunks of half the
 #: lanes keep more workers busy.
 LINES_TO_FILL: Final = 4 * LANES
-#: The same for sweeps with many chunks: larger chunks are shards, whose parts a reader can read alone.
+#: MAX_CHUNK_BYTES of sweeps with many chunks: larger chunks are shards, whose parts a reader can read alone.
 MAX_SHARD_BYTES: Final = 96 * 2**20
 
 #: Share of the cells that still settle at the end of their window, and the share of those that still do after
