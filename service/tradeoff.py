@@ -29,7 +29,7 @@ from service.software import software
 from service.views.style import FONT, TEXT, encode
 from worker.analysis.deviation import deviations, percentile
 from worker.spec.contact_models import CONTACT_MODELS
-from worker.tasks import plate_of
+from worker.work import plate_of
 
 SETTLE: Final = 100
 OBSERVE: Final = 50

@@ -140,7 +140,7 @@ def _compile_beside(root: str) -> None:
 
 
 def _compile_all() -> None:
-    from worker.tasks import compile_kernels  # noqa: PLC0415 - loads every library that computes
+    from worker.work import compile_kernels  # noqa: PLC0415 - loads every library that computes
 
     compile_kernels()
 

@@ -31,11 +31,11 @@ from service.client.job import Job
 from service.client.models import Estimate, FieldProblem, JobStatus, Problem, Progress
 
 if TYPE_CHECKING:
-    from worker.spec import SweepSpec
     from worker.spec.axes import Range
     from worker.spec.contact_models import Auto, Ball, Rigid, Soft, Stepped
-    from worker.spec.protocols import OnCycle, Ramp, Rest
     from worker.spec.refine import Refine
+    from worker.sweep import SweepSpec
+    from worker.sweep.protocols import OnCycle, Ramp, Rest
 
 __all__ = [
     "Auto",
@@ -78,10 +78,10 @@ __all__ = [
 
 #: The modules of the specifications' classes.
 _SPECIFICATIONS: Final = {
-    "SweepSpec": "worker.spec",
+    "SweepSpec": "worker.sweep",
     "Range": "worker.spec.axes",
     **dict.fromkeys(("Auto", "Ball", "Rigid", "Soft", "Stepped"), "worker.spec.contact_models"),
-    **dict.fromkeys(("OnCycle", "Ramp", "Rest"), "worker.spec.protocols"),
+    **dict.fromkeys(("OnCycle", "Ramp", "Rest"), "worker.sweep.protocols"),
     "Refine": "worker.spec.refine",
 }
 

@@ -140,7 +140,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
         *,
         finer: int = 4,
         by: str = "mode",
-        margin: bool = False,
     ) -> "Job":
         """Submit an adaptive sweep of a window of this sweep's map.
 
@@ -154,8 +153,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
             How many times as fine as the map's grid.
         by
             "mode" or "bouncing".
-        margin
-            Also compute the neighbours of blocks that change.
 
         Returns
         -------
@@ -168,7 +165,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
             Names the field.
         TooLarge, Busy
         """
-        fields = {"gamma": gamma, "omega": omega, "xi": xi, "finer": finer, "by": by, "margin": margin}
+        fields = {"gamma": gamma, "omega": omega, "xi": xi, "finer": finer, "by": by}
         response = self._transport.post(self._path("refine"), body(fields))
         return Job(self._transport, json_object(response), response)
 

@@ -18,10 +18,11 @@ from service.jobs.stores.repair import Scrubber
 from service.jobs.supervisor import Supervisor
 from service.jobs.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
-from worker.cost import check_size
 from worker.executors.base import Compiling, Executor
 from worker.spec.errors import SpecError
-from worker.studies import Plan, from_json, study_of
+from worker.studies import from_json, study_of
+from worker.study import Plan
+from worker.study.chunks import check_size
 
 log = logging.getLogger(__name__)
 

@@ -13,11 +13,9 @@ from service.jobs.model import JobRecord, NewJob
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
-from worker.cost import Cost
-from worker.refinement import first_round
-from worker.schema import Layout
 from worker.spec.errors import SpecError
-from worker.studies import Chunk, Plan, Study, from_json, study_of
+from worker.studies import from_json, study_of
+from worker.study import Chunk, Cost, Layout, Plan, Study
 
 #: Prepared jobs kept, the last used, and the maximum characters of their specifications together.
 MAX_JOBS: Final = 128
@@ -93,7 +91,6 @@ class PreparedJob:
 
 def new_job(spec: Any, plan: Plan, owner: str | None = None, version: str = KERNEL_VERSION) -> NewJob:
     """A study as a job to accept."""
-    refine = getattr(spec, "refine", None)
     return NewJob(
         id=spec.job_id(version),
         name=spec.name,
@@ -102,7 +99,7 @@ def new_job(spec: Any, plan: Plan, owner: str | None = None, version: str = KERN
         chunk_shape=plan.chunk_shape,
         chunks_total=len(plan),
         cells_total=plan.cells,
-        first_cells=0 if refine is None else first_round(spec.shape[1:], plan.chunk_shape, refine),
+        first_cells=study_of(spec).first_cells(spec, plan),
         owner=owner,
     )
 
@@ -162,10 +159,10 @@ class JobPreparer:
                 other = self.prepare(job)
             except SpecError:  # an older version accepted it
                 continue
-            # An adaptive map's done cells are not all computed: they do not show the speed.
-            if _kind(other.submitted) == _kind(spec) and getattr(other.submitted, "refine", None) is None:
+            other_table = other.study.estimate(other.submitted, other.plan)
+            # Where done cells are not all computed, they do not show the speed.
+            if _kind(other.submitted) == _kind(spec) and other_table.computed_cells is None:
                 taken += job.core_seconds
-                other_table = other.study.estimate(other.submitted, other.plan)
                 expected += job.cells_timed * other_table.core_seconds / other_table.cells
         if min(taken, expected) < MIN_SECONDS:
             return by_table
@@ -177,9 +174,9 @@ class JobPreparer:
         return by_table.model_copy(update={**scaled, "basis": "measured"})
 
 
-def _kind(spec: Any) -> tuple[Study, str | None]:
-    """The kinds with separate speeds: a kind of study, and its contact model if it has one."""
-    return study_of(spec), getattr(getattr(spec, "model", None), "kind", None)
+def _kind(spec: Any) -> tuple[type, str | None]:
+    """The kinds with separate speeds: a kind of specification, and its contact model if it has one."""
+    return type(spec), getattr(getattr(spec, "model", None), "kind", None)
 
 
 def choice_of(job: JobRecord) -> ModelChoice | None:

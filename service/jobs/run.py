@@ -14,7 +14,7 @@ from service.jobs.prepare import PreparedJob
 from service.jobs.ready_queue import ReadyQueue
 from service.jobs.retry import FAILED_TRIES, Action, History, RetryPolicy
 from worker.executors.base import ExecutorError
-from worker.tasks import ChunkReport
+from worker.study import ChunkReport
 
 #: Maximum characters of a traceback kept, from its end.
 MAX_TRACEBACK: Final = 8_000

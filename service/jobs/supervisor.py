@@ -22,11 +22,12 @@ from service.jobs.run import JobRun, text_of
 from service.jobs.transactions import Unfinished
 from service.settings import Settings
 from worker import store
-from worker.analysis.model_selection import ModelChoice, choose, is_open, resolved
+from worker.analysis.model_selection import ModelChoice, choose, resolved
 from worker.executors.base import ClusterState, Executor, ExecutorError, ReportMismatch, WorkerDied
 from worker.store import StoreConflict
-from worker.studies import Chunk
-from worker.tasks import SLICE_SECONDS, ChunkOptions, ChunkPaused, ChunkReport
+from worker.study import Chunk, ChunkOptions, ChunkPaused, ChunkReport
+from worker.study.chunks import SLICE_SECONDS
+from worker.sweep.specification import is_open
 
 log = logging.getLogger(__name__)
 

@@ -22,7 +22,7 @@ from service.jobs.model import (
 )
 from service.jobs.search import JobSearch, Position
 from service.software import with_this_run
-from worker.tasks import ChunkReport
+from worker.study import ChunkReport
 
 #: Chunks whose verification is recorded together.
 VERIFIED_PAGE: Final = 512

@@ -15,10 +15,10 @@ from service.views.style import legend_beside
 from service.views.variables import VARIABLES, coordinate, dataset, of_attractor, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.attractors import EXPONENT_WINDOW
-from worker.basins.spec import Basin, BasinSpec
-from worker.basins.study import arrays as stored_arrays
-from worker.schema import Array
-from worker.spec import AXES
+from worker.basins.schema import basin_arrays as stored_arrays
+from worker.basins.specification import Basin, BasinSpec
+from worker.study import Array
+from worker.sweep import AXES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

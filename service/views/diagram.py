@@ -25,9 +25,9 @@ from service.views.selection import (
 )
 from service.views.variables import cells_dataset, coordinate
 from service.views.view import Direction, Estimate, Every, MinFlight, Number, Query, View
-from worker import schema
-from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS
+from worker.study import Array
+from worker.sweep import AXES, SweepSpec, schema
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,7 +80,7 @@ def _window(spec: SweepSpec, query: DiagramQuery) -> range:
     return between(spec.axis_values(query.along), query.start, query.stop)
 
 
-def rows_of(spec: SweepSpec) -> Iterator[schema.Array]:
+def rows_of(spec: SweepSpec) -> Iterator[Array]:
     """The stored variables without the end states, and the label where exponents are stored."""
     yield from (row for row in schema.arrays(spec) if row is not schema.END_STATE)
     if spec.exponents:
@@ -164,10 +164,8 @@ def draw_legend(axes: "Axes", **options: Any) -> None:
     ).set_zorder(4)
 
 
-_LARGEST: Final = SweepSpec.parse(
-    {"gamma": [1, 2], "omega": 1, "xi": 0.1, "exponents": 1, "refine": {"by": "mode"}}
-)
 VIEW: Final = View(
     "diagram", "Bifurcation diagram", SweepSpec, DiagramQuery, compute, estimate,
-    variables=tuple(rows_of(_LARGEST)), rows="flight_time", draw=draw, size=SIZE,
+    variables=(*(row for row in schema.ARRAYS if row is not schema.END_STATE), LABEL),
+    rows="flight_time", draw=draw, size=SIZE,
 )  # fmt: skip

@@ -23,9 +23,8 @@ from service.views.selection import Stored, attractor_label, nearest_index, read
 from service.views.style import legend_beside
 from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
-from worker.basins.multistability import MAX_ATTRACTORS
-from worker.basins.schema import OF_ATTRACTORS
-from worker.basins.spec import MultistabilitySpec
+from worker.basins.schema import MAX_FOLLOWED, OF_ATTRACTORS
+from worker.basins.specification import MultistabilitySpec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -137,7 +136,7 @@ def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
             f"the answer would hold up to {omegas * gammas:,} points ({omegas:,} by {gammas:,} cells); the "
             f"limit is {MAX_CELLS:,}: open the store itself, which has no such limit"
         )
-    lengths = {"omega": omegas, "gamma": gammas, "place": MAX_ATTRACTORS}
+    lengths = {"omega": omegas, "gamma": gammas, "place": MAX_FOLLOWED}
     if query.omega is not None:
         nearest_index(spec, "omega", query.omega)
         lengths |= {"omega": 1, "flight": spec.keep}
@@ -170,7 +169,7 @@ def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> 
     owner = np.arange(len(cells))
     for at, number in enumerate(branch.ravel().tolist()):
         if number >= 0:
-            cells[number].add(at // MAX_ATTRACTORS)
+            cells[number].add(at // MAX_FOLLOWED)
     for pair, _ in sorted(votes.items(), key=lambda vote: (-vote[1], vote[0])):
         first, second = sorted(int(owner[number]) for number in pair)
         if first != second and cells[first].isdisjoint(cells[second]):
@@ -182,7 +181,7 @@ def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> 
 
 def _branches(arrays: _Arrays) -> NDArray[np.int64]:
     """The branch of every stored attractor (omega, gamma, id), numbered line by line; -1: none."""
-    places = np.arange(MAX_ATTRACTORS)
+    places = np.arange(MAX_FOLLOWED)
     there = places < arrays["attractor_count"][..., np.newaxis]
     before = np.maximum(arrays["next_down"].astype(np.int64) - 1, 0)
     goes_on = there & (arrays["next_down"] > 0)

@@ -19,12 +19,14 @@ from kernel.modes import Modes, recount
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import InvalidRequest, OutdatedJob
 from service.software import software
-from worker import schema, store
-from worker.schema import MODE_ARRAYS
-from worker.spec import AXES, SweepSpec
+from worker import store
 from worker.spec.errors import one_of
 from worker.spec.specification import Specification
 from worker.studies import study_of
+from worker.study import Array
+from worker.study.layout import CELL_DIMS
+from worker.sweep import AXES, SweepSpec, schema
+from worker.sweep.schema import MODE_ARRAYS
 
 #: Flights, or outcomes, held in memory for one picture or one summary; longer lines are thinned.
 MAX_READ: Final = 8_000_000
@@ -42,8 +44,8 @@ Arrays = Mapping[str, NDArray[Any]]
 _Spec_co = TypeVar("_Spec_co", bound=Specification, covariant=True)
 
 #: What an answer has beside the stored arrays where exponents are stored.
-LABEL: Final = schema.Array(
-    "label", schema.CELL_DIMS, "|u1", 0,
+LABEL: Final = Array(
+    "label", CELL_DIMS, "|u1", 0,
     {
         "long_name": "outcome, with aperiodic and unstable cells told apart by Lyapunov exponents",
         "units": "1",
@@ -217,14 +219,13 @@ def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...
     """The stored arrays that `recounted` needs."""
     flights = ("flight_time", "takeoff_phase", "flights") if needs_flights(spec, min_flight) else ()
     exponents = (schema.LYAPUNOV.name, schema.LYAPUNOV_ERROR.name) if spec.exponents else ()
-    computed = () if spec.refine is None else (schema.COMPUTED.name,)
-    return (*flights, *MODE_ARRAYS, *exponents, *computed)
+    return (*flights, *MODE_ARRAYS, *exponents, *(row.name for row in schema.some_computed(spec)))
 
 
 def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict[str, NDArray[Any]]:
     """MODE_ARRAYS by name if flights longer than `min_flight` (rad) count, and `labelled` arrays.
 
-    Of an adaptive map also `computed`: the other cells have no flights, and keep the mode of their block.
+    Also `computed`, where other cells are filled in: those have no flights, and keep their mode.
     `arrays` are those of any cells, at least `arrays_of_modes`.
     """
     modes = {name: arrays[name] for name in MODE_ARRAYS}
@@ -238,7 +239,7 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
             times, phases, arrays["flights"].ravel(), stored, spec.micro_flight, shortest(spec, min_flight)
         )
         modes = {name: getattr(found, name).reshape(arrays["flights"].shape) for name in MODE_ARRAYS}
-    computed = {} if spec.refine is None else {schema.COMPUTED.name: arrays[schema.COMPUTED.name]}
+    computed = {row.name: arrays[row.name] for row in schema.some_computed(spec)}
     return modes | labelled(spec, modes[schema.OUTCOME.name], arrays) | computed
 
 

@@ -24,18 +24,18 @@ from service.views.selection import (
 )
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
-from worker import schema
-from worker.basins.spec import MAX_HEIGHT, BasinSpec, MultistabilitySpec
+from worker.basins.specification import MAX_HEIGHT, BasinSpec, MultistabilitySpec
 from worker.basins.starts import contact_states, drop_states
-from worker.cost import period_seconds
-from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec
-from worker.spec.axes import NUMBER, WHOLE, Strict, kind_of
+from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Strict, kind_of
 from worker.spec.contact_models import Contact, Rigid, Soft, penetration_of
 from worker.spec.errors import BrokenRuleError, describe, one_of
-from worker.spec.protocols import MAX_START_PERIODS, OnCycle
 from worker.spec.specification import Document
-from worker.spec.sweep import WITH_CYCLES, no_cycle
-from worker.tasks import plate_of, run_cells
+from worker.sweep import AXES, SweepSpec, schema
+from worker.sweep.plan import period_seconds
+from worker.sweep.protocols import MAX_START_PERIODS, OnCycle
+from worker.sweep.specification import WITH_CYCLES, no_cycle
+from worker.sweep.task import run_cells
+from worker.work import plate_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

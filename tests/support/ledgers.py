@@ -6,9 +6,9 @@ from typing import Any
 from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState, NewJob
-from worker.plan import make_plan
-from worker.spec import SweepSpec
-from worker.tasks import ChunkReport
+from worker.study import ChunkReport
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
 
 
 def record(study: SweepSpec, **changes: Any) -> JobRecord:

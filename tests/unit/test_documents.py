@@ -128,7 +128,7 @@ def test_every_document_is_linked_from_the_readme():
 
 
 def test_fields_and_defaults_are_those_of_the_specification():
-    from worker.spec import SweepSpec
+    from worker.sweep import SweepSpec
 
     rows = table("docs/specification.md", "## Fields")
     assert sorted(code(row[0])[0] for row in rows if len(code(row[0])) == 1) == sorted(SweepSpec.model_fields)

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import STATE_FIELDS, Line, Outcome
-from worker.basins.spec import BasinSpec
+from worker.basins.plan import REPRESENTATIVES
+from worker.basins.specification import BasinSpec
 
 _Floats = NDArray[np.float64]
 _Ints = NDArray[np.intp]
@@ -37,7 +38,6 @@ START_FLIGHTS: Final = 64
 
 #: Representatives of a group of starts on a cycle, and of starts without one.
 CYCLE_REPRESENTATIVES: Final = 4
-REPRESENTATIVES: Final = 32
 
 #: Plate periods, and maximum flights, for the distribution of an aperiodic representative.
 LONG_WINDOW: Final = 2000

@@ -14,17 +14,12 @@ from numpy.typing import NDArray
 from kernel.cell import rescale
 from kernel.params import Line, Outcome
 from worker.basins.attractors import CYCLE_FLIGHTS, CYCLE_REPRESENTATIVES, LONG_CYCLE, SAME_CYCLE, counted
-from worker.basins.schema import COUNT, OF_ATTRACTORS, OUTCOME, sizes_of_attractors
-from worker.basins.spec import MAX_DROPS, MultistabilitySpec
+from worker.basins.schema import FOLLOWED_ARRAYS, MAX_FOLLOWED, sizes_of_attractors
+from worker.basins.specification import MAX_DROPS, MultistabilitySpec
 from worker.basins.starts import Steps, line_run, starts_of
-from worker.cost import Cost, cell_seconds, longest_seconds
-from worker.plan import LONGEST_SECONDS, TARGET_SECONDS, Chunk, Plan
-from worker.schema import Layout, array, bytes_of, empty_record, grid_layout
-from worker.spec import AXES
-from worker.tasks import ChunkReport
-
-#: Stored attractors of a cell: first those that most drops reach, then those found by following others.
-MAX_ATTRACTORS: Final = 8
+from worker.study.chunks import Chunk, ChunkReport
+from worker.study.layout import empty_record
+from worker.sweep import AXES
 
 #: Starts per run, in whole cells, few enough to lose little and use little memory.
 BLOCK: Final = 2048
@@ -35,10 +30,6 @@ CYCLE: Final = 32
 #: Passes of lines in both directions: attractors found on the way down are followed up again.
 ROUNDS: Final = 3
 
-#: Average runs of a cell, for the cost: of each drop with its continuation, and of followed attractors.
-RUN_ON: Final = 1.5
-FOLLOWED: Final = 12
-
 #: Values of `next_up` and `next_down`: not started; started, and no attractor reached.
 NOT_STARTED: Final = -1
 NOWHERE: Final = 0
@@ -47,17 +38,6 @@ NOWHERE: Final = 0
 _STORED: Final = {"outcome": "attractor_outcome", "state": "attractor_state"}
 
 _Arrays = dict[str, NDArray[Any]]
-
-_ARRAYS: Final = (
-    *OF_ATTRACTORS,
-    array("next_up", (*AXES, "id"), "|i1", "attractor of the next larger gamma that this one leads to",
-          comment="0: none that is known; -1: no such cell"),
-    array("next_down", (*AXES, "id"), "|i1", "attractor of the next smaller gamma that this one leads to",
-          comment="0: none that is known; -1: no such cell"),
-    COUNT,
-    array("undecided", AXES, "<f8", "share of the drops without an attractor"),
-    OUTCOME,
-)  # fmt: skip
 
 
 class Reached(NamedTuple):
@@ -120,7 +100,7 @@ class _Cells:
 
     def id_of(self, line: int, j: int, end: Reached) -> int | None:
         """The id of the stored attractor of a cell on which a run ends; None if there is none."""
-        for k in range(min(int(self.of["attractor_count"][line, j]), MAX_ATTRACTORS)):
+        for k in range(min(int(self.of["attractor_count"][line, j]), MAX_FOLLOWED)):
             fields = (self.of[_STORED.get(name, name)][line, j, k] for name in Reached._fields)
             if end.same(Reached(*fields)):
                 return k + 1
@@ -130,7 +110,7 @@ class _Cells:
         """Store a further attractor of a cell; returns its id, or NOWHERE if there is no room."""
         k = int(self.of["attractor_count"][line, j])
         self.of["attractor_count"][line, j] += 1
-        if k >= MAX_ATTRACTORS:
+        if k >= MAX_FOLLOWED:
             return NOWHERE
         for name, value in reached._asdict().items():
             self.of[_STORED.get(name, name)][line, j, k] = value
@@ -140,8 +120,8 @@ class _Cells:
 
     def waiting(self, name: str, j: int) -> list[tuple[int, int]]:
         """The attractors (line, index) of the cells `j` not yet followed towards `name`."""
-        count = np.minimum(self.of["attractor_count"][:, j], MAX_ATTRACTORS)
-        waits = (self.of[name][:, j] == NOT_STARTED) & (np.arange(MAX_ATTRACTORS) < count[:, None])
+        count = np.minimum(self.of["attractor_count"][:, j], MAX_FOLLOWED)
+        waits = (self.of[name][:, j] == NOT_STARTED) & (np.arange(MAX_FOLLOWED) < count[:, None])
         return [(int(line), int(k)) for line, k in np.argwhere(waits)]
 
 
@@ -290,58 +270,16 @@ def _groups(ends: Sequence[Reached]) -> list[list[int]]:
     return groups
 
 
-def layout(spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:
-    """Layout of the store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
-    about = {"long_name": "attractor of a cell, by the share of the drops that reach it"}
-    coordinates = {"id": (np.arange(1, MAX_ATTRACTORS + 1, dtype="<i4"), about)}
-    sizes, title = sizes_of_attractors(spec, MAX_ATTRACTORS), "bouncing spring: multistability"
-    return grid_layout(spec, chunk_shape, _ARRAYS, sizes, coordinates, title, spec.model.kind)
-
-
-def make_plan(
-    spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
-) -> Plan:
-    """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
-
-    Raises ValueError for sizes below 1, or for parts of lines.
-    """
-    gammas = spec.shape[2]
-    if chunk_shape is None:
-        lines = int(TARGET_SECONDS / (gammas * _runs(spec) * cell_seconds(spec.sweep())))
-        chunk_shape = (1, max(1, lines), gammas)
-    plan = Plan(spec.shape, chunk_shape)
-    if plan.chunk_shape[-1] != gammas:
-        raise ValueError(f"chunk_shape: must span the {gammas} values of gamma, not {chunk_shape[-1]}")
-    return plan
-
-
-def estimate(spec: MultistabilitySpec, plan: Plan) -> Cost:
-    """Cost of a study, from the table of contact models."""
-    runs, sweep = plan.cells * _runs(spec), spec.sweep()
-    return Cost(
-        cells=plan.cells,
-        chunks=len(plan),
-        bytes=plan.cells * bytes_of(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
-        core_seconds=runs * cell_seconds(sweep),
-        longest_core_seconds=runs * longest_seconds(sweep, spec.until),
-    )
-
-
-def _runs(spec: MultistabilitySpec) -> float:
-    """Average runs of a cell, each of settle + observe plate periods."""
-    return RUN_ON * spec.protocol.rows * spec.protocol.columns + FOLLOWED
-
-
 def run_chunk(spec: MultistabilitySpec, chunk: Chunk, store_url: str) -> ChunkReport:
     """Compute the lines of `chunk` and store them; the store must exist.
 
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
-    the slice of `tasks.OPTIONS`, or a `store.StoreError`.
+    the slice of `study.chunks.OPTIONS`, or a `store.StoreError`.
     """
-    record = empty_record(chunk.shape, _ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS))
-    cycles = np.full((*chunk.shape, MAX_ATTRACTORS, CYCLE), np.nan)
+    record = empty_record(chunk.shape, FOLLOWED_ARRAYS, sizes_of_attractors(spec, MAX_FOLLOWED))
+    cycles = np.full((*chunk.shape, MAX_FOLLOWED, CYCLE), np.nan)
     kept = record | {"cycle": cycles}
-    work = Steps(store_url, chunk, _ARRAYS, kept)
+    work = Steps(store_url, chunk, FOLLOWED_ARRAYS, kept)
     _Search(spec, chunk, _Cells(kept), work).run()
     for name in ("next_up", "next_down"):
         record[name][record[name] == NOT_STARTED] = NOWHERE  # found too late to be followed

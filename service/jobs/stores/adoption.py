@@ -22,12 +22,12 @@ from service.jobs.model import JobRecord, NewJob
 from service.jobs.prepare import new_job
 from service.settings import Settings
 from worker import store
-from worker.analysis.model_selection import ModelChoice, is_open, resolved
-from worker.schema import COMPUTED
-from worker.spec import SweepSpec
+from worker.analysis.model_selection import ModelChoice, resolved
 from worker.spec.errors import SpecError
-from worker.studies import Plan, from_json, study_of
-from worker.tasks import ChunkReport, report_of
+from worker.studies import from_json, study_of
+from worker.study import ChunkReport, Plan
+from worker.study.chunks import report_of
+from worker.sweep.specification import SweepSpec, is_open
 
 log = logging.getLogger(__name__)
 
@@ -216,8 +216,7 @@ def _whole_chunks(url: str, spec: Any, plan: Any) -> list[ChunkReport]:
             record = store.read_chunk(url, chunk, layout.names, complete=True)
         except store.StoreError:
             continue
-        computed = int(record[COMPUTED.name].sum()) if COMPUTED.name in record else None
-        report = report_of(chunk, record, stored, (0.0, 0.0), computed)
+        report = report_of(chunk, record, stored, (0.0, 0.0))
         if len(report.outcomes) == len(Outcome) and not report.outcomes[Outcome.MISSING]:
             reports.append(report)
     return reports

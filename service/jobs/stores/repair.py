@@ -26,7 +26,7 @@ from service.jobs.transactions import VERIFIED_PAGE, StoredChunk
 from service.settings import Settings
 from worker import store
 from worker.store import ChunkCoords
-from worker.studies import Chunk
+from worker.study import Chunk
 
 log = logging.getLogger(__name__)
 

@@ -28,7 +28,7 @@ from service.client import (
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 SPEC: dict[str, Any] = {**TWO_LINES, "name": "coarse <figure 2>", "settle": 100}
 

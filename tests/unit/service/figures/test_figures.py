@@ -13,7 +13,7 @@ from tables import for_each
 from service.figures import catalogue, schematics
 from service.figures.drawing import Caption, compared, left_open
 from service.figures.thresholds import minima
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 
 def test_every_figure_is_listed_by_its_number_with_valid_sweeps():

@@ -18,9 +18,9 @@ from served import get, read, service
 
 from kernel.params import KERNEL_VERSION
 from worker import store
-from worker.plan import make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
 
 DONE, INTERRUPTED = (f"/v1/jobs/{IDS[name]}" for name in ("done", "interrupted"))
 NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_VERSION}"

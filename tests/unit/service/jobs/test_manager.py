@@ -29,11 +29,11 @@ from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState, WorkerLost
 from worker.executors.inline import Inline
-from worker.plan import Chunk, make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
 from worker.spec.errors import SpecTooLarge
-from worker.tasks import ChunkPaused, ChunkReport
+from worker.study import Chunk, ChunkPaused, ChunkReport
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
 
 
 def test_done_means_written_and_the_checksums_are_those_of_the_files(tmp_path: Path, inline: Inline):

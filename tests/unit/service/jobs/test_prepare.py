@@ -17,8 +17,8 @@ from service.jobs.prepare import JobPreparer
 from service.settings import Settings
 from worker import studies
 from worker.analysis.model_selection import ModelChoice
-from worker.plan import make_plan
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
 
 
 @pytest.fixture

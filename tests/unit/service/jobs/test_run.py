@@ -13,8 +13,8 @@ from service.jobs.prepare import JobPreparer
 from service.jobs.retry import Action, History, RetryPolicy
 from service.jobs.run import JobRun
 from service.settings import Settings
-from worker.plan import make_plan
-from worker.tasks import ChunkReport
+from worker.study import ChunkReport
+from worker.sweep.plan import make_plan
 
 RAMP = {"kind": "ramp", "axis": "gamma", "direction": "up"}
 POLICY = RetryPolicy(chunk_tries=2, failed_chunks=2)

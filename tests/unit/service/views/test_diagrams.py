@@ -19,7 +19,7 @@ from service import pictures
 from service.pictures import LINES
 from service.views import diagram, encode, style
 from service.views.variables import variable
-from worker import schema
+from worker.sweep import schema
 
 NAN = np.nan
 ROWS = {row.name: row for row in (*schema.RECORD, schema.OUTCOME)}

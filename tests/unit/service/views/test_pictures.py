@@ -30,7 +30,7 @@ from service.tradeoff import SIZE, Measurement, compose
 from service.views import diagram, multistability
 from service.views.selection import LABEL
 from service.views.style import STYLE
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 DRAWN = GOLDEN / "pictures.json"
 NAN = float("nan")

@@ -17,10 +17,11 @@ from tables import for_each
 
 from kernel.params import Outcome
 from service.settings import Settings
-from worker import schema, store
+from worker import store
 from worker.analysis.thresholds import Status, endless_rest, on_grid
-from worker.plan import make_plan
-from worker.spec import SweepSpec
+from worker.study.layout import CELL_DIMS
+from worker.sweep import SweepSpec, schema
+from worker.sweep.plan import make_plan
 
 OUTCOMES: Final = {
     "r": Outcome.AT_REST, "p": Outcome.PERIODIC, "a": Outcome.APERIODIC, "s": Outcome.SETTLING,
@@ -190,7 +191,7 @@ def submitted(client: TestClient, case: Case) -> str:
     url = settings.store_of(here.rsplit("/", 1)[-1])
     length, outcomes = schema.sizes(spec), outcomes_of(case)
     for chunk in make_plan(spec):
-        cells = dict(zip(schema.CELL_DIMS, chunk.slices, strict=True))
+        cells = dict(zip(CELL_DIMS, chunk.slices, strict=True))
         record: dict[str, Any] = {
             array.name: np.zeros((*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.dtype)
             for array in schema.arrays(spec)

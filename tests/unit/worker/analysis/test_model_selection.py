@@ -13,8 +13,8 @@ from kernel_runs import Model, run
 from kernel.params import Line
 from worker.analysis.deviation import deviations
 from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
-from worker.spec import SweepSpec
 from worker.spec.contact_models import Ball, Rigid, Soft
+from worker.sweep import SweepSpec
 
 RANGE = {"start": 1.0, "stop": 6.0, "num": 101}
 STIFF = {"restitution": 0.0, "penetration": 1e-6}

@@ -12,10 +12,10 @@ from kernel.threshold import threshold
 from worker import store
 from worker.analysis.prediction import predict, predict_each
 from worker.analysis.thresholds import Refined, Status, refine
-from worker.plan import make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
-from worker.tasks import run_chunk
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
+from worker.sweep.task import run_chunk
 
 TOLERANCE = 1e-4
 

@@ -16,24 +16,17 @@ from tables import for_each
 from kernel.line import LineRun
 from kernel.models.rigid import plate
 from kernel.params import STATE_FIELDS, Line, Outcome
-from worker import store, studies, tasks
+from worker import store, studies, work
 from worker.basins.attractors import Attractor, Found, Request, find
-from worker.basins.spec import UNTIL, BasinSpec
+from worker.basins.schema import MAX_ATTRACTORS, basin_arrays, basin_sizes
+from worker.basins.specification import UNTIL, BasinSpec
 from worker.basins.starts import starts_of
-from worker.basins.study import (
-    MAX_ATTRACTORS,
-    _fill_in,
-    arrays,
-    entropies,
-    run_chunk,
-    sizes,
-)
-from worker.cost import check_size
-from worker.schema import empty_record
-from worker.spec import SpecError
-from worker.spec.errors import SpecTooLarge
+from worker.basins.task import _fill_in, entropies, run_chunk
+from worker.spec.errors import SpecError, SpecTooLarge
 from worker.studies import STUDIES
-from worker.tasks import ChunkCancelled, ChunkOptions, ChunkPaused, with_options
+from worker.study import ChunkCancelled, ChunkOptions, ChunkPaused
+from worker.study.chunks import check_size, with_options
+from worker.study.layout import empty_record
 
 BASINS = STUDIES["basin"]
 
@@ -223,11 +216,11 @@ def test_cells_in_one_chunk_or_in_many_are_the_same_bytes(tmp_path: Path, whole:
 def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes]
 ):
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 65_537)
-    monkeypatch.setattr(tasks, "KEPT_BYTES", 2**60)
-    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    monkeypatch.setattr(work, "FIRST_STEPS", 65_537)
+    monkeypatch.setattr(work, "KEPT_BYTES", 2**60)
+    monkeypatch.setattr(work, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
     looks = itertools.count()
-    monkeypatch.setattr(tasks.time, "thread_time", lambda: 0.02 * next(looks))  # and the same pauses
+    monkeypatch.setattr(work.time, "thread_time", lambda: 0.02 * next(looks))  # and the same pauses
     spec, url = basin(**GRID), str(tmp_path / "paused.zarr")
     plan = BASINS.plan(spec, (2, 1, 3))
     store.create(url, BASINS.variables(spec, plan.chunk_shape))
@@ -266,7 +259,7 @@ def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided()
         for i in range(MAX_ATTRACTORS + 2)
     )
     found = Found(np.arange(36, dtype=np.uint16), attractors)
-    record = empty_record((1, 1, 1), arrays(spec), sizes(spec))
+    record = empty_record((1, 1, 1), basin_arrays(spec), basin_sizes(spec))
     _fill_in(spec, found, record, (0, 0, 0))
     shown = np.arange(36) * (np.arange(36) <= MAX_ATTRACTORS)
     assert record["attractor"].ravel().tolist() == shown.tolist()

@@ -13,8 +13,8 @@ from kernel.branches.events import Kind, fold_events
 from kernel.params import Outcome
 from worker import store
 from worker.basins.multistability import run_chunk
-from worker.basins.spec import MultistabilitySpec
-from worker.spec import SpecError
+from worker.basins.specification import MultistabilitySpec
+from worker.spec.errors import SpecError
 from worker.studies import STUDIES
 
 MULTISTABILITY = STUDIES["multistability"]

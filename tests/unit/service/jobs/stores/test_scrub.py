@@ -19,7 +19,7 @@ from service.jobs.stores import repair
 from service.jobs.stores.repair import Repair, Scrubber
 from service.settings import Settings
 from worker.executors.inline import Inline
-from worker.tasks import ChunkReport
+from worker.study import ChunkReport
 
 #: In eight chunks.
 SPEC = sweep(gamma={"start": 0.5, "stop": 1.2, "num": 24})

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 from tables import for_each
 
-from worker.spec import SweepSpec
 from worker.spec.axes import MAX_AXIS_VALUES, Range, values_of
 from worker.spec.contact_models import CONTACT_MODELS, penetration_of
 from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable
 from worker.spec.specification import Label
+from worker.sweep import SweepSpec
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
