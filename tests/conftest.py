@@ -92,7 +92,7 @@ def pytest_timeout_set_timer(item: pytest.Item, settings: Any) -> bool | None:
     """A unit test fails after 60 s in which no kernel is compiled, the slower the busier the machine."""
     if TESTS / "unit" not in item.path.parents or item.get_closest_marker("timeout"):
         return None  # as pytest-timeout does
-    from kernel.numerics.compilation import compilations  # not needed where xdist hands out tests
+    from kernel.numerics.cache import compilations  # not needed where xdist hands out tests
 
     left = limit = min(settings.timeout, 60.0)
 

@@ -6,7 +6,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.modes import counted
 from kernel.params import Line, Outcome
 
 #: Longest common cycle, in plate periods, over which two periodic cells are compared flight by flight.
@@ -69,6 +68,8 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
 def _flights(line: Line, i: int, micro_flight: float) -> _Array:
     """The recorded flights of a cell that count for its mode."""
     flights = line.flight_time[[i]]
+    from kernel.modes import counted  # noqa: PLC0415 - numba, in a worker
+
     return flights[counted(flights, line.flights[[i]], micro_flight)]
 
 
