@@ -48,7 +48,7 @@ REACHABLE = {
     "worker.study": SPECIFICATION | {"worker.study"},
     "service.client": SPECIFICATION
     | {
-        "kernel.labels", "service.client", "service.formats", "service.pictures",
+        "kernel.labels", "kernel.threshold", "service.client", "service.formats", "service.pictures",
         "service.result_methods", "service.tokens", "worker.files", "worker.sweep",
     },
 }  # fmt: skip

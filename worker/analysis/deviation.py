@@ -67,9 +67,9 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
 
 def _flights(line: Line, i: int, micro_flight: float) -> _Array:
     """The recorded flights of a cell that count for its mode."""
-    flights = line.flight_time[[i]]
     from kernel.modes import counted  # noqa: PLC0415 - numba, in a worker
 
+    flights = line.flight_time[[i]]
     return flights[counted(flights, line.flights[[i]], micro_flight)]
 
 
