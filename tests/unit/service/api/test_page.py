@@ -110,7 +110,7 @@ LAYERS: dict[str, set[str]] = {
 def test_scripts_import_only_from_the_layers_below(folder: str):
     files = sorted((SCRIPTS / folder).glob("*.js"))
     assert 0 < len(files) <= 16
-    imported = {name for file in files for name in re.findall(r'from "\.\./([^/"]+)', file.read_text())}
+    imported = {name for file in files for name in re.findall(r'from "\.\./([^/".]+)', file.read_text())}
     assert imported <= LAYERS[folder]
 
 
