@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Name
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Discriminator, Field, GetCoreSchemaHandler, Tag, model_validator
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    Field,
+    GetCoreSchemaHandler,
+    SerializerFunctionWrapHandler,
+    Tag,
+    model_serializer,
+    model_validator,
+)
 
 from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, LANES, SPRING_DIMENSION
 from kernel.restitution import restitution_of as spring_restitution
@@ -70,6 +79,11 @@ class ContactFields(Strict):
     def exponents(self) -> int:
         """Maximum Lyapunov exponents that can be computed with this contact; 0: none."""
         return self.dimension
+
+    @property
+    def repeats(self) -> bool:
+        """Whether the motion repeats once its flights do."""
+        return True
 
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
@@ -137,10 +151,25 @@ class Stepped(_SoftContact):
     kind: Literal["stepped"] = "stepped"
     steps_per_contact: Annotated[int, Field(ge=1, le=MAX_STEPS_PER_CONTACT), WHOLE] = 20
     scheme: Literal["verlet", "euler"] = "verlet"
+    events: Annotated[
+        Literal["located", "plain"],
+        Field(description="Take-off and landing: located in a shortened step, or at the end of a plain one."),
+    ] = "located"
+
+    @model_serializer(mode="wrap")
+    def _plain(self, default: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Omit located events: job ids made before the field existed must not change."""
+        plain: dict[str, Any] = default(self)
+        return {name: value for name, value in plain.items() if (name, value) != ("events", "located")}
 
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
-        steps = {"steps_per_contact": self.steps_per_contact, "scheme": self.scheme}
-        return super().plate_arguments(gamma, omega, xi) | steps
+        names = ("steps_per_contact", "scheme", "events")
+        return super().plate_arguments(gamma, omega, xi) | {name: getattr(self, name) for name in names}
+
+    @property
+    def repeats(self) -> bool:
+        """Plain flights are whole steps: they repeat while the motion between them still settles."""
+        return self.events == "located"
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """`base` times the steps per plate period: the geometric mean of the sweep's two ends."""

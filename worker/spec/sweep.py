@@ -116,7 +116,8 @@ class SweepSpec(Specification):
         bool,
         Field(
             strict=True,
-            description="From rest without exponents: whether provably repeating cycles are skipped.",
+            description="From rest without exponents or plain events: whether provably repeating cycles are "
+            "skipped.",
         ),
     ] = True
     exponents: Exponents = 0
@@ -228,8 +229,13 @@ class SweepSpec(Specification):
 
     @property
     def ends_early(self) -> bool:
-        """Whether `settle_early` has an effect: never on a ramp, nor with exponents."""
-        return self.settle_early and isinstance(self.protocol, Rest) and not self.exponents
+        """Whether `settle_early` is on and has an effect."""
+        return self.settle_early and self._may_end_early
+
+    @property
+    def _may_end_early(self) -> bool:
+        """Never on a ramp, with exponents, or where flights do not tell that the motion repeats."""
+        return isinstance(self.protocol, Rest) and not self.exponents and self.model.repeats
 
     @property
     def ramp_axis(self) -> str | None:
@@ -246,7 +252,7 @@ class SweepSpec(Specification):
         """The labels, and newer fields that are at their defaults or without effect."""
         later = ("settle_tolerance", "settle_until", "exponents", "refine")
         left_out = {"parent"} | {field for field in later if not getattr(self, field)}
-        if self.settle_early or not isinstance(self.protocol, Rest) or self.exponents:
+        if self.settle_early or not self._may_end_early:
             left_out.add("settle_early")  # on, or without effect
         return super().left_out() | left_out
 

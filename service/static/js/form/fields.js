@@ -12,6 +12,7 @@ const TEXTS = {
   rest_length: ["rest length Λ", "Lω₀²/g, instead of the depth"],
   adhesive: ["adhesive: the contact may pull", ""],
   steps_per_contact: ["steps per contact", "of the time integration"],
+  events: ["take-off and landing", "located in a shortened step, or at the end of a plain one"],
   tolerance: ["tolerance", "rad of flight time"],
   exponents: ["Lyapunov exponents", "0 to 4; they tell quasi-periodic from chaotic cells"],
 };

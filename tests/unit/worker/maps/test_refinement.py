@@ -220,6 +220,18 @@ def test_a_margin_does_not_end_at_the_border_of_a_tile(tile: tuple[slice, slice]
     assert computed.flat[source].all()
 
 
+@for_each(("rows", "spot"), [(slice(1, 34), slice(0, 3)), (slice(0, 33), slice(31, 34))])
+@for_each("turned", [False, True])
+def test_a_margin_sees_as_little_as_one_row_beyond_a_tile(rows: slice, spot: slice, turned: bool):
+    """A spot at the middle of the border, which the tile's own corners and centre miss."""
+    kinds, tile = np.ones((34, 33), int), (rows, slice(None))
+    kinds[spot, 15:18] = 2
+    if turned:
+        kinds, tile = kinds.T.copy(), tile[::-1]
+    _, source = refined(kinds, Refine(by="mode", coarsest=32, margin=True), tile)
+    assert np.array_equal(kinds[tile].flat[source], kinds[tile])
+
+
 def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
     outcome = np.array(
         [Outcome.AT_REST, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.APERIODIC]

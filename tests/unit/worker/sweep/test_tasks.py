@@ -262,6 +262,20 @@ def test_a_checkpoint_that_is_not_what_was_written_begins_anew(tmp_path, small_s
     assert report.checksum == run_chunk(spec, plan[0], whole).checksum
 
 
+def test_a_chunk_whose_checkpoint_cannot_be_written_goes_on(tmp_path, small_spec, monkeypatch, caplog):
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 100)
+    monkeypatch.setattr(tasks, "KEPT_BYTES", 2**60)
+    spec = small_spec()
+    plan, url = stored(tmp_path, spec)
+    _, whole = stored(tmp_path / "whole", spec)
+    Path(url, ".checkpoint-0").mkdir()  # where the file should be
+    with with_options(ChunkOptions(0.0, begins=True)):
+        report = run_chunk(spec, plan[0], url)
+    assert report.checksum == run_chunk(spec, plan[0], whole).checksum
+    (warning,) = (record.getMessage() for record in caplog.records)  # it does not try again
+    assert "chunk 0 cannot pause, its checkpoint cannot be written" in warning
+
+
 @pytest.mark.parametrize("exponents", [0, 1], ids=["in lanes", "one by one"])
 def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, small_spec, exponents):
     """A single cell takes a quarter of a minute at least."""
