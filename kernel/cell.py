@@ -92,9 +92,50 @@ def begin(
     takes_off = in_flight and state[1] == 0.0  # now, so that the flight is recorded
     end = window.settle + window.observe
     return Progress(
-        state[0], 0, in_flight, state[2], state[3], state[4], state[5], state[0], 0 if takes_off else -1,
-        0, False, BUDGET * end, ROOT, window.settle, end,
-    )  # fmt: skip
+        phase=state[0],
+        period=0,
+        in_flight=in_flight,
+        gap=state[2],
+        gap1=state[3],
+        q=state[4],
+        q1=state[5],
+        takeoff_phase=state[0],
+        takeoff_period=0 if takes_off else -1,
+        recorded=0,
+        flew=False,
+        budget=BUDGET * end,
+        ending=ROOT,
+        settle=window.settle,
+        end=end,
+    )
+
+
+@inlined
+def changed(
+    run: Progress, phase: float | None = None, period: int | None = None, in_flight: bool | None = None,
+    gap: float | None = None, gap1: float | None = None, q: float | None = None, q1: float | None = None,
+    takeoff_phase: float | None = None, takeoff_period: int | None = None, recorded: int | None = None,
+    flew: bool | None = None, budget: int | None = None, ending: int | None = None,
+    settle: int | None = None, end: int | None = None,
+) -> Progress:  # fmt: skip
+    """`run` with the fields that are given: numba does not compile `run._replace`."""
+    return Progress(
+        phase=run.phase if phase is None else phase,
+        period=run.period if period is None else period,
+        in_flight=run.in_flight if in_flight is None else in_flight,
+        gap=run.gap if gap is None else gap,
+        gap1=run.gap1 if gap1 is None else gap1,
+        q=run.q if q is None else q,
+        q1=run.q1 if q1 is None else q1,
+        takeoff_phase=run.takeoff_phase if takeoff_phase is None else takeoff_phase,
+        takeoff_period=run.takeoff_period if takeoff_period is None else takeoff_period,
+        recorded=run.recorded if recorded is None else recorded,
+        flew=run.flew if flew is None else flew,
+        budget=run.budget if budget is None else budget,
+        ending=run.ending if ending is None else ending,
+        settle=run.settle if settle is None else settle,
+        end=run.end if end is None else end,
+    )
 
 
 @jit
@@ -141,19 +182,19 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
     if ending == HORIZON or (ending == ROOT and period >= run.end):
         # rounding of phase + tau may leave `period` one short
         phase, period, ending = 0.0, run.end, HORIZON
-    return Progress(
-        phase, period, p.in_flight, p.gap, p.gap1, p.q, p.q1,
-        phase, period, recorded, flew, run.budget - p.used, ending, run.settle, run.end,
+    return changed(
+        run, phase=phase, period=period, in_flight=p.in_flight, gap=p.gap, gap1=p.gap1, q=p.q, q1=p.q1,
+        takeoff_phase=phase, takeoff_period=period, recorded=recorded, flew=flew,
+        budget=run.budget - p.used, ending=ending,
     )  # fmt: skip
 
 
 @jit
 def at_period(run: Progress, period: int, recorded: int, flew: bool) -> Progress:
     """`run` in another plate period, where a flight that begins takes off."""
-    return Progress(
-        run.phase, period, run.in_flight, run.gap, run.gap1, run.q, run.q1, run.phase, period,
-        recorded, flew, run.budget, run.ending, run.settle, run.end,
-    )  # fmt: skip
+    return changed(
+        run, period=period, takeoff_phase=run.phase, takeoff_period=period, recorded=recorded, flew=flew
+    )
 
 
 @allocating
@@ -198,11 +239,7 @@ def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
 def follow(before: Progress, window: Window) -> Progress:
     """A run beyond its window, from `before` the phase in which that ended, which stays one phase."""
     added = periods_followed(window.observe)
-    return Progress(
-        before.phase, before.period, before.in_flight, before.gap, before.gap1, before.q, before.q1,
-        before.takeoff_phase, before.takeoff_period, before.recorded, before.flew,
-        before.budget + BUDGET * added, before.ending, before.settle, before.end + added,
-    )  # fmt: skip
+    return changed(before, budget=before.budget + BUDGET * added, end=before.end + added)
 
 
 @jit
@@ -224,9 +261,9 @@ def extend(run: Progress, outcome: int, window: Window) -> Progress:
     added = min(run.end, window.settle_until - run.end)
     if outcome != SETTLING or added < window.observe:
         return run
-    return Progress(
-        run.phase, run.period, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, -1, 0, False, run.budget + BUDGET * added, ROOT, run.settle + added, run.end + added,
+    return changed(
+        run, takeoff_phase=run.phase, takeoff_period=-1, recorded=0, flew=False,
+        budget=run.budget + BUDGET * added, ending=ROOT, settle=run.settle + added, end=run.end + added,
     )  # fmt: skip
 
 
@@ -244,10 +281,22 @@ def store_run(run: Progress, numbers: Any) -> None:
 def load_run(numbers: Any) -> Progress:
     """The run that `store_run` has written."""
     return Progress(
-        numbers[0], int(numbers[1]), numbers[2] != 0.0, numbers[3], numbers[4], numbers[5], numbers[6],
-        numbers[7], int(numbers[8]), int(numbers[9]), numbers[10] != 0.0, int(numbers[11]),
-        int(numbers[12]), int(numbers[13]), int(numbers[14]),
-    )  # fmt: skip
+        phase=numbers[0],
+        period=int(numbers[1]),
+        in_flight=numbers[2] != 0.0,
+        gap=numbers[3],
+        gap1=numbers[4],
+        q=numbers[5],
+        q1=numbers[6],
+        takeoff_phase=numbers[7],
+        takeoff_period=int(numbers[8]),
+        recorded=int(numbers[9]),
+        flew=numbers[10] != 0.0,
+        budget=int(numbers[11]),
+        ending=int(numbers[12]),
+        settle=int(numbers[13]),
+        end=int(numbers[14]),
+    )
 
 
 @jit
