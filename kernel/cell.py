@@ -9,10 +9,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel import modes
-from kernel.interface import flies, rest
+from kernel.interface import Phase, State, flies, rest
 from kernel.modes import CHECK, Flights, slot
 from kernel.numerics.elementary import TWO_PI
-from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
+from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT
 from kernel.numerics.jit import allocating, compilable, inlined, jit
 from kernel.params import Line, Outcome, periods_followed
 
@@ -48,10 +48,7 @@ class Progress(NamedTuple):
     phase: float  # of the plate, rad modulo 2 pi
     period: int  # plate periods since the cell began
     in_flight: bool
-    gap: float
-    gap1: float
-    q: float
-    q1: float
+    state: State
     takeoff_phase: float
     takeoff_period: int  # -1 for a flight under way at the start or at an extension: it is not recorded
     recorded: int  # flights that took off and landed inside the window (or so far, while settling)
@@ -63,7 +60,7 @@ class Progress(NamedTuple):
 
 
 #: Numbers that `store_run` writes.
-RUN_FIELDS: Final = len(Progress._fields)
+RUN_FIELDS: Final = len(Progress._fields) - 1 + len(State._fields)
 
 
 @jit
@@ -85,20 +82,17 @@ def begin(
         given = run.ending != NON_FINITE
         store_state(run, state)
         rescale(state, gamma[i - 1], omega[i - 1], gamma[i], omega[i])
+    here = State(state[2], state[3], state[4], state[5])
     if not given:
-        state[0], state[1] = 0.0, 0.0
-        state[2], state[3], state[4], state[5] = rest(cell)
-    in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
+        state[0], state[1], here = 0.0, 0.0, rest(cell)
+    in_flight = flies(cell, state[0], here)
     takes_off = in_flight and state[1] == 0.0  # now, so that the flight is recorded
     end = window.settle + window.observe
     return Progress(
         phase=state[0],
         period=0,
         in_flight=in_flight,
-        gap=state[2],
-        gap1=state[3],
-        q=state[4],
-        q1=state[5],
+        state=here,
         takeoff_phase=state[0],
         takeoff_period=0 if takes_off else -1,
         recorded=0,
@@ -113,20 +107,16 @@ def begin(
 @inlined
 def changed(
     run: Progress, phase: float | None = None, period: int | None = None, in_flight: bool | None = None,
-    gap: float | None = None, gap1: float | None = None, q: float | None = None, q1: float | None = None,
-    takeoff_phase: float | None = None, takeoff_period: int | None = None, recorded: int | None = None,
-    flew: bool | None = None, budget: int | None = None, ending: int | None = None,
-    settle: int | None = None, end: int | None = None,
+    state: State | None = None, takeoff_phase: float | None = None, takeoff_period: int | None = None,
+    recorded: int | None = None, flew: bool | None = None, budget: int | None = None,
+    ending: int | None = None, settle: int | None = None, end: int | None = None,
 ) -> Progress:  # fmt: skip
     """`run` with the fields that are given: numba does not compile `run._replace`."""
     return Progress(
         phase=run.phase if phase is None else phase,
         period=run.period if period is None else period,
         in_flight=run.in_flight if in_flight is None else in_flight,
-        gap=run.gap if gap is None else gap,
-        gap1=run.gap1 if gap1 is None else gap1,
-        q=run.q if q is None else q,
-        q1=run.q1 if q1 is None else q1,
+        state=run.state if state is None else state,
         takeoff_phase=run.takeoff_phase if takeoff_phase is None else takeoff_phase,
         takeoff_period=run.takeoff_period if takeoff_period is None else takeoff_period,
         recorded=run.recorded if recorded is None else recorded,
@@ -183,8 +173,8 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
         # rounding of phase + tau may leave `period` one short
         phase, period, ending = 0.0, run.end, HORIZON
     return changed(
-        run, phase=phase, period=period, in_flight=p.in_flight, gap=p.gap, gap1=p.gap1, q=p.q, q1=p.q1,
-        takeoff_phase=phase, takeoff_period=period, recorded=recorded, flew=flew,
+        run, phase=phase, period=period, in_flight=p.in_flight, state=p.state, takeoff_phase=phase,
+        takeoff_period=period, recorded=recorded, flew=flew,
         budget=run.budget - p.used, ending=ending,
     )  # fmt: skip
 
@@ -271,7 +261,7 @@ def extend(run: Progress, outcome: int, window: Window) -> Progress:
 def store_run(run: Progress, numbers: Any) -> None:
     """Write a run to `numbers` (RUN_FIELDS,) float64. Its integers are far below 2**53."""
     numbers[0], numbers[1], numbers[2] = run.phase, run.period, run.in_flight
-    numbers[3], numbers[4], numbers[5], numbers[6] = run.gap, run.gap1, run.q, run.q1
+    numbers[3], numbers[4], numbers[5], numbers[6] = run.state
     numbers[7], numbers[8], numbers[9] = run.takeoff_phase, run.takeoff_period, run.recorded
     numbers[10], numbers[11], numbers[12], numbers[13] = run.flew, run.budget, run.ending, run.settle
     numbers[14] = run.end
@@ -284,10 +274,7 @@ def load_run(numbers: Any) -> Progress:
         phase=numbers[0],
         period=int(numbers[1]),
         in_flight=numbers[2] != 0.0,
-        gap=numbers[3],
-        gap1=numbers[4],
-        q=numbers[5],
-        q1=numbers[6],
+        state=State(numbers[3], numbers[4], numbers[5], numbers[6]),
         takeoff_phase=numbers[7],
         takeoff_period=int(numbers[8]),
         recorded=int(numbers[9]),
@@ -303,7 +290,7 @@ def load_run(numbers: Any) -> Progress:
 def store_state(run: Progress, state: Any) -> None:
     """Write the run's current state to `state` (6,), see params.STATE_FIELDS."""
     state[0], state[1] = run.phase, 1.0 if run.in_flight else 0.0
-    state[2], state[3], state[4], state[5] = run.gap, run.gap1, run.q, run.q1
+    state[2], state[3], state[4], state[5] = run.state
 
 
 @allocating

@@ -16,12 +16,12 @@ from kernel import cell
 from kernel import exponents as lyapunov
 from kernel.cell import CACHE_SIZE, RUN_FIELDS, Progress, Window
 from kernel.exponents import Variations
-from kernel.interface import advance_lanes, contact, flight, load_lane, prepare, replay, unload_lane
+from kernel.interface import Phase, advance_lanes, contact, flight, load_lane, prepare, replay, unload_lane
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
 from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU, index_of
 from kernel.modes import Flights
 from kernel.numerics.elementary import sincos
-from kernel.numerics.first_root import ROOT, Phase
+from kernel.numerics.first_root import ROOT
 from kernel.numerics.jit import allocating, inlined, jit
 from kernel.params import (
     FEW,
@@ -95,13 +95,13 @@ def _ended(table: Any, k: int, run: Progress) -> bool:
 def _scalar_phase(spring: Any, run: Progress, sin: float, cos: float) -> Phase:
     """The run's next phase by the scalar functions; one of no length if it has ended."""
     if run.ending != ROOT:
-        return Phase(0.0, run.ending, run.in_flight, run.gap, run.gap1, run.q, run.q1, 0)
+        return Phase(0.0, run.ending, run.in_flight, run.state, 0)
     horizon = cell.horizon_of(run)
     p: Phase
     if run.in_flight:
-        p = flight(spring, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+        p = flight(spring, run.phase, sin, cos, run.state, horizon, run.budget)
     else:
-        p = contact(spring, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+        p = contact(spring, run.phase, sin, cos, run.state, horizon, run.budget)
     return p
 
 
@@ -173,7 +173,7 @@ def _walk(
                         p, sin, cos = unload_lane(springs[k], table, k, run)
                         known = True
                     else:
-                        if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
+                        if run.in_flight and run.state.gap == 0.0 and run.state.gap1 == 0.0:
                             run = replay(springs[k], run, window, flights, lanes.cache)
                         if not exact:
                             sin, cos = sincos(run.phase)

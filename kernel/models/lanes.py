@@ -27,6 +27,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from kernel.interface import State
 from kernel.numerics import first_root
 from kernel.numerics.elementary import LOWEST_EXPONENT, exp, fma, sincos_small
 from kernel.numerics.first_root import EPS, NEAR, householder_step
@@ -130,10 +131,11 @@ def load_mode(table: Any, k: int, first: int, osc: Oscillator, a: float, b: floa
 
 @inlined
 def load_flight(
-    table: Any, k: int, osc: Oscillator, gravity: float, phi: float, sin: float, cos: float, gap: float,
-    gap1: float, q: float, q1: float, start: float, horizon: float,
+    table: Any, k: int, osc: Oscillator, gravity: float, phi: float, sin: float, cos: float, state: State,
+    start: float, horizon: float,
 ) -> None:  # fmt: skip
     """Begin the search for the landing of a flight in lane k from `start` (rad), the gap being its F."""
+    gap, gap1, q, q1 = state
     load_mode(table, k, Y_G, osc, *coordinates(osc, -0.5 * q, -0.5 * q1))
     load_smooth(
         table, k, gap + (cos + 0.5 * q), gap1 + (0.5 * q1 - sin), 0.5 * gravity, -1.0, 0.0, 0.5 * abs(q)

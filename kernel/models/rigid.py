@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from kernel import interface
 from kernel.cell import Progress
+from kernel.interface import Phase, State
 from kernel.models import lanes
 from kernel.models.contact_law import chatter_completes, chatter_lift
 from kernel.models.flight import begin_flight, landing, short_hop, state_after
 from kernel.numerics.elementary import sincos
-from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
+from kernel.numerics.first_root import EPS, HORIZON, ROOT, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import (
     Oscillator,
@@ -117,24 +118,24 @@ def normal_force(s: Spring, cos: float, q: float, q1: float) -> float:
 
 @interface.contact_force.register(Spring)
 @jit
-def _contact_force(s: Spring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+def _contact_force(s: Spring, cos: float, state: State) -> float:
     """n in contact."""
-    return normal_force(s, cos, q, q1)
+    return normal_force(s, cos, state.q, state.q1)
 
 
 @interface.rest.register(Spring)
 @jit
-def _rest(s: Spring) -> tuple[float, float, float, float]:
+def _rest(s: Spring) -> State:
     """On the plate, at the static elongation."""
-    return 0.0, 0.0, s.static_elongation, 0.0
+    return State(0.0, 0.0, s.static_elongation, 0.0)
 
 
 @interface.flies.register(Spring)
 @jit
-def _flies(s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
+def _flies(s: Spring, phi: float, state: State) -> bool:
     """Off the plate, or on it with n < 0."""
     _, cos = sincos(phi)
-    return gap > 0.0 or gap1 > 0.0 or normal_force(s, cos, q, q1) < 0.0
+    return state.gap > 0.0 or state.gap1 > 0.0 or normal_force(s, cos, state.q, state.q1) < 0.0
 
 
 @terms.register(Stuck)
@@ -176,17 +177,16 @@ def _stuck_until(
     """The end of a contact whose free elongation there is h; sin and cos are of the plate's phase."""
     q = s.static_elongation + (s.q_re * cos - s.q_im * sin) + h
     q1 = h1 - (s.q_re * sin + s.q_im * cos)
-    return Phase(tau, ending, ending == ROOT, 0.0, 0.0, q, q1, used)
+    return Phase(tau, ending, ending == ROOT, State(0.0, 0.0, q, q1), used)
 
 
 @interface.contact.register(Spring)
 @jit
 def _contact(
-    s: Spring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
+    s: Spring, phi: float, sin: float, cos: float, state: State, horizon: float, budget: int
+) -> Phase:
     """Stuck until n falls to zero. The search ends once its free part is too small to bring it there."""
-    h, h1 = _free(s, sin, cos, q, q1)
+    h, h1 = _free(s, sin, cos, state.q, state.q1)
     h2, _, _ = derivatives(s.stuck, h, h1)
     ring, ring1 = -s.dashpot * h1 - s.stiffness * h, -s.dashpot * h2 - s.stiffness * h1
     decayed = decay_time(s.stuck, ring, ring1, s.margin)
@@ -201,28 +201,26 @@ def _contact(
 @interface.flight.register(Spring)
 @inlined
 def _flight(
-    s: Spring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
+    s: Spring, phi: float, sin: float, cos: float, state: State, horizon: float, budget: int
+) -> Phase:
     """In flight until the gap falls to zero."""
-    p = begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
+    p = begin_flight(s.flight, s.gravity, phi, sin, cos, state)
     if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
         hop = short_hop(p, 0.0, 0.0, horizon, budget)
         if hop.served:
-            return land(s, hop.sin, hop.cos, hop.tau, hop.gap1, hop.q, hop.q1, hop.used)
+            return land(s, hop.sin, hop.cos, hop.tau, hop.state, hop.used)
     tau, ending, used = landing(p, 0.0, horizon, budget)
-    gap, gap1, q, q1 = state_after(p, tau)
+    state = state_after(p, tau)
     if ending != ROOT:
-        return Phase(tau, ending, True, gap, gap1, q, q1, used)
+        return Phase(tau, ending, True, state, used)
     sin, cos = sincos(phi + tau)
-    return land(s, sin, cos, tau, gap1, q, q1, used)
+    return land(s, sin, cos, tau, state, used)
 
 
 @inlined
-def land(
-    s: Spring, sin: float, cos: float, tau: float, impact: float, q: float, q1: float, used: int
-) -> Phase:
-    """The end of a flight that lands at gap' = `impact` <= 0; sin and cos of the plate's phase there."""
+def land(s: Spring, sin: float, cos: float, tau: float, state: State, used: int) -> Phase:
+    """The end of a flight that lands with `state`, gap' <= 0; sin and cos of the plate's phase there."""
+    _, impact, q, q1 = state
     hop = max(-s.restitution * impact, 0.0)
     q1 += impact  # of a mass that sticks; the upper mass keeps its velocity
     if hop > 0.0:
@@ -231,7 +229,7 @@ def land(
             q, q1, hop = q + more, q1 + more1, 0.0
     q1 -= hop
     in_flight = hop > 0.0 or normal_force(s, cos, q, q1) < 0.0
-    return Phase(tau, ROOT, in_flight, 0.0, hop, q, q1, used)
+    return Phase(tau, ROOT, in_flight, State(0.0, hop, q, q1), used)
 
 
 @inlined
@@ -274,7 +272,7 @@ def _load_contact(
     table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
 ) -> bool:
     """Put a contact into lane k, unless it never ends, which `rigid` knows in closed form."""
-    h, h1 = _free(s, sin, cos, run.q, run.q1)
+    h, h1 = _free(s, sin, cos, run.state.q, run.state.q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
     if envelope(s.stuck, h2, h3) < s.margin:
         return False
@@ -292,17 +290,16 @@ def _load_flight(
     table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
 ) -> bool:
     """Put a flight into lane k, unless it begins with a short hop or too close to the plate."""
-    q2, q3, q4 = derivatives(s.flight, run.q, run.q1)
+    gap, gap1, q, q1 = run.state
+    q2, q3, q4 = derivatives(s.flight, q, q1)
     gap2, start = cos - s.gravity - 0.5 * q2, 0.0
-    if run.gap == 0.0 and run.gap1 == 0.0:
+    if gap == 0.0 and gap1 == 0.0:
         start = departure_step(max(gap2, 0.0), -sin - 0.5 * q3, 1.0 + 0.5 * q4)
         if start < lanes.SHORT_START:
             return False
-    elif run.gap == 0.0 and 2.0 * run.gap1 < -gap2 * lanes.SHORT_FLIGHT:
+    elif gap == 0.0 and 2.0 * gap1 < -gap2 * lanes.SHORT_FLIGHT:
         return False
-    lanes.load_flight(
-        table, k, s.flight, s.gravity, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1, start, horizon
-    )
+    lanes.load_flight(table, k, s.flight, s.gravity, run.phase, sin, cos, run.state, start, horizon)
     return lanes.serves(s.flight, horizon)
 
 
@@ -327,8 +324,9 @@ def _unload(s: Spring, table: Any, k: int, run: Progress) -> tuple[Phase, float,
         h, h1, _, _ = lanes.kept(table, k)
         h, h1 = lanes.moved(table, k, s.stuck, h, h1)
         return _stuck_until(s, sin, cos, tau, ending, h, h1, used), sin, cos
-    q, q1 = lanes.moved(table, k, s.flight, run.q, run.q1)
+    q, q1 = lanes.moved(table, k, s.flight, run.state.q, run.state.q1)
     gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, q, q1)
+    state = State(gap, gap1, q, q1)
     if ending != ROOT:
-        return Phase(tau, ending, True, gap, gap1, q, q1, used), sin, cos
-    return land(s, sin, cos, tau, gap1, q, q1, used), sin, cos
+        return Phase(tau, ending, True, state, used), sin, cos
+    return land(s, sin, cos, tau, state, used), sin, cos

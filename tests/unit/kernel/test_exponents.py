@@ -50,9 +50,9 @@ def test_the_map_over_a_cycle_is_that_of_the_closed_form(orbit):
     )
     phi, q, q1 = orbit["takeoff_phase"], orbit["elongation"], orbit["elongation_velocity"]
     vectors = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    p = interface.flight(cell, phi, *sincos(phi), 0.0, 0.0, q, q1, math.inf, 10_000)
+    p = interface.flight(cell, phi, *sincos(phi), interface.State(0.0, 0.0, q, q1), math.inf, 10_000)
     interface.carry_in_flight(cell, vectors, p.tau)
-    interface.carry_through_landing(cell, vectors, phi, 0.0, 0.0, q, q1, p)
+    interface.carry_through_landing(cell, vectors, phi, interface.State(0.0, 0.0, q, q1), p)
     landed = vectors[:, 2:].T.copy()
     interface.carry_in_contact(cell, vectors, orbit["mode"][1] * TWO_PI - p.tau)
 
