@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel import modes
-from kernel.interface import Phase, State, flies, rest
+from kernel.interface import Phase, State, flies, plate_phase, rest
 from kernel.modes import CHECK, Flights, slot
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT
@@ -85,7 +85,7 @@ def begin(
     here = State(state[2], state[3], state[4], state[5])
     if not given:
         state[0], state[1], here = 0.0, 0.0, rest(cell)
-    in_flight = flies(cell, state[0], here)
+    in_flight = flies(cell, plate_phase(state[0]), here)
     takes_off = in_flight and state[1] == 0.0  # now, so that the flight is recorded
     end = window.settle + window.observe
     return Progress(

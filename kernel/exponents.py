@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel import interface
-from kernel.interface import Phase
+from kernel.interface import Phase, plate_phase
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.numerics.jit import inlined, jit
@@ -180,7 +180,7 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
             _orthonormalise(variations, _weight(period, run.settle, window), batch)
     if p.ending == ROOT:
         if run.in_flight:
-            interface.carry_through_landing(cell, vectors, run.phase, run.state, p)
+            interface.carry_through_landing(cell, vectors, plate_phase(run.phase), run.state, p)
         else:
             interface.carry_through_takeoff(cell, vectors, p)
 

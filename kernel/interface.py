@@ -2,14 +2,29 @@
 
 A model has a *plate*, the contact under each cell of a line, and a *cell*, the constants of one cell. Its
 module has a function `plate`, which makes the former from checked arrays (n,), and registers the functions
-below. phi is the plate's phase in rad, sin and cos are of it. Times are in rad from the start of a contact or
-flight; a horizon is the time at which it is cut off, a budget the number of evaluations of a phase function
-it may use.
+below. Times are in rad from the start of a contact or flight; a horizon is the time at which it is cut off, a
+budget the number of evaluations of a phase function it may use.
 """
 
 from typing import Any, NamedTuple
 
-from kernel.numerics.jit import by_type, jit
+from kernel.numerics.elementary import sincos
+from kernel.numerics.jit import by_type, inlined, jit
+
+
+class PlatePhase(NamedTuple):
+    """The plate's phase phi, with its sine and cosine."""
+
+    rad: float
+    sin: float
+    cos: float
+
+
+@inlined
+def plate_phase(rad: float) -> PlatePhase:
+    """The plate's phase at this angle."""
+    sin, cos = sincos(rad)
+    return PlatePhase(rad, sin, cos)
 
 
 class State(NamedTuple):
@@ -42,27 +57,27 @@ def rest(cell: Any) -> State:  # type: ignore[empty-body]
 
 
 @by_type
-def flies(cell: Any, phi: float, state: State) -> bool:  # type: ignore[empty-body]
+def flies(cell: Any, phi: PlatePhase, state: State) -> bool:  # type: ignore[empty-body]
     """Whether a phase that begins with this state is a flight."""
 
 
 @by_type
 def contact(  # type: ignore[empty-body]
-    cell: Any, phi: float, sin: float, cos: float, state: State, horizon: float, budget: int
+    cell: Any, phi: PlatePhase, state: State, horizon: float, budget: int
 ) -> Phase:  # fmt: skip
     """The contact that begins with this state, to its take-off or to the horizon."""
 
 
 @by_type
 def flight(  # type: ignore[empty-body]
-    cell: Any, phi: float, sin: float, cos: float, state: State, horizon: float, budget: int
+    cell: Any, phi: PlatePhase, state: State, horizon: float, budget: int
 ) -> Phase:  # fmt: skip
     """The flight that begins with this state, to after its landing or to the horizon."""
 
 
 @by_type
-def contact_force(cell: Any, cos: float, state: State) -> float:  # type: ignore[empty-body]
-    """The plate's force n on the lower mass in contact, in m A omega**2; `cos` is of the plate's phase."""
+def contact_force(cell: Any, phi: PlatePhase, state: State) -> float:  # type: ignore[empty-body]
+    """The plate's force n on the lower mass in contact, in m A omega**2."""
 
 
 @by_type
@@ -90,13 +105,13 @@ def advance_lanes(plate: Any, table: Any, used: int) -> None:
 
 
 @by_type
-def load_lane(cell: Any, table: Any, k: int, run: Any, sin: float, cos: float, horizon: float) -> bool:  # type: ignore[empty-body]
-    """Put the run's next phase into lane k, if lanes can compute it; sin and cos of the plate's phase."""
+def load_lane(cell: Any, table: Any, k: int, run: Any, phi: PlatePhase, horizon: float) -> bool:  # type: ignore[empty-body]
+    """Put the run's next phase into lane k, if lanes can compute it."""
 
 
 @by_type
-def unload_lane(cell: Any, table: Any, k: int, run: Any) -> tuple[Phase, float, float]:  # type: ignore[empty-body]
-    """The run's phase, which has ended in lane k, with sin and cos of the plate's phase at its end."""
+def unload_lane(cell: Any, table: Any, k: int, run: Any) -> tuple[Phase, PlatePhase]:  # type: ignore[empty-body]
+    """The run's phase, which has ended in lane k, and the plate's phase there."""
 
 
 # Variations: how small differences of the state at a fixed phase, `vectors` (n, 4) of (gap, gap', q, q'),
@@ -130,5 +145,5 @@ def carry_through_takeoff(cell: Any, vectors: Any, end: Phase) -> None:
 
 
 @by_type
-def carry_through_landing(cell: Any, vectors: Any, phi: float, state: State, end: Phase) -> None:
+def carry_through_landing(cell: Any, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
     """Carry `vectors` through the landing of the flight `end`, which began with `state` at phi."""

@@ -16,11 +16,21 @@ from kernel import cell
 from kernel import exponents as lyapunov
 from kernel.cell import CACHE_SIZE, RUN_FIELDS, Progress, Window
 from kernel.exponents import Variations
-from kernel.interface import Phase, advance_lanes, contact, flight, load_lane, prepare, replay, unload_lane
+from kernel.interface import (
+    Phase,
+    PlatePhase,
+    advance_lanes,
+    contact,
+    flight,
+    load_lane,
+    plate_phase,
+    prepare,
+    replay,
+    unload_lane,
+)
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
 from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU, index_of
 from kernel.modes import Flights
-from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT
 from kernel.numerics.jit import allocating, inlined, jit
 from kernel.params import (
@@ -92,16 +102,16 @@ def _ended(table: Any, k: int, run: Progress) -> bool:
 
 
 @inlined
-def _scalar_phase(spring: Any, run: Progress, sin: float, cos: float) -> Phase:
+def _scalar_phase(spring: Any, run: Progress, phi: PlatePhase) -> Phase:
     """The run's next phase by the scalar functions; one of no length if it has ended."""
     if run.ending != ROOT:
         return Phase(0.0, run.ending, run.in_flight, run.state, 0)
     horizon = cell.horizon_of(run)
     p: Phase
     if run.in_flight:
-        p = flight(spring, run.phase, sin, cos, run.state, horizon, run.budget)
+        p = flight(spring, phi, run.state, horizon, run.budget)
     else:
-        p = contact(spring, run.phase, sin, cos, run.state, horizon, run.budget)
+        p = contact(spring, phi, run.state, horizon, run.budget)
     return p
 
 
@@ -161,8 +171,8 @@ def _walk(
             if (index[k] < 0 and counts[0] == lines) or (index[k] >= 0 and _searching(table, k)):
                 continue
             run, first = runs[k], k * flights.size
-            # whether these are sincos(run.phase) to the last digit, as a run paused here would compute them
-            exact, sin, cos = False, 0.0, 1.0
+            # whether this is plate_phase(run.phase) to the last digit, as a run paused here would compute it
+            exact, phi = False, PlatePhase(0.0, 0.0, 1.0)
             while steps > 0 and (index[k] < 0 or not _searching(table, k)):
                 steps -= 1
                 i, known = index[k], False
@@ -170,14 +180,14 @@ def _walk(
                 if not ends:
                     before = run
                     if table is not None and _ended(table, k, run):
-                        p, sin, cos = unload_lane(springs[k], table, k, run)
+                        p, phi = unload_lane(springs[k], table, k, run)
                         known = True
                     else:
                         if run.in_flight and run.state.gap == 0.0 and run.state.gap1 == 0.0:
                             run = replay(springs[k], run, window, flights, lanes.cache)
                         if not exact:
-                            sin, cos = sincos(run.phase)
-                        p = _scalar_phase(springs[k], run, sin, cos)
+                            phi = plate_phase(run.phase)
+                        p = _scalar_phase(springs[k], run, phi)
                     if variations is not None and not lanes.followed[k]:
                         lyapunov.carry_run(springs[k], before, run, p, window, variations)
                     started = run
@@ -206,9 +216,8 @@ def _walk(
                         lyapunov.start_variations(variations)
                 exact = table is not None and not known
                 if table is not None:
-                    if not known:
-                        sin, cos = sincos(run.phase)
-                    loaded = load_lane(springs[k], table, k, run, sin, cos, cell.horizon_of(run))
+                    phi = PlatePhase(run.phase, phi.sin, phi.cos) if known else plate_phase(run.phase)
+                    loaded = load_lane(springs[k], table, k, run, phi, cell.horizon_of(run))
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
             runs[k] = run
         if table is not None and steps > 0:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cell import BUDGET, SHORTEST_FLIGHT
-from kernel.interface import Phase, State, contact, contact_force, flies, flight, prepare, rest
+from kernel.interface import Phase, State, contact, contact_force, flies, flight, plate_phase, prepare, rest
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Cell, KernelInputError, check_arrays
@@ -50,9 +50,7 @@ class _Point(NamedTuple):
     def until(self, spring: Any, time: float, budget: int) -> Phase:
         """The contact or flight that begins here, cut off at this phase of the plate."""
         run = flight if self.in_flight else contact
-        phase: Phase = run(
-            spring, self.phase, *sincos(self.phase), self.state, max(time - self.at, 0.0), budget
-        )
+        phase: Phase = run(spring, plate_phase(self.phase), self.state, max(time - self.at, 0.0), budget)
         return phase
 
     def after(self, p: Phase) -> "_Point":
@@ -81,7 +79,7 @@ def sample(
     begin = 0.0 if state is None else float(state[0])
     times = begin + np.arange(periods * samples + 1, dtype=np.float64) * (TWO_PI / samples)
     first = rest(spring) if state is None else State(*map(float, state[2:]))
-    here = _Point(begin, 0, bool(flies(spring, begin, first)), first)
+    here = _Point(begin, 0, bool(flies(spring, plate_phase(begin), first)), first)
     under_way = (
         here.in_flight and state is not None and state[1] != 0.0
     )  # a flight from before is not counted
@@ -113,5 +111,5 @@ def sample(
 def _sampled(spring: Any, here: _Point, time: float, budget: int) -> tuple[float, float, float]:
     """Gap, elongation and force at `time` within the phase that begins `here`."""
     state = here.until(spring, time, budget).state if time > here.at else here.state
-    force = 0.0 if here.in_flight else contact_force(spring, sincos(time)[1], state)
+    force = 0.0 if here.in_flight else contact_force(spring, plate_phase(time), state)
     return state.gap, state.q, force

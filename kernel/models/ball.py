@@ -15,11 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cell import Progress, Window, at_period, horizon_of, record
-from kernel.interface import Phase, State, contact, contact_force, flies, flight, prepare, replay, rest
+from kernel.interface import (
+    Phase,
+    PlatePhase,
+    State,
+    contact,
+    contact_force,
+    flies,
+    flight,
+    plate_phase,
+    prepare,
+    replay,
+    rest,
+)
 from kernel.models.contact_law import chatter_completes, chatter_time
 from kernel.models.flight import Flight, begin_flight, landing, short_hop, state_after
 from kernel.modes import Flights
-from kernel.numerics.elementary import TWO_PI, sincos
+from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import Oscillator
@@ -97,43 +109,42 @@ def takes_off(phi_lift: float, phi: float, state: State) -> bool:
 
 
 @inlined
-def fall(b: Ball, phi: float, sin: float, cos: float, state: State) -> Flight:
+def fall(b: Ball, phi: PlatePhase, state: State) -> Flight:
     """The flight from gap >= 0 and gap' at phi in [0, 2 pi). From rest, cos(phi) is 1/Gamma exactly."""
-    if takes_off(b.phi_lift, phi, state):
-        sin, cos = -b.sin_lift, b.gravity
-    return begin_flight(STILL, b.gravity, phi, sin, cos, _state(state.gap, state.gap1))
+    if takes_off(b.phi_lift, phi.rad, state):
+        phi = PlatePhase(phi.rad, -b.sin_lift, b.gravity)
+    return begin_flight(STILL, b.gravity, phi, _state(state.gap, state.gap1))
 
 
 @jit
-def _stays(b: Ball, phi: float, hop: float, n: float, n1: float) -> bool:
-    """Whether a ball that leaves at velocity `hop`, pressed back with n, is taken to chatter in contact."""
-    if plate_recedes(b.phi_lift, phi):
+def _stays(b: Ball, phi: PlatePhase, hop: float) -> bool:
+    """Whether a ball that leaves at velocity `hop` is taken to chatter in contact; phi in [0, 2 pi)."""
+    if plate_recedes(b.phi_lift, phi.rad):
         return False
-    return hop <= 0.0 or chatter_completes(hop, n, n1, 1.0, b.restitution)
+    return hop <= 0.0 or chatter_completes(hop, b.gravity - phi.cos, phi.sin, 1.0, b.restitution)
 
 
 @flies.register(Ball)
 @jit
-def _flies(b: Ball, phi: float, state: State) -> bool:
+def _flies(b: Ball, phi: PlatePhase, state: State) -> bool:
     """Off the plate, or leaving it."""
     if state.gap > 0.0 or state.gap1 < 0.0:
         return True
-    sin, cos = sincos(phi)
-    return not _stays(b, phi, state.gap1, b.gravity - cos, sin)
+    return not _stays(b, phi, state.gap1)
 
 
 @contact.register(Ball)
 @jit
-def _contact(b: Ball, phi: float, sin: float, cos: float, state: State, horizon: float, budget: int) -> Phase:
+def _contact(b: Ball, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """With gap' > 0 the rest of the chatter, which ends in a contact; else resting until take-off."""
     if budget <= 0:
         return Phase(0.0, BUDGET_EXHAUSTED, False, _state(0.0, state.gap1), 0)
     if state.gap1 > 0.0:
-        end = chatter_time(state.gap1, b.gravity - cos, sin, b.restitution)
+        end = chatter_time(state.gap1, b.gravity - phi.cos, phi.sin, b.restitution)
         if end >= horizon:  # in a geometric series the hop velocity falls linearly in time
             return Phase(horizon, HORIZON, False, _state(0.0, state.gap1 * (1.0 - horizon / end)), 1)
         return Phase(end, ROOT, False, _state(0.0, 0.0), 1)
-    wait = max(TWO_PI - b.phi_lift - phi, 0.0) if b.phi_lift > 0.0 else horizon
+    wait = max(TWO_PI - b.phi_lift - phi.rad, 0.0) if b.phi_lift > 0.0 else horizon
     if wait >= horizon:
         return Phase(horizon, HORIZON, False, _state(0.0, 0.0), 1)
     return Phase(wait, ROOT, True, _state(0.0, 0.0), 1)
@@ -141,48 +152,44 @@ def _contact(b: Ball, phi: float, sin: float, cos: float, state: State, horizon:
 
 @flight.register(Ball)
 @jit
-def _flight(b: Ball, phi: float, sin: float, cos: float, state: State, horizon: float, budget: int) -> Phase:
+def _flight(b: Ball, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """In flight until landing, then the impact."""
     if budget <= 0:
         return Phase(0.0, BUDGET_EXHAUSTED, True, _state(state.gap, state.gap1), 0)
-    p = fall(b, phi, sin, cos, state)
+    p = fall(b, phi, state)
     if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
         end = short_hop(p, 0.0, 0.0, horizon, budget)
         if end.served:
-            return _land(b, phi + end.tau, end.sin, end.cos, end.tau, end.state.gap1, end.used)
+            return _land(b, end.phi, end.tau, end.state.gap1, end.used)
     tau, ending, used = landing(p, 0.0, horizon, budget)
     gap, gap1, _, _ = state_after(p, tau)
     if ending != ROOT:
         return Phase(tau, ending, True, _state(max(gap, 0.0), gap1), used)
-    sin, cos = sincos(phi + tau)
-    return _land(b, phi + tau, sin, cos, tau, gap1, used)
+    return _land(b, plate_phase(phi.rad + tau), tau, gap1, used)
 
 
 @inlined
-def _land(b: Ball, phi: float, sin: float, cos: float, tau: float, impact: float, used: int) -> Phase:
-    """The end of a flight that lands at the phase phi with gap' = `impact`."""
+def _land(b: Ball, phi: PlatePhase, tau: float, impact: float, used: int) -> Phase:
+    """The end of a flight that lands at phi with gap' = `impact`."""
     hop = max(-b.restitution * impact, 0.0)
-    phi -= TWO_PI * math.floor(phi / TWO_PI)
-    return Phase(tau, ROOT, not _stays(b, phi, hop, b.gravity - cos, sin), _state(0.0, hop), used)
+    phi = PlatePhase(phi.rad - TWO_PI * math.floor(phi.rad / TWO_PI), phi.sin, phi.cos)
+    return Phase(tau, ROOT, not _stays(b, phi, hop), _state(0.0, hop), used)
 
 
 @contact_force.register(Ball)
 @jit
-def _contact_force(b: Ball, cos: float, state: State) -> float:
+def _contact_force(b: Ball, phi: PlatePhase, state: State) -> float:
     """n of a ball at rest on the plate; 0 where rounding makes it negative."""
-    return max(b.gravity - cos, 0.0)
+    return max(b.gravity - phi.cos, 0.0)
 
 
 @jit
-def _fill_cache(b: Ball, phi: float, budget: int, cache: Any) -> None:
-    """Cache the phases from the take-off from rest at phi to the next one, or the first CACHED_PHASES."""
+def _fill_cache(b: Ball, rad: float, budget: int, cache: Any) -> None:
+    """Cache the phases from the take-off from rest at `rad` to the next one, or the first CACHED_PHASES."""
     flying, hop = True, 0.0
     for k in range(CACHED_PHASES):
-        sin, cos = sincos(phi)
-        if flying:
-            p = _flight(b, phi, sin, cos, _state(0.0, hop), math.inf, budget)
-        else:
-            p = _contact(b, phi, sin, cos, _state(0.0, hop), math.inf, budget)
+        phi, state = plate_phase(rad), _state(0.0, hop)
+        p = _flight(b, phi, state, math.inf, budget) if flying else _contact(b, phi, state, math.inf, budget)
         if p.ending != ROOT:
             return
         at = FIRST + WIDTH * k
@@ -191,8 +198,8 @@ def _fill_cache(b: Ball, phi: float, budget: int, cache: Any) -> None:
         cache[COUNT] = k + 1
         if not flying and p.in_flight:
             return
-        phi += p.tau
-        phi -= TWO_PI * math.floor(phi * (1.0 / TWO_PI))
+        rad += p.tau
+        rad -= TWO_PI * math.floor(rad * (1.0 / TWO_PI))
         flying, hop = p.in_flight, p.state.gap1
 
 

@@ -17,7 +17,7 @@ kappa gap + beta gap' cancels. So an overdamped mode is carried by its two ampli
 import math
 from typing import Final, NamedTuple
 
-from kernel.interface import State
+from kernel.interface import PlatePhase, State
 from kernel.models.contact_law import contact_constants, static_state
 from kernel.numerics.elementary import TWO_PI, exp, sincos
 from kernel.numerics.first_root import EPS, Terms, terms
@@ -353,31 +353,28 @@ def combine(
 
 
 @inlined
-def modes_of(s: SoftSpring, sin: float, cos: float, state: State) -> ModalState:
-    """The free modes of a state: what is left without the static and driven parts; sin, cos of the phase."""
+def modes_of(s: SoftSpring, phi: PlatePhase, state: State) -> ModalState:
+    """The free modes of a state at phi: what is left without the static and driven parts."""
     gap, gap1, q, q1 = state
-    q -= s.static_elongation + s.q_re * cos - s.q_im * sin
-    q1 += s.q_re * sin + s.q_im * cos
-    gap -= s.static_gap + s.g_re * cos - s.g_im * sin
-    gap1 += s.g_re * sin + s.g_im * cos
+    q -= s.static_elongation + s.q_re * phi.cos - s.q_im * phi.sin
+    q1 += s.q_re * phi.sin + s.q_im * phi.cos
+    gap -= s.static_gap + s.g_re * phi.cos - s.g_im * phi.sin
+    gap1 += s.g_re * phi.sin + s.g_im * phi.cos
     return separate(s, State(gap, gap1, q, q1))
 
 
 @inlined
 def state_of(
-    s: SoftSpring, m: ModalState, sin: float, cos: float, gap_over: tuple[float, float, float],
+    s: SoftSpring, m: ModalState, phi: PlatePhase, gap_over: tuple[float, float, float],
     elongation_over: tuple[float, float, float],
 ) -> State:  # fmt: skip
-    """The state some time after the modes were `m`, of which these are the propagators.
-
-    sin and cos are of the plate's phase then.
-    """
+    """The state at phi, some time after the modes were `m`, of which these are the propagators."""
     gap, gap1, q, q1 = combine(s, m, gap_over, elongation_over)
     return State(
-        s.static_gap + s.g_re * cos - s.g_im * sin + gap,
-        -(s.g_re * sin + s.g_im * cos) + gap1,
-        s.static_elongation + s.q_re * cos - s.q_im * sin + q,
-        -(s.q_re * sin + s.q_im * cos) + q1,
+        s.static_gap + s.g_re * phi.cos - s.g_im * phi.sin + gap,
+        -(s.g_re * phi.sin + s.g_im * phi.cos) + gap1,
+        s.static_elongation + s.q_re * phi.cos - s.q_im * phi.sin + q,
+        -(s.q_re * phi.sin + s.q_im * phi.cos) + q1,
     )
 
 

@@ -27,7 +27,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import Phase, State, contact, contact_force, flies, flight, prepare, rest
+from kernel.interface import Phase, PlatePhase, State, contact, contact_force, flies, flight, prepare, rest
 from kernel.models.contact_law import contact_constants, lifted_off, plate_force, static_state
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, NON_FINITE, ROOT
@@ -214,7 +214,7 @@ def plate(
 
 @contact_force.register(SteppedSpring)
 @jit
-def _contact_force(s: SteppedSpring, cos: float, state: State) -> float:
+def _contact_force(s: SteppedSpring, phi: PlatePhase, state: State) -> float:
     """n in contact."""
     return plate_force(s.contact.kappa, s.contact.beta, state.gap, state.gap1)
 
@@ -250,7 +250,7 @@ def _rest(s: SteppedSpring) -> State:
 
 @flies.register(SteppedSpring)
 @jit
-def _flies(s: SteppedSpring, phi: float, state: State) -> bool:
+def _flies(s: SteppedSpring, phi: PlatePhase, state: State) -> bool:
     """Not in contact under the cell's law, with 1 : lead for kappa : beta."""
     return lifted_off(state.gap, state.gap1, 1.0, s.flight.lead)
 
@@ -330,11 +330,9 @@ def _run(
 
 @contact.register(SteppedSpring)
 @jit
-def _contact(
-    s: SteppedSpring, phi: float, sin: float, cos: float, state: State, horizon: float, budget: int
-) -> Phase:
+def _contact(s: SteppedSpring, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """In contact until take-off. The budget counts contacts and flights; steps have a limit of their own."""
-    tau, ending, x = _run(s, s.contact, phi, state, horizon, budget)
+    tau, ending, x = _run(s, s.contact, phi.rad, state, horizon, budget)
     if ending == ROOT and s.contact.lead == 0.0 and not s.plain:
         x = State(max(x.gap, 0.0), max(x.gap1, 0.0), x.q, x.q1)
     return Phase(tau, ending, ending == ROOT, x, 1)
@@ -342,11 +340,9 @@ def _contact(
 
 @flight.register(SteppedSpring)
 @jit
-def _flight(
-    s: SteppedSpring, phi: float, sin: float, cos: float, state: State, horizon: float, budget: int
-) -> Phase:
+def _flight(s: SteppedSpring, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """In flight until contact returns; from below the surface perhaps rising: its velocity stays."""
-    tau, ending, x = _run(s, s.flight, phi, state, horizon, budget)
+    tau, ending, x = _run(s, s.flight, phi.rad, state, horizon, budget)
     if ending == ROOT and not s.plain:
         x = State(min(x.gap, 0.0), min(x.gap1, 0.0) if state.gap >= 0.0 else x.gap1, x.q, x.q1)
     return Phase(tau, ending, ending != ROOT, x, 1)

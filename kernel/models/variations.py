@@ -17,13 +17,12 @@ from typing import Any
 import numpy as np
 
 from kernel import interface
-from kernel.interface import Phase, State
+from kernel.interface import Phase, PlatePhase, State, plate_phase
 from kernel.models import flight
 from kernel.models.ball import Ball, BallPlate, fall
 from kernel.models.rigid import RigidPlate, Spring
 from kernel.models.soft import SoftPlate
 from kernel.models.soft_contact import SoftSpring, combine, separate
-from kernel.numerics.elementary import sincos
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import Oscillator, propagator, response
 from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, SPRING_DIMENSION
@@ -105,7 +104,7 @@ def _rigid_takeoff(s: Spring, vectors: Any, end: Phase) -> None:
 
 @interface.carry_through_landing.register(Spring)
 @jit
-def _rigid_landing(s: Spring, vectors: Any, phi: float, state: State, end: Phase) -> None:
+def _rigid_landing(s: Spring, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
     """Sticking, which needs no dphi; a hop; or, with a hop of velocity zero, a new take-off at once."""
     if not end.in_flight:
         for k in range(len(vectors)):
@@ -115,11 +114,10 @@ def _rigid_landing(s: Spring, vectors: Any, phi: float, state: State, end: Phase
     if end.state.gap1 > 0.0:
         e, impact = s.restitution, -end.state.gap1 / s.restitution
     else:
-        sin, cos = sincos(phi)
-        e, p = 0.0, flight.begin_flight(s.flight, s.gravity, phi, sin, cos, state)
+        e, p = 0.0, flight.begin_flight(s.flight, s.gravity, phi, state)
         _, impact, _, _ = flight.state_after(p, end.tau)
-    _, cos = sincos(phi + end.tau)
-    after2 = cos - s.gravity + s.dashpot * end.state.q1 + s.stiffness * end.state.q  # gap''
+    q, q1 = end.state.q, end.state.q1
+    after2 = plate_phase(phi.rad + end.tau).cos - s.gravity + s.dashpot * q1 + s.stiffness * q  # gap''
     before2 = after2 - s.dashpot * (1.0 + e) * impact
     for k in range(len(vectors)):
         g, g1, dq, dq1 = _get(vectors, k)
@@ -161,7 +159,7 @@ def _soft_takeoff(s: SoftSpring, vectors: Any, end: Phase) -> None:
 
 @interface.carry_through_landing.register(SoftSpring)
 @jit
-def _soft_landing(s: SoftSpring, vectors: Any, phi: float, state: State, end: Phase) -> None:
+def _soft_landing(s: SoftSpring, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
     """The force jumps from 0 to -beta W. In a contact that returns below the surface it rises from 0."""
     if end.state.gap < 0.0:
         return
@@ -198,7 +196,7 @@ def _ball_flight(b: Ball, vectors: Any, tau: float) -> None:
 
 @interface.carry_through_landing.register(Ball)
 @jit
-def _ball_landing(b: Ball, vectors: Any, phi: float, state: State, end: Phase) -> None:
+def _ball_landing(b: Ball, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
     """A hop, or with a hop of velocity zero a new take-off at once; else the ball comes to rest."""
     if not end.in_flight:
         _forget(vectors)
@@ -206,11 +204,9 @@ def _ball_landing(b: Ball, vectors: Any, phi: float, state: State, end: Phase) -
     if end.state.gap1 > 0.0:
         e, impact = b.restitution, -end.state.gap1 / b.restitution
     else:
-        sin, cos = sincos(phi)
-        e, p = 0.0, fall(b, phi, sin, cos, state)
+        e, p = 0.0, fall(b, phi, state)
         _, impact, _, _ = flight.state_after(p, end.tau)
-    _, cos = sincos(phi + end.tau)
-    gap2 = cos - b.gravity
+    gap2 = plate_phase(phi.rad + end.tau).cos - b.gravity
     for k in range(len(vectors)):
         g, g1, _, _ = _get(vectors, k)
         dphi = _delay(g, impact)

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import Phase, State, contact, contact_force, flies, flight, prepare, rest
+from kernel.interface import Phase, PlatePhase, State, contact, contact_force, flies, flight, prepare, rest
 from kernel.numerics.first_root import HORIZON
 from kernel.numerics.jit import jit
 from kernel.params import check_arrays
@@ -46,28 +46,26 @@ def _rest(g: Glued) -> State:
 
 @flies.register(Glued)
 @jit
-def _flies(g: Glued, phi: float, state: State) -> bool:
+def _flies(g: Glued, phi: PlatePhase, state: State) -> bool:
     return False
 
 
 @contact.register(Glued)
 @jit
-def _contact(
-    g: Glued, phi: float, sin: float, cos: float, state: State, horizon: float, budget: int
-) -> Phase:
-    return Phase(horizon, HORIZON, False, State(0.0, 0.0, cos, 0.0), 1)
+def _contact(g: Glued, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
+    return Phase(horizon, HORIZON, False, State(0.0, 0.0, phi.cos, 0.0), 1)
 
 
 @flight.register(Glued)
 @jit
-def _flight(g: Glued, phi: float, sin: float, cos: float, state: State, horizon: float, budget: int) -> Phase:
+def _flight(g: Glued, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     return Phase(horizon, HORIZON, False, State(0.0, 0.0, 0.0, 0.0), 1)
 
 
 @contact_force.register(Glued)
 @jit
-def _contact_force(g: Glued, cos: float, state: State) -> float:
-    return g.gravity - cos
+def _contact_force(g: Glued, phi: PlatePhase, state: State) -> float:
+    return g.gravity - phi.cos
 
 
 class GluedFields(ContactFields):

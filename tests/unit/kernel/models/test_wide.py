@@ -19,8 +19,8 @@ from naive_steps import Stepper
 
 from kernel import interface
 from kernel.cell import KEPT_FLIGHTS
+from kernel.interface import plate_phase
 from kernel.models.ball import BallPlate
-from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Outcome
 from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
@@ -59,10 +59,10 @@ def test_any_ball_ends_with_an_outcome_in_time(gamma, epsilon):
 def test_any_phase_of_a_ball_obeys_the_equations_of_motion(gamma, epsilon):
     ball = interface.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
     phi, state = 0.0, interface.rest(ball)
-    flying = interface.flies(ball, phi, state)
+    flying = interface.flies(ball, plate_phase(phi), state)
     for _ in range(12):
         follow = interface.flight if flying else interface.contact
-        phase = follow(ball, phi, *sincos(phi), state, 20.0 * TWO_PI, 100_000)
+        phase = follow(ball, plate_phase(phi), state, 20.0 * TWO_PI, 100_000)
         assert phase.ending in (ROOT, HORIZON)
         assert 0.0 <= phase.tau < math.inf
         if flying:
