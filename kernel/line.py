@@ -115,6 +115,23 @@ def _scalar_phase(spring: Any, run: Progress, phi: PlatePhase) -> Phase:
     return p
 
 
+@inlined
+def _recorded(
+    spring: Any, before: Progress, started: Progress, p: Phase, k: int, window: Window, flights: Flights,
+    lanes: Lanes, variations: Variations | None,
+) -> Progress:  # fmt: skip
+    """The run of lane k after the phase `p` from `started`, which `replay` has made of `before`."""
+    first = k * flights.size
+    if variations is not None and not lanes.followed[k]:
+        lyapunov.carry_run(spring, before, started, p, window, variations)
+    run = cell.record(started, p, window, flights, first)
+    if window.settle_tolerance > 0.0:
+        run = cell.end_settling(started, run, window, flights, first)
+    if cell.may_repeat(started, run, window):
+        run = cell.skip_cycles(run, flights, first)
+    return run
+
+
 @allocating
 def _after_window(
     before: Progress, run: Progress, i: int, k: int, window: Window, line: Line, flights: Flights,
@@ -122,9 +139,10 @@ def _after_window(
 ) -> Progress:  # fmt: skip
     """The run that follows `run`, which has ended after `before`: beyond its window, or in a later one.
 
-    Writes the window's record. Where nothing follows, the run returned has ended.
+    Writes the window's record. Where nothing follows, the cell is done and the run returned has ended.
     """
     first = k * flights.size
+    lanes.cache[:] = 0.0
     if lanes.followed[k]:
         line.outcome[i] = cell.decide(line.outcome[i], run, flights, first, window)
         run, lanes.followed[k] = cell.load_run(lanes.ends[k]), False
@@ -138,9 +156,23 @@ def _after_window(
             lanes.followed[k] = True
             return cell.follow(before, window)
     run = cell.extend(run, line.outcome[i], window)
-    if variations is not None and run.ending == ROOT:
+    if run.ending != ROOT:
+        lanes.counts[1] += 1
+    elif variations is not None:
         lyapunov.begin_window(variations)
     return run
+
+
+@inlined
+def _next_cell(i: int, length: int, lines: int, counts: Any) -> int:
+    """The cell that follows cell i, or an empty lane's -1: of its line or of the next; -1 after the last."""
+    if (i + 1) % length:
+        return i + 1
+    if counts[0] == lines:
+        return -1
+    counts[0] += 1
+    first: int = (counts[0] - 1) * length
+    return first
 
 
 @allocating
@@ -170,53 +202,37 @@ def _walk(
             k = index_of(lane)
             if (index[k] < 0 and counts[0] == lines) or (index[k] >= 0 and _searching(table, k)):
                 continue
-            run, first = runs[k], k * flights.size
-            # whether this is plate_phase(run.phase) to the last digit, as a run paused here would compute it
+            run = runs[k]
+            # whether phi is plate_phase(run.phase) to the last digit, as a run paused here would compute it
             exact, phi = False, PlatePhase(0.0, 0.0, 1.0)
             while steps > 0 and (index[k] < 0 or not _searching(table, k)):
                 steps -= 1
-                i, known = index[k], False
-                ends = i < 0
-                if not ends:
+                i, turned = index[k], False  # whether phi is where the search of lane k ended
+                if i >= 0:
                     before = run
                     if table is not None and _ended(table, k, run):
                         p, phi = unload_lane(springs[k], table, k, run)
-                        known = True
+                        turned = True
                     else:
                         if run.in_flight and run.state.gap == 0.0 and run.state.gap1 == 0.0:
                             run = replay(springs[k], run, window, flights, lanes.cache)
-                        if not exact:
-                            phi = plate_phase(run.phase)
+                        phi = phi if exact else plate_phase(run.phase)
                         p = _scalar_phase(springs[k], run, phi)
-                    if variations is not None and not lanes.followed[k]:
-                        lyapunov.carry_run(springs[k], before, run, p, window, variations)
-                    started = run
-                    run = cell.record(started, p, window, flights, first)
-                    if window.settle_tolerance > 0.0:
-                        run = cell.end_settling(started, run, window, flights, first)
-                    if cell.may_repeat(started, run, window):
-                        run = cell.skip_cycles(run, flights, first)
+                    run = _recorded(springs[k], before, run, p, k, window, flights, lanes, variations)
                     if run.ending != ROOT:
                         run = _after_window(before, run, i, k, window, line, flights, lanes, variations)
-                        lanes.cache[:] = 0.0
-                        known, ends = False, run.ending != ROOT
-                        counts[1] += 1 if ends else 0
-                if ends:
-                    i += 1
-                    if i % length == 0:  # the next line
-                        index[k] = -1
-                        if counts[0] == lines:
-                            break
-                        i = counts[0] * length
-                        counts[0] += 1
-                    index[k] = i
+                        turned = False
+                if i < 0 or run.ending != ROOT:
+                    index[k] = i = _next_cell(i, length, lines, counts)
+                    if i < 0:
+                        break
                     springs[k] = prepare(plate, i, gamma[i], omega[i], xi[i])
                     run = cell.begin(springs[k], i, length, gamma, omega, states, run, state, window)
                     if variations is not None:
                         lyapunov.start_variations(variations)
-                exact = table is not None and not known
                 if table is not None:
-                    phi = PlatePhase(run.phase, phi.sin, phi.cos) if known else plate_phase(run.phase)
+                    phi = PlatePhase(run.phase, phi.sin, phi.cos) if turned else plate_phase(run.phase)
+                    exact = not turned
                     loaded = load_lane(springs[k], table, k, run, phi, cell.horizon_of(run))
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
             runs[k] = run
