@@ -139,7 +139,7 @@ def differences(cell, here: Point, span: float, directions: list[int]) -> np.nda
         def end(step):
             state = list(here.state)
             state[component] += step
-            after, passed = moved(cell, Point(here.phi, here.flying, tuple(state)), span)
+            after, passed = moved(cell, Point(here.phi, here.flying, State(*state)), span)
             # another sequence of events: not in the neighbourhood
             return np.array(after.state) if passed == expected else None
 
