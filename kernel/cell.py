@@ -9,10 +9,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel import modes
-from kernel.interface import flies, rest
+from kernel.interface import Phase, State, flies, plate_phase, rest
 from kernel.modes import CHECK, Flights, slot
 from kernel.numerics.elementary import TWO_PI
-from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
+from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT
 from kernel.numerics.jit import allocating, compilable, inlined, jit
 from kernel.params import BUDGET, Line, Outcome, periods_followed
 
@@ -47,10 +47,7 @@ class Progress(NamedTuple):
     phase: float  # of the plate, rad modulo 2 pi
     period: int  # plate periods since the cell began
     in_flight: bool
-    gap: float
-    gap1: float
-    q: float
-    q1: float
+    state: State
     takeoff_phase: float
     takeoff_period: int  # -1 for a flight under way at the start or at an extension: it is not recorded
     recorded: int  # flights that took off and landed inside the window (or so far, while settling)
@@ -62,7 +59,7 @@ class Progress(NamedTuple):
 
 
 #: Numbers that `store_run` writes.
-RUN_FIELDS: Final = len(Progress._fields)
+RUN_FIELDS: Final = len(Progress._fields) - 1 + len(State._fields)
 
 
 @jit
@@ -84,16 +81,50 @@ def begin(
         given = run.ending != NON_FINITE
         store_state(run, state)
         rescale(state, gamma[i - 1], omega[i - 1], gamma[i], omega[i])
+    here = State(state[2], state[3], state[4], state[5])
     if not given:
-        state[0], state[1] = 0.0, 0.0
-        state[2], state[3], state[4], state[5] = rest(cell)
-    in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
+        state[0], state[1], here = 0.0, 0.0, rest(cell)
+    in_flight = flies(cell, plate_phase(state[0]), here)
     takes_off = in_flight and state[1] == 0.0  # now, so that the flight is recorded
     end = window.settle + window.observe
     return Progress(
-        state[0], 0, in_flight, state[2], state[3], state[4], state[5], state[0], 0 if takes_off else -1,
-        0, False, BUDGET * end, ROOT, window.settle, end,
-    )  # fmt: skip
+        phase=state[0],
+        period=0,
+        in_flight=in_flight,
+        state=here,
+        takeoff_phase=state[0],
+        takeoff_period=0 if takes_off else -1,
+        recorded=0,
+        flew=False,
+        budget=BUDGET * end,
+        ending=ROOT,
+        settle=window.settle,
+        end=end,
+    )
+
+
+@inlined
+def changed(
+    run: Progress, phase: float | None = None, period: int | None = None, in_flight: bool | None = None,
+    state: State | None = None, takeoff_phase: float | None = None, takeoff_period: int | None = None,
+    recorded: int | None = None, flew: bool | None = None, budget: int | None = None,
+    ending: int | None = None, settle: int | None = None, end: int | None = None,
+) -> Progress:  # fmt: skip
+    """`run` with the fields that are given: numba does not compile `run._replace`."""
+    return Progress(
+        phase=run.phase if phase is None else phase,
+        period=run.period if period is None else period,
+        in_flight=run.in_flight if in_flight is None else in_flight,
+        state=run.state if state is None else state,
+        takeoff_phase=run.takeoff_phase if takeoff_phase is None else takeoff_phase,
+        takeoff_period=run.takeoff_period if takeoff_period is None else takeoff_period,
+        recorded=run.recorded if recorded is None else recorded,
+        flew=run.flew if flew is None else flew,
+        budget=run.budget if budget is None else budget,
+        ending=run.ending if ending is None else ending,
+        settle=run.settle if settle is None else settle,
+        end=run.end if end is None else end,
+    )
 
 
 @jit
@@ -140,19 +171,19 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
     if ending == HORIZON or (ending == ROOT and period >= run.end):
         # rounding of phase + tau may leave `period` one short
         phase, period, ending = 0.0, run.end, HORIZON
-    return Progress(
-        phase, period, p.in_flight, p.gap, p.gap1, p.q, p.q1,
-        phase, period, recorded, flew, run.budget - p.used, ending, run.settle, run.end,
+    return changed(
+        run, phase=phase, period=period, in_flight=p.in_flight, state=p.state, takeoff_phase=phase,
+        takeoff_period=period, recorded=recorded, flew=flew,
+        budget=run.budget - p.used, ending=ending,
     )  # fmt: skip
 
 
 @jit
 def at_period(run: Progress, period: int, recorded: int, flew: bool) -> Progress:
     """`run` in another plate period, where a flight that begins takes off."""
-    return Progress(
-        run.phase, period, run.in_flight, run.gap, run.gap1, run.q, run.q1, run.phase, period,
-        recorded, flew, run.budget, run.ending, run.settle, run.end,
-    )  # fmt: skip
+    return changed(
+        run, period=period, takeoff_phase=run.phase, takeoff_period=period, recorded=recorded, flew=flew
+    )
 
 
 @allocating
@@ -197,11 +228,7 @@ def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
 def follow(before: Progress, window: Window) -> Progress:
     """A run beyond its window, from `before` the phase in which that ended, which stays one phase."""
     added = periods_followed(window.observe)
-    return Progress(
-        before.phase, before.period, before.in_flight, before.gap, before.gap1, before.q, before.q1,
-        before.takeoff_phase, before.takeoff_period, before.recorded, before.flew,
-        before.budget + BUDGET * added, before.ending, before.settle, before.end + added,
-    )  # fmt: skip
+    return changed(before, budget=before.budget + BUDGET * added, end=before.end + added)
 
 
 @jit
@@ -223,9 +250,9 @@ def extend(run: Progress, outcome: int, window: Window) -> Progress:
     added = min(run.end, window.settle_until - run.end)
     if outcome != SETTLING or added < window.observe:
         return run
-    return Progress(
-        run.phase, run.period, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, -1, 0, False, run.budget + BUDGET * added, ROOT, run.settle + added, run.end + added,
+    return changed(
+        run, takeoff_phase=run.phase, takeoff_period=-1, recorded=0, flew=False,
+        budget=run.budget + BUDGET * added, ending=ROOT, settle=run.settle + added, end=run.end + added,
     )  # fmt: skip
 
 
@@ -233,7 +260,7 @@ def extend(run: Progress, outcome: int, window: Window) -> Progress:
 def store_run(run: Progress, numbers: Any) -> None:
     """Write a run to `numbers` (RUN_FIELDS,) float64. Its integers are far below 2**53."""
     numbers[0], numbers[1], numbers[2] = run.phase, run.period, run.in_flight
-    numbers[3], numbers[4], numbers[5], numbers[6] = run.gap, run.gap1, run.q, run.q1
+    numbers[3], numbers[4], numbers[5], numbers[6] = run.state
     numbers[7], numbers[8], numbers[9] = run.takeoff_phase, run.takeoff_period, run.recorded
     numbers[10], numbers[11], numbers[12], numbers[13] = run.flew, run.budget, run.ending, run.settle
     numbers[14] = run.end
@@ -243,17 +270,26 @@ def store_run(run: Progress, numbers: Any) -> None:
 def load_run(numbers: Any) -> Progress:
     """The run that `store_run` has written."""
     return Progress(
-        numbers[0], int(numbers[1]), numbers[2] != 0.0, numbers[3], numbers[4], numbers[5], numbers[6],
-        numbers[7], int(numbers[8]), int(numbers[9]), numbers[10] != 0.0, int(numbers[11]),
-        int(numbers[12]), int(numbers[13]), int(numbers[14]),
-    )  # fmt: skip
+        phase=numbers[0],
+        period=int(numbers[1]),
+        in_flight=numbers[2] != 0.0,
+        state=State(numbers[3], numbers[4], numbers[5], numbers[6]),
+        takeoff_phase=numbers[7],
+        takeoff_period=int(numbers[8]),
+        recorded=int(numbers[9]),
+        flew=numbers[10] != 0.0,
+        budget=int(numbers[11]),
+        ending=int(numbers[12]),
+        settle=int(numbers[13]),
+        end=int(numbers[14]),
+    )
 
 
 @jit
 def store_state(run: Progress, state: Any) -> None:
     """Write the run's current state to `state` (6,), see params.STATE_FIELDS."""
     state[0], state[1] = run.phase, 1.0 if run.in_flight else 0.0
-    state[2], state[3], state[4], state[5] = run.gap, run.gap1, run.q, run.q1
+    state[2], state[3], state[4], state[5] = run.state
 
 
 @allocating

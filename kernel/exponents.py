@@ -15,8 +15,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel import interface
+from kernel.interface import Phase, plate_phase
 from kernel.numerics.elementary import TWO_PI
-from kernel.numerics.first_root import HORIZON, ROOT, Phase
+from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.numerics.jit import inlined, jit
 from kernel.params import KernelInputError
 from kernel.portable_math import log
@@ -182,7 +183,7 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
             _orthonormalise(variations, (run.period + turn - run.settle - 0.5) / window.observe)
     if p.ending == ROOT:
         if run.in_flight:
-            interface.carry_through_landing(cell, vectors, run.phase, run.gap, run.gap1, run.q, run.q1, p)
+            interface.carry_through_landing(cell, vectors, plate_phase(run.phase), run.state, p)
         else:
             interface.carry_through_takeoff(cell, vectors, p)
 

@@ -2,16 +2,48 @@
 
 A model has a *plate*, the contact under each cell of a line, and a *cell*, the constants of one cell. Its
 module has a function `plate`, which makes the former from checked arrays (n,), and registers the functions
-below. A state is (gap, gap', q, q'): the lower mass above the plate and the elongation, in plate
-amplitudes, with their velocities per rad; phi is the plate's phase in rad, sin and cos are of it. Times are
-in rad from the start of a contact or flight; a horizon is the time at which it is cut off, a budget the
-number of evaluations of a phase function it may use.
+below. Times are in rad from the start of a contact or flight; a horizon is the time at which it is cut off, a
+budget the number of evaluations of a phase function it may use.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
-from kernel.numerics.first_root import Phase
-from kernel.numerics.jit import by_type, jit
+from kernel.numerics.elementary import sincos
+from kernel.numerics.jit import by_type, inlined, jit
+
+
+class PlatePhase(NamedTuple):
+    """The plate's phase phi, with its sine and cosine."""
+
+    rad: float
+    sin: float
+    cos: float
+
+
+@inlined
+def plate_phase(rad: float) -> PlatePhase:
+    """The plate's phase at this angle."""
+    sin, cos = sincos(rad)
+    return PlatePhase(rad, sin, cos)
+
+
+class State(NamedTuple):
+    """Where the spring is, relative to the plate, in plate amplitudes and plate amplitudes per rad."""
+
+    gap: float  # of the lower mass above the plate
+    gap1: float
+    q: float  # the elongation
+    q1: float
+
+
+class Phase(NamedTuple):
+    """The end of one contact or flight."""
+
+    tau: float  # rad since it began
+    ending: int  # first_root.ROOT, HORIZON, BUDGET_EXHAUSTED or NON_FINITE
+    in_flight: bool  # whether the next phase is a flight
+    state: State
+    used: int  # evaluations
 
 
 @by_type
@@ -20,34 +52,32 @@ def prepare(plate: Any, i: int, gamma: float, omega: float, xi: float) -> Any:
 
 
 @by_type
-def rest(cell: Any) -> tuple[float, float, float, float]:  # type: ignore[empty-body]
+def rest(cell: Any) -> State:  # type: ignore[empty-body]
     """The state of a spring at rest on the plate at phase zero."""
 
 
 @by_type
-def flies(cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:  # type: ignore[empty-body]
+def flies(cell: Any, phi: PlatePhase, state: State) -> bool:  # type: ignore[empty-body]
     """Whether a phase that begins with this state is a flight."""
 
 
 @by_type
 def contact(  # type: ignore[empty-body]
-    cell: Any, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
+    cell: Any, phi: PlatePhase, state: State, horizon: float, budget: int
 ) -> Phase:  # fmt: skip
     """The contact that begins with this state, to its take-off or to the horizon."""
 
 
 @by_type
 def flight(  # type: ignore[empty-body]
-    cell: Any, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
+    cell: Any, phi: PlatePhase, state: State, horizon: float, budget: int
 ) -> Phase:  # fmt: skip
     """The flight that begins with this state, to after its landing or to the horizon."""
 
 
 @by_type
-def contact_force(cell: Any, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:  # type: ignore[empty-body]
-    """The plate's force n on the lower mass in contact, in m A omega**2; `cos` is of the plate's phase."""
+def contact_force(cell: Any, phi: PlatePhase, state: State) -> float:  # type: ignore[empty-body]
+    """The plate's force n on the lower mass in contact, in m A omega**2."""
 
 
 @by_type
@@ -75,13 +105,13 @@ def advance_lanes(plate: Any, table: Any, used: int) -> None:
 
 
 @by_type
-def load_lane(cell: Any, table: Any, k: int, run: Any, sin: float, cos: float, horizon: float) -> bool:  # type: ignore[empty-body]
-    """Put the run's next phase into lane k, if lanes can compute it; sin and cos of the plate's phase."""
+def load_lane(cell: Any, table: Any, k: int, run: Any, phi: PlatePhase, horizon: float) -> bool:  # type: ignore[empty-body]
+    """Put the run's next phase into lane k, if lanes can compute it."""
 
 
 @by_type
-def unload_lane(cell: Any, table: Any, k: int, run: Any) -> tuple[Phase, float, float]:  # type: ignore[empty-body]
-    """The run's phase, which has ended in lane k, with sin and cos of the plate's phase at its end."""
+def unload_lane(cell: Any, table: Any, k: int, run: Any) -> tuple[Phase, PlatePhase]:  # type: ignore[empty-body]
+    """The run's phase, which has ended in lane k, and the plate's phase there."""
 
 
 # Variations: how small differences of the state at a fixed phase, `vectors` (n, 4) of (gap, gap', q, q'),
@@ -115,7 +145,5 @@ def carry_through_takeoff(cell: Any, vectors: Any, end: Phase) -> None:
 
 
 @by_type
-def carry_through_landing(
-    cell: Any, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
-) -> None:
-    """Carry `vectors` through the landing of the flight `end`, which began with the given state at phi."""
+def carry_through_landing(cell: Any, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
+    """Carry `vectors` through the landing of the flight `end`, which began with `state` at phi."""

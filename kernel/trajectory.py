@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cell import SHORTEST_FLIGHT
-from kernel.interface import contact, contact_force, flies, flight, prepare, rest
+from kernel.interface import Phase, State, contact, contact_force, flies, flight, plate_phase, prepare, rest
 from kernel.numerics.elementary import TWO_PI, sincos
-from kernel.numerics.first_root import HORIZON, ROOT, Phase
+from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import BUDGET, Cell, KernelInputError, check_arrays
 
 MAX_PHASES: Final = 50_000  # contacts and flights computed at most, so that a call ends within seconds
@@ -40,7 +40,7 @@ class _Point(NamedTuple):
     phase: float  # of the plate, rad modulo 2 pi, rounded as in `cell.record`
     period: int  # plate periods beside `phase`, 0 at the start
     in_flight: bool
-    state: tuple[float, float, float, float]  # gap, gap', q, q'
+    state: State
 
     @property
     def at(self) -> float:
@@ -50,16 +50,14 @@ class _Point(NamedTuple):
     def until(self, spring: Any, time: float, budget: int) -> Phase:
         """The contact or flight that begins here, cut off at this phase of the plate."""
         run = flight if self.in_flight else contact
-        phase: Phase = run(
-            spring, self.phase, *sincos(self.phase), *self.state, max(time - self.at, 0.0), budget
-        )
+        phase: Phase = run(spring, plate_phase(self.phase), self.state, max(time - self.at, 0.0), budget)
         return phase
 
     def after(self, p: Phase) -> "_Point":
         """The beginning of the phase that follows `p`, which begins here."""
         turns = math.floor((self.phase + p.tau) / TWO_PI)
         phase = self.phase + p.tau - TWO_PI * turns
-        return _Point(phase, self.period + turns, p.in_flight, (p.gap, p.gap1, p.q, p.q1))
+        return _Point(phase, self.period + turns, p.in_flight, p.state)
 
 
 def sample(
@@ -80,8 +78,8 @@ def sample(
     spring = prepare(plate, 0, float(cell.gamma), float(cell.omega), float(cell.xi))
     begin = 0.0 if state is None else float(state[0])
     times = begin + np.arange(periods * samples + 1, dtype=np.float64) * (TWO_PI / samples)
-    gap, gap1, q, q1 = rest(spring) if state is None else (float(value) for value in state[2:])
-    here = _Point(begin, 0, bool(flies(spring, begin, gap, gap1, q, q1)), (gap, gap1, q, q1))
+    first = rest(spring) if state is None else State(*map(float, state[2:]))
+    here = _Point(begin, 0, bool(flies(spring, plate_phase(begin), first)), first)
     under_way = (
         here.in_flight and state is not None and state[1] != 0.0
     )  # a flight from before is not counted
@@ -112,9 +110,6 @@ def sample(
 
 def _sampled(spring: Any, here: _Point, time: float, budget: int) -> tuple[float, float, float]:
     """Gap, elongation and force at `time` within the phase that begins `here`."""
-    gap, gap1, q, q1 = here.state
-    if time > here.at:
-        p = here.until(spring, time, budget)
-        gap, gap1, q, q1 = p.gap, p.gap1, p.q, p.q1
-    force = 0.0 if here.in_flight else contact_force(spring, sincos(time)[1], gap, gap1, q, q1)
-    return gap, q, force
+    state = here.until(spring, time, budget).state if time > here.at else here.state
+    force = 0.0 if here.in_flight else contact_force(spring, plate_phase(time), state)
+    return state.gap, state.q, force

@@ -15,12 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cell import Progress, Window, at_period, horizon_of, record
-from kernel.interface import contact, contact_force, flies, flight, prepare, replay, rest
+from kernel.interface import (
+    Phase,
+    PlatePhase,
+    State,
+    contact,
+    contact_force,
+    flies,
+    flight,
+    plate_phase,
+    prepare,
+    replay,
+    rest,
+)
 from kernel.models.contact_law import chatter_completes, chatter_time
 from kernel.models.flight import Flight, begin_flight, landing, short_hop, state_after
 from kernel.modes import Flights
-from kernel.numerics.elementary import TWO_PI, sincos
-from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT, Phase
+from kernel.numerics.elementary import TWO_PI
+from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import Oscillator
 from kernel.params import check_arrays
@@ -72,9 +84,15 @@ def _prepare(plate: BallPlate, i: int, gamma: float, omega: float, xi: float) ->
 
 @rest.register(Ball)
 @jit
-def _rest(b: Ball) -> tuple[float, float, float, float]:
+def _rest(b: Ball) -> State:
     """On the plate; a ball has no elongation."""
-    return 0.0, 0.0, 0.0, 0.0
+    return _state(0.0, 0.0)
+
+
+@inlined
+def _state(gap: float, gap1: float) -> State:
+    """A state of the ball, which has no elongation."""
+    return State(gap, gap1, 0.0, 0.0)
 
 
 @jit
@@ -84,116 +102,105 @@ def plate_recedes(phi_lift: float, phi: float) -> bool:
 
 
 @jit
-def takes_off(phi_lift: float, phi: float, gap: float, gap1: float) -> bool:
+def takes_off(phi_lift: float, phi: float, state: State) -> bool:
     """Whether this state is the take-off from rest, within TAKEOFF_TOLERANCE."""
-    return (
-        gap == 0.0 and gap1 == 0.0 and phi_lift > 0.0 and abs(phi - (TWO_PI - phi_lift)) <= TAKEOFF_TOLERANCE
-    )
+    on_plate = state.gap == 0.0 and state.gap1 == 0.0
+    return on_plate and phi_lift > 0.0 and abs(phi - (TWO_PI - phi_lift)) <= TAKEOFF_TOLERANCE
 
 
 @inlined
-def fall(b: Ball, phi: float, sin: float, cos: float, gap: float, gap1: float) -> Flight:
+def fall(b: Ball, phi: PlatePhase, state: State) -> Flight:
     """The flight from gap >= 0 and gap' at phi in [0, 2 pi). From rest, cos(phi) is 1/Gamma exactly."""
-    if takes_off(b.phi_lift, phi, gap, gap1):
-        sin, cos = -b.sin_lift, b.gravity
-    return begin_flight(STILL, b.gravity, phi, sin, cos, gap, gap1, 0.0, 0.0)
+    if takes_off(b.phi_lift, phi.rad, state):
+        phi = PlatePhase(phi.rad, -b.sin_lift, b.gravity)
+    return begin_flight(STILL, b.gravity, phi, _state(state.gap, state.gap1))
 
 
 @jit
-def _stays(b: Ball, phi: float, hop: float, n: float, n1: float) -> bool:
-    """Whether a ball that leaves at velocity `hop`, pressed back with n, is taken to chatter in contact."""
-    if plate_recedes(b.phi_lift, phi):
+def _stays(b: Ball, phi: PlatePhase, hop: float) -> bool:
+    """Whether a ball that leaves at velocity `hop` is taken to chatter in contact; phi in [0, 2 pi)."""
+    if plate_recedes(b.phi_lift, phi.rad):
         return False
-    return hop <= 0.0 or chatter_completes(hop, n, n1, 1.0, b.restitution)
+    return hop <= 0.0 or chatter_completes(hop, b.gravity - phi.cos, phi.sin, 1.0, b.restitution)
 
 
 @flies.register(Ball)
 @jit
-def _flies(b: Ball, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
+def _flies(b: Ball, phi: PlatePhase, state: State) -> bool:
     """Off the plate, or leaving it."""
-    if gap > 0.0 or gap1 < 0.0:
+    if state.gap > 0.0 or state.gap1 < 0.0:
         return True
-    sin, cos = sincos(phi)
-    return not _stays(b, phi, gap1, b.gravity - cos, sin)
+    return not _stays(b, phi, state.gap1)
 
 
 @contact.register(Ball)
 @jit
-def _contact(
-    b: Ball, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
+def _contact(b: Ball, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """With gap' > 0 the rest of the chatter, which ends in a contact; else resting until take-off."""
     if budget <= 0:
-        return Phase(0.0, BUDGET_EXHAUSTED, False, 0.0, gap1, 0.0, 0.0, 0)
-    if gap1 > 0.0:
-        end = chatter_time(gap1, b.gravity - cos, sin, b.restitution)
+        return Phase(0.0, BUDGET_EXHAUSTED, False, _state(0.0, state.gap1), 0)
+    if state.gap1 > 0.0:
+        end = chatter_time(state.gap1, b.gravity - phi.cos, phi.sin, b.restitution)
         if end >= horizon:  # in a geometric series the hop velocity falls linearly in time
-            return Phase(horizon, HORIZON, False, 0.0, gap1 * (1.0 - horizon / end), 0.0, 0.0, 1)
-        return Phase(end, ROOT, False, 0.0, 0.0, 0.0, 0.0, 1)
-    wait = max(TWO_PI - b.phi_lift - phi, 0.0) if b.phi_lift > 0.0 else horizon
+            return Phase(horizon, HORIZON, False, _state(0.0, state.gap1 * (1.0 - horizon / end)), 1)
+        return Phase(end, ROOT, False, _state(0.0, 0.0), 1)
+    wait = max(TWO_PI - b.phi_lift - phi.rad, 0.0) if b.phi_lift > 0.0 else horizon
     if wait >= horizon:
-        return Phase(horizon, HORIZON, False, 0.0, 0.0, 0.0, 0.0, 1)
-    return Phase(wait, ROOT, True, 0.0, 0.0, 0.0, 0.0, 1)
+        return Phase(horizon, HORIZON, False, _state(0.0, 0.0), 1)
+    return Phase(wait, ROOT, True, _state(0.0, 0.0), 1)
 
 
 @flight.register(Ball)
 @jit
-def _flight(
-    b: Ball, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
+def _flight(b: Ball, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """In flight until landing, then the impact."""
     if budget <= 0:
-        return Phase(0.0, BUDGET_EXHAUSTED, True, gap, gap1, 0.0, 0.0, 0)
-    p = fall(b, phi, sin, cos, gap, gap1)
+        return Phase(0.0, BUDGET_EXHAUSTED, True, _state(state.gap, state.gap1), 0)
+    p = fall(b, phi, state)
     if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
         end = short_hop(p, 0.0, 0.0, horizon, budget)
         if end.served:
-            return _land(b, phi + end.tau, end.sin, end.cos, end.tau, end.gap1, end.used)
+            return _land(b, end.phi, end.tau, end.state.gap1, end.used)
     tau, ending, used = landing(p, 0.0, horizon, budget)
     gap, gap1, _, _ = state_after(p, tau)
     if ending != ROOT:
-        return Phase(tau, ending, True, max(gap, 0.0), gap1, 0.0, 0.0, used)
-    sin, cos = sincos(phi + tau)
-    return _land(b, phi + tau, sin, cos, tau, gap1, used)
+        return Phase(tau, ending, True, _state(max(gap, 0.0), gap1), used)
+    return _land(b, plate_phase(phi.rad + tau), tau, gap1, used)
 
 
 @inlined
-def _land(b: Ball, phi: float, sin: float, cos: float, tau: float, impact: float, used: int) -> Phase:
-    """The end of a flight that lands at the phase phi with gap' = `impact`."""
+def _land(b: Ball, phi: PlatePhase, tau: float, impact: float, used: int) -> Phase:
+    """The end of a flight that lands at phi with gap' = `impact`."""
     hop = max(-b.restitution * impact, 0.0)
-    phi -= TWO_PI * math.floor(phi / TWO_PI)
-    return Phase(tau, ROOT, not _stays(b, phi, hop, b.gravity - cos, sin), 0.0, hop, 0.0, 0.0, used)
+    phi = PlatePhase(phi.rad - TWO_PI * math.floor(phi.rad / TWO_PI), phi.sin, phi.cos)
+    return Phase(tau, ROOT, not _stays(b, phi, hop), _state(0.0, hop), used)
 
 
 @contact_force.register(Ball)
 @jit
-def _contact_force(b: Ball, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+def _contact_force(b: Ball, phi: PlatePhase, state: State) -> float:
     """n of a ball at rest on the plate; 0 where rounding makes it negative."""
-    return max(b.gravity - cos, 0.0)
+    return max(b.gravity - phi.cos, 0.0)
 
 
 @jit
-def _fill_cache(b: Ball, phi: float, budget: int, cache: Any) -> None:
-    """Cache the phases from the take-off from rest at phi to the next one, or the first CACHED_PHASES."""
+def _fill_cache(b: Ball, rad: float, budget: int, cache: Any) -> None:
+    """Cache the phases from the take-off from rest at `rad` to the next one, or the first CACHED_PHASES."""
     flying, hop = True, 0.0
     for k in range(CACHED_PHASES):
-        sin, cos = sincos(phi)
-        if flying:
-            p = _flight(b, phi, sin, cos, 0.0, hop, 0.0, 0.0, math.inf, budget)
-        else:
-            p = _contact(b, phi, sin, cos, 0.0, hop, 0.0, 0.0, math.inf, budget)
+        phi, state = plate_phase(rad), _state(0.0, hop)
+        p = _flight(b, phi, state, math.inf, budget) if flying else _contact(b, phi, state, math.inf, budget)
         if p.ending != ROOT:
             return
         at = FIRST + WIDTH * k
-        cache[at + TAU], cache[at + HOP], cache[at + FLIES] = p.tau, p.gap1, 1.0 if p.in_flight else 0.0
+        cache[at + TAU], cache[at + HOP] = p.tau, p.state.gap1
+        cache[at + FLIES] = 1.0 if p.in_flight else 0.0
         cache[COUNT] = k + 1
         if not flying and p.in_flight:
             return
-        phi += p.tau
-        phi -= TWO_PI * math.floor(phi * (1.0 / TWO_PI))
-        flying, hop = p.in_flight, p.gap1
+        rad += p.tau
+        rad -= TWO_PI * math.floor(rad * (1.0 / TWO_PI))
+        flying, hop = p.in_flight, p.state.gap1
 
 
 @jit
@@ -210,9 +217,7 @@ def _skip_cycles(run: Progress, cache: Any) -> Progress:
 @jit
 def _replay(b: Ball, run: Progress, window: Window, flights: Flights, cache: Any) -> Progress:
     """From one take-off from rest to the next by the cached phases, for as long as they lead there."""
-    while (
-        run.in_flight and takes_off(b.phi_lift, run.phase, run.gap, run.gap1) and run.budget > CACHED_PHASES
-    ):
+    while run.in_flight and takes_off(b.phi_lift, run.phase, run.state) and run.budget > CACHED_PHASES:
         if cache[COUNT] == 0.0:
             cache[BEFORE] = -1.0
             _fill_cache(b, run.phase, run.budget, cache)
@@ -224,7 +229,7 @@ def _replay(b: Ball, run: Progress, window: Window, flights: Flights, cache: Any
             tau, hop, flying = cache[at + TAU], cache[at + HOP], cache[at + FLIES] == 1.0
             if tau >= horizon_of(run):
                 return run
-            run = record(run, Phase(tau, ROOT, flying, 0.0, hop, 0.0, 0.0, 1), window, flights, 0)
+            run = record(run, Phase(tau, ROOT, flying, _state(0.0, hop), 1), window, flights, 0)
             if run.ending != ROOT:
                 return run
     return run

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from kernel.interface import PlatePhase, State
 from kernel.numerics.elementary import fma, sincos
 from kernel.numerics.first_root import EPS, Terms, departure_step, first_root, householder, terms
 from kernel.numerics.jit import inlined, jit
@@ -61,15 +62,14 @@ class Flight(NamedTuple):
 
 
 @inlined
-def begin_flight(
-    osc: Oscillator, gravity: float, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float,
-    q1: float,
-) -> Flight:  # fmt: skip
+def begin_flight(osc: Oscillator, gravity: float, phi: PlatePhase, state: State) -> Flight:
     """The flight from this state, with gravity = 1/Gamma and `osc` the elongation's oscillator in flight."""
-    gap2 = cos - gravity + osc.damping * q1 + 0.5 * osc.stiffness * q
+    gap, gap1, q, q1 = state
+    gap2 = phi.cos - gravity + osc.damping * q1 + 0.5 * osc.stiffness * q
     if gap == 0.0 and gap1 == 0.0 and gap2 < 0.0:
         gap2 = 0.0  # a take-off is where n = 0; a negative value is rounding
-    return Flight(osc, gravity, phi, sin, cos, gap, gap1, gap2, gap1 - sin + 0.5 * q1, q, q1)
+    drift = gap1 - phi.sin + 0.5 * q1
+    return Flight(osc, gravity, phi.rad, phi.sin, phi.cos, gap, gap1, gap2, drift, q, q1)
 
 
 @jit
@@ -91,12 +91,8 @@ class Hop(NamedTuple):
 
     served: bool  # whether it was found
     tau: float
-    sin: float  # of the plate's phase there
-    cos: float
-    gap: float
-    gap1: float
-    q: float
-    q1: float
+    phi: PlatePhase
+    state: State
     used: int  # evaluations
 
 
@@ -126,7 +122,7 @@ def short_hop(p: Flight, lead: float, start: float, horizon: float, budget: int)
     varies = width * (abs(f3) * (1.0 / 3.0) + width * bound4 * (1.0 / 12.0)) > HOP_VARIATION * -f2
     too_long = width * max(p.osc.rate, 1.0) > SHORT or budget < HOP_EVALUATIONS
     if not (f1 > 0.0 > f2) or varies or 2.0 * leaving < f1 or too_long:
-        return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+        return Hop(False, 0.0, PlatePhase(0.0, 0.0, 0.0), State(0.0, 0.0, 0.0, 0.0), 0)
     q6 = drag * q5 + pull * q4
     gap6, gap7 = p.cos - 0.5 * q6, -p.sin - 0.5 * (drag * q6 + pull * q5)
     c2, c3, c4 = 0.5 * f2, f3 * (1.0 / 6.0), (gap4 + lead * gap5) * (1.0 / 24.0)
@@ -155,8 +151,8 @@ def short_hop(p: Flight, lead: float, start: float, horizon: float, budget: int)
             sine, versine = step * (1.0 - step * step * (1.0 / 6.0)), half * step
             sin, cos = sin + cos * sine - sin * versine, cos - sin * sine - cos * versine
             served = start < tau < min(width, horizon) and falling < 0.0
-            return Hop(served, tau, sin, cos, gap, gap1, q, q1, used)
-    return Hop(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, HOP_EVALUATIONS)
+            return Hop(served, tau, PlatePhase(p.phi + tau, sin, cos), State(gap, gap1, q, q1), used)
+    return Hop(False, 0.0, PlatePhase(0.0, 0.0, 0.0), State(0.0, 0.0, 0.0, 0.0), HOP_EVALUATIONS)
 
 
 @inlined
@@ -184,17 +180,17 @@ def _soon_after(
 
 
 @inlined
-def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
-    """gap, gap', q, q' at tau."""
+def state_after(p: Flight, tau: float) -> State:
+    """The state at tau."""
     if tau * max(p.osc.rate, 1.0) < SHORT:
         q2, q3, _ = derivatives(p.osc, p.q, p.q1)
         _, _, gap, gap1, q, q1 = _soon_after(p, q2, q3, tau)
-        return gap, gap1, q, q1
+        return State(gap, gap1, q, q1)
     q, q1 = motion(p.osc, p.q, p.q1, tau)
     sin, cos = sincos(p.phi + tau)
     gap = p.gap + (p.cos - cos) + p.drift * tau - 0.5 * p.gravity * tau * tau
     gap1 = sin + p.drift - p.gravity * tau - 0.5 * q1
-    return gap - 0.5 * (q - p.q), gap1, q, q1
+    return State(gap - 0.5 * (q - p.q), gap1, q, q1)
 
 
 @terms.register(Flight)

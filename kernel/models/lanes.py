@@ -27,6 +27,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from kernel.interface import PlatePhase, State
 from kernel.numerics import first_root
 from kernel.numerics.elementary import LOWEST_EXPONENT, exp, fma, sincos_small
 from kernel.numerics.first_root import EPS, NEAR, householder_step
@@ -130,15 +131,15 @@ def load_mode(table: Any, k: int, first: int, osc: Oscillator, a: float, b: floa
 
 @inlined
 def load_flight(
-    table: Any, k: int, osc: Oscillator, gravity: float, phi: float, sin: float, cos: float, gap: float,
-    gap1: float, q: float, q1: float, start: float, horizon: float,
+    table: Any, k: int, osc: Oscillator, gravity: float, phi: PlatePhase, state: State, start: float,
+    horizon: float,
 ) -> None:  # fmt: skip
     """Begin the search for the landing of a flight in lane k from `start` (rad), the gap being its F."""
+    gap, gap1, q, q1 = state
     load_mode(table, k, Y_G, osc, *coordinates(osc, -0.5 * q, -0.5 * q1))
-    load_smooth(
-        table, k, gap + (cos + 0.5 * q), gap1 + (0.5 * q1 - sin), 0.5 * gravity, -1.0, 0.0, 0.5 * abs(q)
-    )
-    load_search(table, k, phi, start, horizon, min(FIRST_WIDTH, FIRST_TURN / osc.rate))
+    k0, k1 = gap + (phi.cos + 0.5 * q), gap1 + (0.5 * q1 - phi.sin)
+    load_smooth(table, k, k0, k1, 0.5 * gravity, -1.0, 0.0, 0.5 * abs(q))
+    load_search(table, k, phi.rad, start, horizon, min(FIRST_WIDTH, FIRST_TURN / osc.rate))
 
 
 @inlined
@@ -174,9 +175,11 @@ def search_end(table: Any, k: int) -> tuple[float, int, int]:
 
 
 @inlined
-def plate_at_end(table: Any, k: int) -> tuple[float, float]:
-    """sin and cos of the plate's phase where the search in lane k ended."""
-    return _turned(table[SIN * LANES + k], table[COS * LANES + k], table[MOVE * LANES + k])
+def plate_at_end(table: Any, k: int) -> PlatePhase:
+    """The plate's phase where the search in lane k ended."""
+    move = table[MOVE * LANES + k]
+    sin, cos = _turned(table[SIN * LANES + k], table[COS * LANES + k], move)
+    return PlatePhase(table[PHI * LANES + k] + table[TAU * LANES + k] + move, sin, cos)
 
 
 @inlined
@@ -216,12 +219,12 @@ def moved(table: Any, k: int, osc: Oscillator, x: float, v: float) -> tuple[floa
 
 @inlined
 def gap_after(
-    table: Any, k: int, gravity: float, tau: float, sin: float, cos: float, q: float, q1: float
+    table: Any, k: int, gravity: float, tau: float, phi: PlatePhase, q: float, q1: float
 ) -> tuple[float, float]:
     """gap and gap' at the end of the flight in lane k, from the elongation there."""
     drift = table[K1 * LANES + k]
-    gap = table[K0 * LANES + k] - cos + (drift - 0.5 * gravity * tau) * tau - 0.5 * q
-    return gap, sin + drift - gravity * tau - 0.5 * q1
+    gap = table[K0 * LANES + k] - phi.cos + (drift - 0.5 * gravity * tau) * tau - 0.5 * q
+    return gap, phi.sin + drift - gravity * tau - 0.5 * q1
 
 
 @jit

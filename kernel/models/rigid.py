@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from kernel import interface
 from kernel.cell import Progress
+from kernel.interface import Phase, PlatePhase, State, plate_phase
 from kernel.models import lanes
 from kernel.models.contact_law import chatter_completes, chatter_lift
 from kernel.models.flight import begin_flight, landing, short_hop, state_after
 from kernel.numerics.elementary import sincos
-from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
+from kernel.numerics.first_root import EPS, HORIZON, ROOT, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import (
     Oscillator,
@@ -117,24 +118,23 @@ def normal_force(s: Spring, cos: float, q: float, q1: float) -> float:
 
 @interface.contact_force.register(Spring)
 @jit
-def _contact_force(s: Spring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+def _contact_force(s: Spring, phi: PlatePhase, state: State) -> float:
     """n in contact."""
-    return normal_force(s, cos, q, q1)
+    return normal_force(s, phi.cos, state.q, state.q1)
 
 
 @interface.rest.register(Spring)
 @jit
-def _rest(s: Spring) -> tuple[float, float, float, float]:
+def _rest(s: Spring) -> State:
     """On the plate, at the static elongation."""
-    return 0.0, 0.0, s.static_elongation, 0.0
+    return State(0.0, 0.0, s.static_elongation, 0.0)
 
 
 @interface.flies.register(Spring)
 @jit
-def _flies(s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
+def _flies(s: Spring, phi: PlatePhase, state: State) -> bool:
     """Off the plate, or on it with n < 0."""
-    _, cos = sincos(phi)
-    return gap > 0.0 or gap1 > 0.0 or normal_force(s, cos, q, q1) < 0.0
+    return state.gap > 0.0 or state.gap1 > 0.0 or normal_force(s, phi.cos, state.q, state.q1) < 0.0
 
 
 @terms.register(Stuck)
@@ -164,79 +164,71 @@ def _stuck_terms(p: Stuck, tau: float) -> Terms:
 
 
 @inlined
-def _free(s: Spring, sin: float, cos: float, q: float, q1: float) -> tuple[float, float]:
+def _free(s: Spring, phi: PlatePhase, q: float, q1: float) -> tuple[float, float]:
     """The free elongation in contact and its rate."""
-    return (q - s.static_elongation - (s.q_re * cos - s.q_im * sin), q1 + (s.q_re * sin + s.q_im * cos))
+    driven, driven1 = s.q_re * phi.cos - s.q_im * phi.sin, s.q_re * phi.sin + s.q_im * phi.cos
+    return q - s.static_elongation - driven, q1 + driven1
 
 
 @inlined
 def _stuck_until(
-    s: Spring, sin: float, cos: float, tau: float, ending: int, h: float, h1: float, used: int
+    s: Spring, phi: PlatePhase, tau: float, ending: int, h: float, h1: float, used: int
 ) -> Phase:
-    """The end of a contact whose free elongation there is h; sin and cos are of the plate's phase."""
-    q = s.static_elongation + (s.q_re * cos - s.q_im * sin) + h
-    q1 = h1 - (s.q_re * sin + s.q_im * cos)
-    return Phase(tau, ending, ending == ROOT, 0.0, 0.0, q, q1, used)
+    """The end of a contact at phi whose free elongation there is h."""
+    q = s.static_elongation + (s.q_re * phi.cos - s.q_im * phi.sin) + h
+    q1 = h1 - (s.q_re * phi.sin + s.q_im * phi.cos)
+    return Phase(tau, ending, ending == ROOT, State(0.0, 0.0, q, q1), used)
 
 
 @interface.contact.register(Spring)
 @jit
-def _contact(
-    s: Spring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
+def _contact(s: Spring, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """Stuck until n falls to zero. The search ends once its free part is too small to bring it there."""
-    h, h1 = _free(s, sin, cos, q, q1)
+    h, h1 = _free(s, phi, state.q, state.q1)
     h2, _, _ = derivatives(s.stuck, h, h1)
     ring, ring1 = -s.dashpot * h1 - s.stiffness * h, -s.dashpot * h2 - s.stiffness * h1
     decayed = decay_time(s.stuck, ring, ring1, s.margin)
-    tau, ending, used = first_root(Stuck(s, phi, ring, ring1), 0.0, min(horizon, decayed), budget)
+    tau, ending, used = first_root(Stuck(s, phi.rad, ring, ring1), 0.0, min(horizon, decayed), budget)
     if ending == HORIZON:
         tau = horizon
     h, h1 = motion(s.stuck, h, h1, tau)
-    sin, cos = sincos(phi + tau)
-    return _stuck_until(s, sin, cos, tau, ending, h, h1, used)
+    return _stuck_until(s, plate_phase(phi.rad + tau), tau, ending, h, h1, used)
 
 
 @interface.flight.register(Spring)
 @inlined
-def _flight(
-    s: Spring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
+def _flight(s: Spring, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """In flight until the gap falls to zero."""
-    p = begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
+    p = begin_flight(s.flight, s.gravity, phi, state)
     if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
         hop = short_hop(p, 0.0, 0.0, horizon, budget)
         if hop.served:
-            return land(s, hop.sin, hop.cos, hop.tau, hop.gap1, hop.q, hop.q1, hop.used)
+            return land(s, hop.phi, hop.tau, hop.state, hop.used)
     tau, ending, used = landing(p, 0.0, horizon, budget)
-    gap, gap1, q, q1 = state_after(p, tau)
+    state = state_after(p, tau)
     if ending != ROOT:
-        return Phase(tau, ending, True, gap, gap1, q, q1, used)
-    sin, cos = sincos(phi + tau)
-    return land(s, sin, cos, tau, gap1, q, q1, used)
+        return Phase(tau, ending, True, state, used)
+    return land(s, plate_phase(phi.rad + tau), tau, state, used)
 
 
 @inlined
-def land(
-    s: Spring, sin: float, cos: float, tau: float, impact: float, q: float, q1: float, used: int
-) -> Phase:
-    """The end of a flight that lands at gap' = `impact` <= 0; sin and cos of the plate's phase there."""
+def land(s: Spring, phi: PlatePhase, tau: float, state: State, used: int) -> Phase:
+    """The end of a flight that lands at phi with `state`, gap' <= 0."""
+    _, impact, q, q1 = state
     hop = max(-s.restitution * impact, 0.0)
     q1 += impact  # of a mass that sticks; the upper mass keeps its velocity
     if hop > 0.0:
-        completes, more, more1 = _rest_of_chatter(s, sin, cos, hop, q, q1)
+        completes, more, more1 = _rest_of_chatter(s, phi, hop, q, q1)
         if completes:
             q, q1, hop = q + more, q1 + more1, 0.0
     q1 -= hop
-    in_flight = hop > 0.0 or normal_force(s, cos, q, q1) < 0.0
-    return Phase(tau, ROOT, in_flight, 0.0, hop, q, q1, used)
+    in_flight = hop > 0.0 or normal_force(s, phi.cos, q, q1) < 0.0
+    return Phase(tau, ROOT, in_flight, State(0.0, hop, q, q1), used)
 
 
 @inlined
 def _rest_of_chatter(
-    s: Spring, sin: float, cos: float, hop: float, q: float, q1: float
+    s: Spring, phi: PlatePhase, hop: float, q: float, q1: float
 ) -> tuple[bool, float, float]:
     """Whether chatter that begins with `hop` may be summed; what it adds to q and q' of a mass that sticks.
 
@@ -245,14 +237,14 @@ def _rest_of_chatter(
     as far as a rate of b n would.
     """
     b, w = s.dashpot, s.stiffness
-    n = normal_force(s, cos, q, q1)
+    n = normal_force(s, phi.cos, q, q1)
     bound = abs(s.n_re) + abs(s.n_im) + (b * b + w) * n
     if not chatter_completes(hop, n, 0.0, bound, s.restitution):  # as for most hops
         return False, 0.0, 0.0
-    h, h1 = _free(s, sin, cos, q, q1)
+    h, h1 = _free(s, phi, q, q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
     h4, h5, _ = derivatives(s.stuck, h2, h3)
-    rate = h3 + s.n_re * sin + s.n_im * cos
+    rate = h3 + s.n_re * phi.sin + s.n_im * phi.cos
     if not chatter_completes(hop, n, rate, bound + envelope(s.stuck, h4, h5), s.restitution):
         return False, 0.0, 0.0
     area, moment = chatter_lift(hop, n, rate + b * n, s.restitution)
@@ -270,11 +262,9 @@ def _advance(plate: RigidPlate, table: Any, used: int) -> None:
 
 
 @inlined
-def _load_contact(
-    table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
-) -> bool:
+def _load_contact(table: Any, k: int, s: Spring, run: Progress, phi: PlatePhase, horizon: float) -> bool:
     """Put a contact into lane k, unless it never ends, which `rigid` knows in closed form."""
-    h, h1 = _free(s, sin, cos, run.q, run.q1)
+    h, h1 = _free(s, phi, run.state.q, run.state.q1)
     h2, h3, _ = derivatives(s.stuck, h, h1)
     if envelope(s.stuck, h2, h3) < s.margin:
         return False
@@ -282,53 +272,51 @@ def _load_contact(
     ring, ring1 = -s.dashpot * h1 - s.stiffness * h, -s.dashpot * h2 - s.stiffness * h1
     lanes.load_mode(table, k, lanes.Y_G, s.stuck, *coordinates(s.stuck, ring, ring1))
     lanes.load_smooth(table, k, s.mean_force, 0.0, 0.0, -s.n_re, s.n_im, abs(ring))
-    lanes.load_search(table, k, run.phase, 0.0, end, min(lanes.FIRST_WIDTH, lanes.FIRST_TURN / s.stuck.rate))
+    lanes.load_search(table, k, phi.rad, 0.0, end, min(lanes.FIRST_WIDTH, lanes.FIRST_TURN / s.stuck.rate))
     lanes.keep(table, k, h, h1, 0.0, 0.0)
     return lanes.serves(s.stuck, end)
 
 
 @inlined
-def _load_flight(
-    table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
-) -> bool:
+def _load_flight(table: Any, k: int, s: Spring, run: Progress, phi: PlatePhase, horizon: float) -> bool:
     """Put a flight into lane k, unless it begins with a short hop or too close to the plate."""
-    q2, q3, q4 = derivatives(s.flight, run.q, run.q1)
-    gap2, start = cos - s.gravity - 0.5 * q2, 0.0
-    if run.gap == 0.0 and run.gap1 == 0.0:
-        start = departure_step(max(gap2, 0.0), -sin - 0.5 * q3, 1.0 + 0.5 * q4)
+    gap, gap1, q, q1 = run.state
+    q2, q3, q4 = derivatives(s.flight, q, q1)
+    gap2, start = phi.cos - s.gravity - 0.5 * q2, 0.0
+    if gap == 0.0 and gap1 == 0.0:
+        start = departure_step(max(gap2, 0.0), -phi.sin - 0.5 * q3, 1.0 + 0.5 * q4)
         if start < lanes.SHORT_START:
             return False
-    elif run.gap == 0.0 and 2.0 * run.gap1 < -gap2 * lanes.SHORT_FLIGHT:
+    elif gap == 0.0 and 2.0 * gap1 < -gap2 * lanes.SHORT_FLIGHT:
         return False
-    lanes.load_flight(
-        table, k, s.flight, s.gravity, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1, start, horizon
-    )
+    lanes.load_flight(table, k, s.flight, s.gravity, phi, run.state, start, horizon)
     return lanes.serves(s.flight, horizon)
 
 
 @interface.load_lane.register(Spring)
 @inlined
-def _load(s: Spring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float) -> bool:
+def _load(s: Spring, table: Any, k: int, run: Progress, phi: PlatePhase, horizon: float) -> bool:
     """Put the run's next phase into lane k, if lanes support its oscillators."""
     if run.in_flight:
-        loaded = _load_flight(table, k, s, run, sin, cos, horizon)
+        loaded = _load_flight(table, k, s, run, phi, horizon)
     else:
-        loaded = _load_contact(table, k, s, run, sin, cos, horizon)
+        loaded = _load_contact(table, k, s, run, phi, horizon)
     return loaded and lanes.supports(s.stuck) and lanes.supports(s.flight)
 
 
 @interface.unload_lane.register(Spring)
 @inlined
-def _unload(s: Spring, table: Any, k: int, run: Progress) -> tuple[Phase, float, float]:
-    """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
+def _unload(s: Spring, table: Any, k: int, run: Progress) -> tuple[Phase, PlatePhase]:
+    """The phase that ended in lane k, and the plate's phase there."""
     tau, ending, used = lanes.search_end(table, k)
-    sin, cos = lanes.plate_at_end(table, k)
+    phi = lanes.plate_at_end(table, k)
     if not run.in_flight:
         h, h1, _, _ = lanes.kept(table, k)
         h, h1 = lanes.moved(table, k, s.stuck, h, h1)
-        return _stuck_until(s, sin, cos, tau, ending, h, h1, used), sin, cos
-    q, q1 = lanes.moved(table, k, s.flight, run.q, run.q1)
-    gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, q, q1)
+        return _stuck_until(s, phi, tau, ending, h, h1, used), phi
+    q, q1 = lanes.moved(table, k, s.flight, run.state.q, run.state.q1)
+    gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, phi, q, q1)
+    state = State(gap, gap1, q, q1)
     if ending != ROOT:
-        return Phase(tau, ending, True, gap, gap1, q, q1, used), sin, cos
-    return land(s, sin, cos, tau, gap1, q, q1, used), sin, cos
+        return Phase(tau, ending, True, state, used), phi
+    return land(s, phi, tau, state, used), phi

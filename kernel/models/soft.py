@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from kernel import interface
 from kernel.cell import Progress
+from kernel.interface import Phase, PlatePhase, State, plate_phase
 from kernel.models import lanes
 from kernel.models.contact_law import lifted_off, plate_force
 from kernel.models.flight import Flight, begin_flight, flight_terms, landing, short_hop, state_after
@@ -33,7 +34,7 @@ from kernel.models.soft_contact import (
     terms_of_parts,
 )
 from kernel.numerics.elementary import sincos
-from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
+from kernel.numerics.first_root import EPS, HORIZON, ROOT, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import (
     all_derivatives,
@@ -80,80 +81,86 @@ def _prepare(plate: SoftPlate, i: int, gamma: float, omega: float, xi: float) ->
 
 @interface.contact_force.register(SoftSpring)
 @jit
-def _contact_force(s: SoftSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+def _contact_force(s: SoftSpring, phi: PlatePhase, state: State) -> float:
     """n in contact."""
-    return plate_force(s.kappa, s.beta, gap, gap1)
+    return plate_force(s.kappa, s.beta, state.gap, state.gap1)
 
 
 @interface.rest.register(SoftSpring)
 @jit
-def _rest(s: SoftSpring) -> tuple[float, float, float, float]:
+def _rest(s: SoftSpring) -> State:
     """At the static gap and elongation."""
-    return s.static_gap, 0.0, s.static_elongation, 0.0
+    return State(s.static_gap, 0.0, s.static_elongation, 0.0)
 
 
 @interface.flies.register(SoftSpring)
 @jit
-def _flies(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
+def _flies(s: SoftSpring, phi: PlatePhase, state: State) -> bool:
     """Not in contact under the cell's law."""
-    return lifted_off(gap, gap1, s.kappa, 0.0 if s.adhesive else s.beta)
+    return lifted_off(state.gap, state.gap1, s.kappa, 0.0 if s.adhesive else s.beta)
 
 
 @inlined
 def begin_contact(
-    s: SoftSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float
+    s: SoftSpring, phi: PlatePhase, state: State
 ) -> tuple[ModalState, LiftoffFunction, Terms, float, bool]:
     """The contact from this state: its modes, its lift-off function with its terms now, and where to search.
 
     That is from a time (rad) until which the mass surely stays; the last value is whether it stays for ever,
-    both free modes being too small to lift it. sin and cos are of the plate's phase phi.
+    both free modes being too small to lift it.
     """
-    m = modes_of(s, sin, cos, gap, gap1, q, q1)
-    p = liftoff_function(s, m, phi)
+    m = modes_of(s, phi, state)
+    p = liftoff_function(s, m, phi.rad)
     slow = all_derivatives(p.slow_osc, p.slow_a, p.slow_b)
     fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
-    t = terms_of_parts(p, sin, cos, slow, fast)
-    if gap < 0.0 and not s.adhesive and apart(p.fast_osc):
+    t = terms_of_parts(p, phi.sin, phi.cos, slow, fast)
+    if state.gap < 0.0 and not s.adhesive and apart(p.fast_osc):
         # n is a small difference of kappa gap and beta gap'; the modes' sum has a few times its rounding
         # error, which is given to the fast exponential, where it came from
-        fast_b = p.fast_b + (plate_force(s.kappa, s.beta, gap, gap1) - (t.smooth + t.ring))
+        fast_b = p.fast_b + (plate_force(s.kappa, s.beta, state.gap, state.gap1) - (t.smooth + t.ring))
         p = LiftoffFunction(
-            p.slow_osc, p.fast_osc, phi, p.static, p.wave_re, p.wave_im, p.slow_a, p.slow_b, p.fast_a, fast_b
-        )
+            p.slow_osc, p.fast_osc, p.phi, p.static, p.wave_re, p.wave_im, p.slow_a, p.slow_b, p.fast_a,
+            fast_b,
+        )  # fmt: skip
         fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
-        t = terms_of_parts(p, sin, cos, slow, fast)
+        t = terms_of_parts(p, phi.sin, phi.cos, slow, fast)
     return m, p, t, sure_contact_time(p, t), slow.size + fast.size < s.margin
 
 
 @interface.contact.register(SoftSpring)
 @jit
-def _contact(
-    s: SoftSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
+def _contact(s: SoftSpring, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """In contact until the lift-off function falls to zero, or both modes are too small for that."""
-    m, p, _, start, stays = begin_contact(s, phi, sin, cos, gap, gap1, q, q1)
+    m, p, _, start, stays = begin_contact(s, phi, state)
     end = 0.0
     if not stays:  # until both modes have decayed
         slow = quiet_time(p.slow_osc, p.slow_a, p.slow_b, 0.5 * s.margin)
         end = min(horizon, max(slow, quiet_time(p.fast_osc, p.fast_a, p.fast_b, 0.5 * s.margin)))
     tau, ending, used = first_root(p, start, end, budget)
     if tau == 0.0 and ending == ROOT:
-        if _lifts(s, begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)):
-            if s.adhesive:
-                gap, gap1 = 0.0, max(gap1, 0.0)
-            return Phase(0.0, ROOT, True, gap, gap1, q, q1, used)
+        if _lifts(s, begin_flight(s.flight, s.gravity, phi, state)):
+            return Phase(0.0, ROOT, True, _taking_off(s, state), used)
         tau, ending, more = first_root(p, 1.0 / s.gap_mode.rate, end, budget - used)
         used += more
     if ending == HORIZON:
         tau = horizon
-    sin, cos = sincos(phi + tau)
-    gap, gap1, q, q1 = state_of(
-        s, m, sin, cos, propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau)
-    )
-    if ending == ROOT and s.adhesive:
-        gap, gap1 = 0.0, max(gap1, 0.0)
-    return Phase(tau, ending, ending == ROOT, gap, gap1, q, q1, used)
+    over = propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau)
+    state = state_of(s, m, plate_phase(phi.rad + tau), *over)
+    if ending == ROOT:
+        state = _taking_off(s, state)
+    return Phase(tau, ending, ending == ROOT, state, used)
+
+
+@inlined
+def _taking_off(s: SoftSpring, x: State) -> State:
+    """The state x of a take-off, without the rounding of a gap that is zero there."""
+    return State(0.0, max(x.gap1, 0.0), x.q, x.q1) if s.adhesive else x
+
+
+@inlined
+def _landing(x: State) -> State:
+    """The state x of a landing, without the rounding of its gap."""
+    return State(0.0, min(x.gap1, 0.0), x.q, x.q1)
 
 
 @jit
@@ -231,33 +238,28 @@ def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tup
 
 @interface.flight.register(SoftSpring)
 @jit
-def _flight(
-    s: SoftSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
+def _flight(s: SoftSpring, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """In flight until landing. One from below the surface may return to contact before it emerges."""
-    p = begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
+    p = begin_flight(s.flight, s.gravity, phi, state)
     emerged, used = 0.0, 0
-    if gap < 0.0:
+    if state.gap < 0.0:
         emerged = emergence_bound(s, p)
         if emerged == 0.0:
             hop = short_hop(p, s.beta / s.kappa, 0.0, horizon, budget)
-            emerged, ending, used = hop.tau, ROOT, hop.used
-            gap, gap1, q, q1 = hop.gap, hop.gap1, hop.q, hop.q1
+            emerged, ending, used, state = hop.tau, ROOT, hop.used, hop.state
             if not hop.served:
                 emerged, ending, used = _below_surface(s, p, horizon, budget)
-                gap, gap1, q, q1 = state_after(p, emerged)
-            if (ending != HORIZON and (ending != ROOT or gap <= 0.0)) or gap < 0.0:
-                return Phase(emerged, ending, ending != ROOT, gap, gap1, q, q1, used)
+                state = state_after(p, emerged)
+            if (ending != HORIZON and (ending != ROOT or state.gap <= 0.0)) or state.gap < 0.0:
+                return Phase(emerged, ending, ending != ROOT, state, used)
     if p.gap <= 0.0 < p.gap1 and p.gap2 < 0.0:
         hop = short_hop(p, 0.0, emerged, horizon, budget - used)
         if hop.served:
-            return Phase(hop.tau, ROOT, False, 0.0, hop.gap1, hop.q, hop.q1, used + hop.used)
+            x = hop.state
+            return Phase(hop.tau, ROOT, False, State(0.0, x.gap1, x.q, x.q1), used + hop.used)
     tau, ending, more = landing(p, emerged, horizon, budget - used)
-    gap, gap1, q, q1 = state_after(p, tau)
-    if ending == ROOT:
-        gap, gap1 = 0.0, min(gap1, 0.0)
-    return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used + more)
+    state = state_after(p, tau)
+    return Phase(tau, ending, ending != ROOT, _landing(state) if ending == ROOT else state, used + more)
 
 
 # --- in lanes: two free modes -------------------------------------------------------------------------------
@@ -279,12 +281,10 @@ def _rising_time(t: Terms) -> float:
 
 
 @jit
-def _load_contact(
-    s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float
-) -> bool:
+def _load_contact(s: SoftSpring, table: Any, k: int, run: Progress, phi: PlatePhase, horizon: float) -> bool:
     """Put a contact into lane k, unless it never ends or might end at once."""
     k = lanes.index_of(k)
-    m, p, t, start, stays = begin_contact(s, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1)
+    m, p, t, start, stays = begin_contact(s, phi, run.state)
     end = min(horizon, lanes.LONGEST_CONTACT)
     f0 = t.smooth + t.ring
     if start == 0.0 and abs(f0) <= 4.0 * t.noise:
@@ -298,76 +298,69 @@ def _load_contact(
     # about the time over which F changes its shape, as in first_root
     f2, f3, f4 = t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
     width = 2.0 * max(abs(f3), math.sqrt(abs(f2) * f4)) / f4
-    lanes.load_search(table, k, run.phase, start, end, width)
+    lanes.load_search(table, k, phi.rad, start, end, width)
     lanes.keep(table, k, m.gap_a, m.gap_b, m.elongation_a, m.elongation_b)
     return True
 
 
 @jit
-def _load_flight(
-    s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float
-) -> bool:
+def _load_flight(s: SoftSpring, table: Any, k: int, run: Progress, phi: PlatePhase, horizon: float) -> bool:
     """Put a flight into lane k, if it surely emerges and begins neither with a short hop nor too close."""
     if not (lanes.supports(s.flight) and lanes.serves(s.flight, horizon)):
         return False
     k = lanes.index_of(k)
-    emerged, sin0, cos0 = 0.0, sin, cos
-    gap, gap1, q, q1 = run.gap, run.gap1, run.q, run.q1
-    if gap < 0.0:
-        p = begin_flight(s.flight, s.gravity, run.phase, sin, cos, gap, gap1, q, q1)
+    emerged, here, x = 0.0, phi, run.state
+    if x.gap < 0.0:
+        p = begin_flight(s.flight, s.gravity, phi, x)
         emerged = emergence_bound(s, p)
         if emerged == 0.0 or emerged >= horizon:
             return False
-        gap, gap1, q, q1 = state_after(p, emerged)
-        sin, cos = sincos(run.phase + emerged)
+        x = state_after(p, emerged)
+        here = plate_phase(phi.rad + emerged)
     start = emerged
-    if emerged > 0.0 or gap == 0.0:
-        q2, q3, q4 = derivatives(s.flight, q, q1)
-        gap2 = cos - s.gravity - 0.5 * q2
-        if gap1 >= 0.0 and (gap2 >= 0.0 or gap1 == 0.0):
-            safe = departure_step(max(gap2, 0.0), -sin - 0.5 * q3, 1.0 + 0.5 * q4)
+    if emerged > 0.0 or x.gap == 0.0:
+        q2, q3, q4 = derivatives(s.flight, x.q, x.q1)
+        gap2 = here.cos - s.gravity - 0.5 * q2
+        if x.gap1 >= 0.0 and (gap2 >= 0.0 or x.gap1 == 0.0):
+            safe = departure_step(max(gap2, 0.0), -here.sin - 0.5 * q3, 1.0 + 0.5 * q4)
             if safe < lanes.SHORT_START:
                 return False
             start += safe
-        elif 2.0 * gap1 < -gap2 * lanes.SHORT_FLIGHT:
+        elif 2.0 * x.gap1 < -gap2 * lanes.SHORT_FLIGHT:
             return False
     lanes.load_mode(table, k, lanes.X_G, s.flight, 0.0, 0.0)
-    lanes.load_flight(
-        table, k, s.flight, s.gravity, run.phase, sin0, cos0, run.gap, run.gap1, run.q, run.q1, start, horizon
-    )
+    lanes.load_flight(table, k, s.flight, s.gravity, phi, run.state, start, horizon)
     return True
 
 
 @interface.load_lane.register(SoftSpring)
 @inlined
-def _load(s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float) -> bool:
+def _load(s: SoftSpring, table: Any, k: int, run: Progress, phi: PlatePhase, horizon: float) -> bool:
     """Put the run's next phase into lane k."""
     if run.in_flight:
-        return _load_flight(s, table, k, run, sin, cos, horizon)
-    return _load_contact(s, table, k, run, sin, cos, horizon)
+        return _load_flight(s, table, k, run, phi, horizon)
+    return _load_contact(s, table, k, run, phi, horizon)
 
 
 @interface.unload_lane.register(SoftSpring)
 @jit
-def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, float, float]:
-    """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
+def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, PlatePhase]:
+    """The phase that ended in lane k, and the plate's phase there."""
     tau, ending, used = lanes.search_end(table, k)
-    sin, cos = lanes.plate_at_end(table, k)
+    phi = lanes.plate_at_end(table, k)
     if run.in_flight:
-        q, q1 = lanes.moved(table, k, s.flight, run.q, run.q1)
-        gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, sin, cos, q, q1)
-        if ending == ROOT:
-            gap, gap1 = 0.0, min(gap1, 0.0)
-        return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used), sin, cos
+        q, q1 = lanes.moved(table, k, s.flight, run.state.q, run.state.q1)
+        gap, gap1 = lanes.gap_after(table, k, s.gravity, tau, phi, q, q1)
+        state = State(gap, gap1, q, q1)
+        state = _landing(state) if ending == ROOT else state
+        return Phase(tau, ending, ending != ROOT, state, used), phi
     gap_a, gap_b, elongation_a, elongation_b = lanes.kept(table, k)
     gap_rows, elongation_rows = (lanes.Y_G, lanes.X_G) if gap_rings(s) else (lanes.X_G, lanes.Y_G)
     gap_over = lanes.propagator_at_end(table, k, gap_rows, s.gap_mode)
     elongation_over = lanes.propagator_at_end(table, k, elongation_rows, s.elongation_mode)
     m = ModalState(gap_a, gap_b, elongation_a, elongation_b)
-    gap, gap1, q, q1 = state_of(s, m, sin, cos, gap_over, elongation_over)
-    if s.adhesive:
-        gap, gap1 = 0.0, max(gap1, 0.0)
-    return Phase(tau, ending, True, gap, gap1, q, q1, used), sin, cos
+    state = _taking_off(s, state_of(s, m, phi, gap_over, elongation_over))
+    return Phase(tau, ending, True, state, used), phi
 
 
 @interface.advance_lanes.register(SoftPlate)

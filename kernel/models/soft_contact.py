@@ -17,6 +17,7 @@ kappa gap + beta gap' cancels. So an overdamped mode is carried by its two ampli
 import math
 from typing import Final, NamedTuple
 
+from kernel.interface import PlatePhase, State
 from kernel.models.contact_law import contact_constants, static_state
 from kernel.numerics.elementary import TWO_PI, exp, sincos
 from kernel.numerics.first_root import EPS, Terms, terms
@@ -314,13 +315,14 @@ def _decoupling(f: Modes) -> tuple[float, float, float, float]:
 
 
 @inlined
-def separate(s: SoftSpring, gap: float, gap1: float, q: float, q1: float) -> ModalState:
+def separate(s: SoftSpring, state: State) -> ModalState:
     """The modes of a free motion, without static and driven part, or of a small difference of two motions.
 
     gap = g + G h and q = h + E g, g and h being the leading coordinates and E and G the couplings. Solved
     for g = (1 - G E)^-1 (gap - G q) and h = q - E g, so that the small gap of the elongation mode is never a
     difference of large numbers.
     """
+    gap, gap1, q, q1 = state
     coupled, coupled1 = _following(s.gap, s.elongation_mode, q, q1)
     left, left1 = gap - coupled, gap1 - coupled1
     m00, m01, m10, m11 = s.decoupling
@@ -337,8 +339,8 @@ def combine(
     m: ModalState,
     gap_over: tuple[float, float, float],
     elongation_over: tuple[float, float, float],
-) -> tuple[float, float, float, float]:
-    """gap, gap', q, q' of a free motion after the time of both modes' propagators."""
+) -> State:
+    """The state of a free motion after the time of both modes' propagators."""
     a, b = propagate(s.gap_mode, m.gap_a, m.gap_b, gap_over)
     gap, gap1 = position(s.gap_mode, a, b)
     a, b = _coupled(s.elongation, s.gap_mode, a, b)
@@ -347,36 +349,32 @@ def combine(
     q, q1 = position(s.elongation_mode, a, b)
     a, b = _coupled(s.gap, s.elongation_mode, a, b)
     coupled_gap, coupled_gap1 = position(s.elongation_mode, a, b)
-    return gap + coupled_gap, gap1 + coupled_gap1, q + coupled_q, q1 + coupled_q1
+    return State(gap + coupled_gap, gap1 + coupled_gap1, q + coupled_q, q1 + coupled_q1)
 
 
 @inlined
-def modes_of(
-    s: SoftSpring, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float
-) -> ModalState:
-    """The free modes of a state: what is left without the static and driven parts; sin, cos of the phase."""
-    q -= s.static_elongation + s.q_re * cos - s.q_im * sin
-    q1 += s.q_re * sin + s.q_im * cos
-    gap -= s.static_gap + s.g_re * cos - s.g_im * sin
-    gap1 += s.g_re * sin + s.g_im * cos
-    return separate(s, gap, gap1, q, q1)
+def modes_of(s: SoftSpring, phi: PlatePhase, state: State) -> ModalState:
+    """The free modes of a state at phi: what is left without the static and driven parts."""
+    gap, gap1, q, q1 = state
+    q -= s.static_elongation + s.q_re * phi.cos - s.q_im * phi.sin
+    q1 += s.q_re * phi.sin + s.q_im * phi.cos
+    gap -= s.static_gap + s.g_re * phi.cos - s.g_im * phi.sin
+    gap1 += s.g_re * phi.sin + s.g_im * phi.cos
+    return separate(s, State(gap, gap1, q, q1))
 
 
 @inlined
 def state_of(
-    s: SoftSpring, m: ModalState, sin: float, cos: float, gap_over: tuple[float, float, float],
+    s: SoftSpring, m: ModalState, phi: PlatePhase, gap_over: tuple[float, float, float],
     elongation_over: tuple[float, float, float],
-) -> tuple[float, float, float, float]:  # fmt: skip
-    """gap, gap', q, q' some time after the modes were `m`, of which these are the propagators.
-
-    sin and cos are of the plate's phase then.
-    """
+) -> State:  # fmt: skip
+    """The state at phi, some time after the modes were `m`, of which these are the propagators."""
     gap, gap1, q, q1 = combine(s, m, gap_over, elongation_over)
-    return (
-        s.static_gap + s.g_re * cos - s.g_im * sin + gap,
-        -(s.g_re * sin + s.g_im * cos) + gap1,
-        s.static_elongation + s.q_re * cos - s.q_im * sin + q,
-        -(s.q_re * sin + s.q_im * cos) + q1,
+    return State(
+        s.static_gap + s.g_re * phi.cos - s.g_im * phi.sin + gap,
+        -(s.g_re * phi.sin + s.g_im * phi.cos) + gap1,
+        s.static_elongation + s.q_re * phi.cos - s.q_im * phi.sin + q,
+        -(s.q_re * phi.sin + s.q_im * phi.cos) + q1,
     )
 
 

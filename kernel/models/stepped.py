@@ -27,10 +27,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import contact, contact_force, flies, flight, prepare, rest
+from kernel.interface import Phase, PlatePhase, State, contact, contact_force, flies, flight, prepare, rest
 from kernel.models.contact_law import contact_constants, lifted_off, plate_force, static_state
 from kernel.numerics.elementary import TWO_PI, sincos
-from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, NON_FINITE, ROOT, Phase
+from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, NON_FINITE, ROOT
 from kernel.numerics.jit import inlined, jit
 from kernel.params import KernelInputError, check_arrays, is_whole
 from kernel.restitution import damping_ratio
@@ -77,21 +77,12 @@ class Law(NamedTuple):
     r: tuple[float, float]  # R
 
 
-class Point(NamedTuple):
-    """The state at the end of a step."""
-
-    gap: float
-    gap1: float
-    q: float
-    q1: float
-
-
 class March(NamedTuple):
     """A row of steps so far."""
 
     taken: int  # steps
     over: bool  # whether the contact or flight ended within the last of them
-    now: Point
+    now: State
     v: float  # gap' and q' as carried into the next step: v(1) of the last one
     u: float
     v0: float  # and of the one before
@@ -133,14 +124,14 @@ def law(grid: Grid, b: float, w: float, kappa: float, beta: float, lead: float, 
 
 
 @jit
-def end_function(law: Law, x: Point) -> float:
+def end_function(law: Law, x: State) -> float:
     """A function of the state that is negative within a contact or flight and zero at its end."""
     force = x.gap + law.lead * x.gap1
     return -max(x.gap, force) if law.flying else force
 
 
 @jit
-def _acceleration(law: Law, f: float, x: Point) -> tuple[float, float]:
+def _acceleration(law: Law, f: float, x: State) -> tuple[float, float]:
     """gap'' and q'', with f = cos(phi) - 1/Gamma."""
     spring = law.stiffness * x.q + law.dashpot * x.q1
     press = law.kappa * x.gap + law.beta * x.gap1
@@ -148,19 +139,19 @@ def _acceleration(law: Law, f: float, x: Point) -> tuple[float, float]:
 
 
 @jit
-def step(law: Law, m: float, f0: float, f1: float, x: Point, h: float) -> Point:
+def step(law: Law, m: float, f0: float, f1: float, x: State, h: float) -> State:
     """One step from x of any length h (rad), with f = f0 before and f1 after it."""
     a, a1 = _acceleration(law, f0, x)
     v, u = x.gap1 + (1.0 - m) * h * a, x.q1 + (1.0 - m) * h * a1
     gap, q = x.gap + h * v, x.q + h * u
-    a, a1 = _acceleration(law, f1, Point(gap, 0.0, q, 0.0))
+    a, a1 = _acceleration(law, f1, State(gap, 0.0, q, 0.0))
     v, u = v + m * h * a, u + m * h * a1
     i, j, k, n = _inverse(law.beta, law.dashpot, m * h)
-    return Point(gap, i * v + j * u, q, k * v + n * u)
+    return State(gap, i * v + j * u, q, k * v + n * u)
 
 
 @jit
-def begin_march(grid: Grid, law: Law, f: float, x: Point) -> March:
+def begin_march(grid: Grid, law: Law, f: float, x: State) -> March:
     """A row of no steps yet that begins at x, where f = cos(phi) - 1/Gamma."""
     a, a1 = _acceleration(law, f, x)
     v, u = x.gap1 - grid.implicit * grid.step * a, x.q1 - grid.implicit * grid.step * a1
@@ -182,7 +173,7 @@ def march(grid: Grid, law: Law, gravity: float, c: float, d: float, start: March
         force = gap + lead * (v + m * (v1 - v))
         ended = gap < 0.0 and force < 0.0 if flying else force > 0.0
         if ended or i == steps:
-            return March(i, ended, Point(gap, v + m * (v1 - v), q, u + m * (u1 - u)), v, u, v0, u0)
+            return March(i, ended, State(gap, v + m * (v1 - v), q, u + m * (u1 - u)), v, u, v0, u0)
         gap, q = gap + h * v1, q + h * u1
         v0, u0, v, u = v, u, v1, u1
         c, d = c * cos - d * sin, d * cos + c * sin
@@ -190,10 +181,10 @@ def march(grid: Grid, law: Law, gravity: float, c: float, d: float, start: March
 
 
 @jit
-def previous_point(grid: Grid, m: March) -> Point:
+def previous_point(grid: Grid, m: March) -> State:
     """The end of the step before the last."""
     v, u = m.v0 + grid.implicit * (m.v - m.v0), m.u0 + grid.implicit * (m.u - m.u0)
-    return Point(m.now.gap - grid.step * m.v, v, m.now.q - grid.step * m.u, u)
+    return State(m.now.gap - grid.step * m.v, v, m.now.q - grid.step * m.u, u)
 
 
 def plate(
@@ -223,9 +214,9 @@ def plate(
 
 @contact_force.register(SteppedSpring)
 @jit
-def _contact_force(s: SteppedSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+def _contact_force(s: SteppedSpring, phi: PlatePhase, state: State) -> float:
     """n in contact."""
-    return plate_force(s.contact.kappa, s.contact.beta, gap, gap1)
+    return plate_force(s.contact.kappa, s.contact.beta, state.gap, state.gap1)
 
 
 @prepare.register(SteppedPlate)
@@ -252,16 +243,16 @@ def _prepare(plate: SteppedPlate, i: int, gamma: float, omega: float, xi: float)
 
 @rest.register(SteppedSpring)
 @jit
-def _rest(s: SteppedSpring) -> tuple[float, float, float, float]:
+def _rest(s: SteppedSpring) -> State:
     """At the static gap and elongation."""
-    return s.static_gap, 0.0, s.static_elongation, 0.0
+    return State(s.static_gap, 0.0, s.static_elongation, 0.0)
 
 
 @flies.register(SteppedSpring)
 @jit
-def _flies(s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
+def _flies(s: SteppedSpring, phi: PlatePhase, state: State) -> bool:
     """Not in contact under the cell's law, with 1 : lead for kappa : beta."""
-    return lifted_off(gap, gap1, 1.0, s.flight.lead)
+    return lifted_off(state.gap, state.gap1, 1.0, s.flight.lead)
 
 
 @inlined
@@ -272,7 +263,7 @@ def _forcing(s: SteppedSpring, phi: float) -> float:
 
 
 @jit
-def _locate(s: SteppedSpring, law: Law, x: Point, phi: float) -> tuple[float, Point]:
+def _locate(s: SteppedSpring, law: Law, x: State, phi: float) -> tuple[float, State]:
     """The length (rad) of the step from x at phi that ends where the contact or flight does, and its end."""
     m, f0 = s.grid.implicit, _forcing(s, phi)
     low, high, side = 0.0, s.grid.step, 0
@@ -297,7 +288,7 @@ def _locate(s: SteppedSpring, law: Law, x: Point, phi: float) -> tuple[float, Po
 
 
 @jit
-def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[float, int, Point]:
+def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[float, int, State]:
     """The end of a contact or flight that began at phi and is over at the n-th grid point, as `_run`."""
     if s.plain:
         d, c = sincos(n % s.grid.steps * s.grid.step)
@@ -312,8 +303,8 @@ def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[fl
 
 @jit
 def _run(
-    s: SteppedSpring, law: Law, phi: float, x: Point, horizon: float, budget: int
-) -> tuple[float, int, Point]:
+    s: SteppedSpring, law: Law, phi: float, x: State, horizon: float, budget: int
+) -> tuple[float, int, State]:
     """Step from x at phi until the end or the grid point nearest to the horizon: rad, ending and state."""
     steps, h, m = s.grid.steps, s.grid.step, s.grid.implicit
     if budget <= 0 or steps > MOST_STEPS_PER_PERIOD:
@@ -339,28 +330,19 @@ def _run(
 
 @contact.register(SteppedSpring)
 @jit
-def _contact(
-    s: SteppedSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
+def _contact(s: SteppedSpring, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """In contact until take-off. The budget counts contacts and flights; steps have a limit of their own."""
-    tau, ending, x = _run(s, s.contact, phi, Point(gap, gap1, q, q1), horizon, budget)
-    gap, gap1 = x.gap, x.gap1
+    tau, ending, x = _run(s, s.contact, phi.rad, state, horizon, budget)
     if ending == ROOT and s.contact.lead == 0.0 and not s.plain:
-        gap, gap1 = max(gap, 0.0), max(gap1, 0.0)
-    return Phase(tau, ending, ending == ROOT, gap, gap1, x.q, x.q1, 1)
+        x = State(max(x.gap, 0.0), max(x.gap1, 0.0), x.q, x.q1)
+    return Phase(tau, ending, ending == ROOT, x, 1)
 
 
 @flight.register(SteppedSpring)
 @jit
-def _flight(
-    s: SteppedSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
+def _flight(s: SteppedSpring, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
     """In flight until contact returns; from below the surface perhaps rising: its velocity stays."""
-    tau, ending, x = _run(s, s.flight, phi, Point(gap, gap1, q, q1), horizon, budget)
-    after, after1 = x.gap, x.gap1
+    tau, ending, x = _run(s, s.flight, phi.rad, state, horizon, budget)
     if ending == ROOT and not s.plain:
-        after = min(after, 0.0)
-        after1 = min(after1, 0.0) if gap >= 0.0 else after1
-    return Phase(tau, ending, ending != ROOT, after, after1, x.q, x.q1, 1)
+        x = State(min(x.gap, 0.0), min(x.gap1, 0.0) if state.gap >= 0.0 else x.gap1, x.q, x.q1)
+    return Phase(tau, ending, ending != ROOT, x, 1)

@@ -17,22 +17,21 @@ from typing import Any
 import numpy as np
 
 from kernel import interface
+from kernel.interface import Phase, PlatePhase, State, plate_phase
 from kernel.models import flight
 from kernel.models.ball import Ball, BallPlate, fall
 from kernel.models.rigid import RigidPlate, Spring
 from kernel.models.soft import SoftPlate
 from kernel.models.soft_contact import SoftSpring, combine, separate
-from kernel.numerics.elementary import sincos
-from kernel.numerics.first_root import Phase
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import Oscillator, propagator, response
 from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, SPRING_DIMENSION
 
 
 @inlined
-def _get(vectors: Any, k: int) -> tuple[float, float, float, float]:
+def _get(vectors: Any, k: int) -> State:
     """Vector k: dg, dg', dq, dq'."""
-    return vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3]
+    return State(vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3])
 
 
 @inlined
@@ -105,23 +104,20 @@ def _rigid_takeoff(s: Spring, vectors: Any, end: Phase) -> None:
 
 @interface.carry_through_landing.register(Spring)
 @jit
-def _rigid_landing(
-    s: Spring, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
-) -> None:
+def _rigid_landing(s: Spring, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
     """Sticking, which needs no dphi; a hop; or, with a hop of velocity zero, a new take-off at once."""
     if not end.in_flight:
         for k in range(len(vectors)):
             g, g1, q, q1 = _get(vectors, k)
             _put(vectors, k, 0.0, 0.0, q + g, q1 + g1 - s.dashpot * g)
         return
-    if end.gap1 > 0.0:
-        e, impact = s.restitution, -end.gap1 / s.restitution
+    if end.state.gap1 > 0.0:
+        e, impact = s.restitution, -end.state.gap1 / s.restitution
     else:
-        sin, cos = sincos(phi)
-        e, p = 0.0, flight.begin_flight(s.flight, s.gravity, phi, sin, cos, gap, gap1, q, q1)
+        e, p = 0.0, flight.begin_flight(s.flight, s.gravity, phi, state)
         _, impact, _, _ = flight.state_after(p, end.tau)
-    _, cos = sincos(phi + end.tau)
-    after2 = cos - s.gravity + s.dashpot * end.q1 + s.stiffness * end.q  # gap''
+    q, q1 = end.state.q, end.state.q1
+    after2 = plate_phase(phi.rad + end.tau).cos - s.gravity + s.dashpot * q1 + s.stiffness * q  # gap''
     before2 = after2 - s.dashpot * (1.0 + e) * impact
     for k in range(len(vectors)):
         g, g1, dq, dq1 = _get(vectors, k)
@@ -146,7 +142,7 @@ def _soft_contact(s: SoftSpring, vectors: Any, tau: float) -> None:
     """The two free modes of `kernel.models.soft_contact`, without its static and driven parts."""
     gap_over, elongation_over = propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau)
     for k in range(len(vectors)):
-        m = separate(s, vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3])
+        m = separate(s, _get(vectors, k))
         gap, gap1, q, q1 = combine(s, m, gap_over, elongation_over)
         _put(vectors, k, gap, gap1, q, q1)
 
@@ -163,11 +159,9 @@ def _soft_takeoff(s: SoftSpring, vectors: Any, end: Phase) -> None:
 
 @interface.carry_through_landing.register(SoftSpring)
 @jit
-def _soft_landing(
-    s: SoftSpring, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
-) -> None:
+def _soft_landing(s: SoftSpring, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
     """The force jumps from 0 to -beta W. In a contact that returns below the surface it rises from 0."""
-    if end.gap < 0.0:
+    if end.state.gap < 0.0:
         return
     for k in range(len(vectors)):
         g, g1, dq, dq1 = _get(vectors, k)
@@ -202,21 +196,17 @@ def _ball_flight(b: Ball, vectors: Any, tau: float) -> None:
 
 @interface.carry_through_landing.register(Ball)
 @jit
-def _ball_landing(
-    b: Ball, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
-) -> None:
+def _ball_landing(b: Ball, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
     """A hop, or with a hop of velocity zero a new take-off at once; else the ball comes to rest."""
     if not end.in_flight:
         _forget(vectors)
         return
-    if end.gap1 > 0.0:
-        e, impact = b.restitution, -end.gap1 / b.restitution
+    if end.state.gap1 > 0.0:
+        e, impact = b.restitution, -end.state.gap1 / b.restitution
     else:
-        sin, cos = sincos(phi)
-        e, p = 0.0, fall(b, phi, sin, cos, gap, gap1)
+        e, p = 0.0, fall(b, phi, state)
         _, impact, _, _ = flight.state_after(p, end.tau)
-    _, cos = sincos(phi + end.tau)
-    gap2 = cos - b.gravity
+    gap2 = plate_phase(phi.rad + end.tau).cos - b.gravity
     for k in range(len(vectors)):
         g, g1, _, _ = _get(vectors, k)
         dphi = _delay(g, impact)

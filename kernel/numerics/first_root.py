@@ -61,19 +61,6 @@ class Terms(NamedTuple):
     noise: float  # bound on the rounding error of the value
 
 
-class Phase(NamedTuple):
-    """The end of one contact or flight, and the state there."""
-
-    tau: float  # rad since it began
-    ending: int  # ROOT, HORIZON, BUDGET_EXHAUSTED or NON_FINITE
-    in_flight: bool  # whether the next phase is a flight
-    gap: float  # plate amplitudes
-    gap1: float  # plate amplitudes per rad
-    q: float
-    q1: float
-    used: int  # evaluations
-
-
 @by_type
 def terms(phase: Any, tau: float) -> Terms:
     """The phase function `tau` rad into `phase`."""

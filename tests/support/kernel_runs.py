@@ -14,7 +14,6 @@ from plates import Model, plate_of, run_line
 from kernel import interface, trajectory
 from kernel.models.rigid import RigidPlate
 from kernel.models.soft import SoftPlate
-from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT
 from kernel.params import Cell, Line
 from kernel.trajectory import Trajectory
@@ -121,16 +120,15 @@ def constants(s: Setting) -> Any:
 def one_phase(s: Setting, flying: bool, phi: float, state: State, horizon: float, budget: int) -> Step:
     """The contact or flight that begins in this state."""
     follow = interface.flight if flying else interface.contact
-    answer = follow(constants(s), phi, *sincos(phi), *state, horizon, budget)
-    after = (answer.gap, answer.gap1, answer.q, answer.q1)
-    return Step(flying, phi, state, answer.tau, answer.ending, after, answer.in_flight, answer.used)
+    answer = follow(constants(s), interface.plate_phase(phi), interface.State(*state), horizon, budget)
+    return Step(flying, phi, state, answer.tau, answer.ending, answer.state, answer.in_flight, answer.used)
 
 
 def phases(s: Setting, periods: int, limit: int, budget: int = 100_000) -> Iterator[Step]:
     """The first phases from rest, until the window ends, `limit` have passed, or one fails."""
     cell = constants(s)
     phi, passed, state = 0.0, 0.0, interface.rest(cell)
-    flying = interface.flies(cell, phi, *state)
+    flying = interface.flies(cell, interface.plate_phase(phi), state)
     for _ in range(limit):
         step = one_phase(s, flying, phi, state, TWO_PI * periods - passed, budget)
         yield step

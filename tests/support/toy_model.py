@@ -8,8 +8,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import contact, contact_force, flies, flight, prepare, rest
-from kernel.numerics.first_root import HORIZON, Phase
+from kernel.interface import Phase, PlatePhase, State, contact, contact_force, flies, flight, prepare, rest
+from kernel.numerics.first_root import HORIZON
 from kernel.numerics.jit import jit
 from kernel.params import check_arrays
 from worker.spec.contact_models import ContactFields, ContactModel
@@ -40,38 +40,32 @@ def _prepare(plate: GluedPlate, i: int, gamma: float, omega: float, xi: float) -
 
 @rest.register(Glued)
 @jit
-def _rest(g: Glued) -> tuple[float, float, float, float]:
-    return 0.0, 0.0, 0.0, 0.0
+def _rest(g: Glued) -> State:
+    return State(0.0, 0.0, 0.0, 0.0)
 
 
 @flies.register(Glued)
 @jit
-def _flies(g: Glued, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
+def _flies(g: Glued, phi: PlatePhase, state: State) -> bool:
     return False
 
 
 @contact.register(Glued)
 @jit
-def _contact(
-    g: Glued, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
-    return Phase(horizon, HORIZON, False, 0.0, 0.0, cos, 0.0, 1)
+def _contact(g: Glued, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
+    return Phase(horizon, HORIZON, False, State(0.0, 0.0, phi.cos, 0.0), 1)
 
 
 @flight.register(Glued)
 @jit
-def _flight(
-    g: Glued, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float,
-    horizon: float, budget: int,
-) -> Phase:  # fmt: skip
-    return Phase(horizon, HORIZON, False, 0.0, 0.0, 0.0, 0.0, 1)
+def _flight(g: Glued, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
+    return Phase(horizon, HORIZON, False, State(0.0, 0.0, 0.0, 0.0), 1)
 
 
 @contact_force.register(Glued)
 @jit
-def _contact_force(g: Glued, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
-    return g.gravity - cos
+def _contact_force(g: Glued, phi: PlatePhase, state: State) -> float:
+    return g.gravity - phi.cos
 
 
 class GluedFields(ContactFields):

@@ -14,7 +14,6 @@ from kernel.branches.starts import cycles_at, start_on_cycle
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, exponent_resolution, label_codes
 from kernel.models import rigid
 from kernel.models.contact_law import contact_constants
-from kernel.numerics.elementary import sincos
 from kernel.numerics.oscillator import motion
 from kernel.params import Cell, KernelInputError, Outcome, Start
 from kernel.restitution import scalar_damping_ratio
@@ -50,9 +49,10 @@ def test_the_map_over_a_cycle_is_that_of_the_closed_form(orbit):
     )
     phi, q, q1 = orbit["takeoff_phase"], orbit["elongation"], orbit["elongation_velocity"]
     vectors = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    p = interface.flight(cell, phi, *sincos(phi), 0.0, 0.0, q, q1, math.inf, 10_000)
+    start = interface.plate_phase(phi), interface.State(0.0, 0.0, q, q1)
+    p = interface.flight(cell, *start, math.inf, 10_000)
     interface.carry_in_flight(cell, vectors, p.tau)
-    interface.carry_through_landing(cell, vectors, phi, 0.0, 0.0, q, q1, p)
+    interface.carry_through_landing(cell, vectors, *start, p)
     landed = vectors[:, 2:].T.copy()
     interface.carry_in_contact(cell, vectors, orbit["mode"][1] * TWO_PI - p.tau)
 

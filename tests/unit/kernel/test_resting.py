@@ -8,11 +8,11 @@ from kernel_runs import TWO_PI, Model, run
 from tables import for_each
 
 from kernel import interface
+from kernel.interface import State, plate_phase
 from kernel.models.ball import BallPlate
 from kernel.models.rigid import RigidPlate, Stuck
 from kernel.models.soft import SoftPlate
 from kernel.models.soft_contact import liftoff_function, modes_of
-from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import HORIZON, first_root
 from kernel.params import Line, Outcome
 from kernel.threshold import threshold
@@ -46,7 +46,7 @@ def arrivals(which: Model, omega: float, xi: float):
     """Gamma, phase and state at the start of each cell of an up ramp but the first."""
     gamma, line = up(which, omega, xi)
     for before, after, end in zip(gamma, gamma[1:], line.end_state, strict=False):
-        yield after, end[0], tuple(end[2:] * before / after)
+        yield after, end[0], State(*(end[2:] * before / after))
 
 
 @for_each(("omega", "xi"), CELLS)
@@ -82,7 +82,7 @@ def test_where_the_closed_form_excludes_a_take_off_the_search_finds_none(omega, 
         assert used > 30  # many evaluations, none of which is a zero
     for gamma, phi, state in list(arrivals(Model.SOFT, omega, xi))[::6]:
         s = cell(Model.SOFT, gamma, omega, xi)
-        p = liftoff_function(s, modes_of(s, *sincos(phi), *state), phi)
+        p = liftoff_function(s, modes_of(s, plate_phase(phi), state), phi)
         tau, ending, used = first_root(p, 0.0, 30.0 * TWO_PI, 1_000_000)
         assert (tau, ending) == (30.0 * TWO_PI, HORIZON)
         assert used > 30

@@ -12,9 +12,9 @@ from tables import for_each
 
 from kernel import interface, restitution
 from kernel.cell import CACHE_SIZE
+from kernel.interface import State, plate_phase
 from kernel.models import ball, contact_law, flight
 from kernel.models.ball import BallPlate
-from kernel.numerics.elementary import sincos
 from kernel.params import Cell, Line, Outcome, Start
 
 TWO_PI = 2.0 * math.pi
@@ -109,7 +109,7 @@ def test_saddle_node(epsilon: float, n: int):
 
 def make_fall(gamma: float, phi: float, gap: float, gap1: float) -> flight.Flight:
     cell = interface.prepare(BallPlate(np.zeros(1)), 0, gamma, 1.0, 1.0)
-    return ball.fall(cell, phi, *sincos(phi), gap, gap1)
+    return ball.fall(cell, plate_phase(phi), State(gap, gap1, 0.0, 0.0))
 
 
 def gap_after(gamma: float, phi: float, gap: float, gap1: float, tau):
@@ -154,7 +154,7 @@ def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> flo
         p = make_fall(gamma, phases[-1] % TWO_PI, 0.0, hop)
         tau, _, _ = flight.landing(p, 0.0, 1e4, 10_000)
         phases.append(phases[-1] + tau)
-        hop = -epsilon * flight.state_after(p, tau)[1]
+        hop = -epsilon * flight.state_after(p, tau).gap1
     return phases[-1] - phi
 
 
@@ -184,13 +184,13 @@ def test_replayed_phases_are_those_that_would_be_computed(epsilon: float):
         phi, period, hop, flying, expected = 0.0, 0, 0.0, True, []
         while period < 100:
             end = (interface.flight if flying else interface.contact)(
-                cell, phi, *sincos(phi), 0.0, hop, 0.0, 0.0, math.inf, 10_000
+                cell, plate_phase(phi), State(0.0, hop, 0.0, 0.0), math.inf, 10_000
             )
             landed = period + math.floor((phi + end.tau) / TWO_PI)
             if flying and period >= 40 and landed < 100:
                 expected.append((end.tau, phi))
             period, phi = landed, (phi + end.tau) % TWO_PI
-            flying, hop = end.in_flight, end.gap1
+            flying, hop = end.in_flight, end.state.gap1
         if line.outcome[i] == Outcome.PERIODIC:  # others depart from each other by what rounding does
             orbits += 1
             assert line.flights[i] == len(expected)

@@ -15,6 +15,7 @@ from naive_exact import pressed
 from paths import GOLDEN
 from tables import for_each
 
+from kernel.interface import State, plate_phase
 from kernel.models.soft_contact import (
     liftoff_function,
     modes_of,
@@ -22,7 +23,6 @@ from kernel.models.soft_contact import (
     state_of,
     sure_contact_time,
 )
-from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT, terms
 from kernel.numerics.oscillator import propagator
 from kernel.numerics.quartic import Factors, paired, roots
@@ -163,7 +163,8 @@ def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **
     state, tau = (gap * s.penetration, gap1, q * min(1.0, s.omega**2), q1), 10.0**tau
     cell = constants(s)
     overs = propagator(cell.gap_mode, tau), propagator(cell.elongation_mode, tau)
-    got = state_of(cell, modes_of(cell, *sincos(phase), *state), *sincos(phase + tau), *overs)
+    modes = modes_of(cell, plate_phase(phase), State(*state))
+    got = state_of(cell, modes, plate_phase(phase + tau), *overs)
     true = [float(x) for x in pressed(s, phase, state).state(tau)]
     size = 1.0 + abs(gap1) + abs(q1)
     # a phase error grows with every ringing that is still there
@@ -183,7 +184,7 @@ def test_no_contact_ends_while_its_ringing_is_stepped_over():
         e = rng.uniform(0.001, 1.0) ** 2
         s = soft_spring(gamma, omega, xi, e, d, adhesive)
         state = (rng.uniform(0, TWO_PI), 0.0, -(10.0 ** rng.uniform(-6, 1)), *rng.normal(0, 2, 2))
-        contact = liftoff_function(s, modes_of(s, *sincos(state[0]), *state[1:]), state[0])
+        contact = liftoff_function(s, modes_of(s, plate_phase(state[0]), State(*state[1:])), state[0])
         end = sure_contact_time(contact, terms(contact, 0.0))
         jumps += end > 0.0
         for tau in np.linspace(0.0, end, 400):

@@ -7,6 +7,7 @@ import pytest
 from kernel_runs import Model, run_line
 
 from kernel import restitution
+from kernel.interface import State
 from kernel.models import stepped
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Line, Outcome
@@ -85,7 +86,7 @@ def propagation(h: float, m: float, contact: dict, pressed: bool) -> np.ndarray:
     law = step_law(h, m, contact, pressed)
     columns = []
     for gap, gap1, q, q1 in np.diag([1.0, 1.0 / h, 1.0, 1.0 / h]):
-        end = stepped.step(law, m, 0.0, 0.0, stepped.Point(gap, gap1, q, q1), h)
+        end = stepped.step(law, m, 0.0, 0.0, State(gap, gap1, q, q1), h)
         columns.append((end.gap, h * end.gap1, end.q, h * end.q1))
     return np.array(columns).T
 
@@ -108,7 +109,7 @@ def test_marching_is_stepping(m: float):
     h = TWO_PI / 1000
     grid = stepped.Grid(1000, h, math.cos(h), math.sin(h), m)
     law = stepped.law(grid, 0.5, 2.0, 400.0, 10.0, 0.0, False)
-    point, gravity = stepped.Point(-1e-2, -0.3, -0.4, 0.2), 5.0
+    point, gravity = State(-1e-2, -0.3, -0.4, 0.2), 5.0
     start = stepped.begin_march(grid, law, 1.0 - gravity, point)
     row = stepped.march(grid, law, gravity, 1.0, 0.0, start, 30)
     for i in range(30):
@@ -126,7 +127,7 @@ def test_contact_time_is_that_of_an_isolated_impact(adhesive: bool):
         zeta = float(restitution.damping_ratio(e, adhesive))
         grid = stepped.Grid(100_000, 1e-4, math.cos(1e-4), math.sin(1e-4), 0.5)
         law = stepped.law(grid, 0.0, 1e-9, 1.0, 2.0 * zeta, 0.0 if adhesive else 2.0 * zeta, False)
-        first = stepped.step(law, 0.5, 0.0, 0.0, stepped.Point(0.0, -1.0, 0.0, 0.0), 1e-4)
+        first = stepped.step(law, 0.5, 0.0, 0.0, State(0.0, -1.0, 0.0, 0.0), 1e-4)
         start = stepped.begin_march(grid, law, 0.0, first)
         row = stepped.march(grid._replace(cos=1.0, sin=0.0), law, 0.0, 0.0, 0.0, start, 200_000)
         assert row.over

@@ -8,10 +8,10 @@ import pytest
 from kernel_runs import Model, plate_of
 
 from kernel import interface
+from kernel.interface import State, plate_phase
 from kernel.models.ball import Ball
 from kernel.models.contact_law import STEADY
 from kernel.models.rigid import Spring
-from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import HORIZON, ROOT
 
 TWO_PI = 2.0 * math.pi
@@ -47,7 +47,7 @@ class Point(NamedTuple):
 
     phi: float
     flying: bool
-    state: tuple[float, float, float, float]
+    state: State
 
 
 def cell_of(s: Setting):
@@ -58,10 +58,10 @@ def cell_of(s: Setting):
 def phase(cell, here: Point, horizon: float):
     """The phase that begins here, and what follows it."""
     run = interface.flight if here.flying else interface.contact
-    p = run(cell, here.phi, *sincos(here.phi), *here.state, horizon, BUDGET)
+    p = run(cell, plate_phase(here.phi), here.state, horizon, BUDGET)
     assert p.ending in (ROOT, HORIZON)
     flying = p.in_flight if p.ending == ROOT else here.flying
-    return p, Point((here.phi + p.tau) % TWO_PI, flying, (p.gap, p.gap1, p.q, p.q1))
+    return p, Point((here.phi + p.tau) % TWO_PI, flying, p.state)
 
 
 def moved(cell, here: Point, span: float) -> tuple[Point, list[bool]]:
@@ -84,7 +84,7 @@ def carried(cell, here: Point, span: float, vectors: np.ndarray) -> None:
         if p.ending == HORIZON:
             return
         if here.flying:
-            interface.carry_through_landing(cell, vectors, here.phi, *here.state, p)
+            interface.carry_through_landing(cell, vectors, plate_phase(here.phi), here.state, p)
         else:
             interface.carry_through_takeoff(cell, vectors, p)
         here, span = after, span - p.tau
@@ -93,7 +93,7 @@ def carried(cell, here: Point, span: float, vectors: np.ndarray) -> None:
 def spans(cell, events: int, skip: int):
     """Points in the middle of phases, each with the time to the middle of the next one."""
     state = interface.rest(cell)
-    here = Point(0.0, interface.flies(cell, 0.0, *state), state)
+    here = Point(0.0, interface.flies(cell, plate_phase(0.0), state), state)
     before, half_before = None, 0.0
     for i in range(skip + events + 1):
         p, after = phase(cell, here, LONGEST)
@@ -139,7 +139,7 @@ def differences(cell, here: Point, span: float, directions: list[int]) -> np.nda
         def end(step):
             state = list(here.state)
             state[component] += step
-            after, passed = moved(cell, Point(here.phi, here.flying, tuple(state)), span)
+            after, passed = moved(cell, Point(here.phi, here.flying, State(*state)), span)
             # another sequence of events: not in the neighbourhood
             return np.array(after.state) if passed == expected else None
 

@@ -19,8 +19,8 @@ from naive_steps import Stepper
 
 from kernel import interface
 from kernel.cell import KEPT_FLIGHTS
+from kernel.interface import plate_phase
 from kernel.models.ball import BallPlate
-from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Outcome
 from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
@@ -59,10 +59,10 @@ def test_any_ball_ends_with_an_outcome_in_time(gamma, epsilon):
 def test_any_phase_of_a_ball_obeys_the_equations_of_motion(gamma, epsilon):
     ball = interface.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
     phi, state = 0.0, interface.rest(ball)
-    flying = interface.flies(ball, phi, *state)
+    flying = interface.flies(ball, plate_phase(phi), state)
     for _ in range(12):
         follow = interface.flight if flying else interface.contact
-        phase = follow(ball, phi, *sincos(phi), *state, 20.0 * TWO_PI, 100_000)
+        phase = follow(ball, plate_phase(phi), state, 20.0 * TWO_PI, 100_000)
         assert phase.ending in (ROOT, HORIZON)
         assert 0.0 <= phase.tau < math.inf
         if flying:
@@ -72,7 +72,7 @@ def test_any_phase_of_a_ball_obeys_the_equations_of_motion(gamma, epsilon):
         if phase.ending == HORIZON:
             return
         phi = math.fmod(phi + phase.tau, TWO_PI)
-        state, flying = (phase.gap, phase.gap1, phase.q, phase.q1), phase.in_flight
+        state, flying = phase.state, phase.in_flight
 
 
 def check_flight(fall: Fall, phase, epsilon: float) -> None:
@@ -81,11 +81,11 @@ def check_flight(fall: Fall, phase, epsilon: float) -> None:
     gap, gap1 = fall.exactly(tau)
     if phase.ending == ROOT:
         assert abs(gap) <= 1e-13 * size * (1.0 + tau)
-        assert phase.gap == 0.0
-        assert phase.gap1 == pytest.approx(max(-epsilon * gap1, 0.0), abs=1e-12 * size)
+        assert phase.state.gap == 0.0
+        assert phase.state.gap1 == pytest.approx(max(-epsilon * gap1, 0.0), abs=1e-12 * size)
     else:
-        assert phase.gap == pytest.approx(max(gap, 0.0), abs=1e-12 * size * (1.0 + tau))
-        assert phase.gap1 == pytest.approx(gap1, abs=1e-12 * size)
+        assert phase.state.gap == pytest.approx(max(gap, 0.0), abs=1e-12 * size * (1.0 + tau))
+        assert phase.state.gap1 == pytest.approx(gap1, abs=1e-12 * size)
     before, after = energy(fall, fall.phi, fall.gap, fall.gap1), energy(fall, fall.phi + tau, gap, gap1)
     assert after == pytest.approx(before, abs=1e-12 * size * size)
     if tau > 0.0:
@@ -100,7 +100,7 @@ def energy(fall: Fall, phi: float, gap: float, gap1: float) -> float:
 
 def check_contact(gamma: float, phi: float, phase) -> None:
     """The plate presses all the while, and no more at the end."""
-    assert (phase.gap, phase.gap1) == (0.0, 0.0) or phase.ending == HORIZON
+    assert (phase.state.gap, phase.state.gap1) == (0.0, 0.0) or phase.ending == HORIZON
     press = 1.0 / gamma - np.cos(phi + np.linspace(0.0, phase.tau, 4000))
     assert press.min() >= -1e-12
     if phase.ending == ROOT and phase.in_flight:
