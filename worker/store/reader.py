@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from worker.store import backend
 from worker.store.backend import ROOT, ChunkCoords, StoreDamaged, StoreMissing, in_bucket
-from worker.store.encoding import ArrayForm, check_file, chunk_key, decode, form_of, position, same, spans_of
+from worker.store.encoding import ArrayForm, check_file, chunk_key, decode, form_of, same, spans_of
 from worker.study.layout import structured_attributes
 
 OUTCOME: Final = "outcome"
@@ -46,6 +46,7 @@ class _Part(NamedTuple):
     """The requested cells in one inner chunk (the whole chunk if it is no shard)."""
 
     inner: tuple[int, ...]  # position in the shard
+    at: tuple[int, ...]  # position in the array, in inner chunks
     in_chunk: tuple[slice, ...]  # their positions in the inner chunk
     in_result: tuple[slice, ...]  # their positions in the result
 
@@ -102,7 +103,7 @@ def _read(
 
         def read(file: tuple[str, str, ChunkCoords]) -> str | None:
             key, name, at = file
-            return _read_file(url, key, arrays[name], at, parts[name][at], cells[name])
+            return _read_file(url, key, arrays[name], parts[name][at], cells[name])
 
         # Requests to a bucket run concurrently.
         failures = backend.pool("store").map(read, files) if in_bucket(url) else map(read, files)
@@ -122,15 +123,16 @@ def _read(
 
 
 def _read_file(
-    url: str, key: str, form: ArrayForm, coords: ChunkCoords, parts: Sequence[_Part], cells: NDArray[Any]
+    url: str, key: str, form: ArrayForm, parts: Sequence[_Part], cells: NDArray[Any]
 ) -> str | None:
     """Put the parts of an array's chunk into `cells`; returns what is wrong with it."""
     try:
         contents = _contents(url, key, form, [part.inner for part in parts])
         if contents is None:
             return _MISSING
+        first = (0,) * (len(form.dims) - len(parts[0].at))  # along other dimensions
         for part, content in zip(parts, contents, strict=True):
-            values = decode(form, content, position(form, coords, part.inner))
+            values = decode(form, content, part.at + first)
             cells[part.in_result] = values[part.in_chunk]
     except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes
         return f"cannot be decoded: {error}"
@@ -239,7 +241,7 @@ def _parts_of(
 
 def _parts(sizes: _Sizes, where: tuple[Index, ...]) -> dict[ChunkCoords, list[_Part]]:
     axes = [
-        [(*divmod(number, chunk // inner), *slices) for number, *slices in _spans(_range(n, index), inner)]
+        [(*divmod(span[0], chunk // inner), *span) for span in _spans(_range(n, index), inner)]
         for (n, chunk, inner), index in zip(sizes, where, strict=True)
     ]
     by_chunk: dict[ChunkCoords, list[_Part]] = {}
