@@ -55,14 +55,16 @@ class PreparedJob:
         return replace(today, arrays=tuple(array for array in today.arrays if array.name in there))
 
     @cached_property
-    def forms(self) -> Mapping[str, store.ArrayForm] | None:
+    def forms(self) -> Sequence[Mapping[str, store.ArrayForm]] | None:
         """The forms of the arrays; None for an outdated job, whose store alone knows."""
         return None if self.outdated else store.forms_in(self.layout)
 
     @cached_property
-    def metadata(self) -> Mapping[str, bytes] | None:
-        """Metadata and coordinates of the store by key; None for an outdated job."""
-        return None if self.outdated else store.metadata_of(self.layout, self.attributes)
+    def metadata(self) -> Sequence[Mapping[str, bytes]] | None:
+        """Metadata and coordinates that the store may have, by key; None for an outdated job."""
+        if self.outdated:
+            return None
+        return [store.metadata_of(cut, self.attributes) for cut in self.layout.cuts]
 
     @cached_property
     def cost(self) -> Cost:
@@ -80,7 +82,9 @@ class PreparedJob:
             forms = store.stored_forms(self.store_url, self.forms)
             return store.read_file(self.store_url, key, forms)
         content = store.read_key(self.store_url, key)
-        if content is not None and self.metadata is not None and content != self.metadata.get(key):
+        if content is None or self.metadata is None:
+            return content
+        if content not in [allowed.get(key) for allowed in self.metadata]:
             raise store.StoreDamaged(f"{key}: is not what the store's specification says")
         return content
 

@@ -218,7 +218,7 @@ def _define(file: Any, export: Export) -> None:
     for row in export.arrays:
         dtype = np.dtype(row.dtype)
         created = file.create_variable(
-            row.name, row.dims, dtype, chunks=layout.chunk_shape(row),
+            row.name, row.dims, dtype, chunks=layout.inner_shape(row) or layout.chunk_shape(row),
             # Counts have no fill value: CF readers would turn them into floating point.
             fillvalue=row.fill if dtype.kind == "f" else None,
             compression="gzip", compression_opts=1, shuffle=True,

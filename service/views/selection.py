@@ -67,7 +67,7 @@ class Stored(Generic[_Spec_co]):
     job: str | None = None  # its id
     chunks_done: int = 0
     #: How its arrays are stored; None of another kernel version, whose store alone knows.
-    forms: Mapping[str, store.ArrayForm] | None = None
+    forms: Sequence[Mapping[str, store.ArrayForm]] | None = None
 
     def is_complete(self, outcome: NDArray[np.uint8]) -> bool:
         """Whether all these cells are computed, and no damage is being repaired."""

@@ -151,8 +151,12 @@ def _index(form: ArrayForm, index: bytes) -> NDArray[np.uint64]:
     return np.frombuffer(entries, "<u8").reshape(*form.inner_counts, 2)
 
 
-def forms_in(layout: Layout) -> dict[str, ArrayForm]:
-    """How the arrays of a layout are stored, by name."""
+def forms_in(layout: Layout) -> tuple[dict[str, ArrayForm], ...]:
+    """How the arrays of a layout may be stored, by name: in each of its `cuts`."""
+    return tuple(map(_forms, layout.cuts))
+
+
+def _forms(layout: Layout) -> dict[str, ArrayForm]:
     return {
         array.name: ArrayForm(
             np.dtype(array.dtype).newbyteorder("<"),

@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 
 from worker.store import backend
 from worker.store.backend import ROOT, ChunkCoords, StoreDamaged, StoreMissing, in_bucket
-from worker.store.encoding import ArrayForm, check_file, chunk_key, decode, form_of, position, same, spans_of
+from worker.store.encoding import ArrayForm, check_file, chunk_key, decode, form_of, same, spans_of
 from worker.study.layout import structured_attributes
 
 OUTCOME: Final = "outcome"
 
 _MISSING: Final = "is missing"
+#: A file is read whole, in one request, if at least this part of its inner chunks is needed.
+MOST_PARTS: Final = 0.5
 
 Index = int | slice
+#: Length of an array, of its chunks and of their inner chunks, along each cell dimension.
+_Sizes = tuple[tuple[int, int, int], ...]
 
 
 class HasSlices(Protocol):
@@ -41,8 +45,8 @@ class HasSlices(Protocol):
 class _Part(NamedTuple):
     """The requested cells in one inner chunk (the whole chunk if it is no shard)."""
 
-    coords: ChunkCoords  # of the chunk
     inner: tuple[int, ...]  # position in the shard
+    at: tuple[int, ...]  # position in the array, in inner chunks
     in_chunk: tuple[slice, ...]  # their positions in the inner chunk
     in_result: tuple[slice, ...]  # their positions in the result
 
@@ -52,7 +56,7 @@ def read_slice(
     names: Iterable[str],
     *,
     complete: bool = False,
-    forms: Mapping[str, ArrayForm] | None = None,
+    forms: Sequence[Mapping[str, ArrayForm]] | None = None,
     **where: Index,
 ) -> dict[str, NDArray[Any]]:
     """Part of some arrays, by index along the cell dimensions; reads only the needed chunks.
@@ -61,7 +65,7 @@ def read_slice(
     come last. Cells that are not computed read as fill values in every array.
 
     complete: whether every chunk has been written, so that a missing one is damage.
-    forms: `forms_in` of the study's layout, which the store's metadata must match.
+    forms: `forms_in` of the study's layout, one of which the store's metadata must match.
     Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
     """
     arrays = stored_forms(url, forms)
@@ -88,9 +92,8 @@ def _read(
     url: str, arrays: Mapping[str, ArrayForm], names: Iterable[str], index: tuple[Index, ...], complete: bool
 ) -> dict[str, NDArray[Any]]:
     names = tuple(dict.fromkeys(names))
-    chunks: dict[ChunkCoords, list[_Part]] = {}
-    for part in _parts(arrays[OUTCOME], index):
-        chunks.setdefault(part.coords, []).append(part)
+    parts = _parts_of({name: arrays[name] for name in (OUTCOME, *names)}, index)
+    chunks = dict.fromkeys(parts[OUTCOME])
     cells = {name: _fill_values(arrays[name], index) for name in (OUTCOME, *names)}
     damaged: dict[ChunkCoords, str] = {}
 
@@ -100,7 +103,7 @@ def _read(
 
         def read(file: tuple[str, str, ChunkCoords]) -> str | None:
             key, name, at = file
-            return _read_file(url, key, arrays[name], chunks[at], cells[name])
+            return _read_file(url, key, arrays[name], parts[name][at], cells[name])
 
         # Requests to a bucket run concurrently.
         failures = backend.pool("store").map(read, files) if in_bucket(url) else map(read, files)
@@ -124,22 +127,31 @@ def _read_file(
 ) -> str | None:
     """Put the parts of an array's chunk into `cells`; returns what is wrong with it."""
     try:
-        if form.sharded:
-            contents = backend.read_parts(url, key, [(-form.index_bytes, form.index_bytes)])
-            if contents is not None:
-                spans = spans_of(form, contents[0], [part.inner for part in parts])
-                contents = backend.read_parts(url, key, spans)
-        else:
-            whole = backend.read_key(url, key)
-            contents = None if whole is None else [whole]
+        contents = _contents(url, key, form, [part.inner for part in parts])
         if contents is None:
             return _MISSING
+        first = (0,) * (len(form.dims) - len(parts[0].at))  # along other dimensions
         for part, content in zip(parts, contents, strict=True):
-            values = decode(form, content, position(form, part.coords, part.inner))
+            values = decode(form, content, part.at + first)
             cells[part.in_result] = values[part.in_chunk]
     except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes
         return f"cannot be decoded: {error}"
     return None
+
+
+def _contents(
+    url: str, key: str, form: ArrayForm, inner: Sequence[tuple[int, ...]]
+) -> Sequence[bytes] | None:
+    """The bytes of some inner chunks of a file; None without one. Raises as `decode`."""
+    if form.sharded and len(inner) < MOST_PARTS * math.prod(form.inner_counts):
+        index = backend.read_parts(url, key, [(-form.index_bytes, form.index_bytes)])
+        return index and backend.read_parts(url, key, spans_of(form, index[0], inner))
+    whole = backend.read_key(url, key)
+    if whole is None:
+        return None
+    if not form.sharded:
+        return [whole]
+    return [whole[at : at + n] for at, n in spans_of(form, whole[-form.index_bytes :], inner)]
 
 
 def _fill_values(form: ArrayForm, index: tuple[Index, ...]) -> NDArray[Any]:
@@ -148,17 +160,17 @@ def _fill_values(form: ArrayForm, index: tuple[Index, ...]) -> NDArray[Any]:
     return np.full((*cells, *form.shape[len(cells) :]), form.fill, form.dtype)
 
 
-def stored_forms(url: str, forms: Mapping[str, ArrayForm] | None) -> Mapping[str, ArrayForm]:
-    """The forms of a store's arrays: `forms` if given, which the store's metadata must match.
+def stored_forms(url: str, forms: Sequence[Mapping[str, ArrayForm]] | None) -> Mapping[str, ArrayForm]:
+    """The forms of a store's arrays; if `forms` are given, the ones that the store's metadata match.
 
     Raises StoreMissing, StoreDamaged.
     """
-    stored = forms_of(root_of(url))
-    if forms is None:
-        return stored
-    if wrong := [name for name, form in forms.items() if not same(form, stored.get(name))]:
-        raise StoreDamaged(f"the store's metadata are not those of its specification: {', '.join(wrong)}")
-    return forms
+    stored, wrong = forms_of(root_of(url)), list[str]()
+    for expected in [stored] if forms is None else forms:
+        wrong = [name for name, form in expected.items() if not same(form, stored.get(name))]
+        if not wrong:
+            return expected
+    raise StoreDamaged(f"the store's metadata are not those of its specification: {', '.join(wrong)}")
 
 
 def read_file(url: str, key: str, forms: Mapping[str, ArrayForm]) -> bytes | None:
@@ -211,17 +223,32 @@ def forms_of(root: bytes) -> dict[str, ArrayForm]:
     return arrays
 
 
-def _parts(array: ArrayForm, where: tuple[Index, ...]) -> Iterator[_Part]:
-    """The inner chunks that contain the cells at these indices."""
+def _parts_of(
+    arrays: Mapping[str, ArrayForm], where: tuple[Index, ...]
+) -> dict[str, dict[ChunkCoords, list[_Part]]]:
+    """The inner chunks of each array that contain the cells at these indices, by chunk."""
+    found: dict[_Sizes, dict[ChunkCoords, list[_Part]]] = {}
+    by_name = {}
+    for name, form in arrays.items():
+        sizes = tuple(zip(form.shape, form.chunks, form.inner, strict=True))[: len(where)]
+        if sizes not in found:
+            found[sizes] = _parts(sizes, where)
+        by_name[name] = found[sizes]
+    if any(parts.keys() != by_name[OUTCOME].keys() for parts in found.values()):
+        raise StoreDamaged("the store's metadata cannot be read: its arrays have different chunks")
+    return by_name
+
+
+def _parts(sizes: _Sizes, where: tuple[Index, ...]) -> dict[ChunkCoords, list[_Part]]:
     axes = [
-        list(_spans(_range(n, index), size))
-        for n, size, index in zip(array.shape, array.inner, where, strict=True)
+        [(*divmod(span[0], chunk // inner), *span) for span in _spans(_range(n, index), inner)]
+        for (n, chunk, inner), index in zip(sizes, where, strict=True)
     ]
-    counts = array.inner_counts
+    by_chunk: dict[ChunkCoords, list[_Part]] = {}
     for spans in product(*axes):
-        numbers, in_chunk, in_result = zip(*spans, strict=True)
-        coords, inner = zip(*map(divmod, numbers, counts), strict=True)
-        yield _Part(coords, inner, in_chunk, in_result)
+        coords, *part = zip(*spans, strict=True)
+        by_chunk.setdefault(coords, []).append(_Part(*part))
+    return by_chunk
 
 
 def _range(length: int, index: Index) -> range:

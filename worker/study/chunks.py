@@ -28,7 +28,7 @@ from worker.study.layout import COMPUTED
 TARGET_SECONDS: Final = 0.75
 #: Core-seconds of a chunk of a study that would have very many.
 LONGEST_SECONDS: Final = 30.0
-#: Before compression; reading one cell reads its whole chunk.
+#: Before compression.
 MAX_CHUNK_BYTES: Final = 16 * 2**20
 #: Core-seconds that a task computes before it pauses: the longest wait of another job's chunk for a worker
 #: with its own core. Twice the target of a chunk, so that few chunks harder than estimated pause. Measured in

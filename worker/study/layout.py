@@ -7,7 +7,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
@@ -34,10 +34,13 @@ _STRUCTURED: Final = ("spec", "choice", "time_steps", "chunk_shape")
 _METADATA_KEY: Final = "zarr.json"
 _CHUNK_KEY: Final = re.compile(r"c/0|c(?:\.(?:0|[1-9][0-9]{0,8})){1,8}")  # of a coordinate, of an array
 
-#: Chunks larger than this, in bytes of all arrays before compression, are shards of inner chunks of at most
+#: An array's chunks of more bytes than this, before compression, are shards of inner chunks of at most
 #: INNER_BYTES: reading a cell reads its inner chunk.
-SHARD_BYTES: Final = 17 * 2**20
-INNER_BYTES: Final = 4 * 2**20
+WHOLE_BYTES: Final = 512 * 2**10
+INNER_BYTES: Final = 128 * 2**10
+#: The same of the chunks of all arrays together, which releases up to 0.2 cut alike.
+ALIKE_WHOLE_BYTES: Final = 17 * 2**20
+ALIKE_INNER_BYTES: Final = 4 * 2**20
 
 
 class Array(NamedTuple):
@@ -86,6 +89,7 @@ class Layout:
     attributes: Mapping[str, Any] = field(default_factory=dict)  # of the store
     #: Attributes that distinguish this store from every other: `job` and `chunk_shape`.
     identity: Mapping[str, Any] = field(default_factory=dict)
+    cut_alike: bool = False  # inner chunks as in stores of releases up to 0.2
 
     def __post_init__(self) -> None:
         """Refuse an array with a dimension's name, which readers take for its coordinate: ValueError."""
@@ -119,33 +123,39 @@ class Layout:
         """Length of an array's chunk along each of its dimensions."""
         return tuple(self.chunk_sizes.get(dim) or self.extra_sizes[dim] for dim in array.dims)
 
-    @cached_property
-    def inner_sizes(self) -> Mapping[str, int] | None:
-        """Cells along each cell dimension of the inner chunks of a shard; None if chunks are no shards.
-
-        Chunks are halved repeatedly to at most INNER_BYTES; odd sizes stay as they are.
-        """
-        sizes, size = dict(self.chunk_sizes), self.chunk_bytes
-        if size <= SHARD_BYTES:
-            return None
-        while size > INNER_BYTES and (even := [dim for dim, n in sizes.items() if n % 2 == 0]):
-            longest = max(even, key=lambda dim: sizes[dim])
-            sizes[longest] //= 2
-            size //= 2
-        return sizes if sizes != self.chunk_sizes else None
+    @property
+    def cuts(self) -> tuple["Layout", ...]:
+        """The layouts that its store may have: this one, and that of releases up to 0.2 if it differs."""
+        before = replace(self, cut_alike=True)
+        differs = any(self.inner_shape(array) != before.inner_shape(array) for array in self.arrays)
+        return (self, before) if differs else (self,)
 
     def inner_shape(self, array: Array) -> tuple[int, ...] | None:
-        """Length of an array's inner chunks along each of its dimensions; None if chunks are no shards."""
-        if (inner := self.inner_sizes) is None:
+        """Length of an array's inner chunks along each of its dimensions; None if chunks are no shards.
+
+        Chunks are halved along the cell dimensions in turn, so that a line along any of them meets few cells
+        beside it; odd lengths stay as they are.
+        """
+        whole, most, size = WHOLE_BYTES, INNER_BYTES, self._chunk_bytes(array)
+        if self.cut_alike:
+            whole, most, size = ALIKE_WHOLE_BYTES, ALIKE_INNER_BYTES, self.chunk_bytes
+        if size <= whole:
             return None
-        return tuple(inner.get(dim) or self.extra_sizes[dim] for dim in array.dims)
+        sizes, units = dict(self.chunk_sizes), {} if self.cut_alike else self.chunk_sizes
+        while size > most and (even := [dim for dim, n in sizes.items() if n % 2 == 0]):
+            longest = max(even, key=lambda dim: sizes[dim] / units.get(dim, 1))
+            sizes[longest] //= 2
+            size //= 2
+        shape = tuple(sizes.get(dim) or self.extra_sizes[dim] for dim in array.dims)
+        return shape if sizes != self.chunk_sizes else None
 
     @property
     def chunk_bytes(self) -> int:
         """Bytes of one chunk of all arrays, before compression."""
-        return sum(
-            math.prod(self.chunk_shape(array)) * np.dtype(array.dtype).itemsize for array in self.arrays
-        )
+        return sum(map(self._chunk_bytes, self.arrays))
+
+    def _chunk_bytes(self, array: Array) -> int:
+        return math.prod(self.chunk_shape(array)) * np.dtype(array.dtype).itemsize
 
     def coords(self, slices: Sequence[slice]) -> tuple[int, ...]:
         """Coordinates of the chunk that spans these cells, in the grid of chunks."""

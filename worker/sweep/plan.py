@@ -13,6 +13,7 @@ from typing import Final
 from kernel.params import FEW, LANES, periods_followed
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.study.chunks import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even
+from worker.study.layout import WHOLE_BYTES
 from worker.sweep.schema import bytes_per_cell
 from worker.sweep.specification import AXES, SweepSpec
 
@@ -26,7 +27,7 @@ MANY_CHUNKS: Final = 15_000
 #: From this many lines of a ramp on, chunks fill all lanes. With fewer, twice as many chunks of half the
 #: lanes keep more workers busy.
 LINES_TO_FILL: Final = 4 * LANES
-#: MAX_CHUNK_BYTES of sweeps with many chunks: larger chunks are shards, whose parts a reader can read alone.
+#: MAX_CHUNK_BYTES of sweeps with many chunks.
 MAX_SHARD_BYTES: Final = 96 * 2**20
 
 #: Share of the cells that still settle at the end of their window, and the share of those that still do after
@@ -70,46 +71,49 @@ def _cells_per_chunk(spec: SweepSpec, longest: float) -> int:
     return max(min(math.ceil(seconds / cost), most_bytes // size), cells_at_once(spec))
 
 
-def _halvable(size: int, cells: int) -> int:
-    """The length of a shard along an axis of `size` cells: a length that can be halved a few times."""
-    if size >= cells:
-        return cells
-    return size - size % next(unit for unit in (8, 4, 2, 1) if size >= unit * unit or unit == 1)
+def _up(size: int, n: int, halved: bool) -> int:
+    """The least chunk size from `size` on along an axis of n cells; a shard's can be `halved` a few times."""
+    unit = next(unit for unit in (8, 4, 2, 1) if size >= unit**2) if halved else 1
+    return min(size + -size % unit, n)
 
 
 def block(spec: SweepSpec, cells: int) -> tuple[int, ...]:
-    """Chunk shape of at most `cells` cells: as long as possible along the ramp, then balanced."""
+    """Chunk shape of at most `cells` cells: as long as possible along the ramp, then balanced.
+
+    Shards are up to a fifth longer along an axis, so that they can be halved.
+    """
     grid = dict(zip(AXES, spec.shape[1:], strict=True))
-    is_long = cells * bytes_per_cell(spec) > MAX_CHUNK_BYTES
+    halved = cells * bytes_per_cell(spec) > WHOLE_BYTES
     size, at_once = dict[str, int](), 1
     if spec.ramp_axis:
         # all lanes, or one vector of them if there are few lines
         at_once = cells_at_once(spec)
         at_once = at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
-        length = even(grid.pop(spec.ramp_axis), max(1, cells // at_once))
+        n = grid.pop(spec.ramp_axis)
+        length = _up(even(n, max(1, cells // at_once)), n, halved)
         size, cells = {spec.ramp_axis: length}, cells // length
         cells -= cells % at_once if cells > at_once else 0  # lines that fill the lanes
-    size |= (_filling if 1 < cells <= at_once else _balanced)(grid, max(1, cells))
-    shape = tuple(size[axis] for axis in AXES)
-    return tuple(map(_halvable, shape, spec.shape[1:])) if is_long else shape
+    size |= _filling(grid, cells, halved) if 1 < cells <= at_once else _balanced(grid, max(1, cells), halved)
+    return tuple(size[axis] for axis in AXES)
 
 
-def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:
+def _balanced(grid: Mapping[str, int], cells: int, halved: bool) -> dict[str, int]:
     """Chunk sizes of at most `cells` cells that divide every axis of `grid` into about as many parts."""
 
     def cut(parts: int) -> dict[str, int]:
-        return {axis: -(-n // min(n, parts)) for axis, n in grid.items()}
+        return {axis: _up(-(-n // min(n, parts)), n, halved) for axis, n in grid.items()}
 
     every = range(1, max(grid.values()) + 1)
     fits = bisect_left(every, True, key=lambda parts: math.prod(cut(parts).values()) <= cells)
     size = cut(every[fits])
     for axis in ("gamma", "omega", "xi"):  # remaining cells extend the axis of most diagrams first
         if axis in size:
-            size[axis] = even(grid[axis], cells * size[axis] // math.prod(size.values()))
+            most = max(size[axis], cells * size[axis] // math.prod(size.values()))
+            size[axis] = _up(even(grid[axis], most), grid[axis], halved)
     return size
 
 
-def _filling(grid: Mapping[str, int], most: int) -> dict[str, int]:
+def _filling(grid: Mapping[str, int], most: int, halved: bool) -> dict[str, int]:
     """Chunk sizes of at most `most` lines of a ramp that leave the fewest lanes idle."""
     (slow, height), (fast, width) = grid.items()
 
@@ -117,7 +121,10 @@ def _filling(grid: Mapping[str, int], most: int) -> dict[str, int]:
         rows, columns = ([(each, grid[axis] // each), (grid[axis] % each, 1)] for axis, each in size.items())
         return sum(n * m * _lanes(a * b) for (a, n), (b, m) in product(rows, columns))
 
-    sizes = [{slow: even(height, n), fast: even(width, most // n)} for n in range(1, min(height, most) + 1)]
+    sizes = [
+        {slow: even(height, n), fast: min(_up(even(width, most // n), width, halved), most // n)}
+        for n in range(1, min(height, most) + 1)
+    ]
     return min(sizes, key=lanes)
 
 

@@ -113,7 +113,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A finished job of a service whose larger chunks are shards, and its client."""
     folder = tmp_path_factory.mktemp("served")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(layout, "SHARD_BYTES", 500)
+        patch.setattr(layout, "WHOLE_BYTES", 500)
         patch.setattr(layout, "INNER_BYTES", 500)
         with computing_at(folder) as address, Client(address) as client:
             grid = RAMP | {"omega": [0.5, 0.7, 0.9, 1.1], "protocol": {"kind": "rest"}}

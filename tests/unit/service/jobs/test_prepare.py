@@ -12,11 +12,13 @@ from ledgers import record
 from scripted import Held, small, sweep
 from served import computing, finished, get, service
 
+from kernel.params import KERNEL_VERSION
 from service.jobs import prepare
-from service.jobs.prepare import JobPreparer
+from service.jobs.prepare import JobPreparer, PreparedJob
 from service.settings import Settings
-from worker import studies
+from worker import store, studies
 from worker.analysis.model_selection import ModelChoice
+from worker.spec.axes import Range
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 
@@ -117,3 +119,16 @@ def test_only_the_jobs_used_last_are_kept(
     assert calls["parsed"] == 4
     preparer.prepare(jobs[1])
     assert calls["parsed"] == 5
+
+
+def test_the_metadata_of_an_earlier_release_are_served(tmp_path: Path):
+    spec = small(gamma=Range(start=0.5, stop=5.0, num=64), omega=Range(start=0.5, stop=1.0, num=64), keep=64)
+    url, plan = str(tmp_path / "old.zarr"), make_plan(spec, (1, 64, 64))
+    job = PreparedJob(spec.job_id(KERNEL_VERSION), spec, spec, plan, url, {})
+    _, before = job.layout.cuts
+    store.create(url, before)
+    key = "flight_time/zarr.json"
+    assert job.read_file(key) == store.metadata_of(before)[key] != store.metadata_of(job.layout)[key]
+    Path(url, key).write_text("{}")
+    with pytest.raises(store.StoreDamaged, match="is not what the store's specification says"):
+        job.read_file(key)

@@ -15,8 +15,8 @@ from kernel.params import LANES
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import SpecTooLarge
 from worker.study import Chunk, Cost, Plan
-from worker.study.chunks import MAX_CHUNK_BYTES, TARGET_SECONDS, check_size
-from worker.study.layout import INNER_BYTES
+from worker.study.chunks import TARGET_SECONDS, check_size
+from worker.study.layout import INNER_BYTES, WHOLE_BYTES
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.plan import (
     FEWEST_CHUNKS,
@@ -126,7 +126,7 @@ def test_those_models_fill_lanes_that_the_kernel_computes_in_lanes(kind):
 @for_each(
     ("lines", "cells", "shape"),
     [
-        (200, 1600, (1, 50, 29)),  # 7 equal parts
+        (200, 1600, (1, 50, 32)),  # 7 parts, all but the last of a length that can be halved
         (200, 800, (1, 50, LANES)),
         (200, 320, (1, 17, LANES)),  # parts of lines, so that the lanes are full
         (20, 400, (1, 50, 7)),  # few lines: one vector at most, and no chunk much smaller than others
@@ -174,11 +174,11 @@ def test_blocks_from_rest_are_balanced(grid, cells, shape):
 def test_a_chunk_that_is_long_in_bytes_can_be_halved():
     """Its length along an axis is a multiple of 8 from 64 on, of 4 from 16 and of 2 from 4, or the axis."""
     shapes = {}
-    for cells in (900_000, 400_000, 200_000, 9):
+    for cells in (900_000, 200_000, 9_000, 9):
         spec = sweep(omega=1003, gamma=1003, keep=10_000 if cells == 9 else 1)
-        assert (cells * schema.bytes_per_cell(spec) > MAX_CHUNK_BYTES) == (cells >= 600_000)
+        assert (cells * schema.bytes_per_cell(spec) > WHOLE_BYTES) == (cells != 9_000)
         shapes[cells] = block(spec, cells)
-    assert shapes == {900_000: (1, 496, 1003), 400_000: (1, 502, 502), 200_000: (1, 335, 502), 9: (1, 3, 3)}
+    assert shapes == {900_000: (1, 504, 1003), 200_000: (1, 336, 504), 9_000: (1, 92, 92), 9: (1, 3, 3)}
 
 
 def test_estimate_counts_what_the_store_holds():
@@ -244,7 +244,8 @@ def test_a_billion_cells_are_less_than_a_hundred_thousand_files(kind: str):
     plan, files = make_plan(spec), len(list(schema.arrays(spec)))
     assert len(plan) * files < 100_000
     cut = schema.layout(spec, plan.chunk_shape)
-    assert cut.inner_sizes is not None
-    inner = math.prod(cut.inner_sizes.values()) * schema.bytes_per_cell(spec)
-    assert inner <= INNER_BYTES < cut.chunk_bytes <= MAX_SHARD_BYTES
-    assert all(size % cut.inner_sizes[dim] == 0 for dim, size in cut.chunk_sizes.items())
+    assert cut.chunk_bytes <= MAX_SHARD_BYTES
+    flights = cut.arrays[0]
+    inner, whole = cut.inner_shape(flights), cut.chunk_shape(flights)
+    assert 8 * math.prod(inner) <= INNER_BYTES
+    assert all(n % part == 0 for n, part in zip(whole, inner, strict=True))
