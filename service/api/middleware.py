@@ -110,6 +110,8 @@ class Gate:
     async def _answer(self, scope: Scope, headers: Headers, receive: Receive, send: Send) -> None:
         try:
             scope["state"]["token_name"] = self._check(scope["method"], scope["path"], headers)
+            if scope["path"].endswith("\n"):  # the `$` of a route would match before it
+                raise HTTPException(404, f"no endpoint {scope['path']!a}; /docs lists the endpoints")
         except HTTPException as error:
             await ProblemResponse(error.status_code, error.detail, (), error.headers)(scope, receive, send)
         else:

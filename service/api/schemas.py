@@ -155,7 +155,8 @@ class JobView(BaseModel):
     kernel_version: str
     notice: str | None = Field(
         description="of a job of another kernel version than this release's: that it is; of a job that is "
-        "not computed now: why (no scheduler, no workers yet, workers refused); else null"
+        "not computed now: why (a disk that cannot be written, no scheduler, no workers yet, workers "
+        "refused); else null"
     )
     replaced_by: str | None = Field(
         description="id of the job that computes the sweep anew, with this release's kernel version"
@@ -188,6 +189,7 @@ class JobList(BaseModel):
     jobs: list[JobView]
     total: int = Field(description="number of jobs on all pages")
     next: str | None = Field(description="cursor of the next page; null on the last page")
+    notice: str | None = Field(description="why no job is accepted now; null if jobs are")
 
 
 class BrokenRule(BaseModel):

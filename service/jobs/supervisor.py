@@ -334,6 +334,7 @@ class Supervisor:
         except LedgerUnavailable:
             raise  # not the job's fault: the step is retried
         except Exception as error:
+            self._ledger.check()  # nor is a disk that cannot be written
             log.exception("job %s cannot start", job_id)
             hint = "; bounce adopt takes in what is stored there" if isinstance(error, StoreConflict) else ""
             reason = f"the job cannot start: {type(error).__name__}: {error}{hint}"

@@ -7,12 +7,14 @@ from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import xarray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from service.formats import PICTURES
 from service.views import encode
 from service.views.selection import thinning
 from worker.schema import Array
+from worker.spec import LARGEST, SMALLEST
+from worker.spec.axes import within
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,8 +22,9 @@ if TYPE_CHECKING:
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="return every n-th value only")]
 
-Omega = Annotated[Number, Field(gt=0, le=1e6)]
-Xi = Annotated[Number, Field(ge=0, le=1e6)]
+#: Of a spring, with the limits of a specification.
+Omega = Annotated[Number, Field(ge=SMALLEST, le=LARGEST)]
+Xi = Annotated[Number, Field(ge=0, le=LARGEST), AfterValidator(within(0.0, LARGEST))]
 
 Direction = Annotated[
     str | None, Field(description="rest, up or down; default: all that the sweep has, a dimension if two")

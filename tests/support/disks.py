@@ -22,6 +22,18 @@ def mounted(folder: Path, options: str) -> Iterator[Path]:
         subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
+@contextmanager
+def read_only(folder: Path) -> Iterator[None]:
+    """The folder as on a disk that was mounted read-only; files that are open stay so. Skips as `mounted`."""
+    command = ["mount", "-o", "bind,ro", str(folder), str(folder)]
+    if subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("file systems cannot be mounted here")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
 def fill(path: Path) -> None:
     """Write until not a byte is free."""
     with path.open("wb", buffering=0) as file:

@@ -194,7 +194,8 @@ def _unseen(url: str, mark: str) -> str:
         return f"it cannot read {url}, where the stores are: {_one_line(error)}"
     if found != mark:
         return f"it does not see the service's stores in {url}: share that folder, under the same path"
-    return "" if store.is_writable(url) else f"it cannot write into {url}, where the stores are"
+    fault = store.write_fault(url)
+    return f"it cannot write into {url}, where the stores are: {fault}" if fault else ""
 
 
 def _one_line(error: Exception) -> str:

@@ -13,11 +13,11 @@ from worker.store.backend import StoreMissing as StoreMissing
 from worker.store.backend import check_address as check_address
 from worker.store.backend import created_at as created_at
 from worker.store.backend import in_bucket as in_bucket
-from worker.store.backend import is_writable as is_writable
 from worker.store.backend import names_in as names_in
 from worker.store.backend import read_key as read_key
 from worker.store.backend import remove as remove
 from worker.store.backend import rename_for_deletion as rename_for_deletion
+from worker.store.backend import write_fault as write_fault
 from worker.store.encoding import ArrayForm as ArrayForm
 from worker.store.encoding import forms_in as forms_in
 from worker.store.reader import HasSlices as HasSlices

@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from datetime import datetime, timedelta
 from functools import cache, lru_cache
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from urllib.parse import urlsplit
 from uuid import uuid4
@@ -209,9 +210,22 @@ def make_place(url: str) -> None:
         Path(url).mkdir(parents=True, exist_ok=True)
 
 
-def is_writable(url: str) -> bool:
-    """Whether this process may write into the folder at an address; not checked for a bucket."""
-    return in_bucket(url) or os.access(url, os.W_OK)
+def write_fault(url: str) -> str | None:
+    """Why this process can make no file in the folder at an address, or where it would be; None if it can.
+
+    Not of a bucket, nor because a disk is full. Only a try tells: an ext4 that met an error refuses files and
+    is still mounted to be written to.
+    """
+    if in_bucket(url):
+        return None
+    place = Path(url).absolute()
+    try:
+        with TemporaryFile(dir=next(each for each in (place, *place.parents) if each.exists())):
+            return None
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            return error.strerror or type(error).__name__
+        return None
 
 
 def delete(url: str, key: str) -> None:

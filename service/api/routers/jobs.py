@@ -87,7 +87,8 @@ def list_jobs(service: ServiceDep, query: Annotated[schemas.JobsQuery, Query()])
     page, more = records[: query.limit], len(records) > query.limit
     now = time.time()
     views = [job_view(job, now, longest_spec=schemas.LONG_SPEC) for job in page]
-    return schemas.JobList(jobs=views, total=total, next=search.cursor(page[-1]) if more else None)
+    following = search.cursor(page[-1]) if more else None
+    return schemas.JobList(jobs=views, total=total, next=following, notice=service.ledger.fault())
 
 
 @router.get(
@@ -101,7 +102,9 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
     job = find_job(job_id, service)  # called, not a dependency: FastAPI would use a second thread for it
     with service.ledger.reading() as ledger:
         failures = ledger.failures(job)
-    notice = service.manager.supervisor.cluster.explanation if job.state in UNFINISHED else None
+    cluster, notice = service.manager.supervisor.cluster, None
+    if job.state in UNFINISHED:
+        notice = service.ledger.fault() or cluster.explanation
     compiling = service.manager.compiling(job)
     headers = {"Retry-After": str(seconds)} if (seconds := _retry_after(job)) else {}
     compiled = None if compiling is None else round(compiling.seconds)

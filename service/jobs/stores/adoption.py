@@ -41,6 +41,7 @@ class StoresMarker:
 
     def __init__(self, ledger: Ledger, settings: Settings) -> None:
         self._ledger, self._url = ledger, settings.stores_url
+        self._data = settings.data
         self._within_data = settings.stores is None  # no other data folder has them
         self._remembered = REMEMBERED_SECONDS if store.in_bucket(self._url) else 0.0
         self._checked = float("-inf")
@@ -69,7 +70,14 @@ class StoresMarker:
                 writing.note_marked()
 
     def check(self) -> None:
-        """Raise LedgerUnavailable unless the stores exist and are this ledger's."""
+        """Raise LedgerUnavailable unless the stores are this ledger's and both folders can be written."""
+        self._check_marker()
+        folders = {"the data folder": str(self._data), "the folder of the stores": self._url}
+        for folder, place in folders.items():
+            if reason := store.write_fault(place):
+                raise LedgerUnavailable(f"{folder} cannot be written: {reason}")
+
+    def _check_marker(self) -> None:
         if time.monotonic() - self._checked < self._remembered:
             return
         with self._ledger.reading() as reading:

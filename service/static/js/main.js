@@ -11,8 +11,8 @@ import { JobView } from "./views/job.js";
 import { Sweeps } from "./start/sweeps.js";
 
 // A page is built with its root element and the address. It has refresh(redraw): load again; close(); and, where the
-// address may change to another state of the same page, show().
-const PAGES = { "": Sweeps, new: SweepForm, job: JobView, compare: Compare, explore: Explore };
+// address may change to another state of the same page, show(). Without the names of every object, such as constructor.
+const PAGES = { __proto__: null, "": Sweeps, new: SweepForm, job: JobView, compare: Compare, explore: Explore };
 const root = document.getElementById("view");
 let page = null;
 let shown = null; // which page

@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from disks import fill, mounted, use_up_inodes
+from disks import fill, mounted, read_only, use_up_inodes
 from running import running
 from scripted import Held, sweep, wait_for
 from served import FIGURE_2, service
@@ -94,6 +94,24 @@ def test_a_limit_on_file_sizes_fails_the_job_only(tmp_path: Path, cluster: Dask)
         assert "File too large" in (job.error or "")
         job = service.until(service.submit(spec), JobState.DONE)
         assert (service.outcomes(job) != Outcome.MISSING).all()
+
+
+@pytest.mark.parametrize(("folder", "name"), [("data", "data folder"), ("stores", "folder of the stores")])
+def test_nothing_is_accepted_while_a_disk_is_read_only(tmp_path: Path, folder: str, name: str):
+    """A job that runs waits for the disk; once it can be written, the service goes on by itself."""
+    held, reason = Held(capacity=1), f"the {name} cannot be written: Read-only file system"
+    with service(tmp_path / "data", held, stores=str(tmp_path / "stores")) as client:
+        here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
+        wait_for(lambda: held.held() == 1)
+        with read_only(tmp_path / folder):
+            wait_for(lambda: client.get("/readyz").status_code == 503)
+            held.let_go()
+            for answer in (client.get("/readyz"), client.post("/v1/jobs", json={**FIGURE_2, "omega": 0.6})):
+                assert (answer.status_code, answer.json()["detail"]) == (503, reason)
+            assert [client.get(path).json()["notice"] for path in (here, "/v1/jobs")] == [reason, reason]
+        wait_for(lambda: client.get("/readyz").json() == {"status": "ok"})
+        held.let_go_until(lambda: client.get(here).json()["state"] == "done")
+        assert client.get("/v1/jobs").json()["notice"] is None
 
 
 @pytest.mark.parametrize("format", ["nc", "parquet"])

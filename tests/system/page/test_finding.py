@@ -12,8 +12,10 @@ import pandas
 import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
 from click.testing import CliRunner
+from disks import read_only
 from PIL import Image
 from scripted import Held
+from served import computing_at
 
 from kernel.params import KERNEL_VERSION
 from kernel.threshold import threshold
@@ -57,6 +59,28 @@ def _wait_names(page: Any, *names: str) -> None:
             [...document.querySelectorAll(".jobs li h3")].map((h3) => h3.textContent).join()""",
         arg=names,
     )
+
+
+def test_an_address_of_nothing_leaves_a_page_that_works(browser: Any, address: str, jobs: list[str]):
+    """Names that every object of the language has, and a token that is cut off."""
+    with opened(browser, f"{address}/#/constructor", expected=("422",)) as page:
+        for name in ("constructor", "toString", "__proto__"):
+            page.goto(f"{address}/#/{name}")
+            page.get_by_role("heading", name="Page not found").wait_for()
+            page.goto(f"{address}/#/job/{jobs[0]}/{name}?cell=1,0.5,0.05,{name}")
+            page.locator(".tabs a[aria-current=page]", has_text="Diagram").wait_for()
+            page.locator(".trajectory .problem", has_text="direction").wait_for()
+        page.goto(f"{address}/#token=%E0%A4%A")
+        page.get_by_role("heading", name="Presets").wait_for()
+
+
+def test_the_list_tells_why_no_sweep_is_accepted(browser: Any, tmp_path: Path):
+    stores = tmp_path / "stores"
+    with computing_at(tmp_path / "data", stores=str(stores)) as address, opened(browser, address) as page:
+        notice = page.locator(".notice", has_text="stores cannot be written: Read-only file system")
+        with read_only(stores):
+            notice.wait_for()
+        notice.wait_for(state="hidden")
 
 
 @pytest.fixture

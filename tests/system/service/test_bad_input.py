@@ -89,7 +89,9 @@ REQUESTS = {
     "an unknown format": ("GET", "{job}/diagram?omega=0.5&format=gif", 422, "format: should be 'json'"),
     "a motion too long": ("GET", "{job}/trajectory?gamma=1&omega=0.5&periods=1000", 413, "200,001 samples"),
     "thresholds of nobody": ("GET", "/v1/jobs/nobody/threshold", 404, "no job has the id"),
-    "Eq. 25 at rest": ("GET", "/v1/threshold?omega=0&xi=0.1", 422, "omega: should be greater than 0"),
+    "Eq. 25 at rest": ("GET", "/v1/threshold?omega=0&xi=0.1", 422, "omega: should be greater than or equal"),
+    "almost no damping": ("GET", "/v1/threshold?omega=1&xi=1e-300", 422, "xi: must be 0 or at least 1e-30"),
+    "a line feed behind a path": ("GET", "{job}/zarr/zarr.json%0a", 404, "zarr.json\\n'"),
 }  # fmt: skip
 
 

@@ -21,13 +21,17 @@ const TIMEOUT_MS = 30_000;
 const DOWNLOAD_TIMEOUT_MS = 600_000;
 const TOKEN_KEY = "bounce-token";
 
-export const setToken = (token) => sessionStorage.setItem(TOKEN_KEY, token);
+export const setToken = (token) => sessionStorage.setItem(TOKEN_KEY, token.replace(/[^!-~]/g, "?")); // headers hold no others
 
 /** Keep the token of an address #token=…, as `bounce open` opens it, and remove it from the address. */
 export function takeToken() {
   const [, token] = /^#token=(.+)$/.exec(location.hash) ?? [];
   if (token === undefined) return;
-  setToken(decodeURIComponent(token));
+  try {
+    setToken(decodeURIComponent(token));
+  } catch {
+    setToken(token); // cut off: the service refuses it
+  }
   history.replaceState(null, "", "#/");
 }
 

@@ -88,7 +88,7 @@ const LABEL_TEXTS = ["not computed yet", "", "aperiodic", "at rest on the plate"
 /** A cell's outcome or label as text. */
 export const outcomeText = (code, bounces, periods) => (code === OUTCOME.periodic ? `mode (${bounces}, ${periods})` : LABEL_TEXTS[code]);
 
-const NUMBERS = { cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
+const NUMBERS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
 
 /** How addresses name a start in place of a direction: on a cycle ("cycle", its periods, its flight time), with a drop, in contact, on an attractor. */
 export const startName = (kind, ...values) => [kind, ...values.map((value) => Number(value.toPrecision(12)))].join(":");

@@ -43,11 +43,12 @@ export class SweepList {
     this.list = h("ol", { className: "jobs", "aria-label": "Sweeps" });
     this.empty = h("p", { className: "note", hidden: true });
     this.problem = problemLine();
+    this.notice = h("p", { className: "notice", role: "status", hidden: true });
     this.range = h("span", { className: "note", role: "status" });
     this.previous = button("Previous page", () => this.#turn(this.cursors.slice(0, -1)));
     this.next = button("Next page", () => this.#turn([...this.cursors, this.following]));
     this.element = h("section", { "aria-labelledby": "sweeps" },
-      h("h2", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.filters, this.problem.element, this.selection, this.empty, this.list,
+      h("h2", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.notice, this.filters, this.problem.element, this.selection, this.empty, this.list,
       h("div", { className: "controls pages" }, this.previous, this.next, this.range));
     this.#showSelection();
   }
@@ -71,6 +72,8 @@ export class SweepList {
       const isFirst = this.cursors.length === 1;
       this.#showJobs([...(isFirst ? pinned.jobs : []), ...others.jobs]);
       this.#showRange(pinned, others);
+      this.notice.hidden = !others.notice;
+      setText(this.notice, others.notice ?? "");
       this.#refreshAfter([...pinned.jobs, ...others.jobs].some((job) => UNFINISHED.has(job.state)) ? POLL_MS : IDLE_POLL_MS);
     } catch (error) {
       if (this.closed) return;

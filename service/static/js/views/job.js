@@ -14,10 +14,10 @@ import { sourceOf } from "./plot-view.js";
 import { JobSummary, UNFINISHED, settling, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
-const TABS = { diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
+const TABS = { __proto__: null, diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
 const STUDY_TABS = { // by the kind of study; others have their details alone
-  basin: { basin: ["Basins", Basin], details: TABS.details },
-  multistability: { attractors: ["Diagram", AttractorDiagram], map: ["Map", AttractorMap], details: TABS.details },
+  basin: { __proto__: null, basin: ["Basins", Basin], details: TABS.details },
+  multistability: { __proto__: null, attractors: ["Diagram", AttractorDiagram], map: ["Map", AttractorMap], details: TABS.details },
 };
 const SHARED = [...AXES, "cell", "min"]; // query parameters that all tabs understand
 const POLL_MS = 1000;
@@ -137,7 +137,7 @@ export class JobView {
   /** The views of this kind of study. */
   #tabs() {
     const { spec } = this.job;
-    return isSweep(spec) ? TABS : (STUDY_TABS[spec.protocol.kind] ?? { details: TABS.details });
+    return isSweep(spec) ? TABS : (STUDY_TABS[spec.protocol.kind] ?? { __proto__: null, details: TABS.details });
   }
 
   /** The address holds the selected cell, and its axis values for the sliders of the other tabs. */

@@ -84,13 +84,12 @@ def test_a_key_is_written_whole_or_not_at_all(url: str):
     assert below(url) == before
 
 
-def test_places_are_made_and_told_from_those_that_cannot_be_written_to(url: str, tmp_path: Path):
+def test_places_are_made_and_hold_names(url: str, tmp_path: Path):
     place = str(tmp_path / "deep" / "stores")
-    assert backend.is_writable(place) is False
     backend.make_place(place)
     backend.make_place(place)
-    assert backend.is_writable(place) is True
-    assert backend.is_writable("s3://bucket/prefix") is True
+    assert backend.write_fault(place) is None
+    assert backend.write_fault("s3://bucket/prefix") is None
     assert backend.names_in(url) == ["a", "folder"]
     assert backend.names_in(place) == backend.names_in(str(tmp_path / "none")) == []
 
