@@ -26,6 +26,7 @@ from service.client.models import JobStatus
 from service.client.specification import Specification, body
 from service.errors import InvalidRequest, RunFailed
 from service.formats import EXPORTS, ExportFormat
+from worker.files import sync
 from worker.kernel_cache import use_cache
 from worker.ownership import temporary_folder
 
@@ -110,6 +111,7 @@ def run(
         with computed(spec, partial_of(target), workers=workers, progress=progress) as (_, job):
             computed_store = Path(job.store_url)
         computed_store.rename(target)
+        sync(target.parent)
         shutil.rmtree(partial_of(target))
     return opened(str(target.absolute()))
 
@@ -157,11 +159,11 @@ def run_to_file(
         formats = ", ".join((*EXPORTS, "zarr"))
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
-    from service.files import complete_file
     from service.views import diagram, files
     from service.views.registry import admit, answer
     from service.views.selection import Stored
     from service.views.view import Query
+    from worker.files import complete_file
 
     query: Query = _query(diagram.DiagramQuery, line or {})
     settings = _settings(partial_of(target))

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO, Final
 from urllib.parse import urlsplit
 
-from service.files import complete_file
+from worker.files import complete_file
 
 #: Replaces a token: the service creates one, its clients look for it.
 AUTO: Final = "auto"

@@ -13,6 +13,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from worker.files import make_folder
+
 log = logging.getLogger(__name__)
 
 #: Permissions of group and others, and their permission to write.
@@ -34,7 +36,7 @@ def make_private(folder: Path) -> None:
 
     Raises NotOurs if another user owns it or something in it, and OSError.
     """
-    folder.mkdir(PRIVATE_FOLDER, parents=True, exist_ok=True)
+    make_folder(folder, PRIVATE_FOLDER)
     status = folder.stat()
     if not _is_ours(status):
         raise NotOurs(f"{folder} belongs to another user, who could change its contents")

@@ -10,8 +10,8 @@ import click
 from service.cli import data, jobs, views
 from service.cli.figure import figure, tradeoff
 from service.cli.options import CommandGroup, data_option, with_client
-from service.files import complete_file
 from service.tokens import AUTO, data_folder
+from worker.files import complete_file
 
 if TYPE_CHECKING:
     from service.client import Client

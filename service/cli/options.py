@@ -146,7 +146,7 @@ def write_file(output: str, content: bytes) -> None:
 
     A symbolic link is replaced, and what it points to is left alone. A pipe or a device is written to.
     """
-    from service.files import complete_file
+    from worker.files import complete_file
 
     with click.open_file("-", "wb") if output == "-" else complete_file(Path(output)) as file:
         file.write(content)

@@ -26,8 +26,8 @@ from service.client.errors import (
     error_class,
 )
 from service.client.models import Problem
-from service.files import complete_file
 from service.tokens import AUTO, find_token
+from worker.files import complete_file
 
 CONNECT_SECONDS: Final = 5.0
 

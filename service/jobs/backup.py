@@ -1,6 +1,5 @@
 """Backups of the ledger: copied while the service runs, checked, and restored in place of a lost one."""
 
-import os
 import shutil
 import sqlite3
 import tempfile
@@ -13,7 +12,7 @@ from urllib.parse import quote
 from service.errors import LedgerUnavailable, LedgerUnusable
 from service.jobs.ledger import check, copy_to, locked
 from service.jobs.ledger_files import aside, shm_of, wal_of
-from worker.ownership import PRIVATE_FILE
+from worker.files import make_folder, replacing, sync
 
 SQLITE_VERSION: Final = sqlite3.sqlite_version
 
@@ -47,8 +46,6 @@ def backup(ledger: Path, file: Path) -> Contents:
         raise LedgerUnavailable(f"{ledger} cannot be copied to {file}: {reason}") from error
     except sqlite3.DatabaseError as error:
         raise LedgerUnusable(f"{ledger} cannot be copied: {error}") from error
-    file.chmod(PRIVATE_FILE)
-    _sync(file)
     return inspect(file)
 
 
@@ -61,26 +58,22 @@ def restore(ledger: Path, file: Path) -> Restored:
     if not file.is_file():
         raise LedgerUnusable(f"there is no file {file}")
     contents = inspect(file)
-    ledger.parent.mkdir(parents=True, exist_ok=True)
-    partial = ledger.with_name(f"{ledger.name}.partial")
+    make_folder(ledger.parent)
     with locked(ledger):
         try:
-            shutil.copyfile(file, partial)
-            with closing(sqlite3.connect(partial)) as connection, connection:
-                connection.execute("DELETE FROM deletions")
-                for table in ("chunks", "verified"):  # of the jobs deleted
-                    connection.execute(f"DELETE FROM {table} WHERE job NOT IN (SELECT seq FROM jobs)")
-                connection.execute("PRAGMA journal_mode=DELETE")  # one file, which one renaming puts in place
-            partial.chmod(PRIVATE_FILE)
-            _sync(partial)
-            replaced = _set_aside(ledger)
-            partial.replace(ledger)
-            _sync(ledger.parent)
+            with replacing(ledger, private=True) as restored:
+                with file.open("rb") as kept:
+                    shutil.copyfileobj(kept, restored)
+                restored.flush()
+                with closing(sqlite3.connect(restored.name)) as connection, connection:
+                    connection.execute("DELETE FROM deletions")
+                    for table in ("chunks", "verified"):  # of the jobs deleted
+                        connection.execute(f"DELETE FROM {table} WHERE job NOT IN (SELECT seq FROM jobs)")
+                    connection.execute("PRAGMA journal_mode=DELETE")  # one file, which one renaming moves
+                sync(Path(restored.name))  # before the previous one is moved
+                replaced = _set_aside(ledger)
         except sqlite3.Error as error:
             raise LedgerUnusable(f"{file} cannot be restored: {error}") from error
-        finally:
-            for path in (partial, wal_of(partial), shm_of(partial)):
-                path.unlink(missing_ok=True)
     return Restored(contents, replaced)
 
 
@@ -132,11 +125,3 @@ def _set_aside(ledger: Path) -> Path | None:
         elif of(ledger).exists():
             of(ledger).rename(of(replaced))
     return replaced and ledger.rename(replaced)
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

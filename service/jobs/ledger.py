@@ -30,6 +30,7 @@ from service.jobs.ledger_files import (
 from service.jobs.model import JobRecord
 from service.jobs.tables import TABLES, VERSION
 from service.jobs.transactions import ReadTransaction, WriteTransaction
+from worker.files import make_folder, replacing
 
 log = logging.getLogger(__name__)
 
@@ -52,7 +53,7 @@ class Ledger(AbstractContextManager["Ledger"]):
     """
 
     def __init__(self, path: Path, has_stores: Callable[[], bool] = lambda: False) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         self.path = path
         self._write_lock, self._read_lock = threading.Lock(), threading.Lock()
         self._damage: str | None = None  # why nothing is written until the next start
@@ -347,7 +348,7 @@ def _make_tables(connection: sqlite3.Connection) -> None:
 @contextmanager
 def locked(path: Path) -> Iterator[IO[str]]:
     """Lock the folder of a ledger; the system unlocks it when the process dies. Raises DataFolderBusy."""
-    with lock_of(path).open("w") as file:
+    with lock_of(path).open("a") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -357,15 +358,9 @@ def locked(path: Path) -> Iterator[IO[str]]:
 
 def copy_to(source: sqlite3.Connection, path: Path) -> None:
     """Copy a ledger as it is now, whole or not at all; may run beside the service. Raises sqlite3.Error."""
-    partial = path.with_name(f"{path.name}.partial")
-    partial.unlink(missing_ok=True)
-    try:
-        with closing(sqlite3.connect(partial)) as target:
-            source.backup(target)
-            check(target, partial)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(path, private=True) as file, closing(sqlite3.connect(file.name)) as target:
+        source.backup(target)
+        check(target, Path(file.name))
 
 
 def _check_not_emptied(path: Path, has_stores: Callable[[], bool]) -> None:

@@ -24,8 +24,8 @@ MAX_COLLATERAL_LOSSES: Final = 10
 BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 
 #: Operating-system errors that would affect every chunk of the job: disk full, quota used up, file size
-#: limit; and a read-only file system, if the chunk met it at its last try too.
-FATAL_ERRNOS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+#: limit, a link in its store; and a read-only file system, if the chunk met it at its last try too.
+FATAL_ERRNOS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ELOOP})
 FATAL_AT_LAST: Final = FATAL_ERRNOS | {errno.EROFS}
 
 

@@ -48,8 +48,8 @@ REACHABLE = {
     "worker.plan": SPECIFICATION | {"worker.plan", "worker.cost", "worker.schema"},
     "service.client": SPECIFICATION
     | {
-        "kernel.labels", "service.client", "service.files", "service.formats", "service.pictures",
-        "service.result_methods", "service.tokens",
+        "kernel.labels", "service.client", "service.formats", "service.pictures",
+        "service.result_methods", "service.tokens", "worker.files",
     },
 }  # fmt: skip
 

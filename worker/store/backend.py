@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from urllib.parse import urlsplit
 from uuid import uuid4
 
+from worker.files import make_folder, replacing, sync, synced
+
 if TYPE_CHECKING:
     from obstore.store import S3Store
 
@@ -115,11 +117,22 @@ def _opened(url: str, key: str) -> Iterator[BinaryIO | None]:
         return
     try:
         status = os.fstat(descriptor)
-        linked = any(part.is_symlink() for part in path.parents[: key.count("/")])
+        linked = _link(path, key.count("/")) is not None
         is_ours = stat.S_ISREG(status.st_mode) and status.st_size <= MAX_FILE_BYTES and not linked
         yield open(descriptor, "rb", buffering=0, closefd=False) if is_ours else None  # noqa: SIM115
     finally:
         os.close(descriptor)
+
+
+def _link(path: Path, above: int) -> Path | None:
+    """A symbolic link among the `above` folders over a path."""
+    return next((folder for folder in path.parents[:above] if folder.is_symlink()), None)
+
+
+def refuse_links(url: str, key: str) -> None:
+    """Raise OSError if the folder of a store, or one in it, over a key is a symbolic link."""
+    if not in_bucket(url) and (link := _link(Path(url, key), key.count("/") + 1)):
+        raise OSError(errno.ELOOP, "nothing is written through a symbolic link", str(link))
 
 
 def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
@@ -144,18 +157,12 @@ def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[byt
 
 
 def put(url: str, key: str, content: bytes) -> None:
-    """Write a key of a store, whole or not at all; its folder must exist."""
+    """Write a key of a store, whole or not at all, and sync it; its folder must exist."""
     if in_bucket(url):
         _bucket(url).put(key, content)
         return
-    path = Path(url, key)
-    partial = path.with_name(f"{path.name}.{uuid4().hex}.partial")
-    try:
-        partial.write_bytes(content)
-        partial.replace(path)
-    except OSError:
-        partial.unlink(missing_ok=True)
-        raise
+    with replacing(Path(url, key)) as file:
+        file.write(content)
 
 
 def write_partial(url: str, content: bytes) -> Path:
@@ -164,16 +171,11 @@ def write_partial(url: str, content: bytes) -> Path:
     A file that cannot be written whole is removed.
     """
     path = Path(url, PARTIAL, f"{uuid4().hex}.partial")
+    refuse_links(url, f"{PARTIAL}/{path.name}")
+    path.parent.mkdir(exist_ok=True)  # not the store itself: if missing, it is being removed
     try:
-        file = path.open("xb")
-    except FileNotFoundError:
-        path.parent.mkdir(exist_ok=True)  # not the store itself: if missing, it is being removed
-        file = path.open("xb")
-    try:
-        with file:
+        with synced(path) as file:
             file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
     except OSError:
         path.unlink(missing_ok=True)
         raise
@@ -183,6 +185,7 @@ def write_partial(url: str, content: bytes) -> Path:
 def place(url: str, partial: Path, key: str) -> None:
     """Give a partial file its key, replacing any file; creates missing folders below the store's."""
     path = Path(url, key)
+    refuse_links(url, key)
     try:
         partial.replace(path)
     except FileNotFoundError:
@@ -207,7 +210,7 @@ def sizes_in(url: str, folder: str) -> Iterator[tuple[str, int]]:
 def make_place(url: str) -> None:
     """Create the folder at an address and its parents; a bucket needs none."""
     if not in_bucket(url):
-        Path(url).mkdir(parents=True, exist_ok=True)
+        make_folder(Path(url))
 
 
 def write_fault(url: str) -> str | None:
@@ -233,7 +236,7 @@ def delete(url: str, key: str) -> None:
     with suppress(FileNotFoundError):
         if in_bucket(url):
             _bucket(url).delete(key)
-        else:
+        elif _link(Path(url, key), key.count("/")) is None:
             Path(url, key).unlink()
 
 
@@ -247,6 +250,7 @@ def rename_for_deletion(url: str, renamed: str) -> None:
     elif Path(url).exists():
         remove(renamed)  # of an interrupted deletion
         Path(url).rename(renamed)
+        sync(Path(url).parent)
 
 
 def created_at(url: str) -> float | None:

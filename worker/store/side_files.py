@@ -85,8 +85,9 @@ def sweep_leftovers(url: str) -> int:
     """
     if backend.in_bucket(url):
         return 0
-    # The second folder holds checkpoints.
-    leftovers = [*Path(url, backend.PARTIAL).glob("*.partial"), *Path(url).glob(".*.partial")]
+    partial = Path(url, backend.PARTIAL)
+    leftovers = [] if partial.is_symlink() else list(partial.glob("*.partial"))
+    leftovers += Path(url).glob(".*.partial")  # of checkpoints
     for path in leftovers:
         path.unlink(missing_ok=True)
     return len(leftovers)

@@ -8,7 +8,6 @@ by renaming, once they are whole and on the disk, and checksums cover every byte
 import hashlib
 import json
 import math
-import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import wait
@@ -23,6 +22,7 @@ from zarr.codecs import ZstdCodec
 from zarr.core.buffer import Buffer
 from zarr.storage import MemoryStore
 
+from worker import files
 from worker.schema import Array, Layout, flat_attributes
 from worker.store import backend
 from worker.store.backend import ROOT, ChunkCoords, StoreConflict, StoreDamaged, StoreMissing, in_bucket
@@ -86,8 +86,8 @@ def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = 
     wrong = [name for name, content in expected.items() if backend.read_key(url, name) != content]
     # The root comes last: a store with consolidated metadata is complete.
     wrong.sort(key=lambda name: name == ROOT)
-    backend.make_place(f"{url}/{backend.PARTIAL}")
     if wrong:
+        backend.make_place(url)
         write_keys(url, {name: expected[name] for name in wrong})
         root = Path(url)
         folders = {above for name in wrong for above in (root / name).parents if above.is_relative_to(root)}
@@ -273,15 +273,7 @@ def sync_folders(url: str, layout: Layout) -> None:
 def fsync(url: str, folders: Iterable[Path]) -> None:
     """Sync the names in folders of a store to disk. A bucket's acknowledged objects are durable."""
     if not in_bucket(url):
-        list(backend.pool("store").map(_fsync, folders))
-
-
-def _fsync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        list(backend.pool("store").map(files.sync, folders))
 
 
 def write_keys(url: str, contents: Mapping[str, bytes]) -> None:

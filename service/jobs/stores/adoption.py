@@ -22,8 +22,9 @@ from service.jobs.model import JobRecord, NewJob
 from service.jobs.prepare import new_job, parse_stored
 from service.settings import Settings
 from worker import store
-from worker.analysis.model_selection import ModelChoice
+from worker.analysis.model_selection import ModelChoice, is_open, resolved
 from worker.schema import COMPUTED
+from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
 from worker.studies import Plan, study_of
 from worker.tasks import ChunkReport, report_of
@@ -40,8 +41,7 @@ class StoresMarker:
     """The marker of one ledger's stores."""
 
     def __init__(self, ledger: Ledger, settings: Settings) -> None:
-        self._ledger, self._url = ledger, settings.stores_url
-        self._data = settings.data
+        self._ledger, self._settings, self._url = ledger, settings, settings.stores_url
         self._within_data = settings.stores is None  # no other data folder has them
         self._remembered = REMEMBERED_SECONDS if store.in_bucket(self._url) else 0.0
         self._checked = float("-inf")
@@ -58,7 +58,9 @@ class StoresMarker:
             there = store.read_marker(self._url)
             if there not in (None, "", ours) and (made or not self._within_data):
                 raise LedgerUnusable(self._foreign(str(there)))
-            if there != ours and (adopting or not made):
+            # Left empty by a power cut, it is ours where the ledger knows every store beside it.
+            emptied = there == "" and not find_unknown(self._ledger, self._settings)
+            if there != ours and (adopting or not made or emptied):
                 store.write_marker(self._url, ours)
             elif there != ours:
                 return
@@ -72,7 +74,7 @@ class StoresMarker:
     def check(self) -> None:
         """Raise LedgerUnavailable unless the stores are this ledger's and both folders can be written."""
         self._check_marker()
-        folders = {"the data folder": str(self._data), "the folder of the stores": self._url}
+        folders = {"the data folder": str(self._settings.data), "the folder of the stores": self._url}
         for folder, place in folders.items():
             if reason := store.write_fault(place):
                 raise LedgerUnavailable(f"{folder} cannot be written: {reason}")
@@ -161,7 +163,8 @@ def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
     try:
         job, spec, plan, choice = _contents(url, job_id)
     except (store.StoreError, SpecError, LookupError, TypeError, ValueError, RecursionError) as error:
-        reason = str(error).removeprefix(f"{url}: ")
+        missing = isinstance(error, KeyError)
+        reason = f"it has no attribute {error}" if missing else str(error).removeprefix(f"{url}: ")
         raise NotAdoptable(f"{url} cannot be adopted: {reason}") from error
     reports = _whole_chunks(url, spec, plan)
     found = f"{len(reports)} of {job.chunks_total} chunks were found whole in its store"
@@ -183,15 +186,25 @@ def _contents(url: str, job_id: str) -> tuple[NewJob, Any, Plan, str | None]:
     if not attrs["job"] == spec.job_id(version) == job_id:
         raise ValueError(f"it says that it holds job {attrs['job']}, its sweep is {spec.job_id(version)}")
     plan: Plan = study_of(spec).plan(spec, tuple(attrs["chunk_shape"]))
-    return new_job(spec, plan, version=version), spec, plan, _choice(attrs.get("choice"))
+    outcome, layout = (
+        store.stored_forms(url, None)["outcome"],
+        study_of(spec).variables(spec, plan.chunk_shape),
+    )
+    if dict(zip(outcome.dims, outcome.chunks, strict=True)) != layout.chunk_sizes:
+        raise ValueError(f"its attribute chunk_shape {attrs['chunk_shape']} is not that of its arrays")
+    choice = _choice(attrs["choice"], spec) if is_open(spec) else None
+    return new_job(spec, plan, version=version), spec, plan, choice
 
 
-def _choice(stored: Any) -> str | None:
-    """The chosen model of an `auto` sweep; the timings of the choice are not stored."""
-    if stored is None:
-        return None
-    rows = [{**row, "measured": None} for row in stored["table"]]
-    return ModelChoice.model_validate_json(json.dumps({**stored, "table": rows})).model_dump_json()
+def _choice(stored: Any, spec: SweepSpec) -> str:
+    """The chosen model of an `auto` sweep; the timings of the choice are not stored. Raises ValueError."""
+    try:
+        rows = [{**row, "measured": None} for row in stored["table"]]
+        choice = ModelChoice.model_validate_json(json.dumps({**stored, "table": rows}))
+        resolved(spec, choice)
+    except (LookupError, TypeError, ValueError) as error:
+        raise ValueError("its attribute choice is not the choice of a model") from error
+    return choice.model_dump_json()
 
 
 def _whole_chunks(url: str, spec: Any, plan: Any) -> list[ChunkReport]:

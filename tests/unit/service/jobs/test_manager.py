@@ -278,6 +278,22 @@ def test_a_chunk_whose_neighbour_killed_the_worker_is_not_blamed(tmp_path: Path)
     assert tried.count(0) == 6
 
 
+@pytest.mark.parametrize("where", [".", ".partial", "outcome"])
+def test_nothing_is_written_through_a_link_in_the_data_folder(tmp_path: Path, where: str):
+    link = Path(Settings(data=tmp_path).store_of(sweep().job_id(KERNEL_VERSION)), where)
+    link.parent.mkdir(parents=True)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "their.partial").touch()
+    link.symlink_to(tmp_path / "elsewhere")
+    with closing(Scripted()) as executor, running(tmp_path, executor) as service:
+        job = service.until(service.submit(sweep()), JobState.FAILED)
+        assert f"nothing is written through a symbolic link: '{link}'" in str(job.error)
+        link.unlink()
+        service.manager.resume(job.id)
+        service.until(job, JobState.DONE)
+    assert [path.name for path in (tmp_path / "elsewhere").iterdir()] == ["their.partial"]
+
+
 def test_a_full_disk_fails_the_job_at_once_and_it_goes_on_when_there_is_room(tmp_path: Path):
     executor = Scripted({chunk: [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))] for chunk in range(1, 5)})
     with closing(executor), running(tmp_path, executor) as service:

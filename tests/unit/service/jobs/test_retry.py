@@ -73,6 +73,7 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
     (DISK_FULL, FRESH, Action.FATAL),
     (OSError(errno.EDQUOT, "quota"), FRESH, Action.FATAL),
     (OSError(errno.EFBIG, "too big"), FRESH, Action.FATAL),
+    (OSError(errno.ELOOP, "a symbolic link"), FRESH, Action.FATAL),
     (DISK_FULL, LAST_TRY, Action.FATAL),
     (READ_ONLY, LAST_TRY, Action.FATAL),
     (DISK_FULL, STOPPING, Action.REQUEUE),

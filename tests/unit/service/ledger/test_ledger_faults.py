@@ -16,6 +16,7 @@ from fastapi.testclient import TestClient
 from running import running
 from scripted import Held, Scripted, sweep, wait_for
 from served import FIGURE_2, finished, get, service
+from stores import marked
 
 from kernel.params import KERNEL_VERSION
 from service.cli.doctor import examine
@@ -243,6 +244,19 @@ def test_doctor_and_adopt_know_the_marker_of_the_stores(data: Path):
         ledger.check()
     assert marker.read_text() == ours
     assert not [finding for finding in examine(settings, "http://127.0.0.1:9") if "marker" in finding.text]
+
+
+def test_an_empty_marker_is_written_anew_beside_our_own_stores_only(data: Path):
+    settings, marker = Settings(data=data), data / "stores" / store.MARKER
+    ours = marked(data)[1]
+    marker.write_bytes(b"")
+    with open_ledger(settings) as ledger:
+        ledger.check()
+    assert marker.read_text() == ours
+    marker.write_bytes(b"")
+    (data / "stores" / f"{'0' * 32}.zarr").mkdir()
+    with open_ledger(settings) as ledger, pytest.raises(LedgerUnavailable, match="the stores are not there"):
+        ledger.check()
 
 
 def test_a_replaced_ledger_is_not_written_to_and_what_was_open_is_kept(data: Path, client: TestClient):

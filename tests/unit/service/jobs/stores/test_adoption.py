@@ -114,15 +114,22 @@ def test_a_chunk_with_a_cell_of_no_outcome_is_not_whole(tmp_path: Path, outcome:
 
 
 @pytest.mark.parametrize(
-    ("harm", "reason"),
+    ("spec", "harm", "reason"),
     [
-        (lambda attrs: attrs["spec"].update(omega=0.7), "its sweep is"),
-        (lambda attrs: attrs.update(job="0" * 32), "says that it holds job 000"),
-        (lambda attrs: attrs.pop("spec"), "'spec'"),
+        (sweep(), lambda attrs: attrs["spec"].update(omega=0.7), "its sweep is"),
+        (sweep(), lambda attrs: attrs.update(job="0" * 32), "says that it holds job 000"),
+        (sweep(), lambda attrs: attrs.pop("spec"), "it has no attribute 'spec'$"),
+        (
+            sweep(),
+            lambda attrs: attrs.update(chunk_shape=[1, 1, 1]),
+            r"chunk_shape \[1, 1, 1\] is not that of",
+        ),
+        (AUTO, lambda attrs: attrs["choice"].pop("table"), "choice is not the choice of a model$"),
+        (AUTO, lambda attrs: attrs["choice"].update(model="none"), "choice is not the choice of a model$"),
     ],
 )
-def test_a_store_that_contradicts_itself_is_not_adopted(tmp_path: Path, harm, reason: str):
-    [job_id] = compute(tmp_path, sweep())
+def test_a_store_that_contradicts_itself_is_not_adopted(tmp_path: Path, spec: SweepSpec, harm, reason: str):
+    [job_id] = compute(tmp_path, spec)
     root = tmp_path / "stores" / f"{job_id}.zarr" / "zarr.json"
     content = json.loads(root.read_text())
     attributes = structured_attributes(content["attributes"])

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from service.cli.options import write_file
-from service.files import complete_file
+from worker.files import complete_file
 
 
 def files(folder: Path) -> set[str]:
