@@ -14,7 +14,7 @@ from kernel.modes import CHECK, Flights, slot
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import allocating, compilable, inlined, jit
-from kernel.params import Line, Outcome, periods_followed
+from kernel.params import BUDGET, Line, Outcome, periods_followed
 
 SHORTEST_FLIGHT: Final = 1e-9  # rad; shorter flights, often rounding after long contacts, are not recorded
 MODE_FLIGHTS: Final = 256  # considered for the mode, even if fewer are stored: cycles of up to 85 bounces
@@ -24,7 +24,6 @@ FEWEST_PERIODS: Final = 3  # flights that reach back fewer, those before being l
 SETTLING_CHECK: Final = 24  # flights after which a settle_tolerance is tested, and which the test considers
 QUIET: Final = 10.0  # plate periods; a contact this long, over the last half of the window, ends all flights
 CACHE_SIZE: Final = 64  # numbers that a model may use to cache what it knows of a cell (`interface.replay`)
-BUDGET: Final = 20_000  # evaluations that a cell may use for each plate period; 11 are usual
 
 _, PERIODIC, APERIODIC, AT_REST, UNRESOLVED, DIVERGED, SETTLING = map(int, Outcome)
 

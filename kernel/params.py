@@ -24,6 +24,10 @@ LANES: Final = 16
 #: Up to so many lines are computed one by one, more in a vector.
 FEW: Final = 3
 
+#: Evaluations that a cell may use for each plate period, and those that are usual.
+BUDGET: Final = 20_000
+USUAL_EVALUATIONS: Final = 11
+
 #: A cell whose window shows no mode is followed for FOLLOW times its `observe`, at most MOST_FOLLOWED plate
 #: periods, before it is called aperiodic or settling: nothing but time tells chaotic transients.
 FOLLOW: Final = 2

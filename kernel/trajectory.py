@@ -11,11 +11,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cell import BUDGET, SHORTEST_FLIGHT
+from kernel.cell import SHORTEST_FLIGHT
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import HORIZON, ROOT, Phase
-from kernel.params import Cell, KernelInputError, check_arrays
+from kernel.params import BUDGET, Cell, KernelInputError, check_arrays
 
 MAX_PHASES: Final = 50_000  # contacts and flights computed at most, so that a call ends within seconds
 

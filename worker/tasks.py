@@ -102,6 +102,8 @@ class ChunkCancelled(TaskError):
 class ChunkPaused(TaskError):
     """The chunk's time slice is over; the next task continues from its checkpoint."""
 
+    seconds = 0.0  # that the slice took
+
 
 class PredecessorMissing(TaskError):
     """The chunk before this one on its ramp is not in the store."""
@@ -119,6 +121,7 @@ class ChunkReport:
     outcomes: tuple[int, ...]  # number of cells by kernel.params.Outcome
     computed: int | None = None  # adaptive maps: cells not filled in from their block
     bytes: int | None = None  # stored, of all arrays; None if unknown
+    paused_seconds: float = 0.0  # the part of `seconds` in earlier slices
 
 
 #: Position of a line among the lines of its chunk.
@@ -287,7 +290,8 @@ class Work:
         chunk, stored = self._chunk, store.write_chunk(self._url, self._chunk, record)
         if self._has_checkpoint:
             store.remove_checkpoint(self._url, chunk.index)
-        return report_of(chunk, record, stored, self.seconds, computed)
+        report = report_of(chunk, record, stored, self.seconds, computed)
+        return replace(report, paused_seconds=float(self._before[0]))
 
     def check_cancelled(self) -> None:
         """Raise ChunkCancelled if the cancel flag is set; looks every CANCEL_SECONDS."""
@@ -324,7 +328,9 @@ class Work:
             log.warning("chunk %d cannot pause, its checkpoint cannot be written: %s", index, error)
             self._slice_seconds = math.inf
             return
-        raise ChunkPaused(f"paused after {self._slice_seconds:g} s: {self._url}")
+        paused = ChunkPaused(f"paused after {self._slice_seconds:g} s: {self._url}")
+        paused.seconds = self.seconds[0] - float(self._before[0])
+        raise paused
 
     @contextmanager
     def _discarding_checkpoint(self) -> Iterator[None]:

@@ -60,7 +60,7 @@ def estimate_line(estimate: "Estimate") -> str:
         computed = f", of which about {low:,} to {high:,} are computed,"
         seconds, most = f"{time(estimate.least_core_seconds)} to {seconds}", "at most "
     if estimate.longest_core_seconds is not None:
-        longest = f"; {time(estimate.longest_core_seconds)} if every cell settled until settle_until"
+        longest = f"; up to {time(estimate.longest_core_seconds)} if every cell were a slow one"
     workers = "one core" if not estimate.workers else _plural(estimate.workers, "worker")
     return (
         f"{estimate.cells:,} cells{computed} in {_plural(estimate.chunks, 'chunk')}, "

@@ -82,6 +82,14 @@ class ReadyQueue:
         return ready and not self._done[chunk] and chunk not in self._popped
 
 
+def chunk_seconds(estimate: float, taken: float, timed: float) -> float:
+    """Core-seconds of a job's chunk: the mean of the estimate and of the `timed` chunks, which took `taken`.
+
+    So neither a low nor a high estimate decides the order of jobs for long.
+    """
+    return (estimate + taken) / (1.0 + timed)
+
+
 class Rotation:
     """The unfinished jobs in the order of their turns, and when the next turn is due.
 

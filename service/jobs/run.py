@@ -1,7 +1,7 @@
 """A running job: chunks in flight, reports to record, tries counted. Knows neither ledger nor store."""
 
 import traceback
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from concurrent.futures import Future
 from typing import Final
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import PreparedJob
-from service.jobs.ready_queue import ReadyQueue
+from service.jobs.ready_queue import ReadyQueue, chunk_seconds
 from service.jobs.retry import FAILED_TRIES, Action, History, RetryPolicy
 from worker.executors.base import ExecutorError
 from worker.tasks import ChunkReport
@@ -39,13 +39,16 @@ class JobRun:
         self.flagged = False  # its store has the cancel flag
         self.refused = False  # the executor refused a chunk; nothing is submitted until the next sync
         self.in_flight: dict[int, Future[ChunkReport]] = {}
-        self.turns: set[int] = set()  # chunks in flight that were submitted as the job's turn
+        self.turns: dict[int, float] = {}  # chunks in flight as the job's turn, with their estimates
         self.unsaved_reports: list[ChunkReport] = []  # of chunks that are stored and not yet marked
         self._policy = policy
         self.begun = set(paused)  # chunks that may have a checkpoint
         plan = prepared.plan
         self.queue = ReadyQueue(plan.lines, done)
-        self.chunk_seconds = prepared.cost.core_seconds / len(plan)  # on average, by the cost table
+        self._estimate = prepared.cost.upper_core_seconds / len(plan)  # of a chunk, by the cost table
+        self._taken, self._timed = job.core_seconds, len(plan) * job.cells_timed / job.cells_total
+        self._paused: defaultdict[int, float] = defaultdict(float)  # seconds of earlier slices, by chunk
+        self.unsaved_seconds = 0.0  # of slices, missing from the ledger
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
         self.unsaved_damage: set[int] = set()  # chunks to unmark: their stored end states are damaged
@@ -78,12 +81,29 @@ class JobRun:
     def remove_in_flight(self, chunk: int) -> None:
         """Note that a chunk has come back from the executor, with or without a report."""
         del self.in_flight[chunk]
-        self.turns.discard(chunk)
+        self.turns.pop(chunk, None)
+
+    def add_report(self, report: ChunkReport) -> None:
+        """Keep the report of a stored chunk for the ledger."""
+        self.unsaved_reports.append(report)
+        self._taken, self._timed = self._taken + report.seconds, self._timed + 1.0
+        self._paused.pop(report.index, None)
+
+    def add_slice(self, chunk: int, seconds: float) -> None:
+        """Note the time of a slice after which a chunk paused."""
+        self.unsaved_seconds += seconds
+        self._paused[chunk] += seconds
+
+    @property
+    def chunk_seconds(self) -> float:
+        """Core-seconds of a chunk, on average."""
+        return chunk_seconds(self._estimate, self._taken, self._timed)
 
     @property
     def remaining_seconds(self) -> float:
-        """Core-seconds of the remaining chunks, by the cost table."""
-        return self.queue.remaining * self.chunk_seconds
+        """Core-seconds of the remaining chunks; of paused ones at least what they have taken."""
+        paused = sum(self._paused.values())
+        return max(self.queue.remaining * self.chunk_seconds - paused, paused)
 
     @property
     def at_once(self) -> int:
@@ -145,6 +165,7 @@ class JobRun:
         self.queue.complete(report.index for report in self.unsaved_reports)
         self.begun.difference_update(report.index for report in self.unsaved_reports)
         self.unsaved_reports.clear()
+        self.unsaved_seconds = 0.0
         self.unsaved_damage.clear()
         self.unsaved_failures.clear()
 

@@ -16,7 +16,7 @@ from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord, JobState, summary_of
 from service.jobs.prepare import JobPreparer
-from service.jobs.ready_queue import Rotation
+from service.jobs.ready_queue import Rotation, chunk_seconds
 from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
 from service.jobs.run import JobRun, text_of
 from service.jobs.transactions import Unfinished
@@ -212,16 +212,18 @@ class Supervisor:
         report = None if error else future.result()
         if report is not None and (mismatch := _mismatch(run.prepared.plan[chunk], report)):
             error, report = mismatch, None
+        if isinstance(error, ChunkPaused):
+            run.add_slice(chunk, error.seconds)
         # The rotation counts at most a slice.
         seconds = report.seconds if report else run.chunk_seconds
         seconds = min(math.inf if isinstance(error, ChunkPaused) else seconds, self._rotation.slice_seconds)
         if chunk in run.turns:
-            self._rotation.end_turn(run.chunk_seconds, seconds)
+            self._rotation.end_turn(run.turns[chunk], seconds)
         else:
             self._rotation.earn(seconds)
         run.remove_in_flight(chunk)
         if report is not None:
-            run.unsaved_reports.append(report)
+            run.add_report(report)
             self.tally.add_computed(report.seconds)
             return
         if isinstance(error, store.StoreDamaged):
@@ -242,11 +244,12 @@ class Supervisor:
 
     def _save(self, run: JobRun) -> None:
         """Write the changes of a job's chunks to the ledger; until that succeeds the run keeps them."""
-        if run.has_unsaved:
+        if run.has_unsaved or run.unsaved_seconds:
             if run.unsaved_reports:
                 store.sync_folders(run.prepared.store_url, run.prepared.layout)
             with self._ledger.writing() as ledger:
                 ledger.mark_done(run.job, run.unsaved_reports)
+                ledger.note_paused(run.job, run.unsaved_seconds)
                 ledger.note_failures(run.job, run.unsaved_failures)
                 unmarked = ledger.unmark(run.job, run.unsaved_damage) if run.unsaved_damage else []
             run.mark_saved()
@@ -303,7 +306,11 @@ class Supervisor:
         estimates = self._core_seconds
         self._core_seconds = {job.id: estimates.get(job.id) or self._estimate(job.id) for job in unfinished}
         waiting = [
-            job._replace(chunk_seconds=self._core_seconds[job.id] / job.chunks_total)
+            job._replace(
+                chunk_seconds=chunk_seconds(
+                    self._core_seconds[job.id] / job.chunks_total, job.core_seconds, job.timed
+                )
+            )
             for job in unfinished
             if job.id not in self._runs
         ]
@@ -311,10 +318,10 @@ class Supervisor:
         self._rotation.update({job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)})
 
     def _estimate(self, job_id: str) -> float:
-        """Core-seconds of a whole job; 0 if it cannot be prepared, which its start will report."""
+        """Core-seconds of a whole job, at most; 0 if it cannot be prepared, which its start will report."""
         job = self._ledger.find(job_id)
         try:
-            return 0.0 if job is None else self._preparer.prepare(job).cost.core_seconds
+            return 0.0 if job is None else self._preparer.prepare(job).cost.upper_core_seconds
         except Exception:  # noqa: BLE001 - it concerns this job alone
             return 0.0
 
@@ -512,7 +519,7 @@ class Supervisor:
         priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
         chunk = run.prepared.plan[run.queue.pop()]
         cost = run.prepared.cost
-        longest = (cost.longest_core_seconds or cost.core_seconds) / cost.cells * chunk.cells
+        longest = cost.upper_core_seconds / cost.cells * chunk.cells
         try:
             future = self._executor.submit(
                 run.prepared.spec,
@@ -529,7 +536,7 @@ class Supervisor:
             return
         run.add_in_flight(chunk.index, future)
         if is_turn:
-            run.turns.add(chunk.index)
+            run.turns[chunk.index] = run.chunk_seconds
             self._rotation.begin_turn(run.job.id, run.chunk_seconds)
         message = Message(run.job.id, [chunk.index], future)
         future.add_done_callback(lambda _: self._inbox.put(message))

@@ -43,11 +43,13 @@ class Unfinished(NamedTuple):
     chunks_done: int
     chunks_total: int
     owner: str | None  # the name of the access token that submitted it
-    chunk_seconds: float = 0.0  # core-seconds of a chunk, by the cost table; known to the supervisor
+    core_seconds: float  # spent so far
+    timed: float  # chunks whose time is known
+    chunk_seconds: float = 0.0  # core-seconds of a chunk, see `ready_queue.chunk_seconds`
 
     @property
     def remaining_seconds(self) -> float:
-        """Core-seconds of the remaining chunks, by the cost table."""
+        """Core-seconds of the remaining chunks."""
         return (self.chunks_total - self.chunks_done) * self.chunk_seconds
 
 
@@ -126,7 +128,8 @@ class ReadTransaction:
     def unfinished(self, limit: int) -> list[Unfinished]:
         """Running jobs, then queued ones, each in the order they were accepted."""
         sql = (
-            "SELECT id, cancel_requested, seq, chunks_done, chunks_total, owner FROM jobs"
+            "SELECT id, cancel_requested, seq, chunks_done, chunks_total, owner, core_seconds,"
+            " 1.0 * chunks_total * cells_timed / cells_total FROM jobs"
             " WHERE state IN (?, ?) ORDER BY state = ?, seq LIMIT ?"
         )
         return [Unfinished(*row) for row in self._rows(sql, *UNFINISHED, JobState.QUEUED, limit)]
@@ -341,9 +344,13 @@ class WriteTransaction(ReadTransaction):
             cells_done=sum(report.cells for report in marked),
             cells_settling=sum(_settling(report.outcomes) for report in marked),
             cells_computed=sum(report.computed or 0 for report in marked),
-            core_seconds=sum(report.seconds for report in marked),
+            core_seconds=sum(report.seconds - report.paused_seconds for report in marked),
             cells_timed=sum(report.cells for report in marked if report.seconds > 0),
         )
+
+    def note_paused(self, job: JobRecord, seconds: float) -> None:
+        """Add the time of slices after which chunks paused."""
+        self._add(job, core_seconds=seconds)
 
     def unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
         """Unmark chunks to compute them again; a done job runs again. Returns those that were marked."""

@@ -17,7 +17,7 @@ from worker.basins.attractors import CYCLE_FLIGHTS, SAME_CYCLE, counted
 from worker.basins.schema import COUNT, OF_ATTRACTORS, OUTCOME, sizes_of_attractors
 from worker.basins.spec import MultistabilitySpec
 from worker.basins.starts import Steps, line_run, starts_of
-from worker.cost import Cost, cell_seconds, period_seconds
+from worker.cost import Cost, cell_seconds, longest_period_seconds
 from worker.plan import LONGEST_SECONDS, TARGET_SECONDS, Chunk, Plan
 from worker.schema import Layout, array, bytes_of, empty_record, grid_layout
 from worker.spec import AXES
@@ -288,7 +288,7 @@ def estimate(spec: MultistabilitySpec, plan: Plan) -> Cost:
         chunks=len(plan),
         bytes=plan.cells * bytes_of(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
         core_seconds=runs * cell_seconds(sweep),
-        longest_core_seconds=runs * period_seconds(sweep) * spec.until,
+        longest_core_seconds=runs * longest_period_seconds(sweep) * spec.until,
     )
 
 

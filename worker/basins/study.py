@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Line, Outcome
-from worker.basins.attractors import Found, Request, find
+from worker.basins.attractors import REPRESENTATIVES, Found, Request, find
 from worker.basins.schema import COUNT, LIFETIME, OF_ATTRACTORS, OUTCOME, sizes_of_attractors
 from worker.basins.spec import BasinSpec
 from worker.basins.starts import Steps, line_run, starts_of
-from worker.cost import Cost, cell_seconds, period_seconds
+from worker.cost import Cost, cell_seconds, longest_period_seconds
 from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Chunk, Plan, even
 from worker.schema import Array, Layout, array, bytes_of, empty_record, grid_layout
 from worker.spec import AXES, SweepSpec
@@ -109,13 +109,14 @@ def make_plan(
 
 def estimate(spec: BasinSpec, plan: Plan) -> Cost:
     """Cost of a study, from the table of contact models."""
-    starts, sweep = plan.cells * spec.protocol.rows * spec.protocol.columns, _of_starts(spec)
+    starts, sweep = spec.protocol.rows * spec.protocol.columns, _of_starts(spec)
+    longest = (starts + REPRESENTATIVES) * longest_period_seconds(sweep) * spec.until
     return Cost(
         cells=plan.cells,
         chunks=len(plan),
         bytes=plan.cells * bytes_of(arrays(spec), sizes(spec)),
-        core_seconds=starts * cell_seconds(sweep),
-        longest_core_seconds=starts * period_seconds(sweep) * spec.until,
+        core_seconds=plan.cells * starts * cell_seconds(sweep),
+        longest_core_seconds=plan.cells * longest,
     )
 
 

@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, Field, GetCoreSchemaHandler, Tag, model_validator
 
-from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, LANES, SPRING_DIMENSION
+from kernel.params import (
+    BALL_DIMENSION,
+    BUDGET,
+    INELASTIC_DIMENSION,
+    LANES,
+    SPRING_DIMENSION,
+    USUAL_EVALUATIONS,
+)
 from kernel.restitution import restitution_of as spring_restitution
 from kernel.step_limits import steps_per_period
 from worker.spec.axes import NUMBER, WHOLE, Strict, check_kind, kind_of
@@ -41,6 +48,11 @@ RIGID_ELASTIC_ALONE_US: Final = 1.3
 SOFT_DECADE_US: Final = 0.075
 SOFT_ALONE_US: Final = 2.0
 
+#: Evaluations per plate period of the busiest cells: HOPS/(1 - e) where every landing is followed by chatter,
+#: and as many as RINGS/Omega, at most 1/xi, where the spring rings from landing to landing.
+HOPS: Final = 7.0
+RINGS: Final = 4.0
+
 _Array = NDArray[np.float64]
 _Restitution = Annotated[float, Field(ge=0.0, le=1.0), NUMBER]
 
@@ -66,6 +78,10 @@ class ContactFields(Strict):
         """
         return base
 
+    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
+        """How many times `cost_us` the busiest cells take, which hop and ring as often as any."""
+        return 1.0
+
     @property
     def exponents(self) -> int:
         """Maximum Lyapunov exponents that can be computed with this contact; 0: none."""
@@ -78,6 +94,14 @@ def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
     Half of the lanes, one vector, cost the same however full they are.
     """
     return min(alone, in_lanes * max(LANES // 2 / at_once, 1.0)) if at_once > 1 else alone
+
+
+def _busiest(restitution: _Array, omega: _Array, xi: _Array, depth: float = 0.0) -> float:
+    """`ContactFields.busiest` for restitutions (n,) and hops above `depth`; BUDGET bounds it."""
+    with np.errstate(divide="ignore"):
+        hops = np.minimum(np.mean(HOPS / (1.0 - restitution)), HOPS + 1.0 / np.float64(depth))
+        rings = np.minimum(np.mean(RINGS / omega), np.mean(1.0 / xi))
+    return float(np.clip((hops + rings) / USUAL_EVALUATIONS, 1.0, BUDGET / USUAL_EVALUATIONS))
 
 
 class _SoftContact(ContactFields):
@@ -130,6 +154,11 @@ class Soft(_SoftContact):
         decades = float(np.mean(np.log10(DEFAULT_PENETRATION / depths)))
         return _side_by_side(base + SOFT_DECADE_US * max(decades, 0.0), SOFT_ALONE_US, at_once)
 
+    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
+        """Masses that hop lower than the contact's depth stay in it."""
+        depth = float(np.min(penetration_of(self, gamma[[0, -1]], omega[[0, -1]])))
+        return _busiest(np.array(self.restitution), omega, xi, depth)
+
 
 class Stepped(_SoftContact):
     """The same contact with fixed time steps; `worker.spec.time_steps` checks them."""
@@ -176,6 +205,9 @@ class Rigid(ContactFields):
             return _side_by_side(RIGID_ELASTIC_US, RIGID_ELASTIC_ALONE_US, at_once)
         return _side_by_side(base, RIGID_ALONE_US, at_once)
 
+    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
+        return _busiest(np.array(self.restitution), omega, xi)
+
     @property
     def exponents(self) -> int:
         return SPRING_DIMENSION if self.restitution > 0.0 else INELASTIC_DIMENSION
@@ -192,6 +224,9 @@ class Ball(ContactFields):
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
         e = spring_restitution(xi) if self.restitution is None else np.full(np.shape(xi), self.restitution)
         return {"restitution": e}
+
+    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
+        return _busiest(self.plate_arguments(gamma, omega, xi)["restitution"], omega, xi)
 
 
 class Auto(_SoftContact):
@@ -215,6 +250,9 @@ class Auto(_SoftContact):
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """Until a model is chosen, the exact one's cost."""
         return self.exact.cost_us(base, gamma, omega, at_once=at_once)
+
+    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
+        return self.exact.busiest(gamma, omega, xi)
 
     @property
     def exact(self) -> Soft:
