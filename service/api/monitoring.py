@@ -16,9 +16,9 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import JobState
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobState
 from service.software import software
 from worker.executors.base import Executor
 

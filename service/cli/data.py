@@ -20,7 +20,7 @@ def backup(file: Path, data: str | None) -> None:
     FILE has all jobs and marks of one moment, or is left as it was. Results are not in it: copy the stores
     too, after the ledger.
     """
-    from service.jobs import backup as backups
+    from service.ledger import backup as backups
 
     contents = backups.backup(_settings(data).ledger_path, file)
     click.echo(f"{file}: {contents.jobs} jobs, {contents.chunks} done chunks")
@@ -37,8 +37,8 @@ def restore(file: Path, data: str | None) -> None:
     The ledger that was there is kept beside it. Stores that the backup does not know are left alone: "bounce
     adopt --all" takes them in.
     """
-    from service.jobs import backup as backups
     from service.jobs.stores import adoption
+    from service.ledger import backup as backups
 
     settings = _settings(data)
     restored = backups.restore(settings.ledger_path, file)

@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 
 import httpx2
 
-from service.jobs import backup
-from service.jobs.ledger import NOT_LOCAL
-from service.jobs.ledger_files import copies_of, file_system, network_file_system
+from service.ledger import backup
+from service.ledger.ledger import NOT_LOCAL
+from service.ledger.paths import copies_of, file_system, network_file_system
 from service.local import cores
 from service.settings import Settings
 from service.software import software

@@ -9,14 +9,14 @@ from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, LedgerUnavailable, QueueFull, UnknownJob
-from service.jobs.ledger import NOT_LOCAL, Ledger
-from service.jobs.ledger_files import network_file_system
-from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer, new_job
 from service.jobs.stores.deletion import Deleter
 from service.jobs.stores.repair import Scrubber
 from service.jobs.supervisor import Supervisor
-from service.jobs.transactions import ReadTransaction, WriteTransaction
+from service.ledger.ledger import NOT_LOCAL, Ledger
+from service.ledger.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
+from service.ledger.paths import network_file_system
+from service.ledger.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
 from worker.cost import check_size
 from worker.executors.base import Compiling, Executor

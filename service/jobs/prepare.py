@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any, Final
 
 from kernel.params import KERNEL_VERSION
-from service.jobs.model import JobRecord, NewJob
+from service.ledger.model import JobRecord, NewJob
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import PreparedJob
 from service.jobs.ready_queue import ReadyQueue, chunk_seconds
 from service.jobs.retry import FAILED_TRIES, Action, History, RetryPolicy
+from service.ledger.model import Failure, JobRecord, JobState
 from worker.executors.base import ExecutorError
 from worker.tasks import ChunkReport
 

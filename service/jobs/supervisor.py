@@ -13,13 +13,13 @@ from queue import Empty, SimpleQueue
 from typing import Final, NamedTuple, cast
 
 from service.errors import LedgerUnavailable
-from service.jobs.ledger import Ledger
-from service.jobs.model import UNFINISHED, JobRecord, JobState, summary_of
 from service.jobs.prepare import JobPreparer
 from service.jobs.ready_queue import Rotation, chunk_seconds
 from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
 from service.jobs.run import JobRun, text_of
-from service.jobs.transactions import Unfinished
+from service.ledger.ledger import Ledger
+from service.ledger.model import UNFINISHED, JobRecord, JobState, summary_of
+from service.ledger.transactions import Unfinished
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, choose, is_open, resolved

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from service.jobs.model import JobState, NewJob
 from service.jobs.stores.adoption import open_ledger
+from service.ledger.model import JobState, NewJob
 from service.settings import Settings
 from worker import schema, store
 from worker.plan import make_plan

@@ -4,8 +4,8 @@ import json
 from typing import Any
 
 from kernel.params import KERNEL_VERSION
-from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord, JobState, NewJob
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState, NewJob
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scripted import DEADLINE, wait_for
 
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import JobRecord, JobState
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from worker import store
 from worker.executors.base import Executor

@@ -21,10 +21,10 @@ from worker.kernel_cache import use_cache
 use_cache(sys.argv[3])
 
 from service.jobs import supervisor  # noqa: E402 - the cache comes first
-from service.jobs.ledger import Ledger  # noqa: E402
 from service.jobs.manager import JobManager  # noqa: E402
-from service.jobs.model import UNFINISHED  # noqa: E402
-from service.jobs.transactions import WriteTransaction  # noqa: E402
+from service.ledger.ledger import Ledger  # noqa: E402
+from service.ledger.model import UNFINISHED  # noqa: E402
+from service.ledger.transactions import WriteTransaction  # noqa: E402
 from service.settings import Settings  # noqa: E402
 from worker import tasks  # noqa: E402
 from worker.executors import inline  # noqa: E402

@@ -14,7 +14,7 @@ from service.api.capacity import SMALL_ANSWER, Cost, costly
 from service.api.dependencies import JobDep, ResultsJob, ServiceDep
 from service.api.schemas import NOT_MODIFIED, content, problem_responses
 from service.formats import EXPORTS, MEDIA_TYPES
-from service.jobs.model import JobRecord, JobState
+from service.ledger.model import JobRecord, JobState
 from service.views import files
 from service.views.selection import BASE_MEMORY
 from worker.store import ROOT

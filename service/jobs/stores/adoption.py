@@ -17,9 +17,9 @@ from typing import Any, Final
 
 from kernel.params import Outcome
 from service.errors import LedgerUnavailable, LedgerUnusable, NotAdoptable
-from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord, NewJob
 from service.jobs.prepare import new_job, parse_stored
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, NewJob
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, is_open, resolved

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from typing import Final
 
 from service.errors import LedgerUnavailable
-from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord
-from service.jobs.transactions import Deletion, DeletionStep
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord
+from service.ledger.transactions import Deletion, DeletionStep
 from service.settings import Settings
 from worker import store
 

@@ -18,11 +18,11 @@ from contextlib import AbstractContextManager
 from typing import Final, NamedTuple
 
 from service.errors import LedgerUnavailable
-from service.jobs.ledger import Ledger
-from service.jobs.model import UNFINISHED, Failure, JobRecord
 from service.jobs.prepare import JobPreparer, PreparedJob
 from service.jobs.stores.adoption import find_unknown
-from service.jobs.transactions import VERIFIED_PAGE, StoredChunk
+from service.ledger.ledger import Ledger
+from service.ledger.model import UNFINISHED, Failure, JobRecord
+from service.ledger.transactions import VERIFIED_PAGE, StoredChunk
 from service.settings import Settings
 from worker import store
 from worker.store import ChunkCoords

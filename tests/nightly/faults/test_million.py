@@ -13,7 +13,7 @@ from scripted import wait_for
 
 from benchmarks.chunks import huge
 from benchmarks.serving import Polls, Serving
-from service.jobs.ledger import Ledger
+from service.ledger.ledger import Ledger
 from worker import store
 from worker.plan import TARGET_SECONDS
 from worker.studies import study_of

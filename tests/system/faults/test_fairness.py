@@ -7,7 +7,7 @@ import pytest
 from running import Counting, costing, running
 from scripted import sweep, wait_for
 
-from service.jobs.model import JobState
+from service.ledger.model import JobState
 from worker import store
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline

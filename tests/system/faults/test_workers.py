@@ -17,7 +17,7 @@ from harm import died_writing, fragile_cluster, pids, wait_until_ready
 from running import Counting, costing, running
 from scripted import wait_for
 
-from service.jobs.model import JobState
+from service.ledger.model import JobState
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 

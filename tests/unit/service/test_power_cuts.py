@@ -18,8 +18,8 @@ from scripted import wait_for
 from served import computing_at, done
 from stores import files, is_sound
 
-from service.jobs.ledger import Ledger
 from service.jobs.prepare import JobPreparer
+from service.ledger.ledger import Ledger
 from service.settings import Settings
 
 TRIALS = int(os.environ.get("BOUNCE_TEST_TRIALS", "10"))

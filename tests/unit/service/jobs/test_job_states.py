@@ -18,9 +18,9 @@ from scripted import Held, sweep, wait_for
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, LedgerUnavailable, UnknownJob
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import UNFINISHED, JobRecord, JobState
+from service.ledger.ledger import Ledger
+from service.ledger.model import UNFINISHED, JobRecord, JobState
 from service.settings import Settings
 from service.views import diagram
 from service.views.selection import Stored

@@ -22,9 +22,9 @@ from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, KeyReused, QueueFull
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import JobRecord, JobState
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState, WorkerLost

@@ -15,10 +15,10 @@ from scripted import Held, Scripted, free_port, sweep, wait_for
 from kernel.params import KERNEL_VERSION
 from service.cli.main import main
 from service.errors import DataFolderBusy, LedgerUnusable
-from service.jobs import backup
-from service.jobs.ledger import Ledger
-from service.jobs.ledger_files import wal_of
-from service.jobs.model import JobState
+from service.ledger import backup
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobState
+from service.ledger.paths import wal_of
 from worker.executors.inline import Inline
 
 SPECS = [sweep(omega=omega) for omega in (0.5, 0.6, 0.7)]

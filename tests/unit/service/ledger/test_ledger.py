@@ -12,10 +12,10 @@ from ledgers import accept, current, new_job, reports
 
 from kernel.params import KERNEL_VERSION
 from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
-from service.jobs.ledger import Ledger
-from service.jobs.ledger_files import OpenFiles, as_found, copies_of, lock_of, shm_of, wal_of
-from service.jobs.model import Failure, JobRecord, JobState
-from service.jobs.transactions import VERIFIED_PAGE
+from service.ledger.ledger import Ledger
+from service.ledger.model import Failure, JobRecord, JobState
+from service.ledger.paths import OpenFiles, as_found, copies_of, lock_of, shm_of, wal_of
+from service.ledger.transactions import VERIFIED_PAGE
 
 
 @pytest.fixture

@@ -21,11 +21,12 @@ from stores import marked
 from kernel.params import KERNEL_VERSION
 from service.cli.doctor import examine
 from service.errors import LedgerUnavailable, LedgerUnusable
-from service.jobs import backup, ledger_files
-from service.jobs.ledger import RESERVE, Ledger
-from service.jobs.ledger_files import wal_of
-from service.jobs.model import JobState
 from service.jobs.stores.adoption import open_ledger
+from service.ledger import backup
+from service.ledger import paths as ledger_paths
+from service.ledger.ledger import RESERVE, Ledger
+from service.ledger.model import JobState
+from service.ledger.paths import wal_of
 from service.settings import Settings
 from worker import store
 from worker.executors.inline import Inline
@@ -393,9 +394,9 @@ def test_a_ledger_on_a_network_file_system_is_warned_about(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     """The temporary folder's file system is taken for one."""
-    kind: Any = ledger_files.file_system(tmp_path)
+    kind: Any = ledger_paths.file_system(tmp_path)
     assert kind in subprocess.run(["mount"], capture_output=True, text=True, check=True).stdout
-    monkeypatch.setattr(ledger_files, "NETWORK", frozenset({kind}))
+    monkeypatch.setattr(ledger_paths, "NETWORK", frozenset({kind}))
     with running(tmp_path, Held(capacity=0)) as service:
         assert f"on a network file system ({kind})" in service.manager.notices()[0]
     assert "keep the ledger on a local disk" in caplog.text

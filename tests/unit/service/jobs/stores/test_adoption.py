@@ -14,9 +14,9 @@ from scripted import Held, Scripted, small, sweep
 
 from kernel.params import Outcome
 from service.errors import NotAdoptable
-from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord, JobState
 from service.jobs.stores import adoption
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from worker.executors.inline import Inline
 from worker.schema import flat_attributes, structured_attributes

@@ -13,9 +13,9 @@ from running import running
 from scripted import DEADLINE, Held, Scripted, sweep, wait_for
 
 from kernel.params import KERNEL_VERSION
-from service.jobs.ledger import Ledger
-from service.jobs.model import JobState
 from service.jobs.stores import deletion
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobState
 from worker import store
 from worker.executors.inline import Inline
 

@@ -12,11 +12,11 @@ from scripted import DEADLINE, sweep, wait_for
 
 from service.errors import LedgerUnavailable
 from service.jobs import transactions
-from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer
 from service.jobs.stores import repair
 from service.jobs.stores.repair import Repair, Scrubber
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState, NewJob
 from service.settings import Settings
 from worker.executors.inline import Inline
 from worker.tasks import ChunkReport

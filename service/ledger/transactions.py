@@ -5,13 +5,13 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from enum import IntEnum
-from typing import Any, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import KERNEL_VERSION, Outcome
-from service.jobs.model import (
+from service.ledger.model import (
     UNFINISHED,
     Failure,
     JobRecord,
@@ -20,9 +20,11 @@ from service.jobs.model import (
     check_transition,
     summary_of,
 )
-from service.jobs.search import JobSearch, Position
+from service.ledger.search import JobSearch, Position
 from service.software import with_this_run
-from worker.tasks import ChunkReport
+
+if TYPE_CHECKING:
+    from worker.tasks import ChunkReport
 
 #: Chunks whose verification is recorded together.
 VERIFIED_PAGE: Final = 512
@@ -266,7 +268,7 @@ class WriteTransaction(ReadTransaction):
         self._do(f"UPDATE jobs SET {settings} WHERE seq = ?", *columns.values(), job.seq)
 
     def adopt(
-        self, job: NewJob, reports: Sequence[ChunkReport], choice: str | None, now: float, error: str
+        self, job: NewJob, reports: "Sequence[ChunkReport]", choice: str | None, now: float, error: str
     ) -> None:
         """Insert a job with stored results: done if `reports` has every chunk, else failed."""
         self.insert(job, now)
@@ -328,7 +330,7 @@ class WriteTransaction(ReadTransaction):
 
     # Chunks
 
-    def mark_done(self, job: JobRecord, reports: Iterable[ChunkReport]) -> None:
+    def mark_done(self, job: JobRecord, reports: "Iterable[ChunkReport]") -> None:
         """Mark stored chunks as done; marked ones stay as they are."""
         marked = []
         for report in reports:

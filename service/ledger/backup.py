@@ -10,8 +10,8 @@ from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
 from service.errors import LedgerUnavailable, LedgerUnusable
-from service.jobs.ledger import check, copy_to, locked
-from service.jobs.ledger_files import aside, shm_of, wal_of
+from service.ledger.ledger import check, copy_to, locked
+from service.ledger.paths import aside, shm_of, wal_of
 from worker.files import make_folder, replacing, sync
 
 SQLITE_VERSION: Final = sqlite3.sqlite_version

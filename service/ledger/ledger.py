@@ -1,7 +1,7 @@
 """The ledger: jobs and their done chunks in one SQLite file, the authority on what is done.
 
 One connection writes and one reads, each behind its lock, so that a poll never waits for a commit. Nothing is
-written to a damaged file, or to one that is no longer at its path: see `ledger_files`.
+written to a damaged file, or to one that is no longer at its path: see `paths`.
 """
 
 import fcntl
@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import DataFolderBusy, LedgerUnavailable, LedgerUnusable
-from service.jobs.ledger_files import (
+from service.ledger.model import JobRecord
+from service.ledger.paths import (
     OpenFiles,
     as_found,
     copies_of,
@@ -27,9 +28,8 @@ from service.jobs.ledger_files import (
     size_of,
     wal_of,
 )
-from service.jobs.model import JobRecord
-from service.jobs.tables import TABLES, VERSION
-from service.jobs.transactions import ReadTransaction, WriteTransaction
+from service.ledger.tables import TABLES, VERSION
+from service.ledger.transactions import ReadTransaction, WriteTransaction
 from worker.files import make_folder, replacing
 
 log = logging.getLogger(__name__)
