@@ -211,7 +211,7 @@ def computed(
     """A study's done job, in the data folder `folder`, which is created and kept. Raises as `run`."""
     use_cache()
     from service.jobs.manager import JobManager
-    from service.jobs.stores.adoption import open_ledger
+    from service.jobs.stores.opening import open_ledger
     from worker.executors.inline import Inline
     from worker.studies import from_json
 

@@ -117,10 +117,8 @@ class ChunkReport:
     cells: int
     seconds: float  # wall time, storing included
     kernel_seconds: float  # the part spent in the kernel
-    checksum: str  # of the stored bytes; see store.find_corrupt
     outcomes: tuple[int, ...]  # number of cells by kernel.params.Outcome
     computed: int | None = None  # adaptive maps: cells not filled in from their block
-    bytes: int | None = None  # stored, of all arrays; None if unknown
     paused_seconds: float = 0.0  # the part of `seconds` in earlier slices
 
 
@@ -130,12 +128,11 @@ _Arrays = dict[str, NDArray[Any]]
 
 
 def report_of(
-    chunk: Any, record: Mapping[str, NDArray[Any]], stored: store.Stored, seconds: tuple[float, float],
-    computed: int | None = None,
+    chunk: Any, record: Mapping[str, NDArray[Any]], seconds: tuple[float, float], computed: int | None = None
 ) -> ChunkReport:  # fmt: skip
     """The report of a stored chunk. `seconds`: in all, and in the kernel."""
     outcomes = tuple(np.bincount(record["outcome"].ravel(), minlength=len(Outcome)).tolist())
-    return ChunkReport(chunk.index, chunk.cells, *seconds, stored.checksum, outcomes, computed, stored.bytes)
+    return ChunkReport(chunk.index, chunk.cells, *seconds, outcomes, computed)
 
 
 def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
@@ -287,10 +284,11 @@ class Work:
 
     def write(self, record: _Arrays, computed: int | None = None) -> ChunkReport:
         """Store the chunk's arrays and remove its checkpoint."""
-        chunk, stored = self._chunk, store.write_chunk(self._url, self._chunk, record)
+        chunk = self._chunk
+        store.write_chunk(self._url, chunk, record)
         if self._has_checkpoint:
             store.remove_checkpoint(self._url, chunk.index)
-        report = report_of(chunk, record, stored, self.seconds, computed)
+        report = report_of(chunk, record, self.seconds, computed)
         return replace(report, paused_seconds=float(self._before[0]))
 
     def check_cancelled(self) -> None:

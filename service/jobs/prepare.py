@@ -74,18 +74,19 @@ class PreparedJob:
         """The job's cost by the cost table."""
         return self.study.estimate(self.spec, self.plan)
 
-    def read_file(self, key: str) -> bytes | None:
+    def read_file(self, key: str, *, complete: bool = False) -> bytes | None:
         """The store's bytes under a key, if they are what the job stores there; None without any.
 
-        Raises StoreDamaged.
+        `complete`: whether everything was written, so that a missing file is damage. Raises StoreDamaged.
         """
         if not self.layout.has_key(key):
             return None
         if key.partition("/")[0] in self.layout.names and not key.endswith("zarr.json"):
             forms = store.stored_forms(self.store_url, self.forms)
-            return store.read_file(self.store_url, key, forms)
+            return store.read_file(self.store_url, key, forms, complete=complete)
         content = store.read_key(self.store_url, key)
-        if content is not None and self.metadata is not None and content != self.metadata.get(key):
+        expected = content if self.metadata is None else self.metadata.get(key)
+        if content != expected and (complete or content is not None):
             raise store.StoreDamaged(f"{key}: is not what the store's specification says")
         return content
 
@@ -147,7 +148,7 @@ class JobPreparer:
             submitted=submitted,
             spec=submitted if choice is None else resolved(submitted, choice),
             plan=study_of(submitted).plan(submitted, job.chunk_shape),
-            store_url=self._settings.store_of(job.id),
+            store_url=self._settings.store_of(job.store),
             attributes={} if choice is None else {"model": choice.model, "choice": choice.reproducible()},
             outdated=job.outdated,
         )

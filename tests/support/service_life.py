@@ -52,7 +52,7 @@ STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "chunk given out": lambda act: before(inline, "run_task", act),
     "chunk computed": lambda act: before(tasks.store, "write_chunk", act),
     "chunk half written": lambda act: before(stored.backend, "place", act),
-    "chunk synced": lambda act: before(stored, "digest", act),
+    "chunk synced": lambda act: after(tasks.store, "write_chunk", act),
     "chunk reported": lambda act: after(inline, "run_task", act),
     "in the transaction": lambda act: after(WriteTransaction, "mark_done", act),
     "chunk marked": lambda act: after(supervisor.JobRun, "mark_saved", act),

@@ -120,7 +120,7 @@ def get_zarr_file(
     bucket.
     """
     prepared = service.manager.preparer.prepare(job)
-    content = prepared.read_file(key)
+    content = prepared.read_file(key, complete=job.state is JobState.DONE)
     if content is None:
         raise HTTPException(404, f"the job's store has nothing under the key {key[:80]!a}")
     headers = {"Cache-Control": "no-cache", "Accept-Ranges": "bytes"}

@@ -64,7 +64,7 @@ def test_what_a_killed_worker_had_begun_to_write_goes_with_the_end_of_the_job(tm
     wait_until_ready(fragile)
     with running(tmp_path, fragile) as service:
         job = service.submit(costing("die_writing:2"))
-        url = service.settings.store_of(job.id)
+        url = service.settings.store_of(job.store)
         service.until(job, JobState.DONE)
         assert died_writing(url).read_bytes()
         assert not list(Path(url, ".partial").iterdir())

@@ -196,7 +196,7 @@ class Machine(RuleBasedStateMachine):
                 with self.ledger.reading() as reading:
                     job = reading.find(IDS[number])
                     if job is not None:
-                        assert job.chunks_done == len(reading.stored_chunks(job, 0, job.chunks_total))
+                        assert job.chunks_done == len(reading.done_chunks(job, 0, job.chunks_total))
                         assert (job.state is JobState.DONE) <= (job.chunks_done == job.chunks_total)
                         assert (job.chunks_done == job.chunks_total) == (job.cells_done == job.cells_total)
 
@@ -214,8 +214,7 @@ class Machine(RuleBasedStateMachine):
     def _stop(self) -> None:
         """Stop as at the end of a process, with all threads."""
         self.manager.stop()
-        for part in (self.manager.scrubber, self.manager.supervisor, self.manager._deleter):
-            part._thread.join()
+        self.manager.supervisor._thread.join()
 
     def _settle(self) -> None:
         """Until the service has taken in what came back, and submitted chunks of the unfinished jobs."""
@@ -246,7 +245,7 @@ class Machine(RuleBasedStateMachine):
         return job
 
     def _url(self, number: int) -> str:
-        return self._settings.store_of(IDS[number])
+        return self._settings.store_of(self._found(number).store)
 
     def _outcomes(self, number: int) -> Any:
         return store.read_slice(self._url(number), ["outcome"], complete=True)["outcome"]
