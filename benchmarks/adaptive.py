@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 
 from benchmarks.measuring import Running, describe, options, service, short, table
 from worker import store
-from worker.plan import make_plan
-from worker.refinement import classes
-from worker.schema import MODE_ARRAYS, layout
-from worker.spec import SweepSpec
+from worker.maps.refinement import classes
 from worker.spec.refine import SETTLE_UNTIL, Refine
-from worker.tasks import run_chunk
+from worker.studies import run_task, study_of
+from worker.sweep import SweepSpec
+from worker.sweep.schema import MODE_ARRAYS, layout
 
 #: The part of the plane at each xi: gamma and omega from where cells rest to where most have no mode.
 PLANES: Final = {
@@ -41,7 +40,7 @@ REFINEMENTS: Final[Mapping[str, dict[str, Any]]] = {
     "bouncing": {"by": "bouncing"},
     "mode": {"by": "mode"},
     "mode, first blocks of 64": {"by": "mode", "coarsest": 64},
-    "mode, margin": {"by": "mode", "margin": True},
+    "mode, first blocks of 8": {"by": "mode", "coarsest": 8},
 }
 
 _Map = dict[str, NDArray[Any]]
@@ -120,16 +119,16 @@ def core_seconds(xi: float, side: int, keep: int, every: int) -> dict[str, float
     specs = {"full": sweep(xi, side, keep)}
     specs |= {name: sweep(xi, side, keep, fields) for name, fields in REFINEMENTS.items()}
     taken = dict.fromkeys(specs, 0.0)
-    shape = make_plan(specs["mode"]).chunk_shape
+    shape = study_of(specs["mode"]).plan(specs["mode"]).chunk_shape
     with tempfile.TemporaryDirectory() as folder:
-        plans = {name: make_plan(spec, chunk_shape=shape) for name, spec in specs.items()}
+        plans = {name: study_of(spec).plan(spec, shape) for name, spec in specs.items()}
         for name, spec in specs.items():
             store.create(f"{folder}/{name}", layout(spec, shape))
-            run_chunk(spec, plans[name][0], f"{folder}/{name}")  # loads the kernel
+            run_task(spec, plans[name][0], f"{folder}/{name}")  # loads the kernel
         for index in range(0, len(plans["full"]), every):
             for name, spec in specs.items():
                 began = time.process_time()
-                run_chunk(spec, plans[name][index], f"{folder}/{name}")
+                run_task(spec, plans[name][index], f"{folder}/{name}")
                 taken[name] += time.process_time() - began
     return taken
 

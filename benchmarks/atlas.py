@@ -20,9 +20,8 @@ import psutil
 from benchmarks.measuring import describe, options, service
 from service.client import Client
 from worker.executors.dask import Dask
-from worker.plan import Chunk
-from worker.spec import SweepSpec
-from worker.tasks import ChunkReport
+from worker.study import Chunk, ChunkReport
+from worker.sweep import SweepSpec
 
 
 def atlas(

@@ -32,11 +32,11 @@ from service.views.selection import Stored
 from worker import store
 from worker.basins.attractors import Found, counted, find
 from worker.basins.multistability import run_chunk as compute_lines
-from worker.basins.spec import BasinSpec, MultistabilitySpec
+from worker.basins.specification import BasinSpec, MultistabilitySpec
 from worker.basins.starts import line_run, starts_of
-from worker.basins.study import run_chunk
-from worker.spec import AXES
+from worker.basins.task import run_chunk
 from worker.studies import STUDIES
+from worker.sweep import AXES
 
 #: Of `time`: cells with a smooth and with a fractal boundary, with a chaotic attractor and with slow cycles.
 TIMED: Final = (

@@ -36,13 +36,14 @@ from service.jobs.manager import JobManager
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobState
 from service.settings import Settings
-from worker import store, tasks
+from worker import store
 from worker.executors.base import ClusterState
 from worker.executors.dask import Dask
-from worker.plan import TARGET_SECONDS, Chunk, Plan, make_plan
-from worker.spec import SweepSpec
 from worker.studies import run_task, study_of
-from worker.tasks import ChunkReport
+from worker.study import Chunk, ChunkOptions, ChunkReport, Plan
+from worker.study.chunks import TARGET_SECONDS, with_options
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
 
 SMALL: dict[str, Any] = {
     "gamma": {"start": 0.8, "stop": 5.0, "num": 64}, "omega": {"start": 0.4, "stop": 0.9, "num": 8},
@@ -65,7 +66,7 @@ def created(spec: SweepSpec, url: str) -> Plan:
 def compute(name: str, url: str, chunks: int) -> None:
     """Compute the first chunks of a sweep: what `files` traces."""
     spec = SweepSpec(**SWEEPS[name])
-    with tasks.with_options(tasks.ChunkOptions(3600.0)):  # the first one compiles
+    with with_options(ChunkOptions(3600.0)):  # the first one compiles
         for chunk in list(created(spec, url))[:chunks]:
             run_task(spec, chunk, url)
 
@@ -152,12 +153,12 @@ def s3() -> None:
         for name, fields in SWEEPS.items():
             spec, url = SweepSpec(**fields), f"s3://results/{name.replace(' ', '-')}.zarr"
             plan = created(spec, url)
-            with tasks.with_options(tasks.ChunkOptions(3600.0)):  # compiles
+            with with_options(ChunkOptions(3600.0)):  # compiles
                 run_task(spec, plan[0], url)
             counts, trips, kinds = [], [], Counter[str]()
             for chunk in list(plan)[1:9]:
                 before, began = len(counting.requests), time.perf_counter()
-                with tasks.with_options(tasks.ChunkOptions(begins=True)):
+                with with_options(ChunkOptions(begins=True)):
                     run_task(spec, chunk, url)
                 trips.append((time.perf_counter() - began) / latency)
                 made = counting.requests[before:]

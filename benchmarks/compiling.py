@@ -31,16 +31,16 @@ _MODELS: Final[dict[str, Any]] = {
 }
 #: Compiles every contact model, its exponents and its trajectories.
 _ALL: Final = """
+from importlib import import_module
 import numpy as np
 from kernel.interface import dimension
 from kernel.line import LineRun
 from kernel.params import Cell
 from kernel.trajectory import sample
 from worker.spec.contact_models import CONTACT_MODELS
-from worker.tasks import plate_of
 axis = np.ones(1)
 for kind, model in CONTACT_MODELS.items():
-    plate = plate_of(model.fields(kind=kind), axis, axis, axis)
+    plate = import_module(model.kernel).plate(**model.fields(kind=kind).plate_arguments(axis, axis, axis))
     for exponents in {0, dimension(plate)}:
         LineRun(axis, axis, axis, plate=plate, carry=False, settle=0, observe=1, keep=1,
                 exponents=exponents).advance()

@@ -9,8 +9,8 @@ of the grid: whole sweeps over HTTP on the embedded cluster of two workers, from
 "exponent" is that of the total time against the quantity, between its ends (1: proportional). The cost should
 not depend on Gamma, Omega, xi and d: see the ratio of the largest to the smallest.
 
-`--estimates`: of every model, law and protocol, what `worker.cost` expects of a cell with the default window
-beside what it takes on average: random cells from rest (Gamma 0.3 to 6, Omega 0.2 to 2, xi 0.01 to 1), and 16
+`--estimates`: of every model, law and protocol, what is expected of a cell with the default window beside
+what it takes on average: random cells from rest (Gamma 0.3 to 6, Omega 0.2 to 2, xi 0.01 to 1), and 16
 lines of 50 values of Gamma; both include the periods in which cells without a mode are followed.
 """
 
@@ -27,9 +27,9 @@ from benchmarks.measuring import describe, options, short, table
 from benchmarks.scaling import sweep_seconds, warmed
 from kernel.line import run_line
 from tests.support.plates import Model
-from worker.cost import cell_seconds
-from worker.spec import SweepSpec
-from worker.tasks import plate_of
+from worker.sweep import SweepSpec
+from worker.sweep.plan import cell_seconds
+from worker.work import plate_of
 
 USUAL: dict[str, Any] = {"gamma": 2.0, "omega": 0.5, "xi": 0.26, "settle": 200, "observe": 100, "d": 1e-3}
 KINDS = {"rigid": Model.RIGID, "soft": Model.SOFT}

@@ -115,10 +115,11 @@ def service(executor: "Executor | None" = None, **settings: Any) -> Iterator[Run
     """A service on a free port with a temporary data folder, and two workers unless told otherwise."""
     from service.client import Client
     from service.server import embedded
+    from service.settings import read_settings
 
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder)
         given = {"workers": 2, **settings} if executor is None else settings
-        chosen = embedded.settings(data=data, host="127.0.0.1", port=0, **given)
+        chosen = read_settings(data=data, host="127.0.0.1", port=0, **given)
         with embedded.running(chosen, executor) as url, Client(url) as client:
             yield Running(client, url, data)

@@ -23,7 +23,7 @@ from benchmarks.heyoka_rival import BatchSpring
 from benchmarks.kernel import CELLS, PERIODS
 from benchmarks.measuring import HERE, alternating, describe, options, short, table
 from benchmarks.serving import Serving
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 RIGID = {"kind": "rigid", "restitution": 0.0}
 SOFT = {"kind": "soft", "restitution": 0.01, "penetration": 1e-3, "adhesive": True}

@@ -72,11 +72,6 @@ class Serving:
         except httpx2.TransportError:
             return False
 
-    def worker_pids(self) -> list[int]:
-        """The worker processes: children with more than 100 MB, as loaded kernels take."""
-        family = self.me.children(recursive=True)
-        return [child.pid for child in family if child.memory_info().rss > 100 * MB]
-
     def used(self) -> tuple[float, int]:
         """Megabytes and file handles of the service's own process."""
         return self.me.memory_info().rss / MB, self.me.num_fds()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.measuring import alternating, describe, options, ratio, short, table
 from kernel.params import Line, Outcome
 from tests.support.plates import Model, run_line
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 SETTLE, OBSERVE = (int(SweepSpec.model_fields[name].default) for name in ("settle", "observe"))
 MICRO_FLIGHT = float(SweepSpec.model_fields["micro_flight"].default)

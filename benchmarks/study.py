@@ -18,9 +18,8 @@ from typing import NamedTuple
 from benchmarks import chunks
 from benchmarks.atlas import Counting, atlas, warm
 from benchmarks.measuring import describe, options, service, short, table
-from worker import schema
-from worker.plan import make_plan
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec, schema
+from worker.sweep.plan import make_plan
 
 #: Numbers of workers.
 WORKERS = (100, 1000)

@@ -25,18 +25,19 @@ def exponent_resolution(observe: int) -> float:
     return 1.0 / observe
 
 
-def label_codes(outcome: Any, lyapunov: Any, observe: int) -> NDArray[np.uint8]:
+def label_codes(outcome: Any, lyapunov: Any, error: Any, observe: int) -> NDArray[np.uint8]:
     """The code in LABELS of cells (...), from their outcomes (...) and exponents (..., n >= 1).
 
-    An aperiodic cell is chaotic where lambda_1 is above the window's resolution and quasi-periodic where
-    |lambda_1| is within it. Below, it stays aperiodic: it approaches a cycle that is not found. A periodic
-    cell is unstable where lambda_1 is above the resolution: rounding holds it there. Others stay as they are.
+    error: (...) the standard error of lambda_1. An aperiodic cell is quasi-periodic where |lambda_1| and
+    twice its error are within the window's resolution, and chaotic where lambda_1 is above both. Otherwise it
+    stays aperiodic: the window does not tell, or it approaches a cycle that is not found. A periodic cell is
+    unstable where lambda_1 is above the resolution: rounding holds it there. Others stay as they are.
     """
     codes: NDArray[np.uint8] = np.array(outcome, np.uint8)
     largest = np.asarray(lyapunov, np.float64)[..., 0]
-    resolution = exponent_resolution(observe)
+    resolution, uncertainty = exponent_resolution(observe), 2.0 * np.asarray(error, np.float64)
     aperiodic = codes == Outcome.APERIODIC
-    codes[aperiodic & (np.abs(largest) <= resolution)] = QUASI_PERIODIC
-    codes[aperiodic & (largest > resolution)] = CHAOTIC
+    codes[aperiodic & (np.abs(largest) <= resolution) & (uncertainty <= resolution)] = QUASI_PERIODIC
+    codes[aperiodic & (largest > resolution) & (largest > uncertainty)] = CHAOTIC
     codes[(codes == Outcome.PERIODIC) & (largest > resolution)] = UNSTABLE
     return codes

@@ -151,8 +151,8 @@ def run_to_file(
         Also raises the errors of `run`.
     """
     use_cache()
-    from worker.spec import SweepSpec
     from worker.studies import from_json, study_of
+    from worker.sweep import SweepSpec
 
     target, parsed = Path(output), from_json(body(spec))
     if not isinstance(parsed, SweepSpec) and format not in EXPORTS:
@@ -258,8 +258,8 @@ def _settings(folder: Path) -> "Settings":
 
 def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
     """Compile in one interruptible thread rather than in all workers at once."""
-    from worker.analysis.model_selection import is_open
-    from worker.tasks import compile_for
+    from worker.sweep.specification import is_open
+    from worker.work import compile_for
 
     if is_open(spec):  # choosing its model compiles
         return
@@ -272,7 +272,7 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
 
 
 def _compiling() -> str:
-    from kernel.numerics.compilation import compilations
+    from kernel.numerics.cache import compilations
 
     kernel = next((compilation.kernel for compilation in compilations()), "the last one")
     return f"compiling kernel 1 of 1, {kernel}; later runs find it in the cache"

@@ -3,30 +3,47 @@
 Needs xarray alone, so that the client stays light; matplotlib is loaded when something is drawn.
 """
 
-from typing import TYPE_CHECKING, Final
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import xarray
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from kernel.labels import LABELS
+from kernel.threshold import threshold
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Colours that remain distinct to colour-blind readers and on a photocopy (ColorBrewer's RdBu).
-GREY, RED, BLUE = "#a6a6a6", "#b2182b", "#2166ac"
-#: Of cells from rest, ramped up, ramped down.
-COLOURS: Final = {"rest": "black", "up": RED, "down": BLUE}
+#: The colours of the project by their meaning, each on white and on a dark background; the page reads the
+#: same file. Pictures are on white.
+PALETTE: Final[dict[str, Any]] = json.loads((Path(__file__).parent / "static/palette.json").read_bytes())
+#: Of lines by what they show: cells from rest, ramped up or down, Eq. 25, cycles in closed form, the masses.
+LINES: Final[dict[str, str]] = {name: on_white for name, (on_white, _) in PALETTE["lines"].items()}
+#: Of attractors by their number; of the others of a plane; of undecided starts.
+ATTRACTORS: Final = tuple(on_white for on_white, _ in PALETTE["attractors"])
+OTHER_ATTRACTORS: Final[str] = PALETTE["other_attractors"][0]
+UNDECIDED: Final[str] = PALETTE["labels"]["missing"][0]
+GREY: Final = "#a6a6a6"  # of what stands behind the results
+WARNING: Final[str] = LINES["cursor"]
+
 _WAYS: Final = {"rest": "from rest", "up": "ramp up", "down": "ramp down"}
 
-#: Of cells on cycles of 1, 2, 3, 4 and more plate periods (Okabe and Ito); of those on none, by their label.
-PERIODS: Final = ("#0072b2", "#56b4e9", "#009e73", "#e69f00", "#f0e442")
-OTHERS: Final = {
-    "at_rest": "#e8e8e8", "aperiodic": "#d55e00", "quasi-periodic": "#cc79a7", "chaotic": "#7f2704",
-    "unstable": "#b2182b",
-    "settling": "#bdbdbd", "unresolved": "#525252", "diverged": "#000000", "missing": "#ffffff",
-}  # fmt: skip
+#: Classes of the cells of a map, in the order of the legend, and their colours: cycles by their plate periods
+#: and by whether they have fewer bounces, as many or more; longer cycles; what is no cycle, by its label.
+_BOUNCES: Final = (", fewer bounces", "", ", more bounces")
+CLASSES: Final = (
+    {
+        f"{n} period{'s' * (n > 1)}{bounces}": colour
+        for n, colours in enumerate(PALETTE["periods"], 1)
+        for bounces, colour in zip(_BOUNCES, colours, strict=True)
+    }
+    | {"longer": PALETTE["longer"][0]}
+    | {name: on_white for name, (on_white, _) in PALETTE["labels"].items()}
+)
 
 AXES: Final = {
     "gamma": r"plate acceleration over gravity $\Gamma$",
@@ -41,19 +58,139 @@ HATCH: Final = "////"
 DIFFER: Final = "up and down differ"
 
 
-def draw_diagram(ax: "Axes", diagram: xarray.Dataset) -> None:
-    """The flights of every cell along the diagram's axis, as dots."""
-    *_, along = (str(dim) for dim in diagram.flight_time.dims if dim not in ("direction", "flight"))
-    for name in np.atleast_1d(diagram.direction.values):
-        line = diagram.sel(direction=name) if diagram.direction.ndim else diagram
-        flights = line.flight_time.transpose(along, "flight").values
-        x = np.repeat(line[along].values, flights.shape[1])
-        way = str(name)
-        ax.plot(x, flights.ravel(), ".", markersize=1.5, color=COLOURS[way], label=_WAYS[way])
-    ax.set_xlabel(AXES[along])
-    ax.set_ylabel(FLIGHT)
-    fixed = [f"{SYMBOLS[axis]} = {diagram[axis].item():g}" for axis in AXES if axis != along]
-    ax.set_title(", ".join(fixed))
+#: Dots per inch of a picture.
+DPI: Final = 200
+PERIOD: Final = 2 * np.pi  # of the plate, rad
+#: Relative size of the points of up, drawn first, and of down over it: up shows as a rim where both agree.
+OVERLAID: Final = (1.7, 0.8)
+#: More points than this become an image inside an SVG.
+MANY_POINTS: Final = 5_000
+#: More flights of a direction than this are drawn as density, on as many columns and rows as the axes have
+#: pixels.
+DENSE_POINTS: Final = 200_000
+COLUMNS_AND_ROWS: Final = (1200, 680)
+#: Opacity of a bin with one flight, and how many flights make it opaque.
+FAINTEST: Final = 0.5
+OPAQUE: Final = 24
+
+
+def along_of(diagram: xarray.Dataset) -> str:
+    """The axis of a diagram."""
+    [along] = (str(dim) for dim in diagram.flight_time.dims if dim not in ("direction", "flight"))
+    return along
+
+
+def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) -> None:
+    """The flights of every cell, each direction in its colour: dots, or density where dots would overlap.
+
+    The axes have room for flights of `longest`, rad; 0 for those of the diagram. A cell at rest has no
+    flight and so no point.
+    """
+    along, times = along_of(diagram), diagram.flight_time.values
+    lines = [diagram.isel(direction=i) for i in range(diagram.sizes.get("direction", 0))] or [diagram]
+    values = diagram[along].values
+    _scale(axes, values, longest or float(np.nanmax(times, initial=0.0)) or PERIOD)
+    for line, size in zip(lines, OVERLAID if len(lines) > 1 else (1.0,), strict=True):
+        flights, way = line.flight_time.transpose(along, "flight").values, str(line.direction.values)
+        shown = np.isfinite(flights)
+        x, y = values[np.nonzero(shown)[0]], flights[shown]
+        # The dot of marker "." is half its size wide.
+        style: Any = {"marker": ".", "linestyle": "none", "markeredgewidth": 0, "color": LINES[way],
+                      "markersize": 2 * _dot(len(values)) * size, "label": _WAYS[way]}  # fmt: skip
+        if len(x) > DENSE_POINTS:
+            axes.plot([], [], **style)
+            _draw_density(axes, x, y, LINES[way], style["markersize"] / 2)
+        else:
+            axes.plot(x, y, alpha=0.8, rasterized=len(x) > MANY_POINTS, zorder=3, **style)
+    _draw_periods(axes)
+    if along == "gamma":
+        _draw_threshold(axes, values, float(diagram.omega), float(diagram.xi))
+    axes.set_xlabel(AXES[along])
+    axes.set_ylabel(FLIGHT)
+
+
+def _dot(cells: int) -> float:
+    """Width of a flight's dot, in points."""
+    return float(np.clip(450 / cells, 0.7, 3.5))
+
+
+def _draw_density(
+    axes: "Axes", x: NDArray[np.float64], y: NDArray[np.float64], colour: str, dot: float
+) -> None:
+    """What the dots of these flights, `dot` points wide, would cover, darker where there are more of them."""
+    from matplotlib.colors import to_rgb
+
+    columns, rows = COLUMNS_AND_ROWS
+    scale = np.log if axes.get_xscale() == "log" else np.asarray
+    column = _bins(scale(x), scale(axes.get_xlim()), columns)
+    counts = np.bincount(_bins(y, axes.get_ylim(), rows) * columns + column, minlength=columns * rows)
+    counts = _widened(counts.reshape(rows, columns), round(dot * DPI / 72))
+    shades = np.log(np.maximum(counts, 1)) / np.log(np.clip(counts.max(), 2, OPAQUE))
+    image = np.empty((*counts.shape, 4))
+    image[..., :3] = to_rgb(colour)
+    image[..., 3] = np.where(counts > 0, np.minimum(FAINTEST + (1 - FAINTEST) * shades, 1.0), 0.0)
+    # An inset in axes coordinates, which a logarithmic axis does not distort.
+    overlay = axes.inset_axes((0.0, 0.0, 1.0, 1.0), zorder=3)
+    overlay.set_axis_off()
+    overlay.imshow(image, origin="lower", aspect="auto", interpolation="nearest")
+
+
+def _bins(values: NDArray[np.float64], ends: Any, number: int) -> NDArray[np.int64]:
+    """The bin of each value among `number` between two ends."""
+    low, high = ends
+    return np.asarray(np.clip((values - low) * (number / (high - low)), 0, number - 1), np.int64)
+
+
+def _widened(counts: NDArray[np.int64], width: int) -> NDArray[np.int64]:
+    """Every count spread over a square `width` bins wide; the highest count wins."""
+    for axis in (0, 1):
+        pad = [(width // 2, (width - 1) // 2) if axis == i else (0, 0) for i in (0, 1)]
+        counts = sliding_window_view(np.pad(counts, pad), width, axis).max(axis=-1)
+    return counts
+
+
+def _scale(axes: "Axes", values: NDArray[np.float64], highest: float) -> None:
+    from matplotlib.ticker import AutoMinorLocator, MaxNLocator
+
+    if len(values) > 1:
+        axes.set_xlim(float(values[0]), float(values[-1]))
+    if _is_geometric(values):
+        axes.set_xscale("log")
+    else:
+        axes.xaxis.set_minor_locator(AutoMinorLocator())
+    axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_minor_locator(AutoMinorLocator())
+    axes.set_ylim(0, 1.06 * highest)
+
+
+def _is_geometric(values: NDArray[np.float64]) -> bool:
+    """Whether the values go in equal ratios and not in equal steps."""
+    if len(values) < 3 or values[0] <= 0:
+        return False
+    steps, ratios = np.diff(values), np.diff(np.log(values))
+    return bool(np.ptp(ratios) < 1e-6 * ratios[0] and np.ptp(steps) > 1e-6 * steps[0])
+
+
+def _draw_periods(axes: "Axes") -> None:
+    """Whole plate periods as faint lines, counted on the right."""
+    periods = np.arange(1, int(axes.get_ylim()[1] / PERIOD) + 1)
+    periods = periods[:: max(1, len(periods) // 8)]
+    right = axes.secondary_yaxis("right")
+    right.set_yticks(periods * PERIOD, [rf"${2 * int(n)}\pi$" for n in periods])
+    right.tick_params(labelsize=9, length=0, labelcolor="0.45")
+    for n in periods:
+        axes.axhline(n * PERIOD, color="0.85", linewidth=0.6, zorder=1)
+
+
+def _draw_threshold(axes: "Axes", values: NDArray[np.float64], omega: float, xi: float) -> None:
+    """Γ_th of Eq. 25, where a spring at rest begins to bounce."""
+    onset = float(threshold(omega, xi))
+    if values[0] <= onset <= values[-1]:
+        axes.axvline(onset, color=LINES["threshold"], linewidth=0.8, linestyle=(0, (4, 3)), zorder=2)
+        axes.annotate(
+            r"$\Gamma_{\mathrm{th}}$", (onset, 1), (3, -4), xycoords=("data", "axes fraction"),
+            textcoords="offset points", verticalalignment="top", color=LINES["threshold"], fontsize=10,
+        )  # fmt: skip
 
 
 def draw_branches(ax: "Axes", branches: xarray.Dataset) -> None:
@@ -68,7 +205,7 @@ def draw_branches(ax: "Axes", branches: xarray.Dataset) -> None:
             (~admissible, ":", 0.6),
         ):
             x = np.where(shown, gamma, np.nan)
-            ax.plot(x, flight, color="black", linestyle=style, linewidth=width)
+            ax.plot(x, flight, color=LINES["branch"], zorder=4, linestyle=style, linewidth=width)
 
 
 def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
@@ -76,23 +213,22 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
-    names = [*(f"cycle of {n}" for n in (1, 2, 3, 4)), "longer cycle", *OTHERS]
+    names, colours = list(CLASSES), list(CLASSES.values())
     codes = modes.label.values if "label" in modes else modes.outcome.values
-    periods = np.clip(modes.periods.values, 1, len(PERIODS)) - 1
+    periods = modes.periods.values
+    cycles = 3 * (periods - 1) + 1 + np.sign(modes.bounces.values - periods)
+    cycles = np.where(periods > len(PALETTE["periods"]), names.index("longer"), cycles)
     cells = np.full(codes.shape, names.index("missing"))
     for code, label in enumerate(LABELS):
         here = codes == code
-        cells[here] = periods[here] if label == "periodic" else names.index(label)
+        cells[here] = cycles[here] if label == "periodic" else names.index(label)
     corners = edges(modes.gamma.values), edges(modes.omega.values)
     ax.pcolormesh(
-        *corners, cells, rasterized=True,
-        cmap=ListedColormap([*PERIODS, *OTHERS.values()]), vmin=-0.5, vmax=len(names) - 0.5,
-    )  # fmt: skip
-    colours = [*PERIODS, *OTHERS.values()]
-    seen = np.unique(cells).tolist()
+        *corners, cells, rasterized=True, cmap=ListedColormap(colours), vmin=-0.5, vmax=len(names) - 0.5
+    )
     handles = [
         Patch(facecolor=colours[i], edgecolor="black", linewidth=0.4, label=names[i].replace("_", " "))
-        for i in seen
+        for i in np.unique(cells).tolist()
     ]
     if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():
         ax.pcolor(
@@ -109,10 +245,9 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
 def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
     """Where bouncing begins and ends over Ω: as computed, by Eq. 25, and in closed form."""
     omega = thresholds.omega.values
-    ax.plot(omega, thresholds.analytic.values, "--", color="black", linewidth=1.0, label="Eq. 25")
-    ax.plot(
-        omega, thresholds.predicted_down.values, "-", color=GREY, linewidth=1.4, label="closed form, down"
-    )
+    ax.plot(omega, thresholds.analytic.values, "--", color=LINES["threshold"], linewidth=1.0, label="Eq. 25")
+    down: Any = {"color": LINES["branch"], "linewidth": 1.4, "label": "closed form, down"}
+    ax.plot(omega, thresholds.predicted_down.values, "-", **down)
     for status in ("unresolved", "not searched"):
         number = int((thresholds.cause.values == status).sum()) if "cause" in thresholds else 0
         if number:
@@ -120,7 +255,7 @@ def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
     for name, marker in (("up", "^"), ("down", "v")):
         values = thresholds[name].values
         if np.isfinite(values).any():
-            ax.plot(omega, values, marker, markersize=4, color=COLOURS[name], label=f"computed, {name}")
+            ax.plot(omega, values, marker, markersize=4, color=LINES[name], label=f"computed, {name}")
     ax.set_xlabel(AXES["omega"])
     ax.set_ylabel(r"threshold $\Gamma$")
     ax.set_title(f"{SYMBOLS['xi']} = {thresholds.xi.item():g}")

@@ -54,6 +54,10 @@ SHORT_SETTLE: Final = 20
 SETTLE_UNTIL: Final = 1920
 #: Restitutions far above the paper's, at which the same values of Γ are chaotic.
 ELASTIC: Final = (0.25, 0.5)
+#: The simplest time steps of the paper's length (Eq. 13), which scatter the flights at the same values of Γ.
+PLAIN_STEPS: Final[Sweep] = {
+    **SOFT, "kind": "stepped", "restitution": 1e-6, "scheme": "euler", "events": "plain",
+}  # fmt: skip
 
 #: rad; flights shorter than this are invisible in a diagram and do not count in modes.
 MICRO_FLIGHT: Final = 0.01
@@ -131,7 +135,7 @@ def _figure_6() -> tuple[Sweep, ...]:
 
 
 def _figure_7() -> tuple[Sweep, ...]:
-    """The three diagrams; then Γ around 2 at Ω = 1: short settling, long settling, other contacts."""
+    """The three diagrams; then Γ around 2 at Ω = 1: short and long settling, other contacts, time steps."""
     sections = {
         "name": "figure 7", "gamma": _axis(0.01, 6.0, 600), "omega": list(OMEGAS), "xi": XI,
         "protocol": _ramp("gamma"), "model": SOFT, "settle": 300, "observe": 100, "exponents": 1,
@@ -149,6 +153,7 @@ def _figure_7() -> tuple[Sweep, ...]:
         sections,
         {**near_two, "name": "figure 7, hardly settled", "settle": SHORT_SETTLE},
         *({**near_two, "name": f"figure 7, {words}", "model": model} for words, model in contacts.items()),
+        {**near_two, "name": "figure 7, plain time steps", "model": PLAIN_STEPS, "exponents": 0},
     )
 
 

@@ -78,7 +78,8 @@ class ResultMethods(Methods):
         corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
 
         Returns a Dataset with the attribute `complete` and the variables `bounces`, `periods`, `outcome`,
-        `label`, `computed`, `hysteresis`. Raises BadRequest naming the parameter, TooLarge naming what fits.
+        `label`, `computed`, `lyapunov`, `lyapunov_error`, `hysteresis`. Raises BadRequest naming the
+        parameter, TooLarge naming what fits.
         """
         return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis, gamma_start=gamma_start, gamma_stop=gamma_stop, omega_start=omega_start, omega_stop=omega_stop)
 
@@ -156,9 +157,9 @@ class ResultMethods(Methods):
         Returns a Dataset with the attribute `complete` and the variables `attractor_of_start`,
         `attractor_fraction`, `attractor_outcome`, `attractor_bounces`, `attractor_periods`,
         `attractor_longest_flight` (rad), `attractor_lifetime` (plate periods), `attractor_flight_time` (rad),
-        `attractor_takeoff_phase` (rad), `attractor_state`, `attractor_lyapunov`, `attractor_count`,
-        `undecided`, `basin_entropy`, `boundary_entropy`, `attractor_label`. Raises BadRequest naming the
-        parameter, TooLarge naming what fits.
+        `attractor_takeoff_phase` (rad), `attractor_state`, `attractor_lyapunov`, `attractor_lyapunov_error`,
+        `attractor_count`, `undecided`, `basin_entropy`, `boundary_entropy`, `attractor_label`. Raises
+        BadRequest naming the parameter, TooLarge naming what fits.
         """
         return self.result("basins", gamma=gamma, omega=omega, xi=xi)
 

@@ -5,14 +5,26 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BeforeValidator, Field, SecretStr, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    SecretStr,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from service import tokens
 from service.errors import NotStarted
 from worker import store
-from worker.cost import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, DEFAULT_MAX_CORE_SECONDS
-from worker.plan import LONGEST_SECONDS
+from worker.study.chunks import (
+    DEFAULT_MAX_BYTES,
+    DEFAULT_MAX_CELLS,
+    DEFAULT_MAX_CORE_SECONDS,
+    LONGEST_SECONDS,
+)
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 #: The upper limits are those of the system's clocks and SQLite.
@@ -272,6 +284,21 @@ class Settings(BaseSettings):
     def store_of(self, name: str) -> str:
         """The address of the zarr store with this name: an absolute path or an s3:// URL."""
         return f"{self.stores_url}/{name}"
+
+
+def read_settings(**overrides: Any) -> Settings:
+    """Settings from `BOUNCE_*` variables, overridden by arguments that are not None.
+
+    Raises NotStarted naming the setting and the rule.
+    """
+    try:
+        return Settings(**{name: value for name, value in overrides.items() if value is not None})
+    except ValidationError as error:
+        rules = [
+            ": ".join([*map(str, entry["loc"]), entry["msg"].removeprefix("Value error, ")])
+            for entry in error.errors()
+        ]
+        raise NotStarted("settings: " + "; ".join(rules)) from error
 
 
 def _is_loopback(host: str) -> bool:

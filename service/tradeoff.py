@@ -24,11 +24,12 @@ from kernel.line import run_line
 from kernel.params import Line, Outcome
 from kernel.step_limits import Scheme, stable_steps_per_contact
 from service.formats import PictureFormat
+from service.pictures import ATTRACTORS
 from service.software import software
 from service.views.style import FONT, TEXT, encode
 from worker.analysis.deviation import deviations, percentile
 from worker.spec.contact_models import CONTACT_MODELS
-from worker.tasks import plate_of
+from worker.work import plate_of
 
 SETTLE: Final = 100
 OBSERVE: Final = 50
@@ -284,12 +285,12 @@ class Series(NamedTuple):
 
 
 SERIES: Final = {
-    "soft": Series("soft, exact", "#0072b2", "o", (0, 7), "center"),
-    "verlet": Series("stepped, Verlet", "#d55e00", "s", (-6, -3), "right"),
-    "euler": Series("stepped, Euler\n(numbers: steps per contact)", "#e69f00", "^", (5, 2), "left"),
+    "soft": Series("soft, exact", ATTRACTORS[0], "o", (0, 7), "center"),
+    "verlet": Series("stepped, Verlet", ATTRACTORS[5], "s", (-6, -3), "right"),
+    "euler": Series("stepped, Euler\n(numbers: steps per contact)", ATTRACTORS[1], "^", (5, 2), "left"),
     "rigid": Series("rigid", "black", "D", (0, 0), "center"),
     "ball": Series(
-        "ball, $\\varepsilon = f(\\xi)$\n(hollow markers: nonadhesive)", "#009e73", "*", (0, 6), "center"
+        "ball, $\\varepsilon = f(\\xi)$\n(hollow markers: nonadhesive)", ATTRACTORS[2], "*", (0, 6), "center"
     ),
 }
 SIZE: Final = (13.2, 4.4)  # inches

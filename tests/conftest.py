@@ -18,6 +18,7 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis
 from paths import CACHE, TESTS
+from pytest_timeout import timeout_sigalrm
 
 from worker.kernel_cache import use_cache
 
@@ -85,6 +86,28 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_collection_finish() -> None:
     gc.freeze()
+
+
+def pytest_timeout_set_timer(item: pytest.Item, settings: Any) -> bool | None:
+    """A unit test fails after 60 s in which no kernel is compiled, the slower the busier the machine."""
+    if TESTS / "unit" not in item.path.parents or item.get_closest_marker("timeout"):
+        return None  # as pytest-timeout does
+    from kernel.numerics.cache import compilations  # not needed where xdist hands out tests
+
+    left = limit = min(settings.timeout, 60.0)
+
+    def look(*_: Any) -> None:
+        nonlocal left
+        if not compilations():
+            left -= 5.0 / max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+        if left <= 0.0:
+            item.cancel_timeout()
+            timeout_sigalrm(item, settings._replace(timeout=limit))
+
+    item.cancel_timeout = lambda: signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, look)
+    signal.setitimer(signal.ITIMER_REAL, 5.0, 5.0)
+    return True
 
 
 @pytest.fixture(scope="session")

@@ -48,9 +48,10 @@ def use_cache(root: str | Path | None = None) -> Path:
     """
     if not _chosen:
         folder = _cache_folder(Path(root) if root else default_root())
-        from kernel.numerics.compilation import set_cache  # noqa: PLC0415 - imports numba
+        from kernel.numerics import cache, jit  # noqa: PLC0415 - imports numba
 
-        set_cache(folder)
+        if not jit.PLAIN:
+            cache.set_cache(folder)
         _chosen.append(folder)
     return _chosen[0]
 
@@ -128,13 +129,18 @@ def _compile_beside(root: str) -> None:
 
     os.nice(19)
     threading.Thread(target=end_with_parent, daemon=True).start()
-    with (use_cache(root or None) / _LOCK).open("a") as lock, suppress(BlockingIOError):
+    folder = use_cache(root or None)
+    from kernel.numerics.cache import cache_folder  # noqa: PLC0415
+
+    if cache_folder() is None:
+        return
+    with (folder / _LOCK).open("a") as lock, suppress(BlockingIOError):
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         _compile_all()
 
 
 def _compile_all() -> None:
-    from worker.tasks import compile_kernels  # noqa: PLC0415 - loads every library that computes
+    from worker.work import compile_kernels  # noqa: PLC0415 - loads every library that computes
 
     compile_kernels()
 

@@ -16,20 +16,14 @@ from typing import Any, Final
 
 from distributed import get_worker
 
-from kernel.numerics.compilation import compilations
+from kernel.numerics.cache import compilations
 from kernel.stopping import Stopped, stopped_if
 from worker import store
-from worker.studies import Chunk, Spec, run_task
-from worker.tasks import (
-    USUAL,
-    ChunkCancelled,
-    ChunkOptions,
-    ChunkPaused,
-    ChunkReport,
-    TaskError,
-    compile_for,
-    with_options,
-)
+from worker.spec.specification import Specification
+from worker.studies import run_task
+from worker.study import Chunk, ChunkCancelled, ChunkOptions, ChunkPaused, ChunkReport, TaskError
+from worker.study.chunks import USUAL, with_options
+from worker.work import compile_for
 
 #: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the
 #: watchdog terminates the worker over it; `{"compiling", "began", "store"}` twice a second while a kernel is
@@ -53,7 +47,7 @@ LONGEST_SECONDS: Final = 1e6
 
 
 def run_watched(
-    spec: Spec, chunk: Chunk, store_url: str, seconds: float, options: ChunkOptions = USUAL
+    spec: Specification, chunk: Chunk, store_url: str, seconds: float, options: ChunkOptions = USUAL
 ) -> ChunkReport | TaskError:
     """`studies.run_task` under a watchdog.
 
@@ -86,7 +80,7 @@ def call_while_wanted(function: Callable[..., Any], *arguments: Any) -> Any:
         return function(*arguments)
 
 
-def _compile(spec: Spec, store_url: str, worker: Any) -> None:
+def _compile(spec: Specification, store_url: str, worker: Any) -> None:
     """Compile or load the kernels of the study. Raises ChunkCancelled if its job is cancelled meanwhile.
 
     Compilation can take a minute and cannot be interrupted: after a cancel its thread continues, for later

@@ -32,8 +32,7 @@ def draw(num: int = 351) -> Figure:
     figure = Figure(figsize=(6.4, 9.0), layout="constrained")
     for axes, (omega, (right, top)) in zip(figure.subplots(3), PANELS.items(), strict=True):
         line, events = branch_and_events(omega, XI, 1, 1200)
-        for direction in ("up", "down"):
-            draw_diagram(axes, ramps.sel(omega=omega, direction=direction).squeeze("xi"))
+        draw_diagram(axes, ramps.sel(omega=omega).squeeze("xi"))
         names = ("gamma", "flight_time", "stable", "admissible")
         branch = {name: (("branch", "point"), getattr(line, name)[None]) for name in names}
         draw_branches(axes, xarray.Dataset(branch))

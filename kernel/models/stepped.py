@@ -5,11 +5,12 @@ while it lasts. The step is h = 2 pi/N rad, N being the fewest steps per plate p
 the contact's duration over `steps_per_contact` (Eq. 13, `kernel.step_limits`). So the grid of phases at which
 steps end is the same in every period.
 
-The spring takes off or lands inside a step. That step is shortened so that it ends there (at the zero of
-the same scheme's own gap or force), and another shortened one leads back to the grid. Otherwise the force
-would set in late by up to h, and both schemes would be of first order. Events are detected at the ends of
-steps only: a touch or a hop shorter than a step may be missed, and one that ends before the first grid
-point ends there.
+The spring takes off or lands inside a step. With `located` events that step is shortened so that it ends
+there (at the zero of the same scheme's own gap or force), and another shortened one leads back to the grid.
+With `plain` ones, of textbooks, no step is: the spring takes off or lands at the end of the step, under the
+force of the gap there. So the force sets in late by up to h, and both schemes are of first order. Events are
+detected at the ends of steps only: a touch or a hop shorter than a step may be missed, and one that ends
+before the first grid point ends there.
 
 One formula makes both schemes, m = 1/2 for velocity Verlet and m = 0 for semi-implicit Euler:
     v(1) = v + (1 - m) h a(x, v, phi)      x+ = x + h v(1)
@@ -49,6 +50,7 @@ class SteppedPlate(NamedTuple):
     steps: NDArray[np.int64]  # (n,) to the plate period
     adhesive: bool
     implicit: float  # 1/2 for velocity Verlet, 0 for semi-implicit Euler
+    plain: bool = False  # whether events wait for the end of their step
 
 
 class Grid(NamedTuple):
@@ -105,6 +107,7 @@ class SteppedSpring(NamedTuple):
     flight: Law
     static_elongation: float  # < 0
     static_gap: float  # < 0
+    plain: bool
 
 
 @jit
@@ -195,11 +198,12 @@ def previous_point(grid: Grid, m: March) -> Point:
 
 def plate(
     *, restitution: NDArray[np.float64], penetration: NDArray[np.float64], adhesive: bool,
-    steps_per_contact: int, scheme: str,
+    steps_per_contact: int, scheme: str, events: str = "located",
 ) -> SteppedPlate:  # fmt: skip
     """The plate under n cells; restitution (n,) in [0, 1], penetration (n,) > 0 in plate amplitudes.
 
-    steps_per_contact: an integer >= 1; scheme: "verlet" or "euler". Raises KernelInputError.
+    steps_per_contact: an integer >= 1; scheme: "verlet" or "euler"; events: "located" or "plain". Raises
+    KernelInputError.
     """
     check_arrays({"restitution": restitution, "penetration": penetration})
     names = [s.name.lower() for s in Scheme]
@@ -207,11 +211,14 @@ def plate(
         raise KernelInputError("scheme", f"must be one of {', '.join(names)}, got {scheme!r}")
     if not is_whole(steps_per_contact) or steps_per_contact < 1:
         raise KernelInputError("steps_per_contact", f"must be an integer >= 1, got {steps_per_contact!r}")
+    if events not in ("located", "plain"):
+        raise KernelInputError("events", f"must be located or plain, got {events!r}")
     damping = damping_ratio(restitution, adhesive)
     steps = steps_per_period(restitution, penetration, int(steps_per_contact), adhesive=adhesive)
     return SteppedPlate(
-        damping, np.ascontiguousarray(penetration), steps, bool(adhesive), 0.5 if scheme == "verlet" else 0.0
-    )
+        damping, np.ascontiguousarray(penetration), steps, bool(adhesive),
+        0.5 if scheme == "verlet" else 0.0, events == "plain",
+    )  # fmt: skip
 
 
 @contact_force.register(SteppedSpring)
@@ -239,6 +246,7 @@ def _prepare(plate: SteppedPlate, i: int, gamma: float, omega: float, xi: float)
         flight=law(grid, b, w, 0.0, 0.0, lead, True),
         static_elongation=static_elongation,
         static_gap=static_gap,
+        plain=plate.plain,
     )
 
 
@@ -291,7 +299,10 @@ def _locate(s: SteppedSpring, law: Law, x: Point, phi: float) -> tuple[float, Po
 @jit
 def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[float, int, Point]:
     """The end of a contact or flight that began at phi and is over at the n-th grid point, as `_run`."""
-    if row.taken == 0:
+    if s.plain:
+        d, c = sincos(n % s.grid.steps * s.grid.step)
+        row = march(s.grid, s.contact if law.flying else s.flight, s.gravity, c, d, row, 0)
+    if s.plain or row.taken == 0:
         return n * s.grid.step - phi, ROOT, row.now
     part, end = _locate(s, law, previous_point(s.grid, row), (n - 1) % s.grid.steps * s.grid.step)
     if not abs(end.gap) + abs(end.q) + abs(part) < LARGEST:
@@ -335,7 +346,7 @@ def _contact(
     """In contact until take-off. The budget counts contacts and flights; steps have a limit of their own."""
     tau, ending, x = _run(s, s.contact, phi, Point(gap, gap1, q, q1), horizon, budget)
     gap, gap1 = x.gap, x.gap1
-    if ending == ROOT and s.contact.lead == 0.0:
+    if ending == ROOT and s.contact.lead == 0.0 and not s.plain:
         gap, gap1 = max(gap, 0.0), max(gap1, 0.0)
     return Phase(tau, ending, ending == ROOT, gap, gap1, x.q, x.q1, 1)
 
@@ -349,7 +360,7 @@ def _flight(
     """In flight until contact returns; from below the surface perhaps rising: its velocity stays."""
     tau, ending, x = _run(s, s.flight, phi, Point(gap, gap1, q, q1), horizon, budget)
     after, after1 = x.gap, x.gap1
-    if ending == ROOT:
+    if ending == ROOT and not s.plain:
         after = min(after, 0.0)
         after1 = min(after1, 0.0) if gap >= 0.0 else after1
     return Phase(tau, ending, ending != ROOT, after, after1, x.q, x.q1, 1)

@@ -8,22 +8,21 @@ A cache (`set_cache`) keeps two files for each entry and signature: the linked c
 is the same on all processors, and the machine code of one processor. A file appears whole or not at all,
 so any number of processes share a folder; of several that need the same entry one compiles it.
 
-All that rests on numba's internals is in this module and `kernel.numerics.jit`;
-`tests/unit/kernel/numerics/test_compilation.py` fails when numba changes them. With BOUNCE_PLAIN_NJIT=1
-`numba.njit` compiles the kernel instead, without a cache.
+All that rests on numba's internals is in this module, which `kernel.numerics.jit` imports if it can;
+`tests/unit/kernel/numerics/test_compilation.py` fails when numba changes them.
 """
 
 import fcntl
+import functools
 import gc
 import hashlib
 import os
 import pickle
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final
 
 from numba import types
 from numba.core import typed_passes as typed
@@ -35,6 +34,9 @@ from numba.core.compiler_machinery import PassManager
 from numba.core.environment import lookup_environment
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
+from numba.core.typing.templates import AbstractTemplate, infer_global
+
+from kernel.numerics.cache import cache_folder, compiling
 
 #: numba's passes that kernels need, in its order. The others look for what kernels do not have, such as
 #: `with`, `literal_unroll` or functions inlined as Python.
@@ -63,42 +65,6 @@ _VALUES: Final = (
 
 #: LLVM's levels of optimisation, one after the other: 2 before 2, or 3, makes kernels no faster.
 _SPEED_LEVELS: Final = (1, 2)
-
-
-class Compilation(NamedTuple):
-    """An entry that this process compiles, or that it waits for while another process compiles it."""
-
-    kernel: str  # the function and the contact model, such as "walk of rigid"
-    began: float  # time.time()
-
-
-#: Where entries are kept; None: nowhere.
-_folder: Path | None = None
-
-#: What the threads of this process compile, by thread.
-_under_way: dict[int, Compilation] = {}
-
-
-def set_cache(folder: Path | None) -> None:
-    """Keep compiled entries in a folder that exists; whoever can write to it decides what code runs here."""
-    global _folder  # noqa: PLW0603 - one cache for all kernels of a process
-    _folder = folder
-
-
-def compilations() -> list[Compilation]:
-    """What this process compiles or loads at present."""
-    return list(_under_way.values())
-
-
-@contextmanager
-def _compiling(kernel: str) -> Iterator[None]:
-    """Tell `compilations`."""
-    thread = threading.get_ident()
-    _under_way[thread] = Compilation(kernel, time.time())
-    try:
-        yield
-    finally:
-        del _under_way[thread]
 
 
 @contextmanager
@@ -300,8 +266,56 @@ class Entry(CPUDispatcher):
         arguments = tuple(sig.args) if hasattr(sig, "args") else tuple(sig)
         if arguments in self.overloads:
             return super().compile(sig)
-        with _compiling(self._cache.described(arguments)), self._cache.locked(arguments):
+        with compiling(self._cache.described(arguments)), self._cache.locked(arguments):
             return super().compile(sig)
+
+
+class Kernel(CPUDispatcher):
+    """A function that is compiled into its callers; for Python it is compiled as an entry of its own."""
+
+    @functools.cached_property
+    def entry(self) -> Any:
+        """The function for Python."""
+        return Entry(self.py_func, {**self.targetoptions, "forceinline": False, "_nrt": True})
+
+    def __call__(self, *args: Any) -> Any:
+        return self.entry(*args)
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """As numba does, but not for each constant that is passed as an integer anew."""
+        plain = (types.unliteral(each) if isinstance(each, types.IntegerLiteral) else each for each in args)
+        return super().get_call_template(tuple(plain), kws)
+
+    def compile(self, sig: Any) -> Any:
+        """As numba does, quicker where that is done: it asks at every call that it types."""
+        done = self.overloads.get(sig) if isinstance(sig, tuple) else None
+        return super().compile(sig) if done is None else done.entry_point
+
+
+def declare(function: Callable[..., Any], options: dict[str, Any]) -> Kernel:
+    """A kernel function."""
+    return Kernel(function, targetoptions={"nopython": True, **options}, pipeline_class=Inner)
+
+
+def declare_choice(called: Callable[..., Any], choose: Callable[[Any], Any]) -> None:
+    """Let compiled code that calls `called` call the kernel function `choose(type of its first argument)`."""
+
+    class Template(AbstractTemplate):
+        key = called
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            function = choose(args[0])
+            if function is None:
+                return None
+            dispatcher = types.Dispatcher(function)
+            signature = dispatcher.get_call_type(self.context, args, kws)
+            self._implementation = dispatcher.get_impl_key(signature)
+            return signature
+
+        def get_impl_key(self, sig: Any) -> Any:
+            return self._implementation
+
+    infer_global(called, types.Function(Template))
 
 
 class _EntryCache:
@@ -357,11 +371,11 @@ class _EntryCache:
     def _path(self, sig: Any) -> Path | None:
         """The file of a signature before optimisation; None if nothing is cached, as of others' models."""
         arguments = tuple(sig.args) if hasattr(sig, "args") else tuple(sig)
-        module = _module(arguments)
-        if _folder is None or not (module or "kernel.").startswith("kernel."):
+        module, folder = _module(arguments), cache_folder()
+        if folder is None or not (module or "kernel.").startswith("kernel."):
             return None
         identity = hashlib.sha256(f"{self._name} {module} {arguments}".encode()).hexdigest()[:12]
-        return _folder / f"{self.described(arguments).replace(' ', '-')}-{identity}"
+        return folder / f"{self.described(arguments).replace(' ', '-')}-{identity}"
 
 
 def _module(arguments: tuple[Any, ...]) -> str:

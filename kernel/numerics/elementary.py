@@ -17,8 +17,7 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from kernel import portable_math
-from kernel.numerics.compilation import Inner
-from kernel.numerics.jit import compilable, inlined, jit
+from kernel.numerics.jit import PIPELINE, compilable, inlined, jit
 from kernel.portable_math import EXP_POLYNOMIAL, LN2_HIGH, LN2_LOW, ONE_OVER_LN2
 
 for _name in ("_log_of_sum", "_atan_of_ratio", "exp", "asinh", "atan2", "atanh", "hypot", "log", "log1p"):
@@ -91,8 +90,8 @@ def _declare_power_of_two(typing: Any, k: Any) -> Any:
 
 _fma: Final[Any] = intrinsic(_declare_fma)
 _power_of_two: Final[Any] = intrinsic(_declare_power_of_two)
-_INLINED: Final[Any] = {"forceinline": True, "pipeline_class": Inner}
 # numba requires a Python function as the implementation, not the intrinsic itself
+_INLINED: Final[Any] = {"forceinline": True, **PIPELINE}
 overload(fma, jit_options=_INLINED)(lambda a, b, c: lambda a, b, c: _fma(a, b, c))  # noqa: PLW0108
 overload(power_of_two, jit_options=_INLINED)(lambda k: lambda k: _power_of_two(k))  # noqa: PLW0108
 

@@ -1,64 +1,65 @@
 """How kernel functions are declared, and how one is chosen by the type of its first argument.
 
 A function is compiled into its callers (`kernel.numerics.compilation`), and on its own when Python calls it.
+Where numba has changed what that rests on, or with BOUNCE_PLAIN_NJIT=1, `numba.njit` compiles the kernel:
+to the same numbers, more slowly and in each process anew.
 Every function also runs without compilation (NUMBA_DISABLE_JIT=1), for coverage and debugging.
 """
 
 import functools
+import importlib
+import logging
 import os
 from collections.abc import Callable
 from typing import Any, Final, TypeVar, cast
 
 import numba
-from numba import types
-from numba.core.registry import CPUDispatcher
-from numba.core.typing.templates import AbstractTemplate, infer_global
-from numba.extending import register_jitable
+from numba.extending import overload, register_jitable
 
-from kernel.numerics.compilation import Entry, Inner
+log = logging.getLogger(__name__)
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-#: Plain `numba.njit`, should numba's internals change: see `kernel.numerics.compilation`.
-PLAIN: Final = bool(os.environ.get("BOUNCE_PLAIN_NJIT"))
+#: Set by users, and by a process for those that it starts.
+_VARIABLE: Final = "BOUNCE_PLAIN_NJIT"
+
+
+def _own_compiler() -> Any:
+    """`kernel.numerics.compilation`; None where `numba.njit` compiles."""
+    if os.environ.get(_VARIABLE):
+        return None
+    try:
+        return importlib.import_module("kernel.numerics.compilation")
+    except (ImportError, AttributeError, TypeError) as error:
+        os.environ[_VARIABLE] = "1"  # so that the processes that this one starts do not warn again
+        log.warning(
+            "numba %s differs from what the kernel was tried with (%s): every process now compiles its "
+            "kernels anew, for a minute or two; results are the same",
+            numba.__version__, str(error).partition(" (")[0],
+        )  # fmt: skip
+        return None
+
+
+_compiler: Final = _own_compiler()
+PLAIN: Final = _compiler is None
 
 # No "contract": which products are fused with sums would depend on how LLVM inlines: see `elementary.fma`.
 # Every option is stated: numba hands "forceinline" and "_nrt" down from the function that it is compiling.
 # "_nrt": without numba's runtime no array is counted up and down as it passes through a function, which was
 # a tenth to a fifth of the time in lanes.
-_ALLOCATING: Final[Any] = {"nogil": True, "error_model": "numpy", "forceinline": False, "_nrt": True}
-_OPTIONS: Final[Any] = {**_ALLOCATING, "_nrt": False}
+_PUBLIC: Final[Any] = {"nogil": True, "error_model": "numpy", "forceinline": False}
+_ALLOCATING: Final[Any] = _PUBLIC if PLAIN else {**_PUBLIC, "_nrt": True}
+_OPTIONS: Final[Any] = _PUBLIC if PLAIN else {**_PUBLIC, "_nrt": False}
 _INLINED: Final[Any] = {**_OPTIONS, "forceinline": True}
 
-
-class _Kernel(CPUDispatcher):
-    """A function that is compiled into its callers; for Python it is compiled as an entry of its own."""
-
-    @functools.cached_property
-    def entry(self) -> Any:
-        """The function for Python."""
-        return Entry(self.py_func, _ALLOCATING)
-
-    def __call__(self, *args: Any) -> Any:
-        return self.entry(*args)
-
-    def get_call_template(self, args: Any, kws: Any) -> Any:
-        """As numba does, but not for each constant that is passed as an integer anew."""
-        plain = (types.unliteral(each) if isinstance(each, types.IntegerLiteral) else each for each in args)
-        return super().get_call_template(tuple(plain), kws)
-
-    def compile(self, sig: Any) -> Any:
-        """As numba does, quicker where that is done: it asks at every call that it types."""
-        done = self.overloads.get(sig) if isinstance(sig, tuple) else None
-        return super().compile(sig) if done is None else done.entry_point
+#: What numba's `overload` and `register_jitable` need beside.
+PIPELINE: Final[Any] = {} if PLAIN else {"pipeline_class": _compiler.Inner}
 
 
 def _declare(function: _Function, options: dict[str, Any]) -> _Function:
     if PLAIN or numba.config.DISABLE_JIT:
         return cast(_Function, numba.njit(**options)(function))
-    return cast(
-        _Function, _Kernel(function, targetoptions={"nopython": True, **options}, pipeline_class=Inner)
-    )
+    return cast(_Function, _compiler.declare(function, options))
 
 
 def jit(function: _Function) -> _Function:
@@ -81,8 +82,7 @@ def allocating(function: _Function) -> _Function:
 
 def compilable(function: _Function) -> _Function:
     """Let compiled code call a plain Python function, which stays one for its other callers."""
-    pipeline = {} if PLAIN else {"pipeline_class": Inner}
-    return register_jitable(**_OPTIONS, **pipeline)(function)  # type: ignore[no-any-return]
+    return register_jitable(**_OPTIONS, **PIPELINE)(function)  # type: ignore[no-any-return]
 
 
 class by_type:  # noqa: N801 - a decorator
@@ -96,7 +96,10 @@ class by_type:  # noqa: N801 - a decorator
         functools.update_wrapper(self, declaration)
         self._implementations: dict[type, Callable[..., Any]] = {}
         self._otherwise: Callable[..., Any] | None = None
-        infer_global(self, types.Function(self._template()))
+        if PLAIN:
+            overload(self, _OPTIONS, strict=False)(self._python_of_chosen)
+        else:
+            _compiler.declare_choice(self, self._chosen_for)
 
     def __call__(self, first: Any, *rest: Any) -> Any:
         chosen = self._chosen(type(first))
@@ -112,26 +115,13 @@ class by_type:  # noqa: N801 - a decorator
         """The implementation for a type, or the default one, or None."""
         return self._implementations.get(kind, self._otherwise)
 
-    def _template(self) -> type:
-        """numba's side of the call, which it types and lowers as one of the implementation."""
-        chosen = self._chosen
+    def _chosen_for(self, first: Any) -> Callable[..., Any] | None:
+        """The same for numba's type of the first argument."""
+        return self._chosen(getattr(first, "instance_class", type(None)))
 
-        class Template(AbstractTemplate):
-            key = self
-
-            def generic(self, args: Any, kws: Any) -> Any:
-                function = chosen(getattr(args[0], "instance_class", type(None)))
-                if function is None:
-                    return None
-                dispatcher = types.Dispatcher(function)
-                signature = dispatcher.get_call_type(self.context, args, kws)
-                self._implementation = dispatcher.get_impl_key(signature)
-                return signature
-
-            def get_impl_key(self, sig: Any) -> Any:
-                return self._implementation
-
-        return Template
+    def _python_of_chosen(self, first: Any, *rest: Any) -> Callable[..., Any] | None:
+        """The same as Python, as numba's `overload` takes it."""
+        return getattr(self._chosen_for(first), "py_func", None)
 
     def register(self, kind: type) -> Callable[[_Function], _Function]:
         """Decorator: the implementation for first arguments of type `kind`."""

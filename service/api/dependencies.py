@@ -21,7 +21,7 @@ from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from service.views.selection import BASE_MEMORY, Stored
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from pydantic import BaseModel
 from service.api.middleware import OPEN_PATHS
 from service.api.schemas import ProblemDocument
 from service.views.trajectory import TrajectorySpec
-from worker.basins.spec import BasinSpec, MultistabilitySpec
-from worker.orbits import OrbitsSpec
-from worker.spec import SweepSpec
-from worker.spec.window import Window
+from worker.basins.specification import BasinSpec, MultistabilitySpec
+from worker.maps.window import Window
+from worker.orbits.specification import OrbitsSpec
+from worker.sweep import SweepSpec
 
 #: Models of bodies that FastAPI does not parse itself, and of problems.
 _MODELS: Final[tuple[type[BaseModel], ...]] = (

@@ -121,7 +121,7 @@ COMMANDS = (backup, restore, adopt, doctor)
 
 
 def _settings(data: str | None) -> "Settings":
-    from service.server import embedded
+    from service.settings import read_settings
 
     options: dict[str, Any] = {"data": data}
-    return embedded.settings(**options)
+    return read_settings(**options)

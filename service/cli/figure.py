@@ -110,9 +110,10 @@ def _started(workers: int | None, data: str | None) -> Iterator[Service]:
 
     use_cache()
     from service.server import embedded
+    from service.settings import read_settings
 
     token = secrets.token_urlsafe()
-    settings = embedded.settings(workers=workers, data=data, host="127.0.0.1", port=0, token=token)
+    settings = read_settings(workers=workers, data=data, host="127.0.0.1", port=0, token=token)
     with ExitStack() as stack:
         with display_elapsed("starting a local service"):
             url = stack.enter_context(embedded.running(settings))

@@ -54,6 +54,7 @@ def serve(**options: str | int | None) -> None:
 
     use_cache()
     from service.server import embedded
+    from service.settings import read_settings
 
     with ExitStack() as starting:
 
@@ -62,7 +63,7 @@ def serve(**options: str | int | None) -> None:
             click.echo(line)
 
         starting.enter_context(display_elapsed("starting workers", after=5.0))
-        embedded.serve(embedded.settings(**options), announce)
+        embedded.serve(read_settings(**options), announce)
 
 
 @main.command()

@@ -6,7 +6,6 @@ The specifications and their parts can be imported from here too: they load nump
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
-from service.client.asynchronous import AsyncClient, AsyncJob
 from service.client.client import Client
 from service.client.errors import (
     BadRequest,
@@ -32,15 +31,13 @@ from service.client.job import Job
 from service.client.models import Estimate, FieldProblem, JobStatus, Problem, Progress
 
 if TYPE_CHECKING:
-    from worker.spec import SweepSpec
     from worker.spec.axes import Range
     from worker.spec.contact_models import Auto, Ball, Rigid, Soft, Stepped
-    from worker.spec.protocols import OnCycle, Ramp, Rest
     from worker.spec.refine import Refine
+    from worker.sweep import SweepSpec
+    from worker.sweep.protocols import OnCycle, Ramp, Rest
 
 __all__ = [
-    "AsyncClient",
-    "AsyncJob",
     "Auto",
     "BadRequest",
     "Ball",
@@ -81,10 +78,10 @@ __all__ = [
 
 #: The modules of the specifications' classes.
 _SPECIFICATIONS: Final = {
-    "SweepSpec": "worker.spec",
+    "SweepSpec": "worker.sweep",
     "Range": "worker.spec.axes",
     **dict.fromkeys(("Auto", "Ball", "Rigid", "Soft", "Stepped"), "worker.spec.contact_models"),
-    **dict.fromkeys(("OnCycle", "Ramp", "Rest"), "worker.spec.protocols"),
+    **dict.fromkeys(("OnCycle", "Ramp", "Rest"), "worker.sweep.protocols"),
     "Refine": "worker.spec.refine",
 }
 

@@ -1,7 +1,6 @@
 """The entry point: a client of one service, which submits sweeps and returns jobs."""
 
 import re
-import time
 from collections import deque
 from collections.abc import Iterator
 from datetime import datetime
@@ -10,9 +9,9 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 from urllib.parse import quote
 
-from service.client.display import PartsCallback
+from service.client.display import PartsCallback, display_parts
 from service.client.errors import NotFound, UnexpectedAnswer
-from service.client.job import Job, ResultReader, all_done, slept, until_ended
+from service.client.job import Job, ResultReader, raise_unless_done, until_ended
 from service.client.models import Estimate, Problem
 from service.client.specification import Specification, body
 from service.client.transport import Transport, header_value, json_object
@@ -231,7 +230,7 @@ class Client(ResultReader, SpringMethods):
         ServiceUnreachable
             As for `Job.wait`.
         """
-        return slept(until_ended(jobs, timeout))
+        return until_ended(jobs, timeout)
 
     def wait_all(
         self, jobs: "Iterable[Job]", timeout: float | None = None, progress: bool | PartsCallback = True
@@ -261,8 +260,12 @@ class Client(ResultReader, SpringMethods):
             As for `Job.wait`.
         """
         jobs = list(jobs)
-        for pause in all_done(jobs, timeout, progress):
-            time.sleep(pause)
+        show = display_parts(progress, "ended", "jobs")
+        show(0, len(jobs))
+        for ended, _ in enumerate(until_ended(jobs, timeout), 1):
+            show(ended, len(jobs))
+        for job in jobs:
+            raise_unless_done(job)
         return jobs
 
     def map(self, specs: "Iterable[Specification]", *, at_once: int = 16) -> Iterator[Job]:
@@ -284,9 +287,6 @@ class Client(ResultReader, SpringMethods):
         ValueError
             `at_once` is below 1. A specification raises as in `submit` when its turn comes.
         """
-        return slept(self._mapped(specs, at_once))
-
-    def _mapped(self, specs: "Iterable[Specification]", at_once: int) -> "Iterator[Job | float]":
         if at_once < 1:
             raise ValueError(f"at_once: must be at least 1, not {at_once}")
         remaining, submitted = iter(specs), deque[Job]()

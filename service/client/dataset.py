@@ -15,14 +15,22 @@ import numpy as np
 import xarray
 
 from service.client.errors import BounceError, UnexpectedAnswer
-from service.pictures import AXES, draw_branches, draw_diagram, draw_modes, draw_thresholds
+from service.pictures import (
+    AXES,
+    SYMBOLS,
+    along_of,
+    draw_branches,
+    draw_diagram,
+    draw_modes,
+    draw_thresholds,
+)
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
 
 #: What a table of flights says of their cells.
-_OF_CELLS: Final = ("outcome", "label", "bounces", "periods")
+_OF_CELLS: Final = ("outcome", "label", "lyapunov_error", "bounces", "periods")
 
 _DTYPES: Final = frozenset({"bool", "str", "uint8", "int32", "int64", "float32", "float64", "complex128"})
 
@@ -79,8 +87,8 @@ class BounceAccessor:
 
         Columns: the axes `gamma`, `omega`, `xi` and `direction`; `flight`, its place in its cell, from 0;
         `flight_time` and `takeoff_phase` in rad; `outcome`, `bounces` and `periods` of its cell, of a sweep
-        with exponents `label`. Cells without a flight have no row. Raises BounceError for a Dataset that has
-        no flights.
+        with exponents `label` and `lyapunov_error`. Cells without a flight have no row. Raises BounceError
+        for a Dataset that has no flights.
         """
         import pandas
 
@@ -129,6 +137,8 @@ class BounceAccessor:
         dims = set(dataset.outcome.dims)
         if len(dims - {"direction"}) == 1 and "flight_time" in dataset:
             draw_diagram(ax, dataset)
+            fixed = [axis for axis in AXES if axis != along_of(dataset)]
+            ax.set_title(", ".join(f"{SYMBOLS[axis]} = {dataset[axis].item():g}" for axis in fixed))
             if branches is not None:
                 draw_branches(ax, branches)
         elif dims == {"gamma", "omega"}:

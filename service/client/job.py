@@ -8,7 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
-from service.client.display import PartsCallback, display_job, display_parts, job_html, summary
+from service.client.display import display_job, job_html, summary
 from service.client.errors import (
     BounceError,
     Busy,
@@ -140,7 +140,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
         *,
         finer: int = 4,
         by: str = "mode",
-        margin: bool = False,
     ) -> "Job":
         """Submit an adaptive sweep of a window of this sweep's map.
 
@@ -154,8 +153,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
             How many times as fine as the map's grid.
         by
             "mode" or "bouncing".
-        margin
-            Also compute the neighbours of blocks that change.
 
         Returns
         -------
@@ -168,7 +165,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
             Names the field.
         TooLarge, Busy
         """
-        fields = {"gamma": gamma, "omega": omega, "xi": xi, "finer": finer, "by": by, "margin": margin}
+        fields = {"gamma": gamma, "omega": omega, "xi": xi, "finer": finer, "by": by}
         response = self._transport.post(self._path("refine"), body(fields))
         return Job(self._transport, json_object(response), response)
 
@@ -222,18 +219,11 @@ class Job(ResultReader, ResultMethods, JobStatus):
         ServiceUnreachable
             No answer for `MAX_OUTAGE` seconds.
         """
-        for pause in self._until_done(progress, timeout):
-            time.sleep(pause)
-        return self
-
-    def _until_done(self, progress: "bool | Callable[[Job], None]", timeout: float | None) -> Iterator[float]:
-        """The pauses of `wait`, which `AsyncJob.wait` takes in another way."""
         with display_job(progress) as show:
-            for step in until_ended([self], timeout):
-                show(self)
-                if isinstance(step, float):
-                    yield step
+            for _ in until_ended([self], timeout, show):
+                pass
         raise_unless_done(self)
+        return self
 
     def export(self, path: str | PathLike[str], *, layout: ExportLayout = "cells") -> Path:
         """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.
@@ -323,8 +313,8 @@ class Job(ResultReader, ResultMethods, JobStatus):
         axes: Axes = self.result(kind, **selection).bounce.plot(ax=ax, branches=branches)
         return axes
 
-    def _refreshed(self) -> Iterator[float]:
-        """Refresh, pausing while the service is away; then becomes the job that replaces this one, if any."""
+    def _refresh_in_time(self) -> None:
+        """Refresh, for a while also without a service; then become the job that replaces this one, if any."""
         deadline = time.monotonic() + MAX_OUTAGE
         while True:
             if self._is_replaced():
@@ -334,7 +324,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
             except (ServiceUnreachable, Busy):
                 if time.monotonic() > deadline:
                     raise
-                yield 1.0
+                time.sleep(1.0)
             else:
                 if not self._is_replaced():
                     return
@@ -364,8 +354,10 @@ def raise_unless_done(job: JobStatus) -> None:
         raise JobCancelled(job)
 
 
-def until_ended(jobs: Iterable[Job], timeout: float | None) -> Iterator[Job | float]:
-    """The jobs as they end, and between them the seconds to pause before the next step.
+def until_ended(
+    jobs: Iterable[Job], timeout: float | None, show: Callable[[Job], None] = lambda job: None
+) -> Iterator[Job]:
+    """The jobs as they end; `show` gets each as it is now and after every request.
 
     Raises WaitTimeout, ServiceUnreachable.
     """
@@ -374,9 +366,10 @@ def until_ended(jobs: Iterable[Job], timeout: float | None) -> Iterator[Job | fl
     while waiting:
         due, number, delay, job = heapq.heappop(waiting)
         if due > 0.0:
-            yield max(0.0, min(due, deadline) - time.monotonic())
+            time.sleep(max(0.0, min(due, deadline) - time.monotonic()))
         if due > 0.0 or job._is_replaced():
-            yield from job._refreshed()
+            job._refresh_in_time()
+        show(job)
         if job.finished:
             yield job
         elif time.monotonic() >= deadline:
@@ -387,27 +380,3 @@ def until_ended(jobs: Iterable[Job], timeout: float | None) -> Iterator[Job | fl
             pause = max(pause, REQUEST_DELAY * len(waiting))  # many jobs share the request rate of one
             entry = (time.monotonic() + pause, number, min(delay * 1.15, MAX_DELAY), job)
             heapq.heappush(waiting, entry)
-
-
-def all_done(jobs: "list[Job]", timeout: float | None, progress: "bool | PartsCallback") -> Iterator[float]:
-    """The pauses until all jobs are done. Raises as `Client.wait_all`."""
-    show = display_parts(progress, "ended", "jobs")
-    ended = 0
-    show(ended, len(jobs))
-    for step in until_ended(jobs, timeout):
-        if isinstance(step, float):
-            yield step
-        else:
-            ended += 1
-            show(ended, len(jobs))
-    for job in jobs:
-        raise_unless_done(job)
-
-
-def slept(steps: Iterator[Job | float]) -> Iterator[Job]:
-    """The jobs of `steps`, which sleeps its pauses."""
-    for step in steps:
-        if isinstance(step, float):
-            time.sleep(step)
-        else:
-            yield step

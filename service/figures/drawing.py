@@ -16,6 +16,7 @@ from matplotlib.figure import Figure, SubFigure
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from service.pictures import DPI
 from service.software import software
 from service.views import style
 
@@ -126,7 +127,7 @@ class Drawing(NamedTuple):
         image, described, file = Image.open(io.BytesIO(content)), PngInfo(), io.BytesIO()
         described.add_itxt("Description", str(self.caption))
         reduced = image.convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-        reduced.save(file, "png", optimize=True, dpi=(style.DPI, style.DPI), pnginfo=described)
+        reduced.save(file, "png", optimize=True, dpi=(DPI, DPI), pnginfo=described)
         return file.getvalue()
 
 

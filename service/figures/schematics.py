@@ -6,7 +6,7 @@ from matplotlib.figure import SubFigure
 from matplotlib.patches import Circle, Rectangle
 
 from service.figures.drawing import Caption, Drawing, compared, left_open
-from service.pictures import BLUE
+from service.pictures import LINES
 
 CAPTION = Caption(
     1,
@@ -50,7 +50,7 @@ def _ball(axes: Axes) -> None:
     _mass(axes, 0, height, "")
     axes.plot([0, 0], [PLATE, height - RADIUS], color="0.6", linewidth=0.7, linestyle=(0, (2, 2)))
     axes.text(RADIUS + 0.15, height, "$z_b$", va="center")
-    axes.text(0.2, 0.35, r"$\epsilon$", color=BLUE, fontsize=12)
+    axes.text(0.2, 0.35, r"$\epsilon$", color=LINES["up"], fontsize=12)
     _gravity(axes, height + 0.6)
     axes.text(0, 3.85, "bouncing ball", ha="center", va="top")
 
@@ -66,7 +66,7 @@ def _spring(axes: Axes) -> None:
     axes.text(0.62, (bottom + top) / 2, r"$\beta$", va="center")
     axes.text(RADIUS + 0.15, upper, "$z_1$", va="center")
     axes.text(RADIUS + 0.15, lower, "$z_2$", va="center")
-    axes.text(0.2, 0.12, r"$\epsilon_{\mathrm{coll}}$", color=BLUE, fontsize=12)
+    axes.text(0.2, 0.12, r"$\epsilon_{\mathrm{coll}}$", color=LINES["up"], fontsize=12)
     _gravity(axes, upper)
     axes.text(0, 3.85, "bouncing spring", ha="center", va="top")
 

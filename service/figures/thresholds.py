@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from kernel.threshold import threshold
 from service.client import Job
 from service.figures.drawing import Caption, Claim, Drawing, compared, left_open, percent
-from service.pictures import BLUE, RED, SYMBOLS
+from service.pictures import ATTRACTORS, LINES, SYMBOLS
 from service.presets import DAMPINGS, GAMMAS, OMEGAS, XI
-from service.views.style import COLOURS
 
 #: Line style and marker of each damping.
 LINE_STYLES: Final[Any] = (("-", "o"), ((0, (5, 1.5)), "s"), ((0, (1, 1)), "^"), ("-.", "D"))
@@ -29,7 +28,7 @@ def figure_5(job: Job) -> Drawing:
 
     def draw(area: SubFigure) -> None:
         axes = area.subplots()
-        for (xi, onset), (line, mark), colour in zip(onsets.items(), LINE_STYLES, COLOURS, strict=False):
+        for (xi, onset), (line, mark), colour in zip(onsets.items(), LINE_STYLES, ATTRACTORS, strict=False):
             style: Any = {"color": colour, "markersize": 4, "markerfacecolor": "white"}
             axes.plot(OMEGA_GRID, threshold(OMEGA_GRID, xi), linestyle=line, **style)
             inside = onset.sel(omega=onset.up <= MAX_GAMMA)  # whole marks at the frame, none outside it
@@ -50,14 +49,15 @@ def figure_6(job: Job) -> Drawing:
     def draw(area: SubFigure) -> None:
         axes = area.subplots()
         axes.plot(threshold(OMEGA_GRID, XI), OMEGA_GRID, color="black")
-        sections = ((7, OMEGAS, axes.axhline, "--", RED), (8, GAMMAS, axes.axvline, ":", BLUE))
+        red, blue = ATTRACTORS[5], ATTRACTORS[0]
+        sections = ((7, OMEGAS, axes.axhline, "--", red), (8, GAMMAS, axes.axvline, ":", blue))
         for figure, values, line, style, colour in sections:
             for letter, value in zip("abc", values, strict=True):
                 line(value, color=colour, linestyle=style, linewidth=1)
                 at = (0.05, value) if figure == 7 else (value, 0.05)
                 axes.annotate(f"{figure}{letter}", at, (3, 3), textcoords="offset points", color=colour)
-        axes.plot([], [], color=RED, linestyle="--", label=r"$(\Gamma, \varphi)$, Fig. 7")
-        axes.plot([], [], color=BLUE, linestyle=":", label=r"$(\Omega, \varphi)$, Fig. 8")
+        axes.plot([], [], color=red, linestyle="--", label=r"$(\Gamma, \varphi)$, Fig. 7")
+        axes.plot([], [], color=blue, linestyle=":", label=r"$(\Omega, \varphi)$, Fig. 8")
         axes.plot(onset.up, onset.omega, "ko", markersize=4, markerfacecolor="white", label="computed")
         axes.legend(loc="upper left", framealpha=1, edgecolor="none")
         _scales(axes, 3.4, MAX_OMEGA)
@@ -179,9 +179,11 @@ def figure_9(job: Job, lower: Job) -> Drawing:
 
     def draw(area: SubFigure) -> None:
         axes = area.subplots()
-        axes.plot(loop.omega, loop.up, color="0.7", linewidth=3, label=r"$\Gamma$ increased")
-        axes.plot(loop.omega, loop.down, "ks-", markersize=2, linewidth=0.8, label=r"$\Gamma$ decreased")
-        axes.plot(OMEGA_GRID, threshold(OMEGA_GRID, XI), "--", color=BLUE, linewidth=0.9, label="Eq. 25")
+        axes.plot(loop.omega, loop.up, color=LINES["up"], linewidth=3, label=r"$\Gamma$ increased")
+        down: Any = {"markersize": 2, "linewidth": 0.8, "label": r"$\Gamma$ decreased"}
+        axes.plot(loop.omega, loop.down, "s-", color=LINES["down"], **down)
+        onset: Any = {"linewidth": 0.9, "label": "Eq. 25"}
+        axes.plot(OMEGA_GRID, threshold(OMEGA_GRID, XI), "--", color=LINES["threshold"], **onset)
         axes.legend(loc="upper left", frameon=False)
         _scales(axes, float(loop.omega[-1]), HYSTERESIS_TOP)
         axes.set_ylabel(SYMBOLS["gamma"])
@@ -210,7 +212,7 @@ def _hysteresis_caption(loop: xarray.Dataset, lower: xarray.Dataset, spec: Mappi
     gamma, (at, highest) = spec["gamma"], extremum(XI, upper=True)
     step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
     shows = (
-        "Threshold at ξ = 0.05 with Γ increased (gray: lowest Γ that bounces) and decreased (black: last Γ "
+        "Threshold at ξ = 0.05 with Γ increased (blue: lowest Γ that bounces) and decreased (red: last Γ "
         f"that bounces) in steps of {step:.2g}, {spec['settle'] + spec['observe']} plate periods each and up "
         f"to {spec['settle_until']:,} while flights still settle, on an ideal plate; dashed, Eq. 25. Its "
         f"maximum, {highest:.1f} at Ω = {at:.3f}, lies outside the frame."
@@ -218,7 +220,7 @@ def _hysteresis_caption(loop: xarray.Dataset, lower: xarray.Dataset, spec: Mappi
     worst, gain = max_relative_difference(loop), 1.0 - (loop.down / loop.up).values
     most, lows = int(np.nanargmax(gain)), minima(loop.down.values, MIN_DEPTH)
     claims = (
-        compared(worst < 0.03, f"the gray curve is Eq. 25 (at most {percent(worst, 1)} apart)"),
+        compared(worst < 0.03, f"the curve with Γ increased is Eq. 25 (at most {percent(worst, 1)} apart)"),
         compared(
             gain[most] > 0.1,
             f"bouncing goes on below it, most at Ω = {float(loop.omega[most]):.2f}: down to "

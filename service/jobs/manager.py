@@ -16,10 +16,11 @@ from service.ledger.model import RESUMABLE, UNFINISHED, JobRecord, JobState, New
 from service.ledger.paths import network_file_system
 from service.ledger.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
-from worker.cost import check_size
 from worker.executors.base import Compiling, Executor
 from worker.spec.errors import SpecError
-from worker.studies import Plan, from_json, study_of
+from worker.studies import from_json, study_of
+from worker.study import Plan
+from worker.study.chunks import check_size
 
 log = logging.getLogger(__name__)
 

@@ -9,8 +9,9 @@ from typing import Final
 from service.jobs.prepare import JobPreparer
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord
-from worker.analysis.model_selection import ModelChoice, choose, is_open, resolved
+from worker.analysis.model_selection import ModelChoice, choose, resolved
 from worker.executors.base import Executor, ExecutorError, WorkerDied
+from worker.sweep.specification import is_open
 
 log = logging.getLogger(__name__)
 

@@ -13,11 +13,9 @@ from service.ledger.model import JobRecord, NewJob
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
-from worker.cost import Cost
-from worker.refinement import first_round
-from worker.schema import Layout
 from worker.spec.errors import SpecError
-from worker.studies import Chunk, Plan, Study, from_json, parse, study_of
+from worker.studies import from_json, study_of
+from worker.study import Chunk, Cost, Layout, Plan, Study
 
 #: Prepared jobs kept, the last used, and the maximum characters of their specifications together.
 MAX_JOBS: Final = 128
@@ -25,9 +23,6 @@ MAX_SPEC_CHARS: Final = 8_000_000
 
 #: Minimum core-seconds that measure a contact model: in less, starting up dominates.
 MIN_SECONDS: Final = 0.05
-
-#: Fields of a sweep with stricter rules than under kernel version 1; no reader of results uses them.
-BOUNDED_SINCE: Final = ("settle_tolerance", "name")
 
 
 @dataclass(frozen=True)
@@ -97,7 +92,6 @@ class PreparedJob:
 
 def new_job(spec: Any, plan: Plan, owner: str | None = None, version: str = KERNEL_VERSION) -> NewJob:
     """A study as a job to accept."""
-    refine = getattr(spec, "refine", None)
     return NewJob(
         id=spec.job_id(version),
         name=spec.name,
@@ -106,7 +100,7 @@ def new_job(spec: Any, plan: Plan, owner: str | None = None, version: str = KERN
         chunk_shape=plan.chunk_shape,
         chunks_total=len(plan),
         cells_total=plan.cells,
-        first_cells=0 if refine is None else first_round(spec.shape[1:], plan.chunk_shape, refine),
+        first_cells=study_of(spec).first_cells(spec, plan),
         owner=owner,
     )
 
@@ -142,7 +136,7 @@ class JobPreparer:
             return self._jobs[key][0]
 
     def _prepared(self, job: JobRecord) -> PreparedJob:
-        submitted, choice = parse_stored(job.spec, job.kernel_version), choice_of(job)
+        submitted, choice = from_json(job.spec), choice_of(job)
         return PreparedJob(
             job_id=job.id,
             submitted=submitted,
@@ -166,10 +160,10 @@ class JobPreparer:
                 other = self.prepare(job)
             except SpecError:  # an older version accepted it
                 continue
-            # An adaptive map's done cells are not all computed: they do not show the speed.
-            if _kind(other.submitted) == _kind(spec) and getattr(other.submitted, "refine", None) is None:
+            other_table = other.study.estimate(other.submitted, other.plan)
+            # Where done cells are not all computed, they do not show the speed.
+            if _kind(other.submitted) == _kind(spec) and other_table.computed_cells is None:
                 taken += job.core_seconds
-                other_table = other.study.estimate(other.submitted, other.plan)
                 expected += job.cells_timed * other_table.core_seconds / other_table.cells
         if min(taken, expected) < MIN_SECONDS:
             return by_table
@@ -181,24 +175,11 @@ class JobPreparer:
         return by_table.model_copy(update={**scaled, "basis": "measured"})
 
 
-def _kind(spec: Any) -> tuple[Study, str | None]:
-    """The kinds with separate speeds: a kind of study, and its contact model if it has one."""
-    return study_of(spec), getattr(getattr(spec, "model", None), "kind", None)
+def _kind(spec: Any) -> tuple[type, str | None]:
+    """The kinds with separate speeds: a kind of specification, and its contact model if it has one."""
+    return type(spec), getattr(getattr(spec, "model", None), "kind", None)
 
 
 def choice_of(job: JobRecord) -> ModelChoice | None:
     """The model chosen for a job; None if it names its model, and until the choice is made."""
     return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
-
-
-def parse_stored(text: str, kernel_version: str) -> Any:
-    """A job's specification; for an outdated job by the rules of its time, so that it can be read.
-
-    Raises SpecError.
-    """
-    if kernel_version == KERNEL_VERSION:
-        return from_json(text)
-    fields = json.loads(text)
-    kept = {name: fields.pop(name) for name in BOUNDED_SINCE if name in fields}
-    spec = parse(fields)
-    return spec.model_copy(update=kept) if kept else spec

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from worker import store
 from worker.executors.base import ClusterLost, WorkerLeft, WorkerLost, WorkerRefused
 from worker.store import StoreDamaged
-from worker.tasks import ChunkCancelled, ChunkPaused, PredecessorMissing
+from worker.study import ChunkCancelled, ChunkPaused, PredecessorMissing
 
 #: A worker's death often affects innocent chunks. After this many such losses a chunk is itself suspect, and
 #: each further loss counts as a failed try.

@@ -1,7 +1,7 @@
 """A running job: chunks in flight, reports to record, tries counted. Knows neither ledger nor store."""
 
 import traceback
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import Future
 from typing import Final
@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from service.jobs.prepare import PreparedJob
 from service.jobs.ready_queue import ReadyQueue
 from service.jobs.retry import FAILED_TRIES, Action, History, RetryPolicy
-from service.jobs.schedule import chunk_seconds
 from service.ledger.model import Failure, JobRecord, JobState
 from worker.executors.base import ExecutorError, ReportMismatch
-from worker.tasks import ChunkReport
+from worker.study import ChunkReport
 
 #: Maximum characters of a traceback kept, from its end.
 MAX_TRACEBACK: Final = 8_000
@@ -47,9 +46,7 @@ class JobRun:
         plan = prepared.plan
         self.queue = ReadyQueue(plan.lines, done)
         self._estimate = prepared.cost.upper_core_seconds / len(plan)  # of a chunk, by the cost table
-        self._taken, self._timed = job.core_seconds, len(plan) * job.cells_timed / job.cells_total
-        self._paused: defaultdict[int, float] = defaultdict(float)  # seconds of earlier slices, by chunk
-        self.unsaved_seconds = 0.0  # of slices, missing from the ledger
+        self._paused_seconds = self.unsaved_seconds = 0.0  # of paused slices; missing from the ledger
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
         self.unsaved_damage: set[int] = set()  # chunks to unmark: their stored end states are damaged
@@ -84,27 +81,21 @@ class JobRun:
         del self.in_flight[chunk]
         self.turns.pop(chunk, None)
 
-    def add_report(self, report: ChunkReport) -> None:
-        """Keep the report of a stored chunk for the ledger."""
-        self.unsaved_reports.append(report)
-        self._taken, self._timed = self._taken + report.seconds, self._timed + 1.0
-        self._paused.pop(report.index, None)
-
-    def add_slice(self, chunk: int, seconds: float) -> None:
+    def add_slice(self, seconds: float) -> None:
         """Note the time of a slice after which a chunk paused."""
+        self._paused_seconds += seconds
         self.unsaved_seconds += seconds
-        self._paused[chunk] += seconds
 
     @property
     def chunk_seconds(self) -> float:
-        """Core-seconds of a chunk, on average."""
-        return chunk_seconds(self._estimate, self._taken, self._timed)
+        """Core-seconds of a chunk by the cost table, or of its paused slices, on average, if that is more."""
+        done = len(self.prepared.plan) - self.queue.remaining
+        return max(self._estimate, self._paused_seconds / (1 + done))
 
     @property
     def remaining_seconds(self) -> float:
-        """Core-seconds of the remaining chunks; of paused ones at least what they have taken."""
-        paused = sum(self._paused.values())
-        return max(self.queue.remaining * self.chunk_seconds - paused, paused)
+        """Core-seconds of the remaining chunks."""
+        return self.queue.remaining * self.chunk_seconds
 
     @property
     def at_once(self) -> int:

@@ -13,14 +13,6 @@ MAX_IN_FLIGHT: Final = 64
 MAX_TIMES_IN_FLIGHT: Final = 4
 
 
-def chunk_seconds(estimate: float, taken: float, timed: float) -> float:
-    """Core-seconds of a job's chunk: the mean of the estimate and of the `timed` chunks, which took `taken`.
-
-    So neither a low nor a high estimate decides the order of jobs for long.
-    """
-    return (estimate + taken) / (1.0 + timed)
-
-
 class Job(Protocol):
     """What decides when a job gets a place."""
 
@@ -165,8 +157,7 @@ class Schedule:
         return self._next_in_turn(active, starting) or self._next_smallest(active, starting)
 
     def count(self, seconds: float, turn: float | None) -> None:
-        """Count the core-seconds of a chunk that came back, a slice at most; `turn`: a turn's estimate."""
-        seconds = min(seconds, self.rotation.slice_seconds)
+        """Count the core-seconds of a chunk or slice that came back; `turn`: the estimate of a turn."""
         if turn is None:
             self.rotation.earn(seconds)
         else:

@@ -1,7 +1,6 @@
 """The thread that advances jobs. Everything that it holds in memory can be rebuilt from the ledger."""
 
 import logging
-import math
 import threading
 import time
 from collections import Counter, deque
@@ -16,7 +15,7 @@ from service.jobs.model_choices import ModelChoices
 from service.jobs.prepare import JobPreparer
 from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
 from service.jobs.run import JobRun, text_of
-from service.jobs.schedule import Schedule, Waiting, chunk_seconds
+from service.jobs.schedule import Schedule, Waiting
 from service.jobs.stores.deletion import remove_deleted, remove_if_deleted
 from service.jobs.stores.opening import report_unknown
 from service.jobs.stores.repair import Repair, repair
@@ -27,7 +26,8 @@ from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState, Executor
 from worker.store import ChunkCoords
-from worker.tasks import SLICE_SECONDS, ChunkOptions, ChunkPaused, ChunkReport
+from worker.study import ChunkOptions, ChunkPaused, ChunkReport
+from worker.study.chunks import SLICE_SECONDS
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +36,7 @@ WORKERS_TO_WAIT: Final = 4
 #: The priority of a job's turn: above that of all other chunks, which is negative.
 TURN_PRIORITY: Final = 0.0
 #: Seconds for which later chunks of smaller jobs overtake a chunk waiting at the executor; less if its own
-#: job has less than a core-second left.
+#: job is small too: half if it has as many core-seconds left.
 PASSED_SECONDS: Final = 10.0
 #: Runs of a job abandoned after unforeseen errors before the job fails.
 MAX_BROKEN_RUNS: Final = 3
@@ -232,12 +232,15 @@ class Supervisor:
         if report is not None and (mismatch := run.mismatch(chunk, report)):
             error, report = mismatch, None
         if isinstance(error, ChunkPaused):
-            run.add_slice(chunk, error.seconds)
-        seconds = report.seconds if report else run.chunk_seconds
-        self._schedule.count(math.inf if isinstance(error, ChunkPaused) else seconds, run.turns.get(chunk))
+            run.add_slice(seconds := error.seconds)
+        elif report is not None:
+            seconds = report.seconds - report.paused_seconds
+        else:
+            seconds = min(run.chunk_seconds, self._schedule.rotation.slice_seconds)
+        self._schedule.count(seconds, run.turns.get(chunk))
         run.remove_in_flight(chunk)
         if report is not None:
-            run.add_report(report)
+            run.unsaved_reports.append(report)
             self.tally.add_computed(report.seconds)
             return
         if isinstance(error, store.StoreDamaged):
@@ -338,8 +341,7 @@ class Supervisor:
         waiting = []
         for job in unfinished:
             if job.id not in self._runs:
-                estimate = self._core_seconds[job.id] / job.chunks_total
-                seconds = chunk_seconds(estimate, job.core_seconds, job.timed)
+                seconds = self._core_seconds[job.id] / job.chunks_total
                 remaining = (job.chunks_total - job.chunks_done) * seconds
                 waiting.append(Waiting(job.id, job.seq, seconds, remaining))
         owners = {job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)}
@@ -448,7 +450,7 @@ class Supervisor:
 
     def _send(self, run: JobRun, is_turn: bool) -> None:
         """Submit a job's next chunk. After an error the job submits nothing until the next sync."""
-        waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
+        waits = PASSED_SECONDS * run.remaining_seconds / (run.remaining_seconds + PASSED_SECONDS)
         priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
         chunk = run.prepared.plan[run.queue.pop()]
         cost = run.prepared.cost

@@ -4,7 +4,7 @@ import json
 import sqlite3
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple, cast
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.ledger.model import (
@@ -18,9 +18,7 @@ from service.ledger.model import (
 )
 from service.ledger.search import JobSearch, Position
 from service.software import with_this_run
-
-if TYPE_CHECKING:
-    from worker.tasks import ChunkReport
+from worker.study import ChunkReport
 
 #: Recent jobs whose speed counts, and maximum characters of their specifications.
 RECENT_JOBS: Final = 20
@@ -38,8 +36,6 @@ class Unfinished(NamedTuple):
     chunks_done: int
     chunks_total: int
     owner: str | None  # the name of the access token that submitted it
-    core_seconds: float  # spent so far
-    timed: float  # chunks whose time is known
 
 
 class Deletion(NamedTuple):
@@ -100,8 +96,7 @@ class ReadTransaction:
     def unfinished(self, limit: int) -> list[Unfinished]:
         """Running jobs, then queued ones, each in the order they were accepted."""
         sql = (
-            "SELECT id, cancel_requested, seq, chunks_done, chunks_total, owner, core_seconds,"
-            " 1.0 * chunks_total * cells_timed / cells_total FROM jobs"
+            "SELECT id, cancel_requested, seq, chunks_done, chunks_total, owner FROM jobs"
             " WHERE state IN (?, ?) ORDER BY state = ?, seq LIMIT ?"
         )
         return [Unfinished(*row) for row in self._rows(sql, *UNFINISHED, JobState.QUEUED, limit)]
@@ -246,7 +241,7 @@ class WriteTransaction(ReadTransaction):
         self,
         job: NewJob,
         store: str,
-        reports: "Sequence[ChunkReport]",
+        reports: Sequence[ChunkReport],
         choice: str | None,
         now: float,
         error: str,
@@ -305,7 +300,7 @@ class WriteTransaction(ReadTransaction):
 
     # Chunks
 
-    def mark_done(self, job: JobRecord, reports: "Iterable[ChunkReport]") -> None:
+    def mark_done(self, job: JobRecord, reports: Iterable[ChunkReport]) -> None:
         """Mark stored chunks as done; marked ones stay as they are."""
         marked = []
         for report in reports:

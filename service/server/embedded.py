@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import dask
 from distributed import Security
-from pydantic import SecretStr, ValidationError
+from pydantic import SecretStr
 
 from service import tokens
 from service.api.app import TITLE, create_app
@@ -50,21 +50,6 @@ _TOKEN_VARIABLE: Final = "BOUNCE_TOKEN"
 #: Limits on asking the program that has the port: seconds for each piece, bytes of its answer.
 _ANSWER_SECONDS: Final = 2.0
 _MOST_BYTES: Final = 4_000_000
-
-
-def settings(**overrides: Any) -> Settings:
-    """Settings from `BOUNCE_*` variables, overridden by arguments that are not None.
-
-    Raises NotStarted naming the setting and the rule.
-    """
-    try:
-        return Settings(**{name: value for name, value in overrides.items() if value is not None})
-    except ValidationError as error:
-        rules = [
-            ": ".join([*map(str, entry["loc"]), entry["msg"].removeprefix("Value error, ")])
-            for entry in error.errors()
-        ]
-        raise NotStarted("settings: " + "; ".join(rules)) from error
 
 
 @contextmanager

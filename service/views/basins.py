@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 
 from kernel.labels import label_codes
 from kernel.params import STATE_FIELDS, Outcome
-from service.pictures import SYMBOLS
+from service.pictures import ATTRACTORS, SYMBOLS, UNDECIDED
 from service.views.selection import Stored, attractor_label, nearest_index, read_stored
-from service.views.style import COLOURS, UNDECIDED, legend_beside
+from service.views.style import legend_beside
 from service.views.variables import VARIABLES, coordinate, dataset, of_attractor, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.attractors import EXPONENT_WINDOW
-from worker.basins.spec import Basin, BasinSpec
-from worker.basins.study import arrays as stored_arrays
-from worker.schema import Array
-from worker.spec import AXES
+from worker.basins.schema import basin_arrays as stored_arrays
+from worker.basins.specification import Basin, BasinSpec
+from worker.study import Array
+from worker.sweep import AXES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,7 +90,8 @@ def _as_result(row: Array) -> Array:
 def _labels(spec: BasinSpec, stored: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.str_]:
     codes = stored["attractor_outcome"][:count]
     if spec.exponents:
-        codes = label_codes(codes, stored["lyapunov"][:count], EXPONENT_WINDOW)
+        lyapunov, error = stored["lyapunov"][:count], stored["lyapunov_error"][:count]
+        codes = label_codes(codes, lyapunov, error, EXPONENT_WINDOW)
     modes = zip(codes.tolist(), stored["bounces"].tolist(), stored["periods"].tolist(), strict=False)
     return np.array([attractor_label(*mode) for mode in modes], np.str_)
 
@@ -111,7 +112,7 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
     from matplotlib.colors import ListedColormap
 
     axes = figure.subplots()
-    colours = [COLOURS[i % len(COLOURS)] for i in range(found.sizes["attractor"])]
+    colours = [ATTRACTORS[i % len(ATTRACTORS)] for i in range(found.sizes["attractor"])]
     axes.imshow(
         found.attractor_of_start, origin="lower", aspect="auto", interpolation="nearest",
         extent=(*_ends(found.column.values), *_ends(found.row.values)),

@@ -10,10 +10,9 @@ from pydantic import Field
 from kernel.branches.curves import CURVES, Curves, Parameter, curves
 from kernel.branches.events import Kind, join_events
 from service.errors import InvalidRequest
-from service.pictures import AXES, SYMBOLS
+from service.pictures import ATTRACTORS, AXES, SYMBOLS
 from service.views import orbits
 from service.views.orbits import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
-from service.views.style import COLOURS
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Omega, Query, View, Xi
 from worker.spec.errors import one_of
@@ -127,10 +126,10 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
     kinds = sorted(set(found.curve_kind.values.tolist()))
     for i in range(found.sizes["curve"]):
         curve = found.isel(curve=i)
-        colour, there = COLOURS[kinds.index(curve.curve_kind.item())], curve.admissible.values == 0
+        colour, there = ATTRACTORS[kinds.index(curve.curve_kind.item())], curve.admissible.values == 0
         for shown, style in ((there, "-"), (~there, ":")):
             axes.plot(curve[along].values, np.where(shown, curve.gamma.values, np.nan), style, color=colour)
-    for kind, colour in zip(kinds, COLOURS, strict=False):
+    for kind, colour in zip(kinds, ATTRACTORS, strict=False):
         axes.plot([], [], color=colour, label=kind)
     if kinds:
         axes.legend(frameon=False)

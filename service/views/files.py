@@ -29,10 +29,10 @@ from service.jobs.prepare import PreparedJob
 from service.ledger.model import JobRecord
 from service.views.encode import record_batch, tables
 from service.views.selection import LABEL, Stored, labelled, read_stored
-from worker import schema
-from worker.schema import Layout, flat_attributes
-from worker.spec import SweepSpec
-from worker.studies import Plan, study_of
+from worker.studies import study_of
+from worker.study import Array, Layout, Plan
+from worker.study.layout import flat_attributes
+from worker.sweep import SweepSpec, schema
 
 #: A chunk: the cells it spans, by dimension in the order of the store, and its arrays by name.
 _Block = tuple[Mapping[str, slice], Mapping[str, NDArray[Any]]]
@@ -88,7 +88,7 @@ class Export:
         return study_of(self.study.spec).variables(self.study.spec, self.plan.chunk_shape)
 
     @property
-    def arrays(self) -> tuple[schema.Array, ...]:
+    def arrays(self) -> tuple[Array, ...]:
         """The arrays of the file: all stored ones, and the label of a sweep with exponents."""
         spec = self.study.spec
         return (*self.stored.arrays, *((LABEL,) if isinstance(spec, SweepSpec) and spec.exponents else ()))

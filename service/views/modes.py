@@ -30,9 +30,8 @@ from service.views.selection import (
 )
 from service.views.variables import VARIABLES, cells_dataset, coordinate, variable
 from service.views.view import Direction, Estimate, Every, MinFlight, Number, Query, View
-from worker import schema
-from worker.schema import COMPUTED, OUTCOME
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec, schema
+from worker.sweep.schema import COMPUTED, OUTCOME
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,6 +52,7 @@ _PER_COMPARED: Final = 48
 _PLANE: Final = ("omega", "gamma")
 _ROWS: Final = (
     *(row for row in schema.RECORD if row.name in schema.MODE_ARRAYS), OUTCOME, LABEL, COMPUTED,
+    schema.LYAPUNOV, schema.LYAPUNOV_ERROR,
 )  # fmt: skip
 
 Window = dict[str, slice]
@@ -102,7 +102,7 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
         "min_flight": shortest(spec, query.min_flight), "every": query.every, "model": spec.model.kind,
         "complete": all(study.is_complete(each["outcome"]) for each in cells.values()),
     }  # fmt: skip
-    if spec.refine is not None:
+    if schema.some_computed(spec):
         attrs["computed_share"] = _computed_share(study, xi.index, directions[0])
     found = cells_dataset(cells, coords, _ROWS, attrs)
     if query.hysteresis:
@@ -126,7 +126,7 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     lengths = {axis: part.stop - part.start for axis, part in window.items()}
     memory, most = 0, None
     if needs_flights(spec, query.min_flight):
-        if spec.refine is not None:
+        if schema.some_computed(spec):
             rule = (
                 f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where modes of "
                 "these flights change, and those of others change elsewhere; submit the map with "
@@ -144,6 +144,8 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
         memory += comparison_memory(spec)
     if len(directions) > 1:
         lengths = {"direction": len(directions), **lengths}
+    if spec.exponents:
+        lengths["exponent"] = spec.exponents
     return Estimate(lengths, _PLANE, query.every, reads=_PLANE, memory=memory, most=most)
 
 

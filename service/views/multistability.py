@@ -18,14 +18,13 @@ from pydantic import Field
 
 from kernel.params import Outcome
 from service.errors import TooLarge
-from service.pictures import SYMBOLS, edges
+from service.pictures import ATTRACTORS, OTHER_ATTRACTORS, PALETTE, SYMBOLS, UNDECIDED, edges
 from service.views.selection import Stored, attractor_label, nearest_index, read_stored
-from service.views.style import COLOURS, UNDECIDED, legend_beside
+from service.views.style import legend_beside
 from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
-from worker.basins.multistability import MAX_ATTRACTORS
-from worker.basins.schema import OF_ATTRACTORS
-from worker.basins.spec import MultistabilitySpec
+from worker.basins.schema import MAX_FOLLOWED, OF_ATTRACTORS
+from worker.basins.specification import MultistabilitySpec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -137,7 +136,7 @@ def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
             f"the answer would hold up to {omegas * gammas:,} points ({omegas:,} by {gammas:,} cells); the "
             f"limit is {MAX_CELLS:,}: open the store itself, which has no such limit"
         )
-    lengths = {"omega": omegas, "gamma": gammas, "place": MAX_ATTRACTORS}
+    lengths = {"omega": omegas, "gamma": gammas, "place": MAX_FOLLOWED}
     if query.omega is not None:
         nearest_index(spec, "omega", query.omega)
         lengths |= {"omega": 1, "flight": spec.keep}
@@ -170,7 +169,7 @@ def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> 
     owner = np.arange(len(cells))
     for at, number in enumerate(branch.ravel().tolist()):
         if number >= 0:
-            cells[number].add(at // MAX_ATTRACTORS)
+            cells[number].add(at // MAX_FOLLOWED)
     for pair, _ in sorted(votes.items(), key=lambda vote: (-vote[1], vote[0])):
         first, second = sorted(int(owner[number]) for number in pair)
         if first != second and cells[first].isdisjoint(cells[second]):
@@ -182,7 +181,7 @@ def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> 
 
 def _branches(arrays: _Arrays) -> NDArray[np.int64]:
     """The branch of every stored attractor (omega, gamma, id), numbered line by line; -1: none."""
-    places = np.arange(MAX_ATTRACTORS)
+    places = np.arange(MAX_FOLLOWED)
     there = places < arrays["attractor_count"][..., np.newaxis]
     before = np.maximum(arrays["next_down"].astype(np.int64) - 1, 0)
     goes_on = there & (arrays["next_down"] > 0)
@@ -265,11 +264,11 @@ def _events(
 
 
 #: Colours of cells by their number of attractors: not computed, none, 1, 2, 3, 4 and more.
-COUNTS: Final = ("#ffffff", "#bbbbbb", "#e8edf2", "#56b4e9", "#d55e00", "#000000")
+COUNTS: Final[tuple[str, ...]] = tuple(PALETTE["attractor_counts"])
 _OF_COUNTS: Final = ("not computed", "undecided", "one attractor", "two", "three", "four or more")
 
 #: Colours by id: none, one of their own for those with most cells, and that of all others.
-_BY_ID: Final = (UNDECIDED, *COLOURS[:-1], "#999999")
+_BY_ID: Final = (UNDECIDED, *ATTRACTORS, OTHER_ATTRACTORS)
 
 
 def draw(found: xarray.Dataset, figure: "Figure") -> None:

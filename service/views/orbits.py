@@ -29,13 +29,15 @@ from service.views.selection import (
 )
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
-from worker import orbits, schema, store
+from worker import store
 from worker.analysis.prediction import branch_seconds
 from worker.analysis.words import MAX_WORDS, POINTS, Skipped, Words, continue_words
-from worker.orbits import MAX_GRID, MAX_POINTS, Mode, check_modes, read_mode
-from worker.schema import Array
-from worker.spec import SweepSpec
+from worker.orbits.schema import ARRAYS
+from worker.orbits.specification import MAX_GRID, MAX_POINTS, Mode, check_modes, read_mode
 from worker.spec.errors import BrokenRuleError
+from worker.study import Array
+from worker.study.layout import COORDINATES
+from worker.sweep import SweepSpec
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,8 +70,8 @@ def _of_cycle(thing: str, what: str) -> tuple[Array, Array]:
     )
 
 
-_STORED: Final = {each.name: each for each in orbits.ARRAYS}
-_AXES: Final = {each.name: each.attrs for each in schema.COORDINATES}
+_STORED: Final = {each.name: each for each in ARRAYS}
+_AXES: Final = {each.name: each.attrs for each in COORDINATES}
 
 #: The variables by name: those that the study `orbits` stores, and others.
 ROWS: Final[Mapping[str, Array]] = _STORED | {

@@ -19,12 +19,14 @@ from kernel.modes import Modes, recount
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import InvalidRequest, OutdatedJob
 from service.software import software
-from worker import schema, store
-from worker.schema import MODE_ARRAYS
-from worker.spec import AXES, SweepSpec
+from worker import store
 from worker.spec.errors import one_of
 from worker.spec.specification import Specification
 from worker.studies import study_of
+from worker.study import Array
+from worker.study.layout import CELL_DIMS
+from worker.sweep import AXES, SweepSpec, schema
+from worker.sweep.schema import MODE_ARRAYS
 
 #: Flights, or outcomes, held in memory for one picture or one summary; longer lines are thinned.
 MAX_READ: Final = 8_000_000
@@ -42,8 +44,8 @@ Arrays = Mapping[str, NDArray[Any]]
 _Spec_co = TypeVar("_Spec_co", bound=Specification, covariant=True)
 
 #: What an answer has beside the stored arrays where exponents are stored.
-LABEL: Final = schema.Array(
-    "label", schema.CELL_DIMS, "|u1", 0,
+LABEL: Final = Array(
+    "label", CELL_DIMS, "|u1", 0,
     {
         "long_name": "outcome, with aperiodic and unstable cells told apart by Lyapunov exponents",
         "units": "1",
@@ -216,15 +218,14 @@ def needs_flights(spec: SweepSpec, min_flight: float | None) -> bool:
 def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...]:
     """The stored arrays that `recounted` needs."""
     flights = ("flight_time", "takeoff_phase", "flights") if needs_flights(spec, min_flight) else ()
-    exponents = (schema.LYAPUNOV.name,) if spec.exponents else ()
-    computed = () if spec.refine is None else (schema.COMPUTED.name,)
-    return (*flights, *MODE_ARRAYS, *exponents, *computed)
+    exponents = (schema.LYAPUNOV.name, schema.LYAPUNOV_ERROR.name) if spec.exponents else ()
+    return (*flights, *MODE_ARRAYS, *exponents, *(row.name for row in schema.some_computed(spec)))
 
 
 def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict[str, NDArray[Any]]:
-    """MODE_ARRAYS by name if flights longer than `min_flight` (rad) count, and LABEL if there are exponents.
+    """MODE_ARRAYS by name if flights longer than `min_flight` (rad) count, and `labelled` arrays.
 
-    Of an adaptive map also `computed`: the other cells have no flights, and keep the mode of their block.
+    Also `computed`, where other cells are filled in: those have no flights, and keep their mode.
     `arrays` are those of any cells, at least `arrays_of_modes`.
     """
     modes = {name: arrays[name] for name in MODE_ARRAYS}
@@ -233,21 +234,22 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
             np.ascontiguousarray(arrays[name]).reshape(-1, spec.keep)
             for name in ("flight_time", "takeoff_phase")
         )
-        bounces, periods = (arrays[name].ravel().astype(np.int32) for name in ("bounces", "periods"))
-        stored = Modes(arrays["outcome"].ravel(), bounces, periods)  # kernel version 1 stored 16 bits
+        stored = Modes(*(arrays[name].ravel() for name in MODE_ARRAYS))
         found = recount(
             times, phases, arrays["flights"].ravel(), stored, spec.micro_flight, shortest(spec, min_flight)
         )
         modes = {name: getattr(found, name).reshape(arrays["flights"].shape) for name in MODE_ARRAYS}
-    computed = {} if spec.refine is None else {schema.COMPUTED.name: arrays[schema.COMPUTED.name]}
+    computed = {row.name: arrays[row.name] for row in schema.some_computed(spec)}
     return modes | labelled(spec, modes[schema.OUTCOME.name], arrays) | computed
 
 
 def labelled(spec: SweepSpec, outcome: NDArray[np.uint8], arrays: Arrays) -> dict[str, NDArray[Any]]:
-    """The array LABEL by name; nothing where no exponents are stored."""
+    """By name LABEL and the arrays that it is told by; nothing where no exponents are stored."""
     if not spec.exponents:
         return {}
-    return {LABEL.name: label_codes(outcome, arrays[schema.LYAPUNOV.name], spec.observe)}
+    lyapunov, error = arrays[schema.LYAPUNOV.name], arrays[schema.LYAPUNOV_ERROR.name]
+    label = label_codes(outcome, lyapunov, error, spec.observe)
+    return {LABEL.name: label, schema.LYAPUNOV.name: lyapunov, schema.LYAPUNOV_ERROR.name: error}
 
 
 def attractor_label(code: int, bounces: int, periods: int) -> str:

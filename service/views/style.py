@@ -1,4 +1,4 @@
-"""What the files of pictures share: letters, colours, resolution, and how a figure becomes a file.
+"""What the files of pictures share: letters, and how a figure becomes a file.
 
 Does not import matplotlib, which only a process that draws loads.
 """
@@ -8,6 +8,8 @@ import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final
+
+from service.pictures import DPI
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,11 +24,6 @@ STYLE: Final[dict[Any, Any]] = {
 }  # fmt: skip
 FONT: Final = "STIXGeneral"
 TEXT: Final[dict[str, Any]] = {"fontfamily": FONT, "math_fontfamily": "stix"}
-DPI: Final = 200
-
-#: Colours of the attractors in order, repeated beyond (Okabe and Ito); of undecided starts.
-COLOURS: Final = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#666666")
-UNDECIDED: Final = "#ffffff"
 
 #: Draws all pictures: matplotlib's settings belong to the process, its open font files to the thread.
 _THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")

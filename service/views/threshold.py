@@ -20,10 +20,11 @@ from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker.analysis.prediction import predict, predict_each, predict_from_cells, prediction_seconds
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, on_grid, refine
-from worker.cost import cell_seconds
-from worker.schema import COMPUTED
-from worker.spec import SweepSpec
 from worker.spec.contact_models import Rigid
+from worker.study.layout import COMPUTED
+from worker.sweep import SweepSpec
+from worker.sweep.plan import cell_seconds
+from worker.sweep.schema import some_computed
 
 #: The contact of the closed form.
 CONTACT: Final = "rigid, restitution 0"
@@ -264,14 +265,13 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
 def _on_grid(study: Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]], bool]:
     """The thresholds to the grid in gamma and their statuses, and whether every cell is done.
 
-    Of an adaptive map also whether both cells beside each threshold were computed.
+    Where cells are filled in, also whether both cells beside each threshold were computed.
     """
     spec = study.spec
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     endless = endless_rest(spec, omega, float(spec.axis_values("xi")[xi]))
-    adaptive = spec.refine is not None
-    names = ("outcome", COMPUTED.name) if adaptive else ("outcome",)
-    data: dict[str, NDArray[Any]] = {"up_computed": np.zeros(len(omega), bool)} if adaptive else {}
+    names = ["outcome", *(row.name for row in some_computed(spec))]
+    data: dict[str, NDArray[Any]] = {"up_computed": np.zeros(len(omega), bool)} if COMPUTED in names else {}
     for name in ("up", "down"):
         data[name] = np.full(len(omega), np.nan)
         data[f"{name}_status"] = np.full(len(omega), Status.NOT_RAMPED.value, object)
@@ -287,8 +287,8 @@ def _on_grid(study: Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]]
                 data[f"{name}_status"][i] = found.status.value
                 if found.status is Status.FOUND and found.bouncing is not None:
                     data[name][i] = gamma[found.bouncing]
-                    if adaptive:
-                        beside = part[COMPUTED.name][i - low, found.bouncing - 1 : found.bouncing + 1]
+                    if COMPUTED in part:
+                        beside = part[COMPUTED][i - low, found.bouncing - 1 : found.bouncing + 1]
                         data["up_computed"][i] = bool(beside.all())
     return data, complete
 

@@ -14,7 +14,7 @@ from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
-from service.pictures import BLUE, RED
+from service.pictures import LINES
 from service.views.selection import (
     Stored,
     check_kernel,
@@ -24,18 +24,18 @@ from service.views.selection import (
 )
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
-from worker import schema
-from worker.basins.spec import MAX_HEIGHT, BasinSpec, MultistabilitySpec
+from worker.basins.specification import MAX_HEIGHT, BasinSpec, MultistabilitySpec
 from worker.basins.starts import contact_states, drop_states
-from worker.cost import period_seconds
-from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec
-from worker.spec.axes import NUMBER, WHOLE, Strict, kind_of
+from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Strict, kind_of
 from worker.spec.contact_models import Contact, Rigid, Soft, penetration_of
 from worker.spec.errors import BrokenRuleError, describe, one_of
-from worker.spec.protocols import MAX_START_PERIODS, OnCycle
 from worker.spec.specification import Document
-from worker.spec.sweep import WITH_CYCLES, no_cycle
-from worker.tasks import plate_of, run_cells
+from worker.sweep import AXES, SweepSpec, schema
+from worker.sweep.plan import period_seconds
+from worker.sweep.protocols import MAX_START_PERIODS, OnCycle
+from worker.sweep.specification import WITH_CYCLES, no_cycle
+from worker.sweep.task import run_cells
+from worker.work import plate_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -382,10 +382,9 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
     """Plate and masses, the upper one lowered by the spring's rest length, and the contact force."""
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     periods = found.phase.values / TWO_PI
-    above.plot(
-        periods, found.z1.values - found.attrs["rest_length"], color=RED, label="upper mass − rest length"
-    )
-    above.plot(periods, found.z2.values, color=BLUE, label="lower mass")
+    upper = found.z1.values - found.attrs["rest_length"]
+    above.plot(periods, upper, color=LINES["upper-mass"], label="upper mass − rest length")
+    above.plot(periods, found.z2.values, color=LINES["lower-mass"], label="lower mass")
     above.plot(periods, found.plate.values, color="black", label="plate")
     above.set_ylabel("height (plate amplitudes)")
     above.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))

@@ -1,6 +1,6 @@
 """The variables of results: name, dimensions beside the cell's, type, units and long name of each, once.
 
-Stored variables come from `worker.schema` and `worker.basins.schema`; this module adds derived ones.
+Stored variables come from `worker.sweep.schema` and `worker.basins.schema`; this module adds derived ones.
 """
 
 from collections.abc import Iterable, Mapping
@@ -10,9 +10,9 @@ import numpy as np
 import xarray
 from numpy.typing import NDArray
 
-from worker import schema
 from worker.basins.schema import LIFETIME, OF_ATTRACTORS
-from worker.schema import Array
+from worker.study import Array
+from worker.study.layout import CELL_DIMS, COORDINATES
 
 #: The stored dimension of the attractors of a cell. Results call it `attractor`.
 _STORED_ATTRACTOR: Final = "id"
@@ -30,9 +30,7 @@ def row(
     name: str, dims: tuple[str, ...], dtype: str, long_name: str, units: str = "1", **attrs: Any
 ) -> Array:
     """A variable over cells and the dimensions `dims`."""
-    return Array(
-        name, (*schema.CELL_DIMS, *dims), dtype, 0, {"long_name": long_name, "units": units, **attrs}
-    )
+    return Array(name, (*CELL_DIMS, *dims), dtype, 0, {"long_name": long_name, "units": units, **attrs})
 
 
 _DERIVED: Final = (
@@ -65,7 +63,7 @@ ENERGY: Final = tuple(
 VARIABLES: Final[Mapping[str, Array]] = {
     array.name: array for array in (*map(of_attractor, OF_ATTRACTORS), *_DERIVED)
 }
-_COORDINATES: Final[Mapping[str, Mapping[str, Any]]] = {row.name: row.attrs for row in schema.COORDINATES}
+_COORDINATES: Final[Mapping[str, Mapping[str, Any]]] = {row.name: row.attrs for row in COORDINATES}
 
 
 def variable(dims: tuple[str, ...], values: Any, row: Array) -> xarray.Variable:

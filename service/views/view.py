@@ -12,9 +12,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from service.formats import PICTURES
 from service.views import encode
 from service.views.selection import thinning
-from worker.schema import Array
-from worker.spec import LARGEST, SMALLEST
-from worker.spec.axes import within
+from worker.spec.axes import LARGEST, SMALLEST, within
+from worker.study import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

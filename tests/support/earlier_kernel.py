@@ -10,11 +10,12 @@ from unittest.mock import patch
 from service.jobs.stores.opening import open_ledger
 from service.ledger.model import JobState, NewJob
 from service.settings import Settings
-from worker import schema, store
-from worker.plan import make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
+from worker import store
 from worker.studies import run_task
+from worker.study import Array
+from worker.sweep import SweepSpec, schema
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
 
 VERSION = "1"
 SPECS: dict[str, dict[str, Any]] = {
@@ -48,7 +49,7 @@ DONE_CHUNKS = {"done": 1, "interrupted": 3}
 IDS = {name: SweepSpec(**spec).job_id(VERSION) for name, spec in SPECS.items()}
 
 
-def arrays_of_then(spec: SweepSpec, today: Any = schema.arrays) -> Iterator[schema.Array]:
+def arrays_of_then(spec: SweepSpec, today: Any = schema.arrays) -> Iterator[Array]:
     yield from (array for array in today(spec) if array.name != ADDED_SINCE)
 
 

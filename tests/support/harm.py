@@ -21,10 +21,11 @@ from scripted import wait_for
 from worker import watchdog
 from worker.executors.dask import Dask
 from worker.kernel_cache import use_cache
-from worker.plan import Chunk
-from worker.spec import SweepSpec
 from worker.store import backend
-from worker.tasks import USUAL, ChunkReport, run_chunk, with_options
+from worker.study import Chunk, ChunkReport
+from worker.study.chunks import USUAL, with_options
+from worker.sweep import SweepSpec
+from worker.sweep.task import run_chunk
 
 #: Seconds until the report of the chunk before has left the worker. If it were lost with the worker, that
 #: chunk would count as the cause and be computed again.

@@ -3,12 +3,13 @@
 import json
 from typing import Any
 
+from worker.tasks import ChunkReport
+
 from kernel.params import KERNEL_VERSION
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState, NewJob
-from worker.plan import make_plan
-from worker.spec import SweepSpec
-from worker.tasks import ChunkReport
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
 
 
 def record(study: SweepSpec, **changes: Any) -> JobRecord:

@@ -38,6 +38,7 @@ def plate_of(
     adhesive: bool = True,
     steps_per_contact: int = 20,
     scheme: str = "verlet",
+    events: str = "located",
 ) -> Any:
     """The plate of n cells, from arrays (n,)."""
     module = {Model.SOFT: soft, Model.STEPPED: stepped, Model.RIGID: rigid, Model.BALL: ball}[model]
@@ -45,12 +46,12 @@ def plate_of(
     if model in (Model.SOFT, Model.STEPPED):
         arguments |= {"penetration": penetration, "adhesive": adhesive}
     if model is Model.STEPPED:
-        arguments |= {"steps_per_contact": steps_per_contact, "scheme": scheme}
+        arguments |= {"steps_per_contact": steps_per_contact, "scheme": scheme, "events": events}
     return module.plate(**arguments)
 
 
 #: The arguments of `plate_of` other than the model.
-CONTACT = ("restitution", "penetration", "adhesive", "steps_per_contact", "scheme")
+CONTACT = ("restitution", "penetration", "adhesive", "steps_per_contact", "scheme", "events")
 
 
 def run_line(gamma: Any, omega: Any, xi: Any, *, model: Model, **options: Any) -> Line:

@@ -17,9 +17,8 @@ from service.settings import Settings
 from worker import store
 from worker.executors.base import Executor
 from worker.executors.dask import Dask
-from worker.plan import Chunk
-from worker.spec import SweepSpec
-from worker.tasks import ChunkReport
+from worker.study import Chunk, ChunkReport
+from worker.sweep import SweepSpec
 
 
 class Running:

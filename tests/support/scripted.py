@@ -13,10 +13,10 @@ from typing import Any
 from worker import store
 from worker.executors.base import ClusterState
 from worker.executors.inline import Inline
-from worker.plan import Chunk
-from worker.spec import SweepSpec
 from worker.studies import run_task
-from worker.tasks import ChunkReport, run_chunk
+from worker.study import Chunk, ChunkReport
+from worker.sweep import SweepSpec
+from worker.sweep.task import run_chunk
 
 #: Seconds within which anything must happen, on an overloaded machine.
 DEADLINE = 240.0

@@ -26,10 +26,10 @@ from service.ledger.ledger import Ledger  # noqa: E402
 from service.ledger.model import UNFINISHED  # noqa: E402
 from service.ledger.transactions import WriteTransaction  # noqa: E402
 from service.settings import Settings  # noqa: E402
-from worker import tasks  # noqa: E402
+from worker import work  # noqa: E402
 from worker.executors import inline  # noqa: E402
-from worker.spec import SweepSpec  # noqa: E402
 from worker.store import store as stored  # noqa: E402
+from worker.sweep import SweepSpec  # noqa: E402
 
 
 def die() -> None:
@@ -50,9 +50,9 @@ def after(owner: Any, name: str, act: Callable[[], None]) -> None:
 STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "store laid out": lambda act: after(supervisor.store, "create", act),
     "chunk given out": lambda act: before(inline, "run_task", act),
-    "chunk computed": lambda act: before(tasks.store, "write_chunk", act),
+    "chunk computed": lambda act: before(work.store, "write_chunk", act),
     "chunk half written": lambda act: before(stored.backend, "place", act),
-    "chunk synced": lambda act: after(tasks.store, "write_chunk", act),
+    "chunk synced": lambda act: after(work.store, "write_chunk", act),
     "chunk reported": lambda act: after(inline, "run_task", act),
     "in the transaction": lambda act: after(WriteTransaction, "mark_done", act),
     "chunk marked": lambda act: after(supervisor.JobRun, "mark_saved", act),

@@ -6,8 +6,8 @@ from pathlib import Path
 from service.jobs.stores.opening import open_ledger
 from service.settings import Settings
 from worker import store
-from worker.schema import Layout
 from worker.store import HasSlices
+from worker.study import Layout
 
 
 def is_sound(url: str, layout: Layout, chunk: HasSlices) -> bool:

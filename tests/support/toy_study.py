@@ -11,13 +11,9 @@ import numpy as np
 
 from kernel.params import Outcome
 from worker import store
-from worker.cost import Cost
-from worker.plan import Chunk, Plan
-from worker.schema import Array, Layout
 from worker.spec.axes import Strict
 from worker.spec.specification import Specification
-from worker.studies import Study
-from worker.tasks import ChunkReport
+from worker.study import Array, Chunk, ChunkReport, Cost, Layout, Plan, Study
 
 
 class Divisors(Strict):
@@ -59,7 +55,7 @@ def estimate(spec: ToySpec, plan: Plan) -> Cost:
     return Cost(cells=plan.cells, chunks=len(plan), bytes=13 * plan.cells, core_seconds=1e-6 * plan.cells)
 
 
-def task(spec: ToySpec, chunk: Chunk, store_url: str) -> ChunkReport:
+def run_chunk(spec: ToySpec, chunk: Chunk, store_url: str) -> ChunkReport:
     began = time.perf_counter()
     ((first, last),) = chunk.spans
     divisors = [
@@ -76,4 +72,4 @@ def task(spec: ToySpec, chunk: Chunk, store_url: str) -> ChunkReport:
     return ChunkReport(chunk.index, chunk.cells, took, took, outcomes)
 
 
-TOY = Study(ToySpec.parse, plan, variables, estimate, task)
+TOY = Study(ToySpec.parse, plan, variables, estimate, "toy_study")

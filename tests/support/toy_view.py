@@ -10,9 +10,9 @@ from kernel.params import Line, Outcome
 from service.views.selection import Stored, nearest_index, read_stored
 from service.views.variables import coordinate, dataset, variable
 from service.views.view import Estimate, Number, Query, View
-from worker import schema
-from worker.schema import CELL_DIMS, Array
-from worker.spec import SweepSpec
+from worker.study import Array
+from worker.study.layout import CELL_DIMS
+from worker.sweep import SweepSpec, schema
 
 COUNT = Array("count", (*CELL_DIMS, "kind"), "<i8", 0, {"long_name": "cells with this outcome", "units": "1"})
 

@@ -17,6 +17,7 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"
 
 from service.client import Client
 from service.server import embedded
+from service.settings import read_settings
 from worker.executors.inline import Inline
 
 ROOT = Path(__file__).parents[2]
@@ -44,7 +45,7 @@ def main() -> None:
     with (
         tempfile.TemporaryDirectory() as data,
         closing(Inline()) as executor,
-        embedded.running(embedded.settings(data=data, port=0), executor) as url,
+        embedded.running(read_settings(data=data, port=0), executor) as url,
         Client(url) as client,
     ):
         following.set()

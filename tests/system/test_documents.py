@@ -86,16 +86,10 @@ def test_block_is_well_formed(block: Block):
         assert re.match(r"file: [\w.]+$|output$|not run: ", block.comment)
 
 
-def test_citation_is_valid_and_of_this_version():
+def test_citation_is_valid():
     command = [program("check-jsonschema", LINT), "CITATION.cff"]
     command += ["--builtin-schema", "vendor.citation-file-format"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    citation = yaml.safe_load(text("CITATION.cff"))
-    assert citation["version"] == project_version()
-    (paper,) = citation["references"]
+    (paper,) = yaml.safe_load(text("CITATION.cff"))["references"]
     assert paper["doi"] == "10.1016/j.physd.2014.01.006"
-
-
-def project_version() -> str:
-    return str(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"])

@@ -29,7 +29,7 @@ ALLOWED = {
         "numpy", "numba", "pydantic", "zarr", "numcodecs", "obstore", "xarray", "dask", "distributed", "yaml",
     },
     "worker.spec": {"numpy", "pydantic", "yaml"},
-    "worker.plan": {"numpy", "pydantic", "yaml"},
+    "worker.study": {"numpy", "pydantic", "yaml"},
     "service.client": {
         "httpx2", "numpy", "xarray", "pandas", "matplotlib", "rich", "pydantic", "zarr", "obstore", "yaml",
         "IPython",
@@ -45,16 +45,16 @@ SPECIFICATION = {
 #: Of the project's own modules, all that these may reach.
 REACHABLE = {
     "worker.spec": SPECIFICATION,
-    "worker.plan": SPECIFICATION | {"worker.plan", "worker.cost", "worker.schema"},
+    "worker.study": SPECIFICATION | {"worker.study"},
     "service.client": SPECIFICATION
     | {
-        "kernel.labels", "service.client", "service.formats", "service.pictures",
-        "service.result_methods", "service.tokens", "worker.files",
+        "kernel.labels", "kernel.threshold", "service.client", "service.formats", "service.pictures",
+        "service.result_methods", "service.tokens", "worker.files", "worker.sweep",
     },
 }  # fmt: skip
 
 #: Packages whose face is their __init__; all others are empty.
-FACES = {"worker/spec", "worker/store", "service/client"}
+FACES = {"worker/store", "worker/study", "worker/sweep", "service/client"}
 
 #: Modules of one folder at most, __init__ apart.
 MOST_MODULES = 16

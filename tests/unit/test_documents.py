@@ -3,6 +3,7 @@
 import inspect
 import json
 import re
+import subprocess
 import tomllib
 from contextlib import closing
 from pathlib import Path
@@ -127,7 +128,7 @@ def test_every_document_is_linked_from_the_readme():
 
 
 def test_fields_and_defaults_are_those_of_the_specification():
-    from worker.spec import SweepSpec
+    from worker.sweep import SweepSpec
 
     rows = table("docs/specification.md", "## Fields")
     assert sorted(code(row[0])[0] for row in rows if len(code(row[0])) == 1) == sorted(SweepSpec.model_fields)
@@ -150,10 +151,10 @@ def test_contact_models_and_their_defaults_are_those_of_the_code():
     for kind, model in CONTACT_MODELS.items():
         shown = rows[kind].replace("as `soft`", rows["soft"])
         assert set(code(shown)) == set(model.fields.model_fields) - {"kind"}
-        defaults = model.fields.model_validate({"kind": kind}).model_dump()
+        defaults = model.fields.model_validate({"kind": kind})
         for field, default in re.findall(r"`(\w+)`:? ([\w.\"-]+)", shown):
             if default != "or":
-                assert defaults[field] == json.loads(default), f"{kind}.{field}"
+                assert getattr(defaults, field) == json.loads(default), f"{kind}.{field}"
 
 
 def test_stored_variables_are_those_of_a_store(tmp_path: Path):
@@ -293,9 +294,35 @@ def test_numbers_of_the_model_are_the_golden_ones():
                for omega, gamma in facts["threshold"]["not_one_at_xi_one"])  # fmt: skip
 
 
-def test_changelog_has_this_version():
+RELEASES = re.findall(
+    r"^## \[([\d.]+)\] - [\d-]+\n\n(?:Commit|Tag) `(\S+)`, kernel version (\d+)\.$",
+    text("CHANGELOG.md"),
+    re.MULTILINE,
+)
+
+
+def test_every_file_has_the_version_of_the_last_release():
+    """`.ci/release` writes it."""
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert re.search(rf"^version: {re.escape(version)}$", text("CITATION.cff"), re.MULTILINE)
+    assert f'image.version="{version}"' in text("Dockerfile")
     headings = re.findall(r"^## \[([^\]]+)\]", text("CHANGELOG.md"), re.MULTILINE)
-    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"] in headings
+    assert headings == ["Unreleased", *(release for release, _, _ in RELEASES)]
+    assert headings[1] == version
+
+
+@pytest.mark.parametrize(("version", "commit", "kernel"), RELEASES)
+def test_the_commit_of_a_release_has_its_version(version: str, commit: str, kernel: str):
+    def content(name: str) -> str:
+        git = subprocess.run(
+            ["git", "show", f"{commit}:{name}"], cwd=ROOT, capture_output=True, text=True, check=False
+        )
+        if git.returncode:
+            pytest.skip("the commit is not in this clone")
+        return git.stdout
+
+    assert tomllib.loads(content("pyproject.toml"))["project"]["version"] == version
+    assert f'KERNEL_VERSION: Final = "{kernel}"' in content("kernel/params.py")
 
 
 # Promises

@@ -34,7 +34,7 @@ def deviations(exact: Line, other: Line, micro_flight: float) -> _Array:
     0 where both are at rest; infinite where only one is, or where `other` is unresolved or diverged. Both
     periodic: the largest difference of the sorted flights over a common cycle, where a flight without a
     counterpart counts with its whole time. Otherwise: the largest difference of the quantiles, less the
-    scatter. Flights of at most `micro_flight` (rad) are ignored.
+    scatter. Flights of at most `micro_flight` (rad) are ignored, unless a cell has no others.
     """
     return np.array([_deviation(exact, other, i, micro_flight) for i in range(len(exact.outcome))])
 
@@ -66,9 +66,11 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
 
 
 def _flights(line: Line, i: int, micro_flight: float) -> _Array:
-    """The recorded flights of a cell longer than `micro_flight`."""
-    flights = line.flight_time[i, : min(int(line.flights[i]), line.flight_time.shape[1])]
-    return flights[flights > micro_flight]
+    """The recorded flights of a cell that count for its mode."""
+    from kernel.modes import counted  # noqa: PLC0415 - numba, in a worker
+
+    flights = line.flight_time[[i]]
+    return flights[counted(flights, line.flights[[i]], micro_flight)]
 
 
 def _between_cycles(exact: _Array, other: _Array) -> float:

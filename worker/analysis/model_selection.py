@@ -17,10 +17,9 @@ from pydantic import Field
 from kernel.params import Line as Record
 from kernel.params import Outcome
 from worker.analysis.deviation import deviations, percentile
-from worker.spec import AXES, SweepSpec
 from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS, Auto, Ball, Rigid, Soft
-from worker.tasks import run_cells
+from worker.sweep import AXES, SweepSpec
 
 #: Cells of a sample from rest; lines of a sample along a ramp, and cells on each of them.
 CELLS: Final = 48
@@ -85,11 +84,6 @@ def choose(spec: SweepSpec) -> ModelChoice:
     exact, _ = _run(_shortened(spec, auto.exact, settle_tolerance=0.0), lines)
     table = [_compare(spec, model, lines, exact) for model in _candidates(auto).values()]
     return _choice(auto, table, next((row for row in table if _is_within(auto, row)), table[-1]))
-
-
-def is_open(spec: object) -> bool:
-    """Whether a specification is a sweep with the model `auto`."""
-    return isinstance(spec, SweepSpec) and isinstance(spec.model, Auto)
 
 
 def resolved(spec: SweepSpec, choice: ModelChoice) -> SweepSpec:
@@ -167,6 +161,8 @@ def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball, settle_tolerance: fl
 
 def _run(spec: SweepSpec, lines: list[Line]) -> tuple[list[Record], float]:
     """The record of each line, and core-microseconds per cell per plate period."""
+    from worker.sweep.task import run_cells  # noqa: PLC0415 - numba, where `choose` runs: in a worker
+
     gamma, omega, xi = (axis[:1] for axis in lines[0])
     run_cells(spec.model_copy(update={"settle": 0, "observe": 1}), gamma, omega, xi, None)  # compiles
     began = time.thread_time()

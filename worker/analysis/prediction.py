@@ -10,8 +10,9 @@ from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, threshol
 from kernel.params import KernelInputError
 from kernel.threshold import threshold
 from worker.analysis.words import lowest_words
-from worker.orbits import MAX_GRID, SECONDS
-from worker.spec import SweepSpec
+from worker.orbits.plan import SECONDS
+from worker.orbits.specification import MAX_GRID
+from worker.sweep import SweepSpec
 
 #: Core-seconds of one prediction, of one branch beside those of its grid, and of a branch that grazes along
 #: its whole length by rounding: each graze is followed to its end.

@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
 from worker import store
-from worker.schema import COMPUTED
-from worker.spec import LARGEST, SMALLEST, SweepSpec
-from worker.spec.sweep import MAX_PERIODS
-from worker.tasks import run_cells
+from worker.spec.axes import LARGEST, SMALLEST
+from worker.study.layout import COMPUTED
+from worker.sweep import SweepSpec
+from worker.sweep.schema import some_computed
+from worker.sweep.specification import MAX_PERIODS
+from worker.sweep.task import run_cells
 
 #: Maximum cells computed for one threshold on a ramp; beyond it the threshold is not refined.
 MAX_CELLS: Final = 2_000
@@ -142,13 +144,13 @@ def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], toleranc
 def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, endless: bool) -> OnGrid:
     """The threshold on the line of cells at indices (direction, xi, omega).
 
-    In an adaptive map, deciding cells that were filled in from their block are computed first.
+    Deciding cells that were filled in from others are computed first.
     """
-    names = ("outcome",) if spec.refine is None else ("outcome", COMPUTED.name)
     direction, xi, omega = line
+    names = ("outcome", *(row.name for row in some_computed(spec)))
     stored = store.read_slice(url, names, direction=direction, xi=xi, omega=omega)
     outcome = stored["outcome"]
-    computed = stored.get(COMPUTED.name, np.ones(len(outcome)))
+    computed = stored.get(COMPUTED, np.ones(len(outcome)))
     while True:
         found = on_grid(outcome, down, endless)
         lowest = next(iter(np.flatnonzero(outcome != Outcome.AT_REST)), None)

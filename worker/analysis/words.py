@@ -20,8 +20,7 @@ from kernel.branches.words import Word, WordBranch, from_flights
 from kernel.params import KernelInputError, Outcome
 from worker import store
 from worker.analysis.thresholds import BOUNCING
-from worker.schema import COMPUTED
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 Floats = NDArray[np.float64]
 
@@ -130,7 +129,6 @@ def _read_line(
 ) -> dict[str, NDArray[Any]]:
     """The stored cycles along gamma at indices (direction, xi, omega)."""
     names = ["flight_time", "takeoff_phase", "flights", "bounces", "periods", "outcome"]
-    names += [] if spec.refine is None else [COMPUTED.name]
     direction, xi, omega = line
     return store.read_slice(url, names, direction=direction, xi=xi, omega=omega, complete=complete)
 
@@ -141,9 +139,8 @@ def _cycles(
     """The cycles of the periodic cells at `line` (xi, omega); skips those that store less than two rounds."""
     xi, omega = (float(spec.axis_values(axis)[i]) for axis, i in zip(("xi", "omega"), line, strict=True))
     gamma = spec.axis_values("gamma")
-    # cells of an adaptive map that were not computed have no flights
-    settled = arrays["outcome"] == Outcome.PERIODIC
-    for i in np.flatnonzero(settled & (arrays.get(COMPUTED.name, settled) != 0)):
+    # a cell that is filled in from another has no flights
+    for i in np.flatnonzero((arrays["outcome"] == Outcome.PERIODIC) & (arrays["flights"] > 0)):
         times, phases = arrays["flight_time"][i], arrays["takeoff_phase"][i]
         stored = min(int(arrays["flights"][i]), len(times))
         bounces, periods = int(arrays["bounces"][i]), int(arrays["periods"][i])

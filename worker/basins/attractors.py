@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import STATE_FIELDS, Line, Outcome
-from worker.basins.spec import BasinSpec
+from worker.basins.plan import REPRESENTATIVES
+from worker.basins.specification import BasinSpec
 
 _Floats = NDArray[np.float64]
 _Ints = NDArray[np.intp]
@@ -37,7 +38,6 @@ START_FLIGHTS: Final = 64
 
 #: Representatives of a group of starts on a cycle, and of starts without one.
 CYCLE_REPRESENTATIVES: Final = 4
-REPRESENTATIVES: Final = 32
 
 #: Plate periods, and maximum flights, for the distribution of an aperiodic representative.
 LONG_WINDOW: Final = 2000
@@ -97,6 +97,7 @@ class Attractor:
     flight_time: _Floats = field(default_factory=lambda: np.empty(0))  # (keep,) of its window
     takeoff_phase: _Floats = field(default_factory=lambda: np.empty(0))
     lyapunov: _Floats = field(default_factory=lambda: np.empty(0))
+    lyapunov_error: float = np.nan
 
     @property
     def longest_flight(self) -> float:
@@ -353,7 +354,7 @@ class _Search:
             window = EXPONENT_WINDOW
             line = self._record(Request(states, 2 * window, window, 1, spec.exponents))
             for i, attractor in enumerate(attractors):
-                attractor.lyapunov = line.lyapunov[i]
+                attractor.lyapunov, attractor.lyapunov_error = line.lyapunov[i], float(line.lyapunov_error[i])
 
 
 class _Sample(NamedTuple):

@@ -13,18 +13,13 @@ from numpy.typing import NDArray
 
 from kernel.cell import rescale
 from kernel.params import Line, Outcome
-from worker.basins.attractors import CYCLE_FLIGHTS, SAME_CYCLE, counted
-from worker.basins.schema import COUNT, OF_ATTRACTORS, OUTCOME, sizes_of_attractors
-from worker.basins.spec import MultistabilitySpec
+from worker.basins.attractors import CYCLE_FLIGHTS, CYCLE_REPRESENTATIVES, LONG_CYCLE, SAME_CYCLE, counted
+from worker.basins.schema import FOLLOWED_ARRAYS, MAX_FOLLOWED, sizes_of_attractors
+from worker.basins.specification import MAX_DROPS, MultistabilitySpec
 from worker.basins.starts import Steps, line_run, starts_of
-from worker.cost import Cost, cell_seconds, longest_period_seconds
-from worker.plan import LONGEST_SECONDS, TARGET_SECONDS, Chunk, Plan
-from worker.schema import Layout, array, bytes_of, empty_record, grid_layout
-from worker.spec import AXES
-from worker.tasks import ChunkReport
-
-#: Stored attractors of a cell: first those that most drops reach, then those found by following others.
-MAX_ATTRACTORS: Final = 8
+from worker.study.chunks import Chunk, ChunkReport
+from worker.study.layout import empty_record
+from worker.sweep import AXES
 
 #: Starts per run, in whole cells, few enough to lose little and use little memory.
 BLOCK: Final = 2048
@@ -35,10 +30,6 @@ CYCLE: Final = 32
 #: Passes of lines in both directions: attractors found on the way down are followed up again.
 ROUNDS: Final = 3
 
-#: Average runs of a cell, for the cost: of each drop with its continuation, and of followed attractors.
-RUN_ON: Final = 1.5
-FOLLOWED: Final = 12
-
 #: Values of `next_up` and `next_down`: not started; started, and no attractor reached.
 NOT_STARTED: Final = -1
 NOWHERE: Final = 0
@@ -47,17 +38,6 @@ NOWHERE: Final = 0
 _STORED: Final = {"outcome": "attractor_outcome", "state": "attractor_state"}
 
 _Arrays = dict[str, NDArray[Any]]
-
-_ARRAYS: Final = (
-    *OF_ATTRACTORS,
-    array("next_up", (*AXES, "id"), "|i1", "attractor of the next larger gamma that this one leads to",
-          comment="0: none that is known; -1: no such cell"),
-    array("next_down", (*AXES, "id"), "|i1", "attractor of the next smaller gamma that this one leads to",
-          comment="0: none that is known; -1: no such cell"),
-    COUNT,
-    array("undecided", AXES, "<f8", "share of the drops without an attractor"),
-    OUTCOME,
-)  # fmt: skip
 
 
 class Reached(NamedTuple):
@@ -120,7 +100,7 @@ class _Cells:
 
     def id_of(self, line: int, j: int, end: Reached) -> int | None:
         """The id of the stored attractor of a cell on which a run ends; None if there is none."""
-        for k in range(min(int(self.of["attractor_count"][line, j]), MAX_ATTRACTORS)):
+        for k in range(min(int(self.of["attractor_count"][line, j]), MAX_FOLLOWED)):
             fields = (self.of[_STORED.get(name, name)][line, j, k] for name in Reached._fields)
             if end.same(Reached(*fields)):
                 return k + 1
@@ -130,7 +110,7 @@ class _Cells:
         """Store a further attractor of a cell; returns its id, or NOWHERE if there is no room."""
         k = int(self.of["attractor_count"][line, j])
         self.of["attractor_count"][line, j] += 1
-        if k >= MAX_ATTRACTORS:
+        if k >= MAX_FOLLOWED:
             return NOWHERE
         for name, value in reached._asdict().items():
             self.of[_STORED.get(name, name)][line, j, k] = value
@@ -140,8 +120,8 @@ class _Cells:
 
     def waiting(self, name: str, j: int) -> list[tuple[int, int]]:
         """The attractors (line, index) of the cells `j` not yet followed towards `name`."""
-        count = np.minimum(self.of["attractor_count"][:, j], MAX_ATTRACTORS)
-        waits = (self.of[name][:, j] == NOT_STARTED) & (np.arange(MAX_ATTRACTORS) < count[:, None])
+        count = np.minimum(self.of["attractor_count"][:, j], MAX_FOLLOWED)
+        waits = (self.of[name][:, j] == NOT_STARTED) & (np.arange(MAX_FOLLOWED) < count[:, None])
         return [(int(line), int(k)) for line, k in np.argwhere(waits)]
 
 
@@ -154,6 +134,7 @@ class _Search:
         xi, omega, self._gamma = (spec.axis_values(axis)[span] for axis, span in axes.items())
         xi_grid, omega_grid = np.meshgrid(xi, omega, indexing="ij")
         self._xi, self._omega = xi_grid.ravel(), omega_grid.ravel()  # of each line
+        self._longer = spec.until - 2 * (spec.settle + spec.observe) - spec.observe
 
     def run(self) -> None:
         """Compute every cell. Raises ChunkCancelled, ChunkPaused."""
@@ -169,12 +150,15 @@ class _Search:
             step()
             self._work.finish_step()
 
-    def _run(self, places: Sequence[tuple[int, int]], states: NDArray[np.float64]) -> list[Reached]:
-        """Run starts (n, len(STATE_FIELDS)), each in its cell (line, j)."""
+    def _run(
+        self, places: Sequence[tuple[int, int]], states: NDArray[np.float64], settle: int = 0
+    ) -> list[Reached]:
+        """Run starts (n, len(STATE_FIELDS)), each in its cell (line, j), for at least `settle` periods."""
         spec = self._spec
         lines, js = np.array(places, np.intp).reshape(-1, 2).T
         cells = (self._gamma[js], self._omega[lines], self._xi[lines])
-        window = {"settle": spec.settle, "observe": spec.observe, "settle_until": spec.until}
+        settle = max(settle, spec.settle)
+        window = {"settle": settle, "observe": spec.observe, "settle_until": spec.until}
         answer = self._work.answer(
             lambda: line_run(spec, cells, states, keep=CYCLE_FLIGHTS, **window),
             partial(_reduced, micro_flight=spec.micro_flight, keep=spec.keep),
@@ -200,11 +184,35 @@ class _Search:
                 if end.decided or of_cell[members[0]].outcome == Outcome.APERIODIC:
                     for i in members:
                         of_cell[i] = end
+        self._outlast(places, ends)
         for place, of_cell in zip(places, ends, strict=True):
             groups = [[of_cell[i] for i in group] for group in _groups(of_cell)]
             for group in sorted(groups, key=lambda group: (-len(group), *group[0].order)):
                 self._cells.add(*place, group[0], len(group) / n)
             self._cells.of["undecided"][place] = 1.0 - sum(map(len, groups)) / n
+
+    def _outlast(self, places: Sequence[tuple[int, int]], ends: Sequence[list[Reached]]) -> None:
+        """Run what is aperiodic after two windows on up to `until`: it may be a chaotic transient.
+
+        Some drops of a cell run on, and all where one leaves. What is aperiodic then is undecided, except
+        where only long cycles are reached: a torus seems to be on one for a while.
+        """
+        left = dict.fromkeys(range(len(ends)), LONG_CYCLE)  # cells, and flights of the shortest cycle reached
+        for most in (CYCLE_REPRESENTATIVES, MAX_DROPS):
+            followed = [(cell, i) for cell in left for i in _aperiodic(ends[cell], most)]
+            if not followed:
+                break
+            states = np.stack([ends[cell][i].state for cell, i in followed])
+            later = self._run([places[cell] for cell, _ in followed], states, self._longer)
+            left = {} if most < MAX_DROPS else left
+            for (cell, i), end in zip(followed, later, strict=True):
+                if end.outcome != Outcome.SETTLING:
+                    ends[cell][i] = end
+                if end.outcome in (Outcome.PERIODIC, Outcome.AT_REST):
+                    left[cell] = min(left.get(cell, LONG_CYCLE), end.bounces)
+        for cell, bounces in left.items():
+            for i in _aperiodic(ends[cell], MAX_DROPS) if bounces < LONG_CYCLE else ():
+                ends[cell][i] = ends[cell][i]._replace(outcome=Outcome.SETTLING)
 
     def _follow(self, name: str, j: int, neighbour: int) -> None:
         """Start the cells `neighbour` of all lines from the attractors of the cells `j`."""
@@ -215,7 +223,7 @@ class _Search:
         for state in states:
             rescale(state, self._gamma[j], 1.0, self._gamma[neighbour], 1.0)
         ends = self._run([(line, neighbour) for line, _ in waiting], states)
-        # An attractor that no drop has found may not have settled yet.
+        # An attractor that no drop has found may not have settled yet, or not be one.
         unknown = [
             i
             for i, ((line, _), end) in enumerate(zip(waiting, ends, strict=True))
@@ -223,9 +231,10 @@ class _Search:
         ]
         if unknown:
             places = [(waiting[i][0], neighbour) for i in unknown]
-            later = self._run(places, np.stack([ends[i].state for i in unknown]))
-            for i, end in zip(unknown, later, strict=True):
-                ends[i] = end
+            later = self._run(places, np.stack([ends[i].state for i in unknown]), self._longer)
+            for i, (line, _), end in zip(unknown, places, later, strict=True):
+                transient = self._cells.of["undecided"][line, neighbour] and end.outcome == Outcome.APERIODIC
+                ends[i] = end._replace(outcome=Outcome.SETTLING) if transient else end
         for (line, k), end in zip(waiting, ends, strict=True):
             reached = NOWHERE
             if end.decided:
@@ -238,6 +247,12 @@ def _standing(ends: Sequence[Reached]) -> list[list[int]]:
     """The starts of a cell whose first runs on for all: those on each cycle, and every aperiodic one."""
     cycles = [group for group in _groups(ends) if ends[group[0]].outcome == Outcome.PERIODIC]
     return sorted([*cycles, *([i] for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC)])
+
+
+def _aperiodic(ends: Sequence[Reached], most: int) -> list[int]:
+    """At most so many aperiodic starts of a cell, evenly spaced."""
+    found = [i for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC]
+    return found[:: -(-len(found) // most) or 1]
 
 
 def _groups(ends: Sequence[Reached]) -> list[list[int]]:
@@ -255,58 +270,16 @@ def _groups(ends: Sequence[Reached]) -> list[list[int]]:
     return groups
 
 
-def layout(spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:
-    """Layout of the store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
-    about = {"long_name": "attractor of a cell, by the share of the drops that reach it"}
-    coordinates = {"id": (np.arange(1, MAX_ATTRACTORS + 1, dtype="<i4"), about)}
-    sizes, title = sizes_of_attractors(spec, MAX_ATTRACTORS), "bouncing spring: multistability"
-    return grid_layout(spec, chunk_shape, _ARRAYS, sizes, coordinates, title, spec.model.kind)
-
-
-def make_plan(
-    spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
-) -> Plan:
-    """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
-
-    Raises ValueError for sizes below 1, or for parts of lines.
-    """
-    gammas = spec.shape[2]
-    if chunk_shape is None:
-        lines = int(TARGET_SECONDS / (gammas * _runs(spec) * cell_seconds(spec.sweep())))
-        chunk_shape = (1, max(1, lines), gammas)
-    plan = Plan(spec.shape, chunk_shape)
-    if plan.chunk_shape[-1] != gammas:
-        raise ValueError(f"chunk_shape: must span the {gammas} values of gamma, not {chunk_shape[-1]}")
-    return plan
-
-
-def estimate(spec: MultistabilitySpec, plan: Plan) -> Cost:
-    """Cost of a study, from the table of contact models."""
-    runs, sweep = plan.cells * _runs(spec), spec.sweep()
-    return Cost(
-        cells=plan.cells,
-        chunks=len(plan),
-        bytes=plan.cells * bytes_of(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
-        core_seconds=runs * cell_seconds(sweep),
-        longest_core_seconds=runs * longest_period_seconds(sweep) * spec.until,
-    )
-
-
-def _runs(spec: MultistabilitySpec) -> float:
-    """Average runs of a cell, each of settle + observe plate periods."""
-    return RUN_ON * spec.protocol.rows * spec.protocol.columns + FOLLOWED
-
-
 def run_chunk(spec: MultistabilitySpec, chunk: Chunk, store_url: str) -> ChunkReport:
     """Compute the lines of `chunk` and store them; the store must exist.
 
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
-    the slice of `tasks.OPTIONS`, or a `store.StoreError`.
+    the slice of `study.chunks.OPTIONS`, or a `store.StoreError`.
     """
-    record = empty_record(chunk.shape, _ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS))
-    cycles = np.full((*chunk.shape, MAX_ATTRACTORS, CYCLE), np.nan)
+    record = empty_record(chunk.shape, FOLLOWED_ARRAYS, sizes_of_attractors(spec, MAX_FOLLOWED))
+    cycles = np.full((*chunk.shape, MAX_FOLLOWED, CYCLE), np.nan)
     kept = record | {"cycle": cycles}
-    work = Steps(store_url, chunk, _ARRAYS, kept)
+    work = Steps(store_url, chunk, FOLLOWED_ARRAYS, kept)
     _Search(spec, chunk, _Cells(kept), work).run()
     for name in ("next_up", "next_down"):
         record[name][record[name] == NOT_STARTED] = NOWHERE  # found too late to be followed

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from kernel.interface import prepare, rest
 from kernel.line import LineRun
 from kernel.params import STATE_FIELDS, Line
-from worker.basins.spec import GridSpec
-from worker.plan import Chunk
-from worker.schema import Array
+from worker.basins.specification import GridSpec
 from worker.spec.contact_models import Contact
-from worker.tasks import Work, plate_of
+from worker.study import Array, Chunk
+from worker.work import Work, plate_of
 
 _ANSWER: Final = "answer/"
 

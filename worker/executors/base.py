@@ -6,8 +6,9 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from worker.studies import Chunk, Spec
-from worker.tasks import USUAL, ChunkOptions, ChunkReport
+from worker.spec.specification import Specification
+from worker.study import Chunk, ChunkOptions, ChunkReport
+from worker.study.chunks import USUAL
 
 Result = TypeVar("Result")
 
@@ -99,7 +100,7 @@ class Executor(Protocol):
 
     def submit(
         self,
-        spec: Spec,
+        spec: Specification,
         chunk: Chunk,
         store_url: str,
         *,

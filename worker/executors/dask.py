@@ -31,8 +31,9 @@ from worker.executors.clusters import CreatedCluster, LocalWorkers, SchedulerFil
 from worker.executors.connection import SchedulerConnection
 from worker.executors.plugins import WorkerAdmission, facts, refusal, rest, run_if_admitted
 from worker.executors.roster import MARKS, REST_SECONDS, Roster
-from worker.studies import Chunk, Spec
-from worker.tasks import USUAL, ChunkOptions, ChunkReport, TaskError
+from worker.spec.specification import Specification
+from worker.study import Chunk, ChunkOptions, ChunkReport, TaskError
+from worker.study.chunks import USUAL
 from worker.watchdog import call_while_wanted, run_watched
 
 log = logging.getLogger(__name__)
@@ -134,7 +135,7 @@ class Dask:
 
     def submit(
         self,
-        spec: Spec,
+        spec: Specification,
         chunk: Chunk,
         store_url: str,
         *,

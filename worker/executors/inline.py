@@ -7,11 +7,13 @@ from concurrent.futures import Future, InvalidStateError, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
-from kernel.numerics.compilation import compilations
+from kernel.numerics.cache import compilations
 from kernel.stopping import check, stopped_if
 from worker.executors.base import ClusterState, Compiling, Result
-from worker.studies import Chunk, Spec, run_task
-from worker.tasks import USUAL, ChunkOptions, ChunkReport, with_options
+from worker.spec.specification import Specification
+from worker.studies import run_task
+from worker.study import Chunk, ChunkOptions, ChunkReport
+from worker.study.chunks import USUAL, with_options
 
 
 class Inline:
@@ -28,7 +30,7 @@ class Inline:
 
     def submit(
         self,
-        spec: Spec,
+        spec: Specification,
         chunk: Chunk,
         store_url: str,
         *,
@@ -72,6 +74,6 @@ def _call(result: "Future[Result]", function: Callable[..., Result], arguments: 
             result.set_exception(error)
 
 
-def _run(spec: Spec, chunk: Chunk, store_url: str, options: ChunkOptions) -> ChunkReport:
+def _run(spec: Specification, chunk: Chunk, store_url: str, options: ChunkOptions) -> ChunkReport:
     with with_options(options):
         return run_task(spec, chunk, store_url)

@@ -154,7 +154,7 @@ class WorkerAdmission(WorkerPlugin):
                 from worker.kernel_cache import use_cache  # noqa: PLC0415 - see above
 
                 use_cache(self._cache)
-                importlib.import_module("worker.tasks")
+                importlib.import_module("worker.work")
         except Exception as error:  # noqa: BLE001 - any error means that it cannot compute
             wrong = [f"it cannot load the kernel: {_one_line(error)}"]
         return "; ".join(wrong)
@@ -252,8 +252,8 @@ def _log_event(worker: Any, **what: Any) -> None:
 
 async def _end(worker: Any, status: int) -> None:
     """End this process, once its chunks have stored their progress."""
-    if (tasks := sys.modules.get("worker.tasks")) is not None:  # else refused, perhaps for this import
-        tasks.LEAVING.set()
+    if (task := sys.modules.get("worker.study.chunks")) is not None:  # else refused, perhaps for this import
+        task.LEAVING.set()
         deadline = time.monotonic() + PAUSE_SECONDS
         await asyncio.sleep(REPORT_SECONDS)
         while worker.active_threads and time.monotonic() < deadline:

@@ -19,6 +19,11 @@ from pydantic import (
 
 from worker.spec.errors import BrokenRuleError, describe, did_you_mean, one_of
 
+#: Range of gamma and omega, and upper bound of xi: beyond any physical experiment, well within double
+#: precision.
+SMALLEST: Final = 1e-6
+LARGEST: Final = 1e6
+
 #: Checked before any value of a range is computed.
 MAX_AXIS_VALUES: Final = 100_000
 

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Name
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Discriminator, Field, GetCoreSchemaHandler, Tag, model_validator
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    Field,
+    GetCoreSchemaHandler,
+    SerializerFunctionWrapHandler,
+    Tag,
+    model_serializer,
+    model_validator,
+)
 
 from kernel.params import (
     BALL_DIMENSION,
@@ -80,12 +89,23 @@ class ContactFields(Strict):
 
     def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
         """How many times `cost_us` the busiest cells take, which hop and ring as often as any."""
-        return 1.0
+        ends = self.plate_arguments(gamma[[0, -1]], omega[[0, -1]], xi[[0, -1]])
+        with np.errstate(divide="ignore"):
+            hops = np.mean(HOPS / (1.0 - ends.get("restitution", 0.0)))
+            lowest = 1.0 / np.min(ends.get("penetration", 0.0))  # a mass that hops lower stays in contact
+            rings = min(np.mean(RINGS / omega), np.mean(1.0 / xi))
+        evaluations = min(hops, HOPS + lowest) + rings
+        return float(np.clip(evaluations, USUAL_EVALUATIONS, BUDGET) / USUAL_EVALUATIONS)
 
     @property
     def exponents(self) -> int:
         """Maximum Lyapunov exponents that can be computed with this contact; 0: none."""
         return self.dimension
+
+    @property
+    def repeats(self) -> bool:
+        """Whether the motion repeats once its flights do."""
+        return True
 
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
@@ -94,14 +114,6 @@ def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
     Half of the lanes, one vector, cost the same however full they are.
     """
     return min(alone, in_lanes * max(LANES // 2 / at_once, 1.0)) if at_once > 1 else alone
-
-
-def _busiest(restitution: _Array, omega: _Array, xi: _Array, depth: float = 0.0) -> float:
-    """`ContactFields.busiest` for restitutions (n,) and hops above `depth`; BUDGET bounds it."""
-    with np.errstate(divide="ignore"):
-        hops = np.minimum(np.mean(HOPS / (1.0 - restitution)), HOPS + 1.0 / np.float64(depth))
-        rings = np.minimum(np.mean(RINGS / omega), np.mean(1.0 / xi))
-    return float(np.clip((hops + rings) / USUAL_EVALUATIONS, 1.0, BUDGET / USUAL_EVALUATIONS))
 
 
 class _SoftContact(ContactFields):
@@ -154,11 +166,6 @@ class Soft(_SoftContact):
         decades = float(np.mean(np.log10(DEFAULT_PENETRATION / depths)))
         return _side_by_side(base + SOFT_DECADE_US * max(decades, 0.0), SOFT_ALONE_US, at_once)
 
-    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
-        """Masses that hop lower than the contact's depth stay in it."""
-        depth = float(np.min(penetration_of(self, gamma[[0, -1]], omega[[0, -1]])))
-        return _busiest(np.array(self.restitution), omega, xi, depth)
-
 
 class Stepped(_SoftContact):
     """The same contact with fixed time steps; `worker.spec.time_steps` checks them."""
@@ -166,16 +173,35 @@ class Stepped(_SoftContact):
     kind: Literal["stepped"] = "stepped"
     steps_per_contact: Annotated[int, Field(ge=1, le=MAX_STEPS_PER_CONTACT), WHOLE] = 20
     scheme: Literal["verlet", "euler"] = "verlet"
+    events: Annotated[
+        Literal["located", "plain"],
+        Field(description="Take-off and landing: located in a shortened step, or at the end of a plain one."),
+    ] = "located"
+
+    @model_serializer(mode="wrap")
+    def _plain(self, default: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Omit located events: job ids made before the field existed must not change."""
+        plain: dict[str, Any] = default(self)
+        return {name: value for name, value in plain.items() if (name, value) != ("events", "located")}
 
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
-        steps = {"steps_per_contact": self.steps_per_contact, "scheme": self.scheme}
-        return super().plate_arguments(gamma, omega, xi) | steps
+        names = ("steps_per_contact", "scheme", "events")
+        return super().plate_arguments(gamma, omega, xi) | {name: getattr(self, name) for name in names}
+
+    @property
+    def repeats(self) -> bool:
+        """Plain flights are whole steps: they repeat while the motion between them still settles."""
+        return self.events == "located"
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """`base` times the steps per plate period: the geometric mean of the sweep's two ends."""
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         steps = steps_per_period(self.restitution, depths, self.steps_per_contact, adhesive=self.adhesive)
         return base * float(np.sqrt(np.prod(steps.astype(float))))
+
+    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
+        """Steps take as long whatever happens."""
+        return 1.0
 
     @model_validator(mode="after")
     def _ends(self) -> "Stepped":
@@ -205,9 +231,6 @@ class Rigid(ContactFields):
             return _side_by_side(RIGID_ELASTIC_US, RIGID_ELASTIC_ALONE_US, at_once)
         return _side_by_side(base, RIGID_ALONE_US, at_once)
 
-    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
-        return _busiest(np.array(self.restitution), omega, xi)
-
     @property
     def exponents(self) -> int:
         return SPRING_DIMENSION if self.restitution > 0.0 else INELASTIC_DIMENSION
@@ -224,9 +247,6 @@ class Ball(ContactFields):
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
         e = spring_restitution(xi) if self.restitution is None else np.full(np.shape(xi), self.restitution)
         return {"restitution": e}
-
-    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
-        return _busiest(self.plate_arguments(gamma, omega, xi)["restitution"], omega, xi)
 
 
 class Auto(_SoftContact):
@@ -250,9 +270,6 @@ class Auto(_SoftContact):
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """Until a model is chosen, the exact one's cost."""
         return self.exact.cost_us(base, gamma, omega, at_once=at_once)
-
-    def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
-        return self.exact.busiest(gamma, omega, xi)
 
     @property
     def exact(self) -> Soft:

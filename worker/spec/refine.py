@@ -2,9 +2,10 @@
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from worker.spec.axes import WHOLE, Strict
+from worker.spec.errors import BrokenRuleError
 
 #: Widest first block of a map, in cells: wider ones miss more and save hardly any cells.
 MAX_COARSEST: Final = 128
@@ -23,17 +24,26 @@ SETTLE_UNTIL: Final = 5_000
 COARSEST: Final = {"mode": 16, "bouncing": 64}
 
 
+def _no_margin(value: object) -> object:
+    if value is True:
+        rule = "must be false: maps have no margin any more; a coarsest of 8 leaves about as few cells wrong"
+        raise BrokenRuleError("", rule)
+    return value
+
+
+Margin = Annotated[bool, BeforeValidator(_no_margin)]
+
+
 class Refine(Strict):
     """Compute only the cells near changes of the map; the others take their values from their block.
 
     `by`: the kind of change. `coarsest`: rows and columns of the first blocks, in cells; by default COARSEST.
-    `margin`: whether the neighbours of a split larger block are split too, and the smallest blocks computed
-    whole.
+    `margin` is always false: part of the identity of maps since there was one.
     """
 
     by: Literal["mode", "bouncing"]
     coarsest: Annotated[int, Field(ge=2, le=MAX_COARSEST), WHOLE]
-    margin: bool = False
+    margin: Margin = False
 
     @model_validator(mode="before")
     @classmethod

@@ -19,8 +19,8 @@ from numcodecs.checksum32 import CRC32C
 from numcodecs.zstd import compress, decompress
 from numpy.typing import NDArray
 
-from worker.schema import Layout
 from worker.store.backend import ChunkCoords
+from worker.study import Layout
 
 #: Of zstd, whose frames carry a checksum.
 LEVEL: Final = 3

@@ -14,10 +14,10 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from worker.schema import structured_attributes
 from worker.store import backend
 from worker.store.backend import ROOT, ChunkCoords, StoreDamaged, StoreMissing, in_bucket
 from worker.store.encoding import ArrayForm, check_file, chunk_key, decode, form_of, position, same, spans_of
+from worker.study.layout import structured_attributes
 
 OUTCOME: Final = "outcome"
 

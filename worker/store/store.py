@@ -14,20 +14,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-import zarr
 from numpy.typing import NDArray
-from zarr.codecs import ZstdCodec
-from zarr.core.buffer import Buffer
-from zarr.storage import MemoryStore
 
 from worker import files
-from worker.schema import Array, Layout, flat_attributes
 from worker.store import backend
 from worker.store.backend import ROOT, ChunkCoords, StoreConflict, StoreDamaged, StoreMissing, in_bucket
 from worker.store.encoding import LEVEL, ArrayForm, chunk_key, encode
 from worker.store.reader import OUTCOME, HasSlices, forms_of, read_attrs, root_of
-
-_CODEC: Final = ZstdCodec(level=LEVEL, checksum=True)
+from worker.study import Array, Layout
+from worker.study.layout import flat_attributes
 
 #: How long a process assumes that a bucket's store still exists, and for how many stores. A store
 #: removed meanwhile may get chunks for this long.
@@ -83,36 +78,41 @@ def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = 
 
 def metadata_of(layout: Layout, attrs: Mapping[str, Any] | None = None) -> dict[str, bytes]:
     """Metadata and coordinates of a store with this layout, by key; `attrs` as given to `create`."""
+    # zarr takes half a second to load, and few processes create or check a store.
+    import zarr  # noqa: PLC0415
+    from zarr.codecs import ZstdCodec  # noqa: PLC0415
+    from zarr.core.buffer import Buffer  # noqa: PLC0415
+    from zarr.storage import MemoryStore  # noqa: PLC0415
+
     buffers: dict[str, Buffer] = {}
     group = zarr.open_group(MemoryStore(buffers), mode="w", zarr_format=3)
+    codec = ZstdCodec(level=LEVEL, checksum=True)
+
+    def create_along(name: str, dim: str, values: NDArray[Any], attrs: Mapping[str, Any]) -> None:
+        array = group.create_array(
+            name, shape=values.shape, chunks=values.shape, dtype=values.dtype, compressors=codec,
+            dimension_names=(dim,), attributes=dict(attrs),
+        )  # fmt: skip
+        array[:] = values
+
     for dim, values in layout.coordinates.items():
-        _create_along(group, dim, dim, values, layout.coordinate_attrs.get(dim, {}))
+        create_along(dim, dim, values, layout.coordinate_attrs.get(dim, {}))
     for name, code in layout.codes.items():
-        _create_along(group, name, code.dim, code.values, code.attrs)
+        create_along(name, code.dim, code.values, code.attrs)
     for array in layout.arrays:
         chunk, inner = layout.chunk_shape(array), layout.inner_shape(array)
         group.create_array(
             array.name, shape=layout.shape(array), dtype=array.dtype, fill_value=array.fill,
-            compressors=_CODEC, chunks=inner or chunk, shards=chunk if inner else None,
+            compressors=codec, chunks=inner or chunk, shards=chunk if inner else None,
             chunk_key_encoding={"name": "default", "separator": "."},
             dimension_names=array.dims, attributes=layout.array_attrs(array),
         )  # fmt: skip
     group.attrs.put({**flat_attributes({**layout.attributes, **(attrs or {}), **layout.identity})})
     content = {key: buffer.to_bytes() for key, buffer in buffers.items()}
-    return content | {ROOT: _consolidated(content)}
+    return content | {ROOT: _consolidated(content, zarr.config.get("json_indent"))}
 
 
-def _create_along(
-    group: zarr.Group, name: str, dim: str, values: NDArray[Any], attrs: Mapping[str, Any]
-) -> None:
-    array = group.create_array(
-        name, shape=values.shape, chunks=values.shape, dtype=values.dtype, compressors=_CODEC,
-        dimension_names=(dim,), attributes=dict(attrs),
-    )  # fmt: skip
-    array[:] = values
-
-
-def _consolidated(content: Mapping[str, bytes]) -> bytes:
+def _consolidated(content: Mapping[str, bytes], indent: int | None) -> bytes:
     """The root's metadata with those of every array, as `zarr.consolidate_metadata` writes them.
 
     That function warns that consolidated metadata is not part of the zarr v3 specification, and warning
@@ -124,7 +124,7 @@ def _consolidated(content: Mapping[str, bytes]) -> bytes:
     consolidated = {"kind": "inline", "must_understand": False, "metadata": arrays}
     # The order of the fields is that of zarr, with which existing stores were written.
     root |= {"consolidated_metadata": consolidated, "node_type": root.pop("node_type")}
-    return json.dumps(root, indent=zarr.config.get("json_indent")).encode()
+    return json.dumps(root, indent=indent).encode()
 
 
 def check_chunk(url: str, chunk: HasSlices, arrays: Iterable[Array]) -> None:

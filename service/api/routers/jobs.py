@@ -12,10 +12,10 @@ from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, fin
 from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
 from service.jobs.manager import Submission
 from service.ledger.model import UNFINISHED, Failure, JobRecord
-from worker.cost import Cost
 from worker.executors.base import Compiling
-from worker.spec.window import Window
+from worker.maps.window import Window
 from worker.studies import from_json
+from worker.study import Cost
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 

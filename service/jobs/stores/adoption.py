@@ -11,18 +11,18 @@ from typing import Any
 
 from kernel.params import Outcome
 from service.errors import NotAdoptable
-from service.jobs.prepare import new_job, parse_stored
+from service.jobs.prepare import new_job
 from service.jobs.stores.opening import find_unknown, id_of
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, NewJob
 from service.settings import Settings
 from worker import store
-from worker.analysis.model_selection import ModelChoice, is_open, resolved
-from worker.schema import COMPUTED
-from worker.spec import SweepSpec
+from worker.analysis.model_selection import ModelChoice, resolved
 from worker.spec.errors import SpecError
-from worker.studies import Plan, study_of
-from worker.tasks import ChunkReport, report_of
+from worker.studies import from_json, study_of
+from worker.study import ChunkReport, Plan
+from worker.study.chunks import report_of
+from worker.sweep.specification import SweepSpec, is_open
 
 
 def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
@@ -61,7 +61,7 @@ def _contents(url: str, job_id: str) -> tuple[NewJob, Any, Plan, str | None]:
     """
     attrs = store.read_attrs(url)
     version = str(attrs["kernel_version"])
-    spec = parse_stored(json.dumps(attrs["spec"]), version)
+    spec = from_json(json.dumps(attrs["spec"]))
     if not attrs["job"] == spec.job_id(version) == job_id:
         raise ValueError(f"it names job {attrs['job']}, its sweep is job {spec.job_id(version)}")
     plan: Plan = study_of(spec).plan(spec, tuple(attrs["chunk_shape"]))
@@ -94,8 +94,7 @@ def _whole_chunks(url: str, spec: Any, plan: Any) -> list[ChunkReport]:
             record = store.read_chunk(url, chunk, layout.names, complete=True)
         except store.StoreError:
             continue
-        computed = int(record[COMPUTED.name].sum()) if COMPUTED.name in record else None
-        report = report_of(chunk, record, (0.0, 0.0), computed)
+        report = report_of(chunk, record, (0.0, 0.0))
         if len(report.outcomes) == len(Outcome) and not report.outcomes[Outcome.MISSING]:
             reports.append(report)
     return reports

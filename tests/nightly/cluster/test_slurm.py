@@ -34,7 +34,7 @@ from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 from worker.kernel_cache import use_cache
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 jobqueue = pytest.importorskip("dask_jobqueue", reason="needs dask-jobqueue: pip install dask-jobqueue")
 pytestmark = [

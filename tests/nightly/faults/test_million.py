@@ -15,8 +15,8 @@ from stores import is_sound, store_in
 from benchmarks.chunks import huge
 from benchmarks.serving import Polls, Serving
 from service.ledger.ledger import Ledger
-from worker.plan import TARGET_SECONDS
 from worker.studies import study_of
+from worker.study.chunks import TARGET_SECONDS
 
 #: Seconds until it goes on after a start, and of the 99th percentile of polls; on a quiet machine 5 and 0.2.
 BACK = float(os.environ.get("BOUNCE_TEST_BACK", "60"))

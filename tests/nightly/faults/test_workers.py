@@ -13,7 +13,7 @@ from scripted import wait_for
 
 from service.ledger.model import JobState
 from worker.executors.dask import Dask
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "5"))
 PATIENCE = 180.0

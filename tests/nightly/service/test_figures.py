@@ -46,9 +46,9 @@ from service import presets
 from service.client import Client
 from service.figures import catalogue
 from service.figures.drawing import WIDTH
+from service.pictures import DPI
 from service.server import embedded
 from service.settings import Settings
-from service.views.style import DPI
 from worker.executors.dask import Dask
 
 #: The figures of this tier.
@@ -124,11 +124,12 @@ def test_fig_7_is_quasi_periodic_around_four_and_not_chaotic_at_two(client: Clie
     assert "(c) is not chaotic" in agrees
     assert "(b) is not chaotic" in contradicts
     assert "they repeat as (4, 4), (3, 4), (2, 2)" in contradicts
-    *_, hardly_elastic, elastic = range(len(SMALL_FIGURES[7].sweeps))
+    *_, hardly_elastic, elastic, stepped = range(len(SMALL_FIGURES[7].sweeps))
     for sweep in range(2, hardly_elastic):
         assert np.mean(diagram(client, 7, sweep).outcome == Outcome.APERIODIC) < 0.2
     assert np.mean(diagram(client, 7, hardly_elastic).outcome == Outcome.APERIODIC) > 0.2
     assert np.mean(diagram(client, 7, elastic).outcome == Outcome.APERIODIC) > 0.5
+    assert np.mean(diagram(client, 7, stepped).outcome == Outcome.APERIODIC) > 0.9
     # docs/model.md, section 5: on an ideal plate (3, 4) at Γ = 2 and (1, 2) at Γ = 3 from rest; the former
     # occurs here too.
     cell = diagram(client, 7, sweep=2).sel(gamma=2.0, method="nearest")

@@ -11,22 +11,22 @@ from paths import CACHE, ROOT
 from kernel.params import Outcome
 from worker import store
 from worker.kernel_cache import use_cache
-from worker.plan import make_plan
-from worker.schema import MODE_ARRAYS, layout
-from worker.spec import SweepSpec
-from worker.tasks import compile_for, run_chunk
+from worker.studies import run_task, study_of
+from worker.sweep import SweepSpec
+from worker.sweep.schema import MODE_ARRAYS, layout
+from worker.work import compile_for
 
 EXAMPLE = re.compile(r"<!-- file: map.json -->\n```json\n(.*?)```", re.DOTALL)
 
 
 def computed(spec: SweepSpec, url: Path) -> tuple[dict[str, np.ndarray], float]:
     """The plane of a map, and the core-seconds that it takes, storing included."""
-    plan = make_plan(spec)
+    plan = study_of(spec).plan(spec)
     store.create(str(url), layout(spec, plan.chunk_shape))
     compile_for(spec)
     began = time.process_time()
     for chunk in plan:
-        run_chunk(spec, chunk, str(url))
+        run_task(spec, chunk, str(url))
     took = time.process_time() - began
     stored = store.read_slice(str(url), MODE_ARRAYS, complete=True)
     return {name: array[0, 0] for name, array in stored.items()}, took

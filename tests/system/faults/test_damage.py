@@ -21,12 +21,12 @@ from studies import ADAPTIVE, BASINS
 from service.api.app import create_app
 from service.cli.doctor import verify
 from service.settings import Settings
-from worker import schema, store
-from worker.plan import make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
+from worker import store
 from worker.store import store as stored
-from worker.tasks import run_chunk
+from worker.sweep import SweepSpec, schema
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
+from worker.sweep.task import run_chunk
 
 #: The number of damaged files that are read, and of those that are requested over HTTP.
 TRIALS = int(os.environ.get("BOUNCE_TEST_TRIALS", "200"))

@@ -114,6 +114,7 @@ def test_nothing_is_accepted_while_a_disk_is_read_only(tmp_path: Path, folder: s
         assert client.get("/v1/jobs").json()["notice"] is None
 
 
+@pytest.mark.essential
 @pytest.mark.parametrize("format", ["nc", "parquet"])
 def test_an_export_leaves_room_for_jobs_and_ledger(small_disk: Path, format: str):
     with service(small_disk / "data", Held(capacity=0)) as client:

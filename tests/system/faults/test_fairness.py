@@ -11,7 +11,7 @@ from service.ledger.model import JobState
 from worker import store
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 #: Eight cells, each a chunk that takes a worker the better part of a minute.
 ENDLESS = {

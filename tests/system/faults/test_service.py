@@ -25,9 +25,9 @@ from scripted import DEADLINE, wait_for
 from serving import Serving, serving
 from stores import is_sound
 
-from worker.plan import make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
 
 RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
 

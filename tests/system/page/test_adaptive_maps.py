@@ -40,7 +40,6 @@ def test_the_form_submits_an_adaptive_map(browser: Any, address: str):
         page.locator("[data-field='refine.coarsest']").wait_for(state="hidden")
         page.locator("[data-field=refine]").select_option("bouncing")
         assert page.locator("[data-field='refine.coarsest']").get_attribute("placeholder") == "64"
-        page.locator("[data-field='refine.margin']").check()
         page.locator("[data-field='refine.coarsest']").fill("8")
         cost.filter(has_text=re.compile(r"about \d+ to \d+ of them computed")).wait_for()
         page.get_by_label("contact model").select_option("rigid")
@@ -48,7 +47,7 @@ def test_the_form_submits_an_adaptive_map(browser: Any, address: str):
         page.get_by_role("button", name="Compute").click()
         page.wait_for_url(re.compile("#/job/"))
         id = page.evaluate("location.href").split("/job/")[1][:32]
-        assert job_of(address, id)["spec"]["refine"] == {"by": "bouncing", "coarsest": 8, "margin": True}
+        assert job_of(address, id)["spec"]["refine"] == {"by": "bouncing", "coarsest": 8, "margin": False}
 
 
 def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: Any, address: str):

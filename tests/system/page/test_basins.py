@@ -8,6 +8,7 @@ from scripted import wait_for
 from served import done
 
 from service.client import Client
+from service.pictures import ATTRACTORS
 
 pytestmark = needs_chromium
 
@@ -16,8 +17,8 @@ DROPS: dict[str, Any] = {
     "name": "Where drops lead", "gamma": [0.6, 1.27], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
     "protocol": {"kind": "basin", "rows": 24, "columns": 32}, "settle": 200,
 }  # fmt: skip
-#: As in `service/static/js/views/basin.js`.
-COLOURS = ["rgb(0, 114, 178)", "rgb(230, 159, 0)"]
+#: Of the first two attractors.
+COLOURS = ["rgb({}, {}, {})".format(*bytes.fromhex(colour[1:])) for colour in ATTRACTORS[:2]]
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from scripted import Held
 from kernel.params import KERNEL_VERSION
 from service.client import Client
 from service.server import embedded
+from service.settings import read_settings
 
 pytestmark = needs_chromium
 
@@ -17,7 +18,7 @@ NOTICE = f"Computed by kernel version 1; this release computes version {KERNEL_V
 
 def test_the_page_says_which_kernel_computed_a_sweep_and_follows_to_its_replacement(tmp_path: Path):
     done, interrupted = (IDS[name] for name in ("done", "interrupted"))
-    settings = embedded.settings(data=earlier_folder(tmp_path), port=0)
+    settings = read_settings(data=earlier_folder(tmp_path), port=0)
     with (
         embedded.running(settings, Held()) as address,
         Client(address) as client,

@@ -19,6 +19,7 @@ from service.cli.main import main
 from service.client import BounceError, Client, Conflict, Job, NotFound
 from service.client.display import summary
 from service.server import embedded
+from service.settings import read_settings
 
 TOKEN = "a-token-of-thirty-two-characters"
 
@@ -47,7 +48,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 @pytest.fixture(scope="module")
 def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """A service that runs one job at a time, and runs one that never ends: all others stay queued."""
-    settings = embedded.settings(data=tmp_path_factory.mktemp("data"), port=0, active_jobs=1)
+    settings = read_settings(data=tmp_path_factory.mktemp("data"), port=0, active_jobs=1)
     with embedded.running(settings, Held()) as address, Client(address) as client:
         yield Running(address, client, client.submit(sweep("never ends")))
 
@@ -140,7 +141,7 @@ def test_resume_and_delete(idle: Running):
 
 def test_follow_ends_with_the_job(tmp_path: Path):
     held = Held()
-    settings = embedded.settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
+    settings = read_settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
     with embedded.running(settings, held) as address, Client(address) as client:
         job = client.submit(sweep())
         wait_for(lambda: held.held() > 0)

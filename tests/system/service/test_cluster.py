@@ -13,6 +13,7 @@ from scripted import Held
 from service.client import Client
 from service.errors import DataFolderBusy, NotStarted
 from service.server import embedded
+from service.settings import read_settings
 
 MAKER = """
 from distributed import LocalCluster
@@ -49,7 +50,7 @@ def maker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_the_cluster_of_a_function_computes_and_is_closed(tmp_path: Path, maker: str):
-    settings = embedded.settings(
+    settings = read_settings(
         host="127.0.0.1", port=0, data=tmp_path / "data", cluster=f"{maker}:two_processes"
     )
     with embedded.running(settings) as address, Client(address) as client:
@@ -69,7 +70,7 @@ def test_the_cluster_of_a_function_computes_and_is_closed(tmp_path: Path, maker:
     ],
 )
 def test_a_function_that_fails_gives_the_reason(tmp_path: Path, maker: str, function: str, why: str):
-    settings = embedded.settings(host="127.0.0.1", port=0, data=tmp_path, cluster=f"{maker}:{function}")
+    settings = read_settings(host="127.0.0.1", port=0, data=tmp_path, cluster=f"{maker}:{function}")
     with pytest.raises(NotStarted, match=why), embedded.running(settings):
         pass
 
@@ -80,19 +81,19 @@ def test_the_current_folder_comes_after_the_libraries(tmp_path: Path, monkeypatc
     monkeypatch.delitem(sys.modules, "this", raising=False)
     (tmp_path / "this.py").write_text("raise RuntimeError('planted')")
     before = list(sys.path)
-    settings = embedded.settings(host="127.0.0.1", port=0, data=tmp_path / "data", cluster="this:missing")
+    settings = read_settings(host="127.0.0.1", port=0, data=tmp_path / "data", cluster="this:missing")
     with pytest.raises(NotStarted, match="no attribute 'missing'"), embedded.running(settings):
         pass
     assert sys.path == before
 
 
 def test_a_data_folder_or_port_in_use_is_a_startup_error(tmp_path: Path):
-    with embedded.running(embedded.settings(data=tmp_path / "1", port=0), Held()) as url:
+    with embedded.running(read_settings(data=tmp_path / "1", port=0), Held()) as url:
         port = int(url.rpartition(":")[2])
-        same_folder = embedded.settings(data=tmp_path / "1", port=0)
+        same_folder = read_settings(data=tmp_path / "1", port=0)
         with pytest.raises(DataFolderBusy, match="another service"), embedded.running(same_folder, Held()):
             pass
-        same_port = embedded.settings(data=tmp_path / "2", port=port)
+        same_port = read_settings(data=tmp_path / "2", port=port)
         who = f"a bouncing-spring service \\(release .*, data in {tmp_path / '1'}\\) has it"
         with pytest.raises(NotStarted, match=who), embedded.running(same_port, Held()):
             pass
@@ -115,7 +116,7 @@ def test_a_port_of_another_program_is_a_startup_error(tmp_path: Path):
                 (other.server_port, "another program has it"),
                 (silent.getsockname()[1], "a program that does not answer has it"),
             ):
-                settings = embedded.settings(data=tmp_path, port=port)
+                settings = read_settings(data=tmp_path, port=port)
                 with pytest.raises(NotStarted, match=who), embedded.running(settings, Held()):
                     pass
         finally:
@@ -132,7 +133,7 @@ def test_the_data_is_closed_to_others_unless_that_is_not_wanted(
     before, data = os.umask(0o022), tmp_path / "data"
     try:
         for _ in range(2):
-            with embedded.running(embedded.settings(data=data, port=0, private=private), Held()):
+            with embedded.running(read_settings(data=data, port=0, private=private), Held()):
                 (data / "stores").mkdir(exist_ok=True)
             found = [path.stat().st_mode & 0o777 for path in (data, data / "stores", data / "ledger.sqlite")]
             assert tuple(found) == modes

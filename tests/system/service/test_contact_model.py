@@ -8,9 +8,9 @@ import toy_model
 from served import computing, finished, read
 
 from kernel.params import Outcome
-from worker.cost import FOLLOWED_SHARE
-from worker.spec import SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS
+from worker.sweep import SweepSpec
+from worker.sweep.plan import FOLLOWED_SHARE
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from served import finished
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.inline import Inline
-from worker.tasks import ChunkReport
+from worker.study import ChunkReport
 
 pytest.importorskip("schemathesis", reason=SYSTEM)
 import requests

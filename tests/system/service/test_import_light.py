@@ -3,8 +3,12 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from paths import ROOT
+
+from service.ledger.ledger import Ledger
 
 SERVER = {"fastapi", "uvicorn", "starlette", "sqlite3", "pydantic_settings"}
 COMPUTING = {"distributed", "dask", "zarr", "numba", "matplotlib"}
@@ -32,6 +36,26 @@ def loaded_by(code: str) -> set[str]:
 )
 def test_importing_does_not_load(code: str, forbidden: set[str]):
     assert loaded_by(code) & forbidden == set()
+
+
+def modules_in(folder: str) -> str:
+    names = (path.relative_to(ROOT).with_suffix("") for path in (ROOT / folder).rglob("*.py"))
+    return ", ".join(".".join(name.parts) for name in names if name.name != "__init__")
+
+
+def test_jobs_load_neither_kernels_nor_zarr():
+    """Workers load them: the import contract has no eye for imports within functions, this has."""
+    assert loaded_by(f"import worker.studies, {modules_in('service/jobs')}") & COMPUTING == set()
+
+
+def test_a_backup_loads_neither_server_nor_kernels(tmp_path: Path):
+    Ledger(tmp_path / "ledger.sqlite").close()
+    words = ["backup", "--data", str(tmp_path), str(tmp_path / "copy.sqlite")]
+    code = (
+        "from click.testing import CliRunner; from service.cli.main import main; "
+        f"assert CliRunner().invoke(main, {words}).exit_code == 0"
+    )
+    assert loaded_by(code) & (COMPUTING | {"fastapi", "uvicorn"}) == set()
 
 
 def test_showing_help_loads_no_library_but_clicks():

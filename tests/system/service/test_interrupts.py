@@ -14,10 +14,10 @@ from paths import CACHE, ROOT
 from scripted import DEADLINE
 
 from service.jobs.manager import JobManager
-from service.jobs.stores.adoption import open_ledger
+from service.jobs.stores.opening import open_ledger
 from service.settings import Settings
 from worker.executors.inline import Inline
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 #: Computes for minutes.
 LONG = {

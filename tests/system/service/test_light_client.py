@@ -41,7 +41,7 @@ address, folder, refused = sys.argv[1], sys.argv[2], set(json.loads(sys.stdin.re
 sys.meta_path[:] = map(Without, sys.meta_path)
 from click.testing import CliRunner
 from service.cli.main import main
-from service.client import AsyncClient, Client, Ramp, Range, Rigid, SweepSpec
+from service.client import Client, Ramp, Range, Rigid, SweepSpec
 
 with Client(address) as client:
     spec = SweepSpec(gamma=Range(start=0.6, stop=1.6, num=11), omega=[0.5], xi=0.26, settle=20, observe=10,

@@ -14,7 +14,7 @@ from service import tokens
 from service.cli.main import main
 from service.client import Client, Unauthorized
 from service.server import embedded
-from service.settings import Settings
+from service.settings import Settings, read_settings
 
 ANA, BEN = "ana-has-a-token-of-her-own", "ben-has-a-token-of-his-own"
 
@@ -44,7 +44,7 @@ def test_the_token_of_the_environment_is_there_again_after_the_service(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv("BOUNCE_TOKEN", ANA)
-    with embedded.running(embedded.settings(data=tmp_path, port=0), Held()) as url:
+    with embedded.running(read_settings(data=tmp_path, port=0), Held()) as url:
         assert "BOUNCE_TOKEN" not in os.environ
         assert httpx2.get(f"{url}/v1/jobs", headers={"Authorization": f"Bearer {ANA}"}).status_code == 200
     assert os.environ["BOUNCE_TOKEN"] == ANA

@@ -18,7 +18,7 @@ from zarr.core.buffer import default_buffer_prototype
 
 from service.client import Client
 from service.client.zarr_store import HTTPStore
-from worker import schema
+from worker.study import layout
 
 ORIGIN = "https://viewer.example"
 KEY = "flight_time/c.0.0.0.0.0"
@@ -113,8 +113,8 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A finished job of a service whose larger chunks are shards, and its client."""
     folder = tmp_path_factory.mktemp("served")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(schema, "SHARD_BYTES", 500)
-        patch.setattr(schema, "INNER_BYTES", 500)
+        patch.setattr(layout, "SHARD_BYTES", 500)
+        patch.setattr(layout, "INNER_BYTES", 500)
         with computing_at(folder) as address, Client(address) as client:
             grid = RAMP | {"omega": [0.5, 0.7, 0.9, 1.1], "protocol": {"kind": "rest"}}
             grid["gamma"] = {"start": 0.6, "stop": 1.6, "num": 16}

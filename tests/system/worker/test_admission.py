@@ -25,7 +25,7 @@ from worker.executors.base import ClusterLost, WorkerRefused
 from worker.executors.dask import Dask
 from worker.executors.plugins import WorkerAdmission, facts
 from worker.kernel_cache import use_cache
-from worker.tasks import ChunkCancelled, ChunkPaused
+from worker.study import ChunkCancelled, ChunkPaused
 
 PATIENCE = 240.0
 #: How chunks come back that nobody is to blame for.

@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 from worker.executors.dask import _Call
-from worker.tasks import run_chunk
+from worker.sweep.task import run_chunk
 
 
 def test_scheduler_and_worker_need_nothing_of_this_project_until_a_task_runs():

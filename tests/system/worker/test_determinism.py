@@ -7,13 +7,14 @@ import pytest
 import xarray as xr
 from stores import files
 
-from worker import store, tasks
+from worker import store, work
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
-from worker.plan import Plan, make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
-from worker.tasks import run_chunk
+from worker.study import Plan
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
+from worker.sweep.task import run_chunk
 
 SWEEPS = {
     "from rest": {},
@@ -69,9 +70,9 @@ def test_chunk_shapes_change_no_number(spec, expected, tmp_path, shape):
 
 
 def test_cells_are_computed_the_same_in_pieces(spec, expected, tmp_path, monkeypatch):
-    monkeypatch.setattr(tasks, "CANCEL_SECONDS", 0.0)
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 16)
-    monkeypatch.setattr(tasks, "MOST_STEPS", 16)  # a piece for every few periods
+    monkeypatch.setattr(work, "CANCEL_SECONDS", 0.0)
+    monkeypatch.setattr(work, "FIRST_STEPS", 16)
+    monkeypatch.setattr(work, "MOST_STEPS", 16)  # a piece for every few periods
     assert values(compute(spec, tmp_path / "pieces.zarr", spec.shape[1:])) == expected
 
 

@@ -18,10 +18,10 @@ from stores import is_sound
 from worker import store
 from worker.executors.base import ClusterLost, Executor
 from worker.executors.dask import Dask
-from worker.plan import Plan, make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
-from worker.tasks import ChunkCancelled, ChunkReport
+from worker.study import ChunkCancelled, ChunkReport, Plan
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
 
 #: The longest wait for a result (s): the machine may be compiling kernels at the same time.
 PATIENCE = 180

@@ -18,8 +18,8 @@ from worker.executors.base import WorkerLeft
 from worker.executors.dask import Dask
 from worker.executors.roster import MARKS
 from worker.kernel_cache import use_cache
-from worker.plan import make_plan
-from worker.schema import layout
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
 
 PATIENCE = 240.0
 

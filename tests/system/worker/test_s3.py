@@ -18,12 +18,13 @@ from stores import files, store_in
 from worker import store
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
-from worker.plan import make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
 from worker.store import backend
 from worker.studies import run_task
-from worker.tasks import ChunkOptions, with_options
+from worker.study import ChunkOptions
+from worker.study.chunks import with_options
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
 
 ThreadedMotoServer = pytest.importorskip("moto.server", reason=SYSTEM).ThreadedMotoServer
 

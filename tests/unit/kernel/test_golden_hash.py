@@ -44,6 +44,7 @@ PLATES: dict[str, Any] = {
     "stepped, adhesive": SteppedPlate(ZETA, D, STEPS, True, 0.5),
     "stepped, nonadhesive": SteppedPlate(ZETA, D, STEPS, False, 0.5),
     "stepped, euler": SteppedPlate(ZETA, D, STEPS, True, 0.0),
+    "stepped, plain": SteppedPlate(ZETA, D, STEPS, True, 0.5, True),
     "ball": BallPlate(0.0 * E),
     "ball, restitution": BallPlate(2.0 * E),
 }

@@ -99,6 +99,14 @@ def test_hops_beyond_number_do_not_hide_a_mode(keep):
     assert (line.outcome[0], line.bounces[0], line.periods[0]) == (Outcome.PERIODIC, 8, 1)
 
 
+@for_each(("keep", "outcome"), [(1, Outcome.UNRESOLVED), (8192, Outcome.APERIODIC)])
+def test_a_cell_whose_flights_are_lost_is_unresolved(keep, outcome):
+    """4,325 flights in two plate periods: no fewer than 4,096 are kept, which do not reach back three."""
+    line = run(1.2, 2.0, 0.0, Model.SOFT, restitution=1.0, penetration=7e-5, settle=0, observe=4, keep=keep)
+    assert line.flights[0] > 8192
+    assert line.outcome[0] == outcome
+
+
 def test_a_spent_budget_is_unresolved():
     """An undamped contact on an undamped spring rings for ever: more events than a budget can hold."""
     line = run(1.5, 0.8, 0.0, Model.SOFT, restitution=1.0, penetration=1e-8, settle=0, observe=3)

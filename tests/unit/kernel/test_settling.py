@@ -9,7 +9,7 @@ from tables import for_each
 
 from kernel.modes import CLOSE, find_cycle, is_settling, limit_cycle
 from kernel.params import Line, Outcome
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 #: Random cells of `rigid` with e = 0 whose flights repeat after a multiple of their cycle in the default
 #: window: gamma, omega, xi, the mode by the repetition alone, and the mode after 20,000 periods.

@@ -20,8 +20,8 @@ from service.client.errors import InvalidSpecification
 from service.client.models import JobStatus
 from service.errors import DataFolderBusy, InvalidRequest
 from worker.executors.inline import Inline
-from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
+from worker.sweep import SweepSpec
 
 SPEC = {
     "name": "local",

@@ -13,9 +13,9 @@ from distributed import Client, LocalCluster
 from scripted import DEADLINE, wait_for
 
 from worker import store, watchdog
-from worker.plan import make_plan
-from worker.schema import layout
-from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport
+from worker.study import ChunkCancelled, ChunkPaused, ChunkReport
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
 from worker.watchdog import TOPIC, Watchdog, run_watched
 
 LIMIT = 1000 << 20

@@ -83,7 +83,7 @@ class Cycles extends PlotView {
         (ctx, box) => drawBranches(ctx, box, this.branches),
         (ctx, box) => {
           verticalLine(ctx, box, box.x.pixel(gamma), box.theme.cursor);
-          if (trajectory?.gamma === gamma) for (const time of new Set(trajectory.flights)) disc(ctx, box.theme.single, box.x.pixel(gamma), box.y.pixel(time), 3);
+          if (trajectory?.gamma === gamma) for (const time of new Set(trajectory.flights)) disc(ctx, box.theme.rest, box.x.pixel(gamma), box.y.pixel(time), 3);
         },
       ],
     };

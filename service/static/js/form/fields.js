@@ -12,6 +12,7 @@ const TEXTS = {
   rest_length: ["rest length Λ", "Lω₀²/g, instead of the depth"],
   adhesive: ["adhesive: the contact may pull", ""],
   steps_per_contact: ["steps per contact", "of the time integration"],
+  events: ["take-off and landing", "located in a shortened step, or at the end of a plain one"],
   tolerance: ["tolerance", "rad of flight time"],
   exponents: ["Lyapunov exponents", "0 to 4; they tell quasi-periodic from chaotic cells"],
 };
@@ -116,23 +117,21 @@ const REFINEMENTS = { "": "every cell", mode: "where the mode changes", bouncing
 export function refineField() {
   const by = h("select", { "data-field": "refine", onchange: () => show() }, options(REFINEMENTS));
   const coarsest = h("input", { ...NUMBER_INPUT, inputmode: "numeric", "data-field": "refine.coarsest" });
-  const margin = h("input", { type: "checkbox", "data-field": "refine.margin" });
-  const [blocks, wider] = [labelled("first blocks, cells wide", coarsest), labelled("and the blocks beside", margin)];
+  const blocks = labelled("first blocks, cells wide", coarsest);
   const show = () => {
-    blocks.hidden = wider.hidden = !by.value;
+    blocks.hidden = !by.value;
     coarsest.placeholder = by.value === "bouncing" ? "64" : "16";
   };
   return {
     element: h("fieldset", { "data-group": "refine" },
-      h("legend", {}, "Cells", h("small", {}, "of a map from rest; those left out take the mode of their block")), labelled("compute", by), blocks, wider),
+      h("legend", {}, "Cells", h("small", {}, "of a map from rest; those left out take the mode of their block")), labelled("compute", by), blocks),
     read: () => {
       const width = parseNumber(coarsest.value);
-      return by.value ? { by: by.value, ...(width !== null && { coarsest: width }), ...(margin.checked && { margin: true }) } : null;
+      return by.value ? { by: by.value, ...(width !== null && { coarsest: width }) } : null;
     },
     write: (refine) => {
       by.value = refine?.by ?? "";
       coarsest.value = String(refine?.coarsest ?? "");
-      margin.checked = Boolean(refine?.margin);
       show();
     },
   };

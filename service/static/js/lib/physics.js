@@ -24,7 +24,7 @@ export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unres
 /** Codes of kernel.labels beyond those of outcomes: cells told apart by their Lyapunov exponents. */
 export const LABEL = { quasiPeriodic: 7, chaotic: 8, unstable: 9 };
 
-/** Codes of service.results.hysteresis: how the two directions of a cell compare. */
+/** Codes of service.views.modes.Hysteresis: how the two directions of a cell compare. */
 export const HYSTERESIS = { none: 0, mode: 1, flights: 2 };
 
 /** Threshold of lift-off from rest, Eq. 25: the Γ above which a spring resting on the plate begins to bounce. */
@@ -83,10 +83,21 @@ export function directionsOf({ protocol }) {
   return protocol.direction === "both" ? ["up", "down"] : [protocol.direction];
 }
 
+/** Names of outcomes and labels by their code, as in `kernel.labels`. */
+export const LABEL_NAMES = ["missing", "periodic", "aperiodic", "at_rest", "unresolved", "diverged", "settling", "quasi-periodic", "chaotic", "unstable"];
 const LABEL_TEXTS = ["not computed yet", "", "aperiodic", "at rest on the plate", "unresolved", "diverged", "still settling", "quasi-periodic", "chaotic", "unstable cycle"];
 
 /** A cell's outcome or label as text. */
 export const outcomeText = (code, bounces, periods) => (code === OUTCOME.periodic ? `mode (${bounces}, ${periods})` : LABEL_TEXTS[code]);
+
+/** "λ₁ 0.496 ± 0.05": the largest Lyapunov exponent with its standard error, where there is one. */
+export const exponentText = (exponent, error) => `λ₁ ${number(exponent, 3)}${Number.isFinite(error) ? ` ± ${number(error, 2)}` : ""}`;
+
+/** The same of one of some cells, as a list: empty where it is not known. */
+export function exponentOf({ lyapunov, lyapunov_error: errors }, cell) {
+  const exponent = lyapunov?.[(cell * lyapunov.length) / errors.length];
+  return Number.isFinite(exponent) ? [exponentText(exponent, errors[cell])] : [];
+}
 
 const NUMBERS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
 

@@ -108,7 +108,7 @@ function drawInstant(canvas, heights, phase, height) {
   const upperY = heights.isBall ? lowerY : Math.min(y(upper) - RADIUS, lowerY - 2 * RADIUS - 4);
   if (!heights.isBall) {
     drawSpring(ctx, middle, lowerY - RADIUS, upperY + RADIUS, colours);
-    disc(ctx, colours.up, middle, upperY, RADIUS);
+    disc(ctx, colours["upper-mass"], middle, upperY, RADIUS);
   }
   disc(ctx, colours["lower-mass"], middle, lowerY, RADIUS);
   ctx.fillStyle = colours.muted;
@@ -180,7 +180,7 @@ function contentOf(heights, currentPhase) {
       },
       (ctx, box) => {
         if (!isBall) polygon(ctx, box.theme.muted, [...points(box, upper), ...points(box, lower).reverse()], box.theme.dark ? 0.25 : 0.35);
-        polyline(ctx, box.theme.up, 1.6, points(box, upper));
+        polyline(ctx, box.theme["upper-mass"], 1.6, points(box, upper));
         polyline(ctx, box.theme["lower-mass"], 1.6, points(box, lower));
       },
     ],

@@ -67,7 +67,7 @@ function returnMap(flights) {
     message: points.length ? null : "No two flights in a row",
     layers: [
       (ctx, box) => polyline(ctx, box.theme.border, 1, pixels(box, [[low, low], [high, high]])),
-      (ctx, box) => pixels(box, points).forEach(([x, y]) => disc(ctx, box.theme.up, x, y, 2.4)),
+      (ctx, box) => pixels(box, points).forEach(([x, y]) => disc(ctx, box.theme["upper-mass"], x, y, 2.4)),
     ],
   };
 }
@@ -85,7 +85,7 @@ function phasePortrait({ phase, z1, z2, rest_length: rest }) {
     x: { label: "elongation / A", low: x0, high: x1 }, y: { label: "velocity / (Aω)", low: y0, high: y1 },
     message: known.length ? null : "A ball has no spring",
     layers: [
-      (ctx, box) => polyline(ctx, box.theme.up, 1.4, pixels(box, known)),
+      (ctx, box) => polyline(ctx, box.theme["upper-mass"], 1.4, pixels(box, known)),
       (ctx, box) => pixels(box, section).forEach(([x, y]) => disc(ctx, box.theme.cursor, x, y, 3.4)),
     ],
   };

@@ -1,11 +1,14 @@
-// Colours: the theme of the style sheet, the directions of a sweep, and the modes of a map.
+// Colours: the theme of the style sheet, and the meanings of `palette.json`, which the service's pictures have too.
 
-import { LABEL, OUTCOME, outcomeText } from "../lib/physics.js";
+import palette from "../../palette.json" with { type: "json" };
+import { LABEL, LABEL_NAMES, OUTCOME, outcomeText } from "../lib/physics.js";
 
 const DARK = "(prefers-color-scheme: dark)";
-const PROPERTIES = ["surface", "text", "muted", "border", "up", "down", "single", "threshold", "branch", "cursor", "lower-mass"];
+const PROPERTIES = ["surface", "text", "muted", "border", ...Object.keys(palette.lines)];
 const SERIF = "'STIX Two Text', 'Iowan Old Style', Palatino, Georgia, 'DejaVu Serif', serif";
 const themes = new Map();
+
+for (const [name, [light, dark]] of Object.entries(palette.lines)) document.documentElement.style.setProperty(`--${name}`, `light-dark(${light}, ${dark})`);
 
 /** The style sheet's colours and font for drawing, of the current colour scheme. */
 export function theme() {
@@ -18,56 +21,27 @@ export function theme() {
   return themes.get(dark);
 }
 
-// Of attractors by their number, as in the service's pictures (Okabe and Ito).
-const ATTRACTORS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#666666"];
-
-/** The colour of the attractor of a cell with this number, from 1; repeated beyond the eighth. */
-export const attractorColour = (id) => ATTRACTORS[(id - 1) % ATTRACTORS.length];
-
 /** Attractors of a plane with a colour of their own; the others share one. */
-export const COLOURED = ATTRACTORS.length - 1;
-
-// Blues that differ from each other and from a dark background.
-const ON_DARK = { "#0072b2": "#2f8be0", "#56b4e9": "#9bd7f7" };
+export const COLOURED = palette.attractors.length;
 
 /** The colour of the attractor, or compared sweep, with this number from 1, in a dark or light scheme. */
-export function branchColour(id, dark) {
-  if (id > COLOURED) return "#999999";
-  return (dark && ON_DARK[ATTRACTORS[id - 1]]) || ATTRACTORS[id - 1];
-}
+export const branchColour = (id, dark) => (palette.attractors[id - 1] ?? palette.other_attractors)[Number(dark)];
+
+/** The colour of the attractor of a basin with this number, from 1; repeated. */
+export const attractorColour = (id, dark) => branchColour(((id - 1) % COLOURED) + 1, dark);
 
 export function onThemeChange(listener, signal) {
   matchMedia(DARK).addEventListener("change", listener, { signal });
 }
 
 /** The colour of one direction of a sweep. */
-export const directionColour = (direction, theme) => theme[direction === "rest" ? "single" : direction];
+export const directionColour = (direction, theme) => theme[direction];
 
 // Modes. The hue is the number of plate periods; lighter than the middle shade are fewer bounces than periods, darker
-// are more. The hues are those of Okabe and Ito, which colour-blind readers can tell apart. Cells of one colour form a
-// class: a small integer, either an outcome code or FIRST plus an index of hue and shade.
+// are more. Cells of one colour form a class: a small integer, either an outcome code or FIRST plus an index of hue and
+// shade.
 
-const HUES = [
-  ["#9fd3f5", "#3d9bd6", "#0b5f96"], // 1 period
-  ["#f8cd7a", "#e69f00", "#a36c00"], // 2
-  ["#8fd8c0", "#009e73", "#00644a"], // 3
-  ["#efc1da", "#cc79a7", "#8e3f6b"], // 4
-  ["#f7ef9a", "#e2d21f", "#97890a"], // 5
-];
-const MORE_PERIODS = "#6b6459";
-
-const OUTCOME_COLOURS = { // [light scheme, dark scheme]
-  [OUTCOME.aperiodic]: ["#27221e", "#000000"],
-  [OUTCOME.atRest]: ["#ece8e0", "#4a5058"],
-  [OUTCOME.unresolved]: ["#d55e00", "#d55e00"],
-  [OUTCOME.diverged]: ["#d55e00", "#d55e00"],
-  [OUTCOME.settling]: ["#b7aed0", "#716794"],
-  [LABEL.quasiPeriodic]: ["#5e3c99", "#9a7fd1"],
-  [LABEL.chaotic]: ["#7a1f2b", "#5c1520"],
-  [LABEL.unstable]: ["#c2185b", "#e0559a"],
-  [OUTCOME.missing]: ["#ffffff", "#16181b"],
-};
-
+const HUES = palette.periods;
 const SHADES = 3;
 const FIRST = 10; // the class of the first shade of the first hue; codes of outcomes and labels are below
 const LONG = FIRST + SHADES * HUES.length;
@@ -109,6 +83,6 @@ function className(id, minBounces, maxBounces) {
 
 /** The colour of a class of cells. */
 export function modeColour(id, dark) {
-  if (id < FIRST) return OUTCOME_COLOURS[id][dark ? 1 : 0];
-  return id === LONG ? MORE_PERIODS : HUES[Math.floor((id - FIRST) / SHADES)][(id - FIRST) % SHADES];
+  if (id >= FIRST && id < LONG) return HUES[Math.floor((id - FIRST) / SHADES)][(id - FIRST) % SHADES];
+  return (id === LONG ? palette.longer : palette.labels[LABEL_NAMES[id]])[Number(dark)];
 }

@@ -3,7 +3,7 @@
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
-import { AXES, outcomeText, startName, startOf } from "../lib/physics.js";
+import { AXES, exponentText, outcomeText, startName, startOf } from "../lib/physics.js";
 import { attractorColour, theme } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { PlaneView, legendEntry } from "./cells.js";
@@ -52,7 +52,7 @@ export class Basin extends PlaneView {
   showLegend() {
     const [undecided, entropy, boundary] = ["undecided", "basin_entropy", "boundary_entropy"].map((name) => this.basin[name].data);
     this.legend.replaceChildren(
-      ...this.attractors.map((attractor) => legendEntry(attractorColour(attractor.attractor), h("button", {
+      ...this.attractors.map((attractor) => legendEntry(attractorColour(attractor.attractor, theme().dark), h("button", {
         type: "button", className: "link", title: "See the attractor move",
         onclick: () => this.onSelect({ ...this.cell, direction: startName("attractor", attractor.attractor) }),
       }, attractorText(attractor)), " ", h("small", {}, share(attractor.attractor_fraction)))),
@@ -80,7 +80,7 @@ export class Basin extends PlaneView {
   }
 
   #drawStarts(ctx, box) {
-    const colours = [rgba32(box.theme.surface), ...this.attractors.map(({ attractor }) => rgba32(attractorColour(attractor)))];
+    const colours = [rgba32(box.theme.surface), ...this.attractors.map(({ attractor }) => rgba32(attractorColour(attractor, box.theme.dark)))];
     this.drawCells(ctx, box, (row, column) => colours[this.map[row * this.columns.length + column]]);
   }
 
@@ -95,10 +95,10 @@ export class Basin extends PlaneView {
   }
 }
 
-/** "(3, 4), flights up to 7.956 rad, λ₁ −0.31" */
-function attractorText({ attractor_outcome: outcome, attractor_label: label, attractor_bounces: bounces, attractor_periods: periods, attractor_longest_flight: longest, attractor_lyapunov: exponents }) {
+/** "(3, 4), flights up to 7.956 rad, λ₁ −0.31 ± 0.02" */
+function attractorText({ attractor_outcome: outcome, attractor_label: label, attractor_bounces: bounces, attractor_periods: periods, attractor_longest_flight: longest, attractor_lyapunov: exponents, attractor_lyapunov_error: error }) {
   const parts = [label.startsWith("(") || label === "rest" ? outcomeText(outcome, bounces, periods) : label];
   if (longest) parts.push(`flights up to ${number(longest, 4)} rad`);
-  if (Number.isFinite(exponents?.[0])) parts.push(`λ₁ ${number(exponents[0], 3)}`);
+  if (Number.isFinite(exponents?.[0])) parts.push(exponentText(exponents[0], error));
   return parts.join(", ");
 }

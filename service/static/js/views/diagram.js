@@ -4,7 +4,7 @@ import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, clampIndex, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, clampIndex, exponentOf, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
 import { branchColour, directionColour, theme } from "../plot/colours.js";
 import { circle, disc, polygon, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn } from "../plot/flights.js";
@@ -166,10 +166,10 @@ export class Diagram extends PlotView {
     else if (this.current) this.#atCurrent().forEach((each) => drawCurrent(ctx, box, each));
   }
 
-  /** A sweep of one direction is drawn in black, as in the paper; of several sweeps, each in a colour of its own. */
+  /** The colour of a direction; of several sweeps, each has a colour of its own. */
   #colour({ source = this.source, direction }, theme) {
     if (this.sources.length > 1) return branchColour(source.number, theme.dark);
-    return directionColour(this.directions.length > 1 ? direction : "rest", theme);
+    return directionColour(direction, theme);
   }
 
   /** The selected cell if it lies on a shown line. */
@@ -288,6 +288,7 @@ function describeCell({ line, cell }, withDirection) {
   const parts = [`${SYMBOL[along]} = ${number(values[cell])}`];
   if (withDirection) parts.push(`ramp ${line.direction}`);
   parts.push(outcomeText(label[cell], bounces[cell], periods[cell]));
+  parts.push(...exponentOf(line, cell));
   if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
   if (computed && !computed[cell] && outcome[cell] !== OUTCOME.missing) parts.push("taken from its block, without flights");
   const times = distinctFlights(line, cell);

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from kernel_runs import TWO_PI, phases, recorded, run, run_setting
 from naive import Setting, trajectory
-from naive_exact import flight
+from naive_exact import flight, stuck
 from tables import for_each
 
+from kernel.models.contact_law import STEADY
 from kernel.numerics.first_root import ROOT
 from kernel.params import Outcome
 
@@ -66,6 +67,33 @@ def test_a_landing_gives_back_the_restitution(restitution):
     assert upper == pytest.approx(inelastic.after[1] + inelastic.after[3], abs=1e-14)
     impact = float(flight(s, 0.0, steps[0].before).state(steps[0].tau)[1])
     assert steps[0].after[1] == pytest.approx(-restitution * impact, rel=1e-13)
+
+
+def hop_by_hop(s: Setting, phi: float, hop: float, q: float, q1: float) -> tuple[float, float, float]:
+    """Rad from the first hop to where the mass sticks, and q and q' there; to 80 digits."""
+    passed = 0.0
+    while hop > 1e-9:  # the next ones add the cube of that
+        motion, tau = flight(s, phi + passed, (0.0, hop, q, q1)), 2.0 * hop / s.stuck_force(phi, q, q1)
+        for _ in range(4):
+            gap, impact, _, _ = motion.state(tau)
+            tau -= float(gap / impact)
+        _, impact, q, q1 = map(float, motion.state(tau))
+        passed, hop, q1 = passed + tau, -s.restitution * impact, q1 + (1.0 + s.restitution) * impact
+    return passed, q, q1 + hop
+
+
+@for_each(("omega", "xi", "e"), [(0.5, 0.26, 0.5), (0.1, 0.3, 0.5), (0.1, 1.0, 0.3), (0.25, 0.3, 0.3)])
+def test_chatter_that_is_summed_ends_as_its_hops_one_by_one(omega, xi, e):
+    s = Setting(3.0, omega, xi, restitution=e)
+    sticks = [step for step in phases(s, 8, 2000) if step.flying and not step.flies_on]
+    assert len(sticks) > 3
+    for flown in sticks:
+        landing = flown.phi + flown.tau
+        _, impact, q, q1 = map(float, flight(s, flown.phi, flown.before).state(flown.tau))
+        tau, *expected = hop_by_hop(s, landing, -e * impact, q, q1 + (1.0 + e) * impact)
+        end = np.array(stuck(s, landing, flown.after).state(tau)[2:], float)
+        added = np.subtract(flown.after[2:], (q, q1 + impact))
+        assert np.abs(end - expected).max() < STEADY**2 * np.abs(added).max() + 1e-14
 
 
 @for_each("omega", [0.03, 0.22389726922908548, 0.5, 1.0, 3.0])

@@ -155,13 +155,15 @@ def dimensions(cell, here: Point) -> list[int]:
     return [2, 3] if isinstance(cell, Spring) and not here.flying else [0, 1, 2, 3]
 
 
-#: Chaotic, except the second, whose cycle has a landing that takes off again at once.
+#: Chaotic, except the second, whose cycle has a landing that takes off again at once. In the deep contact
+#: every sixth flight ends below the surface, where the contact resumes.
 SETTINGS = {
     "rigid": Setting(Model.RIGID, 5.0, 0.5, 0.26, 0.0),
     "rigid, off at once": Setting(Model.RIGID, 2.0, 0.67, 0.05, 0.0),
     "rigid, e = 0.3": Setting(Model.RIGID, 5.0, 0.5, 0.26, 0.3),
     "soft, adhesive": Setting(Model.SOFT, 5.0, 0.5, 0.26, 0.3),
     "soft, nonadhesive": Setting(Model.SOFT, 5.0, 0.5, 0.26, 0.3, adhesive=False),
+    "soft, nonadhesive, resuming": Setting(Model.SOFT, 5.0, 0.5, 0.26, 0.3, 0.1, adhesive=False),
     "ball": Setting(Model.BALL, 6.0, 1.0, 0.0, 0.7),
 }
 

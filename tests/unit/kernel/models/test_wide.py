@@ -124,8 +124,9 @@ def test_a_ball_flies_as_its_twin(gamma, epsilon):
 
 
 @st.composite
-def stepped(draw: st.DrawFn, smallest: float) -> tuple[Setting, int, str]:
+def stepped(draw: st.DrawFn, smallest: float) -> tuple[Setting, int, str, str]:
     """A cell with a contact of at least that depth, and steps that a specification would accept."""
+    events = draw(st.sampled_from(["located", "plain"]))
     name = draw(st.sampled_from([scheme.name.lower() for scheme in Scheme]))
     s = Setting(
         gamma=draw(st.one_of(st.just(2.0), powers(-3.0, 2.0))),
@@ -142,13 +143,13 @@ def stepped(draw: st.DrawFn, smallest: float) -> tuple[Setting, int, str]:
     number = max(20, int(fewest))
     steps = steps_per_period(s.restitution, s.penetration, number, adhesive=s.adhesive)
     assume(int(steps) * s.penetration < 1e4)  # seldom: a spring far stiffer than its contact
-    return s, number, name
+    return s, number, name, events
 
 
-def run_stepped(s: Setting, number: int, name: str, **window):
+def run_stepped(s: Setting, number: int, name: str, events: str, **window):
     return run(
         s.gamma, s.omega, s.xi, Model.STEPPED, restitution=s.restitution, penetration=s.penetration,
-        adhesive=s.adhesive, steps_per_contact=number, scheme=name, **window,
+        adhesive=s.adhesive, steps_per_contact=number, scheme=name, events=events, **window,
     )  # fmt: skip
 
 
@@ -173,11 +174,12 @@ def test_any_stepped_cell_ends_with_an_outcome(case):
 @given(case=stepped(-2.0))
 @examples(40)
 def test_time_steps_are_those_of_their_twin(case):
-    s, number, name = case
+    s, number, name, events = case
     steps = int(steps_per_period(s.restitution, s.penetration, number, adhesive=s.adhesive))
     assume(steps < 4000)
     mine = recorded(run_stepped(*case, settle=0, observe=1, keep=4096))
-    twin = Stepper(s, steps, 0.5 if name == "verlet" else 0.0).flights(1)
+    stepper = Stepper(s, steps, 0.5 if name == "verlet" else 0.0)
+    twin = stepper.plain_flights(1) if events == "plain" else stepper.flights(1)
     shortest = 1e-6
     twin = np.array([flown.time for flown in twin])
     mine, twin = mine[mine > shortest], twin[twin > shortest]

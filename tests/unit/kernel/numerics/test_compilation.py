@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from kernel.numerics import compilation
-from kernel.numerics.compilation import Entry, set_cache
+from kernel.numerics.cache import cache_folder, set_cache
+from kernel.numerics.compilation import Entry
 from kernel.numerics.jit import inlined, jit
 
 
@@ -27,7 +28,7 @@ def quadrupled(x: float) -> float:
 @pytest.fixture
 def folder(tmp_path: Path):
     """A cache of its own for the functions above, which count as the kernel's."""
-    kept = compilation._folder
+    kept = cache_folder()
     set_cache(tmp_path)
     yield tmp_path
     set_cache(kept)

@@ -17,9 +17,8 @@ from tables import for_each
 from service.api.app import create_app
 from service.cli.main import main
 from service.errors import NotStarted
-from service.server import embedded
 from service.server.logging import log_to_stderr
-from service.settings import Settings
+from service.settings import Settings, read_settings
 
 TOKEN = "a-token-of-thirty-two-characters"
 SWEEP = sweep().as_submitted()
@@ -170,7 +169,7 @@ def test_listening_beyond_loopback_requires_a_token(tmp_path: Path, host: str):
 @pytest.mark.parametrize("token", ["x" * 15, "sixteen characters with spaces"])
 def test_a_weak_token_is_refused(token: str):
     with pytest.raises(NotStarted, match=r"token: .*at least 16 ASCII characters") as refused:
-        embedded.settings(token=token)
+        read_settings(token=token)
     assert token not in str(refused.value)
 
 

@@ -29,7 +29,7 @@ from service.errors import Busy
 from service.server.web_server import limited
 from service.settings import Settings
 from service.views.modes import comparison_memory
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 MB = 2**20
 

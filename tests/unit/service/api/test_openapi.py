@@ -15,7 +15,7 @@ from service.api.openapi import EXAMPLES
 from service.settings import Settings
 from service.views.trajectory import TrajectorySpec
 from worker.executors.inline import Inline
-from worker.spec.window import Window
+from worker.maps.window import Window
 from worker.studies import from_json
 
 

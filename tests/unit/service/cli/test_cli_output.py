@@ -47,7 +47,7 @@ def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
             {"basis": "measured", "core_seconds": 2_050.0, "bytes": 1_040_000_000,
              "longest_core_seconds": 345_600.0},
             "1,200 cells in 30 chunks, 1.0 GB before compression, about 17 min 5 s on 2 workers "
-            "(2,050.0 core-seconds, from recent jobs; 48 h 0 min if every cell settled until settle_until)",
+            "(2,050.0 core-seconds, from recent jobs; up to 48 h 0 min if every cell were a slow one)",
         ),
         (
             {"computed_cells": (300, 1_100), "least_core_seconds": 3.0, "basis": "measured", "chunks": 1},

@@ -14,7 +14,8 @@ from tables import for_each
 from service import tradeoff
 from service.cli.main import main
 from service.tradeoff import CELLS_PER_LINE, LINES, LOCKED, PURPOSES, SETUPS, Measurement, Setup
-from worker.spec import SpecError, SweepSpec
+from worker.spec.errors import SpecError
+from worker.sweep import SweepSpec
 
 
 def known(kind: type[Any], row: dict[str, Any]) -> Any:

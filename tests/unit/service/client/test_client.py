@@ -28,7 +28,7 @@ from service.client import (
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 SPEC: dict[str, Any] = {**TWO_LINES, "name": "coarse <figure 2>", "settle": 100}
 
@@ -151,6 +151,8 @@ def test_a_wait_ends_at_its_timeout_and_the_job_continues(tmp_path: Path):
         assert not job.finished
         with pytest.raises(WaitTimeout):
             job.wait(progress=False, timeout=0)
+        with pytest.raises(WaitTimeout):
+            next(client.as_completed([job], timeout=0.1))
 
 
 def test_specifications_are_mapped_to_jobs_few_at_once(client: Client):
@@ -171,6 +173,14 @@ def test_specifications_are_mapped_to_jobs_few_at_once(client: Client):
     assert ids == [client.submit(spec).id for spec in specs]
     with pytest.raises(ValueError, match="at_once: must be at least 1"):
         next(client.map(specs, at_once=0))
+
+
+def test_several_jobs_are_waited_for_together(client: Client):
+    jobs = [client.submit(SPEC | {"gamma": [1.2, 1.3 + 0.01 * i]}) for i in range(3)]
+    assert {job.state for job in client.as_completed(jobs)} == {"done"}
+    counts: list[tuple[int, int]] = []
+    assert client.wait_all(jobs, progress=lambda *count: counts.append(count)) == jobs
+    assert counts == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
 def test_an_open_store_can_be_written_to_a_file(job: Job, tmp_path: Path):

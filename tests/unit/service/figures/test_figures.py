@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+import steps
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from tables import for_each
@@ -12,7 +13,7 @@ from tables import for_each
 from service.figures import catalogue, schematics
 from service.figures.drawing import Caption, compared, left_open
 from service.figures.thresholds import minima
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 
 def test_every_figure_is_listed_by_its_number_with_valid_sweeps():
@@ -59,6 +60,15 @@ def test_an_unknown_figure_names_those_there_are(which: str):
 )
 def test_minima_have_a_minimal_depth(values: Sequence[float], indices: list[int]):
     assert minima(np.array(values, float), 0.5) == indices
+
+
+def test_plain_time_steps_scatter_the_flights_that_located_ones_repeat():
+    """The figure of docs/accuracy.md, from five of its cells."""
+    figure, off = steps.draw(num=5)
+    figure.draw_without_rendering()
+    assert off["verlet", "located"].max() < 0.01
+    assert off["verlet", "plain"].max() > 0.1
+    assert off["euler", "plain"].min() > 1.0
 
 
 def test_caption_sorts_claims():

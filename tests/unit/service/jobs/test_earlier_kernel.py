@@ -3,7 +3,6 @@
 The folder holds a job that is done and one that was stopped after 3 of its 12 chunks.
 """
 
-import json
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -18,7 +17,7 @@ from served import get, read, service
 
 from kernel.params import KERNEL_VERSION
 from worker import store
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
 
 DONE, INTERRUPTED = (f"/v1/jobs/{IDS[name]}" for name in ("done", "interrupted"))
 NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_VERSION}"
@@ -129,18 +128,6 @@ def test_resuming_answers_with_the_job_that_starts_it_anew(folder: Path):
         assert client.delete(first.headers["Location"]).status_code == 204
         assert get(client, INTERRUPTED)["replaced_by"] is None
         assert client.post(f"{INTERRUPTED}/resume").status_code == 202
-
-
-def test_results_are_read_though_their_specification_is_refused_today(folder: Path, tmp_path: Path):
-    """Kernel version 1 had no upper bound of `settle_tolerance`."""
-    change_ledger(folder, "UPDATE jobs SET spec = json_set(spec, '$.settle_tolerance', 1e-3)")
-    with service(folder, Held()) as client:
-        assert client.post("/v1/jobs", json=get(client, DONE)["spec"]).status_code == 422
-        assert read(client, f"{DONE}/diagram", omega=0.5).attrs["complete"]
-        (tmp_path / "sweep.nc").write_bytes(client.get(f"{DONE}/export", params={"format": "nc"}).content)
-        assert "it cannot start anew: settle_tolerance" in get(client, INTERRUPTED)["error"]
-    with xarray.open_dataset(tmp_path / "sweep.nc") as sweep:
-        assert json.loads(sweep.attrs["spec"])["settle_tolerance"] == 1e-3
 
 
 def test_a_done_job_is_not_resumed_and_its_sweep_submitted_again_is_another_job(folder: Path):

@@ -26,9 +26,8 @@ from service.views import diagram
 from service.views.selection import Stored
 from worker import store
 from worker.executors.base import ClusterLost, WorkerDied, WorkerLeft, WorkerLost
-from worker.plan import Chunk
-from worker.spec import SweepSpec
-from worker.tasks import ChunkReport
+from worker.study import Chunk, ChunkReport
+from worker.sweep import SweepSpec
 
 CASES = int(os.environ.get("BOUNCE_TEST_CASES", "8"))
 GAMMA = {"start": 0.5, "stop": 1.2, "num": 32}

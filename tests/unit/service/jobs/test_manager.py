@@ -30,11 +30,11 @@ from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState, WorkerLost
 from worker.executors.inline import Inline
-from worker.plan import Chunk, make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
 from worker.spec.errors import SpecTooLarge
-from worker.tasks import ChunkReport
+from worker.study import Chunk, ChunkPaused, ChunkReport
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
 
 
 def test_done_means_written(tmp_path: Path, inline: Inline):
@@ -133,6 +133,24 @@ def test_every_job_gets_turns_however_many_smaller_ones_follow(tmp_path: Path):
 
         wait_for(large_is_done)
         assert len(small) > 2
+
+
+def test_a_job_whose_slices_take_long_shows_their_time_and_lets_others_pass(tmp_path: Path):
+    paused = ChunkPaused("paused")
+    paused.seconds = 1.5
+    held = Held(capacity=1)
+    with running(tmp_path, held, window=1) as service:
+        first = service.submit(of_cells(8))
+        wait_for(lambda: held.held("8") == 1)
+        future, *_ = held.chunks.pop()
+        future.set_exception(paused)
+        wait_for(lambda: service.job(first).core_seconds == 1.5)
+        second = service.submit(of_cells(28))  # estimated to take longer
+        wait_for(lambda: held.held("28") == 1)
+        held.let_go_until(lambda: service.job(second).state is JobState.DONE)
+        assert service.job(first).state is JobState.RUNNING
+        held.let_go_until(lambda: service.job(first).state is JobState.DONE)
+        assert service.job(first).core_seconds > 1.5
 
 
 def test_an_idle_job_gives_its_place_to_a_smaller_one_and_goes_on_later(tmp_path: Path):

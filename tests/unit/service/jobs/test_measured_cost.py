@@ -11,10 +11,10 @@ from scripted import small
 from service.jobs.prepare import JobPreparer
 from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
-from worker.cost import Cost
-from worker.plan import make_plan
-from worker.spec import SweepSpec
 from worker.studies import study_of
+from worker.study import Cost
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
 
 SPEC = small()
 SOFT = small(model={"kind": "soft"})

@@ -16,8 +16,8 @@ from stores import store_in
 from worker import store
 from worker.executors.base import ClusterLost, WorkerDied
 from worker.executors.inline import Inline
-from worker.plan import make_plan
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
 
 SWEEP: dict[str, Any] = {
     "name": "auto",

@@ -1,6 +1,5 @@
 """A job's specification is parsed once and its plan made once, however many requests need them."""
 
-import json
 import threading
 from collections import Counter
 from collections.abc import Callable
@@ -18,9 +17,8 @@ from service.jobs.prepare import JobPreparer
 from service.settings import Settings
 from worker import studies
 from worker.analysis.model_selection import ModelChoice
-from worker.plan import make_plan
-from worker.spec import SweepSpec
-from worker.spec.errors import SpecError
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
 
 
 @pytest.fixture
@@ -119,12 +117,3 @@ def test_only_the_jobs_used_last_are_kept(
     assert calls["parsed"] == 4
     preparer.prepare(jobs[1])
     assert calls["parsed"] == 5
-
-
-def test_of_an_outdated_job_fields_are_read_that_are_refused_today(preparer: JobPreparer):
-    bounded = {"name": "x" * 201, "settle_tolerance": 1e3}
-    job = replace(record(small()), spec=json.dumps(small().as_submitted() | bounded))
-    with pytest.raises(SpecError):
-        preparer.prepare(job)
-    submitted = preparer.prepare(replace(job, kernel_version="0")).submitted
-    assert {name: getattr(submitted, name) for name in bounded} == bounded

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.jobs.ready_queue import ReadyQueue
-from worker.plan import make_plan
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
 
 
 def drain(queue: ReadyQueue) -> list[int]:

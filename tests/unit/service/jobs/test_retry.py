@@ -18,7 +18,7 @@ from service.jobs.retry import (
 )
 from worker.executors.base import ClusterLost, WorkerDied, WorkerLeft, WorkerLost, WorkerRefused
 from worker.store import UNREACHABLE, StoreDamaged, StoreMissing
-from worker.tasks import ChunkCancelled, PredecessorMissing
+from worker.study import ChunkCancelled, PredecessorMissing
 
 POLICY = RetryPolicy(chunk_tries=3, failed_chunks=8)
 

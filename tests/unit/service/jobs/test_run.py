@@ -13,8 +13,8 @@ from service.jobs.retry import Action, History, RetryPolicy
 from service.jobs.run import JobRun
 from service.ledger.model import JobState, summary_of
 from service.settings import Settings
-from worker.plan import make_plan
-from worker.tasks import ChunkReport
+from worker.study import ChunkReport
+from worker.sweep.plan import make_plan
 
 RAMP = {"kind": "ramp", "axis": "gamma", "direction": "up"}
 POLICY = RetryPolicy(chunk_tries=2, failed_chunks=2)
@@ -65,6 +65,16 @@ def test_nothing_is_submitted_while_something_is_unsaved(run: JobRun):
     assert not run.may_submit
     run.mark_saved()
     assert run.may_submit
+
+
+def test_what_is_left_follows_the_time_of_paused_slices(run: JobRun):
+    chunk, estimated = submit(run), run.remaining_seconds
+    run.remove_in_flight(chunk)
+    run.add_slice(100.0)
+    assert run.remaining_seconds == 100.0 * run.queue.remaining > 10.0 * estimated
+    run.queue.requeue(chunk, first=True)
+    finish(run, submit(run))
+    assert run.remaining_seconds == 50.0 * run.queue.remaining  # of two chunks one may have taken it all
 
 
 def test_a_chunk_begins_once_unless_it_has_a_checkpoint(run: JobRun):

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from served import computing, get, occupied
 
 from service.client import BadRequest, Client, Job
+from service.pictures import ATTRACTORS, UNDECIDED
 from service.views import basins
-from service.views.style import COLOURS, UNDECIDED
 
 SPEC: dict[str, Any] = {
     "name": "drops", "gamma": [0.6, 1.27], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
@@ -55,6 +55,7 @@ def test_the_basin_of_a_cell(found: xarray.Dataset, job: Job):
     assert found.attractor_label.values.tolist() == ["(1,1)", "(1,1)"]
     assert np.isnan(found.attractor_lifetime).all()  # infinite in the store
     assert (found.attractor_lyapunov[:, 0] < -0.1).all()
+    assert (found.attractor_lyapunov_error < 1e-3).all()
     ids = found.attractor_of_start
     assert [float((ids == i).mean()) for i in (1, 2)] == found.attractor_fraction.values.tolist()
     assert found.undecided == 0.0
@@ -84,8 +85,8 @@ def test_the_picture(job: Job):
     picture = job.result_file("basins", "png", gamma=1.27)
     assert picture == job.result_file("basins", "png", gamma=1.27)
     pixels = image.imread(BytesIO(picture))
-    colours = {tuple(row) for row in (pixels[..., :3] * 255).round().astype(int).reshape(-1, 3)}
-    assert {(0, 0x72, 0xB2), (0xE6, 0x9F, 0)} <= colours
+    colours = {to_hex(row) for row in np.unique(pixels[..., :3].reshape(-1, 3), axis=0)}
+    assert {*ATTRACTORS[:2]} <= colours
 
 
 def test_what_is_refused(client: Client, job: Job):
@@ -120,7 +121,7 @@ def test_every_start_is_a_pixel_in_the_colour_of_its_attractor(found: xarray.Dat
     assert picture.origin == "lower"
     assert np.array_equal(ids, found.attractor_of_start)
     colours = [to_hex(colour) for colour in picture.cmap(picture.norm(np.arange(3)))]
-    assert colours == [UNDECIDED, *COLOURS[:2]]
+    assert colours == [UNDECIDED, *ATTRACTORS[:2]]
     left, right, bottom, top = picture.get_extent()
     for values, low, high in ((found.column, left, right), (found.row, bottom, top)):
         width = (high - low) / values.size
@@ -129,7 +130,7 @@ def test_every_start_is_a_pixel_in_the_colour_of_its_attractor(found: xarray.Dat
 
 def test_the_legend_names_attractors_and_what_is_undecided(found: xarray.Dataset):
     fractions = [f"{100 * share:.1f} %" for share in found.attractor_fraction.values]
-    named = [(COLOURS[i], f"(1,1)  {fractions[i]}, up to {FLIGHTS[i]:.4g} rad") for i in (0, 1)]
+    named = [(ATTRACTORS[i], f"(1,1)  {fractions[i]}, up to {FLIGHTS[i]:.4g} rad") for i in (0, 1)]
     assert legend(found) == named
     assert legend(found.assign(undecided=0.25))[2:] == [(UNDECIDED, "undecided  25.0 %")]
     none = found.isel(attractor=slice(0)).assign(undecided=np.nan)

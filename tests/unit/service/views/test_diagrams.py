@@ -15,10 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from kernel.threshold import threshold
-from service.pictures import BLUE, GREY, RED
+from service import pictures
+from service.pictures import LINES
 from service.views import diagram, encode, style
 from service.views.variables import variable
-from worker import schema
+from worker.sweep import schema
 
 NAN = np.nan
 ROWS = {row.name: row for row in (*schema.RECORD, schema.OUTCOME)}
@@ -83,7 +84,7 @@ def test_a_dot_for_each_flight_at_its_cell():
     axes = drawn(cells())
     (line,) = dots(axes)
     assert places(line) == [(1.5, 4.0), (2.5, 3.0), (2.5, 6.0)]
-    assert to_hex(line.get_color()) == "#000000"
+    assert to_hex(line.get_color()) == LINES["rest"]
     assert (axes.get_xlim(), axes.get_ylim()) == ((0.5, 3.5), pytest.approx((0.0, 1.06 * 6.0)))
     assert axes.get_title("right") == r"ramped along $\xi$"
     assert axes.get_legend() is None
@@ -95,19 +96,19 @@ def test_a_dot_for_each_flight_at_its_cell():
 def test_up_is_a_rim_below_down():
     axes = drawn(both(cells(), cells(flight_time=[[NAN, NAN], [2.0, NAN], [1.0, 5.0], [NAN, NAN]])))
     up, down = dots(axes)
-    assert (to_hex(up.get_color()), to_hex(down.get_color())) == (GREY, RED)
+    assert (to_hex(up.get_color()), to_hex(down.get_color())) == (LINES["up"], LINES["down"])
     assert up.get_markersize() > 2 * down.get_markersize()
     assert places(down) == [(1.5, 2.0), (2.5, 1.0), (2.5, 5.0)]
     legend = axes.get_legend()
     assert legend is not None
-    assert [text.get_text() for text in legend.get_texts()] == ["up", "down"]
+    assert [text.get_text() for text in legend.get_texts()] == ["ramp up", "ramp down"]
 
 
 def test_many_flights_are_drawn_as_density(monkeypatch: pytest.MonkeyPatch):
     """The image is opaque where flights are; one flight covers its cell of the axes alone."""
-    monkeypatch.setattr(diagram, "DENSE_POINTS", 2)
-    monkeypatch.setattr(diagram, "COLUMNS_AND_ROWS", (4, 4))
-    monkeypatch.setattr(diagram, "_dot", lambda number: 0.36)  # a pixel
+    monkeypatch.setattr(pictures, "DENSE_POINTS", 2)
+    monkeypatch.setattr(pictures, "COLUMNS_AND_ROWS", (4, 4))
+    monkeypatch.setattr(pictures, "_dot", lambda number: 0.36)  # a pixel
     axes = drawn(cells())
     (line,) = dots(axes)
     assert places(line) == []
@@ -128,7 +129,7 @@ def test_values_in_equal_ratios_have_a_logarithmic_axis(values: list[float], sca
 def test_the_threshold_is_a_line_where_the_axis_has_it():
     onset = float(threshold(0.5, 0.26))
     axes = drawn(cells())
-    assert [(line.get_xdata()[0], line.get_color()) for line in onsets(axes)] == [(onset, BLUE)]
+    assert [(line.get_xdata()[0], line.get_color()) for line in onsets(axes)] == [(onset, LINES["threshold"])]
     assert r"$\Gamma_{\mathrm{th}}$" in texts(axes)
     assert len(onsets(drawn(cells(gamma=[onset, 2.0, 3.0, 4.0])))) == 1
     assert onsets(drawn(cells(gamma=[0.1, 0.2, 0.3, onset - 0.01]))) == []

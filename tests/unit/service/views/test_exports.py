@@ -22,8 +22,8 @@ from service.errors import NoSpace
 from service.software import processor, software
 from service.views import files
 from service.views.selection import Stored
-from worker.plan import make_plan
-from worker.spec import SweepSpec
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
 
 
 class Done:

@@ -45,6 +45,9 @@ def test_a_diagram_tells_quasi_periodic_from_chaotic_cells(client: TestClient, j
     assert max(*at_rest, *periodic) < 0
     assert abs(torus[0]) < 0.01 < chaos[0]
     assert 0.0 < found.lyapunov_error.values[3] < 0.1
+    modes = read(client, f"{job}/modes").isel(omega=-1)
+    for name in ("label", "lyapunov", "lyapunov_error"):
+        assert modes[name].values.tolist() == found[name].values.tolist()
     assert found.label.attrs["flag_meanings"].split() == list(LABELS)
 
 

@@ -21,7 +21,7 @@ from service.views.multistability import MultistabilityQuery, compute
 from service.views.selection import Stored
 from service.views.trajectory import TrajectoryQuery
 from worker import store
-from worker.basins.spec import MultistabilitySpec
+from worker.basins.specification import MultistabilitySpec
 from worker.studies import study_of
 
 SPEC: dict[str, Any] = {

@@ -201,6 +201,21 @@ def test_a_damping_that_was_not_searched_is_said_to_be(client: Client):
     assert "closed form, not searched: 2 of 2" in [str(line.get_label()) for line in ax.lines]
 
 
+def test_words_of_a_sweeps_cells_answer_where_the_branches_do_not(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+):
+    """As if no branch were searched: the cells are on the cycle that ends at the fold of zs (2,2)."""
+    monkeypatch.setattr("worker.analysis.prediction.MAX_GRID", 100)
+    monkeypatch.setattr("kernel.branches.thresholds.PERIODS", 1)
+    on_the_cycle = RAMP["protocol"] | {"direction": "down", "start": {"periods": 2}}
+    few = {"gamma": [2.3, 2.305], "omega": 1.26, "protocol": on_the_cycle, "settle": 400, "keep": 16}
+    job = client.submit(RAMP | few).wait(progress=False)
+    assert job.threshold(predict="all", progress=False).cause.item() == "unresolved"
+    found = job.threshold(predict="words", progress=False)
+    assert found.cause.item() == "fold of word zs (2,2)"
+    assert float(found.predicted_down[0]) == pytest.approx(2.2723905523, abs=1e-9)
+
+
 def test_every_omega_is_predicted_when_asked_for(
     service: TestClient, client: Client, monkeypatch: pytest.MonkeyPatch
 ):

@@ -25,12 +25,12 @@ from paths import GOLDEN, ROOT
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
-from service.pictures import draw_branches, draw_diagram, draw_modes, draw_thresholds
+from service.pictures import DPI, draw_branches, draw_diagram, draw_modes, draw_thresholds
 from service.tradeoff import SIZE, Measurement, compose
 from service.views import diagram, multistability
 from service.views.selection import LABEL
-from service.views.style import DPI, STYLE
-from worker.spec import SweepSpec
+from service.views.style import STYLE
+from worker.sweep import SweepSpec
 
 DRAWN = GOLDEN / "pictures.json"
 NAN = float("nan")
@@ -101,11 +101,10 @@ def tradeoff(figure: Figure) -> None:
 
 def client_diagram(figure: Figure) -> None:
     axes = figure.subplots()
-    for direction in ("rest", "up", "down"):
-        times = np.array([[NAN, NAN], [4.0, NAN], [3.0, 6.0]])
-        fixed = {"omega": 0.5, "xi": 0.26, "direction": direction}
-        dataset = xarray.Dataset({"flight_time": (("gamma", "flight"), times)})
-        draw_diagram(axes, dataset.assign_coords(gamma=[1.1, 1.2, 1.4], **fixed))
+    times = np.array([[NAN, NAN], [4.0, NAN], [3.0, 6.0]])
+    dataset = xarray.Dataset({"flight_time": (("direction", "gamma", "flight"), np.stack([times, times]))})
+    fixed = {"omega": 0.5, "xi": 0.26, "direction": ["up", "down"]}
+    draw_diagram(axes, dataset.assign_coords(gamma=[1.1, 1.2, 1.4], **fixed))
     shape = ("branch", "point")
     branches = xarray.Dataset(
         {
@@ -126,6 +125,7 @@ def client_map(figure: Figure) -> None:
         {
             "outcome": (("omega", "gamma"), np.minimum(codes, int(Outcome.UNRESOLVED))),
             "periods": (("omega", "gamma"), np.array([[0, 1, 0, 0, 0, 0], [0, 2, 3, 4, 5, 6]])),
+            "bounces": (("omega", "gamma"), np.array([[0, 1, 0, 0, 0, 0], [0, 1, 4, 4, 7, 1]])),
         }
     ).assign_coords(omega=[0.5, 0.6], gamma=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5], xi=0.26)
     draw_modes(left, modes)
@@ -186,7 +186,7 @@ if __name__ == "__main__":
 
 def test_a_map_of_one_row_shows_its_cells():
     """Of one omega, around which there is no distance to the next."""
-    cells = {"outcome": [[1, 2, 3]], "periods": [[1, 0, 0]]}
+    cells = {"outcome": [[1, 2, 3]], "periods": [[1, 0, 0]], "bounces": [[1, 0, 0]]}
     data = {name: (("omega", "gamma"), np.array(values)) for name, values in cells.items()}
     axes = Figure().subplots()
     draw_modes(axes, xarray.Dataset(data, {"omega": [0.5], "gamma": [1.0, 2.0, 3.0], "xi": 0.2}))

@@ -52,7 +52,8 @@ def test_what_is_drawn_by_default(job: Job, client: Client):
     assert over_omega.plot(along="omega").get_xlabel() == AXES["omega"]
     assert job.plot("diagram", along="omega", gamma=1.5).get_xlabel() == AXES["omega"]
     assert job.plot(along="gamma", omega=0.6).get_ylabel() == FLIGHT
-    assert len(job.plot("diagram", omega=0.6, ax=Figure().subplots()).lines) == 2
+    both = job.plot("diagram", omega=0.6, ax=Figure().subplots())
+    assert both.get_legend_handles_labels()[1] == ["ramp up", "ramp down"]
     with pytest.raises(BounceError, match="kind: must be one of diagram, modes, threshold"):
         job.plot("pie")  # type: ignore[arg-type]
     with pytest.raises(BounceError, match="are drawn in a diagram"):

@@ -16,12 +16,12 @@ from service.views import selection
 from service.views.modes import OTHER_FLIGHTS, Hysteresis, compare
 from service.views.registry import VIEWS, admit
 from service.views.selection import Stored
-from worker import schema, store
-from worker.plan import make_plan
-from worker.schema import MODE_ARRAYS, layout
-from worker.spec import SweepSpec
+from worker import store
 from worker.store import backend
-from worker.tasks import run_chunk
+from worker.sweep import SweepSpec, schema
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import MODE_ARRAYS, layout
+from worker.sweep.task import run_chunk
 
 ARRAYS = tuple(array.name for array in (*schema.RECORD, schema.OUTCOME))
 

@@ -13,8 +13,8 @@ from kernel_runs import Model, run
 from kernel.params import Line
 from worker.analysis.deviation import deviations
 from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
-from worker.spec import SweepSpec
 from worker.spec.contact_models import Ball, Rigid, Soft
+from worker.sweep import SweepSpec
 
 RANGE = {"start": 1.0, "stop": 6.0, "num": 101}
 STIFF = {"restitution": 0.0, "penetration": 1e-6}
@@ -54,6 +54,17 @@ def test_a_ball_that_bounces_where_the_spring_rests_has_no_bound():
     assert percentiles(choice)["ball"] is None
     assert choice.model == "rigid"
     assert "ball unbounded" in choice.reason
+
+
+def test_cells_whose_flights_all_are_small_are_compared_by_these():
+    """Just above the threshold, and on all of Fig. 2 if flights up to 7 rad are small."""
+    above = 0.869609004563236
+    onset = choose(sweep(1e-3, gamma=[above, above + 1e-5]))
+    assert onset.model == "rigid"
+    assert 0.0 < percentiles(onset)["rigid"] < 1e-3
+    assert percentiles(onset)["ball"] is None
+    large = choose(sweep(1e-2, micro_flight=7.0))
+    assert percentiles(large)["soft"] == 0.0 < percentiles(large)["rigid"]
 
 
 def test_ramps_are_compared_along_their_own_lines():

@@ -6,15 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+import worker.analysis.thresholds
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from worker import store
 from worker.analysis.prediction import predict, predict_each
 from worker.analysis.thresholds import Refined, Status, refine
-from worker.plan import make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
-from worker.tasks import run_chunk
+from worker.sweep import SweepSpec
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
+from worker.sweep.task import run_chunk
 
 TOLERANCE = 1e-4
 
@@ -131,6 +132,28 @@ def test_a_change_that_the_sweep_does_not_hold_is_not_made_up(
     found = thresholds(spec, url, 1e-3)
     assert np.isnan(found.up + found.down).all()
     assert (found.up_status, found.down_status) == ((up,), (down,))
+
+
+@pytest.mark.parametrize(
+    ("protocol", "limit", "most", "up", "down"),
+    [
+        (ramp("both"), "MAX_CELLS", 3, Status.NOT_REFINED, Status.NOT_REFINED),
+        (ramp("both"), "PATIENCE", 1, Status.FOUND, Status.SETTLING),
+        ({"kind": "rest"}, "PATIENCE", 1, Status.SETTLING, Status.NOT_RAMPED),
+    ],
+)
+def test_a_refinement_that_reaches_its_limit_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: dict[str, str], limit: str, most: int,
+    up: Status, down: Status,
+):  # fmt: skip
+    fields = {"gamma": [0.4, 0.9, 1.2], "omega": [0.6], "xi": 0.05, "settle": 20, "observe": 10}
+    spec, url = computed(tmp_path, protocol=protocol, **fields)
+    within = thresholds(spec, url, TOLERANCE)
+    assert {*within.up_status, *within.down_status} <= {Status.FOUND, Status.NOT_RAMPED}
+    monkeypatch.setattr(worker.analysis.thresholds, limit, most)
+    found = thresholds(spec, url, TOLERANCE)
+    assert (found.up_status, found.down_status) == ((up,), (down,))
+    assert np.isfinite(found.up + found.down).tolist() == [up is Status.FOUND, down is Status.FOUND]
 
 
 def test_a_change_that_is_not_computed_yet_is_missing(tmp_path: Path):

@@ -15,7 +15,7 @@ from scipy.stats import ks_2samp
 from kernel.params import STATE_FIELDS, Line, Outcome, empty_line
 from worker.basins import attractors
 from worker.basins.attractors import Found, Request, find, ks_distance
-from worker.basins.spec import BasinSpec
+from worker.basins.specification import BasinSpec
 
 WHICH, ELAPSED, START = (STATE_FIELDS.index(name) for name in ("gap", "gap_velocity", "elongation"))
 

@@ -16,22 +16,17 @@ from tables import for_each
 from kernel.line import LineRun
 from kernel.models.rigid import plate
 from kernel.params import STATE_FIELDS, Line, Outcome
-from worker import store, studies, tasks
+from worker import store, studies, work
 from worker.basins.attractors import Attractor, Found, Request, find
-from worker.basins.spec import UNTIL, BasinSpec
+from worker.basins.schema import MAX_ATTRACTORS, basin_arrays, basin_sizes
+from worker.basins.specification import UNTIL, BasinSpec
 from worker.basins.starts import starts_of
-from worker.basins.study import (
-    MAX_ATTRACTORS,
-    _fill_in,
-    arrays,
-    entropies,
-    run_chunk,
-    sizes,
-)
-from worker.schema import empty_record
-from worker.spec import SpecError
+from worker.basins.task import _fill_in, entropies, run_chunk
+from worker.spec.errors import SpecError, SpecTooLarge
 from worker.studies import STUDIES
-from worker.tasks import ChunkCancelled, ChunkOptions, ChunkPaused, with_options
+from worker.study import ChunkCancelled, ChunkOptions, ChunkPaused
+from worker.study.chunks import check_size, with_options
+from worker.study.layout import empty_record
 
 BASINS = STUDIES["basin"]
 
@@ -221,11 +216,11 @@ def test_cells_in_one_chunk_or_in_many_are_the_same_bytes(tmp_path: Path, whole:
 def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes]
 ):
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 65_537)
-    monkeypatch.setattr(tasks, "KEPT_BYTES", 2**60)
-    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    monkeypatch.setattr(work, "FIRST_STEPS", 65_537)
+    monkeypatch.setattr(work, "KEPT_BYTES", 2**60)
+    monkeypatch.setattr(work, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
     looks = itertools.count()
-    monkeypatch.setattr(tasks.time, "thread_time", lambda: 0.02 * next(looks))  # and the same pauses
+    monkeypatch.setattr(work.time, "thread_time", lambda: 0.02 * next(looks))  # and the same pauses
     spec, url = basin(**GRID), str(tmp_path / "paused.zarr")
     plan = BASINS.plan(spec, (2, 1, 3))
     store.create(url, BASINS.variables(spec, plan.chunk_shape))
@@ -264,7 +259,7 @@ def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided()
         for i in range(MAX_ATTRACTORS + 2)
     )
     found = Found(np.arange(36, dtype=np.uint16), attractors)
-    record = empty_record((1, 1, 1), arrays(spec), sizes(spec))
+    record = empty_record((1, 1, 1), basin_arrays(spec), basin_sizes(spec))
     _fill_in(spec, found, record, (0, 0, 0))
     shown = np.arange(36) * (np.arange(36) <= MAX_ATTRACTORS)
     assert record["attractor"].ravel().tolist() == shown.tolist()
@@ -333,3 +328,26 @@ def test_cost_grows_with_the_starts_and_with_settle_until():
     assert large.core_seconds == pytest.approx(4.0 * small.core_seconds)
     assert large.longest_core_seconds > 5.0 * large.core_seconds
     assert seconds(settle_until=100_000).longest_core_seconds > 10.0 * large.core_seconds
+
+
+@for_each(
+    ("fields", "least", "most"),
+    [
+        ({}, 1.0, 50.0),
+        ({"model": {"kind": "rigid", "restitution": 0.3}}, 1.0, 60.0),
+        ({"model": {"kind": "rigid", "restitution": 0.99}}, 500.0, 3_000.0),
+        ({"model": {"kind": "rigid", "restitution": 1.0}}, 2_000.0, 10_000.0),
+        ({"model": {"kind": "rigid", "restitution": 0.9}, "omega": 1e-6, "xi": 1e-30}, 2_000.0, 10_000.0),
+        ({"model": {"kind": "soft", "restitution": 0.9999999, "penetration": 1e-6}}, 2_000.0, 10_000.0),
+        ({"model": {"kind": "stepped", "restitution": 0.5}, "xi": 1e-30}, 5.0, 50.0),
+    ],
+)
+def test_the_upper_end_of_the_cost_grows_with_the_hops_of_a_period(
+    fields: dict[str, Any], least: float, most: float
+):
+    """Relative to the usual cost; the kernel's budget of evaluations for each period bounds it."""
+    spec = basin(**{"rows": 8, "columns": 8, "omega": 0.5, "xi": 0.26, "settle": 500, "observe": 60} | fields)
+    cost = BASINS.estimate(spec, BASINS.plan(spec))
+    assert least <= cost.upper_core_seconds / cost.core_seconds <= most
+    with pytest.raises(SpecTooLarge, match="up to"):
+        check_size(cost, max_core_seconds=2.0 * cost.core_seconds)

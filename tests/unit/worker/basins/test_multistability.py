@@ -13,8 +13,8 @@ from kernel.branches.events import Kind, fold_events
 from kernel.params import Outcome
 from worker import store
 from worker.basins.multistability import run_chunk
-from worker.basins.spec import MultistabilitySpec
-from worker.spec import SpecError
+from worker.basins.specification import MultistabilitySpec
+from worker.spec.errors import SpecError
 from worker.studies import STUDIES
 
 MULTISTABILITY = STUDIES["multistability"]
@@ -108,6 +108,19 @@ def test_an_attractor_that_no_drop_reaches_is_found_by_following(tmp_path: Path)
     assert float(followed.fraction[1]) == 0.0
     modes = {(int(followed.bounces[k]), int(followed.periods[k])) for k in range(2)}
     assert modes == {(3, 4), (1, 2)}
+
+
+def test_a_chaotic_transient_is_followed_to_its_cycle_and_undecided_where_it_outlives_until(tmp_path: Path):
+    """All drops end on a cycle of 14 flights; after 1,900 plate periods one of 24 is still chaotic."""
+    cell: dict[str, Any] = {"gamma": 4.0, "omega": 0.6, "settle": 800, "observe": 150}
+    found = computed(str(tmp_path / "a.zarr"), multistability(**cell)).squeeze(drop=True)
+    assert (int(found.attractor_count), float(found.undecided)) == (1, 0.0)
+    assert (int(found.bounces[0]), float(found.fraction[0])) == (14, 1.0)
+    short = multistability(**cell | {"settle": 300, "settle_until": 600}, rows=20, columns=20)
+    cut = computed(str(tmp_path / "b.zarr"), short).squeeze(drop=True)
+    assert int(cut.attractor_count) == 1
+    assert 0.0 < float(cut.undecided) < 0.5
+    assert float(cut.undecided + cut.fraction[0]) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

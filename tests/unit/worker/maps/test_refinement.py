@@ -10,15 +10,16 @@ import pytest
 from tables import for_each
 
 from kernel.params import Outcome
-from worker import schema, store, tasks
-from worker.cost import check_size, estimate
-from worker.plan import make_plan
-from worker.refinement import NOTHING, Beyond, Refinement, classes
-from worker.schema import MODE_ARRAYS, layout
-from worker.spec import SweepSpec
+from worker import store, work
+from worker.maps.plan import estimate, make_plan, tile_shape
+from worker.maps.refinement import Refinement, classes
 from worker.spec.errors import SpecInvalid, SpecTooLarge
 from worker.spec.refine import COARSEST, MAX_COARSEST, MAX_MODE_PERIODS, SETTLE_UNTIL, Refine
-from worker.tasks import ChunkOptions, ChunkPaused, run_chunk, with_options
+from worker.studies import run_task, study_of
+from worker.study import ChunkOptions, ChunkPaused
+from worker.study.chunks import check_size, with_options
+from worker.sweep import SweepSpec, schema
+from worker.sweep.schema import MODE_ARRAYS
 
 #: A plane with the threshold, modes, chaos and tongues; rows and columns that no number of blocks fits.
 SPACE: dict[str, Any] = {
@@ -45,10 +46,10 @@ def adaptive(**refine: Any) -> SweepSpec:
 
 def compute(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
     """The plane of a map, computed chunk by chunk in this process."""
-    plan = make_plan(spec, chunk_shape=shape)
-    store.create(str(url), layout(spec, plan.chunk_shape))
+    plan = study_of(spec).plan(spec, shape)
+    store.create(str(url), schema.layout(spec, plan.chunk_shape))
     for chunk in plan:
-        run_chunk(spec, chunk, str(url))
+        run_task(spec, chunk, str(url))
     return plane(spec, url)
 
 
@@ -66,23 +67,16 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     return compute(sweep(), tmp_path_factory.mktemp("full") / "full.zarr", None)
 
 
-def refined(
-    kinds: np.ndarray, refine: Refine, tile: tuple[slice, slice] = (slice(None), slice(None))
-) -> tuple[np.ndarray, np.ndarray]:
+def refined(kinds: np.ndarray, refine: Refine) -> tuple[np.ndarray, np.ndarray]:
     """Which cells of a tile are computed, and every cell's source, of a map that bounces `kinds` times."""
-    (top, bottom, _), (left, right, _) = (span.indices(n) for span, n in zip(tile, kinds.shape, strict=True))
-    beyond = top, kinds.shape[0] - bottom, left, kinds.shape[1] - right
-    refinement = Refinement((bottom - top, right - left), refine, beyond)
-    above, below, before, after = refinement.surroundings
-    kinds = kinds[top - above : bottom + below, left - before : right + after]
+    refinement = Refinement(kinds.shape, refine)
     arrays = np.full(kinds.shape, Outcome.PERIODIC), kinds, np.ones_like(kinds)
     computed = np.zeros(kinds.shape, np.bool_)
     while refinement.cells.size:
         assert not computed.flat[refinement.cells].any(), "computed twice"
         computed.flat[refinement.cells] = True
         refinement.split(*arrays)
-    inside = refinement.inside
-    return computed[inside], refinement.sources().reshape(arrays[0][inside].shape)
+    return computed, refinement.sources().reshape(kinds.shape)
 
 
 MODE = Refine(by="mode", coarsest=8)
@@ -99,11 +93,10 @@ def test_a_cell_takes_the_values_of_the_nearest_corner_or_centre_of_its_block():
 
 
 @for_each("shape", [(1, 1), (1, 2), (2, 1), (1, 30), (30, 1), (2, 2), (3, 3), (2, 30), (23, 31)])
-@for_each("margin", [False, True])
-def test_every_shape_of_tile_is_covered(shape, margin):
+def test_every_shape_of_tile_is_covered(shape):
     rng = np.random.default_rng(7)
     for kinds in (np.ones(shape, int), rng.integers(1, 3, shape)):
-        computed, source = refined(kinds, MODE.model_copy(update={"margin": margin}))
+        computed, source = refined(kinds, MODE)
         assert computed.flat[source].all()
         assert np.array_equal(source[computed], np.flatnonzero(computed))
         assert computed[[0, 0, -1, -1], [0, -1, 0, -1]].all()
@@ -128,26 +121,19 @@ def island(rows: int, columns: int) -> np.ndarray:
     return kinds
 
 
-#: By, margin, coarsest, cells beyond; rounds and hash.
-CHOSEN: list[tuple[str, bool, int, Beyond, list[Any]]] = [
-    ("mode", False, 8, NOTHING, [[32, 62, 104, 9, 15, 17, 12, 3, 5, 9], "5706371e30db462b"]),
-    ("mode", True, 8, NOTHING, [[32, 74, 132, 28, 4], "6e7ad524a9dabf52"]),
-    ("bouncing", False, 5, NOTHING, [[59, 10, 12, 2], "157fc858dbe73877"]),
-    ("bouncing", True, 16, NOTHING, [[13, 8, 8, 15, 7], "66d2bbd7133bc68f"]),
-    ("mode", True, 16, (16, 16, 16, 16), [[41, 12], "27d162c970728889"]),
-    ("mode", True, 20, (20, 20, 20, 20), [[32, 30, 17], "56b616c555b1d4d0"]),
+#: By, coarsest; rounds and hash.
+CHOSEN: list[tuple[str, int, list[Any]]] = [
+    ("mode", 8, [[32, 62, 104, 9, 15, 17, 12, 3, 5, 9], "5706371e30db462b"]),
+    ("bouncing", 5, [[59, 10, 12, 2], "157fc858dbe73877"]),
 ]
 
 
-@for_each(("by", "margin", "coarsest", "beyond", "expected"), CHOSEN)
-def test_the_same_tile_is_always_refined_the_same_way(
-    by: str, margin: bool, coarsest: int, beyond: Beyond, expected: list
-):
+@for_each(("by", "coarsest", "expected"), CHOSEN)
+def test_the_same_tile_is_always_refined_the_same_way(by: str, coarsest: int, expected: list):
     """Stored maps depend on it: rounds, computed cells, and a hash of all cells' sources."""
-    above, below, left, right = beyond
-    kinds = island(above + 21 + below, left + 27 + right)
+    kinds = island(21, 27)
     outcomes = np.array([0, Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING, Outcome.AT_REST])[kinds]
-    tile = Refinement((21, 27), Refine(by=by, margin=margin, coarsest=coarsest), beyond)
+    tile = Refinement((21, 27), Refine(by=by, coarsest=coarsest))
     rounds = []
     while tile.cells.size:
         rounds.append(len(tile.cells))
@@ -194,32 +180,6 @@ def test_a_tongue_that_one_block_sees_is_followed_into_the_next_ones():
     assert computed[31:34, :40].any(axis=0).all()
 
 
-def wave() -> np.ndarray:
-    """Kinds of 65 x 65 cells: two regions, their border a wave around column 33."""
-    row, column = np.mgrid[:65, :65]
-    return np.where(column > 33 + 2.2 * np.sin(row / 11), 2, 1)
-
-
-#: Tiles of these whose borders lie on corners of the whole map's blocks.
-QUARTERS = [
-    (slice(*rows), slice(*columns)) for rows in ((0, 33), (32, 65)) for columns in ((0, 33), (32, 65))
-]
-
-
-@for_each("tile", QUARTERS)
-@for_each("turned", [False, True])
-def test_a_margin_does_not_end_at_the_border_of_a_tile(tile: tuple[slice, slice], turned: bool):
-    kinds = wave().T.copy() if turned else wave()
-    margin = Refine(by="mode", coarsest=16, margin=True)
-    whole, _ = refined(kinds, margin)
-    computed, source = refined(kinds, margin, tile)
-    away = np.ones((65, 65), np.bool_)
-    away[32], away[:, 32] = False, False  # the border itself: cells between corners beyond it are left out
-    assert np.array_equal(computed & away[tile], whole[tile] & away[tile])
-    assert not (computed & ~whole[tile]).any()
-    assert computed.flat[source].all()
-
-
 def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
     outcome = np.array(
         [Outcome.AT_REST, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.APERIODIC]
@@ -237,9 +197,8 @@ def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
 
 
 @pytest.mark.parametrize("by", ["mode", "bouncing"])
-@pytest.mark.parametrize("margin", [False, True])
-def test_computed_cells_are_those_of_the_full_grid(full, tmp_path, by, margin):
-    refine = Refine(by=by, coarsest=8, margin=margin)
+def test_computed_cells_are_those_of_the_full_grid(full, tmp_path, by):
+    refine = Refine(by=by, coarsest=8)
     found = compute(sweep(refine=refine), tmp_path / "a.zarr")
     computed = found["computed"] == 1
     assert 0.05 < computed.mean() < 0.9
@@ -255,20 +214,20 @@ def test_computed_cells_are_those_of_the_full_grid(full, tmp_path, by, margin):
 
 
 def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
-    refine, omega = {"by": "mode", "coarsest": 8, "margin": True}, {"start": 0.35, "stop": 0.7, "num": 20}
+    refine, omega = {"by": "mode", "coarsest": 8}, {"start": 0.35, "stop": 0.7, "num": 20}
     spec = sweep(refine=refine, omega=omega, settle_until=300)
     compute(spec, tmp_path / "whole.zarr")
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 16384)
-    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
-    monkeypatch.setattr(tasks, "KEPT_BYTES", 2**60)  # and the same pauses
-    plan, url = make_plan(spec, chunk_shape=TILE), tmp_path / "paused.zarr"
-    store.create(str(url), layout(spec, plan.chunk_shape))
+    monkeypatch.setattr(work, "FIRST_STEPS", 16384)
+    monkeypatch.setattr(work, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    monkeypatch.setattr(work, "KEPT_BYTES", 2**60)  # and the same pauses
+    plan, url = make_plan(spec, TILE), tmp_path / "paused.zarr"
+    store.create(str(url), schema.layout(spec, plan.chunk_shape))
     pauses = 0
     for chunk in plan:
         while True:
             try:
                 with with_options(ChunkOptions(0.0)):
-                    run_chunk(spec, chunk, str(url))
+                    run_task(spec, chunk, str(url))
             except ChunkPaused:
                 pauses += 1
                 assert pauses < 10_000
@@ -286,6 +245,7 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
         ({"by": "mode", "coarsest": MAX_COARSEST + 1}, "refine.coarsest", f"at most {MAX_COARSEST}"),
         ({"by": "mode", "coarsest": 8.5}, "refine.coarsest", "8 or 9"),
         ({"by": "mode", "margin": 1}, "refine.margin", "true or false"),
+        ({"by": "mode", "margin": True}, "refine.margin", "a coarsest of 8"),
         ({"by": "mode", "coarse": 8}, "refine.coarse", "did you mean 'coarsest'"),
         ("mode", "refine", "object"),
     ],
@@ -303,7 +263,7 @@ def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
 def test_the_width_of_the_first_blocks_depends_on_what_is_told_apart():
     for by, coarsest in COARSEST.items():
         spec = sweep(refine={"by": by})
-        assert spec.refine == Refine(by=by, coarsest=coarsest, margin=False)
+        assert spec.refine == Refine(by=by, coarsest=coarsest)
         assert SweepSpec.from_json(json.dumps(spec.as_submitted())) == spec
         assert spec.job_id("3") == sweep(refine={"by": by, "coarsest": coarsest}).job_id("3")
 
@@ -320,12 +280,26 @@ def test_cells_of_an_adaptive_map_settle_before_others_take_their_values():
         sweep(**briefly | {"settle": "long"})
 
 
+@for_each(
+    ("keep", "coarsest", "side"),
+    [
+        (1, 2, 129), (1, 3, 127), (1, 16, 129), (200, 2, 79), (200, 16, 65), (200, 128, 80), (1000, 3, 34),
+        (1000, 64, 36),
+    ],
+)  # fmt: skip
+def test_the_tiles_of_an_adaptive_map(keep, coarsest, side):
+    """What is computed of a map depends on them: a map in other tiles is another one."""
+    axes = {axis: {"start": 1.0, "stop": 2.0, "num": 300} for axis in ("omega", "gamma")}
+    spec = sweep(**axes, xi=[0.05, 0.1], keep=keep, refine={"by": "mode", "coarsest": coarsest})
+    assert tile_shape(spec, coarsest) == make_plan(spec).chunk_shape == (1, side, side)
+
+
 def test_the_estimate_is_a_range_and_limits_hold_its_upper_end():
     spec = sweep(
         omega={"start": 0.2, "stop": 1.2, "num": 10_000}, gamma={"start": 0.9, "stop": 6, "num": 10_000},
         keep=64, refine={"by": "mode"},
     )  # fmt: skip
-    cost = estimate(spec, len(make_plan(spec)))
+    cost = estimate(spec, make_plan(spec))
     low, high = cost.computed_cells
     assert cost.cells == 10**8
     assert 10**5 < low < high < 10**7

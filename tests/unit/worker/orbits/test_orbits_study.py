@@ -12,10 +12,11 @@ from tables import for_each
 from kernel.branches.events import Kind, branch_and_events
 from kernel.params import Outcome
 from worker import store, studies
-from worker.orbits import OrbitsSpec, _stored_rows
-from worker.spec import SpecError
-from worker.studies import STUDIES
-from worker.tasks import ChunkCancelled
+from worker.orbits.specification import OrbitsSpec
+from worker.orbits.task import _stored_rows
+from worker.spec.errors import SpecError
+from worker.studies import STUDIES, run_task
+from worker.study import ChunkCancelled
 
 ORBITS = STUDIES["orbits"]
 
@@ -28,7 +29,7 @@ def computed(url: str, spec: OrbitsSpec, chunk_shape: tuple[int, int] | None = N
     plan = ORBITS.plan(spec, chunk_shape)
     store.create(url, ORBITS.variables(spec, plan.chunk_shape))
     for chunk in plan:
-        report = ORBITS.task(spec, chunk, url)
+        report = run_task(spec, chunk, url)
         assert sum(report.outcomes) == report.cells == chunk.cells
         assert 0.0 < report.kernel_seconds < report.seconds < 600.0
     return xarray.open_zarr(url, chunks=None).load()
@@ -104,7 +105,7 @@ def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
     store.create(url, ORBITS.variables(spec, plan.chunk_shape))
     store.set_cancelled(url)
     with pytest.raises(ChunkCancelled):
-        ORBITS.task(spec, plan[0], url)
+        run_task(spec, plan[0], url)
     assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
 
 

@@ -19,12 +19,14 @@ from hypothesis import strategies as st
 from stores import is_sound
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS
-from worker import schema, store
-from worker.plan import Chunk, Plan, make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
+from worker import store
 from worker.store import backend
 from worker.store import store as stored
+from worker.study import Array, Chunk, Plan
+from worker.study import layout as cutting
+from worker.sweep import SweepSpec, schema
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
 
 
 @pytest.fixture
@@ -49,7 +51,7 @@ def record_of(spec: SweepSpec, chunk: Chunk, seed: int = 0) -> dict[str, np.ndar
     random = np.random.default_rng([seed, chunk.index])
     length = schema.sizes(spec)
 
-    def some(array: schema.Array) -> np.ndarray:
+    def some(array: Array) -> np.ndarray:
         shape = (*chunk.shape, *(length[dim] for dim in array.extra_dims))
         return random.integers(1, 5, shape).astype(array.dtype)
 
@@ -433,8 +435,8 @@ def test_a_store_is_on_the_disk_once_it_is_created(tmp_path, spec, plan, synced)
 @pytest.fixture
 def sharded(tmp_path, spec, monkeypatch) -> tuple[str, Plan]:
     """A store whose chunks are shards of 2 × 2 × 2 inner chunks at least."""
-    monkeypatch.setattr(schema, "SHARD_BYTES", 2000)
-    monkeypatch.setattr(schema, "INNER_BYTES", 2000)
+    monkeypatch.setattr(cutting, "SHARD_BYTES", 2000)
+    monkeypatch.setattr(cutting, "INNER_BYTES", 2000)
     plan, url = make_plan(spec, chunk_shape=(2, 2, 8)), str(tmp_path / "sharded.zarr")
     store.create(url, layout(spec, plan.chunk_shape))
     for chunk in plan:

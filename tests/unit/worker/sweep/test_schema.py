@@ -1,24 +1,17 @@
-"""Layouts of stores: shapes, shards, keys, and the texts for people and readers."""
+"""Layouts of sweeps: shapes, keys, and the texts for people and readers."""
 
-import numpy as np
 from scripted import small
 from tables import for_each
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS
-from worker import schema
-from worker.schema import Layout, layout
-from worker.spec import SweepSpec
+from worker.study import Array
+from worker.sweep import SweepSpec, schema
+from worker.sweep.schema import layout
 
 UP_AND_DOWN = {"kind": "ramp", "axis": "gamma", "direction": "both"}
 
 
-def sized(**sizes: int) -> Layout:
-    """One chunk of so many cells of 8 bytes."""
-    array = schema.Array("outcome", tuple(sizes), "<f8", 0, {})
-    return Layout(sizes, {dim: np.arange(n) for dim, n in sizes.items()}, {}, (array,))
-
-
-def arrays(spec: SweepSpec) -> dict[str, schema.Array]:
+def arrays(spec: SweepSpec) -> dict[str, Array]:
     return {array.name: array for array in schema.arrays(spec)}
 
 
@@ -47,22 +40,6 @@ def test_the_shapes_of_a_sweep():
     assert cut.identity == {"job": spec.job_id(KERNEL_VERSION), "chunk_shape": [1, 2, 4]}
     place = slice(1, 2), slice(0, 2), slice(1, 3), slice(2, 10)
     assert cut.describe(place) == "down, gamma 1.5 to 5, omega 0.7 to 1, xi 0.05 to 0.26"
-
-
-@for_each(
-    ("sizes", "inner"),
-    [
-        ({"x": 2**21}, None),  # 16 MiB
-        ({"x": 17 * 2**17 + 64}, {"x": (17 * 2**17 + 64) // 8}),
-        ({"x": 2**22}, {"x": 2**19}),  # 32 MiB in parts of 4
-        ({"x": 2048, "y": 2048}, {"x": 512, "y": 1024}),
-        ({"x": 3 * 2**20 + 1}, None),  # odd
-    ],
-)
-def test_large_chunks_are_halved_into_parts_of_four_megabytes(sizes, inner):
-    cut = sized(**sizes)
-    assert cut.inner_sizes == inner
-    assert cut.inner_shape(cut.arrays[0]) == (inner and tuple(inner.values()))
 
 
 @for_each(

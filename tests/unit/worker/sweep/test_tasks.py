@@ -11,19 +11,13 @@ from stores import files, is_sound
 from kernel.branches.starts import cycles_at
 from kernel.branches.thresholds import thresholds
 from kernel.params import STATE_FIELDS, Cell, Outcome
-from worker import store, tasks
-from worker.plan import Plan, make_plan
-from worker.schema import layout
-from worker.spec import AXES, SweepSpec
-from worker.tasks import (
-    ChunkCancelled,
-    ChunkOptions,
-    ChunkPaused,
-    ChunkReport,
-    PredecessorMissing,
-    run_chunk,
-    with_options,
-)
+from worker import store, work
+from worker.study import ChunkCancelled, ChunkOptions, ChunkPaused, ChunkReport, Plan, PredecessorMissing
+from worker.study.chunks import LEAVING, with_options
+from worker.sweep import AXES, SweepSpec, task
+from worker.sweep.plan import make_plan
+from worker.sweep.schema import layout
+from worker.sweep.task import run_chunk
 
 RECORD = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")
 
@@ -138,8 +132,8 @@ def test_after_a_diverged_cell_a_ramp_starts_from_rest():
         "end_state": np.zeros((2, len(STATE_FIELDS))),
         "outcome": np.array([Outcome.DIVERGED, Outcome.PERIODIC]),
     }
-    assert tasks._start_at(end, (0,)) is None
-    assert tasks._start_at(end, (1,)).cell == Cell(1.0, 1.0, 1.0)
+    assert task._start_at(end, (0,)) is None
+    assert task._start_at(end, (1,)).cell == Cell(1.0, 1.0, 1.0)
 
 
 def test_report_counts_what_became_of_the_cells(tmp_path, small_spec):
@@ -211,9 +205,9 @@ def run_slices(spec: SweepSpec, chunk, url: str) -> tuple[ChunkReport, int]:
 
 @pytest.mark.parametrize(("changes", "steps"), PAUSING.values(), ids=PAUSING.keys())
 def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeypatch, changes, steps):
-    monkeypatch.setattr(tasks, "FIRST_STEPS", steps)
-    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
-    monkeypatch.setattr(tasks, "KEPT_BYTES", 2**60)  # and the same pauses
+    monkeypatch.setattr(work, "FIRST_STEPS", steps)
+    monkeypatch.setattr(work, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    monkeypatch.setattr(work, "KEPT_BYTES", 2**60)  # and the same pauses
     spec = small_spec(**changes)
     plan, whole = stored(tmp_path / "whole", spec)
     _, url = stored(tmp_path, spec, plan.chunk_shape)
@@ -228,9 +222,9 @@ def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeyp
 
 def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     """A sweep computed one by one whose first chunk has paused after some of its lines, in another."""
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 100)
-    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
-    monkeypatch.setattr(tasks, "KEPT_BYTES", 2**60)  # and the same pauses
+    monkeypatch.setattr(work, "FIRST_STEPS", 100)
+    monkeypatch.setattr(work, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    monkeypatch.setattr(work, "KEPT_BYTES", 2**60)  # and the same pauses
     spec = small_spec(model={"kind": "soft"}, protocol=ramp("gamma", "up"), exponents=1)
     plan, url = stored(tmp_path, spec, (2, 3, 10))
     done = 0
@@ -267,6 +261,20 @@ def test_a_checkpoint_that_is_not_what_was_written_begins_anew(tmp_path, small_s
     assert files(url) == files(whole)
 
 
+def test_a_chunk_whose_checkpoint_cannot_be_written_goes_on(tmp_path, small_spec, monkeypatch, caplog):
+    monkeypatch.setattr(work, "FIRST_STEPS", 100)
+    monkeypatch.setattr(work, "KEPT_BYTES", 2**60)
+    spec = small_spec()
+    plan, url = stored(tmp_path, spec)
+    _, whole = stored(tmp_path / "whole", spec)
+    Path(url, ".checkpoint-0").mkdir()  # where the file should be
+    with with_options(ChunkOptions(0.0, begins=True)):
+        report = run_chunk(spec, plan[0], url)
+    assert report.checksum == run_chunk(spec, plan[0], whole).checksum
+    (warning,) = (record.getMessage() for record in caplog.records)  # it does not try again
+    assert "chunk 0 cannot pause, its checkpoint cannot be written" in warning
+
+
 @pytest.mark.parametrize("exponents", [0, 1], ids=["in lanes", "one by one"])
 def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, small_spec, exponents):
     """A single cell takes a quarter of a minute at least."""
@@ -286,13 +294,13 @@ def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, small_spec, exponents)
 def test_chunks_of_a_worker_that_leaves_pause_at_once(tmp_path, monkeypatch, small_spec):
     spec = small_spec()
     plan, url = stored(tmp_path, spec)
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 100)
-    tasks.LEAVING.set()
+    monkeypatch.setattr(work, "FIRST_STEPS", 100)
+    LEAVING.set()
     try:
         with pytest.raises(ChunkPaused):
             run_chunk(spec, plan[0], url)
     finally:
-        tasks.LEAVING.clear()
+        LEAVING.clear()
     assert run_chunk(spec, plan[0], url).outcomes[Outcome.MISSING] == 0
 
 
@@ -302,7 +310,7 @@ def test_an_error_names_the_cells(tmp_path, monkeypatch, small_spec):
 
     spec = small_spec(gamma=[1.0, 2.0, 3.5], omega=0.5, xi=0.05)
     plan, url = stored(tmp_path, spec)
-    monkeypatch.setattr(tasks, "_line_run", fail)
+    monkeypatch.setattr(task, "_line_run", fail)
     with pytest.raises(ValueError, match="no") as caught:
         run_chunk(spec, plan[0], url)
     assert caught.value.__notes__ == ["in the cells gamma 1 to 3.5, omega 0.5 to 0.5, xi 0.05 to 0.05"]

@@ -22,8 +22,8 @@ from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from worker import store
 from worker.executors.inline import Inline
-from worker.schema import flat_attributes, structured_attributes
-from worker.spec import SweepSpec
+from worker.study.layout import flat_attributes, structured_attributes
+from worker.sweep import SweepSpec
 
 RAMP = sweep("ramp", protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
 AUTO = small(name="auto", model={"kind": "auto", "tolerance": 0.5}, gamma=[2.0, 2.5], omega=0.5, xi=0.26)

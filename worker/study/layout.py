@@ -1,13 +1,12 @@
-"""The stored variables of a sweep: name, dimensions, type, units, long name and fill value of each, once.
+"""How a study is stored: dimensions, coordinates, chunks, arrays and attributes.
 
-A `Layout` is the store's description of a study: dimensions, coordinates, chunks, arrays and attributes.
-Another kind of study declares its own variables in its package.
+Each kind of study declares its variables in its package.
 """
 
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -15,14 +14,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
-from worker.spec import SweepSpec
-from worker.spec.contact_models import Stepped
+from kernel.params import KERNEL_VERSION, Outcome
 from worker.spec.specification import Specification
-from worker.spec.time_steps import corners, stated
 
-#: The dimensions that identify a cell of a sweep, slowest first.
+#: The dimensions that identify a cell, slowest first; a study has some of them.
 CELL_DIMS: Final = ("direction", "xi", "omega", "gamma")
+
+#: The array that tells, in a study that fills cells in from others, which ones were computed.
+COMPUTED: Final = "computed"
 
 #: Reference of the model.
 REFERENCE: Final = (
@@ -52,7 +51,7 @@ class Array(NamedTuple):
 
     @property
     def extra_dims(self) -> tuple[str, ...]:
-        """The dimensions of a sweep's array other than CELL_DIMS; every chunk spans them whole."""
+        """The dimensions other than CELL_DIMS; every chunk spans them whole."""
         return tuple(dim for dim in self.dims if dim not in CELL_DIMS)
 
 
@@ -244,75 +243,12 @@ def whether_computed(dims: tuple[str, ...], otherwise: str) -> Array:
     )
 
 
-RECORD: Final = (
-    array("flight_time", (*CELL_DIMS, "flight"), "<f8", "flight time, last flights of the window in order",
-          "rad", comment="those of a periodic cell are within 6e-6 rad of its cycle, within 1.2e-4 rad if "
-          "settle_until extended it: what is left of a slow approach"),
-    array("takeoff_phase", (*CELL_DIMS, "flight"), "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
-    array("flights", CELL_DIMS, "<i4", "flights taken off and landed within the window"),
-    array("bounces", CELL_DIMS, "<i4", "mode: bounces in one cycle, 0 if none was found"),
-    array("periods", CELL_DIMS, "<i4", "mode: plate periods in one cycle, 0 if none was found"),
-)  # fmt: skip
-END_STATE: Final = array(
-    "end_state", (*CELL_DIMS, "state"), "<f8", "state at the end of the window, in the cell's own units",
-    None, fields=" ".join(STATE_FIELDS),
-)  # fmt: skip
-LYAPUNOV: Final = array(
-    "lyapunov", (*CELL_DIMS, "exponent"), "<f8", "Lyapunov exponents, the largest first",
-    comment="per plate period, natural logarithm; -inf: a lost direction, NaN: a failed run",
-)  # fmt: skip
-LYAPUNOV_ERROR: Final = array(
-    "lyapunov_error", CELL_DIMS, "<f8", "standard error of the largest Lyapunov exponent",
-    comment="per plate period, by the means of ten parts of the window; NaN: a lost direction, a failed run, "
-    "or observe below 40. For a chaotic motion; others converge faster",
-)  # fmt: skip
-COMPUTED: Final = array(
-    "computed", CELL_DIMS, "|u1", "whether the cell was computed", None,
-    flag_values=[0, 1], flag_meanings="taken_from_its_block computed",
-    comment="0: outcome and mode are those of the nearest computed corner or centre of its block",
-)  # fmt: skip
-#: Values that a cell which is not computed takes from its block.
-MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
-#: Written last: a cell with an outcome has all its values.
-OUTCOME: Final = array(
-    "outcome", CELL_DIMS, "|u1", "what became of the cell", **OUTCOME_FLAGS,
-    comment="of the window: 3 % of aperiodic cells are periodic in the end, chaotic transients that "
-    "settle_until does not extend; a start exactly on an unstable cycle is periodic there",
-)  # fmt: skip
-
 COORDINATES: Final = (
     Coordinate("direction", {"long_name": "protocol: from rest, or the ramp's direction"}),
     Coordinate("xi", {"long_name": "damping ratio of the spring", "units": "1"}),
     Coordinate("omega", {"long_name": "plate frequency over the spring's natural frequency", "units": "1"}),
     Coordinate("gamma", {"long_name": "plate acceleration over gravity", "units": "1"}),
 )
-
-
-def arrays(spec: SweepSpec) -> Iterator[Array]:
-    """The arrays of a sweep in the order they are written; `end_state` only for ramps."""
-    yield from RECORD
-    if spec.exponents:
-        yield LYAPUNOV
-        yield LYAPUNOV_ERROR
-    if spec.ramp_axis is not None:
-        yield END_STATE
-    if spec.refine is not None:
-        yield COMPUTED
-    yield OUTCOME
-
-
-def sizes(spec: SweepSpec) -> dict[str, int]:
-    """Length of every dimension of a sweep."""
-    return dict(zip(CELL_DIMS, spec.shape, strict=True)) | {
-        "flight": spec.keep,
-        "exponent": spec.exponents,
-        "state": len(STATE_FIELDS),
-    }
-
-
-def bytes_per_cell(spec: SweepSpec) -> int:
-    """Stored bytes per cell of a sweep before compression."""
-    return bytes_of(arrays(spec), sizes(spec))
 
 
 def bytes_of(arrays: Iterable[Array], sizes: Mapping[str, int]) -> int:
@@ -325,30 +261,6 @@ def empty_record(
 ) -> dict[str, NDArray[Any]]:
     """The arrays of a chunk of `shape` cells, filled with the values of cells that are not computed."""
     return {a.name: np.full((*shape, *(sizes[dim] for dim in a.extra_dims)), a.fill, a.dtype) for a in arrays}
-
-
-def bytes_of_map(spec: SweepSpec) -> int:
-    """Stored bytes before compression of a cell filled in from its block, fill values left out."""
-    return sum(np.dtype(array.dtype).itemsize for array in arrays(spec) if not array.extra_dims)
-
-
-def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
-    """Layout of a sweep's store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
-    length = sizes(spec)
-    # Variable-length text: zarr has no stable form for the fixed-length one.
-    directions = np.array(spec.directions, dtype=np.dtypes.StringDType())
-    return Layout(
-        chunk_sizes=dict(zip(CELL_DIMS, (1, *chunk_shape), strict=True)),
-        coordinates={
-            "direction": directions,
-            **{axis: spec.axis_values(axis).astype("<f8") for axis in CELL_DIMS[1:]},
-        },
-        extra_sizes={dim: n for dim, n in length.items() if dim not in CELL_DIMS},
-        arrays=tuple(arrays(spec)),
-        coordinate_attrs={coordinate.name: coordinate.attrs for coordinate in COORDINATES},
-        attributes=_attributes(spec),
-        identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
-    )
 
 
 def grid_layout(
@@ -370,11 +282,3 @@ def grid_layout(
         attributes=common_attributes(spec, title, model),
         identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
     )
-
-
-def _attributes(spec: SweepSpec) -> dict[str, Any]:
-    attributes = common_attributes(spec, "bouncing spring", spec.model.kind)
-    if isinstance(spec.model, Stepped):
-        axes = (spec.axis_values(axis) for axis in ("gamma", "omega", "xi"))
-        attributes["time_steps"] = stated(spec.model, corners(*axes))
-    return attributes

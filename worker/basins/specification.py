@@ -7,12 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from worker.spec import AXES, SpecError, SweepSpec
 from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.contact_models import Auto, Ball, Contact, Soft
-from worker.spec.errors import BrokenRuleError
+from worker.spec.errors import BrokenRuleError, SpecError
 from worker.spec.specification import Specification
-from worker.spec.sweep import Exponents, Gamma, Keep, MicroFlight, Observe, Omega, Settle, SettleUntil, Xi
+from worker.sweep import AXES, SweepSpec
+from worker.sweep.specification import (
+    Exponents,
+    Gamma,
+    Keep,
+    MicroFlight,
+    Observe,
+    Omega,
+    Settle,
+    SettleUntil,
+    Xi,
+)
 
 #: Maximum starts, rows or columns of a cell: its starts are computed and stored together.
 MAX_STARTS: Final = 512 * 512

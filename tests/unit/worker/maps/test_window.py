@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 from tables import for_each
 
-from worker.spec import SweepSpec
+from worker.maps.window import FEWEST_VALUES, Window
 from worker.spec.errors import SpecInvalid
-from worker.spec.window import FEWEST_VALUES, Window
+from worker.sweep import SweepSpec
 
 JOB = "0123456789abcdef" * 2
 MAP: dict[str, Any] = {
@@ -39,8 +39,7 @@ def test_a_window_keeps_all_but_the_grid():
     assert window({"name": "m" * 200}).name == "Window of " + "m" * 190
     assert (found.model, found.settle, found.keep) == (whole.model, 60, 8)
     assert found.refine.model_dump() == {"by": "mode", "coarsest": 16, "margin": False}
-    other = window(by="bouncing", margin=True).refine
-    assert other.model_dump() == {"by": "bouncing", "coarsest": 64, "margin": True}
+    assert window(by="bouncing").refine.model_dump() == {"by": "bouncing", "coarsest": 64, "margin": False}
 
 
 @for_each(
@@ -72,9 +71,9 @@ def test_the_nearest_xi_of_the_map_is_taken(asked: float, given: float):
 
 
 def test_windows_are_read_from_json():
-    text = '{"gamma": [0.6, 1.1], "xi": 0, "finer": 8.0, "by": "bouncing", "margin": true}'
-    assert Window.from_json(text) == Window(gamma=[0.6, 1.1], xi=0.0, finer=8, by="bouncing", margin=True)
-    assert Window.from_json("{}") == Window(gamma=None, omega=None, xi=None, finer=4, by="mode", margin=False)
+    text = '{"gamma": [0.6, 1.1], "xi": 0, "finer": 8.0, "by": "bouncing", "margin": false}'
+    assert Window.from_json(text) == Window(gamma=[0.6, 1.1], xi=0.0, finer=8, by="bouncing")
+    assert Window.from_json("{}") == Window(gamma=None, omega=None, xi=None, finer=4, by="mode")
     with pytest.raises(SpecInvalid, match=r"^a window must be an object, not a list of 0$"):
         Window.from_json("[]")
     with pytest.raises(SpecInvalid, match=r"^coarse: is not a field here; the fields are gamma, omega, xi"):

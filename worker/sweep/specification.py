@@ -1,7 +1,7 @@
 """The sweep specification: the contract between client, service and workers.
 
-worker.spec imports pydantic, numpy, and those modules of the kernel that need no numba, so that a client
-can build a specification without loading kernels, Dask or zarr.
+It imports pydantic, numpy, and those modules of the kernel that need no numba, so that a client can build a
+specification without loading kernels, Dask or zarr.
 """
 
 import itertools
@@ -15,29 +15,26 @@ from pydantic import AfterValidator, Field, model_validator
 
 from kernel.branches.starts import stable_ranges, start_on_stable_cycle
 from kernel.params import MAX_EXPONENTS, MAX_SETTLE_TOLERANCE, Cell, KernelInputError, Start
-from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, within
+from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, AxisValue, Range, within
 from worker.spec.contact_models import (
     CONTACT_MODELS,
     MAX_PENETRATION,
     MIN_PENETRATION,
+    Auto,
     Contact,
     Soft,
     Stepped,
     penetration_of,
 )
 from worker.spec.errors import BrokenRuleError, one_of
-from worker.spec.protocols import Protocol, Ramp, Rest
 from worker.spec.refine import SETTLE_UNTIL, Refinement
 from worker.spec.specification import JobId, Specification
 from worker.spec.time_steps import check_steps, corners
+from worker.sweep.protocols import Protocol, Ramp, Rest
 
 #: The axes of a sweep in the order of the store's dimensions, slowest first.
 AXES: Final = ("xi", "omega", "gamma")
 
-#: Range of gamma and omega, and upper bound of xi: beyond any physical experiment, well within double
-#: precision.
-SMALLEST: Final = 1e-6
-LARGEST: Final = 1e6
 MAX_PERIODS: Final = 10_000_000
 MAX_KEEP: Final = 10_000
 
@@ -116,7 +113,8 @@ class SweepSpec(Specification):
         bool,
         Field(
             strict=True,
-            description="From rest without exponents: whether provably repeating cycles are skipped.",
+            description="From rest without exponents or plain events: whether provably repeating cycles are "
+            "skipped.",
         ),
     ] = True
     exponents: Exponents = 0
@@ -228,8 +226,13 @@ class SweepSpec(Specification):
 
     @property
     def ends_early(self) -> bool:
-        """Whether `settle_early` has an effect: never on a ramp, nor with exponents."""
-        return self.settle_early and isinstance(self.protocol, Rest) and not self.exponents
+        """Whether `settle_early` is on and has an effect."""
+        return self.settle_early and self._may_end_early
+
+    @property
+    def _may_end_early(self) -> bool:
+        """Never on a ramp, with exponents, or where flights do not tell that the motion repeats."""
+        return isinstance(self.protocol, Rest) and not self.exponents and self.model.repeats
 
     @property
     def ramp_axis(self) -> str | None:
@@ -246,9 +249,14 @@ class SweepSpec(Specification):
         """The labels, and newer fields that are at their defaults or without effect."""
         later = ("settle_tolerance", "settle_until", "exponents", "refine")
         left_out = {"parent"} | {field for field in later if not getattr(self, field)}
-        if self.settle_early or not isinstance(self.protocol, Rest) or self.exponents:
+        if self.settle_early or not self._may_end_early:
             left_out.add("settle_early")  # on, or without effect
         return super().left_out() | left_out
+
+
+def is_open(spec: object) -> bool:
+    """Whether a specification is a sweep with the model `auto`."""
+    return isinstance(spec, SweepSpec) and isinstance(spec.model, Auto)
 
 
 @lru_cache(maxsize=2 * MAX_STARTS)

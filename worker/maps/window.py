@@ -8,10 +8,10 @@ from pydantic import AfterValidator, Field
 
 from worker.spec.axes import WHOLE, AxisValue, Number, Range
 from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid
-from worker.spec.protocols import Rest
-from worker.spec.refine import Refine
+from worker.spec.refine import Margin, Refine
 from worker.spec.specification import Document
-from worker.spec.sweep import SweepSpec
+from worker.sweep import SweepSpec
+from worker.sweep.protocols import Rest
 
 #: Minimum values of a window along an axis.
 FEWEST_VALUES: Final = 129
@@ -43,7 +43,7 @@ class Window(Document):
     xi: Number | None = None
     finer: Annotated[int, Field(ge=1, le=MAX_FINER), WHOLE] = 4
     by: Literal["mode", "bouncing"] = "mode"
-    margin: bool = False
+    margin: Margin = False
 
     def of(self, spec: SweepSpec, job: str) -> SweepSpec:
         """The adaptive sweep of this window of the map of `spec`, which job `job` computed.
@@ -54,7 +54,7 @@ class Window(Document):
             rule = f"must be 'rest' to refine a window, and is {spec.protocol.kind!r} in this sweep"
             raise SpecInvalid([Problem("protocol.kind", rule)])
         axes = {name: self._axis(spec, name) for name in ("gamma", "omega")}
-        refine = Refine.model_validate({"by": self.by, "margin": self.margin})
+        refine = Refine.model_validate({"by": self.by})
         name = f"Window of {spec.name or 'sweep ' + job[:8]}"[:200]
         fields = spec.as_submitted() | {"name": name, "xi": self._xi(spec), "parent": job}
         plain = {

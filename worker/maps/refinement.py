@@ -7,13 +7,10 @@ smallest blocks, 3 x 3 cells, the cell between two corners is computed only wher
 Chaotic regions are full of islands, which five samples miss: in a block without a mode the middles of the
 edges are computed too.
 
-With a margin, the neighbours of a larger block that differs are split too, and the smallest blocks that
-differ are computed whole. For this to hold at a tile's border, the adjacent blocks beyond it are refined too.
-Their cells are not stored. A cell that is not computed takes the values of its block's nearest vertex.
+A cell that is not computed takes the values of its block's nearest vertex.
 """
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -21,24 +18,15 @@ from numpy.typing import NDArray
 
 from kernel.params import Outcome
 from worker.spec.refine import MAX_MODE_PERIODS, Refine
+from worker.sweep import SweepSpec
 
 #: Blocks: rows and columns of the first and last corner.
 _Blocks = NDArray[np.int64]  # (n, 4)
-#: Rows above and below, columns left and right of a tile.
-Beyond = tuple[int, int, int, int]
-NOTHING: Final[Beyond] = (0, 0, 0, 0)
-#: First and last row, first and last column.
-_Span = tuple[int, int, int, int]
 #: Rows and columns of cells.
 _Points = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 #: Rows and columns from the first to the last corner of the smallest blocks that are split.
 _SMALLEST: Final = 2
-
-#: Rows and columns of blocks above which a margin splits neighbours, or half the coarsest if that is less.
-#: Neighbours show what the coarsest blocks miss. With a margin 15 to 30 % fewer cells are wrong at three xi
-#: on 513 rows and columns, for a tenth more to compute (`python -m benchmarks.adaptive`).
-_MARGIN_ABOVE: Final = 8
 
 #: Pairs of corners of these blocks, and the cell between: (row, column) from the first corner.
 _EDGES: Final = (
@@ -53,6 +41,13 @@ _EDGES: Final = (
 _BOUNCES: Final = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING)
 _WITHOUT_MODE: Final = (Outcome.APERIODIC, Outcome.SETTLING)
 _MODES: Final = len(Outcome)
+
+
+def refine_of(spec: SweepSpec) -> Refine:
+    """How a map is refined. Raises TypeError for a sweep that computes every cell."""
+    if spec.refine is None:
+        raise TypeError("the sweep computes every cell: it is no adaptive map")
+    return spec.refine
 
 
 def classes(
@@ -70,49 +65,18 @@ def classes(
     return np.where(short, _MODES + bounces.astype(np.int64) * (MAX_MODE_PERIODS + 1) + periods, kinds)
 
 
-def first_round(shape: Sequence[int], tile: Sequence[int], refine: Refine) -> int:
-    """Cells of the first rounds of all tiles of a map, which any map needs.
-
-    shape: cells along (xi, omega, gamma), cut into tiles of `tile` cells.
-    """
-    xis, *grid = shape
-    rows, columns = (
-        Counter(min(size, n - low) for low in range(0, n, size))
-        for n, size in zip(grid, tile[1:], strict=True)
-    )
-    return xis * sum(
-        times * again * Refinement((height, width), refine).cells.size
-        for height, times in rows.items()
-        for width, again in columns.items()
-    )
-
-
 class Refinement:
     """The rounds of one tile of `shape` = (rows, columns) cells; they depend on these cells alone.
 
-    beyond: rows above and below and columns left and right of the tile within the map. Those within the
-    margin are used (see `surroundings`); none without a margin. `cells`: flat indices of the next cells to
-    compute, in the order of the surroundings; none at the end.
+    `cells`: flat indices of the next cells to compute; none at the end.
     """
 
-    def __init__(self, shape: tuple[int, int], refine: Refine, beyond: Beyond = NOTHING) -> None:
+    def __init__(self, shape: tuple[int, int], refine: Refine) -> None:
         self._refine = refine
-        self._margin_above = max(min(_MARGIN_ABOVE, refine.coarsest // 2), _SMALLEST)
-        self.surroundings = surroundings(refine, beyond)
-        above, below, left, right = self.surroundings
-        #: First and last row and column of the tile within its surroundings.
-        self._tile = (above, above + shape[0] - 1, left, left + shape[1] - 1)
-        self._shape = (above + shape[0] + below, left + shape[1] + right)
-        self._computed: NDArray[np.bool_] = np.zeros(self._shape, np.bool_)
+        self._computed: NDArray[np.bool_] = np.zeros(shape, np.bool_)
         self._wanted = self._computed.copy()
-        self._blocks = _coarsest(self._tile, self._shape, refine.coarsest)
+        self._blocks = _coarsest(shape, refine.coarsest)
         self._want_vertices()
-
-    @property
-    def inside(self) -> tuple[slice, slice]:
-        """The tile within its surroundings."""
-        top, bottom, left, right = self._tile
-        return slice(top, bottom + 1), slice(left, right + 1)
 
     @property
     def cells(self) -> NDArray[np.int64]:
@@ -120,50 +84,30 @@ class Refinement:
         return np.flatnonzero(self._wanted & ~self._computed)
 
     def split(self, outcome: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any]) -> None:
-        """Take the results of the round's cells and split blocks; arrays over the surroundings."""
+        """Take the results of the round's cells and split blocks; arrays over the tile."""
         self._computed |= self._wanted
         kinds = classes(self._refine, outcome, bounces, periods)
         splits = self._differing(kinds)
         small = np.all(_sizes(self._blocks) == _SMALLEST, axis=1)
-        if self._refine.margin:
-            splits = self._with_neighbours(splits)
-        else:
-            self._want_between(kinds, self._blocks[splits & small])
-            splits &= ~small
-        splits &= np.any(_sizes(self._blocks) > 1, axis=1)
-        splits &= self._within(self._blocks) | np.any(_sizes(self._blocks) > 2 * self._margin_above, axis=1)
-        parts = _children(self._blocks[splits])
-        self._blocks = np.concatenate([self._blocks[~splits], parts[self._touching(parts)]])
+        self._want_between(kinds, self._blocks[splits & small])
+        splits &= ~small & np.any(_sizes(self._blocks) > 1, axis=1)
+        self._blocks = np.concatenate([self._blocks[~splits], _children(self._blocks[splits])])
         self._want_vertices()
         self._want_middles(kinds)
 
     def sources(self) -> NDArray[np.int64]:
         """For each cell of the tile, flat, the index of the cell to copy (its own if computed)."""
-        rows, columns = self._computed[self.inside].shape
+        rows, columns = self._computed.shape
         source = np.arange(rows * columns).reshape(rows, columns)
-        first = np.repeat(self._tile[::2], 2)
-        blocks = self._blocks[self._within(self._blocks)] - first
         # A row or column shared by two blocks belongs to the later one. At the tile's ends there is none:
         # so each block first takes its whole span, then its own part.
         for ends in (1, 0):
-            for size, same in _by_size(blocks):
+            for size, same in _by_size(self._blocks):
                 row, column = np.ogrid[: size[0] + ends, : size[1] + ends]
-                top, left = blocks[same, 0, None, None], blocks[same, 2, None, None]
+                top, left = self._blocks[same, 0, None, None], self._blocks[same, 2, None, None]
                 at_row, at_column = _nearest(size, row, column)
                 source[top + row, left + column] = (top + at_row) * columns + left + at_column
-        return np.where(self._computed[self.inside].ravel(), np.arange(rows * columns), source.ravel())
-
-    def _within(self, blocks: _Blocks) -> NDArray[np.bool_]:
-        """(n,) the blocks inside the tile."""
-        top, bottom, left, right = self._tile
-        inside = (blocks[:, 0] >= top) & (blocks[:, 1] <= bottom) & (blocks[:, 2] >= left)
-        return np.asarray(inside & (blocks[:, 3] <= right))
-
-    def _touching(self, blocks: _Blocks) -> NDArray[np.bool_]:
-        """(n,) the blocks with a cell of the tile; the others beyond it no longer matter."""
-        top, bottom, left, right = self._tile
-        touching = (blocks[:, 0] <= bottom) & (blocks[:, 1] >= top) & (blocks[:, 2] <= right)
-        return np.asarray(touching & (blocks[:, 3] >= left))
+        return np.where(self._computed.ravel(), np.arange(rows * columns), source.ravel())
 
     def _differing(self, kinds: NDArray[np.int64]) -> NDArray[np.bool_]:
         """(n,) the blocks with computed cells of different classes."""
@@ -174,19 +118,6 @@ class Refinement:
             classes = kinds[cells]
             differs[which] = np.any((classes != classes[:, :1, :1]) & self._computed[cells], axis=(1, 2))
         return differs
-
-    def _with_neighbours(self, splits: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Add the neighbours of the larger blocks: blocks of equal size that share a corner."""
-        result = splits.copy()
-        for size, which in _by_size(self._blocks):
-            if max(size) <= self._margin_above:
-                continue
-            touched = np.zeros(self._shape, np.bool_)
-            for corner in _corners(self._blocks[which[splits[which]]]):
-                touched[corner] = True
-            for corner in _corners(self._blocks[which]):
-                result[which] |= touched[corner]
-        return result
 
     def _want_between(self, kinds: NDArray[np.int64], blocks: _Blocks) -> None:
         """Request the cells on the edges of the smallest blocks, where the corners or the centre differ."""
@@ -213,32 +144,12 @@ class Refinement:
             self._wanted[point] = True
 
 
-def surroundings(refine: Refine, beyond: Beyond) -> Beyond:
-    """Rows above and below and columns left and right of a tile that its margin uses."""
-    if not refine.margin:
-        return NOTHING
-    above, below, left, right = (min(cells, refine.coarsest) for cells in beyond)
-    return above, below, left, right
-
-
-def _coarsest(tile: _Span, shape: tuple[int, int], width: int) -> _Blocks:
-    """The first blocks of a tile, of `width` rows and columns; the last ones may be narrower.
-
-    tile: its first and last row and column within its surroundings of `shape`. One block beyond each border
-    spans the rest of the surroundings.
-    """
-    top, bottom, left, right = tile
+def _coarsest(shape: tuple[int, int], width: int) -> _Blocks:
+    """The first blocks of a tile, of `width` rows and columns; the last ones may be narrower."""
     rows, columns = (
-        _cuts(first, last, n, width) for first, last, n in ((top, bottom, shape[0]), (left, right, shape[1]))
+        [(low, min(low + width, n - 1)) for low in range(0, max(n - 1, 1), width)] for n in shape
     )
     return np.array([(*row, *column) for row in rows for column in columns], np.int64)
-
-
-def _cuts(first: int, last: int, n: int, width: int) -> list[tuple[int, int]]:
-    """Spans of `width` cells from the first to the last, and the rest of the n cells before and after."""
-    inner = [(low, min(low + width, last)) for low in range(first, max(last, first + 1), width)]
-    before = [(0, first)] if first else []
-    return [*before, *inner, *([(last, n - 1)] if last < n - 1 else [])]
 
 
 def _corners(blocks: _Blocks) -> Iterator[_Points]:

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 from tables import for_each
 
-from worker.spec import SweepSpec
 from worker.spec.axes import MAX_AXIS_VALUES, Range, values_of
 from worker.spec.contact_models import CONTACT_MODELS, penetration_of
 from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable
 from worker.spec.specification import Label
+from worker.sweep import SweepSpec
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
@@ -103,6 +103,7 @@ RULES = [
     ({"model": {"rest_length": 1e9}}, "model.rest_length: gives contacts 1.25e+04 to 1.25e+04 plate "),
     ({"model": {"kind": "stepped", "restitution": 0}}, "model.restitution: must be at least 1e-06 for "),
     ({"model": {"kind": "stepped", "scheme": "rk4"}}, "model.scheme: must be 'verlet' or 'euler', not text "),
+    ({"model": STEPPED | {"events": "late"}}, "model.events: must be 'located' or 'plain', not text 'late'"),
     ({"model": STEPPED | {"penetration": 1e-8}}, "model.penetration: asks for 2.25e+09 steps in a plate "),
     ({"model": STEPPED, "settle": 100_000}, "model.steps_per_contact: asks for 2.25e+05 steps in a plate "),
     (
@@ -285,9 +286,15 @@ def test_any_other_number_is_another_job(changes):
 def test_identity_is_not_forgotten_from_release_to_release():
     """If this fails, every stored job is computed anew: a thing to do on purpose only."""
     assert sweep(micro_flight=0.0).job_id("1") == "07e4a0b73fc29560de65d362ac80685e"
+    for model in (STEPPED, STEPPED | {"events": "located"}):
+        assert sweep(model=model).job_id("1") == "92361d912a9cc876b64adbb2df8ace86"
+    assert sweep(model=STEPPED | {"events": "plain"}).job_id("1") != sweep(model=STEPPED).job_id("1")
 
 
-@pytest.mark.parametrize("changes", [{"protocol": ramp()}, {"exponents": 1}])
+PLAIN = {"model": {"kind": "stepped", "events": "plain"}}
+
+
+@pytest.mark.parametrize("changes", [{"protocol": ramp()}, {"exponents": 1}, PLAIN])
 def test_early_settling_is_left_out_where_it_has_no_effect(changes):
     full = SweepSpec(**(POINT | {"gamma": range_()} | changes), settle_early=False)
     early = SweepSpec(**(POINT | {"gamma": range_()} | changes))

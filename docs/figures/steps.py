@@ -1,0 +1,63 @@
+"""Draw figure-steps.png: flights near Γ = 2 of Fig. 7b, exact, with located events and with plain time steps.
+
+python docs/figures/steps.py
+"""
+
+from pathlib import Path
+
+import numpy as np
+import xarray
+from matplotlib.figure import Figure
+
+from kernel.params import Outcome
+from service.local import run
+from service.pictures import draw_diagram
+from service.presets import GAMMA_NEAR_TWO, XI
+
+#: Restitution and scheme of each row; the paper's restitution is "as closest as possible to zero".
+ROWS = ((0.1, "verlet"), (1e-6, "euler"))
+#: rad; shorter flights do not count.
+MICRO = 0.05
+
+
+def sweep(restitution: float, num: int, **steps: str) -> xarray.Dataset:
+    """The cells near Γ = 2, exact or with 20 steps per contact."""
+    model = {"restitution": restitution, "penetration": 1e-3, **steps}
+    gamma = {**GAMMA_NEAR_TWO, "num": num}
+    cells = {"gamma": gamma, "omega": 1.0, "xi": XI, "model": model, "micro_flight": MICRO}
+    return run({**cells, "settle": 300, "keep": 128}).squeeze(["direction", "xi", "omega"])
+
+
+def deviations(stepped: xarray.Dataset, exact: xarray.Dataset) -> np.ndarray:
+    """(n,) rad: of cells that repeat exactly, how far flights lie at most from all flights of the cycle."""
+    found = []
+    for gamma in exact.gamma[exact.outcome == Outcome.PERIODIC]:
+        flights = [each.flight_time.sel(gamma=gamma).values for each in (stepped, exact)]
+        some, cycle = (each[each > MICRO] for each in flights)
+        found.append(np.abs(some[:, None] - cycle).min(axis=1).max())
+    return np.array(found)
+
+
+def draw(num: int = GAMMA_NEAR_TWO["num"]) -> tuple[Figure, dict[tuple[str, str], np.ndarray]]:
+    """The figure, and the deviations by scheme and events; `num`: values of Γ."""
+    figure, found = Figure(figsize=(9.6, 6.0), layout="constrained"), {}
+    panels = figure.subplots(len(ROWS), 3, sharex=True, sharey="row")
+    for (restitution, scheme), row in zip(ROWS, panels, strict=True):
+        exact = sweep(restitution, num)
+        draw_diagram(row[0], exact)
+        row[0].set_title(f"exact, $e$ = {restitution:g}", fontsize=10)
+        for axes, events in zip(row[1:], ("located", "plain"), strict=True):
+            stepped = sweep(restitution, num, kind="stepped", scheme=scheme, events=events)
+            draw_diagram(axes, stepped)
+            found[scheme, events] = each = deviations(stepped, exact)
+            axes.set_title(f"{scheme.title()}, {events}: up to {each.max():.1g} rad off", fontsize=10)
+    for axes in panels.flat:
+        axes.label_outer()
+    return figure, found
+
+
+if __name__ == "__main__":
+    figure, found = draw()
+    rows = (f"{' '.join(names)}: median {np.median(each):.1g} rad" for names, each in found.items())
+    picture = Path(__file__).with_name("figure-steps.png")
+    figure.savefig(picture, dpi=110, metadata={"Description": ", ".join(rows)})

@@ -1,0 +1,49 @@
+"""Where compiled kernels are kept, and which are being compiled; without numba."""
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Compilation(NamedTuple):
+    """An entry that this process compiles, or that it waits for while another process compiles it."""
+
+    kernel: str  # the function and the contact model, such as "walk of rigid"
+    began: float  # time.time()
+
+
+#: Where entries are kept; None: nowhere.
+_folder: Path | None = None
+
+#: What the threads of this process compile, by thread.
+_under_way: dict[int, Compilation] = {}
+
+
+def set_cache(folder: Path | None) -> None:
+    """Keep compiled entries in a folder that exists; whoever can write to it decides what code runs here."""
+    global _folder  # noqa: PLW0603 - one cache for all kernels of a process
+    _folder = folder
+
+
+def cache_folder() -> Path | None:
+    """The folder of `set_cache`."""
+    return _folder
+
+
+def compilations() -> list[Compilation]:
+    """What this process compiles or loads at present; nothing where plain `numba.njit` compiles."""
+    return list(_under_way.values())
+
+
+@contextmanager
+def compiling(kernel: str) -> Iterator[None]:
+    """Tell `compilations`."""
+    thread = threading.get_ident()
+    _under_way[thread] = Compilation(kernel, time.time())
+    try:
+        yield
+    finally:
+        del _under_way[thread]

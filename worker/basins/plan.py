@@ -1,0 +1,89 @@
+"""Division of basins and of multistability into chunks, and their cost."""
+
+from typing import Final
+
+from worker.basins.schema import FOLLOWED_ARRAYS, MAX_FOLLOWED, basin_arrays, basin_sizes, sizes_of_attractors
+from worker.basins.specification import BasinSpec, MultistabilitySpec
+from worker.study.chunks import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even
+from worker.study.layout import bytes_of
+from worker.sweep import SweepSpec
+from worker.sweep.plan import cell_seconds, longest_seconds
+
+#: Starts of an attractor that are followed on.
+REPRESENTATIVES: Final = 32
+
+#: Average runs of a cell of a multistability study: of each drop with its continuation, and of followed
+#: attractors.
+RUN_ON: Final = 1.5
+FOLLOWED: Final = 12
+
+
+def _of_starts(spec: BasinSpec) -> SweepSpec:
+    """The sweep whose cells cost as much as starts: without exponents."""
+    return spec.sweep().model_copy(update={"exponents": 0})
+
+
+def plan_basins(
+    spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+) -> Plan:
+    """Chunks of `chunk_shape` cells along (xi, omega, gamma); by default rows of gamma, about a second.
+
+    Raises ValueError for a size below 1.
+    """
+    if chunk_shape is None:
+        starts = spec.protocol.rows * spec.protocol.columns
+        seconds, size = (
+            starts * cell_seconds(_of_starts(spec)),
+            bytes_of(basin_arrays(spec), basin_sizes(spec)),
+        )
+        cells = max(1, int(min(TARGET_SECONDS / seconds, MAX_CHUNK_BYTES / size)))
+        row = even(spec.shape[2], cells)
+        chunk_shape = (1, max(1, cells // row), row)
+    return Plan(spec.shape, chunk_shape)
+
+
+def estimate_basins(spec: BasinSpec, plan: Plan) -> Cost:
+    """Cost of a study, from the table of contact models."""
+    starts, sweep = spec.protocol.rows * spec.protocol.columns, _of_starts(spec)
+    runs = starts + min(starts, REPRESENTATIVES)
+    return Cost(
+        cells=plan.cells,
+        chunks=len(plan),
+        bytes=plan.cells * bytes_of(basin_arrays(spec), basin_sizes(spec)),
+        core_seconds=plan.cells * starts * cell_seconds(sweep),
+        longest_core_seconds=plan.cells * runs * longest_seconds(sweep, spec.until),
+    )
+
+
+def plan_lines(
+    spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+) -> Plan:
+    """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
+
+    Raises ValueError for sizes below 1, or for parts of lines.
+    """
+    gammas = spec.shape[2]
+    if chunk_shape is None:
+        lines = int(TARGET_SECONDS / (gammas * _runs(spec) * cell_seconds(spec.sweep())))
+        chunk_shape = (1, max(1, lines), gammas)
+    plan = Plan(spec.shape, chunk_shape)
+    if plan.chunk_shape[-1] != gammas:
+        raise ValueError(f"chunk_shape: must span the {gammas} values of gamma, not {chunk_shape[-1]}")
+    return plan
+
+
+def estimate_lines(spec: MultistabilitySpec, plan: Plan) -> Cost:
+    """Cost of a study, from the table of contact models."""
+    runs, sweep = plan.cells * _runs(spec), spec.sweep()
+    return Cost(
+        cells=plan.cells,
+        chunks=len(plan),
+        bytes=plan.cells * bytes_of(FOLLOWED_ARRAYS, sizes_of_attractors(spec, MAX_FOLLOWED)),
+        core_seconds=runs * cell_seconds(sweep),
+        longest_core_seconds=runs * longest_seconds(sweep, spec.until),
+    )
+
+
+def _runs(spec: MultistabilitySpec) -> float:
+    """Average runs of a cell, each of settle + observe plate periods."""
+    return RUN_ON * spec.protocol.rows * spec.protocol.columns + FOLLOWED

@@ -1,0 +1,40 @@
+"""Computes a tile of an adaptive map, stores it, and returns a report; repeated, it writes the same bytes."""
+
+import itertools
+
+from worker.maps.refinement import Refinement, refine_of
+from worker.study.chunks import Chunk, ChunkReport
+from worker.study.layout import COMPUTED, empty_record
+from worker.sweep.schema import MODE_ARRAYS, sizes
+from worker.sweep.schema import arrays as stored_arrays
+from worker.sweep.specification import AXES, SweepSpec
+from worker.sweep.task import cells_of, compute
+from worker.work import Work
+
+
+def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+    """Compute the cells that a tile needs, fill in the others, and store it; the store must exist.
+
+    Each round of the refinement is a line. Rounds that an earlier task computed are in the record; the
+    refinement repeats them from there. Errors and checkpoints as in `worker.sweep.task`.
+    """
+    arrays = tuple(stored_arrays(spec))
+    record = empty_record(chunk.shape, arrays, sizes(spec))
+    work = Work(store_url, chunk, arrays, record)
+    flat = {name: array.reshape(chunk.cells, *array.shape[3:]) for name, array in record.items()}
+    cells = {name: array.ravel() for name, array in cells_of(spec, chunk).items()}
+    tile = Refinement((chunk.shape[1], chunk.shape[2]), refine_of(spec))
+    finished = work.done
+    for number in itertools.count():
+        if not tile.cells.size:
+            break
+        if number >= finished:
+            done = compute(spec, work, {axis: cells[axis][tile.cells] for axis in AXES}, [])
+            for name, array in flat.items():
+                array[tile.cells] = 1 if name == COMPUTED else getattr(done, name)
+            work.finish()
+        tile.split(*(record[name][0] for name in MODE_ARRAYS))
+    source = tile.sources()
+    for name in MODE_ARRAYS:
+        flat[name][...] = flat[name][source]
+    return work.write(record)

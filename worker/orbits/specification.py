@@ -1,0 +1,137 @@
+"""The specification of orbits: a grid of springs, and the modes whose branches are computed.
+
+The study has cycles in closed form and the events on their branches, for the rigid contact without
+restitution. A cell is a spring, one (xi, omega). Its branches have the same number of points in all cells.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from kernel.branches.events import POINTS as GRID
+from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, Strict, within
+from worker.spec.errors import BrokenRuleError, describe
+from worker.spec.specification import Specification
+
+#: Maximum modes of a specification or an answer, and maximum plate periods of a mode.
+MAX_MODES: Final = 6
+MAX_PERIODS: Final = 12
+
+#: Maximum flight times per branch. Below Omega = 0.04 or so a branch of one period needs more, and the cost
+#: grows with their square, to 0.4 s at this limit.
+MAX_GRID: Final = 2_000
+
+#: Maximum stored points of a branch and maximum stored events of a cell.
+MAX_POINTS: Final = 1_000
+MAX_EVENTS: Final = 1_000
+
+DIMS: Final = ("xi", "omega")
+_MODE: Final = re.compile(r"([1-9][0-9]{0,3})-([1-9][0-9]{0,3})")
+
+
+class Mode(NamedTuple):
+    """A cycle's bounces and plate periods, written as `1-2`."""
+
+    bounces: int
+    periods: int
+
+    def __str__(self) -> str:
+        return f"{self.bounces}-{self.periods}"
+
+
+def read_mode(text: str) -> Mode:
+    """Parse a mode of one bounce. Raises BrokenRuleError."""
+    match = _MODE.fullmatch(text)
+    if match is None:
+        raise BrokenRuleError("", f"must be like 1-2 (bounces-periods), not {describe(text)}")
+    mode = Mode(int(match[1]), int(match[2]))
+    if mode.bounces != 1:
+        rule = "must have one bounce, as 1-1 or 1-2: other modes are found from the cells of a sweep"
+        raise BrokenRuleError("", f"{rule}, not {mode}")
+    if mode.periods > MAX_PERIODS:
+        raise BrokenRuleError("", f"must have at most {MAX_PERIODS} periods, not {mode.periods}")
+    return mode
+
+
+def check_modes(modes: Sequence[Mode]) -> None:
+    """Raise BrokenRuleError for too many or repeated modes."""
+    if len(set(modes)) < len(modes):
+        raise BrokenRuleError("", "must not name a mode twice")
+    if not 1 <= len(modes) <= MAX_MODES:
+        raise BrokenRuleError("", f"must be 1 to {MAX_MODES} modes, not {len(modes)}")
+
+
+def grid_points(omega: NDArray[np.float64], periods: int, points: int) -> NDArray[np.float64]:
+    """Approximate number of flight times of a branch at each omega (n,), for an undamped spring.
+
+    See `kernel.branches.events.flight_times`; fewer with damping, except near both ends.
+    """
+    rate = 1.0 + (1.0 + math.sqrt(2.0)) / omega
+    return np.maximum(2.0 * math.pi * periods * rate / 0.2, points)
+
+
+def _to_tuple(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _mode(name: str) -> str:
+    return str(read_mode(name))
+
+
+def _modes(names: tuple[str, ...]) -> tuple[str, ...]:
+    check_modes([read_mode(name) for name in names])
+    return names
+
+
+Modes = Annotated[
+    tuple[Annotated[str, AfterValidator(_mode)], ...], BeforeValidator(_to_tuple), AfterValidator(_modes)
+]
+
+
+class Orbits(Strict):
+    """The protocol; its kind selects the study."""
+
+    kind: Literal["orbits"]
+
+
+class OrbitsSpec(Specification):
+    """A grid of springs, the modes of the branches, and the length of the records.
+
+    `OrbitsSpec(omega=..., xi=..., protocol=...)` raises `SpecInvalid`, which names each field and rule.
+    """
+
+    AXES: ClassVar = DIMS
+
+    omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
+    xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
+    protocol: Orbits
+    modes: Modes = ("1-1", "1-2")
+    gamma_max: Annotated[float, Field(gt=0.0, le=LARGEST), NUMBER] = 8.0
+    points: Annotated[int, Field(ge=10, le=MAX_POINTS), WHOLE] = 128
+    events: Annotated[int, Field(ge=1, le=MAX_EVENTS), WHOLE] = 128
+
+    @model_validator(mode="after")
+    def _rules(self) -> Self:
+        longest = max(mode.periods for mode in self.cycles)
+        lowest = self.axis_values("omega")[:1]
+        if grid_points(lowest, longest, GRID)[0] > MAX_GRID:
+            rate = MAX_GRID * 0.2 / (2.0 * math.pi * longest) - 1.0
+            needed = math.ceil(1000.0 * (1.0 + math.sqrt(2.0)) / rate) / 1000.0
+            rule = f"must be at least {needed:g} for 1-{longest}, whose branch takes too many points below"
+            raise BrokenRuleError("omega", f"{rule}, not {float(lowest[0])!r}")
+        return self
+
+    @property
+    def cycles(self) -> tuple[Mode, ...]:
+        """The modes, in the order of the dimension `branch`."""
+        return tuple(read_mode(name) for name in self.modes)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Cells along (xi, omega)."""
+        return len(self.axis_values("xi")), len(self.axis_values("omega"))

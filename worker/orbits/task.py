@@ -1,0 +1,87 @@
+"""Computes the branches of a chunk of springs and their events, and stores them."""
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.branches.events import POINTS as GRID
+from kernel.branches.events import Branch, Events, Kind, branch_and_events
+from kernel.params import KernelInputError, Outcome
+from worker.orbits.schema import ARRAYS, KINDS, sizes
+from worker.orbits.specification import DIMS, OrbitsSpec
+from worker.study.chunks import Chunk, ChunkReport
+from worker.study.layout import empty_record
+from worker.work import Work
+
+
+def run_chunk(spec: OrbitsSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+    """Compute every cell of `chunk` and store it, without pauses; the store must exist.
+
+    Raises ChunkCancelled or a `store.StoreError`; then nothing of the chunk was written.
+    """
+    record = empty_record(chunk.shape, ARRAYS, sizes(spec))
+    xi, omega = (spec.axis_values(axis)[span] for axis, span in zip(DIMS, chunk.slices, strict=True))
+    work, began = Work(store_url, chunk, ARRAYS, record), time.perf_counter()
+    for i, j in np.ndindex(chunk.shape):
+        work.check_cancelled()
+        _compute(spec, float(omega[j]), float(xi[i]), {name: x[i, j : j + 1] for name, x in record.items()})
+    work.kernel_seconds = time.perf_counter() - began
+    return work.write(record)
+
+
+def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[Any]]) -> None:
+    """Fill in one cell: arrays (1, ...) of a record."""
+    events_of_branches: list[Events] = []
+    try:
+        for row, mode in enumerate(spec.cycles):
+            branch, events = branch_and_events(omega, xi, mode.periods, max(GRID, spec.points))
+            _put_branch(branch, row, spec, cell)
+            events_of_branches.append(events)
+    except KernelInputError:  # an undamped spring at resonance
+        cell["outcome"][0] = Outcome.UNRESOLVED
+        return
+    inside = [events.gamma <= spec.gamma_max for events in events_of_branches]
+    cell["event_count"][0] = sum(int(rows.sum()) for rows in inside)
+    at = 0
+    for events, rows in zip(events_of_branches, inside, strict=True):
+        for i in np.flatnonzero(rows)[: spec.events - at]:
+            cell["event_kind"][0, at] = 1 + KINDS.index(Kind(events.kind[i]))
+            for name in ("gamma", "bounces", "periods", "flight_time", "admissible"):
+                cell[f"event_{name}"][0, at] = getattr(events, name)[i]
+            at += 1
+    cell["outcome"][0] = Outcome.PERIODIC
+
+
+def _put_branch(branch: Branch, row: int, spec: OrbitsSpec, cell: dict[str, NDArray[Any]]) -> None:
+    """Fill in one branch, thinned to the available points."""
+    kept = _stored_rows(branch.gamma <= spec.gamma_max, spec.points)
+    to = np.flatnonzero(kept >= 0)
+    rows = kept[to]
+    for name in ("gamma", "flight_time", "takeoff_phase", "elongation", "elongation_velocity",
+                 "impact_velocity", "stable", "admissible"):  # fmt: skip
+        cell[name][0, row, to] = getattr(branch, name)[rows]
+    for i, name in enumerate(("multiplier", "other_multiplier")):
+        cell[name][0, row, to] = branch.multiplier[rows, i]
+
+
+def _stored_rows(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
+    """Rows of a branch to store: indices (m,), m <= points, with -1 between its parts.
+
+    Includes the first and last row, and both ends of every part if they fit.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]))).reshape(-1, 2)
+    parts: list[NDArray[np.intp]] = []
+    for low, high in edges:
+        parts += [np.arange(low, high), np.array([-1])]
+    order = np.concatenate([np.empty(0, np.intp), *parts])[:-1]
+    if len(order) <= points:
+        return order
+    gaps = np.flatnonzero(order < 0)
+    even = np.unique(np.concatenate([gaps, np.linspace(0, len(order) - 1, points).round().astype(np.intp)]))
+    surplus = len(even) - points
+    if surplus > 0:  # gaps take the place of rows
+        rows = np.flatnonzero(order[even] >= 0)[1:-1]
+        even = np.delete(even, rows[np.linspace(0, len(rows) - 1, surplus).round().astype(np.intp)])
+    return np.asarray(order[even])

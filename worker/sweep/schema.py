@@ -1,0 +1,119 @@
+"""The stored variables of a sweep: name, dimensions, type, units, long name and fill value of each, once."""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+
+from kernel.params import KERNEL_VERSION, STATE_FIELDS
+from worker.spec.contact_models import Stepped
+from worker.spec.time_steps import corners, stated
+from worker.study.layout import (
+    CELL_DIMS,
+    COORDINATES,
+    OUTCOME_FLAGS,
+    Array,
+    Layout,
+    array,
+    bytes_of,
+    common_attributes,
+)
+from worker.sweep.specification import SweepSpec
+
+RECORD: Final = (
+    array("flight_time", (*CELL_DIMS, "flight"), "<f8", "flight time, last flights of the window in order",
+          "rad", comment="those of a periodic cell are within 6e-6 rad of its cycle, within 1.2e-4 rad if "
+          "settle_until extended it: what is left of a slow approach"),
+    array("takeoff_phase", (*CELL_DIMS, "flight"), "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
+    array("flights", CELL_DIMS, "<i4", "flights taken off and landed within the window"),
+    array("bounces", CELL_DIMS, "<i4", "mode: bounces in one cycle, 0 if none was found"),
+    array("periods", CELL_DIMS, "<i4", "mode: plate periods in one cycle, 0 if none was found"),
+)  # fmt: skip
+#: The arrays of a cell's mode, which a cell that is filled in has from another.
+MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
+END_STATE: Final = array(
+    "end_state", (*CELL_DIMS, "state"), "<f8", "state at the end of the window, in the cell's own units",
+    None, fields=" ".join(STATE_FIELDS),
+)  # fmt: skip
+LYAPUNOV: Final = array(
+    "lyapunov", (*CELL_DIMS, "exponent"), "<f8", "Lyapunov exponents, the largest first",
+    comment="per plate period, natural logarithm; -inf: a lost direction, NaN: a failed run",
+)  # fmt: skip
+LYAPUNOV_ERROR: Final = array(
+    "lyapunov_error", CELL_DIMS, "<f8", "standard error of the largest Lyapunov exponent",
+    comment="per plate period, by means over overlapping thirds of the window; NaN: a lost direction, a "
+    "failed run, or observe below 40",
+)  # fmt: skip
+COMPUTED: Final = array(
+    "computed", CELL_DIMS, "|u1", "whether the cell was computed", None,
+    flag_values=[0, 1], flag_meanings="taken_from_its_block computed",
+    comment="0: outcome and mode are those of the nearest computed corner or centre of its block",
+)  # fmt: skip
+#: Written last: a cell with an outcome has all its values.
+OUTCOME: Final = array(
+    "outcome", CELL_DIMS, "|u1", "what became of the cell", **OUTCOME_FLAGS,
+    comment="of the window: 3 % of aperiodic cells are periodic in the end, chaotic transients that "
+    "settle_until does not extend; a start exactly on an unstable cycle is periodic there",
+)  # fmt: skip
+
+
+#: Every array that a sweep may have.
+ARRAYS: Final = (*RECORD, LYAPUNOV, LYAPUNOV_ERROR, END_STATE, COMPUTED, OUTCOME)
+
+
+def arrays(spec: SweepSpec) -> Iterator[Array]:
+    """The arrays of a sweep in the order they are written; `end_state` only for ramps."""
+    yield from RECORD
+    if spec.exponents:
+        yield LYAPUNOV
+        yield LYAPUNOV_ERROR
+    if spec.ramp_axis is not None:
+        yield END_STATE
+    yield from some_computed(spec)
+    yield OUTCOME
+
+
+def some_computed(spec: SweepSpec) -> tuple[Array, ...]:
+    """COMPUTED, of a sweep that computes only some cells and fills in the others; else nothing."""
+    return () if spec.refine is None else (COMPUTED,)
+
+
+def sizes(spec: SweepSpec) -> dict[str, int]:
+    """Length of every dimension of a sweep."""
+    return dict(zip(CELL_DIMS, spec.shape, strict=True)) | {
+        "flight": spec.keep,
+        "exponent": spec.exponents,
+        "state": len(STATE_FIELDS),
+    }
+
+
+def bytes_per_cell(spec: SweepSpec) -> int:
+    """Stored bytes per cell of a sweep before compression."""
+    return bytes_of(arrays(spec), sizes(spec))
+
+
+def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
+    """Layout of a sweep's store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
+    length = sizes(spec)
+    # Variable-length text: zarr has no stable form for the fixed-length one.
+    directions = np.array(spec.directions, dtype=np.dtypes.StringDType())
+    return Layout(
+        chunk_sizes=dict(zip(CELL_DIMS, (1, *chunk_shape), strict=True)),
+        coordinates={
+            "direction": directions,
+            **{axis: spec.axis_values(axis).astype("<f8") for axis in CELL_DIMS[1:]},
+        },
+        extra_sizes={dim: n for dim, n in length.items() if dim not in CELL_DIMS},
+        arrays=tuple(arrays(spec)),
+        coordinate_attrs={coordinate.name: coordinate.attrs for coordinate in COORDINATES},
+        attributes=_attributes(spec),
+        identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
+    )
+
+
+def _attributes(spec: SweepSpec) -> dict[str, Any]:
+    attributes = common_attributes(spec, "bouncing spring", spec.model.kind)
+    if isinstance(spec.model, Stepped):
+        axes = (spec.axis_values(axis) for axis in ("gamma", "omega", "xi"))
+        attributes["time_steps"] = stated(spec.model, corners(*axes))
+    return attributes

@@ -1,0 +1,178 @@
+"""Computes a chunk of a sweep, stores it, and returns a report; repeated, it writes the same bytes."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.line import LineRun
+from kernel.params import Cell, Line, Outcome, Start
+from kernel.stopping import check
+from worker import store
+from worker.study.chunks import Chunk, ChunkReport, PredecessorMissing
+from worker.study.layout import empty_record
+from worker.sweep import schema
+from worker.sweep.plan import cells_at_once
+from worker.sweep.protocols import Ramp
+from worker.sweep.specification import AXES, SweepSpec, start_of
+from worker.work import FIRST_STEPS, Work, plate_of
+
+#: Position of a line among the lines of its chunk.
+_LineIndex = tuple[int, int]
+_Arrays = dict[str, NDArray[Any]]
+
+
+def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+    """Compute every cell of `chunk` and store it; the store must exist.
+
+    Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
+    the slice of `OPTIONS`, `PredecessorMissing`, or a `store.StoreError`. In each case the chunk's cells stay
+    missing and the chunk can be run again.
+    """
+    arrays = tuple(schema.arrays(spec))
+    record = empty_record(chunk.shape, arrays, schema.sizes(spec))
+    work = Work(store_url, chunk, arrays, record)
+    _compute_lines(spec, chunk, work, _starts(spec, chunk, store_url))
+    return work.write(record)
+
+
+def _compute_lines(
+    spec: SweepSpec, chunk: Chunk, work: Work, starts: Mapping[_LineIndex, Start | None]
+) -> None:
+    """Compute every cell of a chunk, line by line or all lines side by side."""
+    lines, cells = (
+        _in_visiting_order(spec, chunk, arrays) for arrays in (work.record, cells_of(spec, chunk))
+    )
+    indices = list(np.ndindex(lines["outcome"].shape[:2]))
+    groups = [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
+    for group in groups[work.done :]:
+        line_cells = {axis: np.concatenate([cells[axis][index] for index in group]) for axis in AXES}
+        done = compute(spec, work, line_cells, [starts.get(index) for index in group])
+        for name, array in lines.items():
+            for index, part in zip(group, np.split(getattr(done, name), len(group)), strict=True):
+                array[index] = part
+        work.finish(last=group is groups[-1])
+
+
+def compute(spec: SweepSpec, work: Work, cells: _Arrays, starts: list[Start | None]) -> Line:
+    """Compute a line to its end; any error notes its cells."""
+    try:
+        return work.compute(_line_run(spec, cells["gamma"], cells["omega"], cells["xi"], starts))
+    except Exception as error:
+        spans = [f"{name} {cells[name][0]:g} to {cells[name][-1]:g}" for name in ("gamma", "omega", "xi")]
+        error.add_note(f"in the cells {', '.join(spans)}")
+        raise
+
+
+def run_cells(
+    spec: SweepSpec,
+    gamma: NDArray[np.float64],
+    omega: NDArray[np.float64],
+    xi: NDArray[np.float64],
+    start: Start | None,
+) -> Line:
+    """Compute a line of cells as a sweep does.
+
+    gamma, omega, xi: (n,), in the order of the ramp. start: on a ramp, the state before the first cell;
+    None starts from rest. Raises KernelInputError for values that the kernel does not accept.
+    """
+    run = _line_run(spec, gamma, omega, xi, [start])
+    while not run.advance(FIRST_STEPS):
+        check()
+    return run.line
+
+
+def _line_run(
+    spec: SweepSpec,
+    gamma: NDArray[np.float64],
+    omega: NDArray[np.float64],
+    xi: NDArray[np.float64],
+    starts: list[Start | None],
+) -> LineRun:
+    """Lines of cells as a sweep computes them, at their beginning; of ramps, one for each start."""
+    carry = spec.ramp_axis is not None
+    return LineRun(
+        np.ascontiguousarray(gamma),
+        np.ascontiguousarray(omega),
+        np.ascontiguousarray(xi),
+        plate=plate_of(spec.model, gamma, omega, xi),
+        carry=carry,
+        settle=spec.settle,
+        observe=spec.observe,
+        keep=spec.keep,
+        micro_flight=spec.micro_flight,
+        settle_tolerance=spec.settle_tolerance,
+        settle_until=spec.settle_until,
+        settle_early=spec.ends_early,
+        exponents=spec.exponents,
+        start=starts if carry else None,
+    )
+
+
+def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, Start | None]:
+    """The start of each line of a ramp's chunk; empty if all lines start from rest."""
+    layer = _layer_before(spec, chunk)
+    if layer is None:
+        return _starts_on_cycles(spec, chunk)
+    stored = store.read_chunk(store_url, layer, ("end_state", "outcome"))
+    previous = _in_visiting_order(spec, layer, stored | cells_of(spec, layer))
+    if np.any(previous["outcome"] == Outcome.MISSING):
+        raise PredecessorMissing(
+            f"chunk {chunk.index} continues chunk {chunk.after} of the ramp, which is not stored"
+        )
+    return {index: _start_at(previous, (*index, 0)) for index in np.ndindex(previous["outcome"].shape[:2])}
+
+
+def _starts_on_cycles(spec: SweepSpec, chunk: Chunk) -> dict[_LineIndex, Start | None]:
+    """The start of each line in the first chunk of a ramp, on a cycle if the specification says so."""
+    on = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
+    if on is None:
+        return {}
+    cells = _in_visiting_order(spec, chunk, cells_of(spec, chunk))
+    indices = np.ndindex(cells["gamma"].shape[:2])
+    return {index: start_of(_cell(cells, (*index, 0)), on.periods) for index in indices}
+
+
+def _start_at(arrays: _Arrays, index: tuple[int, ...]) -> Start | None:
+    """The start of the next cell on a ramp; None after a diverged cell, to start from rest."""
+    if arrays["outcome"][index] == Outcome.DIVERGED:
+        return None
+    return Start(np.ascontiguousarray(arrays["end_state"][index]), _cell(arrays, index))
+
+
+def _cell(arrays: _Arrays, index: tuple[int, ...]) -> Cell:
+    return Cell(*(float(arrays[name][index]) for name in Cell._fields))
+
+
+def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
+    """The cells, one per line, that precede the chunk's first cells on the ramp."""
+    axis = spec.ramp_axis
+    if axis is None or chunk.after is None:
+        return None
+    spans = dict(zip(AXES, chunk.spans, strict=True))
+    low, high = spans[axis]
+    direction, position = chunk.direction or 0, low - 1
+    if spec.directions[direction] == "down":
+        is_last = high == len(spec.axis_values(axis))
+        # A "down" ramp starts from the end of "up", whose last cell has the same parameters.
+        direction, position = (direction - 1, high - 1) if is_last else (direction, high)
+    spans[axis] = position, position + 1
+    return Chunk(chunk.index, tuple(spans.values()), direction)
+
+
+def cells_of(spec: SweepSpec, chunk: Chunk) -> _Arrays:
+    """The parameters of every cell, each array of shape chunk.shape."""
+    values = [spec.axis_values(axis)[slice(*span)] for axis, span in zip(AXES, chunk.spans, strict=True)]
+    return dict(zip(AXES, np.meshgrid(*values, indexing="ij"), strict=True))
+
+
+def _in_visiting_order(spec: SweepSpec, chunk: Chunk, arrays: _Arrays) -> _Arrays:
+    """Views of a chunk's arrays with the cells of a line, in the order of the ramp, along their third axis.
+
+    From rest all cells form one line; on a ramp there is one line for each pair of the other two parameters.
+    """
+    if spec.ramp_axis is None:
+        return {name: array.reshape(1, 1, chunk.cells, *array.shape[3:]) for name, array in arrays.items()}
+    axis, step = AXES.index(spec.ramp_axis), -1 if spec.directions[chunk.direction or 0] == "down" else 1
+    return {name: np.moveaxis(array, axis, 2)[:, :, ::step] for name, array in arrays.items()}
