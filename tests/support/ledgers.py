@@ -3,11 +3,10 @@
 import json
 from typing import Any
 
-from worker.tasks import ChunkReport
-
 from kernel.params import KERNEL_VERSION
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState, NewJob
+from worker.study import ChunkReport
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 

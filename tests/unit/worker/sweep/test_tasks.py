@@ -269,8 +269,9 @@ def test_a_chunk_whose_checkpoint_cannot_be_written_goes_on(tmp_path, small_spec
     _, whole = stored(tmp_path / "whole", spec)
     Path(url, ".checkpoint-0").mkdir()  # where the file should be
     with with_options(ChunkOptions(0.0, begins=True)):
-        report = run_chunk(spec, plan[0], url)
-    assert report.checksum == run_chunk(spec, plan[0], whole).checksum
+        run_chunk(spec, plan[0], url)
+    run_chunk(spec, plan[0], whole)
+    assert files(url) == files(whole)
     (warning,) = (record.getMessage() for record in caplog.records)  # it does not try again
     assert "chunk 0 cannot pause, its checkpoint cannot be written" in warning
 
