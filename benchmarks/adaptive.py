@@ -69,7 +69,9 @@ def plane(running: Running, spec: SweepSpec) -> tuple[_Map, float]:
     job = running.client.submit(spec).wait(progress=False)
     took = time.perf_counter() - began
     names = [*MODE_ARRAYS, *(["computed"] if spec.refine else [])]
-    stored = store.read_slice(str(running.data / "stores" / f"{job.id}.zarr"), names, complete=True)
+    stored = store.read_slice(
+        str(next((running.data / "stores").glob(f"*{job.id}.zarr"))), names, complete=True
+    )
     job.delete()
     return {name: array[0, 0] for name, array in stored.items()}, took
 

@@ -32,9 +32,9 @@ import httpx2
 import psutil
 
 from benchmarks.measuring import describe, options, short, table
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import JobState
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobState
 from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState

@@ -112,7 +112,7 @@ class Serving:
 
     def digests(self, job: dict[str, Any]) -> dict[str, str]:
         """SHA-256 of every file of a job's store, by its name."""
-        store = self.data / "stores" / f"{job['id']}.zarr"
+        [store] = (self.data / "stores").glob(f"*{job['id']}.zarr")
         return {
             str(path.relative_to(store)): hashlib.sha256(path.read_bytes()).hexdigest()
             for path in sorted(path for path in store.rglob("*") if path.is_file())

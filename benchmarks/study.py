@@ -45,7 +45,7 @@ def piece(omega: int) -> Piece:
         start = time.perf_counter()
         job = client.submit(spec).wait(progress=False)
         wall = time.perf_counter() - start
-        stored = sum(f.stat().st_size for f in (data / "stores" / f"{job.id}.zarr").rglob("*"))
+        stored = sum(f.stat().st_size for f in next((data / "stores").glob(f"*{job.id}.zarr")).rglob("*"))
     return Piece(
         executor.kernel_seconds / cells, executor.task_seconds / cells, 2 * wall / cells, stored / cells,
         schema.bytes_per_cell(SweepSpec.model_validate(spec)),

@@ -33,10 +33,10 @@ from worker.ownership import temporary_folder
 if TYPE_CHECKING:
     import xarray
 
-    from service.jobs.ledger import Ledger
     from service.jobs.manager import JobManager
-    from service.jobs.model import JobRecord
     from service.jobs.prepare import PreparedJob
+    from service.ledger.ledger import Ledger
+    from service.ledger.model import JobRecord
     from service.settings import Settings
     from service.views.view import Query
 
@@ -211,7 +211,7 @@ def computed(
     """A study's done job, in the data folder `folder`, which is created and kept. Raises as `run`."""
     use_cache()
     from service.jobs.manager import JobManager
-    from service.jobs.stores.adoption import open_ledger
+    from service.jobs.stores.opening import open_ledger
     from worker.executors.inline import Inline
     from worker.studies import from_json
 
@@ -309,7 +309,7 @@ def _wait(
     If interrupted, cancels the job, so that its chunks stop; stored results stay.
     """
     from service.errors import IllegalTransition, UnknownJob
-    from service.jobs.model import UNFINISHED, JobState
+    from service.ledger.model import UNFINISHED, JobState
 
     try:
         with display_job(progress) as show:

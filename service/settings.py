@@ -96,9 +96,6 @@ class Settings(BaseSettings):
         None, description="Folder, or s3://BUCKET/PREFIX, of the stores; default `data`/stores."
     )
 
-    verify_days: Positive = Field(
-        30.0, description="Days after which the results of a done job are verified again."
-    )
     private: bool = Field(True, description="Close ledger and stores to other users of this machine.")
 
     # The cluster
@@ -284,9 +281,9 @@ class Settings(BaseSettings):
         in_bucket = store.in_bucket(self.stores_url)
         return (self.data,) if in_bucket else (self.data, Path(self.stores or self.data / "stores"))
 
-    def store_of(self, job_id: str) -> str:
-        """The address of a job's zarr store: an absolute path or an s3:// URL."""
-        return f"{self.stores_url}/{job_id}.zarr"
+    def store_of(self, name: str) -> str:
+        """The address of the zarr store with this name: an absolute path or an s3:// URL."""
+        return f"{self.stores_url}/{name}"
 
 
 def read_settings(**overrides: Any) -> Settings:

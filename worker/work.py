@@ -115,10 +115,11 @@ class Work:
 
     def write(self, record: _Arrays) -> ChunkReport:
         """Store the chunk's arrays and remove its checkpoint."""
-        chunk, stored = self._chunk, store.write_chunk(self._url, self._chunk, record)
+        chunk = self._chunk
+        store.write_chunk(self._url, chunk, record)
         if self._has_checkpoint:
             store.remove_checkpoint(self._url, chunk.index)
-        report = report_of(chunk, record, stored, self.seconds)
+        report = report_of(chunk, record, self.seconds)
         return replace(report, paused_seconds=float(self._before[0]))
 
     def check_cancelled(self) -> None:

@@ -18,10 +18,10 @@ from service.api.progress_stream import ProgressStream
 from service.api.routers import docs, health, jobs, page, results, views
 from service.api.schemas import problem_responses
 from service.background import Background, InThisProcess
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.on_demand import MAX_PENDING, OnDemandCache
-from service.jobs.stores.adoption import open_ledger
+from service.jobs.stores.opening import open_ledger
+from service.ledger.ledger import Ledger
 from service.settings import Settings
 from service.software import software
 from service.views import files

@@ -15,10 +15,10 @@ from service.api.monitoring import Metrics, Readiness
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
 from service.errors import InvalidRequest, TooLarge, UnknownJob
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from service.views.selection import BASE_MEMORY, Stored
 from worker.sweep import SweepSpec

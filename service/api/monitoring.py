@@ -16,9 +16,9 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import JobState
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobState
 from service.software import software
 from worker.executors.base import Executor
 
@@ -95,7 +95,7 @@ class JobsCollector(Collector):
         with self._ledger.reading() as ledger:
             jobs = [([state], ledger.count((state,))) for state in JobState]
             chunks, cells = ledger.totals()
-        tally, scrubber = self._manager.supervisor.tally, self._manager.scrubber
+        tally = self._manager.supervisor.tally
         yield _labelled(GaugeMetricFamily("bounce_jobs", "Jobs in the ledger.", labels=["state"]), jobs)
         for name, meaning, value in (
             ("bounce_chunks_done", "Chunks marked done, of jobs in the ledger.", chunks),
@@ -116,16 +116,7 @@ class JobsCollector(Collector):
         for name, meaning, value in (
             ("bounce_chunks_computed", "Chunks computed since the start.", tally.computed),
             ("bounce_chunk_seconds", "Seconds of workers for the chunks computed.", tally.seconds),
-            (
-                "bounce_chunks_verified",
-                "Stored chunks that were verified since the start.",
-                scrubber.verified_chunks,
-            ),
-            (
-                "bounce_chunks_damaged",
-                "Stored chunks that verifying found damaged since the start.",
-                scrubber.damaged_chunks,
-            ),
+            ("bounce_chunks_damaged", "Stored chunks found damaged since the start.", tally.damaged),
         ):
             yield CounterMetricFamily(name, meaning, value)
         meaning = "Chunks that came back without a result, by action and kind of error."

@@ -101,12 +101,12 @@ def internal_error(request_id: str) -> ProblemResponse:
 
 def _damaged(request: Request, error: Any) -> Response:
     """Start the repair of damaged results; 503 with the chunks, or 500 if they cannot be repaired."""
-    scrubber = request.app.state.service.manager.scrubber
+    supervisor = request.app.state.service.manager.supervisor
     try:
-        detail, lasting = scrubber.report(request.path_params.get("job_id", ""), error.chunks)
+        repair = supervisor.repair(request.path_params.get("job_id", ""), error.chunks)
     except LedgerUnavailable as unavailable:  # for example missing stores
         return problem_response(unavailable)
-    return ProblemResponse(500 if lasting else 503, detail)
+    return ProblemResponse(500 if repair.lasting else 503, repair.detail)
 
 
 def _pending(_: Request, pending: Any) -> Response:

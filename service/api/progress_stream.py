@@ -6,8 +6,8 @@ from typing import Final
 
 from starlette.concurrency import run_in_threadpool
 
-from service.jobs.ledger import Ledger
-from service.jobs.model import UNFINISHED, JobRecord
+from service.ledger.ledger import Ledger
+from service.ledger.model import UNFINISHED, JobRecord
 from worker.executors.base import Compiling
 
 #: Seconds between two queries for the same listener.

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
 
 from service.formats import MEDIA_TYPES, DatasetFormat, ExportFormat, ExportLayout
-from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import choice_of
-from service.jobs.search import MAX_TEXT, JobOrder, JobSearch, Position
+from service.ledger.model import Failure, JobRecord, JobState
+from service.ledger.search import MAX_TEXT, JobOrder, JobSearch, Position
 from service.views.registry import VIEWS
 from service.views.view import Query
 from worker.analysis.model_selection import ModelChoice

@@ -20,7 +20,7 @@ def backup(file: Path, data: str | None) -> None:
     FILE has all jobs and marks of one moment, or is left as it was. Results are not in it: copy the stores
     too, after the ledger.
     """
-    from service.jobs import backup as backups
+    from service.ledger import backup as backups
 
     contents = backups.backup(_settings(data).ledger_path, file)
     click.echo(f"{file}: {contents.jobs} jobs, {contents.chunks} done chunks")
@@ -37,8 +37,8 @@ def restore(file: Path, data: str | None) -> None:
     The ledger that was there is kept beside it. Stores that the backup does not know are left alone: "bounce
     adopt --all" takes them in.
     """
-    from service.jobs import backup as backups
-    from service.jobs.stores import adoption
+    from service.jobs.stores import opening
+    from service.ledger import backup as backups
 
     settings = _settings(data)
     restored = backups.restore(settings.ledger_path, file)
@@ -46,8 +46,8 @@ def restore(file: Path, data: str | None) -> None:
     click.echo(f"{settings.ledger_path}: {jobs} jobs, {chunks} done chunks")
     if restored.replaced is not None:
         click.echo(f"the ledger that was there is {restored.replaced}")
-    with adoption.open_ledger(settings) as ledger:
-        unknown = adoption.find_unknown(ledger, settings)
+    with opening.open_ledger(settings) as ledger:
+        unknown = opening.find_unknown(ledger, settings)
     if unknown:
         click.echo(f"{len(unknown)} stores are unknown to it: bounce adopt --all takes them in")
 
@@ -65,22 +65,21 @@ def adopt(stores: tuple[str, ...], every: bool, data: str | None) -> None:
     "bounce resume" computes the others. Stores are not changed.
     """
     from service.errors import NotAdoptable
-    from service.jobs.stores import adoption
+    from service.jobs.stores import opening
+    from service.jobs.stores.adoption import adopt as adopt_store
 
     if bool(stores) == every:
         raise click.UsageError("name the stores to adopt, or give --all")
     settings, refused = _settings(data), 0
     if not settings.data.is_dir():
         raise click.BadParameter(f"there is no folder {settings.data}", param_hint="'--data'")
-    if not settings.ledger_path.exists() and not adoption.has_stores(settings):
+    if not settings.ledger_path.exists() and not opening.has_stores(settings):
         rule = f"{settings.data} has neither a ledger nor stores: it is not the data folder of a service"
         raise click.BadParameter(rule, param_hint="'--data'")
-    with adoption.open_ledger(settings, adopting=True) as ledger:
-        unknown = adoption.find_unknown(ledger, settings)
-        ids = [Path(store).name.removesuffix(".zarr") for store in (unknown if every else stores)]
-        for job_id in ids:
+    with opening.open_ledger(settings, adopting=True) as ledger:
+        for store in opening.find_unknown(ledger, settings) if every else stores:
             try:
-                job = adoption.adopt(ledger, settings, job_id)
+                job = adopt_store(ledger, settings, store)
             except NotAdoptable as error:
                 refused += 1
                 click.echo(f"Error: {error}", err=True)
@@ -93,22 +92,28 @@ def adopt(stores: tuple[str, ...], every: bool, data: str | None) -> None:
 
 
 @click.command()
+@click.argument("job", required=False)
+@click.option("--verify", is_flag=True, help="Read all results of JOB, or of every job.")
 @data_option
 @url_option
-def doctor(data: str | None, url: str) -> None:
+def doctor(job: str | None, verify: bool, data: str | None, url: str) -> None:
     """Check what the service needs; change nothing.
 
-    Exits with 1 if something needs attention.
+    Exits with 1 if something needs attention. With --verify damaged results are named, and computed again at
+    the next start; while a service uses the folder they are only named.
     """
-    from service.cli.doctor import examine
+    from service.cli import doctor as checks
 
+    if job is not None and not verify:
+        raise click.UsageError("JOB needs --verify")
     settings = _settings(data)
     if data is not None and was_default_or_variable("url"):
         url = default_url(settings.data)
-    findings = examine(settings, url)
-    for finding in findings:
+    all_ok = True
+    for finding in checks.verify(settings, job) if verify else checks.examine(settings, url):
         click.echo(f"{'ok' if finding.ok else '!!':<4}{finding.subject:<18}{finding.text}")
-    if not all(finding.ok for finding in findings):
+        all_ok = all_ok and finding.ok
+    if not all_ok:
         raise click.exceptions.Exit(1)
 
 

@@ -1,21 +1,29 @@
-"""What `bounce doctor` looks at: versions, cores, kernel cache, disk, ledger, stores, service."""
+"""What `bounce doctor` looks at: versions, cores, kernel cache, disk, ledger, stores, service, results."""
 
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from functools import partial
 from typing import Final, NamedTuple
 
 import httpx2
 
-from service.jobs import backup
-from service.jobs.ledger import NOT_LOCAL
-from service.jobs.ledger_files import copies_of, file_system, network_file_system
+from service.errors import DataFolderBusy, UnknownJob
+from service.jobs.prepare import JobPreparer
+from service.jobs.stores.opening import open_ledger
+from service.jobs.stores.repair import describe, find_damage, repair, repair_metadata
+from service.ledger import backup
+from service.ledger.ledger import NOT_LOCAL, Ledger
+from service.ledger.model import JobRecord
+from service.ledger.paths import file_system, network_file_system, replaced_copies
 from service.local import cores
 from service.settings import Settings
 from service.software import software
 from worker import store
 from worker.kernel_cache import default_root
 from worker.ownership import NotOurs, check_unshared
+from worker.spec.errors import SpecError
 
 #: Bytes of free disk space below which jobs may soon fail.
 FREE_BYTES: Final = 1 << 30
@@ -82,28 +90,75 @@ def _ledger(settings: Settings) -> Iterator[Finding]:
     else:
         contents = backup.inspect(path)
         yield Finding("ledger", f"{path}: {contents.jobs} jobs, {contents.chunks} done chunks, sound")
-    if copies := copies_of(path):
+    if copies := replaced_copies(path):
         yield Finding("ledger", f"copies beside it: {', '.join(copy.name for copy in copies)}")
 
 
 def _stores(settings: Settings) -> Iterator[Finding]:
-    """Stores that the ledger does not know, and what is left of deletions that it does not record."""
+    """Stores that the ledger does not know, and leftovers of deletions; not in the ledger."""
     place, ledger = settings.stores_url, settings.ledger_path
     names = store.names_in(place)
     yield Finding("stores", f"{place}: {sum(name.endswith('.zarr') for name in names)} stores")
     ours, known = None, set[str]()
     if ledger.exists():
-        ours, known = backup.marker_of(ledger), backup.known_ids(ledger)
+        with backup.reading(ledger) as reading:
+            (name, made), known = reading.marker(), reading.stores()
+        ours = name if made else None
     if ours is not None and (there := store.read_marker(place)) != ours:
         state = "is missing" if there is None else "is another ledger's"
         yield Finding("stores", f"{place}: their marker {store.MARKER} {state}; see /readyz", ok=False)
     for name in names:
-        job_id, _, rest = name.partition(".zarr")
-        if job_id not in known and name.endswith(".zarr"):
-            yield Finding("stores", f"{name} is unknown to the ledger: bounce adopt {job_id}", ok=False)
-        elif job_id not in known and rest.startswith(".deleted-"):
-            text = "is left of a deletion that the ledger does not know: remove it, or rename and adopt it"
+        stem, _, rest = name.partition(".zarr")
+        if f"{stem}.zarr" in known:
+            continue
+        if name.endswith(".zarr"):
+            yield Finding("stores", f"{name} is unknown to the ledger: bounce adopt {stem}", ok=False)
+        elif rest.startswith(store.DELETED):
+            text = "is left over from a deletion; not in the ledger: remove it, or rename and adopt it"
             yield Finding("stores", f"{name} {text}", ok=False)
+
+
+def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
+    """Read all results of a job, or of all jobs; have what is damaged computed again at the next start.
+
+    Where a service uses the folder, damage is only named. Raises UnknownJob.
+    """
+    preparer = JobPreparer(settings)
+    with ExitStack() as stack:
+        ledger = None
+        with suppress(DataFolderBusy):
+            ledger = stack.enter_context(open_ledger(settings))
+        reading = partial(backup.reading, settings.ledger_path) if ledger is None else ledger.reading
+        with reading() as transaction:
+            jobs = transaction.newest(None, -1)
+        jobs = [job for job in jobs if job_id in (None, job.id)]
+        if job_id is not None and not jobs:
+            raise UnknownJob.of(job_id)
+        for job in jobs:
+            with reading() as transaction:
+                done = transaction.done_chunks(job, 0, job.chunks_total)
+            yield Finding("job", *_verify(preparer, ledger, job, done))
+
+
+def _verify(
+    preparer: JobPreparer, ledger: Ledger | None, job: JobRecord, done: list[int]
+) -> tuple[str, bool]:
+    """Read a job's `done` chunks; what is damaged, and whether nothing is."""
+    try:
+        prepared = preparer.prepare(job)
+        if ledger is not None:
+            store.sweep_leftovers(prepared.store_url)
+            if done:
+                repair_metadata(ledger, job, prepared)
+        damaged = find_damage(prepared, done) if done else []
+    except (store.StoreError, SpecError) as error:
+        return f"{job.id}: {error}", False
+    if not damaged:
+        return f"{job.id}: {len(done)} chunks are sound", True
+    if ledger is None:
+        fate = "a service uses the folder; verify again without it to have them computed again"
+        return f"{job.id}: damaged: {describe(prepared, damaged)}: {fate}", False
+    return f"{job.id}: {repair(ledger, preparer, job.id, damaged).detail}", False
 
 
 def _service(url: str) -> Finding:

@@ -9,14 +9,12 @@ from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, LedgerUnavailable, QueueFull, UnknownJob
-from service.jobs.ledger import NOT_LOCAL, Ledger
-from service.jobs.ledger_files import network_file_system
-from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer, new_job
-from service.jobs.stores.deletion import Deleter
-from service.jobs.stores.repair import Scrubber
 from service.jobs.supervisor import Supervisor
-from service.jobs.transactions import ReadTransaction, WriteTransaction
+from service.ledger.ledger import NOT_LOCAL, Ledger
+from service.ledger.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
+from service.ledger.paths import network_file_system
+from service.ledger.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
 from worker.executors.base import Compiling, Executor
 from worker.spec.errors import SpecError
@@ -43,21 +41,13 @@ class JobManager:
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
         self.preparer = JobPreparer(settings)
-        self._deleter = Deleter(ledger, settings, self._on_freed)
-        self.supervisor = Supervisor(ledger, executor, settings, self.preparer, self._deleter.repeat)
-        self.scrubber = Scrubber(
-            ledger, settings, self.preparer, self.supervisor.invalidating, self._deleter.repeat,
-            lambda: self.supervisor.in_flight() > 0,
-        )  # fmt: skip
-
-    def _on_freed(self) -> None:
-        self.supervisor.wake()
+        self.supervisor = Supervisor(ledger, executor, settings, self.preparer)
 
     def compiling(self, job: JobRecord) -> Compiling | None:
         """The kernel that a worker compiles for a job before its first chunk. Does not block."""
         if job.state is not JobState.RUNNING or job.chunks_done == job.chunks_total:
             return None
-        return self._executor.compiling(self._settings.store_of(job.id))
+        return self._executor.compiling(self._settings.store_of(job.store))
 
     def start(self) -> None:
         """Continue every job that was queued or running when the service last stopped.
@@ -65,30 +55,20 @@ class JobManager:
         Jobs begun by another kernel version end and are replaced by jobs that compute them anew.
         """
         self._replace_outdated()
-        self._deleter.start()  # before the others notice missing stores and nothing is written
         with suppress(LedgerUnavailable):  # the first request is refused too
             self._ledger.check()
-        self.scrubber.start()
         self.supervisor.start()
 
     def stop(self) -> None:
         """Stop computing; unfinished jobs continue at the next start."""
-        deadline = time.monotonic() + STOP_SECONDS
-        self.scrubber.stop(STOP_SECONDS)
-        for part in (self.supervisor, self._deleter):
-            part.stop(max(deadline - time.monotonic(), 0.1))
-
-    @property
-    def unknown_stores(self) -> list[str]:
-        """Addresses of stores unknown to the ledger, as found at the start."""
-        return sorted({*self.scrubber.unknown_stores, *self._deleter.kept})
+        self.supervisor.stop(STOP_SECONDS)
 
     def notices(self) -> list[str]:
         """What an operator should know, although jobs are computed."""
         notices = []
         if refused := len(self.supervisor.cluster.refused):
             notices.append(f"workers refused: {refused}; the log names them")
-        if unknown := len(self.unknown_stores):
+        if unknown := len(self.supervisor.unknown_stores or ()):
             notices.append(
                 f"stores that the ledger does not know: {unknown}; bounce doctor names them, "
                 "bounce adopt takes them in"
@@ -200,8 +180,8 @@ class JobManager:
                 raise IllegalTransition(
                     f"the job is {job.state}: cancel it first, and wait until it is cancelled"
                 )
-            ledger.delete(job, time.time())
-        self._deleter.wake()
+            ledger.delete(job)
+        self.supervisor.wake()
 
     def _replace_outdated(self) -> None:
         """End the unfinished jobs of other kernel versions; accept their studies anew unless cancelled."""

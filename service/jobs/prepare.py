@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any, Final
 
 from kernel.params import KERNEL_VERSION
-from service.jobs.model import JobRecord, NewJob
+from service.ledger.model import JobRecord, NewJob
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
@@ -71,20 +71,19 @@ class PreparedJob:
         """The job's cost by the cost table."""
         return self.study.estimate(self.spec, self.plan)
 
-    def read_file(self, key: str) -> bytes | None:
+    def read_file(self, key: str, *, complete: bool = False) -> bytes | None:
         """The store's bytes under a key, if they are what the job stores there; None without any.
 
-        Raises StoreDamaged.
+        `complete`: whether everything was written, so that a missing file is damage. Raises StoreDamaged.
         """
         if not self.layout.has_key(key):
             return None
         if key.partition("/")[0] in self.layout.names and not key.endswith("zarr.json"):
             forms = store.stored_forms(self.store_url, self.forms)
-            return store.read_file(self.store_url, key, forms)
+            return store.read_file(self.store_url, key, forms, complete=complete)
         content = store.read_key(self.store_url, key)
-        if content is None or self.metadata is None:
-            return content
-        if content not in [allowed.get(key) for allowed in self.metadata]:
+        checked = self.metadata is not None and (complete or content is not None)
+        if checked and content not in [allowed.get(key) for allowed in self.metadata or ()]:
             raise store.StoreDamaged(f"{key}: is not what the store's specification says")
         return content
 
@@ -145,7 +144,7 @@ class JobPreparer:
             submitted=submitted,
             spec=submitted if choice is None else resolved(submitted, choice),
             plan=study_of(submitted).plan(submitted, job.chunk_shape),
-            store_url=self._settings.store_of(job.id),
+            store_url=self._settings.store_of(job.store),
             attributes={} if choice is None else {"model": choice.model, "choice": choice.reproducible()},
             outdated=job.outdated,
         )

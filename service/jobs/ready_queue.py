@@ -1,14 +1,10 @@
-"""What to compute next: which chunk of a job, and which job. Pure."""
+"""Which chunk of a job to compute next. Pure."""
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Final
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
-
-#: The share of the workers' time for all jobs in turn; the rest goes to the job with the least left.
-ROTATION_SHARE: Final = 0.25
 
 
 class ReadyQueue:
@@ -80,70 +76,3 @@ class ReadyQueue:
     def _can_run(self, chunk: int) -> bool:
         ready = chunk < self._lines or bool(self._done[chunk - self._lines])
         return ready and not self._done[chunk] and chunk not in self._popped
-
-
-class Rotation:
-    """The unfinished jobs in the order of their turns, and when the next turn is due.
-
-    Owners take turns, and so do each owner's jobs. A turn is one chunk, or one time slice of a long one. In
-    any case `ROTATION_SHARE` of the workers' time goes to turns, so that every job advances, however many
-    smaller ones follow it.
-
-    `slice_seconds`: the highest cost of a turn.
-    """
-
-    def __init__(self, slice_seconds: float) -> None:
-        self.slice_seconds = slice_seconds
-        self._jobs: dict[str | None, dict[str, None]] = {}  # ids by owner, both in the order of their turns
-        self._owners: dict[str, str | None] = {}  # by job
-        self._credit = 0.0  # core-seconds that turns may take now
-
-    def update(self, owners: Mapping[str, str | None]) -> None:
-        """Forget ended jobs and add new ones at the end. `owners`: by job, in order of acceptance."""
-        for job_id in self._owners.keys() - owners.keys():
-            self._remove(job_id)
-        for job_id, owner in owners.items():
-            if job_id not in self._owners:
-                self._append(job_id, owner)
-
-    def __len__(self) -> int:
-        return len(self._owners)
-
-    def __iter__(self) -> Iterator[str]:
-        """Job ids, the next turn first."""
-        for jobs in self._jobs.values():
-            yield from jobs
-
-    def is_due(self, seconds: float) -> bool:
-        """Whether the workers have time for a turn of about `seconds` core-seconds."""
-        return self._credit >= min(seconds, self.slice_seconds)
-
-    def begin_turn(self, job_id: str, seconds: float) -> None:
-        """Give a job a turn of about `seconds` core-seconds; its next turn follows all other jobs'."""
-        self._credit -= min(seconds, self.slice_seconds)
-        owner = self._owners[job_id]
-        self._remove(job_id)
-        self._append(job_id, owner)
-        self._jobs[owner] = self._jobs.pop(owner)
-
-    def end_turn(self, estimate: float, taken: float) -> None:
-        """Replace a turn's estimate by the core-seconds it has taken."""
-        self._credit += min(estimate, self.slice_seconds) - taken
-
-    def earn(self, seconds: float) -> None:
-        """Add the core-seconds of chunks outside the rotation.
-
-        The credit is at most one turn's: missed turns are not made up for.
-        """
-        earned = seconds * ROTATION_SHARE / (1.0 - ROTATION_SHARE)
-        self._credit = min(self._credit + earned, self.slice_seconds)
-
-    def _append(self, job_id: str, owner: str | None) -> None:
-        self._owners[job_id] = owner
-        self._jobs.setdefault(owner, {})[job_id] = None
-
-    def _remove(self, job_id: str) -> None:
-        owner = self._owners.pop(job_id)
-        del self._jobs[owner][job_id]
-        if not self._jobs[owner]:
-            del self._jobs[owner]

@@ -106,7 +106,7 @@ class ChunkCounts:
     """Counts of returned chunks since the start, for metrics. Written by one thread, read by any."""
 
     def __init__(self) -> None:
-        self.computed = 0
+        self.computed = self.damaged = 0
         self.seconds = 0.0  # of workers, for these
         self._by_seconds = [0] * (len(BUCKET_SECONDS) + 1)
         self.returned: Counter[tuple[str, str]] = Counter()  # without a report, by action and kind of error

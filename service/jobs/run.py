@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import PreparedJob
 from service.jobs.ready_queue import ReadyQueue
 from service.jobs.retry import FAILED_TRIES, Action, History, RetryPolicy
-from worker.executors.base import ExecutorError
+from service.ledger.model import Failure, JobRecord, JobState
+from worker.executors.base import ExecutorError, ReportMismatch
 from worker.study import ChunkReport
 
 #: Maximum characters of a traceback kept, from its end.
@@ -34,7 +34,7 @@ class JobRun:
         policy: RetryPolicy,
         paused: Iterable[int] = (),
     ) -> None:
-        self.job, self.prepared, self.seq = job, prepared, job.seq
+        self.job, self.prepared, self.id, self.seq = job, prepared, job.id, job.seq
         self.stopping = job.cancel_requested  # a cancel is being carried out
         self.flagged = False  # its store has the cancel flag
         self.refused = False  # the executor refused a chunk; nothing is submitted until the next sync
@@ -108,7 +108,16 @@ class JobRun:
         counted = any(self._tries.values()) or any(self._collateral_losses.values())
         return not (self.in_flight or self.has_unsaved or self.stopping or self.failures or counted)
 
-    # Chunks that came back without a report
+    # Chunks that came back without a report, or with another's
+
+    def mismatch(self, chunk: int, report: ChunkReport) -> ReportMismatch | None:
+        """The error of a report that is not this chunk's."""
+        cells = self.prepared.plan[chunk].cells
+        if (report.index, report.cells, sum(report.outcomes)) == (chunk, cells, cells):
+            return None
+        return ReportMismatch(
+            f"the worker reported chunk {report.index} of {report.cells} cells, not chunk {chunk} of {cells}"
+        )
 
     def history(self, chunk: int) -> History:
         """The history of a chunk for the retry policy."""

@@ -1,40 +1,36 @@
 """The thread that advances jobs. Everything that it holds in memory can be rebuilt from the ledger."""
 
-import heapq
 import logging
-import math
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from typing import Final, NamedTuple, cast
 
 from service.errors import LedgerUnavailable
-from service.jobs.ledger import Ledger
-from service.jobs.model import UNFINISHED, JobRecord, JobState, summary_of
+from service.jobs.model_choices import ModelChoices
 from service.jobs.prepare import JobPreparer
-from service.jobs.ready_queue import Rotation
 from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
 from service.jobs.run import JobRun, text_of
-from service.jobs.transactions import Unfinished
+from service.jobs.schedule import Schedule, Waiting
+from service.jobs.stores.deletion import remove_deleted, remove_if_deleted
+from service.jobs.stores.opening import report_unknown
+from service.jobs.stores.repair import Repair, repair
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState, summary_of
+from service.ledger.transactions import Deletion, Unfinished
 from service.settings import Settings
 from worker import store
-from worker.analysis.model_selection import ModelChoice, choose, resolved
-from worker.executors.base import ClusterState, Executor, ExecutorError, ReportMismatch, WorkerDied
-from worker.store import StoreConflict
-from worker.study import Chunk, ChunkOptions, ChunkPaused, ChunkReport
+from worker.executors.base import ClusterState, Executor
+from worker.store import ChunkCoords
+from worker.study import ChunkOptions, ChunkPaused, ChunkReport
 from worker.study.chunks import SLICE_SECONDS
-from worker.sweep.specification import is_open
 
 log = logging.getLogger(__name__)
 
-#: Maximum chunks in flight, however small, of one job and those with less left to compute.
-MAX_IN_FLIGHT: Final = 64
-#: Limit on chunks in flight over all jobs, in multiples of one job's window.
-MAX_TIMES_IN_FLIGHT: Final = 4
 #: With more workers than this, chunks pause less often in proportion: other jobs' chunks wait equally long.
 WORKERS_TO_WAIT: Final = 4
 #: The priority of a job's turn: above that of all other chunks, which is negative.
@@ -44,60 +40,69 @@ TURN_PRIORITY: Final = 0.0
 PASSED_SECONDS: Final = 10.0
 #: Runs of a job abandoned after unforeseen errors before the job fails.
 MAX_BROKEN_RUNS: Final = 3
-#: Workers that may die while choosing one model before the job fails.
-MAX_CHOICE_DEATHS: Final = 3
+#: Seconds that a reader waits for the repair of what it found damaged.
+REPAIR_SECONDS: Final = 10.0
+#: Seconds until stores that could not be removed are tried again.
+RETRY_SECONDS: Final = 30.0
 #: Without workers the ledger is synced after this share of a heartbeat, so that new workers get chunks soon.
 IDLE_SHARE: Final = 0.25
 
 
-class Message(NamedTuple):
-    """Chunks have come back from the executor, or were unmarked in the ledger because of damage."""
+class Returned(NamedTuple):
+    """A chunk has come back from the executor."""
 
     job_id: str
-    chunks: Sequence[int]
-    future: "Future[ChunkReport] | None" = None  # of the chunk that came back
+    chunk: int
+    future: "Future[ChunkReport]"
+
+
+class Damage(NamedTuple):
+    """A reader has found damage in these chunks of a job, or outside any."""
+
+    job_id: str
+    chunks: Sequence[ChunkCoords]
+    repaired: "Future[Repair]"
+
+
+class Removed(NamedTuple):
+    """Stores of deleted jobs were removed; `complete`: all of them."""
+
+    complete: bool
+
+
+#: What comes to the supervisor; None: the ledger has changed.
+Message = Returned | Damage | Removed | None
 
 
 class Supervisor:
-    """Computes the ledger's unfinished jobs on an executor until it is stopped.
+    """Computes the ledger's unfinished jobs on an executor until it is stopped, and looks after their stores.
 
-    The job with the least left to compute comes first, and a share of the workers' time goes to all jobs in
-    turn (`Rotation`). Limits the chunks in flight. Chunks of larger jobs do not count: a smaller job
-    overtakes them, but only for PASSED_SECONDS. At most `active_jobs` jobs are in memory. An idle job gives
-    its place to another. A job whose address still has results of a deleted job waits until it is free.
-    `after_writing` removes the store of a job that was deleted while the store was created.
+    `Schedule` decides which job submits the next chunk, for which the executor has a limited number of
+    places; after that later chunks of smaller jobs overtake a chunk for at most PASSED_SECONDS.
 
-    `start`, `in_flight`, `tally`, `cluster`, `wake`, `invalidating` and `stop` may be used from any thread;
-    the rest runs in its own.
+    `start`, `in_flight`, `tally`, `cluster`, `unknown_stores`, `wake`, `repair` and `stop` may be used from
+    any thread; the rest runs in its own.
     """
 
-    def __init__(
-        self,
-        ledger: Ledger,
-        executor: Executor,
-        settings: Settings,
-        preparer: JobPreparer,
-        after_writing: Callable[[JobRecord], None] = lambda job: None,
-    ) -> None:
+    def __init__(self, ledger: Ledger, executor: Executor, settings: Settings, preparer: JobPreparer) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
         self._preparer = preparer
-        self._after_writing = after_writing
         self._policy = RetryPolicy(settings.chunk_tries, settings.failed_chunks)
+        self._choices = ModelChoices(ledger, executor, preparer, self.wake)
+        self._schedule = Schedule(
+            settings.window, settings.window_seconds, settings.active_jobs, SLICE_SECONDS
+        )
         self.tally = ChunkCounts()
         self.cluster = ClusterState(connected=True, workers=1)  # as the last sync found it
         self.remaining_seconds = 0.0  # core-seconds of unfinished jobs, by the cost table
-        self._choosing: dict[str, Future[ModelChoice]] = {}  # a worker chooses the model, by job id
-        self._deaths: Counter[str] = Counter()  # of workers that chose a model, by job id
-        self._inbox: SimpleQueue[Message | None] = SimpleQueue()  # None: the ledger has changed
-        self._messages: deque[Message | None] = deque()  # received but not processed
+        self.unknown_stores: Sequence[str] | None = None  # names; the ledger did not know them at the start
+        self._inbox: SimpleQueue[Message] = SimpleQueue()
+        self._messages: deque[Message] = deque()  # received but not processed
         self._runs: dict[str, JobRun] = {}
         self._broken: Counter[str] = Counter()  # runs abandoned after an unforeseen error, by job
-        self._waiting: dict[str, Unfinished] = {}  # by job id, in order, as the last sync found them
         self._core_seconds: dict[str, float] = {}  # of each unfinished job as a whole, by the cost table
-        self._rotation = Rotation(SLICE_SECONDS)
-        self._invalidating: list[str] = []  # the job of each caller of `invalidating`
-        self._slots = 0  # limit on chunks in flight
-        self._next_sync = time.monotonic()
+        self._removals_due = self._next_sync = time.monotonic()
+        self._remover = threading.Thread()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="supervisor", daemon=True)
 
@@ -114,36 +119,35 @@ class Supervisor:
         """Sync with the ledger now. Call it after changing the ledger."""
         self._inbox.put(None)
 
-    @contextmanager
-    def invalidating(self, job_id: str) -> Iterator[list[int]]:
-        """Have chunks computed again: the caller unmarks them in the ledger, adds them to the list, and
-        removes their bytes.
+    def repair(self, job_id: str, damaged: Sequence[ChunkCoords]) -> Repair:
+        """Have a store repaired in which a reader found damage, in these chunks or outside any.
 
-        No run of the job begins meanwhile. It would find them unmarked, and its new results would be removed
-        with the old ones.
+        Raises LedgerUnavailable.
         """
-        chunks: list[int] = []
-        self._invalidating.append(job_id)
+        self._ledger.check()
+        if self._stop.is_set():
+            raise LedgerUnavailable("the service ends")
+        damage = Damage(job_id, damaged, Future())
+        self._inbox.put(damage)
         try:
-            yield chunks
-        finally:
-            self._invalidating.remove(job_id)
-            if chunks:
-                self._inbox.put(Message(job_id, chunks))
-            self.wake()
+            return damage.repaired.result(REPAIR_SECONDS)
+        except TimeoutError:
+            return Repair("stored results are damaged; their repair waits for others")
 
     def stop(self, seconds: float) -> None:
-        """Abandon chunks in flight and end the thread within `seconds`; unfinished jobs stay unfinished."""
+        """Abandon chunks in flight and end the threads within `seconds`; unfinished jobs stay unfinished."""
         self._stop.set()
         self.wake()
-        if self._thread.is_alive():
-            self._thread.join(seconds)
+        deadline = time.monotonic() + seconds
+        for thread in (self._thread, self._remover):
+            if thread.is_alive():
+                thread.join(max(deadline - time.monotonic(), 0.1))
 
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
                 self._receive()
-                self._ledger.check()  # nothing is stored either while the ledger is replaced
+                self._ledger.check()  # nothing is stored either while the stores are missing
                 self._step()
             except Exception as error:  # the next step writes the rest
                 pause = self._settings.heartbeat_seconds
@@ -167,12 +171,17 @@ class Supervisor:
         """Apply messages to the state in memory, then save it to the ledger. Raises LedgerUnavailable."""
         sync = False
         while self._messages:
-            message = self._messages.popleft()
-            if message is None:
-                sync = True
-            elif (run := self._runs.get(message.job_id)) is not None:
-                with self._contained(run):
-                    self._take(run, message)
+            match self._messages.popleft():
+                case Returned() as returned:
+                    if (run := self._runs.get(returned.job_id)) is not None:
+                        with self._contained(run):
+                            self._take(run, returned)
+                    continue
+                case Damage() as damage:
+                    self._repair(damage)
+                case Removed(complete):
+                    self._removals_due = time.monotonic() + (0.0 if complete else RETRY_SECONDS)
+            sync = True
         for run in list(self._runs.values()):
             with self._contained(run):
                 self._save(run)
@@ -182,6 +191,18 @@ class Supervisor:
         for run in list(self._runs.values()):
             with self._contained(run):
                 self._end(run)
+
+    def _repair(self, damage: Damage) -> None:
+        """Repair a store. In this thread: no run of the job begins meanwhile."""
+        try:
+            repaired = repair(self._ledger, self._preparer, damage.job_id, damage.chunks)
+        except Exception as error:  # noqa: BLE001 - for the reader
+            damage.repaired.set_exception(error)
+            return
+        self.tally.damaged += len(repaired.unmarked)
+        if (run := self._runs.get(damage.job_id)) is not None:
+            run.queue.invalidate(repaired.unmarked)
+        damage.repaired.set_result(repaired)
 
     @contextmanager
     def _contained(self, run: JobRun) -> Iterator[None]:
@@ -197,32 +218,26 @@ class Supervisor:
             self._broken[run.job.id] += 1
             if self._broken[run.job.id] >= MAX_BROKEN_RUNS:
                 del self._broken[run.job.id]
-                self._finish(run.job, JobState.FAILED, f"internal error: {type(error).__name__}: {error}")
+                self._fail(run.job, f"internal error: {type(error).__name__}: {error}")
 
     # Chunks that came back
 
-    def _take(self, run: JobRun, message: Message) -> None:
+    def _take(self, run: JobRun, returned: Returned) -> None:
         """Keep a chunk's report, or handle its error."""
-        future, [chunk, *_] = message.future, message.chunks
-        if future is None:
-            run.queue.invalidate(message.chunks)
-            return
+        _, chunk, future = returned
         if run.in_flight.get(chunk) is not future:  # from an abandoned run
             return
         error = CancelledError() if future.cancelled() else future.exception()
         report = None if error else future.result()
-        if report is not None and (mismatch := _mismatch(run.prepared.plan[chunk], report)):
+        if report is not None and (mismatch := run.mismatch(chunk, report)):
             error, report = mismatch, None
         if isinstance(error, ChunkPaused):
             run.add_slice(seconds := error.seconds)
         elif report is not None:
             seconds = report.seconds - report.paused_seconds
         else:
-            seconds = min(run.chunk_seconds, self._rotation.slice_seconds)
-        if chunk in run.turns:
-            self._rotation.end_turn(run.turns[chunk], seconds)
-        else:
-            self._rotation.earn(seconds)
+            seconds = min(run.chunk_seconds, self._schedule.rotation.slice_seconds)
+        self._schedule.count(seconds, run.turns.get(chunk))
         run.remove_in_flight(chunk)
         if report is not None:
             run.unsaved_reports.append(report)
@@ -241,7 +256,7 @@ class Supervisor:
         if action in FAILED_TRIES:
             log.warning("job %s, chunk %d: %s", run.job.id, chunk, text_of(error))
         if action is Action.PAUSE:
-            self._slots = 0
+            self._schedule.slots = 0
         run.apply(chunk, action, error, recompute_predecessor)
 
     def _save(self, run: JobRun) -> None:
@@ -274,16 +289,21 @@ class Supervisor:
         self._ledger.keep_reserve()
         cluster = self.cluster = self._executor.state()
         # Without workers as for one: a cluster that can grow starts some for waiting chunks.
-        self._slots = self._settings.window * max(cluster.workers, 1) if cluster.connected else 0
+        self._schedule.slots = self._settings.window * max(cluster.workers, 1) if cluster.connected else 0
         # Among many workers one is free soon, however long each is busy.
-        self._rotation.slice_seconds = max(SLICE_SECONDS, cluster.workers * SLICE_SECONDS / WORKERS_TO_WAIT)
+        slice_seconds = SLICE_SECONDS * max(1.0, cluster.workers / WORKERS_TO_WAIT)
+        self._schedule.rotation.slice_seconds = slice_seconds
         pause = self._settings.heartbeat_seconds * (1.0 if cluster.workers else IDLE_SHARE)
         self._next_sync = time.monotonic() + pause
         for submitting in self._runs.values():
             submitting.refused = False
         with self._ledger.reading() as ledger:
             unfinished = ledger.unfinished(self._settings.max_queue)
+            deletions = ledger.deletions()
+        self._remove(deletions)
         try:
+            if self.unknown_stores is None:
+                self.unknown_stores = report_unknown(self._ledger, self._settings)
             for job in unfinished:
                 run = self._runs.get(job.id)
                 if run is not None:
@@ -297,23 +317,35 @@ class Supervisor:
         if cluster.connected and not cluster.workers:  # none of these will begin
             for future in [x for run in self._runs.values() if run.stopped for x in run.in_flight.values()]:
                 future.cancel()
-        runs, waiting = self._runs.values(), self._waiting.values()
+        runs, waiting = self._runs.values(), self._schedule.waiting.values()
         seconds = sum(run.remaining_seconds for run in runs) + sum(job.remaining_seconds for job in waiting)
         self.remaining_seconds, at_once = seconds, sum(run.at_once for run in runs) + len(waiting)
         # Rounded to two digits, so that it rarely changes.
         self._executor.ask_for(float(f"{seconds:.1e}"), int(float(f"{at_once:.1e}")))
 
+    def _remove(self, deletions: Sequence[Deletion]) -> None:
+        """Remove stores of deleted jobs in another thread, which tells the inbox when it has tried all."""
+        if not deletions or self._remover.is_alive() or time.monotonic() < self._removals_due:
+            return
+
+        def remove() -> None:
+            self._inbox.put(Removed(remove_deleted(self._ledger, self._settings, deletions, self._stop)))
+
+        self._remover = threading.Thread(target=remove, name="remover", daemon=True)
+        self._remover.start()
+
     def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
-        """Sort the jobs that may start, and update the rotation."""
+        """Tell the schedule which jobs may start, and who owns all of them."""
         estimates = self._core_seconds
         self._core_seconds = {job.id: estimates.get(job.id) or self._estimate(job.id) for job in unfinished}
-        waiting = [
-            job._replace(chunk_seconds=self._core_seconds[job.id] / job.chunks_total)
-            for job in unfinished
-            if job.id not in self._runs
-        ]
-        self._waiting = {job.id: job for job in sorted(waiting, key=_order)}
-        self._rotation.update({job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)})
+        waiting = []
+        for job in unfinished:
+            if job.id not in self._runs:
+                seconds = self._core_seconds[job.id] / job.chunks_total
+                remaining = (job.chunks_total - job.chunks_done) * seconds
+                waiting.append(Waiting(job.id, job.seq, seconds, remaining))
+        owners = {job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)}
+        self._schedule.update(waiting, owners)
 
     def _estimate(self, job_id: str) -> float:
         """Core-seconds of a whole job, at most; 0 if it cannot be prepared, which its start will report."""
@@ -325,12 +357,11 @@ class Supervisor:
 
     def _start_job(self, job_id: str) -> None:
         """Run a job, or fail it if it cannot start. Raises one of `store.UNREACHABLE`."""
-        with self._ledger.reading() as ledger:
-            job = ledger.find(job_id)
-            if job is None or ledger.is_occupied(job_id):
-                return  # deleted meanwhile, or an earlier deletion is not complete
+        job = self._ledger.find(job_id)
+        if job is None:
+            return  # deleted meanwhile
         try:
-            if (chosen := self._chosen(job)) is None:
+            if (chosen := self._choices.chosen(job)) is None:
                 return  # this thread is woken when the model is chosen
             run = self._open(chosen)
         except store.UNREACHABLE as error:
@@ -341,46 +372,17 @@ class Supervisor:
         except Exception as error:
             self._ledger.check()  # nor is a disk that cannot be written
             log.exception("job %s cannot start", job_id)
-            hint = "; bounce adopt takes in what is stored there" if isinstance(error, StoreConflict) else ""
-            reason = f"the job cannot start: {type(error).__name__}: {error}{hint}"
-            self._finish(job, JobState.FAILED, reason)
-            return
-        if job_id in self._invalidating:  # it starts later; checked after the run has read the marked chunks
+            self._fail(job, f"the job cannot start: {type(error).__name__}: {error}")
             return
         with self._ledger.writing() as ledger:  # it may have been cancelled or deleted meanwhile
-            current = ledger.find(job_id)
-            may_run = current is not None and current.seq == job.seq and current.state in UNFINISHED
-            if may_run:
-                ledger.run(cast(JobRecord, current), time.time())
-        if may_run:
+            current = ledger.unfinished_record(job)
+            if current is not None:
+                ledger.run(current, time.time())
+        if current is not None:
             self._runs[job_id] = run
             log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
         else:
-            self._after_writing(job)
-
-    def _chosen(self, job: JobRecord) -> JobRecord | None:
-        """The job with its model, which a worker chooses before the first chunk; None until it has."""
-        submitted = self._preparer.prepare(job).submitted
-        if job.choice is not None or not is_open(submitted):
-            return job
-        try:
-            if job.id not in self._choosing:
-                self._choosing[job.id] = self._executor.call(choose, submitted)
-                self._choosing[job.id].add_done_callback(lambda _: self.wake())
-            if not self._choosing[job.id].done():
-                return None
-            choice = self._choosing.pop(job.id).result()
-        except (ExecutorError, CancelledError) as error:  # the next sync tries again
-            log.warning("job %s: choosing its model failed: %s", job.id, error)
-            self._deaths[job.id] += isinstance(error, WorkerDied)
-            if self._deaths[job.id] < MAX_CHOICE_DEATHS:
-                return None
-            del self._deaths[job.id]
-            raise
-        plan = self._preparer.plan(resolved(submitted, choice))  # chunks for the cost of the chosen model
-        with self._ledger.writing() as ledger:
-            ledger.choose(job, choice.model_dump_json(), plan.chunk_shape, len(plan))
-            return ledger.find(job.id)
+            remove_if_deleted(self._ledger, job)
 
     def _open(self, job: JobRecord) -> JobRun:
         """The run of a job with a chosen model, and its store. Raises SpecError, StoreError, OSError."""
@@ -408,108 +410,43 @@ class Supervisor:
         state = run.final_state
         if state is None:
             return
-        with suppress(OSError):  # else leftovers of killed workers are removed at the next start
+        with suppress(OSError):  # else leftovers of killed workers stay until `bounce doctor --verify`
             store.sweep_leftovers(run.prepared.store_url)
-        if self._finish(run.job, state, summary_of(run.failures) if state is JobState.FAILED else None):
+        error = summary_of(run.failures) if state is JobState.FAILED else None
+        with self._ledger.writing() as ledger:
+            ended = ledger.end(run.job, state, time.time(), error)
+        if ended:
             del self._runs[run.job.id]
             self._broken.pop(run.job.id, None)
             log.info("job %s is %s", run.job.id, state)
         self.wake()  # a queued job may start, or one whose cancel was revoked may continue
 
-    def _finish(self, job: JobRecord, state: JobState, error: str | None) -> bool:
-        """Write a job's final state to the ledger; False if the job continues after all."""
+    def _fail(self, job: JobRecord, error: str) -> None:
         with self._ledger.writing() as ledger:
-            current = ledger.find(job.id)
-            if current is None or current.seq != job.seq or current.state not in UNFINISHED:
-                return True
-            if state is JobState.CANCELLED and not current.cancel_requested:
-                return False
-            if state is JobState.DONE and current.chunks_done < current.chunks_total:
-                return False  # a damaged chunk has just been unmarked
-            ledger.finish(current, state, time.time(), error)
-            return True
+            ledger.end(job, JobState.FAILED, time.time(), error)
 
     # Chunks to compute
 
     def _submit(self) -> None:
-        """Submit chunks until enough are in flight: of the job whose turn is due, else of the smallest."""
-        while self._slots > 0 and not self._stop.is_set():
-            run = self._next_in_turn()
-            is_turn = run is not None
-            run = run or self._next_smallest()
-            if run is None:
-                return
-            with self._contained(run):
-                self._send(run, is_turn)
-
-    def _next_in_turn(self) -> JobRun | None:
-        """The job whose turn is due. Turns take at most half of the workers."""
-        turns = sum(len(run.turns) for run in self._runs.values())
-        turn_limit = max(self._slots // (2 * self._settings.window), 1)
-        if turns >= turn_limit or len(self._rotation) == 1 or not self._rotation.is_due(0.0):
-            return None
-        for job_id in self._rotation:
-            run, job = self._runs.get(job_id), self._waiting.get(job_id)
+        """Submit chunks as the schedule says, until enough are in flight."""
+        while not self._stop.is_set() and (due := self._schedule.next(self._runs, len(self._choices))):
+            if due.leaving is not None:
+                del self._runs[due.leaving.id]
+                self.wake()  # the next sync finds it waiting
+            if due.job.id in self._schedule.waiting:
+                self._start_waiting(due.job.id)
+            run = self._runs.get(due.job.id)
             if run is not None and run.may_submit:
-                return run if self._rotation.is_due(run.chunk_seconds) else None
-            if run is None and job is not None:
-                if not self._rotation.is_due(job.chunk_seconds) or not self._make_room(math.inf):
-                    return None
-                run = self._start_waiting(job)
-                if run is not None:
-                    return run
-        return None
+                with self._contained(run):
+                    self._send(run, due.is_turn)
 
-    def _next_smallest(self) -> JobRun | None:
-        """The job with the least left to compute among those that may submit a chunk."""
-        runs = sorted(self._runs.values(), key=_order)
-        count = sum(len(run.in_flight) for run in runs)
-        seconds = sum(len(run.in_flight) * run.chunk_seconds for run in runs)
-        if self._is_full(count / MAX_TIMES_IN_FLIGHT, seconds / MAX_TIMES_IN_FLIGHT):
-            return None
-        count, seconds, has_room = 0, 0.0, True  # in flight for jobs with less left
-        jobs: list[list[JobRun | Unfinished]] = [[*runs], [*self._waiting.values()]]
-        for job in heapq.merge(*jobs, key=_order):
-            if isinstance(job, JobRun):
-                count += len(job.in_flight)
-                seconds += len(job.in_flight) * job.chunk_seconds
-                if self._is_full(count, seconds):
-                    return None
-                if job.may_submit:
-                    return job
-            elif has_room and job.id in self._waiting:
-                has_room = self._make_room(job.remaining_seconds)
-                if has_room and (started := self._start_waiting(job)) is not None:
-                    return started
-        return None
-
-    def _make_room(self, remaining_seconds: float) -> bool:
-        """Make room in memory for a job with this much left; an idle job with more left leaves."""
-        if len(self._runs) + len(self._choosing) < self._settings.active_jobs:
-            return True
-        idle = [run for run in self._runs.values() if run.is_idle and run.may_submit]
-        leaving = max(idle, key=_order, default=None)
-        if leaving is None or leaving.remaining_seconds <= remaining_seconds < math.inf:
-            return False
-        del self._runs[leaving.job.id]
-        self.wake()  # the next sync finds it waiting
-        return True
-
-    def _start_waiting(self, job: Unfinished) -> JobRun | None:
-        """Start a waiting job; None if it cannot submit a chunk before the next sync."""
-        del self._waiting[job.id]
+    def _start_waiting(self, job_id: str) -> None:
+        """Start a waiting job, if it can start before the next sync."""
+        del self._schedule.waiting[job_id]
         try:
-            self._start_job(job.id)
+            self._start_job(job_id)
         except store.UNREACHABLE:
-            self._waiting.clear()  # the other stores are in the same bucket: wait for the next sync
-            return None
-        run = self._runs.get(job.id)
-        return run if run is not None and run.may_submit else None
-
-    def _is_full(self, count: float, seconds: float) -> bool:
-        """Whether `count` chunks of `seconds` core-seconds in all are enough: of short ones more are sent."""
-        enough = self._settings.window_seconds * self._slots / self._settings.window
-        return count >= self._slots and (seconds >= enough or count >= MAX_IN_FLIGHT)
+            self._schedule.waiting.clear()  # the other stores are in the same bucket: wait for the next sync
 
     def _send(self, run: JobRun, is_turn: bool) -> None:
         """Submit a job's next chunk. After an error the job submits nothing until the next sync."""
@@ -525,7 +462,9 @@ class Supervisor:
                 run.prepared.store_url,
                 seconds=max(self._settings.chunk_seconds, self._settings.chunk_slack * longest),
                 priority=priority,
-                options=ChunkOptions(self._rotation.slice_seconds, begins=chunk.index not in run.begun),
+                options=ChunkOptions(
+                    self._schedule.rotation.slice_seconds, begins=chunk.index not in run.begun
+                ),
             )
         except Exception as error:  # noqa: BLE001 - the retry policy decides
             log.warning("the executor refused a chunk, retrying at the next sync: %s", error)
@@ -535,21 +474,6 @@ class Supervisor:
         run.add_in_flight(chunk.index, future)
         if is_turn:
             run.turns[chunk.index] = run.chunk_seconds
-            self._rotation.begin_turn(run.job.id, run.chunk_seconds)
-        message = Message(run.job.id, [chunk.index], future)
-        future.add_done_callback(lambda _: self._inbox.put(message))
-
-
-def _order(job: "JobRun | Unfinished") -> tuple[float, int]:
-    """The order of jobs: by their remaining work."""
-    return job.remaining_seconds, job.seq
-
-
-def _mismatch(chunk: Chunk, report: ChunkReport) -> ReportMismatch | None:
-    """The error of a report that is not this chunk's."""
-    if (report.index, report.cells, sum(report.outcomes)) == (chunk.index, chunk.cells, chunk.cells):
-        return None
-    return ReportMismatch(
-        f"the worker reported chunk {report.index} of {report.cells} cells, "
-        f"not chunk {chunk.index} of {chunk.cells}"
-    )
+            self._schedule.rotation.begin_turn(run.job.id, run.chunk_seconds)
+        returned = Returned(run.job.id, chunk.index, future)
+        future.add_done_callback(lambda _: self._inbox.put(returned))

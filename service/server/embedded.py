@@ -29,7 +29,7 @@ from service import tokens
 from service.api.app import TITLE, create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotComputed, NotStarted
-from service.jobs.stores.adoption import open_ledger
+from service.jobs.stores.opening import open_ledger
 from service.server.logging import log_to_stderr, quiet_libraries
 from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from service.background import Background
 from service.errors import InvalidRequest, NoSpace, NotInstalled, TooLarge
 from service.formats import ExportFormat, ExportLayout
-from service.jobs.model import JobRecord
 from service.jobs.prepare import PreparedJob
+from service.ledger.model import JobRecord
 from service.views.encode import record_batch, tables
 from service.views.selection import LABEL, Stored, labelled, read_stored
 from worker.studies import study_of

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from service.jobs.model import JobState, NewJob
-from service.jobs.stores.adoption import open_ledger
+from service.jobs.stores.opening import open_ledger
+from service.ledger.model import JobState, NewJob
 from service.settings import Settings
 from worker import store
 from worker.studies import run_task
@@ -66,7 +66,7 @@ def earlier_folder(parent: Path) -> Path:
                 identity={**now.identity, "job": IDS[name]},
                 attributes={**now.attributes, "kernel_version": VERSION},
             )
-            url = settings.store_of(IDS[name])
+            url = settings.store_of(f"{IDS[name]}.zarr")
             store.create(url, then)
             reports = [run_task(spec, chunk, url) for chunk in plan[: DONE_CHUNKS[name]]]
             new = NewJob(
@@ -74,7 +74,7 @@ def earlier_folder(parent: Path) -> Path:
                 plan.cells,
             )  # fmt: skip
             with ledger.writing() as writing:
-                writing.insert(new, 1.0)
+                writing.insert(new, 1.0, f"{IDS[name]}.zarr")
                 job = writing.find(new.id)
                 assert job is not None
                 writing.run(job, 2.0)

@@ -4,8 +4,8 @@ import json
 from typing import Any
 
 from kernel.params import KERNEL_VERSION
-from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord, JobState, NewJob
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState, NewJob
 from worker.study import ChunkReport
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
@@ -17,8 +17,9 @@ def record(study: SweepSpec, **changes: Any) -> JobRecord:
     fields: dict[str, Any] = {
         "id": study.job_id(KERNEL_VERSION), "name": study.name, "spec": json.dumps(study.as_submitted()),
         "kernel_version": KERNEL_VERSION, "chunk_shape": plan.chunk_shape, "chunks_total": len(plan),
-        "cells_total": plan.cells, "seq": 1, "state": JobState.QUEUED, "cancel_requested": False,
-        "error": None, "created": 0.0, "started": None, "finished": None, "run_started": None,
+        "cells_total": plan.cells, "seq": 1, "store": "1.zarr", "state": JobState.QUEUED,
+        "cancel_requested": False, "error": None, "created": 0.0, "started": None, "finished": None,
+        "run_started": None,
         "run_cells": 0, "chunks_done": 0, "cells_done": 0, "cells_settling": 0, "cells_computed": 0,
         "choice": None, "replaced_by": None,
     }  # fmt: skip
@@ -42,4 +43,4 @@ def current(ledger: Ledger, job_id: str = "a" * 32) -> JobRecord:
 
 
 def reports(*chunks: int) -> list[ChunkReport]:
-    return [ChunkReport(chunk, 10, 0.5, 0.4, f"{chunk:064x}", (0, 10, 0, 0, 0, 0, 0)) for chunk in chunks]
+    return [ChunkReport(chunk, 10, 0.5, 0.4, (0, 10, 0, 0, 0, 0, 0)) for chunk in chunks]

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from scripted import DEADLINE, wait_for
 
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import JobRecord, JobState
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState
+from service.ledger.transactions import Deletion
 from service.settings import Settings
 from worker import store
 from worker.executors.base import Executor
@@ -34,9 +35,17 @@ class Running:
         assert current is not None
         return current
 
-    def pending_deletions(self) -> int:
+    def deletions(self) -> list[Deletion]:
         with self.ledger.reading() as ledger:
-            return len(ledger.deletions())
+            return ledger.deletions()
+
+    def pending_deletions(self) -> int:
+        return len(self.deletions())
+
+    def unknown_stores(self) -> list[str]:
+        """The names of the stores that the service does not know, as it found them at the start."""
+        wait_for(lambda: self.manager.supervisor.unknown_stores is not None)
+        return sorted(self.manager.supervisor.unknown_stores or ())
 
     def until(self, job: JobRecord, *states: JobState, seconds: float = DEADLINE) -> JobRecord:
         wait_for(lambda: self.job(job).state in states, lambda: f"{self.job(job)} is not {states}", seconds)
@@ -57,11 +66,11 @@ class Running:
         return jobs
 
     def outcomes(self, job: JobRecord) -> np.ndarray:
-        return store.read_slice(self.settings.store_of(job.id), ("outcome",))["outcome"]
+        return store.read_slice(self.settings.store_of(job.store), ("outcome",))["outcome"]
 
     def stored(self, job: JobRecord) -> dict[str, bytes]:
         """The contents of the files of a job's store, by their names in it."""
-        url = Path(self.settings.store_of(job.id))
+        url = Path(self.settings.store_of(job.store))
         return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
 
 

@@ -21,10 +21,10 @@ from worker.kernel_cache import use_cache
 use_cache(sys.argv[3])
 
 from service.jobs import supervisor  # noqa: E402 - the cache comes first
-from service.jobs.ledger import Ledger  # noqa: E402
 from service.jobs.manager import JobManager  # noqa: E402
-from service.jobs.model import UNFINISHED  # noqa: E402
-from service.jobs.transactions import WriteTransaction  # noqa: E402
+from service.ledger.ledger import Ledger  # noqa: E402
+from service.ledger.model import UNFINISHED  # noqa: E402
+from service.ledger.transactions import WriteTransaction  # noqa: E402
 from service.settings import Settings  # noqa: E402
 from worker import work  # noqa: E402
 from worker.executors import inline  # noqa: E402
@@ -52,7 +52,7 @@ STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "chunk given out": lambda act: before(inline, "run_task", act),
     "chunk computed": lambda act: before(work.store, "write_chunk", act),
     "chunk half written": lambda act: before(stored.backend, "place", act),
-    "chunk synced": lambda act: before(stored, "digest", act),
+    "chunk synced": lambda act: after(work.store, "write_chunk", act),
     "chunk reported": lambda act: after(inline, "run_task", act),
     "in the transaction": lambda act: after(WriteTransaction, "mark_done", act),
     "chunk marked": lambda act: after(supervisor.JobRun, "mark_saved", act),

@@ -3,16 +3,26 @@
 from contextlib import suppress
 from pathlib import Path
 
-from service.jobs.stores.adoption import open_ledger
+from service.jobs.stores.opening import open_ledger
 from service.settings import Settings
 from worker import store
 from worker.store import HasSlices
 from worker.study import Layout
 
 
-def is_sound(url: str, layout: Layout, chunk: HasSlices, expected: str) -> bool:
-    """Whether a chunk's stored bytes are those that were written."""
-    return not list(store.find_corrupt(url, layout, [(chunk, expected)]))
+def is_sound(url: str, layout: Layout, chunk: HasSlices) -> bool:
+    """Whether a chunk is stored whole."""
+    try:
+        store.read_chunk(url, chunk, layout.names, complete=True)
+    except store.StoreDamaged:
+        return False
+    return True
+
+
+def store_in(data: Path, job_id: str) -> Path:
+    """The store of a data folder's job."""
+    [found] = (data / "stores").glob(f"*{job_id}.zarr")
+    return found
 
 
 def files(folder: str | Path) -> dict[str, bytes]:

@@ -174,7 +174,7 @@ def test_stored_variables_are_those_of_a_store(tmp_path: Path):
 
 def test_outcomes_and_states_are_those_of_the_code():
     from kernel.params import Outcome
-    from service.jobs.model import JobState
+    from service.ledger.model import JobState
 
     rows = table("docs/model.md", "## 4. Protocols")
     assert [(int(row[0]), row[1]) for row in rows] == [(int(o), o.name.lower()) for o in Outcome]

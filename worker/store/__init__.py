@@ -3,6 +3,7 @@
 Code outside this package uses only the names listed here. In worker, only this package imports zarr.
 """
 
+from worker.store.backend import DELETED as DELETED
 from worker.store.backend import ROOT as ROOT
 from worker.store.backend import UNREACHABLE as UNREACHABLE
 from worker.store.backend import ChunkCoords as ChunkCoords
@@ -11,12 +12,10 @@ from worker.store.backend import StoreDamaged as StoreDamaged
 from worker.store.backend import StoreError as StoreError
 from worker.store.backend import StoreMissing as StoreMissing
 from worker.store.backend import check_address as check_address
-from worker.store.backend import created_at as created_at
 from worker.store.backend import in_bucket as in_bucket
 from worker.store.backend import names_in as names_in
 from worker.store.backend import read_key as read_key
 from worker.store.backend import remove as remove
-from worker.store.backend import rename_for_deletion as rename_for_deletion
 from worker.store.backend import write_fault as write_fault
 from worker.store.encoding import ArrayForm as ArrayForm
 from worker.store.encoding import forms_in as forms_in
@@ -37,14 +36,10 @@ from worker.store.side_files import set_cancelled as set_cancelled
 from worker.store.side_files import sweep_leftovers as sweep_leftovers
 from worker.store.side_files import write_checkpoint as write_checkpoint
 from worker.store.side_files import write_marker as write_marker
-from worker.store.store import Stored as Stored
 from worker.store.store import check_chunk as check_chunk
 from worker.store.store import create as create
-from worker.store.store import digest_of as digest_of
 from worker.store.store import discard as discard
-from worker.store.store import find_corrupt as find_corrupt
 from worker.store.store import metadata_of as metadata_of
 from worker.store.store import repair_metadata as repair_metadata
-from worker.store.store import stored_sizes as stored_sizes
 from worker.store.store import sync_folders as sync_folders
 from worker.store.store import write_chunk as write_chunk

@@ -12,7 +12,7 @@ import stat
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from datetime import datetime, timedelta
+from datetime import timedelta
 from functools import cache, lru_cache
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -38,6 +38,8 @@ with suppress(ImportError):  # obstore comes with the extra `s3`
 _BUCKET: Final = "s3://"
 #: Key of a store's root metadata, written last when the store is created.
 ROOT: Final = "zarr.json"
+#: Ends the name of a folder that is being removed.
+DELETED: Final = ".deleted"
 #: The folder, in a store, of files that are being written.
 PARTIAL: Final = ".partial"
 
@@ -194,19 +196,6 @@ def place(url: str, partial: Path, key: str) -> None:
         partial.replace(path)
 
 
-def sizes_in(url: str, folder: str) -> Iterator[tuple[str, int]]:
-    """Names and bytes of the files directly in a folder of a store; none if it is missing."""
-    if in_bucket(url):
-        for entries in _bucket(url).list(prefix=folder):
-            yield from ((entry["path"].rsplit("/", 1)[-1], entry["size"]) for entry in entries)
-        return
-    with suppress(FileNotFoundError), os.scandir(Path(url, folder)) as files:
-        for file in files:
-            with suppress(FileNotFoundError):
-                if file.is_file(follow_symlinks=False):
-                    yield file.name, file.stat(follow_symlinks=False).st_size
-
-
 def make_place(url: str) -> None:
     """Create the folder at an address and its parents; a bucket needs none."""
     if not in_bucket(url):
@@ -240,30 +229,6 @@ def delete(url: str, key: str) -> None:
             Path(url, key).unlink()
 
 
-def rename_for_deletion(url: str, renamed: str) -> None:
-    """Rename a folder to free its address at once; previous contents of `renamed` are removed.
-
-    Prefixes of a bucket cannot be renamed: everything under `url` is removed.
-    """
-    if in_bucket(url):
-        remove(url)
-    elif Path(url).exists():
-        remove(renamed)  # of an interrupted deletion
-        Path(url).rename(renamed)
-        sync(Path(url).parent)
-
-
-def created_at(url: str) -> float | None:
-    """When the store at an address was created, in seconds since 1970; None if there is none."""
-    try:
-        if in_bucket(url):
-            modified: datetime = _bucket(url).head(ROOT)["last_modified"]
-            return modified.timestamp()
-        return Path(url, ROOT).stat().st_mtime
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-
-
 def names_in(url: str) -> list[str]:
     """Sorted names directly in a folder, or under a prefix of a bucket; none if it is missing."""
     if in_bucket(url):
@@ -277,13 +242,19 @@ def names_in(url: str) -> list[str]:
 
 
 def remove(url: str) -> None:
-    """Remove everything under an address, if it exists."""
+    """Remove everything under an address, if it exists; a folder goes at once, by renaming it."""
     if in_bucket(url):
         bucket = _bucket(url)
         for entries in bucket.list():
             bucket.delete([entry["path"] for entry in entries])
-    elif Path(url).exists():
-        shutil.rmtree(url)
+        return
+    renamed = Path(f"{url}{DELETED}")
+    if renamed.exists():  # of an interrupted removal
+        shutil.rmtree(renamed)
+    with suppress(FileNotFoundError):
+        Path(url).rename(renamed)
+        sync(renamed.parent)
+        shutil.rmtree(renamed)
 
 
 @lru_cache(maxsize=256)
@@ -302,6 +273,6 @@ def _obstore() -> Any:
 
 
 @cache
-def pool(purpose: str) -> ThreadPoolExecutor:
-    """Threads for syncs and requests ("store") or verification ("verify"): storing never waits for it."""
-    return ThreadPoolExecutor(_THREADS, thread_name_prefix=purpose)
+def pool() -> ThreadPoolExecutor:
+    """Threads for syncs and requests."""
+    return ThreadPoolExecutor(_THREADS, thread_name_prefix="store")

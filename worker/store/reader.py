@@ -106,7 +106,7 @@ def _read(
             return _read_file(url, key, arrays[name], parts[name][at], cells[name])
 
         # Requests to a bucket run concurrently.
-        failures = backend.pool("store").map(read, files) if in_bucket(url) else map(read, files)
+        failures = backend.pool().map(read, files) if in_bucket(url) else map(read, files)
         for (file, _, at), failure in zip(files, failures, strict=True):
             if failure == _MISSING and lenient:
                 del chunks[at]
@@ -173,19 +173,30 @@ def stored_forms(url: str, forms: Sequence[Mapping[str, ArrayForm]] | None) -> M
     raise StoreDamaged(f"the store's metadata are not those of its specification: {', '.join(wrong)}")
 
 
-def read_file(url: str, key: str, forms: Mapping[str, ArrayForm]) -> bytes | None:
-    """The stored bytes of an array's chunk; None if there are none. Raises StoreDamaged."""
+def read_file(url: str, key: str, forms: Mapping[str, ArrayForm], *, complete: bool = False) -> bytes | None:
+    """The stored bytes of an array's chunk; None if there are none. `complete` as in `read_slice`.
+
+    Raises StoreDamaged.
+    """
     name, _, rest = key.partition("/")
     content = backend.read_key(url, key)
-    if content is None:
+    coords, form = tuple(int(number) for number in rest.split(".")[1:]), forms[name]
+    if content is None and not (complete and _in_grid(form, coords)):
         return None
-    coords = tuple(int(number) for number in rest.split(".")[1:])
     try:
-        check_file(forms[name], content, coords)
+        if content is None:
+            raise ValueError(_MISSING)
+        check_file(form, content, coords)
     except (RuntimeError, ValueError, IndexError) as error:
         damaged = coords[: len(forms[OUTCOME].dims)]
         raise StoreDamaged(f"{key}: cannot be decoded: {error}", (damaged,)) from None
     return content
+
+
+def _in_grid(form: ArrayForm, coords: ChunkCoords) -> bool:
+    """Whether an array has a chunk at these coordinates."""
+    counts = [-(-n // size) for n, size in zip(form.shape, form.chunks, strict=True)]
+    return len(coords) == len(counts) and all(at < count for at, count in zip(coords, counts, strict=True))
 
 
 def read_attrs(url: str) -> dict[str, Any]:

@@ -1,21 +1,19 @@
-"""Results of a study as a zarr v3 store, which `xarray.open_zarr(url)` opens: written and verified.
+"""Results of a study as a zarr v3 store, which `xarray.open_zarr(url)` opens.
 
 One task owns one chunk of every array and writes it whole, so no two tasks write the same file. Files appear
 by renaming, once they are whole and on the disk, and checksums cover every byte. A cell is computed if its
 `outcome` is not `missing`.
 """
 
-import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import wait
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final
 
-import numpy as np
 from numpy.typing import NDArray
 
 from worker import files
@@ -27,22 +25,10 @@ from worker.study import Array, Layout
 from worker.study.layout import flat_attributes
 
 #: How long a process assumes that a bucket's store still exists, and for how many stores. A store
-#: removed meanwhile may get chunks for this long; the same study stored there again has the same bytes.
+#: removed meanwhile may get chunks for this long.
 REMEMBERED_SECONDS: Final = 5.0
 MOST_REMEMBERED: Final = 256
 _recent: dict[str, tuple[float, Mapping[str, ArrayForm]]] = {}
-
-#: Files whose sizes are listed between two pauses.
-_LISTED: Final = 2_000
-
-Chunk = TypeVar("Chunk", bound=HasSlices)
-
-
-class Stored(NamedTuple):
-    """What is stored of a chunk."""
-
-    checksum: str  # 64 hex digits, as `find_corrupt` expects it
-    bytes: int  # of all arrays, compressed
 
 
 def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> None:
@@ -157,7 +143,7 @@ def check_chunk(url: str, chunk: HasSlices, arrays: Iterable[Array]) -> None:
     _owned_coords(forms, url, chunk)
 
 
-def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) -> Stored:
+def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) -> None:
     """Store one chunk of every array.
 
     record: every array of the store by name, in the order of its layout (`outcome` last), each of shape
@@ -178,7 +164,6 @@ def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) 
         )
     except FileNotFoundError:
         raise StoreMissing(f"{url}: no store here") from None
-    return digest(contents.items())
 
 
 def _forms(url: str) -> Mapping[str, ArrayForm]:
@@ -211,55 +196,6 @@ def _keys_of(layout: Layout, chunk: HasSlices) -> dict[str, str]:
     return {array.name: chunk_key(array.name, len(array.dims), coords) for array in layout.arrays}
 
 
-def digest(contents: Iterable[tuple[str, bytes | None]]) -> Stored:
-    """SHA-256 and size of a chunk's stored bytes by array; the checksum covers absent arrays, too."""
-    checksum, size = hashlib.sha256(), 0
-    for name, content in contents:
-        checksum.update(f"{name} {'absent' if content is None else len(content)}\n".encode())
-        checksum.update(content or b"")
-        size += len(content or b"")
-    return Stored(checksum.hexdigest(), size)
-
-
-def digest_of(url: str, layout: Layout, chunk: HasSlices) -> Stored:
-    """The digest of a chunk's stored bytes."""
-    return digest((name, backend.read_key(url, key)) for name, key in _keys_of(layout, chunk).items())
-
-
-def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) -> Iterator[Chunk]:
-    """The chunks whose stored bytes differ from their expected checksums; reads several at once."""
-
-    def is_corrupt(expected: tuple[Chunk, str]) -> bool:
-        return digest_of(url, layout, expected[0]).checksum != expected[1]
-
-    marked = list(chunks)
-    for (chunk, _), corrupt in zip(marked, backend.pool("verify").map(is_corrupt, marked), strict=True):
-        if corrupt:
-            yield chunk
-
-
-def stored_sizes(url: str, layout: Layout, pause: Callable[[], object] = lambda: None) -> NDArray[np.int64]:
-    """Bytes of every chunk over all arrays, by its coordinates; -1 if one of its files is missing.
-
-    Lists folders and reads no file. `pause` is called now and then.
-    """
-    counts = tuple(-(-len(layout.coordinates[dim]) // size) for dim, size in layout.chunk_sizes.items())
-    total, missing = np.zeros(counts, np.int64), np.zeros(counts, np.bool_)
-    for array in layout.arrays:
-        sizes = np.full(counts, -1, np.int64)
-        for number, (name, size) in enumerate(backend.sizes_in(url, array.name)):
-            if number % _LISTED == 0:
-                pause()
-            first, *at = name.split(".")
-            with suppress(ValueError, IndexError):  # zarr.json
-                if first == "c":
-                    sizes[tuple(map(int, at[: len(counts)]))] = size
-        missing |= sizes < 0
-        total += sizes
-    total[missing] = -1
-    return total
-
-
 def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
     """Remove a chunk's stored bytes, `outcome` first, so that its cells always read as missing."""
     for key in reversed(_keys_of(layout, chunk).values()):
@@ -278,17 +214,17 @@ def sync_folders(url: str, layout: Layout) -> None:
 def fsync(url: str, folders: Iterable[Path]) -> None:
     """Sync the names in folders of a store to disk. A bucket's acknowledged objects are durable."""
     if not in_bucket(url):
-        list(backend.pool("store").map(files.sync, folders))
+        list(backend.pool().map(files.sync, folders))
 
 
 def write_keys(url: str, contents: Mapping[str, bytes]) -> None:
     """Write keys of a store, each whole or not at all, and the last one after all others."""
     keys = list(contents)
     if in_bucket(url):
-        list(backend.pool("store").map(lambda key: backend.put(url, key, contents[key]), keys[:-1]))
+        list(backend.pool().map(lambda key: backend.put(url, key, contents[key]), keys[:-1]))
         backend.put(url, keys[-1], contents[keys[-1]])
         return
-    writing = [backend.pool("store").submit(backend.write_partial, url, contents[key]) for key in keys]
+    writing = [backend.pool().submit(backend.write_partial, url, contents[key]) for key in keys]
     wait(writing)
     try:
         for key, partial in zip(keys, [future.result() for future in writing], strict=True):

@@ -257,18 +257,13 @@ class ChunkReport:
     cells: int
     seconds: float  # wall time, storing included
     kernel_seconds: float  # the part spent in the kernel
-    checksum: str  # of the stored bytes; see store.find_corrupt
     outcomes: tuple[int, ...]  # number of cells by kernel.params.Outcome
     computed: int | None = None  # of a study with COMPUTED: cells not filled in
-    bytes: int | None = None  # stored, of all arrays; None if unknown
     paused_seconds: float = 0.0  # the part of `seconds` in earlier slices
 
 
-def report_of(
-    chunk: Any, record: Mapping[str, NDArray[Any]], stored: tuple[str, int], seconds: tuple[float, float]
-) -> ChunkReport:
-    """The report of a stored chunk. `stored`: checksum and bytes; `seconds`: in all, and in the kernel."""
+def report_of(chunk: Any, record: Mapping[str, NDArray[Any]], seconds: tuple[float, float]) -> ChunkReport:
+    """The report of a stored chunk. `seconds`: in all, and in the kernel."""
     outcomes = tuple(np.bincount(record["outcome"].ravel(), minlength=len(Outcome)).tolist())
     computed = int(record[COMPUTED].sum()) if COMPUTED in record else None
-    checksum, size = stored
-    return ChunkReport(chunk.index, chunk.cells, *seconds, checksum, outcomes, computed, size)
+    return ChunkReport(chunk.index, chunk.cells, *seconds, outcomes, computed)

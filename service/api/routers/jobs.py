@@ -11,7 +11,7 @@ from service.api import schemas
 from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep, tag
 from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
 from service.jobs.manager import Submission
-from service.jobs.model import UNFINISHED, Failure, JobRecord
+from service.ledger.model import UNFINISHED, Failure, JobRecord
 from worker.executors.base import Compiling
 from worker.maps.window import Window
 from worker.studies import from_json

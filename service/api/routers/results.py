@@ -14,7 +14,7 @@ from service.api.capacity import SMALL_ANSWER, Cost, costly
 from service.api.dependencies import JobDep, ResultsJob, ServiceDep
 from service.api.schemas import NOT_MODIFIED, content, problem_responses
 from service.formats import EXPORTS, MEDIA_TYPES
-from service.jobs.model import JobRecord, JobState
+from service.ledger.model import JobRecord, JobState
 from service.views import files
 from service.views.selection import BASE_MEMORY
 from worker.store import ROOT
@@ -120,7 +120,7 @@ def get_zarr_file(
     bucket.
     """
     prepared = service.manager.preparer.prepare(job)
-    content = prepared.read_file(key)
+    content = prepared.read_file(key, complete=job.state is JobState.DONE)
     if content is None:
         raise HTTPException(404, f"the job's store has nothing under the key {key[:80]!a}")
     headers = {"Cache-Control": "no-cache", "Accept-Ranges": "bytes"}

@@ -26,7 +26,7 @@ from service.api.schemas import (
 )
 from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES, DatasetFormat
-from service.jobs.model import JobRecord
+from service.ledger.model import JobRecord
 from service.views.registry import SPRINGS, VIEWS, admit, answer, motion
 from service.views.selection import BASE_MEMORY, Stored
 from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost

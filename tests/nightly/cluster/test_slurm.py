@@ -29,7 +29,7 @@ from scripted import wait_for
 from slurm import Slurm, missing, slurm_running
 from stores import marked
 
-from service.jobs.model import JobRecord, JobState
+from service.ledger.model import JobRecord, JobState
 from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline

@@ -22,7 +22,7 @@ from running import Counting, Running, costing, running
 from scripted import free_port, wait_for
 
 from service.api.monitoring import Readiness
-from service.jobs.model import JobRecord, JobState
+from service.ledger.model import JobRecord, JobState
 from worker.executors.dask import Dask
 from worker.kernel_cache import use_cache
 

@@ -14,6 +14,7 @@ import pytest
 from dask_processes import Cluster, family
 from paths import CACHE, ROOT
 from scripted import free_port
+from stores import store_in
 
 from benchmarks.serving import Polls, Serving, sweep
 
@@ -56,7 +57,7 @@ def test_everything_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         stack.callback(cluster.end)
         service = stack.enter_context(Serving(tmp_path, "--scheduler", cluster.address))
         kept = service.wait(service.submit(sweep(9, gammas=2_000, settle=100)))
-        store, whole = service.data / "stores" / f"{kept['id']}.zarr", service.digest(kept)
+        store, whole = store_in(service.data, kept["id"]), service.digest(kept)
 
         def results(number: int) -> list[object]:
             job = ask(service, "POST", "/v1/jobs", sweep(number)).headers["Location"]

@@ -11,7 +11,7 @@ from harm import fragile_cluster, pids, wait_until_ready
 from running import Running, costing, running
 from scripted import wait_for
 
-from service.jobs.model import JobState
+from service.ledger.model import JobState
 from worker.executors.dask import Dask
 from worker.sweep import SweepSpec
 

@@ -15,10 +15,11 @@ import pytest
 import zarr
 from fastapi.testclient import TestClient
 from scripted import Scripted, wait_for
-from stores import files
+from stores import files, store_in
 from studies import ADAPTIVE, BASINS
 
 from service.api.app import create_app
+from service.cli.doctor import verify
 from service.settings import Settings
 from worker import store
 from worker.store import store as stored
@@ -71,7 +72,7 @@ class Service:
         return [*lines, *(self.client.get(f"{here}/threshold", params={"xi": xi}) for xi in spec["xi"])]
 
     def store(self, here: str) -> Path:
-        return self.folder / "stores" / f"{here.rsplit('/', 1)[1]}.zarr"
+        return store_in(self.folder, here.rsplit("/", 1)[1])
 
 
 def is_complete(answer: Any) -> bool:
@@ -271,20 +272,6 @@ def test_until_damage_is_repaired_no_answer_is_complete(tmp_path: Path):
         assert [answer.json() for answer in service.answers(here, SWEEP)] == right
 
 
-def test_at_the_start_every_chunk_is_verified_and_only_damaged_ones_are_computed(tmp_path: Path):
-    chance = random.Random(5)
-    with running(tmp_path) as service:
-        here = service.submit(RAMP)
-        intact = files(service.store(here))
-    for _ in range(2):
-        addresses = {damage(service.store(here), chance) for _ in range(4)}
-        chunks = {coords_of(address) for address in addresses}
-        with running(tmp_path) as service:
-            wait_for(lambda here=here, intact=intact: files(service.store(here)) == intact)
-            service.wait(here)
-            assert len(service.executor.tried) == len(chunks)
-
-
 @pytest.mark.parametrize(
     ("spec", "array"),
     [
@@ -304,6 +291,7 @@ def test_of_every_study_only_damaged_chunks_are_computed_again(
     addresses = chance.sample(sorted(path for path in intact if path.startswith(f"{array}/c.")), 2)
     for address, harm in zip(addresses, (flip, delete), strict=True):
         harm(service.store(here) / address, chance)
+    assert not all(finding.ok for finding in verify(Settings(data=tmp_path), None))
     with running(tmp_path) as service:
         wait_for(lambda: files(service.store(here)) == intact)
         service.wait(here)
@@ -351,5 +339,6 @@ def test_damaged_metadata_is_repaired_without_computing(tmp_path: Path, content:
     root.unlink() if content is None else root.write_bytes(content)
     (service.store(here) / "gamma" / "c" / "0").unlink()
     with running(tmp_path) as service:
-        wait_for(lambda: files(service.store(here)) == intact)
+        assert service.client.get(f"{here}/zarr/gamma/c/0").status_code == 503
+        assert files(service.store(here)) == intact
         assert service.executor.tried == []

@@ -13,7 +13,7 @@ from scripted import Held, sweep, wait_for
 from served import FIGURE_2, service
 
 from kernel.params import Outcome
-from service.jobs.model import JobState
+from service.ledger.model import JobState
 from service.views import files
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline

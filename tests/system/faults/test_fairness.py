@@ -7,7 +7,7 @@ import pytest
 from running import Counting, costing, running
 from scripted import sweep, wait_for
 
-from service.jobs.model import JobState
+from service.ledger.model import JobState
 from worker import store
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
@@ -78,13 +78,13 @@ def test_long_cells_have_the_same_bytes_whoever_computes_their_slices(
     with running(tmp_path / "cluster", counting) as service:
         found = service.until(job, JobState.DONE)
         assert counting.submitted > found.chunks_total + 1
-        url = Path(service.settings.store_of(job.id))
+        url = Path(service.settings.store_of(job.store))
         slices = [path for path in url.rglob("*") if path.is_file()]
         assert not [path for path in slices if path.name.startswith(".")]
     with running(tmp_path / "inline", inline) as service:
         whole = service.until(service.submit(spec), JobState.DONE)
         assert whole.id == found.id
-        other = service.settings.store_of(whole.id)
+        other = service.settings.store_of(whole.store)
         assert [store.read_key(other, str(path.relative_to(url))) for path in slices] == [
             path.read_bytes() for path in slices
         ]

@@ -10,7 +10,7 @@ from paths import CACHE
 from running import Running, costing, running
 from scripted import wait_for
 
-from service.jobs.model import JobRecord, JobState
+from service.ledger.model import JobRecord, JobState
 from worker.executors.base import WorkerDied, WorkerLeft
 from worker.executors.dask import Dask
 from worker.kernel_cache import use_cache

@@ -14,7 +14,7 @@ from running import Running, running
 from scripted import wait_for
 from studies import STUDIES
 
-from service.jobs.model import JobRecord, JobState
+from service.ledger.model import JobRecord, JobState
 from worker import studies
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline

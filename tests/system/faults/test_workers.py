@@ -17,7 +17,7 @@ from harm import died_writing, fragile_cluster, pids, wait_until_ready
 from running import Counting, costing, running
 from scripted import wait_for
 
-from service.jobs.model import JobState
+from service.ledger.model import JobState
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 
@@ -64,7 +64,7 @@ def test_what_a_killed_worker_had_begun_to_write_goes_with_the_end_of_the_job(tm
     wait_until_ready(fragile)
     with running(tmp_path, fragile) as service:
         job = service.submit(costing("die_writing:2"))
-        url = service.settings.store_of(job.id)
+        url = service.settings.store_of(job.store)
         service.until(job, JobState.DONE)
         assert died_writing(url).read_bytes()
         assert not list(Path(url, ".partial").iterdir())

@@ -21,9 +21,9 @@ from kernel.params import KERNEL_VERSION
 from kernel.threshold import threshold
 from service.cli.main import main
 from service.client import Client
-from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord, JobState, NewJob
-from service.jobs.transactions import WriteTransaction
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState, NewJob
+from service.ledger.transactions import WriteTransaction
 from service.server import embedded
 from service.settings import Settings
 from worker.studies import from_json

@@ -10,7 +10,7 @@ import pytest
 from paths import CACHE
 from scripted import wait_for
 from served import FIGURE_2, computing, finished, get, service
-from stores import files
+from stores import files, store_in
 
 from worker.executors.dask import Dask
 
@@ -39,8 +39,8 @@ def test_the_same_sweep_gives_the_same_bytes_on_a_cluster(tmp_path: Path, cluste
     with computing(tmp_path / "inline") as here, service(tmp_path / "cluster", cluster) as there:
         jobs = [get(client, finished(client, AUTO)) for client in (here, there)]
     assert jobs[0]["choice"]["reason"] == jobs[1]["choice"]["reason"]
-    store = Path("stores") / f"{jobs[0]['id']}.zarr"
-    assert files(tmp_path / "inline" / store) == files(tmp_path / "cluster" / store)
+    stores = [store_in(tmp_path / name, jobs[0]["id"]) for name in ("inline", "cluster")]
+    assert files(stores[0]) == files(stores[1])
 
 
 def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):

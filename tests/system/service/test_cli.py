@@ -20,7 +20,7 @@ from service.cli import options
 from service.cli.main import main
 from service.client import Client
 from service.client.client import DEFAULT_URL
-from service.jobs.ledger import Ledger
+from service.ledger.ledger import Ledger
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.base import Executor

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from paths import ROOT
 
-from service.jobs.ledger import Ledger
+from service.ledger.ledger import Ledger
 
 SERVER = {"fastapi", "uvicorn", "starlette", "sqlite3", "pydantic_settings"}
 COMPUTING = {"distributed", "dask", "zarr", "numba", "matplotlib"}

@@ -14,7 +14,7 @@ from paths import CACHE, ROOT
 from scripted import DEADLINE
 
 from service.jobs.manager import JobManager
-from service.jobs.stores.adoption import open_ledger
+from service.jobs.stores.opening import open_ledger
 from service.settings import Settings
 from worker.executors.inline import Inline
 from worker.sweep import SweepSpec

@@ -8,14 +8,14 @@ import numpy as np
 from ledgers import current
 from paths import ROOT, SUPPORT
 
-from service.jobs.ledger import Ledger
+from service.ledger.ledger import Ledger
 
 
 def test_what_a_transaction_returned_survives_a_kill(tmp_path: Path):
     """A process that marks chunks one by one and prints each is killed in the middle."""
     program = (
         "import sys; from pathlib import Path; sys.path[:0] = sys.argv[2:]\n"
-        "from service.jobs.ledger import Ledger; from ledgers import accept, reports\n"
+        "from service.ledger.ledger import Ledger; from ledgers import accept, reports\n"
         "ledger = Ledger(Path(sys.argv[1])); job = accept(ledger, chunks=100000)\n"
         "for chunk in range(100000):\n"
         "    with ledger.writing() as writing: writing.mark_done(job, reports(chunk))\n"

@@ -15,7 +15,7 @@ from running import costing, running
 from scripted import wait_for
 from stores import marked
 
-from service.jobs.model import JobState
+from service.ledger.model import JobState
 from service.server.embedded import connected_cluster
 from service.settings import Settings
 from worker.executors.base import ClusterLost

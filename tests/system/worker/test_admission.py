@@ -19,7 +19,7 @@ from scripted import wait_for
 from stores import marked
 
 from service.api.monitoring import Readiness
-from service.jobs.model import JobState
+from service.ledger.model import JobState
 from worker import store
 from worker.executors.base import ClusterLost, WorkerRefused
 from worker.executors.dask import Dask

@@ -13,7 +13,7 @@ from running import costing, running
 from scripted import wait_for
 
 from service.api.monitoring import Readiness
-from service.jobs.model import JobState
+from service.ledger.model import JobState
 from worker.executors.base import ClusterLost
 from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask

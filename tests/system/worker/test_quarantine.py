@@ -11,7 +11,7 @@ from paths import CACHE
 from running import costing, running
 from scripted import wait_for
 
-from service.jobs.model import JobState
+from service.ledger.model import JobState
 from worker import store, watchdog
 from worker.executors import dask
 from worker.executors.base import WorkerLeft

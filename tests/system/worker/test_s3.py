@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 from pyarrow import parquet
 from scripted import Held, wait_for
 from served import RAMP, finished, get, service
-from stores import files
+from stores import files, store_in
 
 from worker import store
 from worker.executors.dask import Dask
@@ -87,7 +87,7 @@ def test_every_answer_is_the_same(both: dict[str, tuple[TestClient, str]]):
 def test_every_byte_is_the_same(both: dict[str, tuple[TestClient, str]]):
     (local, here), (remote, there) = both["folder"], both["bucket"]
     settings = local.app.state.service.settings  # type: ignore[attr-defined]
-    stored = files(settings.store_of(here.rsplit("/", 1)[1]))
+    stored = files(store_in(settings.data, here.rsplit("/", 1)[1]))
     assert len([key for key in stored if key.startswith("flight_time/c.")]) > 1
     for key, content in stored.items():
         if not key.startswith("."):
@@ -125,7 +125,7 @@ def test_cancel_reaches_workers_through_the_bucket(bucket: str, tmp_path: Path):
     held = Held()
     with service(tmp_path, held, stores=f"{BUCKET_URL}/cancel") as client:
         here = client.post("/v1/jobs", json=RAMP).headers["Location"]
-        url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
+        url = client.app.state.service.settings.store_of(f"1-{here.rsplit('/', 1)[1]}.zarr")  # type: ignore[attr-defined]
         wait_for(lambda: held.held() > 0)
         assert not store.is_cancelled(url)
         client.post(f"{here}/cancel")
@@ -159,7 +159,7 @@ def test_delete_leaves_nothing(bucket: str, tmp_path: Path):
     executor = Inline()
     with service(tmp_path, executor, stores=f"{BUCKET_URL}/delete") as client:
         here = finished(client, RAMP)
-        url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
+        url = client.app.state.service.settings.store_of(f"1-{here.rsplit('/', 1)[1]}.zarr")  # type: ignore[attr-defined]
         assert backend.read_key(url, "zarr.json") is not None
         assert client.delete(here).status_code == 204
         wait_for(lambda: backend.read_key(url, "zarr.json") is None)

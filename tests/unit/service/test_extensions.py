@@ -42,10 +42,11 @@ def test_a_kind_of_study_is_five_answers_and_a_row(tmp_path: Path, monkeypatch: 
 def test_damage_to_a_study_of_any_kind_is_found_and_repaired(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(studies.STUDIES, "divisors", TOY)
     with computing(tmp_path) as client:
-        finished(client, TOY_JOB)
+        here = finished(client, TOY_JOB)
     (url,) = tmp_path.rglob("*.zarr")
     intact = {path: path.read_bytes() for path in url.rglob("*") if path.is_file()}
     (url / "count/c.2").write_bytes(b"damaged")
     (url / "number/zarr.json").unlink()
-    with computing(tmp_path):
+    with computing(tmp_path) as client:
+        assert client.get(f"{here}/zarr/count/c.2").status_code == 503
         wait_for(lambda: {path: path.read_bytes() for path in intact} == intact)

@@ -10,6 +10,7 @@ import pytest
 import xarray
 from json_results import from_json
 from served import service
+from stores import store_in
 from studies import STUDIES
 
 from kernel.params import KERNEL_VERSION
@@ -56,7 +57,7 @@ def test_a_run_stores_the_bytes_of_a_service_whatever_the_number_of_threads(tmp_
         job = client.submit(SPEC).wait(progress=False)
     local.run(SPEC, tmp_path / "one.zarr", workers=1, progress=False)
     local.run(SPEC, tmp_path / "three.zarr", workers=3, progress=False)
-    stored = files(tmp_path / "data" / "stores" / f"{job.id}.zarr")
+    stored = files(store_in(tmp_path / "data", job.id))
     assert stored
     assert files(tmp_path / "one.zarr") == files(tmp_path / "three.zarr") == stored
     assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "one.zarr", "three.zarr"]

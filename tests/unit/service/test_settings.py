@@ -50,7 +50,7 @@ def test_the_stores_are_in_the_data_folder_another_one_or_a_bucket(
 ):
     settings = Settings(data=Path("/d"), stores=stores)
     assert settings.stores_url == url
-    assert settings.store_of("a" * 32) == f"{url}/{'a' * 32}.zarr"
+    assert settings.store_of("a" * 32 + ".zarr") == f"{url}/{'a' * 32}.zarr"
     assert settings.folders == tuple(map(Path, folders))
 
 

@@ -18,9 +18,9 @@ from scripted import Held, sweep, wait_for
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, LedgerUnavailable, UnknownJob
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import UNFINISHED, JobRecord, JobState
+from service.ledger.ledger import Ledger
+from service.ledger.model import UNFINISHED, JobRecord, JobState
 from service.settings import Settings
 from service.views import diagram
 from service.views.selection import Stored
@@ -195,7 +195,7 @@ class Machine(RuleBasedStateMachine):
                 with self.ledger.reading() as reading:
                     job = reading.find(IDS[number])
                     if job is not None:
-                        assert job.chunks_done == len(reading.stored_chunks(job, 0, job.chunks_total))
+                        assert job.chunks_done == len(reading.done_chunks(job, 0, job.chunks_total))
                         assert (job.state is JobState.DONE) <= (job.chunks_done == job.chunks_total)
                         assert (job.chunks_done == job.chunks_total) == (job.cells_done == job.cells_total)
 
@@ -213,8 +213,7 @@ class Machine(RuleBasedStateMachine):
     def _stop(self) -> None:
         """Stop as at the end of a process, with all threads."""
         self.manager.stop()
-        for part in (self.manager.scrubber, self.manager.supervisor, self.manager._deleter):
-            part._thread.join()
+        self.manager.supervisor._thread.join()
 
     def _settle(self) -> None:
         """Until the service has taken in what came back, and submitted chunks of the unfinished jobs."""
@@ -245,7 +244,7 @@ class Machine(RuleBasedStateMachine):
         return job
 
     def _url(self, number: int) -> str:
-        return self._settings.store_of(IDS[number])
+        return self._settings.store_of(self._found(number).store)
 
     def _outcomes(self, number: int) -> Any:
         return store.read_slice(self._url(number), ["outcome"], complete=True)["outcome"]

@@ -19,12 +19,13 @@ import psutil
 import pytest
 from running import Running, running
 from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
+from stores import is_sound
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, KeyReused, QueueFull
-from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.model import JobRecord, JobState
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState, WorkerLost
@@ -36,20 +37,17 @@ from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
 
 
-def test_done_means_written_and_the_checksums_are_those_of_the_files(tmp_path: Path, inline: Inline):
+def test_done_means_written(tmp_path: Path, inline: Inline):
     spec = sweep()
     with running(tmp_path, inline) as service:
         job = service.until(service.submit(spec), JobState.DONE)
         assert np.all(service.outcomes(job) != Outcome.MISSING)
         with service.ledger.reading() as ledger:
-            rows = ledger._sql.execute(
-                "SELECT chunk, lower(hex(checksum)), cells FROM chunks ORDER BY chunk"
-            ).fetchall()
+            rows = ledger._sql.execute("SELECT cells FROM chunks ORDER BY chunk").fetchall()
     plan = make_plan(spec, chunk_shape=job.chunk_shape)
     assert [row["cells"] for row in rows] == [chunk.cells for chunk in plan]
-    written = [(plan[row[0]], row[1]) for row in rows]
-    url = service.settings.store_of(job.id)
-    assert list(store.find_corrupt(url, layout(spec, plan.chunk_shape), written)) == []
+    url = service.settings.store_of(job.store)
+    assert all(is_sound(url, layout(spec, plan.chunk_shape), chunk) for chunk in plan)
 
 
 def test_many_at_once_submitting_the_same_sweep_make_one_job(tmp_path: Path, inline: Inline):
@@ -179,7 +177,7 @@ def test_a_running_job_is_cancelled_when_nothing_writes_any_more(tmp_path: Path)
         held.let_go()  # one is written before the cancel
         wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 4)
         service.manager.cancel(job.id)
-        url = service.settings.store_of(job.id)
+        url = service.settings.store_of(job.store)
         wait_for(lambda: store.is_cancelled(url))
         assert service.manager.cancel(job.id).state is JobState.RUNNING  # twice is once
         for _ in range(4):
@@ -194,7 +192,7 @@ def test_a_cancel_flag_that_an_earlier_job_left_stops_nothing(tmp_path: Path, in
     with running(tmp_path / "elsewhere", inline) as service:
         job = service.until(service.submit(sweep()), JobState.DONE)
     with running(tmp_path, inline) as service:
-        url = service.settings.store_of(job.id)
+        url = service.settings.store_of(job.store)
         store.set_cancelled(url)
         service.until(service.submit(sweep()), JobState.DONE)
         assert not store.is_cancelled(url)
@@ -206,11 +204,11 @@ def test_a_cancel_taken_back_in_time_costs_nothing(tmp_path: Path):
         job = service.submit(spec)
         wait_for(held.held)
         service.manager.cancel(job.id)
-        wait_for(lambda: store.is_cancelled(service.settings.store_of(job.id)))
+        wait_for(lambda: store.is_cancelled(service.settings.store_of(job.store)))
         again = service.manager.submit(spec)
         assert again.accepted
         assert again.job.state is JobState.RUNNING
-        wait_for(lambda: not store.is_cancelled(service.settings.store_of(job.id)))
+        wait_for(lambda: not store.is_cancelled(service.settings.store_of(job.store)))
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
 
 
@@ -231,25 +229,11 @@ def test_a_job_deleted_while_its_store_is_made_leaves_none(
         service.manager.cancel(job.id)
         service.manager.delete(job.id)
         assert service.ledger.find(job.id) is None
-        wait_for(lambda: service.pending_deletions() == 0)  # before there is anything
         caplog.set_level("INFO")
         go_on.set()
         wait_for(lambda: "deleted while its store was written" in caplog.text)
-        wait_for(lambda: not list((tmp_path / "stores").iterdir()))
-
-
-@pytest.mark.parametrize(("days", "again"), [(30.0, 0), (1e-9, 8)])
-def test_a_job_that_is_done_is_verified_again_only_after_days(
-    tmp_path: Path, inline: Inline, days: float, again: int
-):
-    def verified() -> int:
-        with running(tmp_path, inline, verify_days=days) as service:
-            service.manager.scrubber._thread.join(DEADLINE)
-            return service.manager.scrubber.verified_chunks
-
-    with running(tmp_path, inline) as service:
-        service.until(service.submit(sweep()), JobState.DONE)
-    assert [verified(), verified(), verified()] == [8, again, again]
+        wait_for(lambda: service.pending_deletions() == 0)
+        assert list((tmp_path / "stores").iterdir()) == []
 
 
 # What goes wrong
@@ -298,7 +282,7 @@ def test_a_chunk_whose_neighbour_killed_the_worker_is_not_blamed(tmp_path: Path)
 
 @pytest.mark.parametrize("where", [".", ".partial", "outcome"])
 def test_nothing_is_written_through_a_link_in_the_data_folder(tmp_path: Path, where: str):
-    link = Path(Settings(data=tmp_path).store_of(sweep().job_id(KERNEL_VERSION)), where)
+    link = Path(Settings(data=tmp_path).store_of(f"1-{sweep().job_id(KERNEL_VERSION)}.zarr"), where)
     link.parent.mkdir(parents=True)
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "their.partial").touch()
@@ -372,40 +356,28 @@ def test_a_report_of_another_chunk_is_the_workers_failure(tmp_path: Path, wrong:
         assert np.all(service.outcomes(job) != Outcome.MISSING)
 
 
-def test_what_is_computed_again_is_not_removed_with_the_damaged_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """They are removed late: by then the ledger has long said that the chunk is to be computed."""
-    discard, state = store.discard, Held.state
-    syncs = 0
-
-    def counted(held: Held) -> ClusterState:
-        nonlocal syncs
-        syncs += 1
-        return state(held)
-
-    def late(*chunk: Any) -> None:
-        before = syncs
-        service.manager.supervisor.wake()
-        held.let_go_until(lambda: syncs >= before + 3)
-        discard(*chunk)
-
-    monkeypatch.setattr(Held, "state", counted)
+def test_a_chunk_found_damaged_is_removed_and_computed_again_by_a_running_job_too(tmp_path: Path):
     held = Held(capacity=1)
     with running(tmp_path, held) as service:
         job = service.submit(sweep())
+        held.let_go_until(lambda: service.job(job).chunks_done == 2)
+        outcome = Path(service.settings.store_of(job.store)) / "outcome" / "c.0.0.0.0"
+        repair = service.manager.supervisor.repair(job.id, [(0, 0, 0, 0), (0, 0, 0, 7)])
+        assert repair.detail.startswith("stored results are damaged and computed again: chunk 0 (rest, ")
+        assert (list(repair.unmarked), outcome.exists()) == ([0], False)  # the other was not yet done
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
-        monkeypatch.setattr(store, "discard", late)
-        service.manager.scrubber.invalidate(service.job(job), [0])
+        assert service.manager.supervisor.repair(job.id, [(0, 0, 0, 0)]).unmarked == [0]
+        assert service.job(job).repairing
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
         assert np.all(service.outcomes(job) != Outcome.MISSING)
-    assert [chunk for _, chunk in held.order].count(0) == 2
+        assert service.manager.supervisor.repair("0" * 32, []).detail == "the job was deleted"
+    assert [chunk for _, chunk in held.order].count(0) == 3
 
 
 def test_a_store_that_cannot_be_made_fails_its_job_alone(tmp_path: Path, inline: Inline):
     spec = sweep()
     with running(tmp_path, inline) as service:
-        place = Path(service.settings.store_of(spec.job_id(KERNEL_VERSION)))
+        place = Path(service.settings.store_of(f"1-{spec.job_id(KERNEL_VERSION)}.zarr"))
         place.parent.mkdir(parents=True)
         place.write_text("in the way")
         job = service.until(service.submit(spec), JobState.FAILED)
@@ -422,7 +394,7 @@ def test_a_job_whose_run_breaks_is_made_anew_and_fails_the_third_time(
     real, broken = store.sync_folders, list[str]()
 
     def sync_folders(url: str, *layout: Any) -> None:
-        if url == service.settings.store_of(job.id):
+        if url == service.settings.store_of(job.store):
             broken.append(url)
             raise KeyError("a field")
         real(url, *layout)
@@ -495,8 +467,7 @@ def test_stopping_is_prompt(tmp_path: Path):
     with running(tmp_path, Held(), heartbeat_seconds=2 * DEADLINE) as service:
         service.until(service.submit(sweep()), JobState.RUNNING)
         service.manager.stop()
-        parts = (service.manager.supervisor, service.manager._deleter, service.manager.scrubber)
-        assert not any(part._thread.is_alive() for part in parts)
+        assert not service.manager.supervisor._thread.is_alive()
 
 
 # Jobs as users change them, while nothing is computed

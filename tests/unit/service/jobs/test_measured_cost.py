@@ -8,8 +8,8 @@ import pytest
 from ledgers import record
 from scripted import small
 
-from service.jobs.model import JobRecord, JobState
 from service.jobs.prepare import JobPreparer
+from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from worker.studies import study_of
 from worker.study import Cost

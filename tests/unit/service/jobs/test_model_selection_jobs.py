@@ -11,6 +11,7 @@ import pytest
 from fastapi.testclient import TestClient
 from scripted import wait_for
 from served import service
+from stores import store_in
 
 from worker import store
 from worker.executors.base import ClusterLost, WorkerDied
@@ -73,7 +74,7 @@ def test_the_job_shows_what_was_chosen_and_why(done):
 
 def test_the_store_has_the_choice_without_timings(done):
     _, job, folder = done
-    attributes = store.read_attrs(str(folder / "stores" / f"{job['id']}.zarr"))
+    attributes = store.read_attrs(str(store_in(folder, job["id"])))
     assert attributes["model"] == "rigid"
     assert attributes["choice"]["reason"] == job["choice"]["reason"]
     assert "measured" not in json.dumps(attributes["choice"])
@@ -83,9 +84,7 @@ def test_the_store_has_the_choice_without_timings(done):
 def test_its_numbers_are_those_of_the_model_chosen(done):
     client, job, folder = done
     rigid = ended(client, SWEEP | {"model": {"kind": "rigid", "restitution": 0.0}})
-    one, two = (
-        store.read_slice(str(folder / "stores" / f"{each['id']}.zarr"), FIELDS) for each in (job, rigid)
-    )
+    one, two = (store.read_slice(str(store_in(folder, each["id"])), FIELDS) for each in (job, rigid))
     assert one["flight_time"].shape == (1, 1, 1, 46, 8)
     for name in FIELDS:
         np.testing.assert_array_equal(one[name], two[name])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.jobs.ready_queue import ROTATION_SHARE, ReadyQueue, Rotation
+from service.jobs.ready_queue import ReadyQueue
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 
@@ -86,72 +86,3 @@ def test_a_chunk_that_paused_comes_before_all_others():
     queue.requeue(queue.pop())
     queue.requeue(first, first=True)
     assert drain(queue) == [0, 2, 1]
-
-
-# Rotation
-
-
-def turns(rotation: Rotation, number: int) -> str:
-    """The next jobs to have a turn."""
-    taken = []
-    for _ in range(number):
-        taken.append(next(iter(rotation)))
-        rotation.begin_turn(taken[-1], 0.0)
-    return "".join(taken)
-
-
-def rotation_of(jobs: str, owner: str = "") -> Rotation:
-    rotation = Rotation(1.0)
-    rotation.update(dict.fromkeys(jobs, owner))
-    return rotation
-
-
-def test_jobs_come_in_turn_and_new_ones_at_the_end():
-    rotation = rotation_of("abc")
-    assert turns(rotation, 4) == "abca"
-    rotation.update(dict.fromkeys("abcd", ""))
-    assert turns(rotation, 5) == "bcadb"
-
-
-def test_jobs_that_have_ended_have_no_turn():
-    rotation = rotation_of("abc")
-    rotation.update(dict.fromkeys("ac", ""))
-    assert turns(rotation, 3) == "aca"
-    rotation.update({})
-    assert list(rotation) == []
-
-
-def test_owners_come_in_turn_however_many_jobs_they_have():
-    rotation = rotation_of("abcdefgh", "one")
-    rotation.update(dict.fromkeys("abcdefgh", "one") | dict.fromkeys("xy", "two"))
-    assert turns(rotation, 6) == "axbycx"
-
-
-@given(st.lists(st.sampled_from("abcdefghij"), min_size=1, unique=True), st.data())
-def test_no_job_waits_for_more_turns_than_there_are_jobs(jobs: list[str], data: st.DataObject):
-    """Whichever jobs follow and end: those that came later have at most one turn before it."""
-    rotation, waiting = rotation_of("".join(jobs)), jobs[-1]
-    ahead = len(jobs) - 1
-    for number in range(100):
-        new = data.draw(st.integers(0, 3))
-        present = [*rotation, *(f"{number}-{k}" for k in range(new))]
-        rotation.update(dict.fromkeys(present, ""))
-        job = next(iter(rotation))
-        if job == waiting:
-            break
-        rotation.begin_turn(job, 0.0)
-    assert number <= ahead
-
-
-def test_turns_take_their_share_of_the_time_and_no_more():
-    """Chunks outside of the rotation take 0.3 s each, turns are estimated at 0.5 s and take 0.8 s."""
-    rotation, outside, taken = rotation_of("ab"), 0.0, 0.0
-    for _ in range(1000):
-        if rotation.is_due(0.5):
-            rotation.begin_turn("a", 0.5)
-            rotation.end_turn(0.5, 0.8)
-            taken += 0.8
-        else:
-            rotation.earn(0.3)
-            outside += 0.3
-    assert taken / (taken + outside) == pytest.approx(ROTATION_SHARE, rel=0.02)

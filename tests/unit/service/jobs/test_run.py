@@ -8,10 +8,10 @@ import pytest
 from ledgers import record
 from scripted import small
 
-from service.jobs.model import JobState, summary_of
 from service.jobs.prepare import JobPreparer
 from service.jobs.retry import Action, History, RetryPolicy
 from service.jobs.run import JobRun
+from service.ledger.model import JobState, summary_of
 from service.settings import Settings
 from worker.study import ChunkReport
 from worker.sweep.plan import make_plan

@@ -11,14 +11,14 @@ import pytest
 from click.testing import CliRunner, Result
 from running import running
 from scripted import Held, Scripted, free_port, sweep, wait_for
+from stores import files, store_in
 
 from kernel.params import KERNEL_VERSION
 from service.cli.main import main
 from service.errors import DataFolderBusy, LedgerUnusable
-from service.jobs import backup
-from service.jobs.ledger import Ledger
-from service.jobs.ledger_files import wal_of
-from service.jobs.model import JobState
+from service.ledger import backup
+from service.ledger.model import JobState
+from service.ledger.paths import wal_of
 from worker.executors.inline import Inline
 
 SPECS = [sweep(omega=omega) for omega in (0.5, 0.6, 0.7)]
@@ -138,8 +138,7 @@ def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Pat
     assert len(ids(data / "ledger.sqlite")) == 1
     assert (data / "ledger.sqlite").stat().st_mode & 0o777 == 0o600
     with running(data, Held(capacity=0)) as service:
-        service.manager.scrubber._thread.join()
-        assert len(service.manager.unknown_stores) == 2
+        assert len(service.unknown_stores()) == 2
         assert "stores that the ledger does not know: 2" in service.manager.notices()[0]
     answer = bounce("adopt", "--all", "--data", str(data))
     assert (answer.exit_code, answer.stderr) == (0, "")
@@ -171,7 +170,7 @@ def test_nothing_is_restored_under_a_running_service(folder: Path):
             backup.restore(service.settings.ledger_path, folder / "backup.sqlite")
         assert "another service uses the data folder" in bounce("adopt", "--all", "--data", str(data)).output
         with service.ledger.reading() as ledger:
-            assert len(ledger.ids()) == 3
+            assert len(ledger.stores()) == 3
 
 
 @pytest.mark.parametrize(
@@ -189,19 +188,50 @@ def test_what_is_no_ledger_is_not_restored(folder: Path, content: bytes | None, 
     assert len(ids(data / "ledger.sqlite")) == 3
 
 
-def test_deletions_of_a_backup_are_forgotten(folder: Path):
-    """What they name may have been computed again since."""
+def test_after_a_restore_new_jobs_meet_no_store_of_the_jobs_that_are_lost(folder: Path, inline: Inline):
     data = folder / "data"
-    with Ledger(data / "ledger.sqlite") as ledger:
-        with ledger.writing() as writing:
-            job = writing.newest(None, 1)[0]
-            writing.delete(job, 1e12)
-        backup.backup(data / "ledger.sqlite", folder / "later.sqlite")
-    backup.restore(data / "ledger.sqlite", folder / "later.sqlite")
-    with running(data, Held(capacity=0)) as service:
-        service.manager.scrubber._thread.join()
-        assert [Path(url).stem for url in service.manager.unknown_stores] == [job.id]
-        assert Path(service.settings.store_of(job.id)).exists()
+    before = files(data / "stores")
+    bounce("restore", str(folder / "backup.sqlite"), "--data", str(data))
+    with running(data, inline) as service:
+        again = service.until(service.submit(SPECS[1]), JobState.DONE)
+        assert again.store == f"4-{again.id}.zarr"
+        assert len(service.unknown_stores()) == 2
+    assert before.items() <= files(data / "stores").items()
+    assert files(data / "stores" / again.store) == files(data / "stores" / f"2-{again.id}.zarr")
+
+
+def test_the_doctor_verifies_all_results_and_has_damage_computed_again(folder: Path):
+    data, jobs = folder / "data", [spec.job_id(KERNEL_VERSION) for spec in SPECS]
+
+    def verify(*job: str) -> list[str]:
+        answer = bounce("doctor", "--verify", *job, "--data", str(data))
+        assert answer.exit_code == ("!!" in answer.output)
+        return answer.output.splitlines()
+
+    assert verify() == [f"ok  job               {job}: 8 chunks are sound" for job in reversed(jobs)]
+    stores = [store_in(data, job) for job in jobs]
+    before = files(data / "stores")
+    content = bytearray((stores[0] / "flight_time" / "c.0.0.0.3.0").read_bytes())
+    content[len(content) // 2] ^= 1
+    (stores[0] / "flight_time" / "c.0.0.0.3.0").write_bytes(content)
+    (stores[0] / "outcome" / "c.0.0.0.5").unlink()
+    (stores[1] / "omega" / "c" / "0").unlink()
+    (stores[1] / ".partial" / "left.partial").touch()
+    with running(data, Held(capacity=0)):
+        lines = verify()
+        assert [line[:2] for line in lines] == ["ok", "!!", "!!"]
+        assert "damaged: chunk 3 (rest, " in lines[2]
+        assert "omega/c/0 is not what the store's specification says" in lines[1]
+    assert "a service uses the folder" in lines[2]
+    assert verify(jobs[1]) == [f"ok  job               {jobs[1]}: 8 chunks are sound"]
+    [line] = verify(jobs[0])
+    assert "stored results are damaged and computed again: chunk 3 (rest, " in line
+    with closing(Scripted()) as executor, running(data, executor) as service:
+        wait_for(lambda: files(data / "stores") == before)
+        service.until(service.submit(SPECS[0]), JobState.DONE)
+        assert sorted(executor.tried) == [3, 5]
+    assert bounce("doctor", "--verify", "0" * 32, "--data", str(data)).exit_code == 1
+    assert bounce("doctor", jobs[0], "--data", str(data)).exit_code == 2
 
 
 def test_the_doctor_names_what_needs_attention(folder: Path):

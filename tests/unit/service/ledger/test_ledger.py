@@ -3,19 +3,17 @@
 import sqlite3
 import threading
 from collections.abc import Iterator
-from contextlib import closing, nullcontext
+from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 import pytest
 from ledgers import accept, current, new_job, reports
 
 from kernel.params import KERNEL_VERSION
 from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
-from service.jobs.ledger import Ledger
-from service.jobs.ledger_files import OpenFiles, as_found, copies_of, lock_of, shm_of, wal_of
-from service.jobs.model import Failure, JobRecord, JobState
-from service.jobs.transactions import VERIFIED_PAGE
+from service.ledger import backup
+from service.ledger.ledger import Ledger
+from service.ledger.model import Failure, JobRecord, JobState
 
 
 @pytest.fixture
@@ -184,9 +182,9 @@ def test_an_adopted_job_is_done_if_all_its_chunks_are(
     ledger: Ledger, chunks: tuple[int, ...], state: JobState
 ):
     with ledger.writing() as writing:
-        writing.adopt(new_job(), reports(*chunks), "{}", 50.0, "some are missing")
+        writing.adopt(new_job(), "a.zarr", reports(*chunks), "{}", 50.0, "some are missing")
     job = current(ledger)
-    assert (job.state, job.chunks_done, job.choice) == (state, len(chunks), "{}")
+    assert (job.store, job.state, job.chunks_done, job.choice) == ("a.zarr", state, len(chunks), "{}")
     assert (job.created, job.started, job.finished) == (50.0, 50.0, 50.0)
     assert job.error == (None if state is JobState.DONE else "some are missing")
 
@@ -199,12 +197,13 @@ def test_chunks_of_deleted_jobs_are_forgotten_a_few_at_a_time(ledger: Ledger):
     with ledger.writing() as writing:
         for job in (kept, one, two):
             writing.mark_done(job, reports(*range(5)))
-            writing.note_verified(job, 0, np.ones(VERIFIED_PAGE, np.bool_))
-        writing.delete(one, 1.0)
-        writing.delete(two, 2.0)
-        assert [writing.forget_chunks(one.seq, 2) for _ in range(4)] == [2, 2, 1, 0]
-        assert not writing.verified_chunks(one, 0).any()
-        assert writing.verified_chunks(two, 0).all()
+        writing.delete(one)
+        writing.delete(two)
+        first, second = writing.deletions()
+        assert (first.store, second.store) == (one.store, two.store)
+        assert [writing.forget_deletion(first, 2) for _ in range(3)] == [False, False, True]
+        assert writing.deletions() == [second]
+        assert (writing.done_chunks(one, 0, 5), len(writing.done_chunks(two, 0, 5))) == ([], 5)
     assert ledger.done_mask(kept).all()
 
 
@@ -242,41 +241,43 @@ def test_a_ledger_that_can_be_written_has_no_fault(ledger: Ledger):
     assert ledger.fault() is None
 
 
-def test_a_ledger_is_rescued_once_and_only_where_its_folder_and_lock_are(tmp_path: Path):
+#: The tables of 0.2.0, made from today's.
+BACK_TO_14 = """
+    ALTER TABLE jobs DROP COLUMN store;
+    ALTER TABLE jobs ADD COLUMN verified REAL;
+    ALTER TABLE chunks ADD COLUMN checksum BLOB NOT NULL DEFAULT x'00';
+    ALTER TABLE chunks ADD COLUMN bytes INTEGER;
+    CREATE TABLE verified (job INTEGER, page INTEGER, chunks BLOB, PRIMARY KEY (job, page)) WITHOUT ROWID;
+    DROP TABLE deletions;
+    CREATE TABLE deletions (job TEXT, seq INTEGER, created REAL, step INTEGER, PRIMARY KEY (job, seq))
+        WITHOUT ROWID;
+    INSERT INTO deletions VALUES ('gone', 7, 1.0, 0), ('renamed', 8, 1.0, 1), ('removed', 9, 1.0, 2),
+        ('{again}', 6, 1.0, 0);
+    PRAGMA user_version = 14;
+"""
+
+
+def test_a_ledger_of_the_release_before_keeps_its_jobs_and_their_stores(tmp_path: Path):
     path = tmp_path / "ledger.sqlite"
-    for file in (path, lock_of(path), wal_of(path), shm_of(path)):
-        file.write_bytes(b"open")
-    files = OpenFiles(path)
-    assert not files.lost_wal()
-    lock_of(path).rename(tmp_path / "elsewhere")
-    assert files.rescue_path() is None
-    (tmp_path / "elsewhere").rename(lock_of(path))
-    path.rename(tmp_path / "elsewhere")
-    assert "is gone, moved or replaced" in str(files.replaced())
-    rescue = files.rescue_path()
-    assert rescue is not None
-    assert rescue.name.startswith("ledger-rescued-")
-    assert files.rescue_path() is None
-
-
-def open_nothing(path: Path, error: BaseException | None) -> None:
-    with as_found(path):
-        if error is not None:
-            raise error
-
-
-@pytest.mark.parametrize(
-    ("error", "kept"), [(None, 0), (KeyboardInterrupt(), 0), (LedgerUnusable("it is damaged"), 1)]
-)
-def test_a_ledger_with_a_log_is_kept_as_it_was_found_only_if_it_is_unusable(
-    tmp_path: Path, error: BaseException | None, kept: int
-):
-    path = tmp_path / "ledger.sqlite"
-    for file in (path, wal_of(path)):
-        file.write_bytes(file.name.encode())
-    with nullcontext() if error is None else pytest.raises(type(error)):
-        open_nothing(path, error)
-    copies = copies_of(path)
-    assert [copy.read_bytes() for copy in copies] == [b"ledger.sqlite"] * kept
-    assert [wal_of(copy).read_bytes() for copy in copies] == [b"ledger.sqlite-wal"] * kept
-    assert len(list(tmp_path.iterdir())) == 2 + 2 * kept
+    with Ledger(path) as ledger:
+        done, again = done_job(ledger), accept(ledger, "b" * 32)
+    with closing(sqlite3.connect(path)) as connection:
+        connection.executescript(BACK_TO_14.format(again=again.id))
+    assert backup.inspect(path) == (2, 4)
+    with backup.reading(path) as reading:
+        assert f"{done.id}.zarr" in reading.stores()
+    backup.backup(path, tmp_path / "backup.sqlite")
+    with Ledger(path) as ledger:
+        assert ledger.done_mask(current(ledger)).all()
+        # One that waits until the store of a deleted job is removed gets another.
+        stores = [current(ledger, job.id).store for job in (done, again)]
+        assert stores == [f"{done.id}.zarr", f"2-{again.id}.zarr"]
+        with ledger.reading() as reading:
+            removed = {deletion.store for deletion in reading.deletions()}
+        assert removed == {"gone.zarr", "renamed.zarr.deleted-8", f"{again.id}.zarr"}
+        assert accept(ledger, "c" * 32).store == f"3-{'c' * 32}.zarr"
+    backup.restore(path, tmp_path / "backup.sqlite")
+    with Ledger(path) as ledger:
+        assert current(ledger).chunks_done == 4
+        with ledger.reading() as reading:
+            assert reading.deletions() == []  # what they name may have been computed again since

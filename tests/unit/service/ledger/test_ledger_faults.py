@@ -1,4 +1,4 @@
-"""A ledger that is damaged, moved, replaced or locked: nothing is lost, each is told, and it goes on."""
+"""A ledger that is damaged or locked, stores that are not there: nothing is lost, and each is told."""
 
 import os
 import shutil
@@ -10,7 +10,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 from fastapi.testclient import TestClient
 from running import running
@@ -18,14 +17,13 @@ from scripted import Held, Scripted, sweep, wait_for
 from served import FIGURE_2, finished, get, service
 from stores import marked
 
-from kernel.params import KERNEL_VERSION
 from service.cli.doctor import examine
 from service.errors import LedgerUnavailable, LedgerUnusable
-from service.jobs import backup, ledger_files
-from service.jobs.ledger import RESERVE, Ledger
-from service.jobs.ledger_files import wal_of
-from service.jobs.model import JobState
-from service.jobs.stores.adoption import open_ledger
+from service.jobs.stores.opening import open_ledger
+from service.ledger import paths as ledger_paths
+from service.ledger.ledger import RESERVE, Ledger
+from service.ledger.model import JobState
+from service.ledger.paths import wal_of
 from service.settings import Settings
 from worker import store
 from worker.executors.inline import Inline
@@ -112,44 +110,7 @@ def test_an_empty_file_is_a_new_ledger_where_nothing_is_stored(tmp_path: Path):
         assert ledger.find("0" * 32) is None
 
 
-def test_a_log_of_another_copy_is_refused_and_the_ledger_kept_as_it_was_found(tmp_path: Path):
-    """The log is of a copy of before, in which the job was given another name."""
-    folders, held = (tmp_path / "ours", tmp_path / "other"), Held(capacity=1)
-    with running(folders[0], held) as service:
-        job = service.submit(sweep())
-        wait_for(held.held)
-        held.let_go()
-        wait_for(lambda: service.job(job).chunks_done == 1)
-    ours, other = (folder / "ledger.sqlite" for folder in folders)
-    other.parent.mkdir()
-    shutil.copyfile(ours, other)
-    for path, rows in ((ours, 700), (other, 0)):
-        with closing(sqlite3.connect(path, isolation_level=None)) as connection:
-            connection.execute("PRAGMA wal_autocheckpoint = 0")
-            connection.execute("BEGIN")
-            connection.executemany(
-                "INSERT INTO chunks VALUES (1, ?, 1, 1.0, ?, '[]', NULL, NULL)",
-                [(10 + row, f"{path.parent.name} {row}" * 9) for row in range(rows)],
-            )
-            connection.execute("UPDATE jobs SET name = ?, chunks_done = chunks_done + ?", [str(rows), rows])
-            connection.execute("COMMIT")
-            if path == other:
-                foreign = wal_of(path).read_bytes()
-    wal_of(ours).write_bytes(foreign)
-    found = ours.read_bytes()
-    with pytest.raises(LedgerUnusable, match="as-found") as refused:
-        Ledger(ours)
-    [copy] = ours.parent.glob("ledger-as-found-*.sqlite")
-    assert str(copy) in str(refused.value)
-    assert copy.read_bytes() == found
-    wal_of(copy).unlink()  # what an operator does who knows whose it is
-    assert backup.inspect(copy).chunks == 701
-    backup.restore(ours, copy)
-    with Ledger(ours) as ledger:
-        assert ledger.find(job.id) is not None
-
-
-def test_a_log_that_is_the_ledgers_own_is_applied_and_leaves_no_copy(data: Path):
+def test_a_log_of_a_killed_service_is_applied(data: Path):
     path = data / "ledger.sqlite"
     with Ledger(path) as ledger:
         with ledger.writing() as writing:
@@ -157,7 +118,6 @@ def test_a_log_that_is_the_ledgers_own_is_applied_and_leaves_no_copy(data: Path)
         shutil.copytree(data, data.parent / "killed")
     with Ledger(data.parent / "killed" / "ledger.sqlite") as ledger, ledger.reading() as reading:
         assert reading.key("k") is not None
-    assert list((data.parent / "killed").glob("ledger-*")) == []
 
 
 # While the service runs
@@ -177,18 +137,6 @@ def refused(client: TestClient, reason: str) -> None:
 def works(client: TestClient) -> None:
     wait_for(lambda: client.get("/readyz").status_code == 200, lambda: client.get("/readyz").text)
     finished(client, sweep(omega=0.77).as_submitted())
-
-
-@pytest.mark.parametrize("name", ["ledger.sqlite", "ledger.lock", "."])
-def test_what_is_moved_away_is_noticed_and_all_goes_on_when_it_is_back(
-    data: Path, client: TestClient, name: str
-):
-    path = (data / name).resolve()
-    path.rename(path.with_name("elsewhere"))
-    refused(client, "moved or replaced while the service runs")
-    assert not (data / "stores" / f"{sweep(omega=0.77).job_id(KERNEL_VERSION)}.zarr").exists()
-    path.with_name("elsewhere").rename(path)
-    works(client)
 
 
 def test_where_the_stores_are_not_mounted_nothing_is_written_and_nothing_computed_again(tmp_path: Path):
@@ -259,39 +207,6 @@ def test_an_empty_marker_is_written_anew_beside_our_own_stores_only(data: Path):
         ledger.check()
 
 
-def test_a_replaced_ledger_is_not_written_to_and_what_was_open_is_kept(data: Path, client: TestClient):
-    path = data / "ledger.sqlite"
-    with closing(sqlite3.connect(data.parent / "other.sqlite")) as other:
-        other.execute("PRAGMA user_version = 3")
-    (data.parent / "other.sqlite").replace(path)
-    content = path.read_bytes()
-    refused(client, "ledger.sqlite is another one now")
-    assert path.read_bytes() == content
-    [rescued] = data.glob("ledger-rescued-*.sqlite")
-    assert backup.inspect(rescued).jobs == 2
-    assert get(client, "/v1/jobs")["total"] == 2
-
-
-def test_a_removed_ledger_is_restored_from_what_was_open(data: Path, inline: Inline):
-    with service(data, inline) as client:
-        here = finished(client, FIGURE_2)
-        (data / "ledger.sqlite").unlink()
-        refused(client, "ledger.sqlite is gone")
-    with pytest.raises(LedgerUnusable, match=r"is missing: restore .*rescued.* with bounce restore"):
-        open_ledger(Settings(data=data))
-    [rescued] = data.glob("ledger-rescued-*.sqlite")
-    backup.restore(data / "ledger.sqlite", rescued)
-    with service(data, inline) as client:
-        assert get(client, here)["state"] == "done"
-        works(client)
-
-
-def test_a_ledger_overwritten_in_place_is_not_written_to(data: Path, client: TestClient):
-    path = data / "ledger.sqlite"
-    os.truncate(path, 0)
-    refused(client, "the data folder's ledger.sqlite has another size or time of change")
-
-
 def test_a_page_that_is_damaged_while_the_service_runs_is_told(data: Path, inline: Inline):
     """In whatever request meets it; none says that it is a defect of the service."""
     with service(data, inline) as client:
@@ -301,34 +216,12 @@ def test_a_page_that_is_damaged_while_the_service_runs_is_told(data: Path, inlin
             ledger._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             for page in range(1, (data / "ledger.sqlite").stat().st_size // PAGE):
                 overwrite_page(data / "ledger.sqlite", page)
-            ledger._files.note_written()  # a disk does not change the time of the last write
             for connection in (ledger._reader, ledger._writer):
                 connection.execute("PRAGMA shrink_memory")
         answer = client.get("/v1/jobs")
         assert answer.status_code == 503
         assert "ledger.sqlite is damaged" in answer.json()["detail"]
         refused(client, "ledger.sqlite is damaged")
-
-
-def test_a_lost_log_is_noticed_and_nothing_of_it_is_lost(data: Path, inline: Inline):
-    """The log of another ledger lies in its place."""
-
-    def opened() -> int:
-        return [file.path for file in psutil.Process().open_files()].count(str(data / "ledger.sqlite"))
-
-    with service(data, inline) as client:
-        here = finished(client, FIGURE_2)
-        before = opened()
-        wal_of(data / "ledger.sqlite").unlink()
-        wal_of(data / "ledger.sqlite").write_bytes(b"of another ledger")
-        works(client)
-        assert opened() == before > 0
-        shutil.copytree(data, data.parent / "killed", ignore=shutil.ignore_patterns("stores"))
-        assert get(client, here)["state"] == "done"
-    [foreign] = data.glob("*-foreign-*")
-    assert foreign.read_bytes() == b"of another ledger"
-    with Ledger(data.parent / "killed" / "ledger.sqlite") as ledger, ledger.reading() as reading:
-        assert reading.count(list(JobState)) == 3
 
 
 def test_a_lock_of_another_program_is_told_and_nothing_is_lost(data: Path):
@@ -347,24 +240,6 @@ def test_a_lock_of_another_program_is_told_and_nothing_is_lost(data: Path):
             other.execute("ROLLBACK")
         wait_for(lambda: client.get("/readyz").status_code == 200)
         held.let_go_until(lambda: get(client, here)["state"] == "done")
-
-
-def test_what_the_service_writes_in_the_moment_its_folder_is_moved_away_is_its_own(tmp_path: Path):
-    data, elsewhere = tmp_path / "data", tmp_path / "elsewhere"
-    with Ledger(data / "ledger.sqlite") as ledger:
-        before = (data / "ledger.sqlite").stat().st_size
-        with ledger.writing() as writing:  # so much that the main file is written at the end
-            writing._sql.execute("CREATE TABLE much AS SELECT zeroblob(8000000) AS content")
-            data.rename(elsewhere)
-        with pytest.raises(LedgerUnavailable, match="the data folder data is gone"):
-            ledger.check()
-        elsewhere.rename(data)
-        assert (data / "ledger.sqlite").stat().st_size > before
-        ledger.check()
-        with (data / "ledger.sqlite").open("r+b") as file:
-            file.write(b"SQL")
-        with pytest.raises(LedgerUnavailable, match="another size or time of change"):
-            ledger.check()
 
 
 # Space
@@ -393,9 +268,9 @@ def test_a_ledger_on_a_network_file_system_is_warned_about(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     """The temporary folder's file system is taken for one."""
-    kind: Any = ledger_files.file_system(tmp_path)
+    kind: Any = ledger_paths.file_system(tmp_path)
     assert kind in subprocess.run(["mount"], capture_output=True, text=True, check=True).stdout
-    monkeypatch.setattr(ledger_files, "NETWORK", frozenset({kind}))
+    monkeypatch.setattr(ledger_paths, "NETWORK", frozenset({kind}))
     with running(tmp_path, Held(capacity=0)) as service:
         assert f"on a network file system ({kind})" in service.manager.notices()[0]
     assert "keep the ledger on a local disk" in caplog.text

@@ -13,9 +13,9 @@ from served import service
 from tables import for_each
 
 from service.errors import InvalidRequest
-from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord, JobState, NewJob
-from service.jobs.search import JobOrder, JobSearch
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState, NewJob
+from service.ledger.search import JobOrder, JobSearch
 
 SWEEP: dict[str, Any] = sweep().as_submitted()
 

@@ -135,7 +135,7 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
 def whole(done: Done) -> files.Export:
     """The sweep of `done` as a table."""
     job = done.client.app.state.service.ledger.find(done.here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
-    url = done.client.app.state.service.settings.store_of(job.id)  # type: ignore[attr-defined]
+    url = done.client.app.state.service.settings.store_of(job.store)  # type: ignore[attr-defined]
     spec = SweepSpec(**RAMP)
     return files.Export(Stored(spec, url), make_plan(spec, chunk_shape=job.chunk_shape), "parquet")
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from served import computing, finished, get
+from stores import store_in
 from tables import for_each
 
 from kernel.params import Outcome
@@ -188,7 +189,7 @@ def submitted(client: TestClient, case: Case) -> str:
     spec = spec_of(case)
     here = finished(client, spec.as_submitted())
     settings: Settings = client.app.state.service.settings  # type: ignore[attr-defined]
-    url = settings.store_of(here.rsplit("/", 1)[-1])
+    url = str(store_in(settings.data, here.rsplit("/", 1)[-1]))
     length, outcomes = schema.sizes(spec), outcomes_of(case)
     for chunk in make_plan(spec):
         cells = dict(zip(CELL_DIMS, chunk.slices, strict=True))

@@ -94,13 +94,11 @@ def test_places_are_made_and_hold_names(url: str, tmp_path: Path):
     assert backend.names_in(place) == backend.names_in(str(tmp_path / "none")) == []
 
 
-def test_a_folder_is_renamed_for_deletion_also_after_one_that_was_interrupted(url: str, tmp_path: Path):
-    renamed = tmp_path / "deleted"
-    (renamed / "earlier").mkdir(parents=True)
-    backend.rename_for_deletion(url, str(renamed))
-    assert below(tmp_path) == {"deleted", "deleted/a", "deleted/folder", "deleted/folder/b"}
-    backend.rename_for_deletion(url, str(renamed))  # it is gone
-    assert (renamed / "a").exists()
+def test_a_folder_is_removed_with_what_an_interrupted_removal_left(url: str, tmp_path: Path):
+    Path(f"{url}{backend.DELETED}", "earlier").mkdir(parents=True)
+    backend.remove(url)
+    assert below(tmp_path) == set()
+    backend.remove(url)  # it is gone
 
 
 def test_a_marker_is_read_as_it_was_written(tmp_path: Path):

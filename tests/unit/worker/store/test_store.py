@@ -198,12 +198,12 @@ def test_what_a_chunk_without_outcomes_holds_is_not_read(url, spec, plan):
 
 def test_same_record_gives_the_same_bytes(url, spec, plan):
     record = record_of(spec, plan[1])
-    first = store.write_chunk(url, plan[1], record)
+    store.write_chunk(url, plan[1], record)
     before = files(url)
-    assert store.write_chunk(url, plan[1], record) == first
-    assert first == store.digest_of(url, layout(spec, plan.chunk_shape), plan[1])
+    store.write_chunk(url, plan[1], record)
     assert files(url) == before
-    assert store.write_chunk(url, plan[1], record_of(spec, plan[1], seed=1)) != first
+    store.write_chunk(url, plan[1], record_of(spec, plan[1], seed=1))
+    assert files(url) != before
 
 
 def test_chunk_of_fill_values_is_written_all_the_same(url, spec, plan):
@@ -266,15 +266,16 @@ def delete(path: Path, seed: int) -> None:
 def test_any_damage_to_a_chunk_is_noticed(url, spec, plan, damage):
     chunk = plan[2]
     record = record_of(spec, chunk)
-    good, cut_as = store.write_chunk(url, chunk, record), layout(spec, plan.chunk_shape)
+    store.write_chunk(url, chunk, record)
+    cut_as = layout(spec, plan.chunk_shape)
     names = stored_files(url, chunk)
     assert len(names) == len(record)
     for number, path in enumerate(names * 6):
         kept = path.read_bytes()
         damage(path, 7 * number + 1)
-        assert not is_sound(url, cut_as, chunk, good.checksum)
+        assert not is_sound(url, cut_as, chunk)
         path.write_bytes(kept)
-    assert is_sound(url, cut_as, chunk, good.checksum)
+    assert is_sound(url, cut_as, chunk)
 
 
 @pytest.mark.parametrize("damage", [flip, cut])
@@ -394,21 +395,6 @@ def test_a_store_that_is_removed_meanwhile_is_not_made_again(url, spec, plan, mo
     with pytest.raises(store.StoreMissing):
         store.write_chunk(url, plan[0], record_of(spec, plan[0]))
     assert not Path(url).exists()
-
-
-def test_sizes_tell_of_missing_and_cut_chunks(url, spec, plan):
-    cut_as = layout(spec, plan.chunk_shape)
-    written = {chunk: store.write_chunk(url, chunk, record_of(spec, chunk)) for chunk in plan[:4]}
-    stored_files(url, plan[1])[2].unlink()
-    cut(stored_files(url, plan[2])[3], 5)
-    sizes = store.stored_sizes(url, cut_as)
-    assert sizes is not None
-    found = {chunk.index: int(sizes[cut_as.coords(chunk.slices)]) for chunk in plan}
-    expected = {chunk.index: size.bytes for chunk, size in written.items()}
-    assert (found[0], found[3]) == (expected[0], expected[3])
-    assert found[1] == -1
-    assert 0 < found[2] < expected[2]
-    assert all(found[chunk.index] == -1 for chunk in plan[4:])
 
 
 def test_what_is_discarded_is_gone_and_outcomes_first(url, spec, plan, monkeypatch):

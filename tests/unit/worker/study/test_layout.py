@@ -1,5 +1,7 @@
 """Layouts of stores: shards, whatever the study."""
 
+from dataclasses import replace
+
 import numpy as np
 from tables import for_each
 
@@ -13,16 +15,20 @@ def sized(**sizes: int) -> Layout:
 
 
 @for_each(
-    ("sizes", "inner"),
+    ("sizes", "inner", "alike"),
     [
-        ({"x": 2**21}, None),  # 16 MiB
-        ({"x": 17 * 2**17 + 64}, {"x": (17 * 2**17 + 64) // 8}),
-        ({"x": 2**22}, {"x": 2**19}),  # 32 MiB in parts of 4
-        ({"x": 2048, "y": 2048}, {"x": 512, "y": 1024}),
-        ({"x": 3 * 2**20 + 1}, None),  # odd
+        ({"x": 2**16}, None, None),  # 512 kiB
+        ({"x": 2**16 + 64}, (2**13 + 8,), None),
+        ({"x": 64, "y": 2048}, (16, 1024), None),
+        ({"x": 15, "y": 2**14}, (15, 1024), None),  # odd
+        ({"x": 2**21}, (2**14,), None),  # 16 MiB
+        ({"x": 2048, "y": 2048}, (128, 128), (512, 1024)),
+        ({"x": 3 * 2**20 + 1}, None, None),
     ],
 )
-def test_large_chunks_are_halved_into_parts_of_four_megabytes(sizes, inner):
+def test_large_chunks_are_halved(sizes, inner, alike):
+    """In turn along every dimension; by releases up to 0.2 along the longest, of larger ones."""
     cut = sized(**sizes)
-    assert cut.inner_sizes == inner
-    assert cut.inner_shape(cut.arrays[0]) == (inner and tuple(inner.values()))
+    assert cut.inner_shape(cut.arrays[0]) == inner
+    assert replace(cut, cut_alike=True).inner_shape(cut.arrays[0]) == alike
+    assert len(cut.cuts) == (1 if inner == alike else 2)

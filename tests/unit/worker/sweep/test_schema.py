@@ -1,7 +1,5 @@
 """Layouts of sweeps: shapes, keys, and the texts for people and readers."""
 
-from dataclasses import replace
-
 from scripted import small
 from tables import for_each
 
@@ -42,26 +40,6 @@ def test_the_shapes_of_a_sweep():
     assert cut.identity == {"job": spec.job_id(KERNEL_VERSION), "chunk_shape": [1, 2, 4]}
     place = slice(1, 2), slice(0, 2), slice(1, 3), slice(2, 10)
     assert cut.describe(place) == "down, gamma 1.5 to 5, omega 0.7 to 1, xi 0.05 to 0.26"
-
-
-@for_each(
-    ("sizes", "inner", "alike"),
-    [
-        ({"x": 2**16}, None, None),  # 512 kiB
-        ({"x": 2**16 + 64}, (2**13 + 8,), None),
-        ({"x": 64, "y": 2048}, (16, 1024), None),
-        ({"x": 15, "y": 2**14}, (15, 1024), None),  # odd
-        ({"x": 2**21}, (2**14,), None),  # 16 MiB
-        ({"x": 2048, "y": 2048}, (128, 128), (512, 1024)),
-        ({"x": 3 * 2**20 + 1}, None, None),
-    ],
-)
-def test_large_chunks_are_halved(sizes, inner, alike):
-    """In turn along every dimension; by releases up to 0.2 along the longest, of larger ones."""
-    cut = sized(**sizes)
-    assert cut.inner_shape(cut.arrays[0]) == inner
-    assert replace(cut, cut_alike=True).inner_shape(cut.arrays[0]) == alike
-    assert len(cut.cuts) == (1 if inner == alike else 2)
 
 
 @for_each(

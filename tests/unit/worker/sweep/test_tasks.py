@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kernel_runs import Model, run_line
-from stores import is_sound
+from stores import files, is_sound
 
 from kernel.branches.starts import cycles_at
 from kernel.branches.thresholds import thresholds
@@ -147,15 +147,19 @@ def test_report_counts_what_became_of_the_cells(tmp_path, small_spec):
     assert report.outcomes[Outcome.MISSING] == 0
     assert report.outcomes[Outcome.AT_REST] > 0
     assert report.outcomes[Outcome.PERIODIC] > 0
-    assert is_sound(url, layout(spec, plan.chunk_shape), plan[0], report.checksum)
+    assert is_sound(url, layout(spec, plan.chunk_shape), plan[0])
     assert 0 < report.kernel_seconds <= report.seconds
 
 
 def test_running_a_chunk_again_writes_the_same_bytes(tmp_path, small_spec):
     spec = small_spec(protocol=ramp("gamma", "both"))
     plan, url = stored(tmp_path, spec, (1, 3, 5))
-    first = [run_chunk(spec, chunk, url).checksum for chunk in plan]
-    assert [run_chunk(spec, chunk, url).checksum for chunk in reversed(plan)] == first[::-1]
+    for chunk in plan:
+        run_chunk(spec, chunk, url)
+    first = files(url)
+    for chunk in reversed(plan):
+        run_chunk(spec, chunk, url)
+    assert files(url) == first
 
 
 def test_cancelled_chunk_writes_nothing(tmp_path, small_spec):
@@ -210,10 +214,10 @@ def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeyp
     for chunk in plan:
         report, pauses = run_slices(spec, chunk, url)
         expected = run_chunk(spec, chunk, whole)
-        assert (report.checksum, report.outcomes) == (expected.checksum, expected.outcomes)
+        assert report.outcomes == expected.outcomes
         assert pauses > 1
         assert 0 < report.kernel_seconds < report.seconds
-    assert [path.name for path in Path(url).glob(".*") if path.is_file()] == []
+    assert files(url) == files(whole)
 
 
 def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
@@ -251,9 +255,10 @@ def test_a_checkpoint_that_is_not_what_was_written_begins_anew(tmp_path, small_s
         saved = store.read_checkpoint(url, 0)
         shorter = {name: array[..., :1] if array.ndim else array for name, array in saved.items()}
         store.write_checkpoint(url, 0, shorter)
-    report, _ = run_slices(spec, plan[0], url)
+    run_slices(spec, plan[0], url)
     _, whole = stored(tmp_path / "whole", spec, plan.chunk_shape)
-    assert report.checksum == run_chunk(spec, plan[0], whole).checksum
+    run_chunk(spec, plan[0], whole)
+    assert files(url) == files(whole)
 
 
 def test_a_chunk_whose_checkpoint_cannot_be_written_goes_on(tmp_path, small_spec, monkeypatch, caplog):
@@ -264,8 +269,9 @@ def test_a_chunk_whose_checkpoint_cannot_be_written_goes_on(tmp_path, small_spec
     _, whole = stored(tmp_path / "whole", spec)
     Path(url, ".checkpoint-0").mkdir()  # where the file should be
     with with_options(ChunkOptions(0.0, begins=True)):
-        report = run_chunk(spec, plan[0], url)
-    assert report.checksum == run_chunk(spec, plan[0], whole).checksum
+        run_chunk(spec, plan[0], url)
+    run_chunk(spec, plan[0], whole)
+    assert files(url) == files(whole)
     (warning,) = (record.getMessage() for record in caplog.records)  # it does not try again
     assert "chunk 0 cannot pause, its checkpoint cannot be written" in warning
 

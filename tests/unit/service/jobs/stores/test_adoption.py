@@ -9,25 +9,24 @@ from pathlib import Path
 
 import pytest
 import zarr
-from running import Running, running
+from running import running
 from scripted import Held, Scripted, small, sweep
+from stores import files, store_in
 
 from kernel.params import Outcome
 from service.errors import NotAdoptable
-from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord, JobState
 from service.jobs.stores import adoption
+from service.jobs.stores.opening import has_stores, open_ledger
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
+from worker import store
 from worker.executors.inline import Inline
 from worker.study.layout import flat_attributes, structured_attributes
 from worker.sweep import SweepSpec
 
 RAMP = sweep("ramp", protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
 AUTO = small(name="auto", model={"kind": "auto", "tolerance": 0.5}, gamma=[2.0, 2.5], omega=0.5, xi=0.26)
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def forget(folder: Path) -> None:
@@ -44,7 +43,7 @@ def rows(folder: Path) -> list[tuple[object, ...]]:
             " cells_done, cells_total, cells_settling FROM jobs ORDER BY id"
         ).fetchall()
         chunks = ledger.execute(
-            "SELECT id, chunk, cells, checksum, outcomes FROM chunks JOIN jobs ON job = seq ORDER BY 1, 2"
+            "SELECT id, chunk, cells, outcomes FROM chunks JOIN jobs ON job = seq ORDER BY 1, 2"
         ).fetchall()
     return [*jobs, *chunks]
 
@@ -56,13 +55,9 @@ def adopt(folder: Path, job_id: str) -> JobRecord:
 
 
 def compute(folder: Path, *specs: SweepSpec) -> list[str]:
+    open_ledger(Settings(data=folder)).close()
     with closing(Inline()) as executor, running(folder, executor) as service:
         return [service.until(service.submit(spec), JobState.DONE).id for spec in specs]
-
-
-def scrubbed(service: Running) -> tuple[str, ...]:
-    service.manager.scrubber._thread.join()
-    return tuple(Path(url).name for url in service.manager.unknown_stores)
 
 
 def test_a_lost_ledger_is_rebuilt_from_the_stores(tmp_path: Path):
@@ -72,7 +67,7 @@ def test_a_lost_ledger_is_rebuilt_from_the_stores(tmp_path: Path):
     assert [adopt(tmp_path, job_id).state for job_id in ids] == [JobState.DONE] * 3
     assert rows(tmp_path) == before
     with closing(Scripted()) as executor, running(tmp_path, executor) as service:
-        assert scrubbed(service) == ()
+        assert service.unknown_stores() == []
         assert [service.manager.submit(spec).accepted for spec in (sweep(), RAMP, AUTO)] == [False] * 3
         assert executor.tried == []
     assert files(tmp_path / "stores") == stored
@@ -80,7 +75,7 @@ def test_a_lost_ledger_is_rebuilt_from_the_stores(tmp_path: Path):
 
 def test_only_whole_chunks_are_adopted_and_resuming_computes_the_others(tmp_path: Path):
     [job_id] = compute(tmp_path, RAMP)
-    url = tmp_path / "stores" / f"{job_id}.zarr"
+    url = store_in(tmp_path, job_id)
     stored = files(url)
     chunks = sorted((url / "outcome").glob("c.*"))
     chunks[1].unlink()
@@ -106,7 +101,7 @@ def test_only_whole_chunks_are_adopted_and_resuming_computes_the_others(tmp_path
 @pytest.mark.parametrize("outcome", [Outcome.MISSING, 99])
 def test_a_chunk_with_a_cell_of_no_outcome_is_not_whole(tmp_path: Path, outcome: int):
     [job_id] = compute(tmp_path, sweep())
-    stored = zarr.open_array(tmp_path / "stores" / f"{job_id}.zarr" / "outcome", mode="r+")
+    stored = zarr.open_array(store_in(tmp_path, job_id) / "outcome", mode="r+")
     stored[(0,) * stored.ndim] = outcome
     forget(tmp_path)
     job = adopt(tmp_path, job_id)
@@ -117,7 +112,7 @@ def test_a_chunk_with_a_cell_of_no_outcome_is_not_whole(tmp_path: Path, outcome:
     ("spec", "harm", "reason"),
     [
         (sweep(), lambda attrs: attrs["spec"].update(omega=0.7), "its sweep is"),
-        (sweep(), lambda attrs: attrs.update(job="0" * 32), "says that it holds job 000"),
+        (sweep(), lambda attrs: attrs.update(job="0" * 32), "it names job 000"),
         (sweep(), lambda attrs: attrs.pop("spec"), "it has no attribute 'spec'$"),
         (
             sweep(),
@@ -130,7 +125,7 @@ def test_a_chunk_with_a_cell_of_no_outcome_is_not_whole(tmp_path: Path, outcome:
 )
 def test_a_store_that_contradicts_itself_is_not_adopted(tmp_path: Path, spec: SweepSpec, harm, reason: str):
     [job_id] = compute(tmp_path, spec)
-    root = tmp_path / "stores" / f"{job_id}.zarr" / "zarr.json"
+    root = store_in(tmp_path, job_id) / "zarr.json"
     content = json.loads(root.read_text())
     attributes = structured_attributes(content["attributes"])
     harm(attributes)
@@ -157,7 +152,7 @@ def pipe(root: Path) -> None:
 @pytest.mark.parametrize(("harm", "reason"), [(pipe, "no store here"), (nested, "cannot be adopted: .*")])
 def test_adopting_a_pipe_or_nested_metadata_is_refused_in_one_line(tmp_path: Path, harm, reason: str):
     [job_id] = compute(tmp_path, sweep())
-    harm(tmp_path / "stores" / f"{job_id}.zarr" / "zarr.json")
+    harm(store_in(tmp_path, job_id) / "zarr.json")
     forget(tmp_path)
     with pytest.raises(NotAdoptable, match=f"{reason}$") as refused:
         adopt(tmp_path, job_id)
@@ -184,29 +179,36 @@ def test_an_unknown_store_is_reported_and_left_alone(
     """Beside an empty ledger, and beside one that knows other jobs."""
     known, lost = compute(tmp_path, sweep(), RAMP)
     stores = tmp_path / "stores"
-    flag = stores / f"{lost}.zarr.cancelled"
-    flag.touch()
+    known, lost = (store_in(tmp_path, job_id).name for job_id in (known, lost))
+    (stores / f"{lost}.cancelled").touch()
     (stores / "notes.txt").write_text("somebody's own")
-    shutil.copytree(stores / f"{lost}.zarr", stores / f"{lost}.zarr.deleted-7")
+    shutil.copytree(stores / lost, stores / f"{lost}{store.DELETED}")
     with closing(sqlite3.connect(tmp_path / "ledger.sqlite", isolation_level=None)) as ledger:
         ledger.execute("PRAGMA foreign_keys = ON")
-        ledger.execute("DELETE FROM jobs WHERE id = ?", [lost])
+        ledger.execute("DELETE FROM jobs WHERE store = ?", [lost])
         if not jobs_left:
             ledger.execute("DELETE FROM jobs")
     stored = files(stores)
     with running(tmp_path, Held(capacity=0)) as service:
-        unknown = scrubbed(service)
+        unknown = service.unknown_stores()
     assert files(stores) == stored
-    assert set(unknown) == {f"{lost}.zarr"} | (set() if jobs_left else {f"{known}.zarr"})
-    assert f"{lost}.zarr is unknown to the ledger and left alone" in caplog.text
+    assert unknown == ([lost] if jobs_left else [known, lost])
+    assert f"{lost} is unknown to the ledger and left alone" in caplog.text
 
 
-def test_a_sweep_whose_store_is_unknown_can_be_submitted(tmp_path: Path):
+def test_a_sweep_whose_store_is_unknown_gets_another(tmp_path: Path):
+    """A new ledger counts on beyond the stores that are there; adopted is the newest of a job."""
     [job_id] = compute(tmp_path, sweep())
-    stored = files(tmp_path / "stores")
+    first = tmp_path / "stores" / f"1-{job_id}.zarr"
+    stored = files(first)
+    for number in (2, 3):
+        forget(tmp_path)
+        assert compute(tmp_path, sweep()) == [job_id]
+        assert files(first) == files(tmp_path / "stores" / f"{number}-{job_id}.zarr") == stored
     forget(tmp_path)
-    assert compute(tmp_path, sweep()) == [job_id]
-    assert files(tmp_path / "stores") == stored
+    assert adopt(tmp_path, job_id).store == f"3-{job_id}.zarr"
+    forget(tmp_path)
+    assert adopt(tmp_path, f"2-{job_id}").store == f"2-{job_id}.zarr"
 
 
 @pytest.mark.parametrize(
@@ -216,4 +218,4 @@ def test_a_sweep_whose_store_is_unknown_can_be_submitted(tmp_path: Path):
 def test_whether_there_are_stores_beside_a_ledger(tmp_path: Path, name: str | None, there: bool):
     if name is not None:
         (tmp_path / "stores" / name).mkdir(parents=True)
-    assert adoption.has_stores(Settings(data=tmp_path)) is there
+    assert has_stores(Settings(data=tmp_path)) is there

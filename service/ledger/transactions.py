@@ -4,14 +4,10 @@ import json
 import sqlite3
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from enum import IntEnum
 from typing import Any, Final, NamedTuple, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from kernel.params import KERNEL_VERSION, Outcome
-from service.jobs.model import (
+from service.ledger.model import (
     UNFINISHED,
     Failure,
     JobRecord,
@@ -20,12 +16,9 @@ from service.jobs.model import (
     check_transition,
     summary_of,
 )
-from service.jobs.search import JobSearch, Position
+from service.ledger.search import JobSearch, Position
 from service.software import with_this_run
 from worker.study import ChunkReport
-
-#: Chunks whose verification is recorded together.
-VERIFIED_PAGE: Final = 512
 
 #: Recent jobs whose speed counts, and maximum characters of their specifications.
 RECENT_JOBS: Final = 20
@@ -43,37 +36,14 @@ class Unfinished(NamedTuple):
     chunks_done: int
     chunks_total: int
     owner: str | None  # the name of the access token that submitted it
-    chunk_seconds: float = 0.0  # core-seconds of a chunk, by the cost table; known to the supervisor
-
-    @property
-    def remaining_seconds(self) -> float:
-        """Core-seconds of the remaining chunks, by the cost table."""
-        return (self.chunks_total - self.chunks_done) * self.chunk_seconds
-
-
-class DeletionStep(IntEnum):
-    """Progress of a deletion."""
-
-    RECORDED = 0  # the job is forgotten, its results are in place
-    FREED = 1  # the job's address is free: the same study may be stored there again
-    COMPLETE = 2  # all is removed; kept until the next start of the service
 
 
 class Deletion(NamedTuple):
-    """A deleted job whose stored results are not all removed."""
+    """A deleted job whose store is to be removed."""
 
-    job_id: str
-    seq: int  # the job's
-    created: float  # when it was deleted, in seconds since 1970
-    step: DeletionStep
-
-
-class StoredChunk(NamedTuple):
-    """The ledger's record of a done chunk's stored bytes."""
-
-    number: int
-    checksum: str
-    size: int | None  # of all arrays, in bytes; None if unknown
+    id: int
+    job: int  # its number
+    store: str
 
 
 class ReadTransaction:
@@ -131,6 +101,12 @@ class ReadTransaction:
         )
         return [Unfinished(*row) for row in self._rows(sql, *UNFINISHED, JobState.QUEUED, limit)]
 
+    def unfinished_record(self, job: JobRecord) -> JobRecord | None:
+        """The job as it is now; None if it has ended or was deleted, and perhaps accepted again."""
+        current = self.find(job.id)
+        same = current is not None and current.seq == job.seq and current.state in UNFINISHED
+        return current if same else None
+
     def outdated_unfinished(self) -> list[JobRecord]:
         """Queued and running jobs of other kernel versions, in the order they were accepted."""
         sql = "SELECT * FROM jobs WHERE state IN (?, ?) AND kernel_version != ? ORDER BY seq"
@@ -171,22 +147,15 @@ class ReadTransaction:
         name, made = self._row("SELECT id, made FROM marker")
         return str(name), bool(made)
 
-    def ids(self) -> set[str]:
-        """The ids of all jobs."""
-        return {row[0] for row in self._rows("SELECT id FROM jobs")}
+    def stores(self) -> set[str]:
+        """The names of all jobs' stores, and of those to be removed."""
+        return {row[0] for row in self._rows("SELECT store FROM jobs UNION SELECT store FROM deletions")}
 
     # Deletions
 
     def deletions(self) -> list[Deletion]:
-        """The deletions that are not complete, in the order they were recorded."""
-        sql = "SELECT job, seq, created, step FROM deletions WHERE step < ? ORDER BY created, seq"
-        rows = self._rows(sql, DeletionStep.COMPLETE)
-        return [Deletion(job, seq, created, DeletionStep(step)) for job, seq, created, step in rows]
-
-    def is_occupied(self, job_id: str) -> bool:
-        """Whether a deleted job's results must still be removed from this job's address."""
-        sql = "SELECT 1 FROM deletions WHERE job = ? AND step = ?"
-        return self._row(sql, job_id, DeletionStep.RECORDED) is not None
+        """The stores to be removed."""
+        return [Deletion(*row) for row in self._rows("SELECT id, job, store FROM deletions ORDER BY id")]
 
     # Chunks
 
@@ -194,20 +163,6 @@ class ReadTransaction:
         """Indices of the done chunks with first <= index < last."""
         sql = "SELECT chunk FROM chunks WHERE job = ? AND chunk >= ? AND chunk < ?"
         return [row[0] for row in self._rows(sql, job.seq, first, last)]
-
-    def stored_chunks(self, job: JobRecord, first: int, last: int) -> list[StoredChunk]:
-        """Done chunks with first <= index < last, in order, and the stored bytes of each."""
-        sql = (
-            "SELECT chunk, checksum, bytes FROM chunks WHERE job = ? AND chunk >= ? AND chunk < ?"
-            " ORDER BY chunk"
-        )
-        return [StoredChunk(row[0], row[1].hex(), row[2]) for row in self._rows(sql, job.seq, first, last)]
-
-    def verified_chunks(self, job: JobRecord, page: int) -> NDArray[np.bool_]:
-        """(VERIFIED_PAGE,) which chunks of a page of the job were verified since they were marked."""
-        row = self._row("SELECT chunks FROM verified WHERE job = ? AND page = ?", job.seq, page)
-        bits = row[0] if row else bytes(VERIFIED_PAGE // 8)
-        return np.unpackbits(np.frombuffer(bits, np.uint8)).astype(np.bool_)
 
     def failures(self, job: JobRecord) -> list[Failure]:
         """Chunks given up since the job was last accepted or resumed."""
@@ -229,12 +184,20 @@ class WriteTransaction(ReadTransaction):
 
     # Jobs
 
-    def insert(self, job: NewJob, now: float) -> None:
-        """Accept a job."""
+    def insert(self, job: NewJob, now: float, store: str | None = None) -> None:
+        """Accept a job; its store has the given name, or one that no other job ever had."""
         columns = {field.name: getattr(job, field.name) for field in fields(NewJob)}
         columns |= {"chunk_shape": json.dumps(job.chunk_shape), "state": JobState.QUEUED, "created": now}
         marks = ", ".join("?" * len(columns))
         self._do(f"INSERT INTO jobs ({', '.join(columns)}) VALUES ({marks})", *columns.values())
+        sql = "UPDATE jobs SET store = coalesce(?, seq || '-' || id || '.zarr') WHERE id = ?"
+        self._do(sql, store, job.id)
+
+    def continue_after(self, seq: int) -> None:
+        """Number the next jobs beyond `seq`, also where this ledger has counted less far."""
+        if seq > self.newest_seq():
+            self._do("DELETE FROM sqlite_sequence WHERE name = 'jobs'")
+            self._do("INSERT INTO sqlite_sequence VALUES ('jobs', ?)", seq)
 
     def queue(self, job: JobRecord, owner: str | None) -> None:
         """Resume a failed or cancelled job, which then belongs to `owner`; its done chunks are kept."""
@@ -253,6 +216,18 @@ class WriteTransaction(ReadTransaction):
         """End the job as done, failed or cancelled."""
         self._move(job, state, finished=now, error=error, cancel_requested=False)
 
+    def end(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> bool:
+        """Finish an unfinished job; False if it continues after all."""
+        current = self.unfinished_record(job)
+        if current is None:
+            return True
+        if state is JobState.CANCELLED and not current.cancel_requested:
+            return False
+        if state is JobState.DONE and current.chunks_done < current.chunks_total:
+            return False  # a damaged chunk has just been unmarked
+        self.finish(current, state, now, error)
+        return True
+
     def choose(self, job: JobRecord, choice: str, chunk_shape: Sequence[int], chunks_total: int) -> None:
         """Record the model chosen for a queued job, and the job's chunks for that model."""
         self.update(job, choice=choice, chunk_shape=json.dumps(chunk_shape), chunks_total=chunks_total)
@@ -263,45 +238,45 @@ class WriteTransaction(ReadTransaction):
         self._do(f"UPDATE jobs SET {settings} WHERE seq = ?", *columns.values(), job.seq)
 
     def adopt(
-        self, job: NewJob, reports: Sequence[ChunkReport], choice: str | None, now: float, error: str
+        self,
+        job: NewJob,
+        store: str,
+        reports: Sequence[ChunkReport],
+        choice: str | None,
+        now: float,
+        error: str,
     ) -> None:
         """Insert a job with stored results: done if `reports` has every chunk, else failed."""
-        self.insert(job, now)
+        self.insert(job, now, store)
         record = cast(JobRecord, self.find(job.id))
         complete = len(reports) == job.chunks_total
         state, reason = (JobState.DONE, None) if complete else (JobState.FAILED, error)
         self.update(record, state=state, started=now, finished=now, choice=choice, error=reason)
         self.mark_done(record, reports)
 
-    def delete(self, job: JobRecord, now: float) -> None:
+    def delete(self, job: JobRecord) -> None:
         """Forget a job, its keys, and its role as a replacement; record that its store must be removed.
 
-        Its chunks are forgotten later, see `forget_chunks`: there may be a million.
+        Its chunks are forgotten later, see `forget_deletion`: there may be a million.
         """
         self._do("DELETE FROM jobs WHERE seq = ?", job.seq)
-        self._insert("deletions", job.id, job.seq, now, DeletionStep.RECORDED)
+        self._do("INSERT INTO deletions (job, store) VALUES (?, ?)", job.seq, job.store)
 
-    def repeat_deletion(self, job: JobRecord, now: float) -> bool:
-        """Remove a deleted job's results once more; False if no deletion of this job is recorded."""
-        sql = "UPDATE deletions SET created = ?, step = ? WHERE job = ? AND seq = ?"
-        return self._do(sql, now, DeletionStep.RECORDED, job.id, job.seq) == 1
+    def delete_again(self, job: JobRecord) -> bool:
+        """Have a deleted job's store removed once more; False if the job is not deleted."""
+        sql = (
+            "INSERT INTO deletions (job, store) SELECT ?, ?"
+            " WHERE NOT EXISTS (SELECT 1 FROM jobs WHERE seq = ?)"
+        )
+        return self._do(sql, job.seq, job.store, job.seq) == 1
 
-    def advance_deletion(self, deletion: Deletion, step: DeletionStep) -> None:
-        """Record the progress of a deletion, unless it was repeated meanwhile."""
-        sql = "UPDATE deletions SET step = ? WHERE job = ? AND seq = ? AND created = ?"
-        self._do(sql, step, deletion.job_id, deletion.seq, deletion.created)
-
-    def forget_deletions(self, step: DeletionStep = DeletionStep.RECORDED) -> int:
-        """Forget the deletions that have reached `step`, by default all; returns their number."""
-        return self._do("DELETE FROM deletions WHERE step >= ?", step)
-
-    def forget_chunks(self, seq: int, limit: int) -> int:
-        """Forget at most `limit` chunks of a deleted job; returns their number, 0 if none was left."""
+    def forget_deletion(self, deletion: Deletion, limit: int) -> bool:
+        """Forget at most `limit` chunks of a deleted job, then its deletion; whether all is forgotten."""
         sql = "DELETE FROM chunks WHERE job = ? AND chunk IN (SELECT chunk FROM chunks WHERE job = ? LIMIT ?)"
-        forgotten = self._do(sql, seq, seq, limit)
-        if not forgotten:
-            self._do("DELETE FROM verified WHERE job = ?", seq)
-        return forgotten
+        if self._do(sql, deletion.job, deletion.job, limit) == limit:
+            return False
+        self._do("DELETE FROM deletions WHERE id = ?", deletion.id)
+        return True
 
     def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
         """Record the use of an idempotency key."""
@@ -331,8 +306,8 @@ class WriteTransaction(ReadTransaction):
         for report in reports:
             outcomes = json.dumps(report.outcomes, separators=(",", ":"))
             if self._insert(
-                "chunks", job.seq, report.index, report.cells, report.seconds,
-                bytes.fromhex(report.checksum), outcomes, report.computed, report.bytes, otherwise="IGNORE",
+                "chunks", job.seq, report.index, report.cells, report.seconds, outcomes, report.computed,
+                otherwise="IGNORE",
             ):  # fmt: skip
                 marked.append(report)
         self._add(
@@ -368,30 +343,16 @@ class WriteTransaction(ReadTransaction):
                 self._move(job, JobState.FAILED, error=summary_of(self.failures(job)))
         return lost
 
-    def note_verified(self, job: JobRecord, page: int, verified: NDArray[np.bool_]) -> None:
-        """Record which chunks of a page were verified. `verified`: as from `verified_chunks`."""
-        self._insert("verified", job.seq, page, np.packbits(verified).tobytes())
-
-    def finish_verification(self, job: JobRecord, now: float) -> None:
-        """Record that all chunks of a job have been verified."""
-        self.update(job, verified=now)
-
-    def forget_verification(self, job: JobRecord) -> None:
-        """Mark all chunks of a job as unverified."""
-        self._do("DELETE FROM verified WHERE job = ?", job.seq)
-        self.update(job, verified=None)
-
     def note_failures(self, job: JobRecord, failures: Iterable[Failure]) -> None:
         """Record chunks that were given up."""
         for failure in failures:
             self._insert("failures", job.seq, *failure)
 
     def _unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
-        """Unmark chunks, also as verified; returns those that were marked."""
+        """Unmark chunks; returns those that were marked."""
         sql = "DELETE FROM chunks WHERE job = ? AND chunk = ? RETURNING chunk, cells, outcomes, computed"
         unmarked: list[sqlite3.Row] = []
         for chunk in chunks:
-            self._do("DELETE FROM verified WHERE job = ? AND page = ?", job.seq, chunk // VERIFIED_PAGE)
             unmarked += self._rows(sql, job.seq, chunk)
         self._add(
             job,

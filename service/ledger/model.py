@@ -67,6 +67,7 @@ class JobRecord(NewJob):
     """A job in the ledger; times in seconds since 1970."""
 
     seq: int  # numbers jobs in the order they were accepted; never used twice
+    store: str  # name of its store beside the others
     state: JobState
     cancel_requested: bool
     error: str | None
@@ -85,7 +86,6 @@ class JobRecord(NewJob):
     core_seconds: float = 0.0  # of its chunks, repetitions included; unknown for adopted chunks
     runs: str = "[]"  # JSON: the software that computed it, see service.software.with_this_run
     cells_timed: int = 0  # cells of these chunks
-    verified: float | None = None  # when all its stored chunks had been verified
 
     @property
     def outdated(self) -> bool:

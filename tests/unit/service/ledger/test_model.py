@@ -12,7 +12,7 @@ from tables import for_each
 
 from service.api.schemas import job_view
 from service.errors import IllegalTransition
-from service.jobs.model import (
+from service.ledger.model import (
     Failure,
     JobRecord,
     JobState,

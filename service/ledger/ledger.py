@@ -1,7 +1,7 @@
 """The ledger: jobs and their done chunks in one SQLite file, the authority on what is done.
 
-One connection writes and one reads, each behind its lock, so that a poll never waits for a commit. Nothing is
-written to a damaged file, or to one that is no longer at its path: see `ledger_files`.
+One connection writes and one reads, each behind its lock, so that a poll never waits for a commit. The file
+is checked when it is opened; nothing is written to a damaged one.
 """
 
 import fcntl
@@ -18,18 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import DataFolderBusy, LedgerUnavailable, LedgerUnusable
-from service.jobs.ledger_files import (
-    OpenFiles,
-    as_found,
-    copies_of,
-    lock_of,
-    network_file_system,
-    size_of,
-    wal_of,
-)
-from service.jobs.model import JobRecord
-from service.jobs.tables import TABLES, VERSION
-from service.jobs.transactions import ReadTransaction, WriteTransaction
+from service.ledger.model import JobRecord
+from service.ledger.paths import lock_of, network_file_system, replaced_copies, size_of, wal_of
+from service.ledger.tables import FROM_14, TABLES, VERSION
+from service.ledger.transactions import ReadTransaction, WriteTransaction
 from worker.files import make_folder, replacing
 
 log = logging.getLogger(__name__)
@@ -63,27 +55,18 @@ class Ledger(AbstractContextManager["Ledger"]):
         self._closed = False
         with ExitStack() as opened:
             opened.enter_context(locked(path))
-            self._connections = opened.enter_context(ExitStack())
-            with as_found(path):
-                _check_not_emptied(path, has_stores)
-                self._connect()
+            _check_not_emptied(path, has_stores)
+            try:
+                self._writer = opened.enter_context(_connected(path))
+                self._reader = opened.enter_context(_connected(path))
+                check(self._reader, path)
+                make_tables(self._writer)
+            except sqlite3.DatabaseError as error:
+                raise LedgerUnusable(f"{path} cannot be used: {error}: {MEND}") from error
             self._opened = opened.pop_all()
         self.keep_reserve()
         if kind := network_file_system(path.parent):
             log.warning("%s is on a network file system (%s): %s", path.parent, kind, NOT_LOCAL)
-
-    def _connect(self) -> None:
-        """Open the file, check it, and bring it to this version. Raises LedgerUnusable."""
-        with ExitStack() as opened:
-            try:
-                self._writer = opened.enter_context(_connected(self.path))
-                self._reader = opened.enter_context(_connected(self.path))
-                check(self._reader, self.path)
-                _make_tables(self._writer)
-            except sqlite3.DatabaseError as error:
-                raise LedgerUnusable(f"{self.path} cannot be used: {error}: {MEND}") from error
-            self._files = OpenFiles(self.path)
-            self._connections.push(opened.pop_all())
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -113,7 +96,7 @@ class Ledger(AbstractContextManager["Ledger"]):
             self._writer.execute("COMMIT")
 
     def check(self) -> None:
-        """Raise LedgerUnavailable while the file is damaged or replaced, or the stores are missing.
+        """Raise LedgerUnavailable while the file is damaged or the stores are missing.
 
         Called at every heartbeat, and before anything is stored.
         """
@@ -140,11 +123,6 @@ class Ledger(AbstractContextManager["Ledger"]):
             if self._damage is None:
                 with self.reading() as ledger:
                     ledger.newest_seq()
-            if self._write_lock.acquire(blocking=False):
-                try:
-                    self._check_files()
-                finally:
-                    self._write_lock.release()
         except LedgerUnavailable as error:
             return str(error)
         return self._stores_fault or self._refused
@@ -160,19 +138,21 @@ class Ledger(AbstractContextManager["Ledger"]):
 
     @contextmanager
     def _exclusive(self) -> Iterator[None]:
-        """Hold the lock of writers, with all files as this process left them. Raises LedgerUnavailable."""
+        """Hold the lock of writers. Raises LedgerUnavailable, also while the stores are missing."""
         if not self._write_lock.acquire(timeout=BUSY_SECONDS):
             raise LedgerUnavailable("the ledger does not answer: other transactions take too long")
         try:
             with self._available():
-                self._check_files()
+                self._check_open()
+                if self._damage is not None:
+                    raise self._damaged()
+                if self._stores_fault is not None:
+                    raise LedgerUnavailable(self._stores_fault)
                 try:
                     yield
                 except BaseException as error:
                     self._roll_back(error)
                     raise
-                finally:
-                    self._files.note_written()
         finally:
             self._write_lock.release()
 
@@ -180,50 +160,6 @@ class Ledger(AbstractContextManager["Ledger"]):
         """Raise LedgerUnavailable when closed: threads that outlive the service write nothing."""
         if self._closed:
             raise LedgerUnavailable("the ledger is closed: the service ends")
-
-    def _check_files(self) -> None:
-        """Raises LedgerUnavailable."""
-        self._check_open()
-        if self._damage is None and self._files.changed_from_outside():
-            self._damage = (
-                f"the data folder's {self.path.name} has another size or time of change than the service "
-                "left it with: another program has changed it while the service runs"
-            )
-        if self._damage is not None:
-            raise self._damaged()
-        lost_wal = self._files.lost_wal()  # first: without its folder the log would be lost, too
-        if reason := self._files.replaced():
-            self._rescue()
-            raise LedgerUnavailable(reason)
-        if self._stores_fault is not None:
-            raise LedgerUnavailable(self._stores_fault)
-        if lost_wal:
-            self._reopen()
-
-    def _rescue(self) -> None:
-        """Copy the contents of the open file once, if its folder exists: the file itself may be unlinked."""
-        copy = self._files.rescue_path()
-        if copy is None:
-            return
-        try:
-            copy_to(self._writer, copy)
-        except (sqlite3.Error, OSError) as error:
-            log.error("the ledger's contents cannot be copied to %s: %s", copy, error)
-        else:
-            log.error("%s was removed or replaced; its contents are in %s", self.path, copy)
-
-    def _reopen(self) -> None:
-        """Move the contents of the write-ahead log to the main file, and begin another log."""
-        log.error("%s was removed or replaced: its contents go to %s now", wal_of(self.path), self.path)
-        with self._read_lock:
-            self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-            self._files.set_logs_aside()
-            self._connections.close()
-            try:
-                self._connect()
-            except LedgerUnusable as error:
-                self._damage = str(error)
-                raise self._damaged() from error
 
     def _roll_back(self, error: BaseException) -> None:
         if self._writer.in_transaction:
@@ -310,7 +246,7 @@ def check(connection: sqlite3.Connection, path: Path, seconds: float = CHECK_SEC
     connection.set_progress_handler(lambda: int(time.monotonic() > deadline), 100_000)
     try:
         version = connection.execute("PRAGMA user_version").fetchone()[0]
-        if version not in (0, VERSION):
+        if version not in (0, 14, VERSION):
             rule = f"this service needs version {VERSION}: use the release that wrote it, or another folder"
             raise LedgerUnusable(f"the ledger is of version {version}, {rule}")
         # Not `quick_check`: with a log of another copy, indices can name rows missing from the tables.
@@ -338,11 +274,12 @@ _CONTRADICTION: Final = """
 """
 
 
-def _make_tables(connection: sqlite3.Connection) -> None:
-    """Create the tables of a new ledger, whole or not at all."""
-    if connection.execute("PRAGMA user_version").fetchone()[0] == VERSION:
-        return
-    connection.executescript(f"BEGIN IMMEDIATE; {TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
+def make_tables(connection: sqlite3.Connection) -> None:
+    """Create the tables of a new ledger, or bring those of 0.2.0 to this version; whole or not at all."""
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if version != VERSION:
+        change = FROM_14 if version else TABLES
+        connection.executescript(f"BEGIN IMMEDIATE; {change} PRAGMA user_version = {VERSION}; COMMIT;")
 
 
 @contextmanager
@@ -365,7 +302,7 @@ def copy_to(source: sqlite3.Connection, path: Path) -> None:
 
 def _check_not_emptied(path: Path, has_stores: Callable[[], bool]) -> None:
     """Raise LedgerUnusable if a new ledger would replace a lost one."""
-    if not path.exists() and (copies := copies_of(path)):
+    if not path.exists() and (copies := replaced_copies(path)):
         raise LedgerUnusable(f"{path} is missing: restore {copies[-1]} with bounce restore, or move it away")
     if path.exists() and not size_of(path) and (size_of(wal_of(path)) or has_stores()):
         raise LedgerUnusable(f"{path} is empty (0 bytes) beside what it should know: {MEND}")

@@ -12,7 +12,7 @@ from typing import Annotated, Final, NamedTuple
 from pydantic import Field, TypeAdapter
 
 from service.errors import InvalidRequest
-from service.jobs.model import JobRecord, JobState
+from service.ledger.model import JobRecord, JobState
 
 #: Longest text to search for, in characters.
 MAX_TEXT: Final = 200

@@ -6,12 +6,14 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 from urllib.parse import quote
 
 from service.errors import LedgerUnavailable, LedgerUnusable
-from service.jobs.ledger import check, copy_to, locked
-from service.jobs.ledger_files import aside, shm_of, wal_of
+from service.ledger.ledger import check, copy_to, locked, make_tables
+from service.ledger.paths import replaced_path, shm_of, wal_of
+from service.ledger.tables import VERSION
+from service.ledger.transactions import ReadTransaction
 from worker.files import make_folder, replacing, sync
 
 SQLITE_VERSION: Final = sqlite3.sqlite_version
@@ -52,8 +54,7 @@ def backup(ledger: Path, file: Path) -> Contents:
 def restore(ledger: Path, file: Path) -> Restored:
     """Put a backup in place of a ledger that no service uses; the previous one is kept beside it.
 
-    Deletions in the backup are forgotten, as their jobs may have been computed again since. Raises
-    DataFolderBusy while a service uses the folder, LedgerUnusable if `file` is no whole ledger.
+    Raises DataFolderBusy while a service uses the folder, LedgerUnusable if `file` is no whole ledger.
     """
     if not file.is_file():
         raise LedgerUnusable(f"there is no file {file}")
@@ -66,9 +67,10 @@ def restore(ledger: Path, file: Path) -> Restored:
                     shutil.copyfileobj(kept, restored)
                 restored.flush()
                 with closing(sqlite3.connect(restored.name)) as connection, connection:
-                    connection.execute("DELETE FROM deletions")
-                    for table in ("chunks", "verified"):  # of the jobs deleted
-                        connection.execute(f"DELETE FROM {table} WHERE job NOT IN (SELECT seq FROM jobs)")
+                    if connection.execute("PRAGMA user_version").fetchone()[0] != VERSION:
+                        # Stores were named by the id: those to be removed may have been computed again.
+                        connection.executescript("DELETE FROM deletions")
+                    make_tables(connection)
                     connection.execute("PRAGMA journal_mode=DELETE")  # one file, which one renaming moves
                 sync(Path(restored.name))  # before the previous one is moved
                 replaced = _set_aside(ledger)
@@ -81,23 +83,22 @@ def inspect(file: Path) -> Contents:
     """Check a ledger and count its contents; a service may be using it. Raises LedgerUnusable."""
     with _readable(file), _opened(file) as connection:
         check(connection, file)
-    [(jobs, chunks)] = _rows(file, "SELECT count(*), total(chunks_done) FROM jobs")
+        jobs, chunks = connection.execute("SELECT count(*), total(chunks_done) FROM jobs").fetchone()
     return Contents(int(jobs), int(chunks))
 
 
-def known_ids(file: Path) -> set[str]:
-    """The ids of a ledger's jobs, and of jobs whose results are being removed. Raises LedgerUnusable."""
-    return {row[0] for row in _rows(file, "SELECT id FROM jobs UNION SELECT job FROM deletions")}
-
-
-def marker_of(file: Path) -> str | None:
-    """The mark of a ledger's stores; None if it has not marked any. Raises LedgerUnusable."""
-    return next((str(row[0]) for row in _rows(file, "SELECT id FROM marker WHERE made")), None)
-
-
-def _rows(file: Path, query: str) -> list[Any]:
-    with _readable(file), _opened(file) as connection:
-        return connection.execute(query).fetchall()
+@contextmanager
+def reading(file: Path) -> Iterator[ReadTransaction]:
+    """Read a ledger that a service may be using. Raises LedgerUnusable."""
+    with _readable(file), _opened(file) as connection, closing(sqlite3.connect(":memory:")) as copy:
+        if connection.execute("PRAGMA user_version").fetchone()[0] == VERSION:
+            connection.row_factory = sqlite3.Row
+            yield ReadTransaction(connection)
+        else:
+            connection.backup(copy)
+            make_tables(copy)
+            copy.row_factory = sqlite3.Row
+            yield ReadTransaction(copy)
 
 
 @contextmanager
@@ -118,7 +119,7 @@ def _opened(file: Path) -> Iterator[sqlite3.Connection]:
 
 def _set_aside(ledger: Path) -> Path | None:
     """Rename a ledger and its log; None if there is none."""
-    replaced = aside(ledger, "replaced") if ledger.exists() else None
+    replaced = replaced_path(ledger) if ledger.exists() else None
     for of in (wal_of, shm_of):
         if replaced is None:
             of(ledger).unlink(missing_ok=True)

@@ -2,13 +2,14 @@
 
 from typing import Final
 
-#: SQLite's `user_version` of a ledger with these tables. Development versions before 0.2.0 counted to 13.
-VERSION: Final = 14
+#: SQLite's `user_version` of a ledger with these tables. 0.2.0 has version 14.
+VERSION: Final = 15
 
 TABLES: Final = """
     CREATE TABLE jobs (
         seq INTEGER PRIMARY KEY AUTOINCREMENT,
         id TEXT NOT NULL UNIQUE,
+        store TEXT NOT NULL DEFAULT '',
         name TEXT NOT NULL,
         spec TEXT NOT NULL,
         kernel_version TEXT NOT NULL,
@@ -23,7 +24,6 @@ TABLES: Final = """
         created REAL NOT NULL,
         started REAL,
         finished REAL,
-        verified REAL,
         run_started REAL,
         run_cells INTEGER NOT NULL DEFAULT 0,
         runs TEXT NOT NULL DEFAULT '[]',
@@ -54,17 +54,9 @@ TABLES: Final = """
         chunk INTEGER NOT NULL,
         cells INTEGER NOT NULL,
         seconds REAL NOT NULL,
-        checksum BLOB NOT NULL,
         outcomes TEXT NOT NULL,
         computed INTEGER,
-        bytes INTEGER,
         PRIMARY KEY (job, chunk)
-    ) WITHOUT ROWID;
-    CREATE TABLE verified (
-        job INTEGER NOT NULL,
-        page INTEGER NOT NULL,
-        chunks BLOB NOT NULL,
-        PRIMARY KEY (job, page)
     ) WITHOUT ROWID;
     CREATE TABLE failures (
         job INTEGER NOT NULL REFERENCES jobs (seq) ON DELETE CASCADE,
@@ -75,13 +67,8 @@ TABLES: Final = """
         tries INTEGER NOT NULL,
         PRIMARY KEY (job, chunk)
     ) WITHOUT ROWID;
-    CREATE TABLE deletions (
-        job TEXT NOT NULL,
-        seq INTEGER NOT NULL,
-        created REAL NOT NULL,
-        step INTEGER NOT NULL DEFAULT 0,
-        PRIMARY KEY (job, seq)
-    ) WITHOUT ROWID;
+    -- Stores to be removed; the job is forgotten already.
+    CREATE TABLE deletions (id INTEGER PRIMARY KEY, job INTEGER NOT NULL, store TEXT NOT NULL);
     CREATE TABLE keys (
         key TEXT PRIMARY KEY,
         body TEXT NOT NULL,
@@ -94,4 +81,20 @@ TABLES: Final = """
     -- What marks the stores as this ledger's, and whether they were marked.
     CREATE TABLE marker (id TEXT NOT NULL, made INTEGER NOT NULL);
     INSERT INTO marker VALUES (lower(hex(randomblob(16))), 0);
+"""
+
+#: Stores were named by the job's id alone, so that a job waited until a deleted one's store was renamed.
+FROM_14: Final = """
+    ALTER TABLE jobs ADD COLUMN store TEXT NOT NULL DEFAULT '';
+    UPDATE jobs SET store = CASE
+        WHEN id IN (SELECT job FROM deletions WHERE step = 0) THEN seq || '-' || id ELSE id END || '.zarr';
+    ALTER TABLE jobs DROP COLUMN verified;
+    ALTER TABLE chunks DROP COLUMN checksum;
+    ALTER TABLE chunks DROP COLUMN bytes;
+    DROP TABLE verified;
+    ALTER TABLE deletions RENAME TO earlier;
+    CREATE TABLE deletions (id INTEGER PRIMARY KEY, job INTEGER NOT NULL, store TEXT NOT NULL);
+    INSERT INTO deletions (job, store)
+        SELECT seq, job || '.zarr' || iif(step, '.deleted-' || seq, '') FROM earlier WHERE step < 2;
+    DROP TABLE earlier;
 """

@@ -1,0 +1,174 @@
+"""Opens a ledger beside its stores, and finds those that it does not know.
+
+A file beside the stores marks them as the ledger's. A file system that is not mounted looks like an empty
+folder: everything would be computed again beneath it. Another data folder with the same stores would remove
+results that it does not own.
+"""
+
+import logging
+import re
+import time
+from contextlib import suppress
+from functools import partial
+from typing import Final
+
+from service.errors import LedgerUnavailable, LedgerUnusable
+from service.ledger.ledger import Ledger
+from service.settings import Settings
+from worker import store
+
+log = logging.getLogger(__name__)
+
+#: A store's name: the job's number, which stores of 0.2.0 lack, and its id.
+_NAME: Final = re.compile(r"(?:[0-9]{1,18}-)?[0-9a-f]{32}\.zarr")
+#: Seconds for which a bucket's marker, once seen, is assumed to exist.
+REMEMBERED_SECONDS: Final = 10.0
+#: Unknown stores logged one by one.
+MAX_NAMED: Final = 20
+_UNREADABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
+
+
+class StoresMarker:
+    """The marker of one ledger's stores."""
+
+    def __init__(self, ledger: Ledger, settings: Settings) -> None:
+        self._ledger, self._settings, self._url = ledger, settings, settings.stores_url
+        self._within_data = settings.stores is None  # no other data folder has them
+        self._remembered = REMEMBERED_SECONDS if store.in_bucket(self._url) else 0.0
+        self._checked = float("-inf")
+
+    def claim(self, adopting: bool = False) -> None:
+        """Mark the stores of a ledger that has not marked any, or that adopts them.
+
+        Raises LedgerUnusable if they are another ledger's. If it cannot write the marker, `fault` reports
+        that.
+        """
+        with self._ledger.reading() as reading:
+            ours, made = reading.marker()
+        try:
+            there = store.read_marker(self._url)
+            if there not in (None, "", ours) and (made or not self._within_data):
+                raise LedgerUnusable(self._foreign(str(there)))
+            # Left empty by a power cut, it is ours where the ledger knows every store beside it.
+            emptied = there == "" and not find_unknown(self._ledger, self._settings)
+            if there != ours and (adopting or not made or emptied):
+                store.write_marker(self._url, ours)
+            elif there != ours:
+                return
+        except _UNREADABLE as error:
+            log.warning("%s cannot be marked as this ledger's: %s", self._url, error)
+            return
+        if not made:
+            with self._ledger.writing() as writing:
+                writing.note_marked()
+
+    def check(self) -> None:
+        """Raise LedgerUnavailable unless the stores are this ledger's and both folders can be written."""
+        self._check_marker()
+        folders = {"the data folder": str(self._settings.data), "the folder of the stores": self._url}
+        for folder, place in folders.items():
+            if reason := store.write_fault(place):
+                raise LedgerUnavailable(f"{folder} cannot be written: {reason}")
+
+    def _check_marker(self) -> None:
+        if time.monotonic() - self._checked < self._remembered:
+            return
+        with self._ledger.reading() as reading:
+            ours, made = reading.marker()
+        if not made:
+            return
+        try:
+            there = store.read_marker(self._url)
+        except _UNREADABLE as error:
+            if store.in_bucket(self._url):
+                return  # any use of the bucket raises its error
+            reason = getattr(error, "strerror", None) or type(error).__name__
+            raise LedgerUnavailable(f"the folder of the stores cannot be read: {reason}") from error
+        if not there:
+            raise LedgerUnavailable(
+                f"the stores are not there: their marker {store.MARKER} is missing, as where a file system "
+                "is not mounted; mount it, or if these are the stores, stop the service and run "
+                "bounce adopt --all"
+            )
+        if there != ours:
+            raise LedgerUnavailable(self._foreign(there))
+        self._checked = time.monotonic()
+
+    def _foreign(self, there: str) -> str:
+        return (
+            f"the stores are another data folder's: {store.MARKER} beside them names the ledger "
+            f"{there[:32]!a}; set BOUNCE_STORES to another folder, or, if that data folder is gone for good, "
+            f"remove {store.MARKER} and run bounce adopt --all"
+        )
+
+
+def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
+    """Names of the stores without a job in the ledger, the newest first, except those being removed.
+
+    Raises OSError, or one of `store.UNREACHABLE`.
+    """
+    with ledger.reading() as reading:
+        known = reading.stores()
+    return [name for name in _stored(settings) if name not in known]
+
+
+def report_unknown(ledger: Ledger, settings: Settings) -> list[str]:
+    """The stores that `find_unknown` finds, named in the log. They may be all that remains of a job.
+
+    Raises one of `store.UNREACHABLE`.
+    """
+    try:
+        unknown = find_unknown(ledger, settings)
+    except OSError as error:
+        log.warning("the stores cannot be listed: %s", error)
+        return []
+    for name in unknown[:MAX_NAMED]:
+        log.warning("%s is unknown to the ledger and left alone: bounce adopt takes it in", name)
+    if more := len(unknown[MAX_NAMED:]):
+        log.warning("%d more stores are unknown to the ledger and left alone", more)
+    return unknown
+
+
+def _stored(settings: Settings) -> list[str]:
+    """The names of stores, the newest first."""
+    return sorted(filter(_NAME.fullmatch, store.names_in(settings.stores_url)), key=_number, reverse=True)
+
+
+def _number(name: str) -> int:
+    """The number of the job in its store's name; 0 in names of 0.2.0."""
+    return int(name.rpartition("-")[0] or 0)
+
+
+def id_of(name: str) -> str:
+    """The id of the job in its store's name."""
+    return name.rpartition("-")[2].removesuffix(".zarr")
+
+
+def has_stores(settings: Settings) -> bool:
+    """Whether there are stores at the settings' address; True if it does not answer."""
+    try:
+        return bool(_stored(settings))
+    except Exception as error:  # noqa: BLE001 - any reason not to answer
+        log.warning("the stores cannot be listed: %s", error)
+        return True
+
+
+def open_ledger(settings: Settings, adopting: bool = False) -> Ledger:
+    """The ledger of the settings' data folder, its stores marked as its own.
+
+    Its next jobs are numbered beyond all stores: an older copy of a ledger does not know the newest of them.
+    Raises as `Ledger` does, and LedgerUnusable if the stores are another ledger's.
+    """
+    ledger = Ledger(settings.ledger_path, partial(has_stores, settings))
+    try:
+        marker = StoresMarker(ledger, settings)
+        marker.claim(adopting)
+        with suppress(*_UNREADABLE):
+            newest = max(map(_number, _stored(settings)), default=0)
+            with ledger.writing() as writing:
+                writing.continue_after(newest)
+    except BaseException:
+        ledger.close()
+        raise
+    ledger.guard(marker.check)
+    return ledger

@@ -1,0 +1,218 @@
+"""Which job submits the next chunk, whatever jobs and places there are."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from service.jobs.schedule import (
+    MAX_IN_FLIGHT,
+    MAX_TIMES_IN_FLIGHT,
+    ROTATION_SHARE,
+    Job,
+    Rotation,
+    Schedule,
+    Waiting,
+    by_remaining_work,
+)
+
+WINDOW, ACTIVE, SLICE = 4, 3, 1.5
+
+
+@dataclass
+class Active:
+    """A job in memory."""
+
+    id: str
+    seq: int
+    chunk_seconds: float
+    chunks: int  # neither done nor in flight
+    in_flight: list[int] = field(default_factory=list)
+    turns: list[int] = field(default_factory=list)
+
+    @property
+    def remaining_seconds(self) -> float:
+        return self.chunk_seconds * (self.chunks + len(self.in_flight))
+
+    @property
+    def may_submit(self) -> bool:
+        return self.chunks > 0
+
+    @property
+    def is_idle(self) -> bool:
+        return not self.in_flight
+
+
+class Cluster:
+    """Jobs that follow a schedule on an executor that computes them in the order they came."""
+
+    def __init__(self, workers: int, window_seconds: float) -> None:
+        self.schedule = Schedule(WINDOW, window_seconds, ACTIVE, SLICE)
+        self.schedule.slots = WINDOW * workers
+        self.jobs: dict[str, Active] = {}  # all unfinished ones
+        self.active: dict[str, Active] = {}
+        self.queue: deque[tuple[Active, float | None]] = deque()  # chunks in flight; the estimates of turns
+
+    def sync(self) -> None:
+        waiting = [
+            Waiting(job.id, job.seq, job.chunk_seconds, job.remaining_seconds)
+            for job in self.jobs.values()
+            if job.id not in self.active
+        ]
+        self.schedule.update(waiting, dict.fromkeys(self.jobs, None))
+
+    def submit(self) -> list[tuple[Job, bool]]:
+        """The jobs that have submitted a chunk, and whether in turn."""
+        submitted = []
+        while (due := self.schedule.next(self.active)) is not None:
+            job = self.jobs[due.job.id]
+            if not due.is_turn:  # nobody smaller could have had the place
+                assert all(by_remaining_work(job) <= by_remaining_work(other) for other in self.able(job))
+            if due.leaving is not None:
+                assert due.leaving.is_idle
+                del self.active[due.leaving.id]
+            if self.schedule.waiting.pop(job.id, None):
+                self.active[job.id] = job
+            assert len(self.active) <= ACTIVE
+            job.chunks -= 1
+            job.in_flight.append(job.chunks)
+            if due.is_turn:
+                job.turns.append(job.chunks)
+                self.schedule.rotation.begin_turn(job.id, job.chunk_seconds)
+            self.queue.append((job, job.chunk_seconds if due.is_turn else None))
+            submitted.append((job, due.is_turn))
+        return submitted
+
+    def able(self, placed: Active) -> list[Active]:
+        """Jobs that could submit a chunk instead of one that has or gets a place."""
+        room = len(self.active) < ACTIVE or placed.id not in self.active
+        waiting = [self.jobs[job_id] for job_id in self.schedule.waiting] if room else []
+        return [job for job in [*self.active.values(), *waiting] if job.may_submit]
+
+    def compute(self) -> None:
+        """One chunk comes back."""
+        job, turn = self.queue.popleft()
+        self.schedule.count(job.chunk_seconds, turn)
+        chunk = job.turns.pop(0) if turn is not None else next(c for c in job.in_flight if c not in job.turns)
+        job.in_flight.remove(chunk)
+        if not job.chunks and not job.in_flight:
+            del self.active[job.id], self.jobs[job.id]
+
+
+JOBS = st.lists(
+    st.tuples(st.floats(0.001, 30.0), st.integers(1, 60)), min_size=1, max_size=8
+)  # seconds of a chunk, chunks
+
+
+@settings(deadline=None)
+@given(JOBS, st.integers(1, 3), st.sampled_from([0.0, 2.0]), st.data())
+def test_every_job_is_done_the_smallest_first_and_no_limit_is_passed(
+    jobs: list[tuple[float, int]], workers: int, window_seconds: float, data: st.DataObject
+):
+    cluster = Cluster(workers, window_seconds)
+    for seq, (seconds, chunks) in enumerate(jobs):
+        cluster.jobs[str(seq)] = Active(str(seq), seq, seconds, chunks)
+        if data.draw(st.booleans()):
+            cluster.sync()
+            cluster.submit()
+    most = MAX_TIMES_IN_FLIGHT * max(cluster.schedule.slots, MAX_IN_FLIGHT)
+    for _ in range(3 * sum(chunks for _, chunks in jobs) + 10):
+        cluster.sync()
+        cluster.submit()
+        turns = sum(len(job.turns) for job in cluster.active.values())
+        assert turns <= max(workers // 2, 1)
+        assert len(cluster.queue) <= most + turns
+        if not cluster.jobs:
+            return
+        cluster.compute()
+    raise AssertionError(f"not done: {cluster.jobs}")
+
+
+def test_a_large_job_advances_beside_small_ones_that_do_not_end():
+    cluster = Cluster(workers=2, window_seconds=0.0)
+    cluster.jobs["large"] = Active("large", 0, 1.0, 10)
+    for seq in range(1, 400):
+        if seq % 4 == 1:
+            cluster.jobs[str(seq)] = Active(str(seq), seq, 0.5, 4)
+        cluster.sync()
+        cluster.submit()
+        cluster.compute()
+    assert "large" not in cluster.jobs
+
+
+def test_without_places_nothing_is_submitted():
+    cluster = Cluster(workers=0, window_seconds=0.0)
+    cluster.jobs["a"] = Active("a", 0, 1.0, 10)
+    cluster.sync()
+    assert cluster.submit() == []
+
+
+# Rotation
+
+
+def turns(rotation: Rotation, number: int) -> str:
+    """The next jobs to have a turn."""
+    taken = []
+    for _ in range(number):
+        taken.append(next(iter(rotation)))
+        rotation.begin_turn(taken[-1], 0.0)
+    return "".join(taken)
+
+
+def rotation_of(jobs: str, owner: str = "") -> Rotation:
+    rotation = Rotation(1.0)
+    rotation.update(dict.fromkeys(jobs, owner))
+    return rotation
+
+
+def test_jobs_come_in_turn_and_new_ones_at_the_end():
+    rotation = rotation_of("abc")
+    assert turns(rotation, 4) == "abca"
+    rotation.update(dict.fromkeys("abcd", ""))
+    assert turns(rotation, 5) == "bcadb"
+
+
+def test_jobs_that_have_ended_have_no_turn():
+    rotation = rotation_of("abc")
+    rotation.update(dict.fromkeys("ac", ""))
+    assert turns(rotation, 3) == "aca"
+    rotation.update({})
+    assert list(rotation) == []
+
+
+def test_owners_come_in_turn_however_many_jobs_they_have():
+    rotation = rotation_of("abcdefgh", "one")
+    rotation.update(dict.fromkeys("abcdefgh", "one") | dict.fromkeys("xy", "two"))
+    assert turns(rotation, 6) == "axbycx"
+
+
+@given(st.lists(st.sampled_from("abcdefghij"), min_size=1, unique=True), st.data())
+def test_no_job_waits_for_more_turns_than_there_are_jobs(jobs: list[str], data: st.DataObject):
+    """Whichever jobs follow and end: those that came later have at most one turn before it."""
+    rotation, waiting = rotation_of("".join(jobs)), jobs[-1]
+    ahead = len(jobs) - 1
+    for number in range(100):
+        new = data.draw(st.integers(0, 3))
+        present = [*rotation, *(f"{number}-{k}" for k in range(new))]
+        rotation.update(dict.fromkeys(present, ""))
+        job = next(iter(rotation))
+        if job == waiting:
+            break
+        rotation.begin_turn(job, 0.0)
+    assert number <= ahead
+
+
+def test_turns_take_their_share_of_the_time_and_no_more():
+    """Chunks outside of the rotation take 0.3 s each, turns are estimated at 0.5 s and take 0.8 s."""
+    rotation, outside, taken = rotation_of("ab"), 0.0, 0.0
+    for _ in range(1000):
+        if rotation.is_due(0.5):
+            rotation.begin_turn("a", 0.5)
+            rotation.end_turn(0.5, 0.8)
+            taken += 0.8
+        else:
+            rotation.earn(0.3)
+            outside += 0.3
+    assert taken / (taken + outside) == pytest.approx(ROTATION_SHARE, rel=0.02)
