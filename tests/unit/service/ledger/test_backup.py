@@ -221,7 +221,7 @@ def test_the_doctor_verifies_all_results_and_has_damage_computed_again(folder: P
         lines = verify()
         assert [line[:2] for line in lines] == ["ok", "!!", "!!"]
         assert "damaged: chunk 3 (rest, " in lines[2]
-        assert "omega/c/0 is not what the store's specification says" in lines[1]
+        assert "omega/c/0: is not what the store's specification says" in lines[1]
     assert "a service uses the folder" in lines[2]
     assert verify(jobs[1]) == [f"ok  job               {jobs[1]}: 8 chunks are sound"]
     [line] = verify(jobs[0])

@@ -170,21 +170,20 @@ def test_an_export_needs_a_format_and_rows_that_it_has(done: Done, query: str):
 # The store over HTTP
 
 
-def test_a_link_in_a_store_is_not_followed(tmp_path: Path):
+@pytest.mark.parametrize("linked", ["file", "folder"])
+def test_a_link_in_a_store_is_not_followed(tmp_path: Path, linked: str):
     with computing(tmp_path / "data") as client:
         here = finished(client, RAMP)
         (store_,) = tmp_path.rglob("*.zarr")
-        (tmp_path / "secret").mkdir()
-        (tmp_path / "secret" / "0").write_bytes(b"secret")
-        key = "outcome/c.0.0.0.0"
-        assert client.get(f"{here}/zarr/{key}").status_code == 200
-        for part, target in (((store_ / key), "secret/0"), ((store_ / key).parent, "secret")):
-            part.rename(part.with_name("aside"))
-            part.symlink_to(tmp_path / target)
-            answer = client.get(f"{here}/zarr/{key}")
-            assert (answer.status_code, b"secret" in answer.content) == (404, False)
-            part.unlink()
-            part.with_name("aside").rename(part)
+        secret, file = tmp_path / "secret" / "c.0.0.0.0", store_ / "outcome" / "c.0.0.0.0"
+        secret.parent.mkdir()
+        secret.write_bytes(b"secret")
+        part, target = (file, secret) if linked == "file" else (file.parent, secret.parent)
+        part.rename(tmp_path / "aside")
+        part.symlink_to(target)
+        answer = client.get(f"{here}/zarr/outcome/{file.name}")
+        assert (answer.status_code, b"secret" in answer.content) == (503, False)
+        assert secret.read_bytes() == b"secret"
 
 
 ATTRACTORS: dict[str, dict[str, Any]] = {
