@@ -76,7 +76,7 @@ def _allocate_lanes(lanes: int) -> Lanes:
 
 @jit
 def lanes_used(lines: int) -> int:
-    """Lanes that so many lines are computed in: one by one, one vector (half of all), or all."""
+    """Number of lanes for a batch of lines: one by one, one vector (half of all), or all."""
     if lines <= FEW:
         return lines
     return LANES // 2 if lines <= LANES // 2 else LANES
@@ -92,7 +92,7 @@ def _searching(table: Any, k: int) -> bool:
 def _ended(table: Any, k: int, run: Progress) -> bool:
     """Whether lane k holds the end of the run's phase. If not, the scalar functions compute it.
 
-    So for short flights, failed searches, and contacts at their horizon: they may never end from there on.
+    Counts of short flights, failed searches and contacts at their horizon may stay above their limit.
     """
     if table is None:
         return False

@@ -36,9 +36,9 @@ _FALLEN, _NEAR, _APPROACHED = (1.0 - FALLS) ** 2, NEAR**2, APPROACH**2
 _CLOSE, _DRIFTED = CLOSE**2, (1.0 - DRIFT) ** 2
 
 AGREE: Final = 1e-10  # rad; for `find_repetition` flights agree, and drift until the end, within this
-TURNS: Final = 5  # the last flights must follow a cycle so many times, which gives one difference fewer
+TURNS: Final = 5  # the last flights must repeat a cycle this often; n repetitions give n - 1 differences
 LONGEST: Final = 24  # cycles of up to this many flights are looked for, ...
-CHECK: Final = 8  # ... after every so many flights
+CHECK: Final = 8  # ... after this many flights
 ROUNDING: Final = 1e-13  # rad by which differences may grow from one turn to the next
 
 

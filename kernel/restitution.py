@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from kernel.portable_math import asinh, atan2, exp, log, log1p
 
 #: The smallest restitution an impact is computed for, whose rebound is below the rounding of what follows. At
-#: e = 0 a nonadhesive contact has infinite damping, and an adhesive one lasts for ever.
+#: e = 0 a nonadhesive contact has infinite damping, and an adhesive one never ends.
 SMALLEST: Final = 1e-12
 
 #: 1 - zeta**2 below this counts as zero in the slope of zeta * duration, whose quotient is 0/0 at zeta = 1;

@@ -105,7 +105,7 @@ class ResultMethods(Methods):
         - `missing`, `unresolved`, `diverged`, `settling`: the outcome of the cell that decides, the lowest that
           is not at rest
 
-        `predicted_down` is the lowest Γ at which anything bounces for ever on the contact that the attribute
+        `predicted_down` is the lowest Γ at which bouncing persists on the contact that the attribute
         `prediction` names; a descent ends there or earlier, on another cycle. Workers predict what takes longer
         than a second.
 
@@ -223,14 +223,14 @@ class SpringMethods(Methods):
         self,
         omega: float,
         xi: float,
-        delta: Annotated[float, "Γ below `down` for which the lifetime is told"] = 1e-06,
+        delta: Annotated[float, "Γ below `down` with a lifetime"] = 1e-06,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
         """Where one spring begins and ceases to bounce.
 
-        In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which anything bounces
-        for ever, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
+        In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which bouncing
+        persists, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
         `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
         is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
         fold. A worker computes what takes longer than a second.

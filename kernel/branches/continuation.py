@@ -62,7 +62,7 @@ class Turn(NamedTuple):
 
     kind: Kind
     word: Word  # the orbit: its unknowns solve the equations
-    piece: int  # of which contact or flight it is; -1: of the whole orbit
+    piece: int  # the contact or flight it belongs to; -1: the whole orbit
     time: float  # rad after the piece's beginning; NaN: not inside it
 
 

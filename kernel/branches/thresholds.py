@@ -1,6 +1,6 @@
 """The lowest Gamma at which anything bounces, and where flights leap on the way up (docs/hysteresis.md).
 
-Gamma_down is the lowest Gamma at which anything bounces for ever. Rest ends at Gamma_th (Eq. 25) and bouncing
+Gamma_down is the lowest Gamma at which bouncing persists. Rest ends at Gamma_th (Eq. 25) and bouncing
 exists above it. If the last attractor below it is a (1,k) cycle it ends at a fold of its branch: the rule is
 
     Gamma_down = min(Gamma_th, the lowest admissible fold whose other multiplier is inside the unit circle).
@@ -50,7 +50,7 @@ class Thresholds(NamedTuple):
     xi: float
     gamma_th: float  # Eq. 25: rest ends on the way up
     jump: float  # the fold at which flights leap on the way up; NaN if there is none
-    down: float  # Gamma_down, the lowest at which anything bounces for ever; NaN if not decided
+    down: float  # Gamma_down, the lowest at which bouncing persists; NaN if not decided
     cause: str  # "Eq. 25", "fold (1,k)", "fold of word zs (2,2)" and the like, "unresolved", "not searched"
     reason: str  # why it is not decided, or empty
     fold: Fold | None  # at `down`

@@ -224,7 +224,7 @@ class Conditions(NamedTuple):
 
     kind: tuple[Kind, ...]  # (r,) what happens where it passes zero
     reason: tuple[Reason, ...]  # (r,)
-    piece: tuple[int, ...]  # (r,) of which contact or flight it is
+    piece: tuple[int, ...]  # (r,) the contact or flight it belongs to
     value: Floats  # (r, p) in plate amplitudes or m A omega**2; inf: no minimum inside
     time: Floats  # (r, p) rad after the piece's beginning, of a minimum inside; NaN: not of a minimum
 

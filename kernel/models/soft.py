@@ -106,7 +106,7 @@ def begin_contact(
 ) -> tuple[ModalState, LiftoffFunction, Terms, float, bool]:
     """The contact from this state: its modes, its lift-off function with its terms now, and where to search.
 
-    That is from a time (rad) until which the mass surely stays; the last value is whether it stays for ever,
+    That is from a time (rad) until which the mass surely stays; the last value is whether it always stays,
     both free modes being too small to lift it.
     """
     m = modes_of(s, phi, state)
@@ -167,7 +167,7 @@ def _landing(x: State) -> State:
 def _lifts(s: SoftSpring, p: Flight) -> bool:
     """Whether a mass with n = 0 takes off, `p` being the flight that would follow.
 
-    Contact and flight both ask it where they would end at once, or both might for ever by rounding.
+    Contact and flight both ask it where they would end at once, or both might without end by rounding.
     """
     if s.adhesive or (p.gap == 0.0 and p.gap1 == 0.0):
         return p.gap1 > 0.0 or (p.gap1 == 0.0 and p.gap2 > 0.0)
@@ -264,7 +264,7 @@ def _flight(s: SoftSpring, phi: PlatePhase, state: State, horizon: float, budget
 
 # --- in lanes: two free modes -------------------------------------------------------------------------------
 
-#: A contact that begins with a force of zero is searched from where that is above so many times its rounding.
+#: A contact that begins with a force of zero is searched from where that is above this many times its rounding.
 RISEN: Final = 16.0
 
 

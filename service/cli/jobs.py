@@ -192,7 +192,7 @@ def delete(job: "Job") -> None:
 @click.option("--from", "created_from", metavar="DATE", help="List only jobs created on DATE (UTC) or later.")
 @click.option("--before", "created_before", metavar="DATE", help="List only jobs created before DATE (UTC).")
 @click.option("--order", type=click.Choice(ORDERS), default=ORDERS[0], show_default=True)
-@click.option("--limit", type=click.IntRange(min=1), help="List at most so many jobs.")
+@click.option("--limit", type=click.IntRange(min=1), help="List at most this many jobs.")
 @json_option
 @with_client
 def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, **wanted: Any) -> None:

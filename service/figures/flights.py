@@ -71,7 +71,7 @@ def figure_2(client: Client, rest: Job, ramped: Job) -> Drawing:
 
 
 def motion(client: Client, gamma: float, settle: int = 200) -> xarray.Dataset:
-    """The motion in one of Fig. 2's insets, after so many plate periods from rest."""
+    """The motion in one of Fig. 2's insets, after this many plate periods from rest."""
     cell = {"gamma": gamma, "omega": 0.5, "xi": 0.26, "model": SOFT, "settle": settle}
     return client.trajectory(cell | {"periods": PERIODS, "samples": 100})
 

@@ -35,7 +35,7 @@ KEPT: Final = 4096
 _OF_SPRING: Final = (
     row("threshold", (), "<f8", "Γ at which rest ends, Eq. 25", comment="NaN: at none"),
     row("jump", (), "<f8", "Γ of the fold at which flights leap on the way up"),
-    row("down", (), "<f8", "lowest Γ at which anything bounces for ever", comment="NaN: not decided"),
+    row("down", (), "<f8", "lowest Γ at which bouncing persists", comment="NaN: not decided"),
     row("cause", (), "U", "what ends bouncing at down"),
     row("reason", (), "U", "why down is not decided"),
     row("lifetime", (), "<f8", "life of bouncing at Γ = down - delta", "plate periods"),
@@ -50,7 +50,7 @@ class SpringQuery(Query):
     omega: Omega
     xi: Xi
     delta: Annotated[
-        Number, Field(ge=1e-15, le=0.1, description="Γ below `down` for which the lifetime is told")
+        Number, Field(ge=1e-15, le=0.1, description="Γ below `down` with a lifetime")
     ] = 1e-6
 
 
@@ -61,8 +61,8 @@ predicted: Final = lru_cache(KEPT)(predict)
 def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xarray.Dataset:
     """Where one spring begins and ceases to bounce.
 
-    In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which anything bounces
-    for ever, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
+    In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which bouncing
+    persists, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
     `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
     is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
     fold. A worker computes what takes longer than a second.
@@ -128,7 +128,7 @@ _ROWS: Final = (
     row("up", (), "<f8", "lowest Γ that bounces, ascending or from rest"),
     row("down", (), "<f8", "lowest Γ that bounces, descending"),
     row("predicted_jump", (), "<f8", "Γ of the fold at which flights leap"),
-    row("predicted_down", (), "<f8", "lowest Γ at which anything bounces for ever, predicted"),
+    row("predicted_down", (), "<f8", "lowest Γ at which bouncing persists, predicted"),
     row("up_status", (), "U", "why up is a number or NaN"),
     row("down_status", (), "U", "why down is a number or NaN"),
     row("cause", (), "U", "what ends bouncing at predicted_down, or why that is NaN"),
@@ -166,7 +166,7 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     - `missing`, `unresolved`, `diverged`, `settling`: the outcome of the cell that decides, the lowest that
       is not at rest
 
-    `predicted_down` is the lowest Γ at which anything bounces for ever on the contact that the attribute
+    `predicted_down` is the lowest Γ at which bouncing persists on the contact that the attribute
     `prediction` names; a descent ends there or earlier, on another cycle. Workers predict what takes longer
     than a second.
     """

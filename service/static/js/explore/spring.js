@@ -60,7 +60,7 @@ class Cycles extends PlotView {
       const [jump, down, cause, reason] = ["jump", "down", "cause", "reason"].map((name) => this.thresholds[name].data);
       if (jump !== null) parts.push(`On the way up, flights leap at Γ = ${number(jump, 4)}.`);
       if (down === null) parts.push(`The lowest Γ that bounces is ${cause}${reason ? `: ${reason}` : ""}.`);
-      else parts.push(`Nothing bounces for ever below Γ = ${number(down, 4)} (${cause}).`);
+      else parts.push(`Bouncing does not persist below Γ = ${number(down, 4)} (${cause}).`);
     }
     this.words.textContent = parts.join(" ");
   }
@@ -121,7 +121,7 @@ export class Explore {
       h("h1", { tabindex: "-1" }, "Explore a spring"),
       h("div", { className: "explored" }, diagram, h("section", { "aria-label": "Motion" }, this.motion.element, h("p", {}, this.sweep))), portraits);
     this.view = new Cycles(diagram, this.motion);
-    this.load = latest(() => this.#load()); // not aborted: the service would compute it nevertheless
+    this.load = latest(() => this.#load()); // not aborted: the service computes it anyway
     queryChanges.addEventListener("change", () => this.load(), { signal: this.view.closing.signal });
     this.load();
   }

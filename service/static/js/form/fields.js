@@ -124,7 +124,7 @@ export function refineField() {
   };
   return {
     element: h("fieldset", { "data-group": "refine" },
-      h("legend", {}, "Cells", h("small", {}, "of a map from rest; those left out take the mode of their block")), labelled("compute", by), blocks),
+      h("legend", {}, "Cells", h("small", {}, "Skip cells inside regions of one mode; they are filled in")), labelled("compute", by), blocks),
     read: () => {
       const width = parseNumber(coarsest.value);
       return by.value ? { by: by.value, ...(width !== null && { coarsest: width }) } : null;

@@ -38,7 +38,7 @@ async function requestFitting(path, options) {
  *   shown()          the parameters now shown, as an object
  *   filePath(source) the address of the result of a source that is downloaded
  *   content(), whole()   what to draw (see Plot), and the window {x0, x1, y0, y1} of all data
- *   nearest(x, y), step(cell, right, up)   the cell at a position, or so many cells further.
+ *   nearest(x, y), step(cell, right, up)   the cell at a position, or this many cells further.
  *                    The views represent cells differently; only their own methods look into one.
  *   at(cell)         its position [x, y]
  *   describe(cell)   the cell in words, or a list of elements
