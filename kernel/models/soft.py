@@ -264,7 +264,7 @@ def _flight(s: SoftSpring, phi: PlatePhase, state: State, horizon: float, budget
 
 # --- in lanes: two free modes -------------------------------------------------------------------------------
 
-#: A contact that begins with a force of zero is searched from where that is above this many times its rounding.
+#: A contact that begins with a force of zero is searched from where it exceeds this multiple of its rounding.
 RISEN: Final = 16.0
 
 

@@ -49,9 +49,7 @@ class SpringQuery(Query):
 
     omega: Omega
     xi: Xi
-    delta: Annotated[
-        Number, Field(ge=1e-15, le=0.1, description="Γ below `down` with a lifetime")
-    ] = 1e-6
+    delta: Annotated[Number, Field(ge=1e-15, le=0.1, description="Γ below `down` with a lifetime")] = 1e-6
 
 
 #: The thresholds of one spring; `unresolved` or `not searched` where the rule does not decide.

@@ -129,7 +129,7 @@ def _filling(grid: Mapping[str, int], most: int, halved: bool) -> dict[str, int]
 
 
 def _lanes(lines: int) -> float:
-    """Lanes that take as long as a chunk of this many lines; FEW of them, one by one, take that of a vector."""
+    """Lanes that take as long as a chunk of `lines`; FEW of them, one by one, take the time of a vector."""
     vector = LANES // 2
     return lines * vector / FEW if lines <= FEW else vector * -(-lines // vector)
 
