@@ -233,7 +233,7 @@ def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
 def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
     with opened(browser, f"{address}/#/explore") as page:
         page.locator(".plot[data-shown]").first.wait_for()
-        page.get_by_text("Nothing bounces for ever below").wait_for()
+        page.get_by_text("Bouncing does not persist below").wait_for()
         page.locator(".player[data-phase]").wait_for()
         page.get_by_text(re.compile(r"\d+ points? of \d+ pairs of successive flights")).wait_for()
         page.get_by_label("Ω =").evaluate(
