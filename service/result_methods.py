@@ -32,6 +32,7 @@ class ResultMethods(Methods):
         "basins": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("attractor_fraction",)),
         "multistability": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("cells",)),
         "trajectory": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("plate",)),
+        "audit": (("json", "bin", "nc", "csv", "parquet"), ("share", "cell_stored")),
     }
 
     def diagram(
@@ -208,6 +209,42 @@ class ResultMethods(Methods):
         TooLarge naming what fits.
         """
         return self.result("trajectory", gamma=gamma, omega=omega, xi=xi, direction=direction, attractor=attractor, periods=periods, samples=samples)
+
+    def audit(
+        self,
+        cells: Annotated[int | None, "cells of each sample; default: 59 to 200, as many as cost a tenth of the sweep"] = None,
+        seed: Annotated[int, "of the random sample"] = 0,
+        tolerance: Annotated[float, "rad: flights that deviate by more have changed"] = 0.001,
+        timeout: float = 300.0,
+        progress: Progress = True,
+    ) -> "xarray.Dataset":
+        """How many cells a computation that can be trusted would change.
+
+        Workers draw cells at random and compute them again: for `numerics` with the same contact, cell by cell,
+        and windows ten times as long, of the cells that have no certificate; for `model`, where the
+        specification names a contact that the sweep approximates, with that one, of all cells. On a ramp a cell
+        starts again from the stored state of the cell before it. `low` and `high` are exact bounds of the share
+        of all cells, whatever it is; undecided cells count as right in one and as wrong in the other.
+
+        The questions:
+
+        - `rest`, `outcome`, `mode`: cells with another answer
+        - `flights`: cells at rest or periodic whose flights deviate by more than `tolerance`
+        - `distribution`: other cells whose quantiles of flights do, beyond their scatter
+        - `label`: of a sweep with exponents
+        - `threshold`: thresholds on the grid of which one of both cells changes between rest and bouncing
+        - `area`: points anywhere between the cells that are not what the nearest cell is
+
+        The cells that changed are listed, also hard ones looked at besides: corners, and cells next to another
+        mode.
+
+        Returns a Dataset with the attribute `complete` and the variables `sampled`, `changed`, `undecided`,
+        `share`, `low`, `high`, `largest` (rad), `covered`, `outcomes`, `cell_set`, `cell_direction`,
+        `cell_gamma`, `cell_omega`, `cell_xi`, `cell_stored`, `cell_reference`, `cell_deviation` (rad),
+        `cell_undecided`, `cells`, `certified`. Waits up to `timeout` seconds for the workers, and shows
+        `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
+        """
+        return self.result("audit", cells=cells, seed=seed, tolerance=tolerance, timeout=timeout, progress=progress)
 
 
 class SpringMethods(Methods):

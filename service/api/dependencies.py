@@ -40,6 +40,11 @@ class Service:
     readiness: Readiness
     metrics: Metrics
 
+    def audit_of(self, job: JobRecord) -> str | None:
+        """What the last audit of the job says."""
+        with self.ledger.reading() as ledger:
+            return ledger.sentence(job, "audit")
+
     @cached_property
     def small(self) -> "Service":
         """This service for small reads: with the places that are theirs, computing in this process."""
@@ -103,7 +108,7 @@ def stored(service: Service, job: JobRecord) -> Stored[Any]:
     done = job.state is JobState.DONE
     return Stored(
         prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, job.chunks_done,
-        prepared.forms,
+        prepared.forms, prepared.submitted,
     )  # fmt: skip
 
 

@@ -3,9 +3,23 @@
 from typing import Final
 
 #: SQLite's `user_version` of a ledger with these tables. 0.2.0 has version 14.
-VERSION: Final = 15
+VERSION: Final = 16
 
-TABLES: Final = """
+_ANSWERS: Final = """
+    -- What workers computed about the results of a job, such as an audit, by the result's name and query.
+    CREATE TABLE answers (
+        id INTEGER PRIMARY KEY,
+        job INTEGER NOT NULL REFERENCES jobs (seq) ON DELETE CASCADE,
+        name TEXT NOT NULL,
+        query TEXT NOT NULL,
+        parts TEXT NOT NULL,
+        sentence TEXT NOT NULL,
+        UNIQUE (job, name, query)
+    );
+"""
+
+TABLES: Final = f"""
+    {_ANSWERS}
     CREATE TABLE jobs (
         seq INTEGER PRIMARY KEY AUTOINCREMENT,
         id TEXT NOT NULL UNIQUE,
@@ -84,7 +98,7 @@ TABLES: Final = """
 """
 
 #: Stores were named by the job's id alone, so that a job waited until a deleted one's store was renamed.
-FROM_14: Final = """
+_STORES: Final = """
     ALTER TABLE jobs ADD COLUMN store TEXT NOT NULL DEFAULT '';
     UPDATE jobs SET store = CASE
         WHEN id IN (SELECT job FROM deletions WHERE step = 0) THEN seq || '-' || id ELSE id END || '.zarr';
@@ -98,3 +112,6 @@ FROM_14: Final = """
         SELECT seq, job || '.zarr' || iif(step, '.deleted-' || seq, '') FROM earlier WHERE step < 2;
     DROP TABLE earlier;
 """
+
+#: What makes these tables of those of an earlier version.
+UPGRADES: Final = {14: _STORES + _ANSWERS, 15: _ANSWERS}

@@ -24,6 +24,9 @@ from worker.study import ChunkReport
 RECENT_JOBS: Final = 20
 RECENT_CHARS: Final = 20_000
 
+#: Answers of one result kept for each job.
+ANSWERS: Final = 16
+
 Column = str | bytes | float | bool | None
 
 
@@ -150,6 +153,22 @@ class ReadTransaction:
     def stores(self) -> set[str]:
         """The names of all jobs' stores, and of those to be removed."""
         return {row[0] for row in self._rows("SELECT store FROM jobs UNION SELECT store FROM deletions")}
+
+    # Answers
+
+    def answer(self, job: JobRecord, name: str, query: str) -> list[Any] | None:
+        """What workers computed for a result of the job; None if it is not kept."""
+        row = self._row(
+            "SELECT parts FROM answers WHERE job = ? AND name = ? AND query = ?", job.seq, name, query
+        )
+        return None if row is None else json.loads(row[0])
+
+    def sentence(self, job: JobRecord, name: str) -> str | None:
+        """What the last such answer says in words."""
+        row = self._row(
+            "SELECT sentence FROM answers WHERE job = ? AND name = ? ORDER BY id DESC", job.seq, name
+        )
+        return None if row is None else str(row[0])
 
     # Deletions
 
@@ -281,6 +300,16 @@ class WriteTransaction(ReadTransaction):
     def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
         """Record the use of an idempotency key."""
         self._insert("keys", key, body, job.seq, now)
+
+    def keep_answer(self, job: JobRecord, name: str, query: str, parts: list[Any], sentence: str) -> None:
+        """Keep what workers computed for a result of the job; of one result the last ANSWERS."""
+        sql = "INSERT OR REPLACE INTO answers (job, name, query, parts, sentence) VALUES (?, ?, ?, ?, ?)"
+        self._do(sql, job.seq, name, query, json.dumps(parts), sentence)
+        last = "SELECT id FROM answers WHERE job = ? AND name = ? ORDER BY id DESC LIMIT ?"
+        self._do(
+            f"DELETE FROM answers WHERE job = ? AND name = ? AND id NOT IN ({last})",
+            job.seq, name, job.seq, name, ANSWERS,
+        )  # fmt: skip
 
     def note_marked(self) -> None:
         """Record that the stores are marked as this ledger's."""

@@ -15,6 +15,7 @@ from service.errors import InvalidRequest, NotInstalled, TooLarge
 from service.formats import PICTURES
 from service.software import software
 from service.views import (
+    audit,
     basins,
     curves,
     diagram,
@@ -34,7 +35,7 @@ VIEWS: Final[dict[str, View]] = {
     view.name: view
     for view in (
         diagram.VIEW, modes.VIEW, threshold.VIEW, orbits.WORDS, basins.VIEW, multistability.VIEW,
-        trajectory.VIEW,
+        trajectory.VIEW, audit.VIEW,
     )
 }  # fmt: skip
 

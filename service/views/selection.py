@@ -68,6 +68,8 @@ class Stored(Generic[_Spec_co]):
     chunks_done: int = 0
     #: How its arrays are stored; None of another kernel version, whose store alone knows.
     forms: Sequence[Mapping[str, store.ArrayForm]] | None = None
+    submitted: Any = None  # the specification as submitted, perhaps with the contact `auto`
+    audit: str | None = None  # what its last audit says; for files and pictures
 
     def is_complete(self, outcome: NDArray[np.uint8]) -> bool:
         """Whether all these cells are computed, and no damage is being repaired."""
@@ -77,6 +79,8 @@ class Stored(Generic[_Spec_co]):
     def attributes(self) -> dict[str, str]:
         """Attributes of a picture of these results: job and versions, a comment if the kernel is not ours."""
         job = {} if self.job is None else {"job": self.job}
+        if self.audit is not None:
+            job["audit"] = self.audit
         attributes = {**job, "kernel_version": self.kernel_version, "release": software().release}
         if self.kernel_version != KERNEL_VERSION:
             attributes["comment"] = (

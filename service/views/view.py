@@ -107,6 +107,9 @@ class View:
     #: in this order. Without any, as for what takes less than AT_ONCE_SECONDS, `compute` does it all. Calls
     #: of one function stand together; calls that read the store of a job have its address as an argument.
     parts: Callable[[Any, Any], Sequence[Call]] | None = None
+    #: Whether the parts, plain JSON values, stay with the job: they are computed once. The attribute
+    #: `sentence` of the Dataset then describes the job in files and pictures.
+    kept: bool = False
 
     @property
     def described(self) -> list[str]:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import IO, Annotated, Final
 from urllib.parse import quote
 
@@ -57,6 +58,7 @@ def export_job(service: ServiceDep, job: JobDep, query: Annotated[schemas.Export
     software, libraries, processor, times and core-seconds.
     """
     study, prepared = dependencies.stored(service, job), service.manager.preparer.prepare(job)
+    study = replace(study, audit=service.audit_of(job))
     limit = service.settings.max_export_bytes
     files.check(study.spec, prepared.plan, query.format, query.layout, limit)
     attributes = files.attributes_of(job, prepared)

@@ -4,6 +4,7 @@ And one cell in motion, whose specification is a body: POST /v1/trajectories.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from inspect import cleandoc
 from itertools import groupby
 from operator import itemgetter
@@ -25,7 +26,7 @@ from service.api.schemas import (
     problem_responses,
 )
 from service.errors import InvalidRequest
-from service.formats import MEDIA_TYPES, PICTURES, DatasetFormat
+from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, DatasetFormat
 from service.ledger.model import JobRecord
 from service.views.registry import SPRINGS, VIEWS, admit, answer, motion
 from service.views.selection import BASE_MEMORY, Stored
@@ -80,6 +81,7 @@ def _add(router: APIRouter, view: View, job_type: Any, name: str, responses: dic
         f"/{view.name}", _endpoint(view, job_type), name=name, summary=view.summary, description=description,
         response_model=Dataset,
         responses={**content(*view.formats), **pending, **problem_responses(413, 422), **responses},
+        methods=["GET", "POST"] if view.kept else ["GET"],
     )  # fmt: skip
 
 
@@ -91,12 +93,36 @@ def _asked(service: Service, view: View, study: Stored[Any] | None, query: Any) 
     return admit(view, spec, plain, query.format, limits.max_points, limits.trajectory_seconds)
 
 
-def _answer(service: Service, view: View, study: Stored[Any] | None, query: Any) -> Response:
+def _answer(
+    service: Service, view: View, study: Stored[Any] | None, job: JobRecord | None, query: Any
+) -> Response:
     plain, _ = _asked(service, view, study, query)
-    parts = _computed(service, study, view.parts(study, plain)) if view.parts is not None else []
+    parts = _parts(service, view, study, job, plain)
+    if study is not None and job is not None and query.format in (*PICTURES, *EXPORTS):
+        study = replace(study, audit=service.audit_of(job))
     body, complete = service.background.run(answer, view.name, study, plain.model_dump(), query.format, parts)
     headers = {"Bounce-Complete": "true" if complete else "false"}
     return Response(body, media_type=MEDIA_TYPES[query.format], headers=headers)
+
+
+def _parts(
+    service: Service, view: View, study: Stored[Any] | None, job: JobRecord | None, query: Any
+) -> Sequence[Any]:
+    """What workers compute for an answer, once if it is kept with the job."""
+    if view.parts is None:
+        return []
+    if not view.kept or job is None:
+        return _computed(service, study, view.parts(study, query))
+    asked = query.model_dump_json()
+    with service.ledger.reading() as ledger:
+        kept = ledger.answer(job, view.name, asked)
+    if kept is None:
+        kept = _computed(service, study, view.parts(study, query))
+        sentence = view.compute(study, query, *kept).attrs["sentence"]
+        with service.ledger.writing() as writing:
+            if writing.find(job.id) == job:
+                writing.keep_answer(job, view.name, asked, kept, sentence)
+    return kept
 
 
 def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]) -> list[Any]:
@@ -140,7 +166,7 @@ def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
 
     @costly(cost, "on demand" if view.parts else "trajectory" if view.computes else "read")
     def get(service: ServiceDep, job: job_type, query: Annotated[model, Query()]) -> Response:
-        return _answer(service, view, study_of(service, job), query)
+        return _answer(service, view, study_of(service, job), job, query)
 
     return get
 

@@ -1,0 +1,314 @@
+"""The audit of a sweep: how many of its cells a computation that can be trusted would change."""
+
+from collections.abc import Mapping, Sequence
+from math import nan
+from typing import Annotated, Any, Final, NamedTuple
+
+import numpy as np
+import xarray
+from pydantic import Field
+
+from kernel.params import Outcome
+from service.errors import InvalidRequest
+from service.views.selection import Stored, attractor_label, check_kernel
+from service.views.variables import coordinate, dataset, row, variable
+from service.views.view import Call, Estimate, Number, Query, View
+from worker.analysis.audit import FIELDS, LONGER, PARTS, SETS, approximated, look
+from worker.analysis.intervals import bounds, covered
+from worker.analysis.thresholds import BOUNCING
+from worker.sweep import SweepSpec
+from worker.sweep.plan import cell_seconds, period_seconds
+
+#: Cells of a sample where nothing else is asked for: as many as cost SHARE of the sweep, within these limits.
+FEWEST, MOST_BY_DEFAULT = 59, 200
+SHARE: Final = 0.1
+#: Core-seconds that one audit may take.
+MAX_SECONDS: Final = 3_600.0
+#: Bytes of a cell in an answer.
+_PER_CELL: Final = 400
+#: Points of the plane: more than any sample.
+_EVERYWHERE: Final = 10**9
+
+_QUESTION: Final = (
+    row("sampled", ("question",), "<i4", "cells drawn; of threshold pairs of cells, of area points"),
+    row("changed", ("question",), "<i4", "of them, those that the reference changes"),
+    row("undecided", ("question",), "<i4", "of them, those whose reference does not decide"),
+    row("share", ("question",), "<f8", "share of all cells that the reference changes",
+        comment="undecided cells count as unchanged"),
+    row("low", ("question",), "<f8", "least share, with 99 % confidence"),
+    row("high", ("question",), "<f8", "most, with 95 % confidence"),
+    row("largest", ("question",), "<f8", "largest deviation of flights", "rad"),
+    row("covered", ("question",), "<f8", "share of all cells within largest, at least, with 95 % confidence"),
+)  # fmt: skip
+_MATRIX: Final = row(
+    "outcomes", ("outcome", "true_outcome"), "<i4", "drawn cells by outcome, stored and of the reference"
+)
+_CELLS: Final = (
+    row("cell_set", ("cell",), "U", "what the cell was drawn for"),
+    row("cell_direction", ("cell",), "U", "direction of the sweep"),
+    row("cell_gamma", ("cell",), "<f8", "Γ"),
+    row("cell_omega", ("cell",), "<f8", "Ω"),
+    row("cell_xi", ("cell",), "<f8", "ξ"),
+    row("cell_stored", ("cell",), "U", "outcome or mode, stored"),
+    row("cell_reference", ("cell",), "U", "outcome or mode of the reference"),
+    row("cell_deviation", ("cell",), "<f8", "deviation of flights", "rad"),
+    row("cell_undecided", ("cell",), "|b1", "whether the reference does not decide"),
+)
+_SCALARS: Final = (
+    row("cells", (), "<i8", "cells of the sweep"),
+    row("certified", (), "<i8", "of them, those with a certificate"),
+)
+
+#: The questions, in order.
+QUESTIONS: Final = ("rest", "outcome", "mode", "flights", "distribution", "label", "threshold", "area")
+
+
+class AuditQuery(Query):
+    """The sample, and what counts as changed flights."""
+
+    cells: Annotated[int, Field(ge=1, le=2_000)] | None = Field(
+        None, description="cells of each sample; default: 59 to 200, as many as cost a tenth of the sweep"
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**63, description="of the random sample")] = 0
+    tolerance: Annotated[
+        Number, Field(gt=0, le=10, description="rad: flights that deviate by more have changed")
+    ] = 1e-3
+
+
+def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, Any]) -> xarray.Dataset:
+    """How many cells a computation that can be trusted would change.
+
+    Workers draw cells at random and compute them again: for `numerics` with the same contact, cell by cell,
+    and windows ten times as long, of the cells that have no certificate; for `model`, where the
+    specification names a contact that the sweep approximates, with that one, of all cells. On a ramp a cell
+    starts again from the stored state of the cell before it. `low` and `high` are exact bounds of the share
+    of all cells, whatever it is; undecided cells count as right in one and as wrong in the other.
+
+    The questions:
+
+    - `rest`, `outcome`, `mode`: cells with another answer
+    - `flights`: cells at rest or periodic whose flights deviate by more than `tolerance`
+    - `distribution`: other cells whose quantiles of flights do, beyond their scatter
+    - `label`: of a sweep with exponents
+    - `threshold`: thresholds on the grid of which one of both cells changes between rest and bouncing
+    - `area`: points anywhere between the cells that are not what the nearest cell is
+
+    The cells that changed are listed, also hard ones looked at besides: corners, and cells next to another
+    mode.
+    """
+    table = _table(parts)
+    cells, certified, thresholds = (parts[0][name] for name in ("cells", "certified", "thresholds"))
+    drawn = {name: {field: values[table["set"] == i] for field, values in table.items()}
+             for i, name in enumerate(SETS)}  # fmt: skip
+    labelled = bool(study.spec.exponents)
+    answers = {
+        "numerics": _answers(drawn["numerics"], cells - certified, cells, query.tolerance, labelled)
+        | {"threshold": _of_pairs(drawn["threshold"], thresholds), "area": _of_points(drawn["area"])}
+    }
+    if _contact(study) is not None:
+        answers["model"] = _answers(drawn["model"], cells, cells, query.tolerance, labelled=False)
+    both = len(answers) > 1
+    numbers = {
+        each.name: np.array([[getattr(of.get(question, _NOT_ASKED), each.name) for question in QUESTIONS]
+                             for of in answers.values()])
+        for each in _QUESTION
+    }  # fmt: skip
+    dims = ("against",) * both
+    data = {
+        each.name: variable(dims, numbers[each.name] if both else numbers[each.name][0], each)
+        for each in _QUESTION
+    }
+    matrix = np.zeros((len(Outcome), len(Outcome)), np.int32)
+    np.add.at(matrix, (drawn["numerics"]["outcome"], drawn["numerics"]["true_outcome"]), 1)
+    data |= {_MATRIX.name: variable((), matrix, _MATRIX)}
+    listed = _listed(study.spec, table, query.tolerance)
+    data |= {each.name: variable((), listed[each.name], each) for each in _CELLS}
+    sizes = {"cells": cells, "certified": certified}
+    data |= {each.name: variable((), sizes[each.name], each) for each in _SCALARS}
+    names = [outcome.name.lower() for outcome in Outcome]
+    coords = {
+        "against": coordinate("against", list(answers) if both else "numerics"),
+        "question": coordinate("question", list(QUESTIONS)),
+        "outcome": coordinate("outcome", names),
+        "true_outcome": coordinate("true_outcome", names),
+    }
+    attrs = {"sentence": _sentence(answers, certified / cells, query.tolerance), "seed": query.seed,
+             "tolerance": query.tolerance, "model": study.spec.model.kind, "complete": True}  # fmt: skip
+    return dataset(data, coords, attrs)
+
+
+class _Answer(NamedTuple):
+    """One question: the cells looked at, and what they say of all."""
+
+    sampled: int = 0
+    changed: int = 0
+    undecided: int = 0
+    share: float = nan
+    low: float = nan
+    high: float = nan
+    largest: float = nan
+    covered: float = nan
+
+
+_NOT_ASKED: Final = _Answer()
+
+_Table = Mapping[str, Any]  # FIELDS as arrays (n,)
+
+
+def _table(parts: Sequence[Mapping[str, Any]]) -> _Table:
+    """The cells of all parts."""
+    dtypes = {"deviation": np.float64, "undecided": bool}
+    return {name: np.array([x for part in parts for x in part[name]], dtypes.get(name)) for name in FIELDS}
+
+
+def _masks(table: _Table, tolerance: float) -> dict[str, Any]:
+    """Which cells have changed, by question."""
+    resting, repeating = table["true_outcome"] == Outcome.AT_REST, table["true_outcome"] == Outcome.PERIODIC
+    outcome = table["outcome"] != table["true_outcome"]
+    deviates = (table["deviation"] > tolerance) | (table["deviation"] < 0.0)
+    return {
+        "rest": (table["outcome"] == Outcome.AT_REST) != resting,
+        "outcome": outcome,
+        "mode": outcome
+        | (table["bounces"] != table["true_bounces"])
+        | (table["periods"] != table["true_periods"]),
+        "flights": deviates & (resting | repeating),
+        "distribution": deviates & ~(resting | repeating),
+        "label": table["label"] != table["true_label"],
+    }
+
+
+def _answers(
+    table: _Table, population: int, cells: int, tolerance: float, labelled: bool
+) -> dict[str, _Answer]:
+    """The answers of a simple random sample of a population within the cells."""
+    part = population / cells
+    answers = {
+        name: _answer(changed, table["undecided"], population, part)
+        for name, changed in _masks(table, tolerance).items()
+        if labelled or name != "label"
+    }
+    repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
+    deviation = np.where(table["deviation"] < 0.0, np.inf, table["deviation"])[repeating]
+    largest = float(np.nanmax(deviation, initial=0.0))
+    within = 1.0 - part * (1.0 - covered(len(table["outcome"]), population))
+    answers["flights"] = answers["flights"]._replace(largest=largest, covered=within)
+    return answers
+
+
+def _answer(changed: Any, undecided: Any, population: int, part: float = 1.0) -> _Answer:
+    """changed, undecided: (n,) of a sample of a population that is a part of all."""
+    sampled = len(changed)
+    if not sampled:
+        return _Answer(0, 0, 0, 0.0, 0.0, 0.0) if not population else _NOT_ASKED
+    certain, open_ = int(np.count_nonzero(changed & ~undecided)), int(np.count_nonzero(undecided))
+    low, high = bounds(certain, certain + open_, sampled, population)
+    return _Answer(sampled, certain, open_, part * certain / sampled, part * low, part * high)
+
+
+def _of_pairs(table: _Table, thresholds: int) -> _Answer:
+    """Thresholds; both cells of each have the same unit."""
+    bouncing = np.isin(table["outcome"], BOUNCING) != np.isin(table["true_outcome"], BOUNCING)
+    units = np.unique(table["unit"])
+    changed, undecided = (
+        np.array([bool(np.any(mask[table["unit"] == unit])) for unit in units], bool)
+        for mask in (bouncing & ~table["undecided"], table["undecided"])
+    )
+    return _answer(changed, undecided & ~changed, thresholds)
+
+
+def _of_points(table: _Table) -> _Answer:
+    """Points anywhere in the plane, of which there are more than any sample tells from infinitely many."""
+    return _answer(
+        _masks(table, 0.0)["mode"], table["undecided"], _EVERYWHERE if len(table["outcome"]) else 0
+    )
+
+
+def _listed(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[Any]]:
+    """The variables of the cells that have changed, by name."""
+    masks = _masks(table, tolerance)
+    changed = np.flatnonzero(masks["mode"] | masks["flights"] | table["undecided"])
+    named = {
+        "cell_set": [SETS[i] for i in table["set"]],
+        "cell_direction": [spec.directions[i] for i in table["direction"]],
+        **{f"cell_{axis}": table[axis] for axis in ("gamma", "omega", "xi")},
+        "cell_stored": _named(table, ""),
+        "cell_reference": _named(table, "true_"),
+        "cell_deviation": np.where(table["deviation"] < 0.0, np.inf, table["deviation"]),
+        "cell_undecided": table["undecided"],
+    }
+    return {name: [values[i] for i in changed] for name, values in named.items()}
+
+
+def _named(table: _Table, prefix: str) -> list[str]:
+    fields = (table[f"{prefix}{name}"].tolist() for name in ("outcome", "bounces", "periods"))
+    return [attractor_label(*each) for each in zip(*fields, strict=True)]
+
+
+def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, tolerance: float) -> str:
+    """What the audit says of all cells."""
+    said = [f"{certified:.3g} of the cells have a certificate"] if certified else []
+    for against, of in answers.items():
+        mode, flights = of["mode"], of["flights"]
+        said.append(
+            f"{'numerics' if against == 'numerics' else 'contact'}: {_between(mode)} of the cells have "
+            f"another outcome or mode ({mode.changed} of {mode.sampled} drawn), {_between(flights)} flights "
+            f"that deviate by more than {tolerance:g} rad"
+        )
+    return "; ".join(said)
+
+
+def _between(answer: _Answer) -> str:
+    """The bounds of a share in percent."""
+    high = f"{100.0 * answer.high:.2g} %"
+    return f"at most {high}" if answer.low == 0.0 else f"{100.0 * answer.low:.2g} to {high}"
+
+
+def _contact(study: Stored[SweepSpec]) -> Any:
+    return approximated(study.submitted, study.spec)
+
+
+def _cells(spec: SweepSpec, query: AuditQuery) -> int:
+    """Cells of each sample."""
+    if query.cells is not None:
+        return query.cells
+    affordable = SHARE * spec_seconds(spec) / _look_seconds(spec)
+    return int(min(max(affordable, FEWEST), MOST_BY_DEFAULT))
+
+
+def spec_seconds(spec: SweepSpec) -> float:
+    """Core-seconds of a sweep, by the table of contact models."""
+    return float(np.prod(spec.shape)) * cell_seconds(spec)
+
+
+def _look_seconds(spec: SweepSpec) -> float:
+    """Core-seconds of looking at one cell, from its start and from another beside it."""
+    return 2.0 * LONGER * (spec.settle + spec.observe) * period_seconds(spec, alone=True)
+
+
+def estimate(spec: SweepSpec, query: AuditQuery) -> Estimate:
+    """The cells of the sets. Raises InvalidRequest for more computing than one audit may take."""
+    cells = _cells(spec, query)
+    seconds = 2.0 * cells * _look_seconds(spec)
+    if seconds > MAX_SECONDS:
+        fitting = int(cells * MAX_SECONDS / seconds)
+        rule = f"{cells:,} cells take about {seconds:,.0f} core-seconds, the limit is {MAX_SECONDS:g}"
+        raise InvalidRequest.of("cells", f"{rule}: enough for {fitting:,}")
+    looked = 3 * cells + 100
+    return Estimate({"cell": looked}, memory=looked * _PER_CELL + int(np.prod(spec.shape)), small=False)
+
+
+def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
+    """The cells computed again. Raises InvalidRequest for a sweep that is not done, OutdatedJob."""
+    check_kernel(study.kernel_version)
+    if not study.complete:
+        raise InvalidRequest.of("job_id", "is not done: an audit is of a sweep with all its cells")
+    cells = _cells(study.spec, query)
+    return [(look, study.spec, study.url, _contact(study), cells, query.seed, part) for part in range(PARTS)]
+
+
+VIEW: Final = View(
+    "audit", "Audit of a sweep", SweepSpec, AuditQuery, compute, estimate,
+    variables=(*_QUESTION, _MATRIX, *_CELLS, *_SCALARS), rows="share", printed=("share", "cell_stored"),
+    parts=parts, kept=True,
+)  # fmt: skip

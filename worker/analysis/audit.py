@@ -1,0 +1,303 @@
+"""How many cells of a stored sweep a computation that can be trusted would change: samples, computed again.
+
+Two questions, kept apart. `numerics`: the same contact, cell by cell with the scalar functions, without any
+early end, and windows LONGER times as long. `model`: the contact that the specification approximates, where
+it names one. Each cell of a ramp is computed again from the stored state of the cell before it, so that cells
+are independent of each other: what is audited is the step from cell to cell.
+
+A simple random sample has the interval of `worker.analysis.intervals`. For `numerics` it is drawn from the
+cells without a certificate (`flight_error`), which need no sample. Cells that are hard, the corners of the
+grid and cells next to another mode, are looked at besides, and do not enter any interval.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.labels import label_codes
+from kernel.line import LineRun
+from kernel.params import Cell, Line, Outcome, Start
+from kernel.stopping import check
+from worker import store
+from worker.analysis.deviation import deviations
+from worker.analysis.thresholds import Status, endless_rest, on_grid
+from worker.spec.contact_models import Auto, Contact, Soft, Stepped
+from worker.study.layout import CELL_DIMS, COMPUTED
+from worker.sweep import AXES, SweepSpec, schema
+from worker.sweep.protocols import Ramp
+from worker.sweep.specification import start_of
+from worker.work import FIRST_STEPS, plate_of
+
+#: Windows of the reference relative to the sweep's.
+LONGER: Final = 10
+#: Relative change of a start whose cell is undecided if its answer changes, too.
+MOVED: Final = 1e-12
+#: Hard cells looked at besides: next to another mode.
+BESIDE: Final = 16
+#: Calls of `look` into which an audit is divided.
+PARTS: Final = 8
+
+#: What is looked at: cells of the samples of the two questions, hard cells, points anywhere in the plane, and
+#: the two cells of a threshold.
+SETS: Final = ("numerics", "model", "besides", "area", "threshold")
+
+_Array = NDArray[Any]
+
+
+#: What `look` returns of each cell, in lists: JSON holds them.
+FIELDS: Final = (
+    "set",  # index in SETS
+    "unit",  # the cells of one threshold have the same number
+    "direction",  # index
+    "gamma", "omega", "xi",
+    "outcome", "bounces", "periods", "label",  # stored; of a point those of the nearest cell
+    "true_outcome", "true_bounces", "true_periods", "true_label",  # of the reference
+    "deviation",  # of flights, rad: -1 if infinite, None if the cell has no flights of its own
+    "undecided",
+)  # fmt: skip
+
+
+class _Drawn(NamedTuple):
+    """Cells to compute again: their stored indices, or for a point its parameters."""
+
+    set: str
+    unit: int
+    cell: tuple[int, ...]  # indices: direction, xi, omega, gamma
+    point: Cell | None = None
+
+
+def approximated(submitted: SweepSpec, spec: SweepSpec) -> Contact | None:
+    """The contact that a sweep approximates, of which `model` is asked; None if it is its own."""
+    if isinstance(submitted.model, Auto):
+        exact = submitted.model.exact
+        return None if spec.model == exact else exact
+    if isinstance(spec.model, Stepped):
+        return Soft(**spec.model.model_dump(include=set(Soft.model_fields) - {"kind"}))
+    return None
+
+
+def look(
+    spec: SweepSpec, url: str, contact: Contact | None, cells: int, seed: int, part: int
+) -> dict[str, Any]:
+    """Compute a part of the drawn cells again; every part draws the same.
+
+    contact: of the question `model`. cells: of each sample. Returns the lists of FIELDS, and how many cells
+    the sweep has, how many of them a certificate, and how many thresholds. Raises a `store.StoreError`.
+    """
+    names = ("outcome", "bounces", "periods", *_optional(url))
+    grid = store.read_slice(url, names, complete=True)
+    drawn, sizes = _draw(spec, grid, contact is not None, cells, seed)
+    mine = drawn[part::PARTS]
+    rows: list[tuple[Any, ...]] = []
+    for name in SETS:
+        chosen = [each for each in mine if each.set == name]
+        if chosen:
+            rows += _looked_at(spec, url, grid, contact if name == "model" else None, chosen)
+    columns = zip(*rows, strict=True) if rows else ([] for _ in FIELDS)
+    return {name: list(column) for name, column in zip(FIELDS, columns, strict=True)} | sizes
+
+
+def _optional(url: str) -> tuple[str, ...]:
+    """Arrays that only some sweeps have."""
+    stored = store.stored_forms(url, None)
+    return tuple(name for name in ("flight_error", COMPUTED) if name in stored)
+
+
+# Drawing
+
+
+def _draw(
+    spec: SweepSpec, grid: dict[str, _Array], with_model: bool, cells: int, seed: int
+) -> tuple[list[_Drawn], dict[str, int]]:
+    """All cells to be looked at, and the sizes of what they are drawn from."""
+    random = np.random.default_rng(seed)
+    outcome = grid["outcome"]
+    certified = np.isfinite(grid["flight_error"]) if "flight_error" in grid else np.zeros(outcome.shape, bool)
+    drawn = list(_sample(random, "numerics", np.flatnonzero(~certified), cells, outcome.shape))
+    if with_model:
+        drawn += _sample(random, "model", np.arange(outcome.size), cells, outcome.shape)
+    drawn += _besides(random, grid)
+    if spec.ramp_axis is None:
+        drawn += _points(random, spec, cells // 2)
+    lines = list(_thresholds(spec, outcome)) if spec.ramp_axis in (None, "gamma") else []
+    chosen = random.permutation(len(lines))[: max(cells // 4, 1)]
+    drawn += [_Drawn("threshold", int(i), index) for i in chosen for index in lines[i]]
+    sizes = {"cells": outcome.size, "certified": int(np.count_nonzero(certified)), "thresholds": len(lines)}
+    return drawn, sizes
+
+
+def _sample(
+    random: np.random.Generator, name: str, population: _Array, cells: int, shape: Sequence[int]
+) -> Iterator[_Drawn]:
+    """A simple random sample without replacement."""
+    chosen = random.choice(population, min(cells, len(population)), replace=False)
+    for i, index in enumerate(np.stack(np.unravel_index(chosen, shape), axis=1).tolist()):
+        yield _Drawn(name, i, tuple(index))
+
+
+def _besides(random: np.random.Generator, grid: dict[str, _Array]) -> Iterator[_Drawn]:
+    """The corners of the grid, and cells next to another outcome or mode."""
+    outcome = grid["outcome"]
+    key = outcome.astype(np.int64) + 16 * (grid["bounces"].astype(np.int64) + 2**20 * grid["periods"])
+    beside = np.zeros(outcome.shape, bool)
+    for axis in range(1, outcome.ndim):
+        differs = np.diff(key, axis=axis) != 0
+        low, high = ([slice(None)] * outcome.ndim for _ in range(2))
+        low[axis], high[axis] = slice(0, -1), slice(1, None)
+        beside[tuple(low)] |= differs
+        beside[tuple(high)] |= differs
+    corners = {
+        tuple(int(i) for i in index)
+        for index in np.ndindex(outcome.shape[0], *(2,) * (outcome.ndim - 1))
+        for index in [(index[0], *((n - 1) * i for n, i in zip(outcome.shape[1:], index[1:], strict=True)))]
+    }
+    cells = np.flatnonzero(beside)
+    chosen = random.choice(cells, min(BESIDE, len(cells)), replace=False)
+    places = sorted(corners | {tuple(map(int, np.unravel_index(i, outcome.shape))) for i in chosen})
+    return (_Drawn("besides", i, place) for i, place in enumerate(places))
+
+
+def _points(random: np.random.Generator, spec: SweepSpec, number: int) -> Iterator[_Drawn]:
+    """Points anywhere in the sweep, evenly between its cells, with the nearest cell of each."""
+    values = [spec.axis_values(axis) for axis in AXES]
+    if all(len(each) == 1 for each in values):
+        return
+    for i in range(number):
+        place = [random.uniform(-0.5, len(each) - 0.5) if len(each) > 1 else 0.0 for each in values]
+        inside = [min(max(at, 0.0), len(each) - 1.0) for at, each in zip(place, values, strict=True)]
+        xi, omega, gamma = (
+            float(np.interp(at, np.arange(len(each)), each)) for at, each in zip(inside, values, strict=True)
+        )
+        nearest = tuple(round(at) for at in inside)
+        yield _Drawn("area", i, (0, *nearest), Cell(gamma, omega, xi))
+
+
+def _thresholds(spec: SweepSpec, outcome: _Array) -> Iterator[tuple[tuple[int, ...], ...]]:
+    """The cells at rest and bouncing beside each threshold that the grid shows."""
+    if outcome.shape[-1] < 2:
+        return
+    for xi, value in enumerate(spec.axis_values("xi")):
+        endless = endless_rest(spec, spec.axis_values("omega"), float(value))
+        for direction, name in enumerate(spec.directions):
+            for omega in range(outcome.shape[2]):
+                on = on_grid(outcome[direction, xi, omega], name == "down", bool(endless[omega]))
+                if on.status is Status.FOUND and on.resting is not None and on.bouncing is not None:
+                    yield (direction, xi, omega, on.resting), (direction, xi, omega, on.bouncing)
+
+
+# Looking
+
+
+def _looked_at(
+    spec: SweepSpec, url: str, grid: dict[str, _Array], contact: Contact | None, drawn: Sequence[_Drawn]
+) -> Iterator[tuple[Any, ...]]:
+    """The values of FIELDS for each of the drawn cells, all of one set."""
+    cells = [each.point or _cell(spec, each.cell) for each in drawn]
+    starts = [_start(spec, url, each.cell) for each in drawn]
+    true = reference(spec, cells, starts, contact)
+    moved = reference(spec, *_moved(cells, starts), contact)
+    kept = _stored(spec, url, grid, drawn)
+    apart = deviations(true, kept, spec.micro_flight)
+    label, true_label = _labels(spec, kept, 1), _labels(spec, true, LONGER)
+    for i, each in enumerate(drawn):
+        own = each.point is None and (COMPUTED not in grid or bool(grid[COMPUTED][each.cell]))
+        settles = true.outcome[i] in (Outcome.SETTLING, Outcome.UNRESOLVED)
+        flips = any(getattr(true, name)[i] != getattr(moved, name)[i] for name in schema.MODE_ARRAYS)
+        deviation = None
+        if own and not np.isnan(apart[i]):
+            deviation = float(apart[i]) if np.isfinite(apart[i]) else -1.0
+        yield (
+            SETS.index(each.set), each.unit, each.cell[0], *cells[i],
+            *(int(getattr(kept, name)[i]) for name in schema.MODE_ARRAYS), int(label[i]),
+            *(int(getattr(true, name)[i]) for name in schema.MODE_ARRAYS), int(true_label[i]),
+            deviation, bool(settles or flips),
+        )  # fmt: skip
+
+
+def reference(
+    spec: SweepSpec, cells: Sequence[Cell], starts: Sequence[Start | None], contact: Contact | None = None
+) -> Line:
+    """These cells as they can be trusted, each from its start, or from rest.
+
+    contact: another one than the sweep's.
+    """
+    gamma, omega, xi = np.array(cells, np.float64).reshape(-1, 3).T.copy()
+    model = contact or spec.model
+    run = LineRun(
+        gamma, omega, xi, plate=plate_of(model, gamma, omega, xi), carry=True, start=list(starts),
+        settle=LONGER * max(spec.settle, 1), observe=LONGER * spec.observe,
+        keep=max(spec.keep, min(LONGER * spec.keep, 4096)), micro_flight=spec.micro_flight, in_lanes=False,
+        exponents=spec.exponents if contact is None else 0,
+    )  # fmt: skip
+    while not run.advance(FIRST_STEPS):
+        check()
+    return run.line
+
+
+def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:
+    values = {axis: float(spec.axis_values(axis)[i]) for axis, i in zip(AXES, index[1:], strict=True)}
+    return Cell(**values)
+
+
+def _start(spec: SweepSpec, url: str, index: tuple[int, ...]) -> Start | None:
+    """Where a cell of the sweep starts; None from rest."""
+    axis = spec.ramp_axis
+    if axis is None:
+        return None
+    direction, place = index[0], list(index)
+    at = 1 + AXES.index(axis)
+    down = spec.directions[direction] == "down"
+    first = len(spec.axis_values(axis)) - 1 if down else 0
+    if place[at] != first:
+        place[at] += 1 if down else -1
+    elif direction > 0:
+        place[0] -= 1  # a ramp down starts from the end of that up, at the same parameters
+    else:
+        on = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
+        return None if on is None else start_of(_cell(spec, index), on.periods)
+    before = _read_cell(url, ("outcome", "end_state"), place)
+    if before["outcome"] == Outcome.DIVERGED:
+        return None
+    return Start(np.ascontiguousarray(before["end_state"]), _cell(spec, place))
+
+
+def _read_cell(url: str, names: Sequence[str], cell: Sequence[int]) -> dict[str, _Array]:
+    where: dict[str, Any] = dict(zip(CELL_DIMS, cell, strict=True))
+    return store.read_slice(url, names, complete=True, **where)
+
+
+def _moved(cells: Sequence[Cell], starts: Sequence[Start | None]) -> tuple[list[Cell], list[Start | None]]:
+    """The same with each start moved by MOVED; from rest gamma is, which moves it as much."""
+    there: list[Cell] = []
+    moved: list[Start | None] = []
+    for cell, start in zip(cells, starts, strict=True):
+        if start is None:
+            there.append(cell._replace(gamma=cell.gamma * (1.0 + MOVED)))
+            moved.append(None)
+        else:
+            state = np.array(start.state)
+            state[4] += MOVED * max(1.0, abs(state[4]))
+            there.append(cell)
+            moved.append(start._replace(state=state))
+    return there, moved
+
+
+def _stored(spec: SweepSpec, url: str, grid: dict[str, _Array], drawn: Sequence[_Drawn]) -> Line:
+    """The stored record of the cells, of points that of the nearest."""
+    exponents = ("lyapunov", "lyapunov_error") if spec.exponents else ()
+    names = ("flight_time", "takeoff_phase", "flights", *exponents)
+    parts = [_read_cell(url, names, each.cell) for each in drawn]
+    n = len(drawn)
+    empty = {name: np.full(n, np.nan) for name in Line._fields} | {"lyapunov": np.empty((n, 0))}
+    records = {name: np.stack([part[name] for part in parts]) for name in names}
+    modes = {name: np.array([grid[name][each.cell] for each in drawn]) for name in schema.MODE_ARRAYS}
+    return Line(**{**empty, **records, **modes})
+
+
+def _labels(spec: SweepSpec, line: Line, longer: int) -> NDArray[np.uint8]:
+    """The labels of cells, of a sweep without exponents their outcomes."""
+    if not line.lyapunov.shape[1]:
+        return line.outcome
+    return label_codes(line.outcome, line.lyapunov, line.lyapunov_error, longer * spec.observe)

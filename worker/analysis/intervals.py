@@ -1,0 +1,68 @@
+"""Exact bounds of a share from a simple random sample without replacement (Clopper and Pearson's, finite).
+
+A bound holds whatever the share is: no normal approximation, which fails where few members or none have a
+property. With 0 of n they are the rule of three, 1 - 0.05**(1/n).
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Probabilities that the lower bound lies above the truth, and that the upper one lies below it. An interval
+#: holds the truth with at least 94 %, and "at most" with 95 %.
+ABOVE, BELOW = 0.01, 0.05
+
+
+def bounds(low: int, high: int, sampled: int, population: int) -> tuple[float, float]:
+    """The share of `population` members that have a property, at least and at most; (0, 1) without a sample.
+
+    low, high: members of the sample that have it, those that are undecided counted as without it and with it.
+    """
+    if sampled == 0:
+        return (0.0, 1.0) if population else (0.0, 0.0)
+    fewest, most = low, population - (sampled - high)
+    # the fewest members with which a sample has `low` with a probability above ABOVE
+    first, last = fewest, most
+    while first < last:
+        middle = (first + last) // 2
+        if 1.0 - _at_most(low - 1, sampled, middle, population) > ABOVE:
+            last = middle
+        else:
+            first = middle + 1
+    lower = first
+    # the most with which a sample has no more than `high` with a probability above BELOW
+    first, last = fewest, most
+    while first < last:
+        middle = (first + last + 1) // 2
+        if _at_most(high, sampled, middle, population) > BELOW:
+            first = middle
+        else:
+            last = middle - 1
+    return lower / population, max(first, high) / population
+
+
+def covered(sampled: int, population: int) -> float:
+    """The share of a population that lies at or below the largest value of a sample, with 95 %, at least."""
+    return 1.0 - bounds(0, 0, sampled, population)[1]
+
+
+def _at_most(number: int, sampled: int, having: int, population: int) -> float:
+    """The probability that at most `number` members of a sample have what `having` of all have."""
+    if number < 0:
+        return 0.0
+    if number >= min(sampled, having):
+        return 1.0
+    k = np.arange(number + 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        with_it = _log_choose(having, number)[k]
+        without = _log_choose(population - having, sampled)[sampled - k]
+    logs = with_it + without - _log_choose(population, sampled)[sampled]
+    return math.fsum(np.exp(logs[np.isfinite(logs)]))
+
+
+def _log_choose(n: int, most: int) -> NDArray[np.float64]:
+    """Logarithms of the binomial coefficients (n, 0) to (n, most), (most + 1,); -inf beyond n."""
+    i = np.arange(most, dtype=np.float64)
+    factors = np.where(i < n, (n - i) / (i + 1.0), 0.0)
+    return np.concatenate([[0.0], np.cumsum(np.log(factors))])
