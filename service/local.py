@@ -12,16 +12,17 @@ bytes.
 
 import errno
 import json
+import math
 import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
-from service.client.display import display_elapsed, display_job
+from service.client.display import display_elapsed, display_job, display_line
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
 from service.errors import InvalidRequest, RunFailed
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from service.ledger.model import JobRecord
     from service.settings import Settings
     from service.views.view import Query
+    from worker.executors.inline import Inline
 
 #: Seconds between two checks of the job's progress.
 LOOK_SECONDS: Final = 0.05
@@ -58,6 +60,7 @@ def run(
     *,
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
+    budget: float | None = None,
 ) -> "xarray.Dataset":
     """Compute a study and return its results.
 
@@ -75,6 +78,9 @@ def run(
         Computing threads, by default one per core.
     progress
         As in `Job.wait`.
+    budget
+        Seconds in which to compute the finest level of a sweep that fits, see `service.budget`. The attribute
+        `audit` of the Dataset says how many of its cells a longer computation would change.
 
     Returns
     -------
@@ -103,17 +109,18 @@ def run(
     if store is None:
         with (
             temporary_folder("bounce-") as folder,
-            computed(spec, folder, workers=workers, progress=progress) as (_, job),
+            computed(spec, folder, workers=workers, progress=progress, budget=budget) as done,
         ):
-            return opened(job.store_url).load()
-    target = Path(store)
+            return opened(done.job.store_url).load().assign_attrs(done.attributes)
+    target, attributes = Path(store), dict[str, str]()
     if not _is_computed(target, spec):
-        with computed(spec, partial_of(target), workers=workers, progress=progress) as (_, job):
-            computed_store = Path(job.store_url)
+        folder = partial_of(target)
+        with computed(spec, folder, workers=workers, progress=progress, budget=budget) as done:
+            computed_store, attributes = Path(done.job.store_url), done.attributes
         computed_store.rename(target)
         sync(target.parent)
-        shutil.rmtree(partial_of(target))
-    return opened(str(target.absolute()))
+        shutil.rmtree(folder)
+    return opened(str(target.absolute())).assign_attrs(attributes)
 
 
 def run_to_file(
@@ -124,12 +131,13 @@ def run_to_file(
     *,
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
+    budget: float | None = None,
 ) -> JobStatus:
     """Compute a study as `run` does and write it to a file, which appears once complete.
 
     Parameters
     ----------
-    spec, workers, progress
+    spec, workers, progress, budget
         As in `run`.
     output
         Path of the file.
@@ -173,19 +181,22 @@ def run_to_file(
     else:
         query, _ = admit(diagram.VIEW, parsed, query, format, settings.max_points)
     with (
-        computed(parsed, settings.data, workers=workers, progress=progress) as (record, job),
+        computed(parsed, settings.data, workers=workers, progress=progress, budget=budget) as done,
         complete_file(target) as file,
     ):
-        study = Stored(job.spec, job.store_url, complete=True, job=record.id, forms=job.forms)
+        job = done.job
+        study = Stored(
+            job.spec, job.store_url, complete=True, job=job.job_id, forms=job.forms, audit=done.audit
+        )
         if format in EXPORTS:
-            attributes = files.attributes_of(record, job)
+            attributes = files.attributes_of(done.record, job)
             whole = files.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
             with files.make(InThisProcess(), whole, settings.exports_path) as made:
                 file.writelines(files.pieces(made))
         else:
             file.write(answer("diagram", study, query.model_dump(), format)[0])
     shutil.rmtree(partial_of(target))
-    return _status(record)
+    return _status(done.record)
 
 
 def _query(model: "type[Query]", fields: Mapping[str, Any]) -> "Query":
@@ -204,11 +215,30 @@ def partial_of(output: Path) -> Path:
     return output.with_name(f"{output.name}.partial")
 
 
+class Computed(NamedTuple):
+    """A done job, and what its audit says, if it has one."""
+
+    record: "JobRecord"
+    job: "PreparedJob"
+    audit: str | None = None
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """What a Dataset says beside its store."""
+        return {} if self.audit is None else {"audit": self.audit}
+
+
 @contextmanager
 def computed(
-    spec: Specification, folder: Path, *, workers: int | None = None, progress: bool | ProgressCallback = True
-) -> "Iterator[tuple[JobRecord, PreparedJob]]":
+    spec: Specification,
+    folder: Path,
+    *,
+    workers: int | None = None,
+    progress: bool | ProgressCallback = True,
+    budget: float | None = None,
+) -> "Iterator[Computed]":
     """A study's done job, in the data folder `folder`, which is created and kept. Raises as `run`."""
+    began = time.monotonic()
     use_cache()
     from service.jobs.manager import JobManager
     from service.jobs.stores.opening import open_ledger
@@ -224,14 +254,75 @@ def computed(
     ):
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
-        _check_folder(ledger, parsed, folder)
+        if budget is None:
+            _check_folder(ledger, parsed, folder)
         _compile(parsed, progress)
         manager.start()
         try:
+            if budget is not None:
+                runner = _Levels(manager, ledger, executor, progress)
+                yield runner.within(parsed, budget - (time.monotonic() - began))
+                return
             record = _wait(manager, ledger, manager.submit(parsed).job.id, progress)
-            yield record, manager.preparer.prepare(record)
+            yield Computed(record, manager.preparer.prepare(record))
         finally:
             manager.stop()
+
+
+class _Levels:
+    """Computes the levels of a budget in this process."""
+
+    def __init__(
+        self, manager: "JobManager", ledger: "Ledger", executor: "Inline", progress: bool | ProgressCallback
+    ) -> None:
+        self._manager, self._ledger, self._executor = manager, ledger, executor
+        self._progress = progress
+        self._done: JobRecord | None = None
+
+    def within(self, spec: Any, budget: float) -> Computed:
+        """The finest level that fits. Raises InvalidRequest for a study that has no levels."""
+        from service.budget import within
+        from worker.sweep import SweepSpec
+
+        if not isinstance(spec, SweepSpec):
+            raise InvalidRequest.of("budget", f"is for sweeps; this study is of kind {spec.protocol.kind}")
+        answer = within(spec, budget, self, display_line if self._progress is True else lambda _: None)
+        assert self._done is not None
+        return Computed(self._done, self._manager.preparer.prepare(self._done), answer.audit)
+
+    def seconds(self, spec: Any) -> float:
+        plan = self._manager.preparer.plan(spec)
+        with self._ledger.reading() as reading:
+            measured = reading.measured()
+        cost = self._manager.preparer.cost(spec, plan, measured)
+        return cost.core_seconds / self._executor.workers()
+
+    def compute(self, spec: Any, seconds: float) -> bool:
+        deadline = time.monotonic() + seconds
+        try:
+            job = self._manager.submit(spec).job
+            self._done = _wait(self._manager, self._ledger, job.id, self._progress, deadline)
+        except TimeoutError:
+            return False
+        return True
+
+    def audit(self, spec: Any, seconds: float) -> str | None:
+        from service.views import audit
+        from service.views.selection import Stored
+
+        assert self._done is not None
+        job = self._manager.preparer.prepare(self._done)
+        study = Stored(job.spec, job.store_url, complete=True, submitted=job.submitted)
+        cells = audit.affordable(job.spec, seconds * self._executor.workers())
+        if cells is None:
+            return None
+        query = audit.AuditQuery(cells=cells)
+        calls = [self._executor.call(*call) for call in audit.parts(study, query)]
+        _, late = wait(calls, timeout=seconds)
+        for call in late:
+            call.cancel()
+        found = None if late else audit.compute(study, query, *(call.result() for call in calls))
+        return None if found is None else str(found.attrs["sentence"])
 
 
 def _check_folder(ledger: "Ledger", spec: Any, folder: Path) -> None:
@@ -302,9 +393,13 @@ def _is_computed(target: Path, spec: Specification) -> bool:
 
 
 def _wait(
-    manager: "JobManager", ledger: "Ledger", job_id: str, progress: bool | ProgressCallback
+    manager: "JobManager",
+    ledger: "Ledger",
+    job_id: str,
+    progress: bool | ProgressCallback,
+    deadline: float = math.inf,
 ) -> "JobRecord":
-    """The job once it is done. Raises RunFailed.
+    """The job once it is done. Raises RunFailed, and TimeoutError after `deadline` of the monotonic clock.
 
     If interrupted, cancels the job, so that its chunks stop; stored results stay.
     """
@@ -317,6 +412,8 @@ def _wait(
                 show(_status(record))
                 if record.state not in UNFINISHED:
                     break
+                if time.monotonic() > deadline:
+                    raise TimeoutError
                 time.sleep(LOOK_SECONDS)
     except BaseException:
         with suppress(IllegalTransition, UnknownJob):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from service.cli.options import format_option, json_option, output_format, with_client, with_job
+from service.cli.options import DURATION, format_option, json_option, output_format, with_client, with_job
 from service.cli.views import query_options
 from service.formats import EXPORTS, PICTURES, TABLES
 from service.result_methods import ResultMethods
@@ -52,7 +52,12 @@ def submit(client: "Client", spec: str, wait_for_job: bool, estimate: bool, key:
 @format_option(*_RUN_FORMATS)
 @click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
 @click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
-def run(spec: str, output: str, format: str | None, workers: int | None, **query: Any) -> None:
+@click.option(
+    "--budget", type=DURATION, help="Compute the finest level that fits into this time: 90s, 5m, 1h."
+)
+def run(
+    spec: str, output: str, format: str | None, workers: int | None, budget: float | None, **query: Any
+) -> None:
     """Compute a sweep without a service, and write it.
 
     The ending of the output says what is written: the sweep as .zarr, .nc or .parquet, or its diagram as
@@ -62,6 +67,8 @@ def run(spec: str, output: str, format: str | None, workers: int | None, **query
       bounce run sweep.toml -o sweep.zarr
 
       bounce run sweep.toml -o diagram.png --along gamma --omega 0.5 --xi 0.26
+
+      bounce run sweep.toml -o sweep.zarr --budget 5m
     """
     from service import local
     from service.client.specification import read
@@ -70,10 +77,10 @@ def run(spec: str, output: str, format: str | None, workers: int | None, **query
     specification = spec if spec != "-" else read(sys.stdin.buffer.read())
     try:
         if format == "zarr":
-            local.run(specification, output, workers=workers)
+            local.run(specification, output, workers=workers, budget=budget)
         else:
             query = {name: value for name, value in query.items() if value is not None}
-            local.run_to_file(specification, output, format, query, workers=workers)
+            local.run_to_file(specification, output, format, query, workers=workers, budget=budget)
     except SystemExit:  # by a signal
         click.echo(f"interrupted; the same command goes on in {local.partial_of(Path(output))}", err=True)
         raise

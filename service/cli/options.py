@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -22,6 +23,22 @@ DEFAULT_URL: Final = "http://127.0.0.1:8000"  # the client's, which takes long t
 COMPLETION_SECONDS: Final = 2.0
 
 Command = TypeVar("Command", bound=Callable[..., None])
+
+
+class Duration(click.ParamType):
+    """A time in seconds: 90, 90s, 5m, 1.5h."""
+
+    name = "time"
+    _UNITS: Final = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        match = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([smh]?)", str(value).strip())
+        if match is None or float(match[1]) == 0.0:
+            self.fail(f"must be a time such as 90s, 5m or 1h, not {value!r}", param, ctx)
+        return float(match[1]) * self._UNITS[match[2]]
+
+
+DURATION: Final = Duration()
 
 
 class CommandGroup(click.Group):

@@ -37,6 +37,11 @@ def display_job(progress: bool | Callable[[Any], None]) -> Iterator[Callable[[An
         yield _in_lines()
 
 
+def display_line(text: str) -> None:
+    """Write a line to standard error."""
+    _write(text)
+
+
 @contextmanager
 def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterator[None]:
     """Report an operation from `after` seconds on, with the seconds so far, and at its end what it took.

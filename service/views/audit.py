@@ -22,6 +22,10 @@ from worker.sweep.plan import cell_seconds, period_seconds
 #: Cells of a sample where nothing else is asked for: as many as cost SHARE of the sweep, within these limits.
 FEWEST, MOST_BY_DEFAULT = 59, 200
 SHARE: Final = 0.1
+#: Cells computed again for each of the sample: besides, hard ones, points and thresholds.
+HARD_AND_POINTS: Final = 2.5
+#: Of a budget: fewer cells tell nothing.
+FEWEST_AFFORDED: Final = 20
 #: Core-seconds that one audit may take.
 MAX_SECONDS: Final = 3_600.0
 #: Bytes of a cell in an answer.
@@ -272,8 +276,14 @@ def _cells(spec: SweepSpec, query: AuditQuery) -> int:
     """Cells of each sample."""
     if query.cells is not None:
         return query.cells
-    affordable = SHARE * spec_seconds(spec) / _look_seconds(spec)
-    return int(min(max(affordable, FEWEST), MOST_BY_DEFAULT))
+    by_cost = SHARE * spec_seconds(spec) / (HARD_AND_POINTS * _look_seconds(spec))
+    return int(min(max(by_cost, FEWEST), MOST_BY_DEFAULT))
+
+
+def affordable(spec: SweepSpec, seconds: float) -> int | None:
+    """Cells of each sample that take this many core-seconds, by the table; None if too few."""
+    cells = int(seconds / (HARD_AND_POINTS * _look_seconds(spec)))
+    return None if cells < FEWEST_AFFORDED else min(cells, MOST_BY_DEFAULT)
 
 
 def spec_seconds(spec: SweepSpec) -> float:
@@ -289,7 +299,7 @@ def _look_seconds(spec: SweepSpec) -> float:
 def estimate(spec: SweepSpec, query: AuditQuery) -> Estimate:
     """The cells of the sets. Raises InvalidRequest for more computing than one audit may take."""
     cells = _cells(spec, query)
-    seconds = 2.0 * cells * _look_seconds(spec)
+    seconds = HARD_AND_POINTS * cells * _look_seconds(spec)
     if seconds > MAX_SECONDS:
         fitting = int(cells * MAX_SECONDS / seconds)
         rule = f"{cells:,} cells take about {seconds:,.0f} core-seconds, the limit is {MAX_SECONDS:g}"

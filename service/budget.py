@@ -1,0 +1,98 @@
+"""A sweep within a time: levels from coarse to fine, each complete, of which the last one is the answer.
+
+A level begins only if it fits into what is left, by the measured speed of the last one; what does not end in
+time is cancelled, so that the time cannot be missed. It contains compiling, waiting for workers and storing.
+The audit of the answer takes a part of it.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+from service.errors import InvalidRequest
+from worker.sweep import SweepSpec
+from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
+
+#: Share of a budget for the first level by the table of costs, and for the audit of the answer.
+FIRST, AUDIT = 0.05, 0.1
+#: The next level begins if this many times its expected time is left.
+MARGIN: Final = 1.15
+
+
+class Runner(Protocol):
+    """What computes levels: this process, or a service."""
+
+    def seconds(self, spec: SweepSpec) -> float:
+        """The expected time of a sweep, by the table of costs."""
+
+    def compute(self, spec: SweepSpec, seconds: float) -> bool:
+        """Compute a sweep, for `seconds` at most; whether it is complete."""
+
+    def audit(self, spec: SweepSpec, seconds: float) -> str | None:
+        """Audit a complete sweep, for `seconds` at most; what the audit says, None if it has not ended."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A complete level."""
+
+    spec: SweepSpec
+    steps: Steps
+    cells: int
+    seconds: float  # that it took
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is the sweep itself."""
+        return self.steps == WHOLE
+
+
+@dataclass
+class Answer:
+    """The levels within a budget."""
+
+    levels: list[Level] = field(default_factory=list)
+    audit: str | None = None
+    seconds: float = 0.0  # all that it took
+
+
+def within(
+    spec: SweepSpec, budget: float, runner: Runner, show: Callable[[str], None] = lambda _: None
+) -> Answer:
+    """Compute the finest level that fits into `budget` seconds. Raises InvalidRequest if none does."""
+    began, answer = time.monotonic(), Answer()
+    reserved = AUDIT * budget
+    per_cell = runner.seconds(spec) / cells(spec, WHOLE)
+    steps: Steps | None = finest(spec, FIRST * budget / per_cell) or coarsest(spec)
+    while steps is not None:
+        part, left = level(spec, steps), budget - (time.monotonic() - began)
+        show(f"{cells(spec, steps):,} cells{_thinning(steps)}, {left:.0f} s left")
+        now = time.monotonic()
+        # The first level may take all of the time: without it there is no answer.
+        if not runner.compute(part, left - (reserved if answer.levels else 0.0)):
+            break
+        took = time.monotonic() - now
+        answer.levels.append(Level(part, steps, cells(spec, steps), took))
+        left = budget - (time.monotonic() - began) - reserved
+        steps = finest(spec, left / MARGIN / (took / cells(spec, steps)), steps) if left > 0.0 else None
+    if not answer.levels:
+        rule = f"{budget:g} s are too short for {cells(spec, coarsest(spec)):,} of its cells"
+        raise InvalidRequest.of("budget", f"{rule}; {2.0 * budget:g}s may work")
+    left = budget - (time.monotonic() - began)
+    if left > 0.0:
+        show(f"audit of the last level, {left:.0f} s left")
+        answer.audit = runner.audit(answer.levels[-1].spec, left)
+    show(answer.audit or "no audit: the time is over")
+    answer.seconds = time.monotonic() - began
+    return answer
+
+
+def _thinning(steps: Steps) -> str:
+    """What a level takes of each axis: `, every 3rd gamma`."""
+    named = [f"every {_ordinal(step)} {axis}" for axis, step in reversed(steps.items()) if step > 1]
+    return f", {' and '.join(named)}" if named else ""
+
+
+def _ordinal(number: int) -> str:
+    return f"{number}{ {2: 'nd', 3: 'rd'}.get(number, 'th') }"

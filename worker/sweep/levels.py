@@ -1,0 +1,73 @@
+"""Levels of a sweep from coarse to fine: each a sweep of its own, whose grid contains that of the last.
+
+A level takes every n-th value of each axis, and the last one. Its ids and bytes are those of any sweep with
+these values. Pure: which levels fit into a time is decided from a cost that the caller measures.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import Final
+
+from worker.sweep.specification import AXES, SweepSpec
+
+#: Steps along an axis that a level may take: divisors of the longest, so that levels can contain each other
+#: and their cells grow by little more than a quarter from one to the next.
+STEPS: Final = (1, 2, 3, 4, 6, 12, 24, 48, 96)
+#: The fewest values that a level keeps of an axis with more.
+FEWEST: Final = 5
+#: Of the levels with nearly as many cells as fit, this share of them, the one with the most even steps.
+NEARLY: Final = 0.75
+
+#: The step of a level along each axis.
+Steps = Mapping[str, int]
+WHOLE: Final[Steps] = dict.fromkeys(AXES, 1)
+
+
+def level(spec: SweepSpec, steps: Steps) -> SweepSpec:
+    """The sweep of every n-th value of each axis, and the last. Raises SpecInvalid."""
+    if all(step == 1 for step in steps.values()):
+        return spec
+    values = {axis: spec.axis_values(axis) for axis in AXES}
+    kept = {
+        axis: [*along[: len(along) - 1 : steps[axis]].tolist(), float(along[-1])]
+        for axis, along in values.items()
+    }
+    return SweepSpec.parse(spec.as_submitted() | kept)
+
+
+def cells(spec: SweepSpec, steps: Steps) -> int:
+    """Cells of a level, each direction counted."""
+    directions, *shape = spec.shape
+    return directions * math.prod(1 + -(-(n - 1) // steps[axis]) for axis, n in zip(AXES, shape, strict=True))
+
+
+def finest(spec: SweepSpec, most: float, within: Steps | None = None) -> Steps | None:
+    """A level with nearly the most cells, at most `most`, and even steps; None if there is none.
+
+    within: the steps of a level that it contains, and has more cells than.
+    """
+    fewest = 0 if within is None else cells(spec, within)
+    fitting = [steps for steps in _all_steps(spec, within) if fewest < cells(spec, steps) <= most]
+    enough = NEARLY * max((cells(spec, steps) for steps in fitting), default=0)
+    large = [steps for steps in fitting if cells(spec, steps) >= enough]
+    return min(large, key=lambda steps: (_unevenness(spec, steps), -cells(spec, steps)), default=None)
+
+
+def coarsest(spec: SweepSpec) -> Steps:
+    """The level with the fewest cells."""
+    return min(_all_steps(spec, None), key=lambda steps: cells(spec, steps))
+
+
+def _all_steps(spec: SweepSpec, within: Steps | None) -> Iterator[Steps]:
+    choices = []
+    for axis, n in zip(AXES, spec.shape[1:], strict=True):
+        steps = [step for step in STEPS if step == 1 or n > (FEWEST - 1) * step]
+        choices.append([step for step in steps if within is None or within[axis] % step == 0])
+    return (dict(zip(AXES, steps, strict=True)) for steps in product(*choices))
+
+
+def _unevenness(spec: SweepSpec, steps: Steps) -> float:
+    """The ratio of the longest step to the shortest, of the axes that a level can thin."""
+    long = [steps[axis] for axis, n in zip(AXES, spec.shape[1:], strict=True) if n > 2 * (FEWEST - 1)]
+    return max(long, default=1) / min(long, default=1)
