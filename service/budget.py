@@ -90,7 +90,7 @@ def within(
 
 def _thinning(steps: Steps) -> str:
     """What a level takes of each axis: `, every 3rd gamma`."""
-    named = [f"every {_ordinal(step)} {axis}" for axis, step in reversed(steps.items()) if step > 1]
+    named = [f"every {_ordinal(step)} {axis}" for axis, step in reversed(list(steps.items())) if step > 1]
     return f", {' and '.join(named)}" if named else ""
 
 

@@ -25,7 +25,7 @@ COMPLETION_SECONDS: Final = 2.0
 Command = TypeVar("Command", bound=Callable[..., None])
 
 
-class Duration(click.ParamType):
+class Duration(click.ParamType[float]):
     """A time in seconds: 90, 90s, 5m, 1.5h."""
 
     name = "time"
