@@ -197,14 +197,14 @@ def _looked_at(
     cells = [each.point or _cell(spec, each.cell) for each in drawn]
     starts = [_start(spec, url, each.cell) for each in drawn]
     true = reference(spec, cells, starts, contact)
-    moved = reference(spec, *_moved(cells, starts), contact)
+    beside = reference(spec, *moved(cells, starts), contact)
     kept = _stored(spec, url, grid, drawn)
     apart = deviations(true, kept, spec.micro_flight)
     label, true_label = _labels(spec, kept, 1), _labels(spec, true, LONGER)
     for i, each in enumerate(drawn):
         own = each.point is None and (COMPUTED not in grid or bool(grid[COMPUTED][each.cell]))
         settles = true.outcome[i] in (Outcome.SETTLING, Outcome.UNRESOLVED)
-        flips = any(getattr(true, name)[i] != getattr(moved, name)[i] for name in schema.MODE_ARRAYS)
+        flips = any(getattr(true, name)[i] != getattr(beside, name)[i] for name in schema.MODE_ARRAYS)
         deviation = None
         if own and not np.isnan(apart[i]):
             deviation = float(apart[i]) if np.isfinite(apart[i]) else -1.0
@@ -268,7 +268,7 @@ def _read_cell(url: str, names: Sequence[str], cell: Sequence[int]) -> dict[str,
     return store.read_slice(url, names, complete=True, **where)
 
 
-def _moved(cells: Sequence[Cell], starts: Sequence[Start | None]) -> tuple[list[Cell], list[Start | None]]:
+def moved(cells: Sequence[Cell], starts: Sequence[Start | None]) -> tuple[list[Cell], list[Start | None]]:
     """The same with each start moved by MOVED; from rest gamma is, which moves it as much."""
     there: list[Cell] = []
     moved: list[Start | None] = []

@@ -9,6 +9,9 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from worker.sweep.specification import AXES, SweepSpec
 
 #: Steps along an axis that a level may take: divisors of the longest, so that levels can contain each other
@@ -28,12 +31,17 @@ def level(spec: SweepSpec, steps: Steps) -> SweepSpec:
     """The sweep of every n-th value of each axis, and the last. Raises SpecInvalid."""
     if all(step == 1 for step in steps.values()):
         return spec
-    values = {axis: spec.axis_values(axis) for axis in AXES}
-    kept = {
-        axis: [*along[: len(along) - 1 : steps[axis]].tolist(), float(along[-1])]
-        for axis, along in values.items()
-    }
+    indices = zip(AXES, level_indices(spec, steps), strict=True)
+    kept = {axis: spec.axis_values(axis)[along].tolist() for axis, along in indices}
     return SweepSpec.parse(spec.as_submitted() | kept)
+
+
+def level_indices(spec: SweepSpec, steps: Steps) -> list[NDArray[np.int64]]:
+    """The indices of a level's values on the axes of the sweep."""
+    return [
+        np.append(np.arange(0, n - 1, steps[axis]), n - 1)
+        for axis, n in zip(AXES, spec.shape[1:], strict=True)
+    ]
 
 
 def cells(spec: SweepSpec, steps: Steps) -> int:
