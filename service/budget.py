@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from service.errors import InvalidRequest
-from worker.sweep import SweepSpec
+from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 
 #: Share of a budget for the first level by the table of costs, and for the audit of the answer.
@@ -90,7 +90,7 @@ def within(
 
 def _thinning(steps: Steps) -> str:
     """What a level takes of each axis: `, every 3rd gamma`."""
-    named = [f"every {_ordinal(step)} {axis}" for axis, step in reversed(list(steps.items())) if step > 1]
+    named = [f"every {_ordinal(step)} {axis}" for axis, step in zip(AXES, steps, strict=True) if step > 1]
     return f", {' and '.join(named)}" if named else ""
 
 

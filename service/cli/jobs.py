@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from service.cli.options import DURATION, format_option, json_option, output_format, with_client, with_job
+from service.cli.options import (
+    DURATION,
+    format_option,
+    json_option,
+    output_format,
+    with_client,
+    with_job,
+    write_file,
+)
 from service.cli.views import query_options
 from service.formats import EXPORTS, PICTURES, TABLES
 from service.result_methods import ResultMethods
@@ -84,6 +92,42 @@ def run(
     except SystemExit:  # by a signal
         click.echo(f"interrupted; the same command goes on in {local.partial_of(Path(output))}", err=True)
         raise
+
+
+@click.command()
+@click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
+@click.option("--budget", type=DURATION, help="Time that the recommended setting takes at most: 90s, 5m, 1h.")
+@click.option(
+    "--tolerance", type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    help="Share of the plane that it shows wrong at most.  [default: 0.05 without a budget]",
+)  # fmt: skip
+@click.option("-o", "--output", type=click.Path(dir_okay=False), help="Picture or table to write.")
+@json_option
+@with_client
+def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query: Any) -> None:
+    """Show what efforts and grids of a sweep would cost, and how much of its picture would be wrong.
+
+    Seconds are on the service's workers; shares are of the plane, from pilot points that every setting
+    computes. For example:
+
+      bounce plan sweep.toml --budget 5m
+    """
+    from service.cli.output import as_json as json_text
+    from service.cli.views import table
+    from service.client.specification import read
+
+    specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    if output is not None:
+        format = output_format(output, (*EXPORTS, *PICTURES, *TABLES), None)
+        write_file(output, client.plan_file(specification, format, **query))
+        return
+    found = client.plan(specification, **query)
+    rows = found.to_dataframe().reset_index(drop=True)
+    if as_json:
+        rows["spec"] = [json.loads(text) for text in rows["spec"]]
+        click.echo(json_text({"rows": rows.to_dict("records")}))
+    else:
+        click.echo(table(found.drop_vars("spec"), ["share"]))
 
 
 @click.command()
@@ -210,7 +254,7 @@ def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, 
     click.echo(output.as_json([job.view for job in jobs]) if as_json else output.job_table(jobs))
 
 
-COMMANDS: Final = (submit, run, status, wait, watch, follow, cancel, resume, delete, list_jobs)
+COMMANDS: Final = (submit, plan, run, status, wait, watch, follow, cancel, resume, delete, list_jobs)
 
 
 def _wait(job: "Job", timeout: float | None = None) -> None:

@@ -297,6 +297,50 @@ class Client(ResultReader, SpringMethods):
                 return
             yield from until_ended([submitted.popleft()], None)
 
+    def plan(
+        self,
+        spec: Specification,
+        *,
+        budget: float | None = None,
+        tolerance: float | None = None,
+        seed: int = 0,
+        timeout: float = 600.0,
+        progress: bool | PartsCallback = True,
+    ) -> "xarray.Dataset":
+        """What efforts and grids of a sweep would cost, and how much of its picture would be wrong.
+
+        Parameters
+        ----------
+        spec
+            A sweep from rest.
+        budget
+            Seconds that the recommended setting takes at most.
+        tolerance
+            Share of the plane that it shows wrong at most, by default 0.05 without a budget.
+        seed
+            Of the pilot points.
+        timeout, progress
+            As for a result that workers compute.
+
+        Returns
+        -------
+        xarray.Dataset
+            A row for each `setting`: `effort`, `grid`, `cells`, `seconds` on the service's workers, `share`
+            with `low` and `high`, `bytes`, `frontier`, `recommended`, `spec`.
+
+        Raises
+        ------
+        InvalidSpecification, BadRequest, Busy
+        """
+        from service.client.dataset import from_binary
+
+        query = {"budget": budget, "tolerance": tolerance, "seed": seed}
+        return from_binary(self.plan_file(spec, "bin", **query, timeout=timeout, progress=progress))
+
+    def plan_file(self, spec: Specification, format: str, **query: Any) -> bytes:
+        """The same as the content of a file: json, csv, nc, parquet, or a picture png, svg, pdf."""
+        return self._transport.get_result("/v1/plans", format, content=body(spec), **query)
+
     def trajectory(self, cell: "Mapping[str, Any]") -> "xarray.Dataset":
         """The motion of one cell, computed during the request.
 

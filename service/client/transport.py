@@ -125,15 +125,18 @@ class Transport:
         *,
         timeout: float = 300.0,
         progress: bool | PartsCallback = True,
+        content: bytes | None = None,
         **query: Any,
     ) -> bytes:
         """The body of a result in this format, waiting up to `timeout` seconds while workers compute it.
 
+        content: the JSON that a POST sends; without it the result is requested with GET.
         `progress`: True writes the finished parts to standard error; a function is called with their number
         and the total. Raises NotComputedYet after the timeout, or Busy if the service is still busy then.
         """
         query = {name: str(x).lower() if isinstance(x, bool) else x for name, x in query.items()}
-        send = partial(self._request, "GET", path, {**query, "format": format})
+        method, headers = ("GET", {}) if content is None else ("POST", {"Content-Type": "application/json"})
+        send = partial(self._request, method, path, {**query, "format": format}, headers, content)
         deadline = time.monotonic() + timeout
         show = display_parts(progress)
         while True:

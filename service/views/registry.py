@@ -27,8 +27,10 @@ from service.views import (
     threshold,
     trajectory,
 )
+from service.views import plan as plans
 from service.views.selection import MAX_READ, Stored
 from service.views.view import Estimate, Query, View
+from worker.analysis.planning import Setting
 
 #: The results of a job, by name.
 VIEWS: Final[dict[str, View]] = {
@@ -94,6 +96,11 @@ def answer(
 def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
     """The bytes of the motion of one cell without a job. Raises as `trajectory.motion`."""
     return _encoded(trajectory.VIEW, None, trajectory.motion(spec), format)
+
+
+def planned(settings: Sequence[Setting], query: plans.PlanQuery, found: Any, format: str) -> bytes:
+    """The bytes of the plan of a sweep."""
+    return _encoded(plans.VIEW, None, plans.compute(settings, query, found), format)
 
 
 def _encoded(view: View, study: Stored[Any] | None, found: Dataset, format: str) -> bytes:

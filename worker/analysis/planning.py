@@ -108,7 +108,7 @@ def _points(random: np.random.Generator, spec: SweepSpec, number: int) -> NDArra
 def _at(
     settings: Sequence[Setting], points: NDArray[np.float64], spec: SweepSpec
 ) -> tuple[list[NDArray[np.bool_]], NDArray[np.bool_]]:
-    """Whether each setting is wrong at the points (n,), and whether the reference, by `spec`, is undecided."""
+    """Whether each setting is wrong at the points (n,), and whether the reference of `spec` is undecided."""
     values = [spec.axis_values(axis) for axis in AXES]
     there = [np.interp(points[:, i], np.arange(len(along)), along) for i, along in enumerate(values)]
     cells = [Cell(gamma, omega, xi) for xi, omega, gamma in np.stack(there, axis=1).tolist()]

@@ -5,7 +5,7 @@ these values. Pure: which levels fit into a time is decided from a cost that the
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import product
 from typing import Final
 
@@ -22,14 +22,14 @@ FEWEST: Final = 5
 #: Of the levels with nearly as many cells as fit, this share of them, the one with the most even steps.
 NEARLY: Final = 0.75
 
-#: The step of a level along each axis.
-Steps = Mapping[str, int]
-WHOLE: Final[Steps] = dict.fromkeys(AXES, 1)
+#: The steps of a level along AXES.
+Steps = tuple[int, ...]
+WHOLE: Final[Steps] = (1,) * len(AXES)
 
 
 def level(spec: SweepSpec, steps: Steps) -> SweepSpec:
     """The sweep of every n-th value of each axis, and the last. Raises SpecInvalid."""
-    if all(step == 1 for step in steps.values()):
+    if steps == WHOLE:
         return spec
     indices = zip(AXES, level_indices(spec, steps), strict=True)
     kept = {axis: spec.axis_values(axis)[along].tolist() for axis, along in indices}
@@ -38,16 +38,14 @@ def level(spec: SweepSpec, steps: Steps) -> SweepSpec:
 
 def level_indices(spec: SweepSpec, steps: Steps) -> list[NDArray[np.int64]]:
     """The indices of a level's values on the axes of the sweep."""
-    return [
-        np.append(np.arange(0, n - 1, steps[axis]), n - 1)
-        for axis, n in zip(AXES, spec.shape[1:], strict=True)
-    ]
+    along = zip(spec.shape[1:], steps, strict=True)
+    return [np.append(np.arange(0, n - 1, step), n - 1) for n, step in along]
 
 
 def cells(spec: SweepSpec, steps: Steps) -> int:
     """Cells of a level, each direction counted."""
     directions, *shape = spec.shape
-    return directions * math.prod(1 + -(-(n - 1) // steps[axis]) for axis, n in zip(AXES, shape, strict=True))
+    return directions * math.prod(1 + -(-(n - 1) // step) for n, step in zip(shape, steps, strict=True))
 
 
 def finest(spec: SweepSpec, most: float, within: Steps | None = None) -> Steps | None:
@@ -69,13 +67,13 @@ def coarsest(spec: SweepSpec) -> Steps:
 
 def _all_steps(spec: SweepSpec, within: Steps | None) -> Iterator[Steps]:
     choices = []
-    for axis, n in zip(AXES, spec.shape[1:], strict=True):
+    for i, n in enumerate(spec.shape[1:]):
         steps = [step for step in STEPS if step == 1 or n > (FEWEST - 1) * step]
-        choices.append([step for step in steps if within is None or within[axis] % step == 0])
-    return (dict(zip(AXES, steps, strict=True)) for steps in product(*choices))
+        choices.append([step for step in steps if within is None or within[i] % step == 0])
+    return product(*choices)
 
 
 def _unevenness(spec: SweepSpec, steps: Steps) -> float:
     """The ratio of the longest step to the shortest, of the axes that a level can thin."""
-    long = [steps[axis] for axis, n in zip(AXES, spec.shape[1:], strict=True) if n > 2 * (FEWEST - 1)]
+    long = [step for n, step in zip(spec.shape[1:], steps, strict=True) if n > 2 * (FEWEST - 1)]
     return max(long, default=1) / min(long, default=1)

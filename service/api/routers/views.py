@@ -28,10 +28,13 @@ from service.api.schemas import (
 from service.errors import InvalidRequest
 from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, DatasetFormat
 from service.ledger.model import JobRecord
-from service.views.registry import SPRINGS, VIEWS, admit, answer, motion
+from service.views import plan as plans
+from service.views.registry import SPRINGS, VIEWS, admit, answer, motion, planned
 from service.views.selection import BASE_MEMORY, Stored
 from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
 from service.views.view import Call, Estimate, View
+from worker.studies import from_json
+from worker.sweep import SweepSpec
 
 #: Bytes of memory per number of an answer.
 _PER_POINT: Final = {
@@ -70,6 +73,14 @@ def routes() -> list[APIRouter]:
         response_model=Dataset,
         responses={**content(*get_args(DatasetFormat)), **problem_responses(400, 408, 413, 415, 422, 429)},
         openapi_extra=json_body("TrajectorySpec"),
+    )  # fmt: skip
+    springs.add_api_route(
+        "/plans", plan_sweep, methods=["POST"], summary="Plan a sweep", response_model=Dataset,
+        responses={
+            **content(*plans.VIEW.formats), **PENDING_RESPONSE,
+            **problem_responses(400, 408, 413, 415, 422, 429, 503),
+        },
+        openapi_extra=json_body("SweepSpec"),
     )  # fmt: skip
     return [jobs, springs]
 
@@ -184,3 +195,30 @@ def compute_trajectory(
     check_cost(spec, service.settings.trajectory_seconds)
     found = service.background.run(motion, spec, query.format)
     return Response(found, media_type=MEDIA_TYPES[query.format])
+
+
+_PLAN_FORMATS: Any = Literal[plans.VIEW.formats]
+#: The query of a plan with the format of the answer.
+_PlanQuery: Any = create_model("PlanQuery", __base__=plans.PlanQuery, format=(_PLAN_FORMATS, "json"))
+
+
+@costly(Cost(BASE_MEMORY), "on demand")
+def plan_sweep(service: ServiceDep, body: JsonBody, query: Annotated[_PlanQuery, Query()]) -> Response:
+    """What efforts and grids of a sweep from rest would cost, and how much of its picture would be wrong.
+
+    Workers compute pilot points drawn anywhere in the plane with every setting, and compare them with a
+    computation that can be trusted. The recommended setting shows least wrong within the budget, or is the
+    cheapest within the tolerance; its share is of other points than those it was chosen by.
+    """
+    spec = from_json(body)
+    if not isinstance(spec, SweepSpec):
+        raise InvalidRequest.of("protocol.kind", f"must be rest, of a sweep, not {spec.protocol.kind}")
+    with service.ledger.reading() as ledger:
+        measured = ledger.measured()
+    preparer = service.manager.preparer
+    settings = plans.settings_of(
+        spec, lambda each: preparer.cost(each, preparer.plan(each), measured), service.manager.workers()
+    )
+    plain = plans.PlanQuery(**query.model_dump(exclude={"format"}))
+    [found] = _computed(service, None, plans.parts(settings, plain))
+    return Response(planned(settings, plain, found, query.format), media_type=MEDIA_TYPES[query.format])

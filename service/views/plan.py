@@ -1,0 +1,127 @@
+"""The plan of a sweep: what each effort and grid would cost, and how much of its picture would be wrong."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import numpy as np
+import xarray
+from pydantic import Field
+
+from service.pictures import ATTRACTORS
+from service.views.style import TEXT
+from service.views.variables import dataset, row, variable
+from service.views.view import Call, Estimate, Number, Query, View
+from worker.analysis.planning import Setting, Share, frontier, plan
+from worker.spec.errors import BrokenRuleError
+from worker.study import Cost
+from worker.sweep import SweepSpec
+from worker.sweep.efforts import EFFORTS, with_effort
+from worker.sweep.levels import WHOLE, cells, finest, level
+from worker.sweep.schema import bytes_per_cell
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: Shares of the cells of the grids that are compared.
+PARTS: Final = (1.0, 1 / 4, 1 / 16, 1 / 64)
+#: The share of the plane that may be wrong where nothing else is asked for.
+TOLERANCE: Final = 0.05
+
+_ROWS: Final = (
+    row("effort", ("setting",), "U", "windows, by name"),
+    row("grid", ("setting",), "U", "cells along ξ, Ω and Γ"),
+    row("cells", ("setting",), "<i8", "cells of the sweep"),
+    row("seconds", ("setting",), "<f8", "time on this service's workers", "s"),
+    row("share", ("setting",), "<f8", "share of the plane that the picture shows wrong"),
+    row("low", ("setting",), "<f8", "least share, with 99 % confidence"),
+    row("high", ("setting",), "<f8", "most, with 95 % confidence"),
+    row("bytes", ("setting",), "<i8", "stored bytes before compression"),
+    row("frontier", ("setting",), "|b1", "whether no cheaper setting shows less wrong"),
+    row("recommended", ("setting",), "|b1", "whether it is the one to take"),
+    row("spec", ("setting",), "U", "its specification, as JSON"),
+)
+
+
+class PlanQuery(Query):
+    """What the recommended setting keeps to."""
+
+    budget: Annotated[Number, Field(gt=0)] | None = Field(None, description="s that it takes at most")
+    tolerance: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        None, description="share that it shows wrong at most; default: 0.05 without a budget"
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**63, description="of the pilot points")] = 0
+
+
+def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int) -> list[Setting]:
+    """The settings that are compared, the most thorough first. Raises SpecInvalid."""
+    chosen: list[Setting] = []
+    for effort in reversed(EFFORTS):
+        whole = with_effort(spec, effort)
+        core_seconds = cost(whole).core_seconds
+        for part in PARTS:
+            steps = WHOLE if part == 1.0 else finest(whole, part * cells(whole, WHOLE))
+            if steps is None or any(other.steps == steps for other in chosen if other.spec == whole):
+                continue
+            share = cells(whole, steps) / cells(whole, WHOLE)
+            chosen.append(Setting(whole, steps, core_seconds * share / max(workers, 1)))
+    return chosen
+
+
+def parts(settings: Sequence[Setting], query: PlanQuery) -> Sequence[Call]:
+    """The pilot. Raises BrokenRuleError for a ramp, whose cells depend on those before them."""
+    if settings[0].spec.ramp_axis is not None:
+        rule = "must be rest: cells of a ramp depend on those before; compute it with a budget, or audit it"
+        raise BrokenRuleError("protocol.kind", rule)
+    tolerance = query.tolerance
+    if query.budget is None and tolerance is None:
+        tolerance = TOLERANCE
+    return [(plan, tuple(settings), query.budget, tolerance, query.seed)]
+
+
+def compute(settings: Sequence[Setting], query: PlanQuery, found: tuple[list[Share], int]) -> xarray.Dataset:
+    """The table of a plan."""
+    shares, chosen = found
+    specs = [level(each.spec, each.steps) for each in settings]
+    data: dict[str, Any] = {
+        "effort": [_effort(each.spec) for each in settings],
+        "grid": [" × ".join(map(str, spec.shape[1:])) for spec in specs],
+        "cells": [int(np.prod(spec.shape)) for spec in specs],
+        "seconds": [each.seconds for each in settings],
+        "share": [share.share for share in shares],
+        "low": [share.low for share in shares],
+        "high": [share.high for share in shares],
+        "bytes": [bytes_per_cell(spec) * int(np.prod(spec.shape)) for spec in specs],
+        "frontier": frontier(settings, shares),
+        "recommended": [i == chosen for i in range(len(settings))],
+        "spec": [spec.model_dump_json() for spec in specs],
+    }
+    attrs = {"points": shares[chosen].points, "seed": query.seed, "complete": True}
+    return dataset({each.name: variable((), data[each.name], each) for each in _ROWS}, {}, attrs)
+
+
+def _effort(spec: SweepSpec) -> str:
+    """The effort whose windows a sweep has."""
+    return next(name for name in EFFORTS if with_effort(spec, name) == spec)
+
+
+def draw(found: xarray.Dataset, axes: "Axes") -> None:
+    """The share wrong against the time of each setting, the frontier joined, the recommended one named."""
+    axes.set(xscale="log", xlabel="time (s)", ylabel="share of the plane shown wrong")
+    order = np.argsort(found["seconds"].values)
+    seconds, share, low, high = (found[name].values[order] for name in ("seconds", "share", "low", "high"))
+    front = found["frontier"].values[order]
+    errors = np.clip([share - low, high - share], 0.0, None)
+    axes.errorbar(seconds, share, errors, fmt="o", zorder=1, color="0.6", ecolor="0.8", markersize=4)
+    axes.plot(seconds[front], share[front], "o-", color=ATTRACTORS[0], markersize=5)
+    for i in np.flatnonzero(found["recommended"].values):
+        name = f"{found['effort'].values[i]}, {found['grid'].values[i]}"
+        at = (found["seconds"].values[i], found["share"].values[i])
+        axes.plot(*at, "o", color=ATTRACTORS[1], markersize=8)
+        axes.annotate(name, at, (0, 10), textcoords="offset points", ha="right", **TEXT)
+    axes.set_ylim(bottom=0.0)
+
+
+VIEW: Final = View(
+    "plan", "Plan of a sweep", None, PlanQuery, compute, lambda spec, query: Estimate({}), variables=_ROWS,
+    rows="share", draw=lambda found, figure: draw(found, figure.subplots()),
+)  # fmt: skip

@@ -1,0 +1,19 @@
+"""Efforts: windows of a sweep by a name, resolved into plain fields when a specification is read."""
+
+from typing import Any, Final, Literal
+
+from worker.sweep.specification import SweepSpec
+
+Effort = Literal["draft", "standard", "thorough"]
+
+#: The fields of each effort (docs/accuracy.md has what each shows wrong, and its cost).
+EFFORTS: Final[dict[str, dict[str, Any]]] = {
+    "draft": {"settle": 60, "observe": 30},
+    "standard": {"settle": 200, "observe": 100},
+    "thorough": {"settle": 1000, "observe": 300},
+}
+
+
+def with_effort(spec: SweepSpec, effort: str) -> SweepSpec:
+    """The sweep with the windows of an effort."""
+    return SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
