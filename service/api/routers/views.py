@@ -219,6 +219,7 @@ def plan_sweep(service: ServiceDep, body: JsonBody, query: Annotated[_PlanQuery,
     settings = plans.settings_of(
         spec, lambda each: preparer.cost(each, preparer.plan(each), measured), service.manager.workers()
     )
-    plain = plans.PlanQuery(**query.model_dump(exclude={"format"}))
+    fields = query.model_dump()
+    format, plain = fields.pop("format"), plans.PlanQuery(**fields)
     [found] = _computed(service, None, plans.parts(settings, plain))
-    return Response(planned(settings, plain, found, query.format), media_type=MEDIA_TYPES[query.format])
+    return Response(planned(settings, plain, found, format), media_type=MEDIA_TYPES[format])
