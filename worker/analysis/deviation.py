@@ -16,7 +16,7 @@ QUANTILES: Final = np.linspace(0.05, 0.95, 19)
 
 #: A difference of distributions counts beyond this many times their scatter. Two windows of one chaotic cell
 #: differ by their scatter: of 1,128 such cells 94.2% agree with their own next window with a factor of 2,
-#: fewer than a model must hold (`model_selection.REQUIRED_PERCENT`), and 97.5% with 2.5, which misses one in
+#: fewer than a model must hold (`model_selection.MOST_BEYOND`), and 97.5% with 2.5, which misses one in
 #: ten differences between `rigid` and `ball`. This value misses 4 in 100.
 SCATTERS: Final = 2.25
 #: Parts of a window whose differences give its scatter.

@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 ABOVE, BELOW = 0.01, 0.05
 
 
-def bounds(low: int, high: int, sampled: int, population: int) -> tuple[float, float]:
+def bounds(
+    low: int, high: int, sampled: int, population: int, *, below: float = BELOW
+) -> tuple[float, float]:
     """The share of `population` members that have a property, at least and at most; (0, 1) without a sample.
 
     low, high: members of the sample that have it, those that are undecided counted as without it and with it.
+    below: the probability that the upper bound is too low.
     """
     if sampled == 0:
         return (0.0, 1.0) if population else (0.0, 0.0)
@@ -35,7 +38,7 @@ def bounds(low: int, high: int, sampled: int, population: int) -> tuple[float, f
     first, last = fewest, most
     while first < last:
         middle = (first + last + 1) // 2
-        if _at_most(high, sampled, middle, population) > BELOW:
+        if _at_most(high, sampled, middle, population) > below:
             first = middle
         else:
             last = middle - 1

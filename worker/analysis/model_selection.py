@@ -1,11 +1,16 @@
 """Model selection for the contact model `auto`: the cheapest model within a tolerance of the exact one.
 
-A sample of the sweep's cells (on a ramp, of its lines) is computed with the exact contact of the
-specification and with every cheaper model, and the flight times are compared. Costs come from CONTACT_MODELS
-and not from the clock, so the same specification always gets the same model. One model computes the whole
-sweep: between regions of different models the results would jump, which looks like a bifurcation.
+A random sample of the sweep's cells is computed with the exact contact of the specification and with every
+cheaper model, and the flight times are compared: of cells at rest or periodic flight by flight, of others by
+distribution. A model is within the tolerance if, with 95 % confidence, at most MOST_BEYOND of all cells have
+flights beyond it, by an exact bound, and if no more distributions differ than of two windows of one contact.
+On a ramp whole lines are compared, without a bound: their cells depend on each other. Costs come from
+CONTACT_MODELS and not from the clock, so the same specification always gets the same model. One model
+computes the whole sweep: between regions of different models the results would jump, which looks like a
+bifurcation.
 """
 
+import math
 import time
 from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
@@ -17,17 +22,18 @@ from pydantic import Field
 from kernel.params import Line as Record
 from kernel.params import Outcome
 from worker.analysis.deviation import deviations, percentile
+from worker.analysis.intervals import bounds
 from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS, Auto, Ball, Rigid, Soft
 from worker.sweep import AXES, SweepSpec
 
 #: Cells of a sample from rest; lines of a sample along a ramp, and cells on each of them.
-CELLS: Final = 48
+CELLS: Final = 120
 LINES: Final = 4
 CELLS_ALONG: Final = 12
 
 #: Rank-1 lattice: point k of n lies in stratum k * LATTICE[axis] % n of each axis, so each stratum has one
-#: point. The multipliers are coprime to 48, 12 and 4; among such they maximise the smallest distance.
+#: point. The multipliers are coprime to 4.
 LATTICE: Final = {"gamma": 1, "omega": 13, "xi": 43}
 
 #: Limits on the plate periods and flights of a sample's cells.
@@ -38,8 +44,14 @@ MAX_FLIGHTS: Final = 4_096
 #: Flights shorter than the tolerance and than this are ignored in the comparison, rad.
 MAX_MICRO_FLIGHT: Final = 0.1
 
-#: Percentage of the cells that must be within the tolerance.
-REQUIRED_PERCENT: Final = 95.0
+#: The share of all cells that may deviate by more than the tolerance. Of a ramp's sample, too.
+MOST_BEYOND: Final = 0.05
+#: Share of aperiodic cells whose distributions differ from those of their own next window, see `deviation`.
+OWN_SCATTER: Final = 0.058
+#: Cells of a population without end.
+EVERYWHERE: Final = 10**9
+#: Probability that the bound of one model is too low: two are judged beside the exact one.
+BELOW: Final = 0.025
 
 _Array = NDArray[np.float64]
 
@@ -53,6 +65,13 @@ class ModelComparison(Strict):
     median: float | None = Field(description="deviation of flight times; null where some cell has none")
     percentile_95: float | None
     cells: int
+    drawn: int = Field(0, description="cells, and those whose exact run failed")
+    repeating: int = Field(0, description="cells at rest or periodic, compared flight by flight")
+    beyond: int = Field(0, description="of them, and of failed ones, those beyond the tolerance")
+    most: float | None = Field(
+        None, description="share of all cells so, at most, with 95 % confidence; null on a ramp"
+    )
+    unlike: int = Field(0, description="other cells whose distributions differ by more than the tolerance")
     resting: int = Field(0, description="cells at rest on the plate throughout, computed in closed form")
 
 
@@ -92,15 +111,15 @@ def resolved(spec: SweepSpec, choice: ModelChoice) -> SweepSpec:
 
 
 def sample(spec: SweepSpec) -> Iterator[Line]:
-    """Cells spread evenly over the axes of a sweep: one line of up to CELLS from rest, or LINES ramps."""
+    """A simple random sample of up to CELLS cells from rest, or up to LINES ramps spread over the axes."""
     values = {axis: spec.axis_values(axis) for axis in AXES}
     ramp = spec.ramp_axis
     if ramp is None:
-        cells = sorted(set(_lattice({axis: len(values[axis]) for axis in AXES}, CELLS)))
-        table = np.array(
-            [[values[axis][i] for axis, i in zip(AXES, indices, strict=True)] for indices in cells]
-        )
-        yield Line(**{axis: np.ascontiguousarray(table[:, i]) for i, axis in enumerate(AXES)})
+        shape = spec.shape[1:]
+        random = np.random.default_rng(int(spec.job_id(""), 16))
+        cells = np.sort(random.choice(math.prod(shape), min(CELLS, math.prod(shape)), replace=False))
+        chosen = zip(AXES, np.unravel_index(cells, shape), strict=True)
+        yield Line(**{axis: np.ascontiguousarray(values[axis][along]) for axis, along in chosen})
         return
     beside = {axis: 1 if axis == ramp else len(values[axis]) for axis in AXES}
     along = _along(spec, values[ramp])
@@ -180,30 +199,44 @@ def _compare(
     errors = np.concatenate(
         [deviations(*pair, run.micro_flight) for pair in zip(exact, records, strict=True)]
     )
+    outcome = np.concatenate([record.outcome for record in exact])
     compared = ~np.isnan(errors)
-    resting = np.concatenate([record.outcome for record in records])[compared] == Outcome.AT_REST
-    errors = errors[compared]
+    repeating = np.isin(outcome, (Outcome.AT_REST, Outcome.PERIODIC))
+    differs = ~(errors <= _auto(spec).tolerance)
+    # A cell whose exact run has failed may be beyond the tolerance.
+    beyond = int(np.count_nonzero(differs & (repeating | ~compared)))
+    most = None
+    if spec.ramp_axis is None:
+        most = bounds(beyond, beyond, len(errors), math.prod(spec.shape), below=BELOW)[1]
     return ModelComparison(
         model=model.kind, cost=CONTACT_MODELS[model.kind].cost_us, measured=round(microseconds, 3),
-        median=percentile(errors, 50.0), percentile_95=percentile(errors, REQUIRED_PERCENT),
-        cells=len(errors), resting=int(np.count_nonzero(resting)),
+        median=percentile(errors[compared], 50.0), percentile_95=percentile(errors[compared], 95.0),
+        cells=int(np.count_nonzero(compared)), drawn=len(errors), beyond=beyond, most=most,
+        repeating=int(np.count_nonzero(repeating)),
+        unlike=int(np.count_nonzero(differs & compared & ~repeating)),
+        resting=int(np.count_nonzero(outcome == Outcome.AT_REST)),
     )  # fmt: skip
 
 
 def _is_within(auto: Auto, row: ModelComparison) -> bool:
-    return row.percentile_95 is not None and row.percentile_95 <= auto.tolerance
+    if row.most is None:
+        return row.percentile_95 is not None and row.percentile_95 <= auto.tolerance
+    others = row.cells - row.repeating
+    unlike, _ = bounds(row.unlike, row.unlike, others, max(others, EVERYWHERE))
+    return row.most <= MOST_BEYOND and (others == 0 or unlike <= OWN_SCATTER)
 
 
 def _choice(auto: Auto, table: list[ModelComparison], row: ModelComparison) -> ModelChoice:
     # The ledger keeps the reason: its wording is part of stored choices.
-    verdict = f"{row.model}: the cheapest within {auto.tolerance:g} rad of exact soft in 95% of the cells"
+    within = f"within {auto.tolerance:g} rad of exact soft in {1.0 - MOST_BEYOND:.0%} of the cells"
+    verdict = f"{row.model}: the cheapest {within}"
     if not _is_within(auto, row):
-        verdict = (
-            f"{row.model}: no model holds {auto.tolerance:g} rad in 95% of the cells, and this is the best"
-        )
+        verdict = f"{row.model}: no model is {within}, and this is the best"
+    most = "" if row.most is None else f", at most {100.0 * row.most:.2g} % of all with 95 % confidence"
+    flights = f"{row.beyond} of {row.drawn} cells drawn have flights beyond it{most}"
+    others = f"{row.unlike} of {row.cells - row.repeating} aperiodic ones another distribution"
     percentiles = ", ".join(f"{each.model} {_in_rad(each.percentile_95)}" for each in table)
-    at_rest = f", {row.resting} of them at rest, in closed form" if row.resting else ""
-    reason = f"{verdict} ({row.cells} cells{at_rest}; 95th percentiles: {percentiles})"
+    reason = f"{verdict} ({flights}; {others}; 95th percentiles: {percentiles})"
     return ModelChoice(model=row.model, reason=reason, tolerance=auto.tolerance, table=tuple(table))
 
 
