@@ -16,6 +16,8 @@ from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 
 #: Share of a budget for the first level by the table of costs, and for the audit of the answer.
 FIRST, AUDIT = 0.05, 0.1
+#: Seconds that a level takes beside its cells, at most half of them.
+STARTING: Final = 0.4
 #: The next level begins if this many times its expected time is left.
 MARGIN: Final = 1.15
 
@@ -58,33 +60,38 @@ class Answer:
 
 
 def within(
-    spec: SweepSpec, budget: float, runner: Runner, show: Callable[[str], None] = lambda _: None
+    spec: SweepSpec,
+    budget: float,
+    runner: Runner,
+    show: Callable[[str], None] = lambda _: None,
+    clock: Callable[[], float] = time.monotonic,
 ) -> Answer:
     """Compute the finest level that fits into `budget` seconds. Raises InvalidRequest if none does."""
-    began, answer = time.monotonic(), Answer()
+    began, answer = clock(), Answer()
     reserved = AUDIT * budget
     per_cell = runner.seconds(spec) / cells(spec, WHOLE)
     steps: Steps | None = finest(spec, FIRST * budget / per_cell) or coarsest(spec)
     while steps is not None:
-        part, left = level(spec, steps), budget - (time.monotonic() - began)
+        part, left = level(spec, steps), budget - (clock() - began)
         show(f"{cells(spec, steps):,} cells{_thinning(steps)}, {left:.0f} s left")
-        now = time.monotonic()
+        now = clock()
         # The first level may take all of the time: without it there is no answer.
         if not runner.compute(part, left - (reserved if answer.levels else 0.0)):
             break
-        took = time.monotonic() - now
+        took = clock() - now
         answer.levels.append(Level(part, steps, cells(spec, steps), took))
-        left = budget - (time.monotonic() - began) - reserved
-        steps = finest(spec, left / MARGIN / (took / cells(spec, steps)), steps) if left > 0.0 else None
+        left = budget - (clock() - began) - reserved
+        rate = (took - min(STARTING, 0.5 * took)) / cells(spec, steps)
+        steps = finest(spec, left / MARGIN / rate, steps) if left > 0.0 else None
     if not answer.levels:
         rule = f"{budget:g} s are too short for {cells(spec, coarsest(spec)):,} of its cells"
         raise InvalidRequest.of("budget", f"{rule}; {2.0 * budget:g}s may work")
-    left = budget - (time.monotonic() - began)
+    left = budget - (clock() - began)
     if left > 0.0:
         show(f"audit of the last level, {left:.0f} s left")
         answer.audit = runner.audit(answer.levels[-1].spec, left)
     show(answer.audit or "no audit: the time is over")
-    answer.seconds = time.monotonic() - began
+    answer.seconds = clock() - began
     return answer
 
 

@@ -7,12 +7,12 @@ import numpy as np
 import xarray
 from pydantic import Field
 
+from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS
 from service.views.style import TEXT
 from service.views.variables import dataset, row, variable
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.planning import Setting, Share, frontier, plan
-from worker.spec.errors import BrokenRuleError
 from worker.study import Cost
 from worker.sweep import SweepSpec
 from worker.sweep.efforts import EFFORTS, with_effort
@@ -68,10 +68,10 @@ def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int
 
 
 def parts(settings: Sequence[Setting], query: PlanQuery) -> Sequence[Call]:
-    """The pilot. Raises BrokenRuleError for a ramp, whose cells depend on those before them."""
+    """The pilot. Raises InvalidRequest for a ramp, whose cells depend on those before them."""
     if settings[0].spec.ramp_axis is not None:
         rule = "must be rest: cells of a ramp depend on those before; compute it with a budget, or audit it"
-        raise BrokenRuleError("protocol.kind", rule)
+        raise InvalidRequest.of("protocol.kind", rule)
     tolerance = query.tolerance
     if query.budget is None and tolerance is None:
         tolerance = TOLERANCE

@@ -20,7 +20,7 @@ STEPS: Final = (1, 2, 3, 4, 6, 12, 24, 48, 96)
 #: The fewest values that a level keeps of an axis with more.
 FEWEST: Final = 5
 #: Of the levels with nearly as many cells as fit, this share of them, the one with the most even steps.
-NEARLY: Final = 0.75
+NEARLY: Final = 0.9
 
 #: The steps of a level along AXES.
 Steps = tuple[int, ...]

@@ -1,0 +1,70 @@
+"""A budget is kept, and used: levels computed by a runner whose speed is not what its estimates say."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from service import local
+from service.budget import Answer, within
+from service.errors import InvalidRequest
+from worker.sweep import SweepSpec
+from worker.sweep.levels import cells
+
+SPEC = SweepSpec(
+    gamma={"start": 0.5, "stop": 6, "num": 400}, omega={"start": 0.3, "stop": 1.5, "num": 150}, xi=0.1
+)
+
+RIGID = {"kind": "rigid"}
+
+
+class Simulated:
+    """A runner on a clock of its own: `cell` seconds a cell and `start` a job, half or twice as a rule."""
+
+    def __init__(self, cell: float, start: float, guess: float) -> None:
+        self.now, self.cell, self.start, self.guess = 0.0, cell, start, guess
+
+    def clock(self) -> float:
+        return self.now
+
+    def seconds(self, spec: SweepSpec) -> float:
+        return self.guess * cells(spec, (1, 1, 1)) * self.cell
+
+    def compute(self, spec: SweepSpec, seconds: float) -> bool:
+        takes = self.start + cells(spec, (1, 1, 1)) * self.cell
+        self.now += min(takes, seconds)
+        return takes <= seconds
+
+    def audit(self, spec: SweepSpec, seconds: float) -> str | None:
+        self.now += 0.8 * seconds
+        return "audited"
+
+
+@settings(max_examples=100)
+@given(st.floats(1e-5, 1e-2), st.floats(0.0, 0.5), st.floats(0.3, 3.0), st.floats(20.0, 900.0))
+def test_a_budget_is_never_missed_and_mostly_used(cell, start, guess, budget):
+    runner = Simulated(cell, start, guess)
+    answer: Answer = within(SPEC, budget, runner, clock=runner.clock)
+    assert runner.now <= budget * (1 + 1e-9)
+    assert answer.levels[-1].is_whole or sum(level.seconds for level in answer.levels) > 0.35 * budget
+    grids = [cells(level.spec, (1, 1, 1)) for level in answer.levels]
+    assert grids == sorted(set(grids))
+
+
+def test_a_budget_too_short_for_any_level_says_what_may_work():
+    runner = Simulated(cell=1.0, start=0.0, guess=1.0)
+    with pytest.raises(InvalidRequest, match=r"1 s are too short for 48 of its cells; 2s may work"):
+        within(SPEC, 1.0, runner, clock=runner.clock)
+
+
+def test_a_run_within_a_budget_is_the_sweep_with_its_audit():
+    spec = {
+        "gamma": {"start": 0.8, "stop": 3, "num": 60},
+        "omega": 0.5,
+        "xi": 0.26,
+        "model": {"kind": "rigid"},
+    }
+    found = local.run(spec, budget=120.0, progress=False)
+    assert found.sizes["gamma"] == 60
+    assert "have another outcome or mode" in found.attrs["audit"]
+    xarray_of_all = local.run(spec, progress=False)
+    assert found.flight_time.equals(xarray_of_all.flight_time)

@@ -1,0 +1,112 @@
+"""Audits and plans through the service: damage is found, what is computed once stays with the job."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import xarray
+from fastapi.testclient import TestClient
+from json_results import from_json
+from scripted import Held
+from served import computing, finished, service
+
+PLANE: dict[str, Any] = {
+    "gamma": {"start": 0.8, "stop": 4, "num": 24}, "omega": {"start": 0.4, "stop": 1.0, "num": 16},
+    "xi": 0.1, "model": {"kind": "rigid"},
+}  # fmt: skip
+RAMP = PLANE | {
+    "omega": [0.5, 0.6], "xi": 0.05, "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+}  # fmt: skip
+
+
+def audited(client: TestClient, job: str, **query: Any) -> xarray.Dataset:
+    return from_json(waited(client, "GET", f"{job}/audit", params=query).content)
+
+
+def waited(client: TestClient, method: str, path: str, **request: Any) -> Any:
+    """The answer, once workers have computed it."""
+    for _ in range(200):
+        answer = client.request(method, path, **request)
+        if answer.status_code != 202:
+            assert answer.status_code == 200, answer.text
+            return answer
+    raise AssertionError("no answer")
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with computing(tmp_path_factory.mktemp("data")) as client:
+        yield client
+
+
+def test_an_audit_finds_cells_that_had_no_time_to_settle(client: TestClient):
+    hasty = finished(client, PLANE | {"settle": 5, "observe": 20})
+    found = audited(client, hasty, cells=60)
+    mode = found.sel(question="mode")
+    assert mode.sampled == 60
+    assert mode.low > 0.1
+    assert mode.low <= mode.share <= mode.high
+    assert found.outcomes.values.sum() == 60
+    assert set(found.cell_set.values) <= {"numerics", "besides", "area", "threshold"}
+    assert "of the cells have another outcome or mode" in found.attrs["sentence"]
+
+
+def test_the_contact_of_a_hasty_choice_is_asked_for_beside_the_numerics(client: TestClient):
+    """A stepped contact approximates the exact one, of which `model` is asked."""
+    stepped = {"kind": "stepped", "steps_per_contact": 5, "penetration": 1e-2, "restitution": 0.1}
+    job = finished(client, PLANE | {"gamma": [1.6, 2.3], "omega": [0.5, 0.6], "model": stepped, "settle": 50})
+    found = audited(client, job, tolerance=1e-6)
+    assert found.against.values.tolist() == ["numerics", "model"]
+    flights = found.sel(question="flights").changed
+    assert flights.sel(against="model") > flights.sel(against="numerics")
+
+
+def test_cells_of_a_ramp_are_computed_again_from_where_they_began(client: TestClient):
+    found = audited(client, finished(client, RAMP), cells=40)
+    assert found.sel(question="threshold").sampled > 0
+    assert found.sel(question="rest").changed == 0
+    assert found.sel(question="area").sampled == 0
+
+
+def test_an_audit_stays_with_its_job_and_describes_its_files(client: TestClient):
+    job = finished(client, PLANE | {"settle": 50, "observe": 20})
+    query = {"cells": 20, "seed": 7}
+    first = waited(client, "GET", f"{job}/audit", params=query).json()
+    assert client.get(f"{job}/audit", params=query).json() == first
+    assert client.post(f"{job}/audit", params=query).json() == first
+    export = client.get(f"{job}/export?format=nc")
+    assert first["attrs"]["sentence"].encode() in export.content
+
+
+def test_a_job_that_is_not_done_has_no_audit(tmp_path):
+    with service(tmp_path, Held()) as held:
+        job = held.post("/v1/jobs", json=PLANE).json()["id"]
+        answer = held.get(f"/v1/jobs/{job}/audit")
+        assert answer.status_code == 422
+        assert "is not done" in answer.text
+
+
+def test_a_plan_tells_what_a_budget_buys(client: TestClient):
+    spec = PLANE | {
+        "gamma": {"start": 0.8, "stop": 4, "num": 96},
+        "omega": {"start": 0.4, "stop": 1, "num": 64},
+    }
+    answer = client.post("/v1/plans?budget=60", json=spec)
+    while answer.status_code == 202:
+        answer = client.post("/v1/plans?budget=60", json=spec)
+    rows = {name: each["data"] for name, each in answer.json()["data_vars"].items()}
+    assert sum(rows["recommended"]) == 1
+    assert all(
+        low <= share <= high
+        for low, share, high in zip(rows["low"], rows["share"], rows["high"], strict=True)
+    )
+    whole, draft = rows["effort"].index("standard"), len(rows["effort"]) - 1
+    assert rows["effort"][draft] == "draft"
+    assert rows["share"][draft] > rows["share"][whole]
+    assert rows["seconds"][draft] < rows["seconds"][whole]
+
+
+def test_a_ramp_has_no_plan(client: TestClient):
+    answer = client.post("/v1/plans", json=RAMP)
+    assert answer.status_code == 422
+    assert "protocol.kind" in answer.text
