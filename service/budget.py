@@ -6,7 +6,7 @@ The audit of the answer takes a part of it.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
@@ -16,8 +16,6 @@ from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 
 #: Share of a budget for the first level by the table of costs, and for the audit of the answer.
 FIRST, AUDIT = 0.05, 0.1
-#: Seconds that a level takes beside its cells, at most half of them.
-STARTING: Final = 0.4
 #: The next level begins if this many times its expected time is left.
 MARGIN: Final = 1.15
 
@@ -81,8 +79,7 @@ def within(
         took = clock() - now
         answer.levels.append(Level(part, steps, cells(spec, steps), took))
         left = budget - (clock() - began) - reserved
-        rate = (took - min(STARTING, 0.5 * took)) / cells(spec, steps)
-        steps = finest(spec, left / MARGIN / rate, steps) if left > 0.0 else None
+        steps = finest(spec, _affordable(answer.levels, left / MARGIN), steps)
     if not answer.levels:
         rule = f"{budget:g} s are too short for {cells(spec, coarsest(spec)):,} of its cells"
         raise InvalidRequest.of("budget", f"{rule}; {2.0 * budget:g}s may work")
@@ -93,6 +90,20 @@ def within(
     show(answer.audit or "no audit: the time is over")
     answer.seconds = clock() - began
     return answer
+
+
+def _affordable(levels: Sequence[Level], seconds: float) -> float:
+    """Cells that a time allows, by the speed of the last level.
+
+    A level also takes a time to begin, which two levels tell from that of its cells.
+    """
+    *before, last = levels
+    rate, start = last.seconds / last.cells, 0.0
+    if before:
+        slope = (last.seconds - before[-1].seconds) / (last.cells - before[-1].cells)
+        rate = min(max(slope, 0.5 * rate), rate)
+        start = last.seconds - rate * last.cells
+    return (seconds - start) / rate
 
 
 def _thinning(steps: Steps) -> str:
