@@ -88,12 +88,13 @@ def routes() -> list[APIRouter]:
 def _add(router: APIRouter, view: View, job_type: Any, name: str, responses: dict[int | str, Any]) -> None:
     description = "\n".join([cleandoc(view.compute.__doc__ or view.summary), "", *view.described])
     pending = {**PENDING_RESPONSE, **problem_responses(429, 503)} if view.parts else {}
-    router.add_api_route(
-        f"/{view.name}", _endpoint(view, job_type), name=name, summary=view.summary, description=description,
-        response_model=Dataset,
-        responses={**content(*view.formats), **pending, **problem_responses(413, 422), **responses},
-        methods=["GET", "POST"] if view.kept else ["GET"],
-    )  # fmt: skip
+    methods = {"GET": name} | ({"POST": name.replace("get_", "compute_", 1)} if view.kept else {})
+    for method, operation in methods.items():
+        router.add_api_route(
+            f"/{view.name}", _endpoint(view, job_type), methods=[method], name=operation,
+            summary=view.summary, description=description, response_model=Dataset,
+            responses={**content(*view.formats), **pending, **problem_responses(413, 422), **responses},
+        )  # fmt: skip
 
 
 def _asked(service: Service, view: View, study: Stored[Any] | None, query: Any) -> tuple[Any, Estimate]:
