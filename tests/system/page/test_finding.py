@@ -151,6 +151,15 @@ def test_copied_texts_are_the_specification(browser: Any, address: str, jobs: li
             assert client.submit(read(page.locator(".snippets pre").inner_text())).id == jobs[0], name
 
 
+def test_a_sweep_is_audited_from_its_details(browser: Any, address: str, jobs: list[str]):
+    with opened(browser, f"{address}/#/job/{jobs[0]}/details") as page, Client(address) as client:
+        page.get_by_role("button", name="Audit this sweep").click()
+        page.get_by_role("region", name="Audit by question").wait_for()
+        sentence = client.job(jobs[0]).audit(progress=False).attrs["sentence"]
+        assert page.get_by_text(f"{sentence}.").is_visible()
+        screenshot(page, "audit")
+
+
 def _as_toml(text: str) -> Any:
     import tomllib
 

@@ -8,11 +8,13 @@ import { downloads, wholeSweep } from "../lib/downloads.js";
 import { count, duration, number, plural, time } from "../lib/format.js";
 import { isSweep } from "../lib/physics.js";
 import { Snippets } from "../lib/snippets.js";
+import { Audit } from "./audit.js";
 
 export class Details {
   constructor(root, { sources: [{ job }] }) {
     this.root = root;
     this.snippets = new Snippets("JSON");
+    this.audit = new Audit(job);
     this.update(job);
     // The details are shown without what the service runs on until it answers; another view reports that it does not.
     requestJson("/v1/software").then((software) => { this.software = software; this.update(this.job); }, () => {});
@@ -32,6 +34,7 @@ export class Details {
       isSweep(job.spec) && h("p", {}, h("a", { href: link(["new"], { from: job.id }) }, "New sweep from this specification")),
       job.failures?.length > 0 && failures(job.failures),
       job.choice && selection(job.choice),
+      isSweep(job.spec) && job.state === "done" && this.audit.element,
       h("h2", {}, "Results"),
       h("p", {}, "As an xarray dataset, loaded as needed:"),
       h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`),

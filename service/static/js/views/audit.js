@@ -1,0 +1,64 @@
+// The audit of a sweep: how many of its cells a longer computation would change.
+
+import { link } from "../lib/address.js";
+import { isHandledElsewhere, partsOf, requestDataset } from "../lib/api.js";
+import { announce, h } from "../lib/dom.js";
+import { number, plural } from "../lib/format.js";
+
+const percent = (share) => (Number.isNaN(share) ? "–" : `${number(100 * share, 3)} %`);
+
+/** A button that has workers audit the job, and what they find; `element` stays as the details around it change. */
+export class Audit {
+  constructor(job) {
+    this.job = job;
+    this.button = h("button", { type: "button", onclick: () => this.run() }, "Audit this sweep");
+    this.found = h("div", {});
+    this.element = h("section", {},
+      h("h2", {}, "Audit"),
+      h("p", {}, "Random cells are computed again so that they can be trusted: how many of all cells would change, at most?"),
+      h("p", {}, this.button), this.found);
+  }
+
+  async run() {
+    this.button.disabled = true;
+    this.button.textContent = "Auditing …";
+    try {
+      const audit = await requestDataset(`/v1/jobs/${this.job.id}/audit`);
+      this.found.replaceChildren(h("p", {}, `${audit.attrs.sentence}.`), table(audit), changed(this.job, audit));
+      announce(audit.attrs.sentence);
+    } catch (error) {
+      if (!isHandledElsewhere(error)) this.found.replaceChildren(h("p", { role: "alert" }, error.message));
+    } finally {
+      this.button.disabled = false;
+      this.button.textContent = "Audit this sweep";
+    }
+  }
+}
+
+function table(audit) {
+  const columns = ["question", "drawn", "changed", "undecided", "share", "at least", "at most"];
+  const contacts = audit.against.data instanceof Array ? audit.against.data : [audit.against.data];
+  const questions = audit.question.data;
+  const rows = contacts.flatMap((against, k) => questions.map((question, i) => ({ against, question, at: k * questions.length + i })));
+  const cells = ({ at }) => [
+    ...["sampled", "changed", "undecided"].map((name) => audit[name].data[at]),
+    ...["share", "low", "high"].map((name) => percent(audit[name].data[at])),
+  ];
+  return h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": "Audit by question" },
+    h("table", {},
+      h("thead", {}, h("tr", {}, columns.map((title) => h("th", { scope: "col" }, title)))),
+      h("tbody", {}, rows.filter(({ at }) => audit.sampled.data[at] > 0).map((row) => h("tr", {},
+        h("th", { scope: "row" }, contacts.length > 1 ? `${row.question} (${row.against})` : row.question),
+        cells(row).map((text) => h("td", {}, String(text))))))));
+}
+
+function changed(job, audit) {
+  const cells = partsOf(audit, "cell");
+  if (!cells.length) return h("p", {}, "No cell looked at has changed.");
+  return h("details", {},
+    h("summary", {}, `${plural(cells.length, "cell")} that changed, or that the reference does not decide`),
+    h("ul", {}, cells.map((cell) => h("li", {},
+      h("a", { href: link(["job", job.id, "diagram"], { cell: [cell.cell_gamma, cell.cell_omega, cell.cell_xi, cell.cell_direction].join(",") }) },
+        `Γ = ${number(cell.cell_gamma)}, Ω = ${number(cell.cell_omega)}, ξ = ${number(cell.cell_xi)}`),
+      `: ${cell.cell_stored}, by the reference ${cell.cell_reference}${cell.cell_undecided ? " (undecided)" : ""}`))));
+}
