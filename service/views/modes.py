@@ -102,7 +102,7 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
         "min_flight": shortest(spec, query.min_flight), "every": query.every, "model": spec.model.kind,
         "complete": all(study.is_complete(each["outcome"]) for each in cells.values()),
     }  # fmt: skip
-    if schema.some_computed(spec):
+    if spec.fills_in:
         attrs["computed_share"] = _computed_share(study, xi.index, directions[0])
     found = cells_dataset(cells, coords, _ROWS, attrs)
     if query.hysteresis:
@@ -126,7 +126,7 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     lengths = {axis: part.stop - part.start for axis, part in window.items()}
     memory, most = 0, None
     if needs_flights(spec, query.min_flight):
-        if schema.some_computed(spec):
+        if spec.fills_in:
             rule = (
                 f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where modes of "
                 "these flights change, and those of others change elsewhere; submit the map with "

@@ -24,7 +24,7 @@ from worker.spec.errors import one_of
 from worker.spec.specification import Specification
 from worker.studies import study_of
 from worker.study import Array
-from worker.study.layout import CELL_DIMS
+from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.schema import MODE_ARRAYS
 
@@ -219,7 +219,7 @@ def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...
     """The stored arrays that `recounted` needs."""
     flights = ("flight_time", "takeoff_phase", "flights") if needs_flights(spec, min_flight) else ()
     exponents = (schema.LYAPUNOV.name, schema.LYAPUNOV_ERROR.name) if spec.exponents else ()
-    return (*flights, *MODE_ARRAYS, *exponents, *(row.name for row in schema.some_computed(spec)))
+    return (*flights, *MODE_ARRAYS, *exponents, *((COMPUTED,) if spec.fills_in else ()))
 
 
 def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict[str, NDArray[Any]]:
@@ -239,7 +239,7 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
             times, phases, arrays["flights"].ravel(), stored, spec.micro_flight, shortest(spec, min_flight)
         )
         modes = {name: getattr(found, name).reshape(arrays["flights"].shape) for name in MODE_ARRAYS}
-    computed = {row.name: arrays[row.name] for row in schema.some_computed(spec)}
+    computed = {COMPUTED: arrays[COMPUTED]} if spec.fills_in else {}
     return modes | labelled(spec, modes[schema.OUTCOME.name], arrays) | computed
 
 

@@ -19,12 +19,11 @@ from service.views.selection import MAX_READ, ROUNDING, Stored, check_kernel, ne
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker.analysis.prediction import predict, predict_each, predict_from_cells, prediction_seconds
-from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, on_grid, refine
+from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, by_bisection, endless_rest, on_grid
 from worker.spec.contact_models import Rigid
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
-from worker.sweep.schema import some_computed
 
 #: The contact of the closed form.
 CONTACT: Final = "rigid, restitution 0"
@@ -244,7 +243,7 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
         check_kernel(study.kernel_version)
     if query.tolerance is not None and study.chunks_done:
         blocks = (tuple(range(low, min(low + BLOCK, len(omega)))) for low in range(0, len(omega), BLOCK))
-        calls += [(refine, spec, study.url, at.index, block, query.tolerance) for block in blocks]
+        calls += [(by_bisection, spec, study.url, at.index, block, query.tolerance) for block in blocks]
     if _left_out(spec, at.value, query.predict):
         return calls
     words = query.predict == "words" and study.chunks_done > 0  # before the first chunk there are none
@@ -268,8 +267,8 @@ def _on_grid(study: Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]]
     spec = study.spec
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     endless = endless_rest(spec, omega, float(spec.axis_values("xi")[xi]))
-    names = ["outcome", *(row.name for row in some_computed(spec))]
-    data: dict[str, NDArray[Any]] = {"up_computed": np.zeros(len(omega), bool)} if COMPUTED in names else {}
+    names = ["outcome", COMPUTED] if spec.fills_in else ["outcome"]
+    data: dict[str, NDArray[Any]] = {"up_computed": np.zeros(len(omega), bool)} if spec.fills_in else {}
     for name in ("up", "down"):
         data[name] = np.full(len(omega), np.nan)
         data[f"{name}_status"] = np.full(len(omega), Status.NOT_RAMPED.value, object)

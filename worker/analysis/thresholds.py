@@ -20,7 +20,6 @@ from worker import store
 from worker.spec.axes import LARGEST, SMALLEST
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
-from worker.sweep.schema import some_computed
 from worker.sweep.specification import MAX_PERIODS
 from worker.sweep.task import run_cells
 
@@ -115,7 +114,7 @@ def endless_rest(spec: SweepSpec, omega: NDArray[np.float64], xi: float) -> NDAr
     return np.asarray(threshold(omega, xi) > LARGEST)
 
 
-def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], tolerance: float) -> Refined:
+def by_bisection(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], tolerance: float) -> Refined:
     """The thresholds of a stored sweep, to `tolerance` in gamma.
 
     spec: from rest, or a ramp along gamma. xi, omegas: indices on the sweep's axes. Raises a
@@ -147,7 +146,7 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
     Deciding cells that were filled in from others are computed first.
     """
     direction, xi, omega = line
-    names = ("outcome", *(row.name for row in some_computed(spec)))
+    names = ("outcome", COMPUTED) if spec.fills_in else ("outcome",)
     stored = store.read_slice(url, names, direction=direction, xi=xi, omega=omega)
     outcome = stored["outcome"]
     computed = stored.get(COMPUTED, np.ones(len(outcome)))

@@ -96,6 +96,11 @@ class Specification(Document):
         values: AxisValue = getattr(self, axis)
         return values_of(values)
 
+    @property
+    def fills_in(self) -> bool:
+        """Whether only some cells are computed, and the others take their values (`layout.COMPUTED`)."""
+        return False
+
     def left_out(self) -> set[str]:
         """Fields that do not determine the stored numbers, or that are newer and off.
 

@@ -235,6 +235,11 @@ class SweepSpec(Specification):
         return isinstance(self.protocol, Rest) and not self.exponents and self.model.repeats
 
     @property
+    def fills_in(self) -> bool:
+        """Whether the sweep is an adaptive map."""
+        return self.refine is not None
+
+    @property
     def ramp_axis(self) -> str | None:
         """The axis a ramp moves along; None from rest."""
         return self.protocol.axis if isinstance(self.protocol, Ramp) else None

@@ -11,7 +11,7 @@ from kernel.params import Outcome
 from kernel.threshold import threshold
 from worker import store
 from worker.analysis.prediction import predict, predict_each
-from worker.analysis.thresholds import Refined, Status, refine
+from worker.analysis.thresholds import Refined, Status, by_bisection
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
@@ -41,7 +41,7 @@ def ramp(direction: str) -> dict[str, str]:
 
 
 def thresholds(spec: SweepSpec, url: str, tolerance: float) -> Refined:
-    return refine(spec, url, 0, tuple(range(len(spec.axis_values("omega")))), tolerance)
+    return by_bisection(spec, url, 0, tuple(range(len(spec.axis_values("omega")))), tolerance)
 
 
 @pytest.mark.parametrize("xi", [0.01, 0.2])

@@ -12,7 +12,7 @@ from tables import for_each
 from kernel.params import Outcome
 from worker import store, work
 from worker.maps.plan import estimate, make_plan, tile_shape
-from worker.maps.refinement import Refinement, classes
+from worker.maps.refinement import Tile, classes
 from worker.spec.errors import SpecInvalid, SpecTooLarge
 from worker.spec.refine import COARSEST, MAX_COARSEST, MAX_MODE_PERIODS, SETTLE_UNTIL, Refine
 from worker.studies import run_task, study_of
@@ -69,7 +69,7 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
 
 def refined(kinds: np.ndarray, refine: Refine) -> tuple[np.ndarray, np.ndarray]:
     """Which cells of a tile are computed, and every cell's source, of a map that bounces `kinds` times."""
-    refinement = Refinement(kinds.shape, refine)
+    refinement = Tile(kinds.shape, refine)
     arrays = np.full(kinds.shape, Outcome.PERIODIC), kinds, np.ones_like(kinds)
     computed = np.zeros(kinds.shape, np.bool_)
     while refinement.cells.size:
@@ -133,7 +133,7 @@ def test_the_same_tile_is_always_refined_the_same_way(by: str, coarsest: int, ex
     """Stored maps depend on it: rounds, computed cells, and a hash of all cells' sources."""
     kinds = island(21, 27)
     outcomes = np.array([0, Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING, Outcome.AT_REST])[kinds]
-    tile = Refinement((21, 27), Refine(by=by, coarsest=coarsest))
+    tile = Tile((21, 27), Refine(by=by, coarsest=coarsest))
     rounds = []
     while tile.cells.size:
         rounds.append(len(tile.cells))
@@ -144,7 +144,7 @@ def test_the_same_tile_is_always_refined_the_same_way(by: str, coarsest: int, ex
 
 def outcomes_refined(outcome: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Which cells of a tile without modes are computed, and every cell's outcome in the map."""
-    tile, none = Refinement(outcome.shape, MODE), np.zeros_like(outcome)
+    tile, none = Tile(outcome.shape, MODE), np.zeros_like(outcome)
     computed = np.zeros(outcome.shape, np.bool_)
     while tile.cells.size:
         computed.flat[tile.cells] = True
