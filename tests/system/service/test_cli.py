@@ -214,18 +214,7 @@ def test_a_hangup_that_is_ignored_ends_nothing():
         assert (done.returncode, done.stdout) == ended
 
 
-def test_figure_computes_in_a_temporary_folder_if_another_command_has_the_data_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.chdir(tmp_path)
-    with Ledger(tmp_path / "bounce-data" / "ledger.sqlite"):
-        result = figure_1("--workers", "1")
-    assert result.exit_code == 0, result.stderr
-    assert "another service uses the data folder: using a temporary one\n" in result.stderr
-    assert is_picture(Path("figure-1.png"))
-
-
-def test_figure_does_not_replace_a_data_folder_that_was_named(tmp_path: Path):
+def test_figure_needs_a_data_folder_that_no_other_command_uses(tmp_path: Path):
     with Ledger(tmp_path / "ledger.sqlite"):
         result = figure_1("--data", tmp_path, "-o", tmp_path / "figure-1.png")
     assert result.exit_code == 1
