@@ -126,10 +126,6 @@ class Client(ResultReader, SpringMethods):
         id
             The whole id, or enough of its beginning to select one job: at least four hex digits.
 
-        Returns
-        -------
-        Job
-
         Raises
         ------
         NotFound
@@ -183,10 +179,6 @@ class Client(ResultReader, SpringMethods):
             Limits on the time of creation, in UTC if they name no zone.
         order
             "newest" (default), "oldest", "finished", "name" or "largest".
-
-        Returns
-        -------
-        Iterator[Job]
         """
         query: dict[str, Any] = {
             "state": state,
@@ -218,10 +210,6 @@ class Client(ResultReader, SpringMethods):
             The jobs to wait for.
         timeout
             Seconds for all of them together.
-
-        Returns
-        -------
-        Iterator[Job]
 
         Raises
         ------
@@ -277,10 +265,6 @@ class Client(ResultReader, SpringMethods):
             As for `submit`. A long list neither fills the service's queue nor needs to be known in advance.
         at_once
             Most jobs at the service that are not yet returned.
-
-        Returns
-        -------
-        Iterator[Job]
 
         Raises
         ------
