@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from kernel.branches.starts import stable_ranges, start_on_stable_cycle
 from kernel.params import MAX_EXPONENTS, MAX_SETTLE_TOLERANCE, Cell, KernelInputError, Start
-from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, AxisValue, Range, within
+from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, within
 from worker.spec.contact_models import (
     CONTACT_MODELS,
     MAX_PENETRATION,
@@ -245,10 +245,9 @@ class SweepSpec(Specification):
         return self.protocol.axis if isinstance(self.protocol, Ramp) else None
 
     @property
-    def shape(self) -> tuple[int, int, int, int]:
-        """Cells along (direction, xi, omega, gamma); allocates no axis values."""
-        xi, omega, gamma = (_length(getattr(self, axis)) for axis in AXES)
-        return len(self.directions), xi, omega, gamma
+    def shape(self) -> tuple[int, ...]:
+        """Cells along (direction, xi, omega, gamma)."""
+        return len(self.directions), *super().shape
 
     def left_out(self) -> set[str]:
         """The labels, and newer fields that are at their defaults or without effect."""
@@ -286,9 +285,3 @@ def no_cycle(cell: Cell, periods: int) -> str:
         return f"{rule}, nor at any other gamma"
     low, high = min(ranges, key=lambda r: max(r.low - cell.gamma, cell.gamma - r.high))
     return f"{rule}; it exists from gamma {low:.6g} to {high:.6g}"
-
-
-def _length(axis: AxisValue) -> int:
-    if isinstance(axis, Range):
-        return axis.num
-    return len(axis) if isinstance(axis, tuple) else 1
