@@ -1,5 +1,6 @@
 """One running job: what it submits, counts, saves, and how it ends."""
 
+import math
 from concurrent.futures import Future
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from scripted import small
 
 from service.jobs.prepare import JobPreparer
 from service.jobs.retry import Action, History, RetryPolicy
-from service.jobs.run import JobRun
+from service.jobs.run import BUCKET_SECONDS, ChunkCounts, JobRun
 from service.ledger.model import JobState, summary_of
 from service.settings import Settings
 from worker.study import ChunkReport
@@ -151,3 +152,13 @@ def test_a_job_that_is_cancelled_ends_when_nothing_is_in_flight(run: JobRun):
     assert run.final_state is None
     fail(run, chunk, Action.REQUEUE, ValueError("cancelled"))
     assert run.final_state is JobState.CANCELLED
+
+
+def test_chunks_are_counted_by_what_they_took_and_by_how_they_came_back():
+    tally = ChunkCounts()
+    for seconds in (0.005, 0.01, 0.011, 1.0, 299.0, 301.0):
+        tally.add_computed(seconds)
+    assert tally.computed == 6
+    assert tally.seconds == pytest.approx(601.026)
+    counts = [2, 3, 3, 3, 4, 4, 4, 4, 4, 5, 6]
+    assert tally.by_seconds == list(zip((*BUCKET_SECONDS, math.inf), counts, strict=True))
