@@ -18,8 +18,8 @@ from service.pictures import draw_thresholds
 from service.views.selection import MAX_READ, ROUNDING, Stored, check_kernel, nearest_index, read_direction
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
+from worker.analysis.bisection import TYPICAL_CELLS, Refined, Status, by_bisection, endless_rest, on_grid
 from worker.analysis.prediction import predict, predict_each, predict_from_cells, prediction_seconds
-from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, by_bisection, endless_rest, on_grid
 from worker.spec.contact_models import Rigid
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec

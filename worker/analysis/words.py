@@ -19,7 +19,7 @@ from kernel.branches.events import Events, rows_of
 from kernel.branches.words import Word, WordBranch, from_flights
 from kernel.params import KernelInputError, Outcome
 from worker import store
-from worker.analysis.thresholds import BOUNCING
+from worker.analysis.bisection import BOUNCING
 from worker.sweep import SweepSpec
 
 Floats = NDArray[np.float64]

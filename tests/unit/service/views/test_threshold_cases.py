@@ -19,7 +19,7 @@ from tables import for_each
 from kernel.params import Outcome
 from service.settings import Settings
 from worker import store
-from worker.analysis.thresholds import Status, endless_rest, on_grid
+from worker.analysis.bisection import Status, endless_rest, on_grid
 from worker.study.layout import CELL_DIMS
 from worker.sweep import SweepSpec, schema
 from worker.sweep.plan import make_plan
