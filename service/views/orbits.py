@@ -280,7 +280,7 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
     axes.set_title(", ".join(f"{SYMBOLS[axis]} = {found[axis].item():g}" for axis in ("omega", "xi")))
 
 
-ORBITS: Final = View(
+SPRING: Final = View(
     "orbits", "Branches of a spring", None, OrbitsQuery, compute_orbits, estimate_orbits,
     variables=tuple(ROWS[name] for name in (*_OF_POINT, *BALANCE, *BRANCH)) + EVENTS,
     rows="gamma", printed=("event_gamma",), parts=orbit_parts, draw=draw,
@@ -358,7 +358,7 @@ def estimate_words(spec: SweepSpec, query: WordsQuery) -> Estimate:
     return Estimate(sizes, memory=_MEMORY, small=False)
 
 
-WORDS: Final = View(
+VIEW: Final = View(
     "orbits", "Branches of a sweep's cycles", SweepSpec, WordsQuery, compute_words, estimate_words,
     variables=(
         *(ROWS[name] for name in (*_OF_WORD, *_OF_FLIGHT, *BALANCE, *BRANCH, "word")),

@@ -33,13 +33,13 @@ from service.views.view import Estimate, Query, View
 VIEWS: Final[dict[str, View]] = {
     view.name: view
     for view in (
-        diagram.VIEW, modes.VIEW, threshold.VIEW, orbits.WORDS, basins.VIEW, multistability.VIEW,
+        diagram.VIEW, modes.VIEW, threshold.VIEW, orbits.VIEW, basins.VIEW, multistability.VIEW,
         trajectory.VIEW,
     )
 }  # fmt: skip
 
 #: The results of a spring alone, in closed form.
-SPRINGS: Final[dict[str, View]] = {view.name: view for view in (threshold.SPRING, orbits.ORBITS, curves.VIEW)}
+SPRINGS: Final[dict[str, View]] = {view.name: view for view in (threshold.SPRING, orbits.SPRING, curves.VIEW)}
 
 
 def admit(
