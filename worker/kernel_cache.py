@@ -110,9 +110,9 @@ def digest_of(package: str, *more: str) -> str:
 
     Raises ModuleNotFoundError if there is no such package.
     """
-    if (found := find_spec(package)) is None:
+    if (spec := find_spec(package)) is None:
         raise ModuleNotFoundError(f"No module named '{package}'", name=package)
-    folder = Path(next(iter(found.submodule_search_locations or ())))
+    folder = Path(next(iter(spec.submodule_search_locations or ())))
     digest = hashlib.sha256(" ".join(more).encode())
     for source in sorted(folder.rglob("*.py")):
         content = source.read_bytes()

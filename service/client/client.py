@@ -143,13 +143,13 @@ class Client(ResultReader, SpringMethods):
 
     def _whole_id(self, beginning: str) -> str:
         """The only id with this beginning."""
-        found = [job.id for job in self.jobs(search=beginning) if job.id.startswith(beginning)]
-        if not found:
+        ids = [job.id for job in self.jobs(search=beginning) if job.id.startswith(beginning)]
+        if not ids:
             raise _not_found(f"no job has an id that begins with {beginning}")
-        if len(found) > 1:
-            named = ", ".join(sorted(found)[:5])
-            raise _not_found(f"{len(found)} jobs have ids that begin with {beginning}, as {named}")
-        return found[0]
+        if len(ids) > 1:
+            named = ", ".join(sorted(ids)[:5])
+            raise _not_found(f"{len(ids)} jobs have ids that begin with {beginning}, as {named}")
+        return ids[0]
 
     def jobs(
         self,

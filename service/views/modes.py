@@ -104,12 +104,12 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
     }  # fmt: skip
     if spec.fills_in:
         attrs["computed_share"] = _computed_share(study, xi.index, directions[0])
-    found = cells_dataset(cells, coords, _ROWS, attrs)
+    result = cells_dataset(cells, coords, _ROWS, attrs)
     if query.hysteresis:
         compared, complete = _hysteresis(study, xi.index, window, query.min_flight)
-        found["hysteresis"] = variable(_PLANE, compared, VARIABLES["hysteresis"])
-        found.attrs["complete"] &= complete
-    return found
+        result["hysteresis"] = variable(_PLANE, compared, VARIABLES["hysteresis"])
+        result.attrs["complete"] &= complete
+    return result
 
 
 def _window(spec: SweepSpec, query: ModesQuery) -> Window:
@@ -226,13 +226,13 @@ def _last(
     """(n, count) the last flights that count of stored ones (n, keep), sorted; NaN where there are fewer."""
     counts = counted(times, flights, min_flight)
     order = np.argsort(counts, axis=1, kind="stable")[:, -count:]
-    found = np.where(np.take_along_axis(counts, order, 1), np.take_along_axis(times, order, 1), np.nan)
-    return np.sort(found, axis=1)
+    last = np.where(np.take_along_axis(counts, order, 1), np.take_along_axis(times, order, 1), np.nan)
+    return np.sort(last, axis=1)
 
 
-def draw(found: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """A map of each direction."""
-    ways = [found.isel(direction=i) for i in range(found.sizes.get("direction", 0))] or [found]
+    ways = [result.isel(direction=i) for i in range(result.sizes.get("direction", 0))] or [result]
     for axes, way in zip(figure.subplots(1, len(ways), squeeze=False)[0], ways, strict=True):
         draw_modes(axes, way)
         if len(ways) > 1:

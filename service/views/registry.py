@@ -86,8 +86,8 @@ def answer(
     Arguments and result can be pickled. Raises as `View.compute`.
     """
     view = SPRINGS[name] if study is None else VIEWS[name]
-    found = view.compute(study, view.query(**fields), *parts)
-    return _encoded(view, study, found, format), bool(found.attrs["complete"])
+    result = view.compute(study, view.query(**fields), *parts)
+    return _encoded(view, study, result, format), bool(result.attrs["complete"])
 
 
 def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
@@ -95,14 +95,14 @@ def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
     return _encoded(trajectory.VIEW, None, trajectory.motion(spec), format)
 
 
-def _encoded(view: View, study: Stored[Any] | None, found: Dataset, format: str) -> bytes:
+def _encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str) -> bytes:
     about = {"release": software().release} if study is None else study.attributes
-    found.attrs = {"Conventions": "CF-1.11", "title": view.summary, **about, **found.attrs}
+    result.attrs = {"Conventions": "CF-1.11", "title": view.summary, **about, **result.attrs}
     if view.draw is not None and format in PICTURES:
         origin = about if study is None else study.origin
-        return style.encode(view.size, partial(view.draw, found), format, origin)
-    rows = view.finer_rows if view.finer_rows in found else view.rows
-    return encode.ENCODERS[format](found, rows)
+        return style.encode(view.size, partial(view.draw, result), format, origin)
+    rows = view.finer_rows if view.finer_rows in result else view.rows
+    return encode.ENCODERS[format](result, rows)
 
 
 def warm() -> None:

@@ -178,12 +178,12 @@ def read_stored(
         if study.forms is None:
             there = store.stored_forms(study.url, None)
             stored = [name for name in names if name in there]
-        found = store.read_slice(study.url, stored, **indices, complete=study.complete, forms=study.forms)
+        arrays = store.read_slice(study.url, stored, **indices, complete=study.complete, forms=study.forms)
     except store.StoreMissing as error:
         if study.complete:
             raise store.StoreDamaged(str(error)) from error
-        found = {}  # The job is still queued: its store is created with the first chunk.
-    return found if len(found) == len(names) else _fill_values(study.spec, names, indices) | found
+        arrays = {}  # The job is still queued: its store is created with the first chunk.
+    return arrays if len(arrays) == len(names) else _fill_values(study.spec, names, indices) | arrays
 
 
 def _fill_values(spec: Any, names: Sequence[str], indices: Indices) -> dict[str, NDArray[Any]]:
@@ -235,10 +235,10 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
             for name in ("flight_time", "takeoff_phase")
         )
         stored = Modes(*(arrays[name].ravel() for name in MODE_ARRAYS))
-        found = recount(
+        counted = recount(
             times, phases, arrays["flights"].ravel(), stored, spec.micro_flight, shortest(spec, min_flight)
         )
-        modes = {name: getattr(found, name).reshape(arrays["flights"].shape) for name in MODE_ARRAYS}
+        modes = {name: getattr(counted, name).reshape(arrays["flights"].shape) for name in MODE_ARRAYS}
     computed = {COMPUTED: arrays[COMPUTED]} if spec.fills_in else {}
     return modes | labelled(spec, modes[schema.OUTCOME.name], arrays) | computed
 

@@ -43,7 +43,7 @@ class Scripted(Inline):
         self.before()
         if self.script[chunk.index]:
             raise self.script[chunk.index].pop(0)
-        if isinstance(spec, SweepSpec) and spec.refine is None:
+        if isinstance(spec, SweepSpec) and not spec.fills_in:
             return run_chunk(spec, chunk, store_url)  # in one piece
         return run_task(spec, chunk, store_url)
 

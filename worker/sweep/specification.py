@@ -267,16 +267,16 @@ def is_open(spec: object) -> bool:
 def start_of(cell: Cell, periods: int) -> Start | None:
     """The start of a ramp on the stable cycle (1, periods) of its first cell; None if there is none."""
     try:
-        found = start_on_stable_cycle(cell, periods)
+        start = start_on_stable_cycle(cell, periods)
     except KernelInputError:
         return None
-    return found.start if found else None
+    return start.start if start else None
 
 
 def no_cycle(cell: Cell, periods: int) -> str:
     """The rule broken by a cell without a stable cycle, with the nearest range of Gamma that has one."""
-    at = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
-    rule = f"there is no stable cycle (1, {periods}) at {at}"
+    where = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
+    rule = f"there is no stable cycle (1, {periods}) at {where}"
     try:
         ranges = stable_ranges(cell.omega, cell.xi, periods)
     except KernelInputError as error:

@@ -156,5 +156,5 @@ def compute_trajectory(
     """
     spec = TrajectorySpec.from_json(body)
     check_cost(spec, service.settings.trajectory_seconds)
-    found = service.background.run(motion, spec, query.format)
-    return Response(found, media_type=MEDIA_TYPES[query.format])
+    content = service.background.run(motion, spec, query.format)
+    return Response(content, media_type=MEDIA_TYPES[query.format])
