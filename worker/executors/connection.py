@@ -93,16 +93,6 @@ class SchedulerConnection:
             return None
         return threads
 
-    def run_on(self, worker: str, function: Callable[..., Any], *arguments: Any) -> None:
-        """Run `function(*arguments, dask_worker=...)` in a worker's event loop; does not block."""
-        client = self._client
-
-        async def run() -> None:
-            with contextlib.suppress(Exception):  # the worker is gone, or the scheduler
-                await client.run(function, *arguments, workers=[worker], on_error="ignore")
-
-        client.loop.add_callback(run)
-
     def ask_for(self, seconds: float, tasks: int) -> None:
         """Tell the scheduler how much work remains (see `Demand`); does not block."""
         if self._takes_demand and self._registered:

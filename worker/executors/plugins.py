@@ -18,7 +18,6 @@ import pickle
 import platform
 import signal
 import socket
-import subprocess
 import sys
 import threading
 import time
@@ -41,8 +40,6 @@ JUDGE_SECONDS: Final = 5.0
 #: Seconds for the last event to reach the scheduler before the process ends, and the longest that chunks may
 #: take to pause before that.
 REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
-#: A worker that has been idle for this long compiles the kernels that nobody has asked for yet.
-IDLE_SECONDS: Final = 60.0
 #: Libraries on whose versions stored numbers or bytes depend.
 _LIBRARIES: Final = ("numpy", "numba", "zarr", "numcodecs")
 
@@ -69,8 +66,6 @@ class WorkerAdmission(WorkerPlugin):
         self._facts, self._stores, self._cache = facts, stores, cache
         self.refusal = ""  # why the worker is refused
         self._removed = False
-        self._began = 0.0  # time.monotonic() when the last task began
-        self._compiling: subprocess.Popen[bytes] | None = None
 
     def __reduce__(self) -> Any:
         return _as_text(type(self).__name__, self._facts, self._stores, self._cache)
@@ -82,33 +77,6 @@ class WorkerAdmission(WorkerPlugin):
         if worker.nanny is not None and threading.current_thread() is threading.main_thread():
             # Batch queues end all processes of a job at once: this one too, and not through its nanny.
             asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._leave, worker)
-        worker.loop.call_later(IDLE_SECONDS, self._use_idle_time, worker)
-
-    def transition(self, key: Any, start: str, finish: str, **_: Any) -> None:
-        """Called by distributed when a task changes its state; a task that begins ends the idle time."""
-        if finish == "executing":
-            self._began = time.monotonic()
-            self._stop_compiling()
-
-    def _use_idle_time(self, worker: Any) -> None:
-        """Compile all kernels in a process of the lowest priority after IDLE_SECONDS without a task."""
-        if self._removed:
-            return
-        if worker.state.executing or self.refusal or time.monotonic() - self._began < IDLE_SECONDS:
-            worker.loop.call_later(IDLE_SECONDS, self._use_idle_time, worker)
-            return
-        from worker.kernel_cache import BESIDE  # noqa: PLC0415 - see above
-
-        command = [sys.executable, "-P", "-m", "worker.kernel_cache", BESIDE, self._cache or ""]
-        null = subprocess.DEVNULL
-        self._compiling = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=null, stderr=null)
-
-    def _stop_compiling(self) -> None:
-        """End the process; finished kernels stay in the cache."""
-        if self._compiling is not None:
-            self._compiling.kill()
-            self._compiling.communicate()
-            self._compiling = None
 
     async def teardown(self, worker: Any) -> None:
         """Called by distributed when the plugin is replaced or the worker closes; then ends the process.
@@ -118,7 +86,6 @@ class WorkerAdmission(WorkerPlugin):
         leave. Without a nanny, nobody would notice that the process has ended.
         """
         self._removed = True
-        self._stop_compiling()
         if worker.status == Status.closing:
             _log_event(worker, leaving=True)
             if worker.nanny is not None:
@@ -220,17 +187,6 @@ def run_if_admitted(call: bytes) -> Any:
 def refusal(dask_worker: Any) -> str:
     """Why a worker is refused; empty if it is admitted."""
     return getattr(dask_worker.plugins.get(WorkerAdmission.name), "refusal", "")
-
-
-def rest(seconds: float, dask_worker: Any) -> None:
-    """Take no task for `seconds`, unless the worker leaves; run on a worker by the service."""
-
-    def end() -> None:
-        if dask_worker.status == Status.running:
-            _set_available(dask_worker, available=True)
-
-    _set_available(dask_worker, available=False)
-    dask_worker.loop.call_later(seconds, end)
 
 
 def _set_available(worker: Any, *, available: bool) -> None:
