@@ -61,7 +61,6 @@ class SchedulerConnection:
         self._on_event, self._on_lost = on_event, on_lost
         self._closed = threading.Event()
         self._registered = False  # whether the scheduler has our plugin
-        self._takes_demand = False  # whether it has the plugin `Demand`
         self.fault = ""  # why the last attempt to connect failed
         self._client = self._connect(timeout)
         try:
@@ -95,12 +94,13 @@ class SchedulerConnection:
 
     def ask_for(self, seconds: float, tasks: int) -> None:
         """Tell the scheduler how much work remains (see `Demand`); does not block."""
-        if self._takes_demand and self._registered:
-            self._client.loop.add_callback(self._tell, self._client, seconds, tasks)
+        client = self._client
 
-    async def _tell(self, client: Any, seconds: float, tasks: int) -> None:
-        with contextlib.suppress(Exception):  # the next demand tries again
-            await getattr(client.scheduler, DEMAND)(client=client.id, seconds=seconds, tasks=tasks)
+        async def tell() -> None:
+            with contextlib.suppress(Exception):  # the next demand tries again
+                await client.scheduler.set_metadata(keys=[DEMAND, client.id], value=(seconds, tasks))
+
+        client.loop.add_callback(tell)
 
     def close(self) -> None:
         """Disconnect. The scheduler and its workers stay."""
@@ -147,22 +147,17 @@ class SchedulerConnection:
         for topic in (TOPIC, ROSTER):
             self._client.subscribe_topic(topic, lambda event: self._on_event(event[1]))
         self._client.register_plugin(self._plugin)
-        self._check_settings()
-        self._takes_demand = False
-        try:
+        with contextlib.suppress(OSError, ValueError, KeyError):  # it refuses to run code, or is gone
             self._client.register_plugin(Demand())
-            self._takes_demand = True
-        except Exception as error:  # noqa: BLE001 - it runs no code that it is sent
-            log.warning("the scheduler cannot be told how much is left to compute: %s", error)
+            self._check_settings()
         self._registered = True
 
     def _check_settings(self) -> None:
         """Warn about settings that the scheduler lacks. Results are right without them."""
         for name, required in SCHEDULER_SETTINGS.items():
-            with contextlib.suppress(OSError, ValueError, KeyError):  # it refuses to run code, or is gone
-                if (actual := self._client.run_on_scheduler(dask.config.get, name)) != required:
-                    setting = f"{environment_variable(name)}={required:g}"
-                    log.warning("the scheduler's %s is %s: start it with %s", name, actual, setting)
+            if (actual := self._client.run_on_scheduler(dask.config.get, name)) != required:
+                setting = f"{environment_variable(name)}={required:g}"
+                log.warning("the scheduler's %s is %s: start it with %s", name, actual, setting)
 
     def _keep_connected(self) -> None:
         while not self._closed.wait(RETRY_SECONDS):

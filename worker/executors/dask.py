@@ -50,6 +50,7 @@ class _Task:
     client: Any
     key: str  # Dask's
     chunk: Hashable = None  # its store and number; None for a call, whose beginning workers do not report
+    others: tuple[str, ...] = ()  # the only workers that may run it: a chunk failed on the others
     worker: str | None = None  # the address of the last worker that began it
     result: Future[Any] = field(default_factory=Future)
 
@@ -166,6 +167,7 @@ class Dask:
         self._target.close()
 
     def _count(self) -> None:
+        """Count the workers, and give up chunks that wait for workers which are gone."""
         threads = self._connection.worker_threads()
         present = self._present = threads or {}
         if present:
@@ -180,6 +182,9 @@ class Dask:
             tuple(refused.values()),
         )
         self._count_time = time.monotonic()
+        for task in list(self._tasks.values()) if threads is not None else ():
+            if task.others and task.worker is None and not present.keys() & task.others:
+                self._fail(task, WorkerLeft("the workers on which it had not failed are gone"))
 
     def _others(self, chunk: Hashable) -> tuple[str, ...]:
         """Workers where a failed chunk has not failed yet; empty for all, or if there are none."""
@@ -196,8 +201,8 @@ class Dask:
         terminated, or its client is lost. While its connection is being lost, a client's messages disappear
         without an error, and its event loop may end before the task does.
         """
-        task = _Task(self._connection.client, f"{run_if_admitted.__name__}-{uuid4().hex}", chunk)
-        run = self._run(task, pickle.dumps(call), priority, others)
+        task = _Task(self._connection.client, f"{run_if_admitted.__name__}-{uuid4().hex}", chunk, others)
+        run = self._run(task, pickle.dumps(call), priority)
         try:
             running = asyncio.run_coroutine_threadsafe(run, task.client.loop.asyncio_loop)
         except Exception as error:  # the loop is closed
@@ -214,7 +219,7 @@ class Dask:
             self._on_lost(task.client)
         return task.result
 
-    async def _run(self, task: _Task, call: bytes, priority: float, others: tuple[str, ...]) -> None:
+    async def _run(self, task: _Task, call: bytes, priority: float) -> None:
         """Have a task computed, in the client's event loop; the cluster then forgets it."""
         future = None
         try:
@@ -223,8 +228,7 @@ class Dask:
                 call,
                 key=task.key,
                 priority=priority,
-                workers=others or None,
-                allow_other_workers=bool(others),  # once these are gone
+                workers=task.others or None,
             )
             outcome = await future.result()
             if isinstance(outcome, TaskError | WorkerRefused):
