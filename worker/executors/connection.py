@@ -83,12 +83,7 @@ class SchedulerConnection:
         try:
             client = self.client
             threads: dict[str, int] = client.sync(client.scheduler.ncores, callback_timeout=PING_SECONDS)
-        except (
-            ClusterLost,
-            OSError,
-            TimeoutError,
-            RuntimeError,
-        ):  # the last: the client was closed meanwhile
+        except (ClusterLost, OSError, RuntimeError):  # the last: the client was closed meanwhile
             return None
         return threads
 
@@ -100,7 +95,8 @@ class SchedulerConnection:
             with contextlib.suppress(Exception):  # the next demand tries again
                 await client.scheduler.set_metadata(keys=[DEMAND, client.id], value=(seconds, tasks))
 
-        client.loop.add_callback(tell)
+        if client.status == "running":
+            client.loop.add_callback(tell)
 
     def close(self) -> None:
         """Disconnect. The scheduler and its workers stay."""
@@ -118,9 +114,8 @@ class SchedulerConnection:
         try:
             address = self._target.find()
             if isinstance(address, str):
-                listener = get_address_host_port(
-                    address
-                )  # with a malformed one, a client takes a minute to close
+                # With a malformed one, a client takes a minute to close.
+                listener = get_address_host_port(address)
                 if check:
                     socket.create_connection(listener, timeout).close()
             return _ClientOfOneConnection(  # type: ignore[no-untyped-call]

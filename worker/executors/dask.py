@@ -174,13 +174,8 @@ class Dask:
             self._roster.keep(present)
         refused = dict(self._roster.refused)
         useful = sum(count for worker, count in present.items() if worker not in refused)
-        self._state = ClusterState(
-            threads is not None,
-            useful,
-            self._target.planned(),
-            self._connection.fault,
-            tuple(refused.values()),
-        )
+        planned, fault = self._target.planned(), self._connection.fault
+        self._state = ClusterState(threads is not None, useful, planned, fault, tuple(refused.values()))
         self._count_time = time.monotonic()
         for task in list(self._tasks.values()) if threads is not None else ():
             if task.others and task.worker is None and not present.keys() & task.others:
@@ -224,11 +219,7 @@ class Dask:
         future = None
         try:
             future = task.client.submit(
-                pickle.loads,
-                call,
-                key=task.key,
-                priority=priority,
-                workers=task.others or None,
+                pickle.loads, call, key=task.key, priority=priority, workers=task.others or None
             )
             outcome = await future.result()
             if isinstance(outcome, TaskError | WorkerRefused):
