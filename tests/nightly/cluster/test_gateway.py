@@ -25,8 +25,7 @@ import pytest
 from dask_processes import family
 from documents import blocks
 from paths import CACHE, ROOT
-from running import costing
-from scripted import free_port, wait_for
+from scripted import costing, free_port, wait_for
 
 from worker.kernel_cache import use_cache
 

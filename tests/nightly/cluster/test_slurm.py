@@ -24,8 +24,8 @@ import pytest
 from blame import blamed, noting_errors
 from dask_processes import with_another_kernel
 from paths import CACHE, ROOT
-from running import Running, costing, running
-from scripted import wait_for
+from scripted import costing, wait_for
+from served import Running, running
 from slurm import Slurm, missing, slurm_running
 from stores import marked
 

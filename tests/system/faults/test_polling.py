@@ -11,11 +11,9 @@ from pathlib import Path
 import httpx2
 import numpy as np
 import pytest
-from running import costing
-from scripted import DEADLINE, wait_for
+from scripted import DEADLINE, costing, wait_for
+from served import service_at
 
-from service.server import embedded
-from service.settings import Settings
 from worker.executors.dask import Dask
 
 #: Limits of the 99th percentile of the latency (s), with 8 and with 64 connections.
@@ -37,7 +35,7 @@ def test_polling_is_answered_while_a_job_runs(tmp_path: Path, cluster: Dask, con
                 if answer.status_code >= 500:
                     wrong.append(answer.text)
 
-    with embedded.running(Settings(data=tmp_path, port=0), cluster) as url:
+    with service_at(tmp_path, cluster) as url:
         spec = costing(chunks=20, seconds=0.1).as_submitted()
         path = httpx2.post(f"{url}/v1/jobs", json=spec, timeout=DEADLINE).headers["Location"]
         threads = [threading.Thread(target=poll, args=[url]) for _ in range(connections)]

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
-from fastapi.testclient import TestClient
 from scripted import TWO_LINES, Held, Scripted, sweep, wait_for
+from served import service
 from tables import for_each
 
 from kernel.params import Outcome
 from service import client as package
-from service.api.app import create_app
 from service.client import (
     BounceError,
     Client,
@@ -25,7 +24,6 @@ from service.client import (
     NotFound,
     WaitTimeout,
 )
-from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
 from worker.sweep import SweepSpec
@@ -35,8 +33,7 @@ SPEC: dict[str, Any] = {**TWO_LINES, "name": "coarse <figure 2>", "settle": 100}
 
 @contextmanager
 def serving(folder: Path, executor: Executor, **options: Any) -> Iterator[Client]:
-    settings = Settings(data=folder, heartbeat_seconds=0.2, **options)
-    with TestClient(create_app(settings, executor)) as http, Client("http://localhost", http=http) as client:
+    with service(folder, executor, **options) as http, Client("http://localhost", http=http) as client:
         yield client
     executor.close()
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from running import Running, running
 from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
+from served import Running, running
 from stores import is_sound
 
 from kernel.params import KERNEL_VERSION, Outcome

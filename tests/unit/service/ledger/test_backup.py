@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from running import running
 from scripted import Held, Scripted, free_port, sweep, wait_for
+from served import running
 from stores import files, store_in
 
 from kernel.params import KERNEL_VERSION
