@@ -105,17 +105,6 @@ def test_status_for_people_and_for_programs(url: str, job: str):
 # Thresholds
 
 
-RAMPED = {**TWO_LINES, "omega": 0.5, "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}}
-
-
-def test_a_threshold_outside_the_grid_has_its_status(url: str):
-    with Client(url) as client:
-        job = client.submit({**RAMPED, "gamma": [0.1, 0.2]}).wait(progress=False)
-    heading, row, *_ = bounce("threshold", job.id, url=url).stdout.splitlines()
-    assert not {"up", "down"} & {*heading.split()}  # without a value
-    assert "above the grid never bounces" in row
-
-
 # Diagrams
 
 

@@ -202,13 +202,6 @@ def test_pinned_jobs_are_listed_apart(idle: Running):
     assert len(output_of(idle, "list", "--limit", "1").splitlines()) == 2
 
 
-def test_the_thresholds_of_a_spring_are_printed(running: Running):
-    text = output_of(running, "threshold", "--omega", "0.6", "--xi", "0.05")
-    assert "down  0.5532445932\ncause  fold (1,1)\nlifetime  3485.4" in text
-    refused = bounce(running, "threshold", "--omega", "0.6")
-    assert "give --xi or the ID of a job" in refused.stderr
-
-
 def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):
     words = ("orbits", "--omega", "0.6", "--xi", "0.05", "--modes", "1-1")
     folds = [line for line in output_of(running, *words).splitlines() if " fold " in line]

@@ -331,17 +331,6 @@ def test_a_request_is_one_line(local: TestClient, logged: io.StringIO):
     assert line["ms"] >= 0
 
 
-def test_a_terminal_shows_only_requests_that_failed(local: TestClient, monkeypatch: pytest.MonkeyPatch):
-    terminal = io.StringIO()
-    terminal.isatty = lambda: True  # type: ignore[method-assign]
-    monkeypatch.setattr(sys, "stderr", terminal)
-    with log_to_stderr("info"):
-        local.get("/v1/jobs")
-        local.get("/v1/jobs/nowhere")
-        local.post("/v1/jobs", content=b"{", headers={"Content-Type": "application/json"})
-    assert [line["status"] for line in lines(terminal) if line["event"] == "request"] == [404, 400]
-
-
 def test_a_caller_cannot_forge_log_lines(local: TestClient, logged: io.StringIO):
     local.get("/v1/jobs/%0a%7b%22level%22:%22error%22%7d")
     local.get("/nowhere%0aevil", headers={"Authorization": "Bearer secret-of-somebody"})

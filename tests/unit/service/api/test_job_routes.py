@@ -168,17 +168,3 @@ def test_a_finished_job_sends_one_event(tmp_path: Path):
 
 
 # Metrics
-
-
-def test_metrics_count_requests_and_jobs(tmp_path: Path):
-    with computing(tmp_path) as client:
-        here = finished(client, SWEEP)
-        client.get(f"{here}/nowhere")
-        client.get("/v1/jobs/none")
-        text = client.get("/metrics").text
-    assert 'bounce_jobs{state="done"} 1.0' in text
-    assert "bounce_cells_done 60.0" in text
-    assert "bounce_ready 1.0" in text
-    assert 'bounce_http_requests_total{method="GET",route="/v1/jobs/{job_id}",status="404"} 1.0' in text
-    assert 'bounce_http_requests_total{method="POST",route="/v1/jobs",status="202"} 1.0' in text
-    assert here.rsplit("/", 1)[1] not in text

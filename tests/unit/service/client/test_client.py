@@ -53,15 +53,6 @@ def job(client: Client) -> Job:
 # Submitting
 
 
-def test_a_submitted_sweep_is_computed(job: Job):
-    assert job.state == "done"
-    assert job.finished
-    assert job.name == SPEC["name"]
-    assert job.progress.cells_done == job.progress.cells_total == 92
-    assert job.progress.whole_percent == 100
-    assert job.spec["model"] == {"kind": "rigid", "restitution": 0.0}
-
-
 def test_the_same_sweep_is_the_same_job_in_every_form(client: Client, job: Job, tmp_path: Path):
     as_json = tmp_path / "sweep.json"
     as_json.write_text(json.dumps(SPEC))

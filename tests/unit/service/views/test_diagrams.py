@@ -2,7 +2,6 @@
 
 import csv
 import io
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -93,17 +92,6 @@ def test_a_dot_for_each_flight_at_its_cell():
     assert {drawn(plain).get_title(side) for side in ("left", "right")} == {""}
 
 
-def test_up_is_a_rim_below_down():
-    axes = drawn(both(cells(), cells(flight_time=[[NAN, NAN], [2.0, NAN], [1.0, 5.0], [NAN, NAN]])))
-    up, down = dots(axes)
-    assert (to_hex(up.get_color()), to_hex(down.get_color())) == (LINES["up"], LINES["down"])
-    assert up.get_markersize() > 2 * down.get_markersize()
-    assert places(down) == [(1.5, 2.0), (2.5, 1.0), (2.5, 5.0)]
-    legend = axes.get_legend()
-    assert legend is not None
-    assert [text.get_text() for text in legend.get_texts()] == ["ramp up", "ramp down"]
-
-
 def test_many_flights_are_drawn_as_density(monkeypatch: pytest.MonkeyPatch):
     """The image is opaque where flights are; one flight covers its cell of the axes alone."""
     monkeypatch.setattr(pictures, "DENSE_POINTS", 2)
@@ -152,13 +140,6 @@ def test_a_picture_says_what_is_missing():
 )  # fmt: skip
 def test_odd_diagrams_can_be_drawn(found: xarray.Dataset):
     assert len(picture(found)) > 1000
-
-
-def test_pictures_may_be_drawn_by_many_at_once():
-    found = [cells(flight_time=np.full((4, 2), float(longest))) for longest in range(1, 5)]
-    alone = [picture(each) for each in found]
-    with ThreadPoolExecutor(4) as threads:
-        assert list(threads.map(picture, found)) == alone
 
 
 def picture(found: xarray.Dataset) -> bytes:

@@ -146,16 +146,6 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
         yield client
 
 
-@for_each("case", CASES[::6])
-def test_the_service_answers_it(case: Case, client: TestClient):
-    here = submitted(client, case)
-    answer = get(client, f"{here}/threshold", predict="none")
-    found = {name: about["data"] for name, about in answer["data_vars"].items()}
-    for name, expected in (("up", case.up), ("down", case.down)):
-        assert list(zip(found[name], found[f"{name}_status"], strict=True)) == list(expected)
-    assert answer["attrs"]["complete"] == all("." not in row for rows in case.rows.values() for row in rows)
-
-
 #: Of folds at Γ = 0.553245, and of Eq. 25 at 0.869608.
 DIFFERENCES: Final = [
     (0.6, 0.05, 0.56, 0.01, ""),

@@ -40,10 +40,6 @@ def sweep(**changes: Any) -> SweepSpec:
     return SweepSpec(**SPACE | changes)
 
 
-def adaptive(**refine: Any) -> SweepSpec:
-    return sweep(refine={"by": "mode", "coarsest": 8} | refine)
-
-
 def compute(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
     """The plane of a map, computed chunk by chunk in this process."""
     plan = study_of(spec).plan(spec, shape)
@@ -82,16 +78,6 @@ def refined(kinds: np.ndarray, refine: Refine) -> tuple[np.ndarray, np.ndarray]:
 MODE = Refine(by="mode", coarsest=8)
 
 
-def test_a_cell_takes_the_values_of_the_nearest_corner_or_centre_of_its_block():
-    _, source = refined(np.ones((9, 9), int), MODE)
-    vertices = {(0, 0), (0, 8), (4, 4), (8, 0), (8, 8)}
-    for cell in np.ndindex(9, 9):
-        taken = tuple(int(i) for i in divmod(source[cell], 9))
-        assert taken in vertices
-        nearest = min((cell[0] - row) ** 2 + (cell[1] - column) ** 2 for row, column in vertices)
-        assert (cell[0] - taken[0]) ** 2 + (cell[1] - taken[1]) ** 2 == nearest
-
-
 @for_each("shape", [(1, 1), (1, 2), (2, 1), (1, 30), (30, 1), (2, 2), (3, 3), (2, 30), (23, 31)])
 def test_every_shape_of_tile_is_covered(shape):
     rng = np.random.default_rng(7)
@@ -100,15 +86,6 @@ def test_every_shape_of_tile_is_covered(shape):
         assert computed.flat[source].all()
         assert np.array_equal(source[computed], np.flatnonzero(computed))
         assert computed[[0, 0, -1, -1], [0, -1, 0, -1]].all()
-
-
-@pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, -0.7])
-def test_straight_borders_are_found_exactly(slope):
-    row, column = np.mgrid[:65, :65]
-    kinds = np.where(column - 30.5 > slope * (row - 32), 2, 1)
-    computed, source = refined(kinds, Refine(by="mode", coarsest=64))
-    assert np.array_equal(kinds.flat[source], kinds)
-    assert np.mean(computed) < 0.15
 
 
 def island(rows: int, columns: int) -> np.ndarray:
