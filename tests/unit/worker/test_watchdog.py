@@ -13,7 +13,7 @@ from distributed import Client, LocalCluster
 from scripted import DEADLINE, wait_for
 
 from worker import store, watchdog
-from worker.study import ChunkCancelled, ChunkReport
+from worker.study import ChunkCancelled
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
 from worker.watchdog import TOPIC, Watchdog, run_watched
@@ -121,16 +121,6 @@ class Watched:
 @pytest.fixture
 def watched(client: Client, tmp_path: Path, small_spec: Any, timers: Any) -> Watched:
     return Watched(client, str(tmp_path / "a.zarr"), small_spec())
-
-
-def test_a_worker_says_what_it_begins_and_returns_the_report(watched: Watched, timers: list[Any]):
-    report = watched()
-    assert isinstance(report, ChunkReport)
-    assert report.index == 0
-    assert store.read_chunk(watched.url, watched.plan[0], ["outcome"])["outcome"].all()
-    assert watched.events() == [watched.begun]
-    wait_for(lambda: not watching())
-    assert timers == [(105.0, True), ("cancelled",)]  # five seconds more than the chunk has
 
 
 def test_a_process_that_is_ended_says_why_first(watched: Watched, monkeypatch: pytest.MonkeyPatch):

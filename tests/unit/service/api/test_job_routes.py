@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from scripted import Held, sweep, wait_for
-from served import FIGURE_2, computing, finished, get, occupied, service
+from served import FIGURE_2, computing, finished, get, service
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
 
@@ -120,19 +120,6 @@ def test_results_of_a_done_job_answer_304(tmp_path: Path):
 
 
 # Resume, delete
-
-
-def test_resume_continues_a_cancelled_job_and_refuses_a_done_one(tmp_path: Path):
-    with computing(tmp_path) as client:
-        here = finished(client, SWEEP)
-        answer = client.post(f"{here}/resume")
-        assert (answer.status_code, answer.json()["detail"][:15]) == (409, "the job is done")
-    with occupied(tmp_path / "2") as client:
-        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
-        assert client.post(f"{here}/resume").status_code == 200
-        client.post(f"{here}/cancel")
-        answer = client.post(f"{here}/resume")
-        assert (answer.status_code, answer.json()["state"]) == (202, "queued")
 
 
 def test_deleting_a_job_removes_its_results(tmp_path: Path):

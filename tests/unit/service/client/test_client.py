@@ -171,16 +171,6 @@ def test_several_jobs_are_waited_for_together(client: Client):
     assert counts == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
-def test_an_open_store_can_be_written_to_a_file(job: Job, tmp_path: Path):
-    store = job.open()
-    assert store.direction.dtype.kind == "U"  # the lowest xarray writes no texts of any length
-    assert store.sel(direction="rest").direction_code == 0
-    store.load().to_netcdf(tmp_path / "sweep.nc")
-    with xarray.open_dataset(tmp_path / "sweep.nc") as written:
-        assert json.loads(written.attrs["spec"]) == json.loads(store.attrs["spec"])
-        assert json.loads(written.attrs["spec"])["xi"] == SPEC["xi"]
-
-
 def test_a_failed_job_says_why(tmp_path: Path):
     script = {0: [ValueError("the roof fell in")] * 99}
     with serving(tmp_path, Scripted(script), failed_chunks=1) as client:

@@ -29,7 +29,7 @@ from worker import store
 from worker.executors.base import ClusterState
 from worker.executors.inline import Inline
 from worker.spec.errors import SpecTooLarge
-from worker.study import Chunk, ChunkPaused, ChunkReport
+from worker.study import Chunk, ChunkReport
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
@@ -87,37 +87,6 @@ def test_every_job_gets_turns_however_many_smaller_ones_follow(tmp_path: Path):
         assert len(small) > 2
 
 
-def test_a_job_whose_slices_take_long_shows_their_time_and_lets_others_pass(tmp_path: Path):
-    paused = ChunkPaused("paused")
-    paused.seconds = 1.5
-    held = Held(capacity=1)
-    with running(tmp_path, held, window=1) as service:
-        first = service.submit(of_cells(8))
-        wait_for(lambda: held.held("8") == 1)
-        future, *_ = held.chunks.pop()
-        future.set_exception(paused)
-        wait_for(lambda: service.job(first).core_seconds == 1.5)
-        second = service.submit(of_cells(28))  # estimated to take longer
-        wait_for(lambda: held.held("28") == 1)
-        held.let_go_until(lambda: service.job(second).state is JobState.DONE)
-        assert service.job(first).state is JobState.RUNNING
-        held.let_go_until(lambda: service.job(first).state is JobState.DONE)
-        assert service.job(first).core_seconds > 1.5
-
-
-def test_an_idle_job_gives_its_place_to_a_smaller_one_and_goes_on_later(tmp_path: Path):
-    held = Held(capacity=1)
-    with running(tmp_path, held, window=1, active_jobs=1) as service:
-        large = service.submit(of_cells(100))
-        wait_for(lambda: held.held("100") == 1)
-        small = service.submit(of_cells(8))
-        held.let_go_until(lambda: service.job(small).state is JobState.DONE)
-        assert service.job(large).state is JobState.RUNNING
-        assert 1 <= service.job(large).chunks_done < 8
-        held.let_go_until(lambda: service.job(large).state is JobState.DONE)
-        assert sorted(held.order) == sorted(set(held.order))  # nothing is computed twice
-
-
 # Cancelling and resuming
 
 
@@ -138,20 +107,6 @@ def test_a_running_job_is_cancelled_when_nothing_writes_any_more(tmp_path: Path)
         job = service.until(job, JobState.CANCELLED)
     assert (job.chunks_done, job.error) == (1, None)
     assert held.held() == 0
-
-
-def test_a_cancel_taken_back_in_time_costs_nothing(tmp_path: Path):
-    held, spec = Held(), sweep()
-    with running(tmp_path, held) as service:
-        job = service.submit(spec)
-        wait_for(held.held)
-        service.manager.cancel(job.id)
-        wait_for(lambda: store.is_cancelled(service.settings.store_of(job.store)))
-        again = service.manager.submit(spec)
-        assert again.accepted
-        assert again.job.state is JobState.RUNNING
-        wait_for(lambda: not store.is_cancelled(service.settings.store_of(job.store)))
-        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
 
 
 def test_a_job_deleted_while_its_store_is_made_leaves_none(

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from ledgers import accept, current, reports
 
-from service.errors import IllegalTransition, LedgerUnavailable, LedgerUnusable
+from service.errors import LedgerUnavailable, LedgerUnusable
 from service.ledger import backup
 from service.ledger.ledger import Ledger
 from service.ledger.model import Failure, JobRecord, JobState
@@ -27,12 +27,6 @@ def run(ledger: Ledger, job: JobRecord, now: float = 200.0) -> JobRecord:
     return current(ledger, job.id)
 
 
-def mark_and_finish(ledger: Ledger, job: JobRecord) -> None:
-    with ledger.writing() as writing:
-        writing.mark_done(job, reports(0))
-        writing.finish(job, JobState.DONE, 300.0)
-
-
 def mark_and_interrupt(ledger: Ledger, job: JobRecord) -> None:
     with ledger.writing() as writing:
         writing.mark_done(job, reports(0))
@@ -43,13 +37,6 @@ def test_the_same_job_is_not_accepted_twice(ledger: Ledger):
     accept(ledger)
     with pytest.raises(sqlite3.IntegrityError):
         accept(ledger)
-
-
-def test_an_illegal_step_changes_nothing(ledger: Ledger):
-    job = accept(ledger)
-    with pytest.raises(IllegalTransition):
-        mark_and_finish(ledger, job)
-    assert current(ledger) == job
 
 
 def test_a_transaction_is_all_or_nothing(ledger: Ledger):

@@ -52,11 +52,6 @@ def test_transitions_are_these_and_no_others(old: JobState, new: JobState):
             check_transition(old, new)
 
 
-def test_percent_is_100_only_when_all_is_done():
-    for done, percent in ((0, 0), (999_999, 99.9), (1_000_000, 100)):
-        assert record(cells_done=done, cells_total=1_000_000).progress(0.0)["percent"] == percent
-
-
 def test_eta_uses_the_rate_of_this_run_alone():
     # 900 of 1000 cells were done before; this run did 20 in 4 s, 80 are left
     run = {"cells_total": 1000, "run_cells": 900, "run_started": 100.0}

@@ -63,13 +63,6 @@ def test_the_basin_of_a_cell(found: xarray.Dataset, job: Job):
     assert (stored.attractor.sel(gamma=1.27).squeeze().values == ids.values).all()
 
 
-def test_rest_is_an_attractor(service: TestClient, job: Job):
-    variables = get(service, f"/v1/jobs/{job.id}/basins", gamma=0.6)["data_vars"]
-    told = {name: variables[f"attractor_{name}"]["data"] for name in ("label", "outcome", "fraction")}
-    assert told == {"label": ["rest"], "outcome": [3], "fraction": [1.0]}
-    assert set(variables["attractor_flight_time"]["data"][0]) == {None}
-
-
 def test_a_cell_that_is_not_computed_yet_is_not_complete(tmp_path: Path):
     with occupied(tmp_path) as service:
         job = service.post("/v1/jobs", json=SPEC).json()

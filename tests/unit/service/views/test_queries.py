@@ -13,7 +13,7 @@ from tables import for_each
 from kernel.params import Outcome
 from service.errors import InvalidRequest, TooLarge
 from service.views import selection
-from service.views.modes import OTHER_FLIGHTS, Hysteresis, compare
+from service.views.modes import OTHER_FLIGHTS, Hysteresis
 from service.views.registry import VIEWS, admit
 from service.views.selection import Stored
 from worker import store
@@ -171,16 +171,6 @@ def test_a_refusal_names_the_thinning_that_fits(sweep: Stored, max_points: int, 
             diagram(sweep, max_points, every=every - 1, **point)
 
 
-@for_each("every", [1, 2, 3, 4, 7, 10, 99])
-def test_every_nth_cell_is_the_one_of_the_whole(sweep: Stored, every: int):
-    for along, point in (("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.26})):
-        whole = diagram(sweep, along=along, **point).isel({along: slice(None, None, every)})
-        xarray.testing.assert_equal(diagram(sweep, along=along, every=every, **point), whole)
-    part = slice(None, None, every)
-    whole_map = modes(sweep, xi=0.05).isel(omega=part, gamma=part)
-    xarray.testing.assert_equal(modes(sweep, xi=0.05, every=every), whole_map)
-
-
 # Planes
 
 
@@ -228,34 +218,6 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Stor
     window = modes(both_ways, direction="up", hysteresis=True, **ends)
     columns = [i for i, gamma in enumerate(both_ways.spec.axis_values("gamma")) if 0.6 <= gamma <= 1.0]
     assert window.hysteresis.values.tolist() == expected[1:][:, columns].tolist()
-
-
-def test_cycles_of_one_mode_are_other_cycles_if_a_flight_differs(both_ways: Stored):
-    """By more than OTHER_FLIGHTS, among those of the cycle; the last cell has none."""
-    times = np.tile([3.0, 2.0], (5, 1))
-    up = {
-        "outcome": np.array([1, 1, 1, 1, Outcome.APERIODIC], np.uint8),
-        "bounces": np.array([2, 2, 2, 1, 0], np.int32),
-        "periods": np.array([1, 1, 1, 1, 0], np.int32),
-        "flight_time": times,
-        "flights": np.full(5, 2, np.int32),
-    }
-    changed = times + np.array([[0.0, 0.0], [0.0, 0.9e-3], [-1.1e-3, 0.0], [1.0, 0.0], [1.0, 1.0]])
-    found = compare(up, up | {"flight_time": changed}, both_ways.spec.micro_flight)
-    assert found.tolist() == [0, 0, Hysteresis.FLIGHTS, 0, 0]
-    unknown = up | {"outcome": np.array([0, 1, Outcome.SETTLING, 1, Outcome.UNRESOLVED], np.uint8)}
-    shorter = unknown | {"bounces": np.array([1, 1, 1, 1, 0], np.int32)}
-    assert compare(up, shorter, 0.05).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
-    assert compare(shorter, up, 0.05).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
-
-
-def test_cells_of_one_direction_alone_have_no_hysteresis(tmp_path: Path):
-    begun = computed(tmp_path, SweepSpec(**BOTH_WAYS), chunks=6)  # up is done, down is not begun
-    found = modes(begun, direction="up", hysteresis=True)
-    assert (found.outcome != Outcome.MISSING).all()
-    assert not found.hysteresis.any()
-    assert not found.attrs["complete"]
-    assert modes(begun, direction="up").attrs["complete"]
 
 
 @pytest.mark.parametrize(

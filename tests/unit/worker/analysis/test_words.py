@@ -2,51 +2,17 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import worker.analysis.words
-from kernel.params import Outcome
 from worker import store
 from worker.analysis.words import (
-    Skipped,
-    _Cycle,
-    _cycles,
     continue_words,
 )
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
 from worker.sweep.task import run_chunk
-
-
-def settled(*flights: float) -> _Cycle:
-    return _Cycle(0.5, 0.26, 2.5, 2, 2, np.array(flights), np.zeros(2))
-
-
-def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
-    times = np.array([[1, 2, 1, 2, 9, 9], [3, 3, 0, 0, 0, 0], [1, 2, 3, 4, 0, 0], [4, 4, 0, 0, 0, 0]], float)
-    arrays = {
-        "outcome": np.array([Outcome.PERIODIC] * 3 + [Outcome.APERIODIC]),
-        "flight_time": times,
-        "takeoff_phase": times / 10,
-        "flights": np.array([4, 2, 4, 2]),
-        "bounces": np.array([2, 1, 2, 1]),
-        "periods": np.array([3, 1, 2, 1]),
-    }
-    spec = SweepSpec(gamma=[1.0, 1.5, 2.0, 2.5], omega=0.5, xi=0.26)
-    skipped: list[Skipped] = []
-    found = list(_cycles(spec, arrays, (0, 0), skipped))
-    assert [(c.gamma, c.bounces, c.periods) for c in found] == [(1.0, 2, 3), (1.5, 1, 1)]
-    assert [c.flight_time.tolist() for c in found] == [[1, 2], [3]]
-    assert [c.takeoff_phase.tolist() for c in found] == [[0.1, 0.2], [0.3]]
-    (missed,) = skipped
-    assert missed[:3] == (2.0, 2, 2)
-    assert "its 4 stored flights" in missed.reason
-    filled_in = {"flights": np.array([0, 2, 4, 2])}  # the first cell has the mode of another
-    assert [c.gamma for c in _cycles(spec, arrays | filled_in, (0, 0), [])] == [1.5]
-    more_flights_than_kept = {**arrays, "flights": np.array([4, 2_000, 4, 2])}
-    assert len(list(_cycles(spec, more_flights_than_kept, (0, 0), []))) >= 1
 
 
 @pytest.mark.parametrize(("most", "followed"), [(2, 2), (1, 1)])

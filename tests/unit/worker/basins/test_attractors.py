@@ -61,7 +61,6 @@ def spread(low: float, high: float) -> list[float]:
     return np.random.default_rng(1).permutation(np.linspace(low, high, 300)).tolist()
 
 
-REST = always(Outcome.AT_REST)
 CHAOS = always(Outcome.APERIODIC, spread(1.0, 2.0))
 
 
@@ -95,11 +94,19 @@ def test_a_group_whose_representatives_end_apart_goes_on_until_it_is_two():
     assert [a.flights.tolist() for a in found.attractors] == [[1.0, 2.0], [4.0]]
 
 
-def test_attractors_of_equal_shares_are_in_the_order_of_outcome_mode_and_longest_flight():
-    motions = cycle(1.0, 3.0), cycle(1.0, 2.0), cycle(1.0, 2.0, periods=2), cycle(9.0), REST
-    found = searched([0, 1, 2, 3, 4], *motions)
-    assert found.ids.tolist() == [3, 2, 4, 1, 5]
-    assert [a.fraction for a in found.attractors] == [0.2] * 5
+@pytest.mark.parametrize(
+    ("flights", "count"),
+    [
+        ((1.0 + 0.9e-4, 2.0 + 0.9e-4), 1),
+        ((1.0 + 1.2e-4, 2.0 + 1.2e-4), 2),
+        ((1.0, 2.0 + 1.2e-4), 2),
+        ((1.0 - 1.2e-4, 2.0), 2),
+    ],
+)
+def test_cycles_of_one_mode_are_one_if_their_flights_are(flights: tuple[float, ...], count: int):
+    found = searched([0, 1], cycle(1.0, 2.0), cycle(*flights))
+    assert len(found.attractors) == count
+    assert set(found.ids.tolist()) == set(range(1, count + 1))
 
 
 def test_two_distributions_are_two_attractors():

@@ -19,7 +19,7 @@ from kernel.params import STATE_FIELDS, Line, Outcome
 from worker import store, work
 from worker.basins.attractors import Attractor, Found, Request, find
 from worker.basins.schema import MAX_ATTRACTORS, basin_arrays, basin_sizes
-from worker.basins.specification import BasinSpec
+from worker.basins.specification import UNTIL, BasinSpec
 from worker.basins.starts import starts_of
 from worker.basins.task import _fill_in, entropies, run_chunk
 from worker.spec.errors import SpecError
@@ -152,23 +152,6 @@ def test_a_long_transient_is_no_attractor():
     assert found.attractors[0].fraction > 0.95
 
 
-def test_starts_that_have_hardly_settled_make_no_attractors_of_their_own():
-    """After 10 periods many starts are on no cycle yet, or on one to 1e-3."""
-    for settle in (10, 60):
-        found = search(3.6, 0.5, 0.26, settle=settle, observe=20)
-        assert told(found) == [(Outcome.PERIODIC, 3, 4), (Outcome.PERIODIC, 1, 2)], settle
-        assert (found.ids > 0).all()
-
-
-def test_a_state_of_each_attractor_stays_on_it():
-    found = search(1.27, 0.5, 0.26)
-    for attractor in found.attractors:
-        repeated = attractor.flight_time[np.isfinite(attractor.flight_time)][-5:]
-        assert len(repeated) == 5
-        np.testing.assert_allclose(repeated, attractor.longest_flight, atol=1e-6)
-        assert attractor.state[0] == 0.0
-
-
 def test_entropies_of_known_maps():
     halves = np.ones((16, 16), np.uint8)
     halves[:, 8:] = 2
@@ -265,6 +248,13 @@ def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided()
     assert record["attractor"].ravel().tolist() == shown.tolist()
     assert int(record["attractor_count"][0, 0, 0]) == MAX_ATTRACTORS + 2
     assert float(record["undecided"][0, 0, 0]) == np.mean(shown == 0)
+
+
+def test_a_start_may_take_ten_windows_unless_it_is_told_how_long():
+    spec = basin(settle=400, observe=50, exponents=2, keep=7, micro_flight=0.02)
+    assert spec.until == UNTIL * 450 == 4500
+    told = basin(settle=400, observe=50, settle_until=900)
+    assert told.until == 900
 
 
 @pytest.mark.parametrize("kind", ["soft", "ball", "stepped"])

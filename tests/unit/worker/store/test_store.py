@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tables import for_each
 
-from kernel.params import KERNEL_VERSION, STATE_FIELDS
+from kernel.params import STATE_FIELDS
 from worker import store
 from worker.store import backend, reader
 from worker.store import store as stored
@@ -76,17 +76,6 @@ def test_opens_with_plain_xarray(url, spec):
             assert dataset[name].dtype == np.dtype(dtype)
         assert dataset["flight_time"].attrs["units"] == "rad"
         assert dataset["end_state"].attrs["fields"].split() == list(STATE_FIELDS)
-
-
-def test_attributes_say_what_it_is(url, spec):
-    attrs = store.read_attrs(url)
-    assert SweepSpec.parse(attrs["spec"]) == spec
-    assert attrs["job"] == spec.job_id(KERNEL_VERSION)
-    assert attrs["kernel_version"] == KERNEL_VERSION
-    assert attrs["model"] == "rigid"
-    assert "time_steps" not in attrs
-    assert attrs["title"] == "a label"
-    assert attrs["Conventions"].startswith("CF-")
 
 
 def test_a_reader_without_text_finds_directions_as_numbers(url, spec):
@@ -183,13 +172,6 @@ def test_a_chunk_that_is_not_the_stores_own_is_refused_before_it_is_computed(url
         store.check_chunk(str(tmp_path / "none.zarr"), plan[0], schema.arrays(spec))
 
 
-def stored_files(url: str, chunk: Chunk) -> list[Path]:
-    (xi, _), (omega, _), (gamma, _) = chunk.spans
-    coords = f"{chunk.direction}.{xi}.{omega // 2}.{gamma // 4}"
-    paths = [*Path(url).glob(f"*/c.{coords}"), *Path(url).glob(f"*/c.{coords}.0")]
-    return sorted(path for path in paths if path.is_file())
-
-
 def flip(path: Path, seed: int) -> None:
     content = bytearray(path.read_bytes())
     content[seed % len(content)] ^= 1 << seed % 8
@@ -202,16 +184,6 @@ def cut(path: Path, seed: int) -> None:
 
 def delete(path: Path, seed: int) -> None:
     path.unlink()
-
-
-def test_leftovers_of_killed_writers_are_swept(url, spec, plan):
-    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
-    before = files(url)
-    for name in (".partial/0.partial", ".checkpoint-0.0.partial"):
-        (Path(url) / name).write_bytes(b"half")
-    assert store.sweep_leftovers(url) == 2
-    assert store.sweep_leftovers(url) == 0
-    assert files(url) == before
 
 
 def test_of_a_complete_store_every_file_must_be_there(url, spec, plan):
@@ -299,17 +271,6 @@ def test_a_store_that_is_removed_meanwhile_is_not_made_again(url, spec, plan, mo
     assert not Path(url).exists()
 
 
-def test_what_is_discarded_is_gone_and_outcomes_first(url, spec, plan, monkeypatch):
-    for chunk in plan[:2]:
-        store.write_chunk(url, chunk, record_of(spec, chunk))
-    removed, real = [], backend.delete
-    monkeypatch.setattr(backend, "delete", lambda url, key: (removed.append(key), real(url, key)))
-    store.discard(url, layout(spec, plan.chunk_shape), plan[0])
-    assert removed[0] == "outcome/c.0.0.0.0"
-    assert stored_files(url, plan[0]) == []
-    assert len(stored_files(url, plan[1])) == len(schema.RECORD) + 2
-
-
 @pytest.fixture
 def sharded(tmp_path, spec, monkeypatch) -> tuple[str, Plan]:
     """A store whose larger arrays have shards of 2 × 2 × 2 inner chunks."""
@@ -320,20 +281,6 @@ def sharded(tmp_path, spec, monkeypatch) -> tuple[str, Plan]:
     for chunk in plan:
         store.write_chunk(url, chunk, record_of(spec, chunk))
     return url, plan
-
-
-def test_shards_hold_the_same_values_in_as_many_files_as_chunks(sharded, spec):
-    url, plan = sharded
-    group = zarr.open_group(url, mode="r")
-    assert {name for name, array in group.arrays() if array.shards} == {
-        "flight_time", "takeoff_phase", "end_state"
-    }  # fmt: skip
-    assert len(list(Path(url).glob("*/c.*"))) == 7 * len(plan)
-    with xr.open_zarr(url, chunks=None) as dataset:
-        for chunk in plan:
-            for name, values in record_of(spec, chunk).items():
-                np.testing.assert_array_equal(dataset[name].values[chunk.slices][0], values)
-                np.testing.assert_array_equal(store.read_chunk(url, chunk, [name])[name], values)
 
 
 @for_each(

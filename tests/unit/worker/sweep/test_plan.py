@@ -1,18 +1,12 @@
 """The plan: chunks partition the grid whatever its size and cut, and never wait for what comes later."""
 
-import importlib
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tables import for_each
 
 import kernel.line  # noqa: F401 - registers the models' lanes
-from kernel.interface import advance_lanes
-from kernel.params import LANES
-from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import SpecTooLarge
 from worker.study import Chunk, Cost, Plan
 from worker.study.chunks import check_size
@@ -20,9 +14,7 @@ from worker.study.layout import INNER_BYTES
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.plan import (
     MAX_SHARD_BYTES,
-    block,
     cell_seconds,
-    cells_at_once,
     estimate,
     longest_cell_seconds,
     make_plan,
@@ -90,44 +82,6 @@ def cells_along(spec: SweepSpec, chunk: Chunk, axis: str) -> list[tuple[str, int
     direction = spec.directions[chunk.direction]
     places = range(*chunk.spans[AXES.index(axis)])
     return [(direction, place) for place in (reversed(places) if direction == "down" else places)]
-
-
-def test_chunks_of_cells_side_by_side_fill_the_lanes():
-    full = sweep(gamma=64 * LANES, settle=10**6)
-    assert all(chunk.cells == LANES for chunk in make_plan(full))
-
-
-@for_each("kind", CONTACT_MODELS)
-def test_those_models_fill_lanes_that_the_kernel_computes_in_lanes(kind):
-    spec = sweep(gamma=100, model={"kind": kind})
-    module = importlib.import_module(CONTACT_MODELS[kind].kernel)
-    values = spec.model.exact if kind == "auto" else spec.model
-    plate = module.plate(**values.plate_arguments(*(np.ones(1),) * 3))
-    assert (cells_at_once(spec) > 1) == (type(plate) in advance_lanes)
-
-
-@given(grids, st.integers(1, 500))
-def test_a_line_from_rest_touches_few_chunks_whichever_axis_it_goes_along(spec, cells):
-    """No axis is cut into more parts than the least number that all of them could be cut into."""
-    spec = spec.model_copy(update={"protocol": sweep().protocol})
-    plan = make_plan(spec, block(spec, cells))
-    fewest = next(
-        parts
-        for parts in range(1, 10)
-        if parts == 9 or math.prod(-(-n // min(n, parts)) for n in plan.grid) <= cells
-    )
-    assert max(plan.counts) <= fewest
-
-
-def test_estimate_counts_what_the_store_holds():
-    spec = sweep(2, 3, 1000, ramp=("gamma", "both"), keep=10, settle=100, observe=200)
-    found = cost_of(spec)
-    assert found.cells == 2 * 2 * 3 * 1000
-    assert found.chunks == len(make_plan(spec))
-    # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
-    assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 4 + 4 + 6 * 8 + 1)
-    assert found.core_seconds == pytest.approx(found.cells * cell_seconds(spec))
-    assert cost_of(sweep(100_000, 100_000, 100_000)).cells == 10**15  # takes neither time nor memory
 
 
 def test_what_is_harder_costs_more():

@@ -174,14 +174,6 @@ def test_a_specification_is_an_object_with_three_axes():
         SweepSpec.parse({})
 
 
-def test_defaults_are_those_of_the_design():
-    contact = {"restitution": 0.01, "penetration": 0.001, "rest_length": None, "adhesive": True}
-    assert sweep().canonical() == {
-        "gamma": [2.0], "omega": [0.5], "xi": [0.26], "protocol": {"kind": "rest"},
-        "model": {"kind": "soft"} | contact, "settle": 200, "observe": 100, "keep": 64, "micro_flight": 0.05,
-    }  # fmt: skip
-
-
 @given(
     st.floats(1e-6, 1e6), st.floats(1e-6, 1e6), st.integers(2, 300), st.sampled_from(["linear", "log"])
 )  # fmt: skip

@@ -212,14 +212,6 @@ def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     return spec, plan, url
 
 
-def test_a_paused_chunk_does_not_begin_anew(tmp_path, small_spec, monkeypatch):
-    spec, plan, url = paused(tmp_path, small_spec, monkeypatch)
-    taken = store.read_checkpoint(url, 0)["seconds"]
-    report = run_chunk(spec, plan[0], url)
-    assert report.kernel_seconds > taken[1]
-    assert store.read_checkpoint(url, 0) is None
-
-
 @pytest.mark.parametrize("harm", ["damaged", "of another line"])
 def test_a_checkpoint_that_is_not_what_was_written_begins_anew(tmp_path, small_spec, monkeypatch, harm):
     spec, plan, url = paused(tmp_path, small_spec, monkeypatch)
