@@ -21,8 +21,7 @@ import pytest
 from dask_processes import Remote
 from documents import blocks
 from paths import CACHE, ROOT
-from running import costing
-from scripted import free_port, wait_for
+from scripted import costing, free_port, wait_for
 
 from service.client import Client
 from worker.kernel_cache import use_cache

@@ -18,8 +18,8 @@ import dask
 import pytest
 from blame import blamed, noting_errors
 from paths import CACHE, ROOT
-from running import Running, running
 from scripted import wait_for
+from served import Running, running
 from slurm import Allocations, Slurm, missing, slurm_running
 
 from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster

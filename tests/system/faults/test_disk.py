@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 from disks import fill, mounted, read_only, use_up_inodes
-from running import running
 from scripted import Held, sweep, wait_for
-from served import FIGURE_2, service
+from served import FIGURE_2, running, service
 
 from kernel.params import Outcome
 from service.ledger.model import JobState

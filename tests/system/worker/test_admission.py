@@ -14,8 +14,8 @@ from blame import noting_errors
 from dask_processes import Processes, dask_processes
 from distributed import Client
 from paths import CACHE, ROOT
-from running import costing, running
-from scripted import wait_for
+from scripted import costing, wait_for
+from served import running
 from stores import marked
 
 from service.api.monitoring import Readiness

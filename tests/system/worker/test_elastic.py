@@ -9,8 +9,8 @@ import dask
 import pytest
 from distributed import LocalCluster
 from paths import CACHE
-from running import costing, running
-from scripted import wait_for
+from scripted import costing, wait_for
+from served import running
 
 from service.api.monitoring import Readiness
 from service.ledger.model import JobState

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from harm import leave
 from paths import CACHE
-from running import costing, running
-from scripted import wait_for
+from scripted import costing, wait_for
+from served import running
 
 from service.ledger.model import JobState
 from worker import store, watchdog

@@ -91,14 +91,3 @@ def test_a_predecessor_whose_end_state_cannot_be_read_is_computed_again(error: E
     assert POLICY.decide(error, last) == Decision(Action.GIVE_UP, recompute_predecessor=True)
     assert not POLICY.decide(error, FRESH).recompute_predecessor
     assert not POLICY.decide(error, ON_A_RAMP._replace(stopping=True)).recompute_predecessor
-
-
-def test_only_a_damaged_predecessor_is_computed_again():
-    assert not POLICY.decide(ValueError("no"), ON_A_RAMP).recompute_predecessor
-    assert not POLICY.decide(WorkerLost("gone"), ON_A_RAMP).recompute_predecessor
-
-
-def test_a_single_try_is_not_repeated():
-    policy = RetryPolicy(chunk_tries=1, failed_chunks=8)
-    assert policy.decide(ValueError("no"), FRESH) == Decision(Action.GIVE_UP)
-    assert policy.decide(WorkerLost("gone"), LAST_LOSS) == Decision(Action.GIVE_UP)
