@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+from paths import ROOT
 from scripted import TWO_LINES, Held, Scripted, sweep, wait_for
 from served import service
 from tables import for_each
