@@ -136,7 +136,6 @@ def facts() -> dict[str, str]:
     return {
         "kernel version": KERNEL_VERSION,
         **{f"package {name}": digest_of(name) for name in ("kernel", "worker")},
-        "Python": ".".join(platform.python_version_tuple()[:2]),
         **{name: version(name) for name in _LIBRARIES},
         "kind of processor": platform.machine(),
     }

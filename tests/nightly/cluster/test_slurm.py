@@ -107,7 +107,7 @@ def test_allocations_that_end_are_replaced_and_no_chunk_is_blamed(
     ):
         service.jobs_until(
             lambda: len(allocations.ended) >= 2 and allocations.seen > allocations.ended,
-            chunks=120,
+            chunks=40,
             seconds=0.5,
             patience=PATIENCE,
         )
