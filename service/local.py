@@ -167,7 +167,7 @@ def run_to_file(
         formats = ", ".join((*EXPORTS, "zarr"))
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
-    from service.views import diagram, files
+    from service.views import diagram, exports
     from service.views.registry import admit, answer
     from service.views.selection import Stored
     from service.views.view import Query
@@ -177,7 +177,7 @@ def run_to_file(
     settings = _settings(partial_of(target))
     # Before computing for hours.
     if format in EXPORTS:
-        files.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
+        exports.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
     else:
         query, _ = admit(diagram.VIEW, parsed, query, format, settings.max_points)
     with (
@@ -189,10 +189,10 @@ def run_to_file(
             job.spec, job.store_url, complete=True, job=job.job_id, forms=job.forms, audit=done.audit
         )
         if format in EXPORTS:
-            attributes = files.attributes_of(done.record, job)
-            whole = files.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
-            with files.make(InThisProcess(), whole, settings.exports_path) as made:
-                file.writelines(files.pieces(made))
+            attributes = exports.attributes_of(done.record, job)
+            whole = exports.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
+            with exports.make(InThisProcess(), whole, settings.exports_path) as made:
+                file.writelines(exports.pieces(made))
         else:
             file.write(answer("diagram", study, query.model_dump(), format)[0])
     shutil.rmtree(partial_of(target))

@@ -7,14 +7,11 @@ what code runs here, so it is created for this user alone and refused if others 
 `python -m worker.kernel_cache` compiles every kernel into the default cache.
 """
 
-import fcntl
 import hashlib
 import os
 import platform
 import shutil
-import sys
 import tempfile
-import threading
 import time
 from contextlib import suppress
 from importlib.metadata import version
@@ -24,12 +21,8 @@ from typing import Final
 
 from worker.ownership import PRIVATE_FOLDER, NotOurs, check_unshared
 
-#: The argument before ROOT with which a worker starts this module when idle.
-BESIDE: Final = "--beside"
-
 _VARIABLE: Final = "NUMBA_CACHE_DIR"
 _USED: Final = "used"
-_LOCK: Final = "compiling"
 _OLD_SECONDS: Final = 14 * 24 * 3600
 
 
@@ -110,9 +103,9 @@ def digest_of(package: str, *more: str) -> str:
 
     Raises ModuleNotFoundError if there is no such package.
     """
-    if (found := find_spec(package)) is None:
+    if (spec := find_spec(package)) is None:
         raise ModuleNotFoundError(f"No module named '{package}'", name=package)
-    folder = Path(next(iter(found.submodule_search_locations or ())))
+    folder = Path(next(iter(spec.submodule_search_locations or ())))
     digest = hashlib.sha256(" ".join(more).encode())
     for source in sorted(folder.rglob("*.py")):
         content = source.read_bytes()
@@ -120,34 +113,8 @@ def digest_of(package: str, *more: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def _compile_beside(root: str) -> None:
-    """Compile at the lowest priority, in one process of a cache, until standard input is closed."""
-
-    def end_with_parent() -> None:
-        os.read(0, 1)
-        os._exit(0)
-
-    os.nice(19)
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    folder = use_cache(root or None)
-    from kernel.numerics.cache import cache_folder  # noqa: PLC0415
-
-    if cache_folder() is None:
-        return
-    with (folder / _LOCK).open("a") as lock, suppress(BlockingIOError):
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        _compile_all()
-
-
-def _compile_all() -> None:
-    from worker.work import compile_kernels  # noqa: PLC0415 - loads every library that computes
+if __name__ == "__main__":
+    use_cache()
+    from worker.work import compile_kernels  # loads every library that computes
 
     compile_kernels()
-
-
-if __name__ == "__main__":
-    if sys.argv[1:2] == [BESIDE]:
-        _compile_beside(sys.argv[2])
-    else:
-        use_cache()
-        _compile_all()

@@ -21,7 +21,7 @@ from worker.sweep import SweepSpec, plan, schema
 
 SWEEP: Final = Study(SweepSpec.parse, plan.make_plan, schema.layout, plan.estimate, "worker.sweep.task")
 
-#: A sweep from rest with the field `refine`.
+#: A sweep that fills cells in: an adaptive map.
 MAP: Final = Study(
     SweepSpec.parse, maps.make_plan, schema.layout, maps.estimate, "worker.maps.task", maps.first_round
 )
@@ -45,7 +45,7 @@ STUDIES: Final = {
 
 def study_of(spec: Any) -> Study:
     """The kind of study of a specification."""
-    return STUDIES[spec.protocol.kind] if getattr(spec, "refine", None) is None else MAP
+    return MAP if spec.fills_in else STUDIES[spec.protocol.kind]
 
 
 def parse(data: object) -> Any:

@@ -102,15 +102,15 @@ def follow(
     first = start(word)
     ways = [first.tangent] if word.direction is not None else [first.tangent, -first.tangent]
     lines: list[list[Floats]] = []
-    found: list[Turn] = []
+    turns: list[Turn] = []
     for way in ways:
         line, end = walk(word, first._replace(tangent=way), points, gamma)
-        found += turns_along(word, line)
+        turns += turns_along(word, line)
         lines.append([point.u for point in line])
         if end is not None:
-            found.append(end)
+            turns.append(end)
             lines[-1].append(end.word.unknowns)
-    return record(word, np.array([*(lines[1][:0:-1] if len(lines) > 1 else ()), *lines[0]])), found
+    return record(word, np.array([*(lines[1][:0:-1] if len(lines) > 1 else ()), *lines[0]])), turns
 
 
 def start(word: Word) -> Point:
@@ -125,21 +125,21 @@ def start(word: Word) -> Point:
         raise KernelInputError("unknowns", f"must be {STATE + len(pieces(word.letters))}, got {len(u)}")
     if word.direction is not None:
         aside = u + _ASIDE * word.direction
-        found = newton(k, word, aside, word.direction)
-        if found is not None:
-            return _along(found, word.direction)
+        point = newton(k, word, aside, word.direction)
+        if point is not None:
+            return _along(point, word.direction)
     else:
         size = float(np.hypot(u[2], u[3]))
         for _ in range(_SAME_GAMMA):
             same = np.zeros(len(u))
             same[2:4] = u[2:4] / np.hypot(u[2], u[3])
-            found = newton(k, word, u, same, size)
-            if found is None or (found.u[STATE:] <= 0.0).any():
-                found = None
+            point = newton(k, word, u, same, size)
+            if point is None or (point.u[STATE:] <= 0.0).any():
+                point = None
                 break
-            u = found.u
-        if found is not None:
-            return _along(found, found.tangent)
+            u = point.u
+        if point is not None:
+            return _along(point, point.tangent)
     raise KernelInputError("unknowns", f"no orbit of the word {word.letters} near them")
 
 
@@ -160,8 +160,8 @@ def newton(
     goal = float(direction @ u) if goal is None else goal
     for _ in range(_NEWTON):
         with np.errstate(all="ignore"):
-            found = go_round(k, word.letters, word.periods, u[:, None])
-        value, slope = found.value[:, 0], found.slope[..., 0]
+            cycle = go_round(k, word.letters, word.periods, u[:, None])
+        value, slope = cycle.value[:, 0], cycle.slope[..., 0]
         if not (np.isfinite(value).all() and np.isfinite(slope).all()):
             return None
         matrix = np.vstack([slope, direction])
@@ -187,61 +187,63 @@ def walk(
     k = spring(word.omega, word.xi)
     line, step, bend = [first], _FIRST, np.zeros(len(first.u))
     while len(line) <= points and step > _SMALLEST:
-        at = line[-1]
-        guess = at.u + step * (at.tangent + 0.5 * step * bend)
-        found = newton(k, word, guess, at.tangent, float(at.tangent @ at.u) + step, _NEARLY)
-        angle = np.inf if found is None else float(np.arccos(min(1.0, float(found.tangent @ at.tangent))))
-        if found is None or angle > _TURN:
+        last = line[-1]
+        guess = last.u + step * (last.tangent + 0.5 * step * bend)
+        point = newton(k, word, guess, last.tangent, float(last.tangent @ last.u) + step, _NEARLY)
+        angle = np.inf if point is None else float(np.arccos(min(1.0, float(point.tangent @ last.tangent))))
+        if point is None or angle > _TURN:
             step *= 0.5
             continue
-        if (found.u[STATE:] <= 0.0).any():
-            end = _end(k, word, at, step)
+        if (point.u[STATE:] <= 0.0).any():
+            end = _end(k, word, last, step)
             if end is None:
                 step *= 0.5
                 continue
             return line, end
-        line.append(found)
-        bend = (found.tangent - at.tangent) / step
-        bend -= (bend @ found.tangent) * found.tangent
-        if not gamma[0] <= found.gamma <= gamma[1]:
+        line.append(point)
+        bend = (point.tangent - last.tangent) / step
+        bend -= (bend @ point.tangent) * point.tangent
+        if not gamma[0] <= point.gamma <= gamma[1]:
             break
-        if stable_only and not found.is_stable:
+        if stable_only and not point.is_stable:
             break
         step = min(step * (1.5 if angle < 0.5 * _TURN else 1.0), _LARGEST)
     return line, None
 
 
-def _end(k: Spring, word: Word, at: Point, step: float) -> Turn | None:
+def _end(k: Spring, word: Word, node: Point, step: float) -> Turn | None:
     """Where within a step the first of the times is zero."""
-    found = _root(k, word, at, step, lambda point: float(point.u[STATE:].min()))
-    if found is None:
+    point = _root(k, word, node, step, lambda orbit: float(orbit.u[STATE:].min()))
+    if point is None:
         return None
-    piece = int(np.argmin(found.u[STATE:]))
+    piece = int(np.argmin(point.u[STATE:]))
     part = pieces(word.letters)[piece]
     kind = Kind.GRAZE_CONTACT if part.power == 3 else Kind.IMMEDIATE_TAKEOFF
-    return Turn(kind, word.at(found.u), piece, 0.0)
+    return Turn(kind, word.at(point.u), piece, 0.0)
 
 
-def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Point], float]) -> Point | None:
-    """The orbit within a step of `at` at which a function of opposite signs there is zero (Illinois rule)."""
+def _root(
+    k: Spring, word: Word, node: Point, step: float, function: Callable[[Point], float]
+) -> Point | None:
+    """The orbit within a step of `node` at which a function that changes sign is zero (Illinois rule)."""
     low, high = 0.0, step
-    ends = [at, newton(k, word, at.u + step * at.tangent, at.tangent)]
+    ends = [node, newton(k, word, node.u + step * node.tangent, node.tangent)]
     if ends[1] is None:
         return None
-    low_value, high_value = function(at), function(ends[1])
-    best, best_value = (at, low_value) if abs(low_value) < abs(high_value) else (ends[1], high_value)
+    low_value, high_value = function(node), function(ends[1])
+    best, best_value = (node, low_value) if abs(low_value) < abs(high_value) else (ends[1], high_value)
     last, side = np.inf, 0
     for _ in range(_HALVINGS):
         if np.isfinite(low_value) and np.isfinite(high_value):
             middle = low - low_value * (high - low) / (high_value - low_value)
         else:
             middle = 0.5 * (low + high)
-        found = newton(k, word, at.u + middle * at.tangent, at.tangent)
-        if found is None:
+        point = newton(k, word, node.u + middle * node.tangent, node.tangent)
+        if point is None:
             return None
-        value = function(found)
+        value = function(point)
         if abs(value) < abs(best_value):
-            best, best_value = found, value
+            best, best_value = point, value
         if abs(value) < 1e-14 or abs(middle - last) < 1e-15 + _CONVERGED * step:
             break
         last = middle
@@ -271,21 +273,21 @@ def turns_along(word: Word, line: list[Point]) -> Iterator[Turn]:
     turned = tests[:-1] * tests[1:] < 0.0
     broken = ((whole.value[:, :-1] > 0.0) != (whole.value[:, 1:] > 0.0)).T
     for i in np.flatnonzero(turned.any(axis=1) | broken.any(axis=1)):
-        at, step = line[i], _step(line[i], line[i + 1])
-        found: list[tuple[float, Turn]] = []
+        node, step = line[i], _step(line[i], line[i + 1])
+        turns: list[tuple[float, Turn]] = []
         for which in np.flatnonzero(turned[i]):
-            orbit = _root(k, word, at, step, partial(_test, int(which)))
+            orbit = _root(k, word, node, step, partial(_test, int(which)))
             kind = _TESTS[which]
             if orbit is None or (kind is Kind.NEIMARK_SACKER and abs(orbit.tests[-1]) >= 2.0):
                 continue
-            found.append((_step(at, orbit), Turn(kind, word.at(orbit.u), -1, np.nan)))
+            turns.append((_step(node, orbit), Turn(kind, word.at(orbit.u), -1, np.nan)))
         for row in np.flatnonzero(broken[i]):
-            orbit = _root(k, word, at, step, partial(margin, int(row)))
+            orbit = _root(k, word, node, step, partial(margin, int(row)))
             if orbit is not None:
                 time = float(held([orbit]).time[row, 0])
                 turn = Turn(whole.kind[row], word.at(orbit.u), whole.piece[row], time)
-                found.append((_step(at, orbit), turn))
-        yield from (turn for _, turn in sorted(found, key=lambda x: x[0]))
+                turns.append((_step(node, orbit), turn))
+        yield from (turn for _, turn in sorted(turns, key=lambda x: x[0]))
 
 
 def folds_along(word: Word, line: list[Point], below: float) -> Iterator[Turn]:

@@ -147,10 +147,10 @@ class _Zero:
             self.time = _minimum(plane, kind, t, p, self.time)
         values = []
         for z, parameter in ((t + 1j * STEP, complex(p)), (complex(t), p + 1j * STEP)):
-            k, at = plane.spring(parameter), np.array([z])
-            x = orbit(k, plane.periods, at)
+            k, times = plane.spring(parameter), np.array([z])
+            x = orbit(k, plane.periods, times)
             size = abs(np.hypot(x.c[0].real, x.s[0].real))
-            values.append(self._condition(k, x, at)[0] / size)
+            values.append(self._condition(k, x, times)[0] / size)
         by_t, by_p = values
         return float(by_t.real), np.array([by_t.imag, by_p.imag]) / STEP
 
@@ -167,18 +167,18 @@ class _Zero:
 
 def _grazes_at(plane: _Plane, kind: Kind, t: float, p: float) -> float:
     """When the gap or n is least inside the flight or contact, rad; NaN: it grazes at an end of it."""
-    k, at = plane.spring(p), np.array([t])
-    x = orbit(k, plane.periods, at)
-    found = check(k, plane.periods, at, x, samples(k, sample_times(k, plane.periods)), GRAZES)
-    least = found.gap if kind is Kind.GRAZE_FLIGHT else found.force
+    k, times = plane.spring(p), np.array([t])
+    x = orbit(k, plane.periods, times)
+    checked = check(k, plane.periods, times, x, samples(k, sample_times(k, plane.periods)), GRAZES)
+    least = checked.gap if kind is Kind.GRAZE_FLIGHT else checked.force
     return float(least.time[0]) if abs(least.depth[0]) < _TOUCHES else math.nan
 
 
 def _minimum(plane: _Plane, kind: Kind, t: float, p: float, time: float) -> float:
     """The time of the minimum next to `time`; NaN if it has left the flight or contact."""
-    k, at = plane.spring(p), np.array([t])
+    k, times = plane.spring(p), np.array([t])
     contact = kind is Kind.GRAZE_CONTACT
-    terms, weights, _ = combination(k, orbit(k, plane.periods, at), at, contact)
+    terms, weights, _ = combination(k, orbit(k, plane.periods, times), times, contact)
     end = TWO_PI * plane.periods - t if contact else t
     for _ in range(_CORRECTOR):
         _, slope, bend = (float((weights * y).sum()) for y in terms(k, np.array([time])))
@@ -210,31 +210,31 @@ def curves(
     plane = _Plane(parameter, fixed, low, high, periods)
     for p in (low, high):
         check_spring(*((p, fixed) if parameter is Parameter.OMEGA else (fixed, p)), periods)
-    found: list[tuple[Kind, Floats]] = []
+    traced: list[tuple[Kind, Floats]] = []
     points_left = _ALL_POINTS
     for p in np.linspace(low, high, lines):
         k = plane.spring(float(p))
         _, events = branch_and_events(float(np.real(k.omega)), float(np.real(k.xi)), periods)
         for kind, t in zip(events.kind, events.flight_time, strict=True):
-            if kind not in kinds or _known(plane, found, Kind(kind), float(t), float(p)):
+            if kind not in kinds or _is_traced(plane, traced, Kind(kind), float(t), float(p)):
                 continue
-            found.append((Kind(kind), _whole(plane, Kind(kind), float(t), float(p))))
-            points_left -= len(found[-1][1])
+            traced.append((Kind(kind), _whole(plane, Kind(kind), float(t), float(p))))
+            points_left -= len(traced[-1][1])
             if points_left < 0:
                 rule = (
                     f"the curves up to {high:g} have more than {_ALL_POINTS:,} points: take a shorter range"
                 )
                 raise KernelInputError(f"{parameter}_stop", rule)
-    points = [point for kind, line in found for point in _codimension_2(plane, kind, line)]
+    points = [point for kind, line in traced for point in _codimension_2(plane, kind, line)]
     return Curves(
-        tuple(c for kind, line in found for c in _pieces(plane, kind, line)), _unique(plane, points)
+        tuple(c for kind, line in traced for c in _pieces(plane, kind, line)), _unique(plane, points)
     )
 
 
-def _known(plane: _Plane, found: list[tuple[Kind, Floats]], kind: Kind, t: float, p: float) -> bool:
+def _is_traced(plane: _Plane, traced: list[tuple[Kind, Floats]], kind: Kind, t: float, p: float) -> bool:
     """Whether a curve found already passes through (t, p)."""
     sides = plane.sides()
-    for other, line in found:
+    for other, line in traced:
         if other is not kind:
             continue
         a, b = line[:-1] / sides, line[1:] / sides
@@ -339,9 +339,9 @@ def _codimension_2(plane: _Plane, kind: Kind, line: Floats) -> Iterator[tuple[Ki
         for i in np.flatnonzero(test[:-1] * test[1:] < 0.0):
             part = test[i] / (test[i] - test[i + 1])
             t, p = line[i] + part * (line[i + 1] - line[i])
-            found = _codimension_2_at(plane, point, float(t), float(p))
-            if found is not None and plane.low <= found[1] <= plane.high:
-                yield point, *found
+            solution = _codimension_2_at(plane, point, float(t), float(p))
+            if solution is not None and plane.low <= solution[1] <= plane.high:
+                yield point, *solution
 
 
 def _codimension_2_at(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, float] | None:

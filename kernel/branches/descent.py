@@ -98,7 +98,7 @@ def lifetime(fold: Fold, below: float) -> float:
 
 def minima(k: Spring, events: Events, below: float) -> list[Fold]:
     """The folds of a (1,k) branch below a Gamma that are minima of it."""
-    found = []
+    folds = []
     for i in np.flatnonzero((events.kind == Kind.FOLD) & (events.gamma < below)):
         t, n = float(events.flight_time[i]), int(events.periods[i])
         step = _DIFFERENCE * t
@@ -112,44 +112,44 @@ def minima(k: Spring, events: Events, below: float) -> list[Fold]:
         omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
         balance = energy(omega, xi, n, np.array([t]))
         cycle = from_branch(omega, xi, n, t)
-        found.append(
+        folds.append(
             Fold(
                 cycle, t, float(events.gamma[i]), other, curvature, slope, int(events.admissible[i]), balance
             )
         )
-    return found
+    return folds
 
 
 def descend(word: Word) -> End:
     """Follow a stable cycle down to its end. Raises KernelInputError if the word is not one."""
-    at = word.gamma
+    gamma = word.gamma
     for _ in range(WORDS):
         name = f"{word.letters} ({len(word.letters)},{word.periods})"
         try:
             first = start(word)
         except KernelInputError:
-            return End(at, None, f"no orbit of the word {name} was found at Gamma = {at:.6f}")
-        at = first.gamma
+            return End(gamma, None, f"no orbit of the word {name} was found at Gamma = {gamma:.6f}")
+        gamma = first.gamma
         if word.direction is None and _slope(first) > 0.0:
             first = first._replace(tangent=-first.tangent)
         if not first.is_stable:
-            return End(at, None, f"the word {name} is not stable at Gamma = {at:.6f}")
-        line, end = walk(word, first, _POINTS, (GAMMA[0], at * (1.0 + _RISES)), stable_only=True)
+            return End(gamma, None, f"the word {name} is not stable at Gamma = {gamma:.6f}")
+        line, end = walk(word, first, _POINTS, (GAMMA[0], gamma * (1.0 + _RISES)), stable_only=True)
         turn = next(turns_along(word, line), end)
         if turn is None:
-            return End(line[-1].gamma, None, f"the word {name} leads up from Gamma = {at:.6f}")
-        at = turn.word.gamma
+            return End(line[-1].gamma, None, f"the word {name} leads up from Gamma = {gamma:.6f}")
+        gamma = turn.word.gamma
         if turn.kind is Kind.FOLD:
-            return End(at, _fold(turn), "")
+            return End(gamma, _fold(turn), "")
         if turn.time == 0.0 and turn.word.letters == "s":
-            return End(at, None, "")  # the only flight vanishes: Eq. 25
+            return End(gamma, None, "")  # the only flight vanishes: Eq. 25
         following = _next(turn)
         if following is None:
-            return End(at, None, f"{name} ends at a {turn.kind} at Gamma = {at:.6f}")
+            return End(gamma, None, f"{name} ends at a {turn.kind} at Gamma = {gamma:.6f}")
         word = following
         if len(word.letters) > FLIGHTS:
             break
-    return End(at, None, f"a cascade of words at Gamma = {at:.6f}")
+    return End(gamma, None, f"a cascade of words at Gamma = {gamma:.6f}")
 
 
 def lowest_cycles(word: Word, below: float) -> list[Fold]:

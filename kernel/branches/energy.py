@@ -45,9 +45,9 @@ def word_energy(line: WordBranch) -> Energy:
 
 def _energy(k: Spring, letters: str, periods: int, unknowns: Array) -> Energy:
     u = np.ascontiguousarray(unknowns)
-    found = go_round(k, letters, periods, u)
-    states = [_At(*(y[0] for y in x)) for x in found.starts]
-    impacts = iter(found.impacts)
+    cycle = go_round(k, letters, periods, u)
+    states = [_At(*(y[0] for y in x)) for x in cycle.starts]
+    impacts = iter(cycle.impacts)
     parts = []
     for piece, begin, end in zip(pieces(letters), states, [*states[1:], states[0]], strict=True):
         if piece.flies:

@@ -175,12 +175,12 @@ def flight_times(
     fastest = b + np.sqrt(max(b * b - 2.0 * w, 0.0))
     finest = min(h, resolution / max(fastest, 1e-300))
     steps = [finest]
-    at = finest
-    while (step := max(finest, _GRADING * at)) < h:
-        at += step
+    reach = finest
+    while (step := max(finest, _GRADING * reach)) < h:
+        reach += step
         steps.append(step)
     edge = np.cumsum(steps)
-    inner = np.linspace(at, whole - at, max(points, int(np.ceil((whole - 2.0 * at) / h)) + 1))
+    inner = np.linspace(reach, whole - reach, max(points, int(np.ceil((whole - 2.0 * reach) / h)) + 1))
     first = finest * np.array([0.02, 0.2])
     ends = np.concatenate([first, edge[:-1]])
     return np.concatenate([ends, inner, whole - ends[::-1]])
@@ -195,8 +195,8 @@ def branch(omega: float, xi: float, periods: int, flight_time: Floats, tolerance
     check_spring(omega, xi, periods)
     k = spring(omega, xi)
     x = orbit(k, periods, flight_time)
-    at = samples(k, sample_times(k, periods))
-    return _branch(k, periods, flight_time, x, check(k, periods, flight_time, x, at, tolerance))
+    nodes = samples(k, sample_times(k, periods))
+    return _branch(k, periods, flight_time, x, check(k, periods, flight_time, x, nodes, tolerance))
 
 
 def branch_and_events(omega: float, xi: float, periods: int, points: int = POINTS) -> tuple[Branch, Events]:
@@ -208,16 +208,16 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
     k = spring(omega, xi)
     with np.errstate(all="ignore"):  # poles of Gamma(T)
         value, slope, x = _tests(k, periods, t)
-        at = samples(k, sample_times(k, periods))
-        found = check(k, periods, t, x, at)
-        zeros = roots(lambda which, at: _selected(k, periods, which, at), t, value, slope)
-        grazes = _grazes(k, periods, t, found, at, zeros.x[zeros.which >= _OF_THE_TIMES])
+        nodes = samples(k, sample_times(k, periods))
+        checked = check(k, periods, t, x, nodes)
+        zeros = roots(lambda which, times: _selected(k, periods, which, times), t, value, slope)
+        grazes = _grazes(k, periods, t, checked, nodes, zeros.x[zeros.which >= _OF_THE_TIMES])
         f = floquet(k, periods, zeros.x)
         torus = (zeros.which != _KINDS.index(Kind.NEIMARK_SACKER)) | (np.abs(f.trace) < 2.0)
         torus &= zeros.which != _POLES
         which = np.concatenate([zeros.which[torus], grazes.which])
-        events = _events(k, periods, which, np.concatenate([zeros.x[torus], grazes.x]), at)
-        return _branch(k, periods, t, x, found), events
+        events = _events(k, periods, which, np.concatenate([zeros.x[torus], grazes.x]), nodes)
+        return _branch(k, periods, t, x, checked), events
 
 
 def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
@@ -225,18 +225,18 @@ def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
     t = flight_times(omega, xi, periods)
     k = spring(omega, xi)
 
-    def folds(which: Ints, at: Floats) -> tuple[Floats, Floats]:
-        f = floquet(k, periods, at)
+    def folds(which: Ints, times: Floats) -> tuple[Floats, Floats]:
+        f = floquet(k, periods, times)
         return 1.0 - f.trace + f.det, f.det1 - f.trace1
 
     with np.errstate(all="ignore"):
         value, slope = folds(np.empty(0, np.intp), t)
-        at = roots(folds, t, value[None], slope[None]).x
-        x = orbit(k, periods, at)
-        at = at[np.hypot(x.c, x.s) < below]
-        if not len(at):
+        times = roots(folds, t, value[None], slope[None]).x
+        x = orbit(k, periods, times)
+        times = times[np.hypot(x.c, x.s) < below]
+        if not len(times):
             return join_events([])
-        return _events(k, periods, np.zeros(len(at), np.intp), at, samples(k, sample_times(k, periods)))
+        return _events(k, periods, np.zeros(len(times), np.intp), times, samples(k, sample_times(k, periods)))
 
 
 def rows_of(record: Record, which: Any) -> Record:
@@ -265,7 +265,7 @@ def sample_times(k: Spring, periods: int) -> Floats:
     return np.sort(np.concatenate([[0.0], t, t[0] * np.array([2.0, 4.0]), t[1] * np.array([2.0])]))
 
 
-def _branch(k: Spring, periods: int, t: Floats, x: Orbit, found: Check) -> Branch:
+def _branch(k: Spring, periods: int, t: Floats, x: Orbit, checked: Check) -> Branch:
     """The record of orbits."""
     gamma = np.hypot(x.c, x.s)
     f = floquet(k, periods, t)
@@ -282,11 +282,11 @@ def _branch(k: Spring, periods: int, t: Floats, x: Orbit, found: Check) -> Branc
         impact_velocity=x.impact / gamma,
         multiplier=multipliers(f.trace, f.det),
         stable=stable(f.trace, f.det),
-        admissible=found.reason,
+        admissible=checked.reason,
     )
 
 
-def _events(k: Spring, periods: int, which: Ints, t: Floats, at: Samples) -> Events:
+def _events(k: Spring, periods: int, which: Ints, t: Floats, nodes: Samples) -> Events:
     """The record of the events of kinds `which` at flight times t, without poles, by kind and time."""
     x = orbit(k, periods, t)
     gamma = np.hypot(x.c, x.s)
@@ -295,7 +295,7 @@ def _events(k: Spring, periods: int, which: Ints, t: Floats, at: Samples) -> Eve
     which, t, x, gamma = which[keep], t[keep], Orbit(*(a[keep] for a in x)), gamma[keep]
     f = floquet(k, periods, t)
     tolerance = np.where(which < _OF_THE_TIMES, 0.0, GRAZES)
-    found = check(k, periods, t, x, at, tolerance)
+    checked = check(k, periods, t, x, nodes, tolerance)
     m = len(t)
     return Events(
         kind=np.array([_KINDS[i] for i in which], np.str_),
@@ -306,7 +306,7 @@ def _events(k: Spring, periods: int, which: Ints, t: Floats, at: Samples) -> Eve
         flight_time=t,
         gamma=gamma,
         multiplier=multipliers(f.trace, f.det),
-        admissible=found.reason,
+        admissible=checked.reason,
     )
 
 
@@ -333,14 +333,14 @@ def _selected(k: Spring, periods: int, which: Ints, t: Floats) -> tuple[Floats, 
     return value[which, i], slope[which, i]
 
 
-def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, edge: Floats) -> Roots:
+def _grazes(k: Spring, periods: int, t: Floats, checked: Check, nodes: Samples, edge: Floats) -> Roots:
     """Where a minimum of the gap inside the flight, or of n inside the contact, passes zero.
 
     edge: where one leaves at an end of its flight or contact, and poles.
     """
     which: list[Ints] = [np.empty(0, np.intp)]
     where: list[Floats] = [np.empty(0)]
-    gap, force = _brackets(k, periods, t, found, np.sort(edge), at)
+    gap, force = _brackets(k, periods, t, checked, np.sort(edge), nodes)
     for kind, contact, brackets in ((Kind.GRAZE_FLIGHT, False, gap), (Kind.GRAZE_CONTACT, True, force)):
         low, high, first, time = brackets
         for _ in range(_ROUNDS):
@@ -350,7 +350,7 @@ def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, edge:
             ok &= (root >= low) & (root <= high)
             # another minimum may be below zero where this one passes it
             middle = np.where(ok, root, 0.5 * (low + high))
-            held = check(k, periods, middle, orbit(k, periods, middle), at, np.where(ok, GRAZES, 0.0))
+            held = check(k, periods, middle, orbit(k, periods, middle), nodes, np.where(ok, GRAZES, 0.0))
             broken, minimum, _ = held.force if contact else held.gap
             ok &= ~broken
             where.append(root[ok])
@@ -362,16 +362,16 @@ def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, edge:
 
 
 def _brackets(
-    k: Spring, periods: int, t: Floats, found: Check, edge: Floats, at: Samples
+    k: Spring, periods: int, t: Floats, checked: Check, edge: Floats, nodes: Samples
 ) -> tuple[_Brackets, _Brackets]:
     """Between which flight times the conditions of flight and contact break, edges left out.
 
-    t (n,) increasing, found: the conditions there. On both sides of an edge a condition may hold, or break,
+    t (n,) increasing, checked: the conditions there. On both sides of an edge a condition may hold, or break,
     in a window narrower than the grid.
     """
     edge = edge[(edge > t[0]) & (edge < t[-1])]
     beside = np.concatenate([edge - _NEXT, edge + _NEXT])
-    inner = check(k, periods, beside, orbit(k, periods, beside), at)
+    inner = check(k, periods, beside, orbit(k, periods, beside), nodes)
     times = np.concatenate([t, beside])
     order = np.argsort(times, kind="stable")
     times = times[order]
@@ -384,7 +384,7 @@ def _brackets(
         first = broken[changes]
         return _Brackets(times[changes], times[changes + 1], first, time[changes + ~first])
 
-    return between(found.gap, inner.gap), between(found.force, inner.force)
+    return between(checked.gap, inner.gap), between(checked.force, inner.force)
 
 
 def _touch(k: Spring, periods: int, inside: _Brackets, contact: bool) -> tuple[Floats, NDArray[np.bool_]]:

@@ -49,9 +49,9 @@ def roots(functions: Functions, x: Floats, value: Floats, slope: Floats) -> Root
     x (n,) increasing; value, slope (f, n) on it; `functions` evaluates any of them anywhere.
     """
     change = np.sign(value[:, :-1]) * np.sign(value[:, 1:]) < 0.0
-    which, at = np.nonzero(change)
-    low, high = x[at], x[at + 1]
-    f_low, f_high = value[which, at], value[which, at + 1]
+    which, index = np.nonzero(change)
+    low, high = x[index], x[index + 1]
+    f_low, f_high = value[which, index], value[which, index + 1]
     others, *pairs = _pairs(functions, x, value, slope, change)
     which = np.concatenate([which, others])
     low, high, f_low, f_high = (
@@ -72,10 +72,10 @@ def _pairs(
 ) -> tuple[Ints, Floats, Floats, Floats, Floats]:
     """Brackets around extrema between neighbours of the grid that lie beyond zero."""
     left, right = value[:, :-1] * slope[:, :-1] < 0.0, value[:, 1:] * slope[:, 1:] > 0.0
-    which, at = np.nonzero(~change & left & right)
-    a, b = x[at], x[at + 1]
-    y, z = value[which, at], value[which, at + 1]
-    dy, dz = slope[which, at] * (b - a), slope[which, at + 1] * (b - a)
+    which, index = np.nonzero(~change & left & right)
+    a, b = x[index], x[index + 1]
+    y, z = value[which, index], value[which, index + 1]
+    dy, dz = slope[which, index] * (b - a), slope[which, index + 1] * (b - a)
     _, extremum = cubic_extremum(y, z, dy, dz, np.sign(y))
     near = extremum * np.sign(y) < _NEAR * np.minimum(np.abs(y), np.abs(z))
     which = which[near]

@@ -39,14 +39,14 @@ def cycles_at(cell: Cell, periods: int) -> Branch:
 
     def above(_: Ints, t: Floats) -> tuple[Floats, Floats]:
         x = orbit(k, periods, t + 1j * STEP)
-        found = np.sqrt(x.c * x.c + x.s * x.s)
-        return found.real - gamma, found.imag / STEP
+        amplitude = np.sqrt(x.c * x.c + x.s * x.s)
+        return amplitude.real - gamma, amplitude.imag / STEP
 
     t = flight_times(omega, xi, periods)
     with np.errstate(all="ignore"):  # poles of Gamma(T)
         value, slope = above(np.empty(0, np.intp), t)
-        at = roots(above, t, value[None], slope[None]).x
-    return branch(omega, xi, periods, at)
+        times = roots(above, t, value[None], slope[None]).x
+    return branch(omega, xi, periods, times)
 
 
 def start_on_stable_cycle(cell: Cell, periods: int) -> CycleStart | None:

@@ -58,15 +58,15 @@ class Thresholds(NamedTuple):
 
 def thresholds(omega: float, xi: float, words: Sequence[Word] = (), bouncing: float = math.inf) -> Thresholds:
     """The thresholds as of `conjecture`, `not searched` below SEARCHED_XI. Raises KernelInputError."""
-    found = conjecture(omega, xi, words, bouncing)
+    answer = conjecture(omega, xi, words, bouncing)
     if xi >= SEARCHED_XI:
-        return found
-    says = found.reason or f"Gamma = {found.down:.6f}"
+        return answer
+    says = answer.reason or f"Gamma = {answer.down:.6f}"
     reason = (
         f"the rule was searched for what it misses from xi = {SEARCHED_XI:g} on; at {xi:g} other cycles may "
-        f"reach lower than it says: {found.cause}, {says}"
+        f"reach lower than it says: {answer.cause}, {says}"
     )
-    return found._replace(down=math.nan, cause=NOT_SEARCHED, reason=reason, fold=None)
+    return answer._replace(down=math.nan, cause=NOT_SEARCHED, reason=reason, fold=None)
 
 
 def conjecture(omega: float, xi: float, words: Sequence[Word] = (), bouncing: float = math.inf) -> Thresholds:
@@ -166,7 +166,7 @@ def _last_cycles(line: Branch, events: Events, below: float) -> list[_LastCycle]
     """Those below a Gamma."""
     lives = line.stable & (line.admissible == 0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lives, [False]])))
-    found = []
+    cycles = []
     for first, last in edges.reshape(-1, 2):
         for inside, outside in ((first, first - 1), (last - 1, last)):
             if not 0 <= outside < len(lives):
@@ -178,13 +178,13 @@ def _last_cycles(line: Branch, events: Events, below: float) -> list[_LastCycle]
             after = line.flight_time[_stretch(line.admissible != 0, outside, outside - inside)]
             beyond = (float(after.min()), float(after.max())) if len(after) else (math.inf, math.inf)
             for i in np.flatnonzero(here & (events.gamma < below)):
-                found.append(
+                cycles.append(
                     _LastCycle(
                         Kind(str(events.kind[i])), float(events.gamma[i]), line.periods,
                         float(events.flight_time[i]), float(line.flight_time[inside]), beyond,
                     )
                 )  # fmt: skip
-    return found
+    return cycles
 
 
 def _stretch(inside: NDArray[np.bool_], start: int, direction: int) -> Ints:
@@ -195,11 +195,11 @@ def _stretch(inside: NDArray[np.bool_], start: int, direction: int) -> Ints:
 
 def _follow(omega: float, xi: float, end: _LastCycle) -> End:
     """What becomes of it."""
-    at = from_branch(omega, xi, end.periods, end.flight_time)
+    word = from_branch(omega, xi, end.periods, end.flight_time)
     if end.kind is Kind.IMMEDIATE_TAKEOFF:
-        return descend(with_hop(at, 0))
+        return descend(with_hop(word, 0))
     if end.kind is Kind.FLIP:
-        return descend(doubled(at))
+        return descend(doubled(word))
     if end.kind is Kind.GRAZE_CONTACT:
         return descend(from_branch(omega, xi, end.periods, end.within))
     return End(end.gamma, None, f"(1,{end.periods}) ends at a {end.kind} at Gamma = {end.gamma:.6f}")

@@ -102,13 +102,13 @@ class Round(NamedTuple):
 
 def pieces(letters: str) -> list[Piece]:
     """In order from the last landing on."""
-    found: list[Piece] = []
+    parts: list[Piece] = []
     for n in range(len(letters)):
         sticks = letters[n - 1] == "s"
         if sticks:
-            found.append(Piece(False, n, STATE + len(found), 0))
-        found.append(Piece(True, n, STATE + len(found), 3 if sticks else 2))
-    return found
+            parts.append(Piece(False, n, STATE + len(parts), 0))
+        parts.append(Piece(True, n, STATE + len(parts), 3 if sticks else 2))
+    return parts
 
 
 def go_round(k: Spring, letters: str, periods: int, u: Floats) -> Round:
@@ -243,23 +243,23 @@ def _gap_terms(k: Spring, t: Array) -> tuple[Array, Array, Array]:
     return tuple(np.concatenate([x, y[None]]) for x, y in terms)  # type: ignore[return-value]
 
 
-def conditions(k: Spring, letters: str, u: Floats, found: Round, at: Samples) -> Conditions:
-    """Of orbits u (m, p), gone through as `found`."""
+def conditions(k: Spring, letters: str, u: Floats, cycle: Round, nodes: Samples) -> Conditions:
+    """Of orbits u (m, p), gone through as `cycle`."""
     scale = 1.0 / np.hypot(u[2], u[3])
     b, w = k.dashpot, k.stiffness
     rows: list[tuple[Kind, Reason, int, Floats, Floats]] = []
     none = np.full(u.shape[1], np.nan)
     flown = 0
     for i, part in enumerate(pieces(letters)):
-        x = State(*(y[0] for y in found.starts[i]))
-        n = force(k, found.starts[i])[0]
+        x = State(*(y[0] for y in cycle.starts[i]))
+        n = force(k, cycle.starts[i])[0]
         t = u[part.place]
         press = b * x.v + w * x.q
         if part.flies:
-            impact = found.impacts[flown]
+            impact = cycle.impacts[flown]
             flown += 1
             weights = np.array([x.c, x.s, press, x.v, -n if part.power == 2 else 0.0 * n]) * scale
-            gap = deepest(k, _gap_terms, weights, 0.0 * t, t, impact * scale, at.time, at.gap, GRAZES)
+            gap = deepest(k, _gap_terms, weights, 0.0 * t, t, impact * scale, nodes.time, nodes.gap, GRAZES)
             rows.append((Kind.GRAZE_FLIGHT, Reason.GAP, i, gap.depth, gap.time))
             rows.append((Kind.GRAZE_FLIGHT, Reason.GAP, i, -impact * scale, none))
             if part.power == 2:
@@ -270,20 +270,22 @@ def conditions(k: Spring, letters: str, u: Floats, found: Round, at: Samples) ->
                 rows.append((Kind.GRAZE_CONTACT, Reason.TAKEOFF, i, falls * scale, none))
         else:
             weights = force_from(k, x.q, x.v, x.c, x.s) * scale
-            after = State(*(y[0] for y in found.starts[i + 1]))
+            after = State(*(y[0] for y in cycle.starts[i + 1]))
             slope = after.s - b * (after.c - 1.0 - b * after.v - w * after.q) - w * after.v
-            pull = deepest(k, force_terms, weights, 2.0 * scale, t, slope * scale, at.time, at.force, GRAZES)
+            pull = deepest(
+                k, force_terms, weights, 2.0 * scale, t, slope * scale, nodes.time, nodes.force, GRAZES
+            )
             rows.append((Kind.GRAZE_CONTACT, Reason.CONTACT, i, pull.depth, pull.time))
             rows.append((Kind.IMMEDIATE_TAKEOFF, Reason.CONTACT, i, n * scale, none))
     kind, reason, piece, value, time = zip(*rows, strict=True)
     return Conditions(kind, reason, piece, np.array(value), np.array(time))
 
 
-def reasons(found: Conditions) -> NDArray[np.uint8]:
+def reasons(held: Conditions) -> NDArray[np.uint8]:
     """Which conditions p orbits break: bits of a Reason (p,)."""
-    broken = ~(found.value > -_BROKEN)
-    bits = np.zeros(found.value.shape[1], np.uint8)
-    for reason, row in zip(found.reason, broken, strict=True):
+    broken = ~(held.value > -_BROKEN)
+    bits = np.zeros(held.value.shape[1], np.uint8)
+    for reason, row in zip(held.reason, broken, strict=True):
         bits |= np.uint8(reason) * row.astype(np.uint8)
     return bits
 
@@ -292,13 +294,13 @@ def record(word: Word, unknowns: Floats) -> WordBranch:
     """The orbits (n, m) of a word."""
     k = spring(word.omega, word.xi)
     u = np.ascontiguousarray(unknowns.T)
-    found = go_round(k, word.letters, word.periods, u)
-    trace, det = trace_and_det(found.slope)
+    cycle = go_round(k, word.letters, word.periods, u)
+    trace, det = trace_and_det(cycle.slope)
     parts = pieces(word.letters)
     flights = [i for i, part in enumerate(parts) if part.flies]
     gamma = np.hypot(u[2], u[3])
-    phase = [np.arctan2(found.starts[i].s[0], found.starts[i].c[0]) for i in flights]
-    held = conditions(k, word.letters, u, found, samples(k, word.periods))
+    phase = [np.arctan2(cycle.starts[i].s[0], cycle.starts[i].c[0]) for i in flights]
+    held = conditions(k, word.letters, u, cycle, samples(k, word.periods))
     return WordBranch(
         omega=word.omega,
         xi=word.xi,
@@ -308,7 +310,7 @@ def record(word: Word, unknowns: Floats) -> WordBranch:
         gamma=gamma,
         flight_time=np.array([u[parts[i].place] for i in flights]).T,
         takeoff_phase=np.mod(np.array(phase).T, TWO_PI),
-        impact_velocity=(np.array(found.impacts) / gamma).T,
+        impact_velocity=(np.array(cycle.impacts) / gamma).T,
         multiplier=multipliers(trace, det),
         stable=is_stable(trace, det),
         admissible=reasons(held),
@@ -368,9 +370,9 @@ def from_flights(
     last = order[-1]
     phase = takeoff_phase[last] + flight_time[last]
     u = np.array([0.0, 0.0, gamma * np.cos(phase), gamma * np.sin(phase), *times])
-    found = go_round(k, letters, periods, u[:, None])
+    cycle = go_round(k, letters, periods, u[:, None])
     # linear in q and v
-    u[:2] = -np.linalg.lstsq(found.slope[:, :2, 0], found.value[:, 0], rcond=None)[0]
+    u[:2] = -np.linalg.lstsq(cycle.slope[:, :2, 0], cycle.value[:, 0], rcond=None)[0]
     return Word(omega, xi, letters, periods, u)
 
 
@@ -456,9 +458,9 @@ def _begun_after(word: Word, landing: int) -> Word:
     if landing == len(word.letters) - 1:
         return word
     parts = pieces(word.letters)
-    found = go_round(spring(word.omega, word.xi), word.letters, word.periods, word.unknowns[:, None])
+    cycle = go_round(spring(word.omega, word.xi), word.letters, word.periods, word.unknowns[:, None])
     first = next(i for i, part in enumerate(parts) if not part.flies and part.letter == landing + 1)
-    state = [x[0, 0] for x in found.starts[first]]
+    state = [x[0, 0] for x in cycle.starts[first]]
     times = np.roll(word.unknowns[STATE:], -first)
     letters = word.letters[landing + 1 :] + word.letters[: landing + 1]
     return word._replace(letters=letters, unknowns=np.array([*state, *times]), direction=None)

@@ -24,7 +24,7 @@ from service.jobs.stores.opening import open_ledger
 from service.ledger.ledger import Ledger
 from service.settings import Settings
 from service.software import software
-from service.views import files
+from service.views import exports
 from worker.executors.base import Executor
 
 #: Chunks of stores read at a time.
@@ -89,7 +89,7 @@ async def _lifespan(
     try:
         with ExitStack() as stack:
             ledger = stack.enter_context(open_ledger(settings))
-            files.remove_unfinished(settings.exports_path)
+            exports.remove_unfinished(settings.exports_path)
             app.state.service = service = _service(settings, ledger, executor, background, metrics)
             service.manager.start()
             stack.callback(service.manager.stop)  # last

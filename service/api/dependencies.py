@@ -114,11 +114,11 @@ def stored(service: Service, job: JobRecord) -> Stored[Any]:
 
 def sweep(service: Service, job: JobRecord) -> Stored[SweepSpec]:
     """What a job computes and where its results are. Raises InvalidRequest for other kinds of study."""
-    found = stored(service, job)
-    if not isinstance(found.spec, SweepSpec):
-        kind = found.spec.protocol.kind
+    study = stored(service, job)
+    if not isinstance(study.spec, SweepSpec):
+        kind = study.spec.protocol.kind
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
-    return found
+    return study
 
 
 def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> Cost:

@@ -78,33 +78,15 @@ def figure(
 def _service(workers: int | None, data: str | None, token: str | None) -> Iterator[Service]:
     """A service that keeps its results in the folder `data`, by default BOUNCE_DATA or ./bounce-data.
 
-    A folder has one service at a time. If `bounce serve` runs on it, that service is used. If another command
-    uses the default folder, a temporary service is started. A folder that was named is not replaced: raises
-    DataFolderBusy.
+    A folder has one service at a time. If `bounce serve` runs on it, that service is used; otherwise one is
+    started in this process, with a token of its own, as other users of the machine reach its port too.
+    Raises DataFolderBusy if another command uses the folder.
     """
-    from service.errors import DataFolderBusy
-    from worker.ownership import temporary_folder
-
     folder = Path(data) if data else data_folder()
     if (url := find_service(folder)) is not None:
         click.echo(f"using the service at {url}, which runs on {folder}", err=True)
         yield url, find_token(urlsplit(url).port or 80, folder) if token in (None, "", AUTO) else token
         return
-    with ExitStack() as stack:
-        try:
-            service = stack.enter_context(_started(workers, data))
-        except DataFolderBusy:
-            if data is not None:
-                raise
-            click.echo("another service uses the data folder: using a temporary one", err=True)
-            temporary = stack.enter_context(temporary_folder("bounce-"))
-            service = stack.enter_context(_started(workers, str(temporary)))
-        yield service
-
-
-@contextmanager
-def _started(workers: int | None, data: str | None) -> Iterator[Service]:
-    """A service in this process, with a token of its own: other users of the machine reach its port too."""
     from service.client.display import display_elapsed
     from worker.kernel_cache import use_cache
 

@@ -185,10 +185,10 @@ def watch(client: "Client", interval: float) -> None:
     ended: dict[str, Job] = {}
 
     def jobs() -> "list[Job]":
-        found = [*client.jobs("running"), *client.jobs("queued")]
-        for id in unfinished - {job.id for job in found}:
+        listed = [*client.jobs("running"), *client.jobs("queued")]
+        for id in unfinished - {job.id for job in listed}:
             ended[id] = client.job(id)
-        return [*found, *ended.values()]
+        return [*listed, *ended.values()]
 
     if not console.is_terminal:
         click.echo(output.job_table(jobs()))

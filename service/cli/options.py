@@ -63,8 +63,8 @@ def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str)
     token = ctx.params.get("token") or os.environ.get("BOUNCE_TOKEN")
     try:
         with Client(url, token, timeout=COMPLETION_SECONDS) as client:
-            found = client.jobs(search=incomplete or None)
-            jobs = [job for job in found if job.id.startswith(incomplete)]
+            matching = client.jobs(search=incomplete or None)
+            jobs = [job for job in matching if job.id.startswith(incomplete)]
     except BounceError:
         return []
     return [CompletionItem(job.id, help=f"{job.state} {job.name}".rstrip()) for job in jobs]

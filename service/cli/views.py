@@ -91,8 +91,8 @@ def query_options(*kinds: type[Methods], name: str) -> Callable[[Command], Comma
 
 def _parameters(methods: type[Methods], name: str) -> dict[str, Parameter]:
     """Those of the query: a command waits for workers as long as the client does by default."""
-    found = signature(getattr(methods, name)).parameters
-    return {each: about for each, about in found.items() if each not in ("self", "timeout", "progress")}
+    parameters = signature(getattr(methods, name)).parameters
+    return {each: about for each, about in parameters.items() if each not in ("self", "timeout", "progress")}
 
 
 def _is_missing(about: Parameter, query: dict[str, Any]) -> bool:
@@ -117,16 +117,16 @@ def _option(name: str, hint: Any, default: object) -> Any:
 _COMMON: Final = ("Conventions", "title", "job", "kernel_version", "release", "comment", "complete")
 
 
-def table(found: "xarray.Dataset", rows: Sequence[str]) -> str:
+def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
     """A table for each variable of `rows`, then the scalars and attributes, one line each.
 
     Leaves out what has no value: columns, scalars.
     """
     from math import isfinite
 
-    lines = [_rows(found, name) for name in rows]
-    scalars = {str(name): v.values.item() for name, v in found.variables.items() if not v.dims}
-    scalars |= {name: value for name, value in found.attrs.items() if name not in _COMMON}
+    lines = [_rows(result, name) for name in rows]
+    scalars = {str(name): v.values.item() for name, v in result.variables.items() if not v.dims}
+    scalars |= {name: value for name, value in result.attrs.items() if name not in _COMMON}
     lines += [
         f"{name.replace('_', ' ')}  {value:.{DIGITS}g}"
         if isinstance(value, float)
@@ -137,15 +137,15 @@ def table(found: "xarray.Dataset", rows: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
-def _rows(found: "xarray.Dataset", rows: str) -> str:
+def _rows(result: "xarray.Dataset", rows: str) -> str:
     """The variables over dimensions of the variable `rows`."""
     from pandas import option_context
 
-    dims = {*map(str, found[rows].dims)}
-    names = [str(name) for name, v in found.data_vars.items() if v.dims and dims.issuperset(v.dims)]
-    frame = found[names].drop_vars([n for n, v in found.coords.items() if not v.dims]).to_dataframe()
+    dims = {*map(str, result[rows].dims)}
+    names = [str(name) for name, v in result.data_vars.items() if v.dims and dims.issuperset(v.dims)]
+    frame = result[names].drop_vars([n for n, v in result.coords.items() if not v.dims]).to_dataframe()
     for name in names:
-        attrs = found[name].attrs
+        attrs = result[name].attrs
         if "flag_values" in attrs:
             meanings = dict(zip(attrs["flag_values"].tolist(), attrs["flag_meanings"].split(), strict=True))
             frame[name] = frame[name].map(meanings)

@@ -126,10 +126,6 @@ class Client(ResultReader, SpringMethods):
         id
             The whole id, or enough of its beginning to select one job: at least four hex digits.
 
-        Returns
-        -------
-        Job
-
         Raises
         ------
         NotFound
@@ -147,13 +143,13 @@ class Client(ResultReader, SpringMethods):
 
     def _whole_id(self, beginning: str) -> str:
         """The only id with this beginning."""
-        found = [job.id for job in self.jobs(search=beginning) if job.id.startswith(beginning)]
-        if not found:
+        ids = [job.id for job in self.jobs(search=beginning) if job.id.startswith(beginning)]
+        if not ids:
             raise _not_found(f"no job has an id that begins with {beginning}")
-        if len(found) > 1:
-            named = ", ".join(sorted(found)[:5])
-            raise _not_found(f"{len(found)} jobs have ids that begin with {beginning}, as {named}")
-        return found[0]
+        if len(ids) > 1:
+            named = ", ".join(sorted(ids)[:5])
+            raise _not_found(f"{len(ids)} jobs have ids that begin with {beginning}, as {named}")
+        return ids[0]
 
     def jobs(
         self,
@@ -183,10 +179,6 @@ class Client(ResultReader, SpringMethods):
             Limits on the time of creation, in UTC if they name no zone.
         order
             "newest" (default), "oldest", "finished", "name" or "largest".
-
-        Returns
-        -------
-        Iterator[Job]
         """
         query: dict[str, Any] = {
             "state": state,
@@ -218,10 +210,6 @@ class Client(ResultReader, SpringMethods):
             The jobs to wait for.
         timeout
             Seconds for all of them together.
-
-        Returns
-        -------
-        Iterator[Job]
 
         Raises
         ------
@@ -277,10 +265,6 @@ class Client(ResultReader, SpringMethods):
             As for `submit`. A long list neither fills the service's queue nor needs to be known in advance.
         at_once
             Most jobs at the service that are not yet returned.
-
-        Returns
-        -------
-        Iterator[Job]
 
         Raises
         ------

@@ -1,23 +1,4 @@
-"""Every exception that the client raises on purpose.
-
-    BounceError
-    ├── ServiceUnreachable          nothing answered at the address
-        │   └── Unanswered              the service took the request but did not answer
-    ├── UnexpectedAnswer            something answered, but not this service
-    ├── Refused                     the service answered with a problem document
-    │   ├── BadRequest              400, 422: a field breaks a rule; `fields` names both
-    │   │   └── InvalidSpecification    ... of a sweep (also raised before sending)
-    │   ├── Unauthorized            401, 403: no token, or the wrong one
-    │   ├── NotFound                404
-    │   ├── Conflict                409: the job's state does not allow the request
-    │   ├── TooLarge                413: body, sweep or answer above a limit
-    │   ├── Busy                    429, 503: try again after `retry_after` seconds
-    │   └── ServiceError            any other 5xx
-    ├── JobFailed                   the job ended as failed; `job` is the job
-    ├── JobCancelled                the job ended as cancelled
-    ├── WaitTimeout                 the wait ended before the job (also a TimeoutError)
-    ├── NotComputedYet              the wait ended before the workers' answer (also a TimeoutError)
-    └── StoreUnreachable            the job's zarr store cannot be opened
+"""Every exception that the client raises on purpose (docs/python-client.md).
 
 `Refused` and its subclasses carry the problem document (RFC 9457) as `problem`.
 """

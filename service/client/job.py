@@ -287,10 +287,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
             Arguments of `diagram`, `modes` or `threshold`. Maps of sweeps ramped both ways are hatched where
             the directions differ, unless `hysteresis` is False.
 
-        Returns
-        -------
-        Axes
-
         Raises
         ------
         BounceError

@@ -59,11 +59,11 @@ def _compile_motions(client: Client) -> None:
 
 def _drawing(number: int, client: Client, jobs: Sequence[Job]) -> "Drawing":
     """The figure of this number, from its jobs."""
-    from service.figures import flights, schematics, thresholds
+    from service.figures import flights, onsets, schematics
 
     draw: Mapping[int, Callable[..., Drawing]] = {
         1: schematics.figure_1, 2: partial(flights.figure_2, client), 3: flights.figure_3,
-        4: flights.figure_4, 5: thresholds.figure_5, 6: thresholds.figure_6, 7: flights.figure_7,
-        8: flights.figure_8, 9: thresholds.figure_9,
+        4: flights.figure_4, 5: onsets.figure_5, 6: onsets.figure_6, 7: flights.figure_7,
+        8: flights.figure_8, 9: onsets.figure_9,
     }  # fmt: skip
     return draw[number](*jobs)

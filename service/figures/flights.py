@@ -253,13 +253,13 @@ CONTACT: Final = (
 
 def figure_7(job: Job, short: Job, settled: Job, *others: Job) -> Drawing:
     """Along Γ; the jobs after the first are cells around Γ = 2 at Ω = 1, in the order of the preset."""
-    below, at, beyond = diagrams = [job.diagram(omega=omega) for omega in OMEGAS]
+    below, resonant, beyond = diagrams = [job.diagram(omega=omega) for omega in OMEGAS]
     shows = (
         "Flight times φ against Γ at ξ = 0.05 for (a) Ω = 0.67, below resonance, (b) 1.00, at resonance, and "
         f"(c) 1.24, beyond it, Γ ramped up. {CONTACT}"
     )
     longest = [_longest(diagram, 3.0, 0.1) for diagram in diagrams]
-    near_four = at.sel(gamma=slice(3.75, 4.25))
+    near_four = resonant.sel(gamma=slice(3.75, 4.25))
     at_four, at_all = chaotic(near_four), chaotic(beyond)
     begins = _beginning_of_chaos(below)
     claims = (

@@ -1,14 +1,10 @@
 """What to do with a chunk that came back without a report. The only module that classifies errors."""
 
 import errno
-import math
-from bisect import bisect_left
-from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from enum import Enum
-from itertools import accumulate
 from typing import Final, NamedTuple
 
 from worker import store
@@ -19,9 +15,6 @@ from worker.study import ChunkCancelled, ChunkPaused, PredecessorMissing
 #: A worker's death often affects innocent chunks. After this many such losses a chunk is itself suspect, and
 #: each further loss counts as a failed try.
 MAX_COLLATERAL_LOSSES: Final = 10
-
-#: Bucket limits for the seconds of chunks.
-BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 
 #: Operating-system errors that would affect every chunk of the job: disk full, quota used up, file size
 #: limit, a link in its store; and a read-only file system, if the chunk met it at its last try too.
@@ -100,24 +93,3 @@ class RetryPolicy:
         if history.fatal or (isinstance(error, OSError) and error.errno in fatal):
             return Action.FATAL
         return Action.GIVE_UP if last else Action.RETRY
-
-
-class ChunkCounts:
-    """Counts of returned chunks since the start, for metrics. Written by one thread, read by any."""
-
-    def __init__(self) -> None:
-        self.computed = self.damaged = 0
-        self.seconds = 0.0  # of workers, for these
-        self._by_seconds = [0] * (len(BUCKET_SECONDS) + 1)
-        self.returned: Counter[tuple[str, str]] = Counter()  # without a report, by action and kind of error
-
-    def add_computed(self, seconds: float) -> None:
-        """Count a chunk that came back with a report."""
-        self.computed += 1
-        self.seconds += seconds
-        self._by_seconds[bisect_left(BUCKET_SECONDS, seconds)] += 1
-
-    @property
-    def by_seconds(self) -> list[tuple[float, int]]:
-        """Number of computed chunks up to each of BUCKET_SECONDS, and of all."""
-        return list(zip((*BUCKET_SECONDS, math.inf), accumulate(self._by_seconds), strict=True))

@@ -1,9 +1,15 @@
-"""A running job: chunks in flight, reports to record, tries counted. Knows neither ledger nor store."""
+"""A running job: chunks in flight, reports to record, tries counted; and counts of the chunks of all jobs.
 
+Knows neither ledger nor store.
+"""
+
+import math
 import traceback
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import Future
+from itertools import accumulate
 from typing import Final
 
 import numpy as np
@@ -18,6 +24,9 @@ from worker.study import ChunkReport
 
 #: Maximum characters of a traceback kept, from its end.
 MAX_TRACEBACK: Final = 8_000
+
+#: Bucket limits for the seconds of chunks.
+BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 
 
 class JobRun:
@@ -187,3 +196,24 @@ def text_of(error: BaseException) -> str:
     notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
     kind = "" if isinstance(error, ExecutorError) else f"{type(error).__name__}: "
     return f"{kind}{error}{notes}"
+
+
+class ChunkCounts:
+    """Counts of returned chunks since the start, for metrics. Written by one thread, read by any."""
+
+    def __init__(self) -> None:
+        self.computed = self.damaged = 0
+        self.seconds = 0.0  # of workers, for these
+        self._by_seconds = [0] * (len(BUCKET_SECONDS) + 1)
+        self.returned: Counter[tuple[str, str]] = Counter()  # without a report, by action and kind of error
+
+    def add_computed(self, seconds: float) -> None:
+        """Count a chunk that came back with a report."""
+        self.computed += 1
+        self.seconds += seconds
+        self._by_seconds[bisect_left(BUCKET_SECONDS, seconds)] += 1
+
+    @property
+    def by_seconds(self) -> list[tuple[float, int]]:
+        """Number of computed chunks up to each of BUCKET_SECONDS, and of all."""
+        return list(zip((*BUCKET_SECONDS, math.inf), accumulate(self._by_seconds), strict=True))

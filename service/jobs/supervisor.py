@@ -13,8 +13,8 @@ from typing import Final, NamedTuple, cast
 from service.errors import LedgerUnavailable
 from service.jobs.model_choices import ModelChoices
 from service.jobs.prepare import JobPreparer
-from service.jobs.retry import FAILED_TRIES, Action, ChunkCounts, RetryPolicy
-from service.jobs.run import JobRun, text_of
+from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy
+from service.jobs.run import ChunkCounts, JobRun, text_of
 from service.jobs.schedule import Schedule, Waiting
 from service.jobs.stores.deletion import remove_deleted, remove_if_deleted
 from service.jobs.stores.opening import report_unknown

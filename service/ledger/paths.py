@@ -61,4 +61,6 @@ def file_system(path: Path) -> str | None:
     except OSError:
         return None
     kinds = {Path(point.replace("\\040", " ")): kind for _, point, kind, *_ in mounts}
-    return next((kinds[at] for at in (path.absolute(), *path.absolute().parents) if at in kinds), None)
+    return next(
+        (kinds[folder] for folder in (path.absolute(), *path.absolute().parents) if folder in kinds), None
+    )

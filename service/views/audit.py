@@ -14,8 +14,8 @@ from service.views.selection import Stored, attractor_label, check_kernel
 from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.audit import FIELDS, LONGER, PARTS, SETS, approximated, look
+from worker.analysis.bisection import BOUNCING
 from worker.analysis.intervals import bounds, covered
-from worker.analysis.thresholds import BOUNCING
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds, period_seconds
 

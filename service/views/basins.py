@@ -53,20 +53,20 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
     an attractor has the number 0.
     """
     spec, plane = study.spec, study.spec.protocol
-    at = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in reversed(AXES)}
+    points = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in reversed(AXES)}
     rows = stored_arrays(spec)
-    indices = {axis: point.index for axis, point in at.items()}
+    indices = {axis: point.index for axis, point in points.items()}
     stored = read_stored(study, [row.name for row in rows], indices)
     count = int((stored["attractor_outcome"] != Outcome.MISSING).sum())
-    found = {
+    data = {
         row.name: variable((), values[:count] if "attractor" in row.dims else values, row)
         for row, values in ((_as_result(row), stored[row.name]) for row in rows if row.name != "outcome")
     }
-    found["attractor_label"] = variable((), _labels(spec, stored, count), VARIABLES["attractor_label"])
-    lifetime = found["attractor_lifetime"]
+    data["attractor_label"] = variable((), _labels(spec, stored, count), VARIABLES["attractor_label"])
+    lifetime = data["attractor_lifetime"]
     lifetime.values[np.isinf(lifetime.values)] = np.nan
     row_attrs, column_attrs = _PLANES[plane.plane]
-    coords = {axis: coordinate(axis, point.value) for axis, point in at.items()} | {
+    coords = {axis: coordinate(axis, point.value) for axis, point in points.items()} | {
         "row": coordinate("row", plane.row_values, **row_attrs),
         "column": coordinate("column", plane.column_values, **column_attrs),
         "attractor": coordinate("attractor", np.arange(1, count + 1, dtype=np.int32)),
@@ -76,7 +76,7 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
         "plane": plane.plane, "height": plane.height, "model": spec.model.kind,
         "complete": study.is_complete(stored["outcome"]),
     }  # fmt: skip
-    return dataset(found, coords, attrs)
+    return dataset(data, coords, attrs)
 
 
 def _as_result(row: Array) -> Array:
@@ -107,22 +107,22 @@ def estimate(spec: BasinSpec, query: BasinQuery) -> Estimate:
 NAMED: Final = 16
 
 
-def draw(found: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """The plane of starts, each in the colour of its attractor."""
     from matplotlib.colors import ListedColormap
 
     axes = figure.subplots()
-    colours = [ATTRACTORS[i % len(ATTRACTORS)] for i in range(found.sizes["attractor"])]
+    colours = [ATTRACTORS[i % len(ATTRACTORS)] for i in range(result.sizes["attractor"])]
     axes.imshow(
-        found.attractor_of_start, origin="lower", aspect="auto", interpolation="nearest",
-        extent=(*_ends(found.column.values), *_ends(found.row.values)),
+        result.attractor_of_start, origin="lower", aspect="auto", interpolation="nearest",
+        extent=(*_ends(result.column.values), *_ends(result.row.values)),
         cmap=ListedColormap([UNDECIDED, *colours]), vmin=-0.5, vmax=len(colours) + 0.5,
     )  # fmt: skip
-    axes.set_xlabel(f"{found.column.long_name} ({found.column.units})")
-    axes.set_ylabel(f"{found.row.long_name} ({found.row.units})")
-    values = ", ".join(f"{SYMBOLS[name]} = {found[name].item():g}" for name in ("gamma", "omega", "xi"))
-    axes.set_title(f"{values}  ({found.attrs['model']})", fontsize=11)
-    _legend(axes, found, colours)
+    axes.set_xlabel(f"{result.column.long_name} ({result.column.units})")
+    axes.set_ylabel(f"{result.row.long_name} ({result.row.units})")
+    values = ", ".join(f"{SYMBOLS[name]} = {result[name].item():g}" for name in ("gamma", "omega", "xi"))
+    axes.set_title(f"{values}  ({result.attrs['model']})", fontsize=11)
+    _legend(axes, result, colours)
 
 
 def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
@@ -131,15 +131,17 @@ def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
     return float(values[0]) - half, float(values[-1]) + half
 
 
-def _legend(axes: "Axes", found: xarray.Dataset, colours: list[str]) -> None:
+def _legend(axes: "Axes", result: xarray.Dataset, colours: list[str]) -> None:
     from matplotlib.patches import Patch
 
-    columns = (found[f"attractor_{name}"].values.tolist() for name in ("label", "fraction", "longest_flight"))
+    columns = (
+        result[f"attractor_{name}"].values.tolist() for name in ("label", "fraction", "longest_flight")
+    )
     entries = [
         Patch(color=colour, label=f"{label}  {_percent(share)}{f', up to {longest:.4g} rad' * (longest > 0)}")
         for colour, label, share, longest in list(zip(colours, *columns, strict=True))[:NAMED]
     ]
-    undecided = found.undecided.item()
+    undecided = result.undecided.item()
     if undecided > 0.0 or not np.isfinite(undecided):
         text = f"undecided  {_percent(undecided)}" if np.isfinite(undecided) else "not computed"
         entries.append(Patch(facecolor=UNDECIDED, edgecolor="black", linewidth=0.5, label=text))

@@ -81,7 +81,7 @@ def parts(study: None, query: CurvesQuery) -> Sequence[Call]:
     return [(curves, along, fixed, *span, mode.periods, kinds) for mode in parse_modes(query.modes)]
 
 
-def compute(study: None, query: CurvesQuery, *found: Curves) -> xarray.Dataset:
+def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
     """Curves of folds, flips and other events over Ω or ξ.
 
     Over a range of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
@@ -89,9 +89,9 @@ def compute(study: None, query: CurvesQuery, *found: Curves) -> xarray.Dataset:
     """
     along, fixed, _ = _plane(query)
     top = query.gamma_max
-    pieces = [piece for part in found for curve in part.curves for piece in orbits.below(curve, top)]
+    pieces = [piece for part in parts for curve in part.curves for piece in orbits.below(curve, top)]
     data = padded((along, "gamma", "flight_time", "admissible"), pieces, ("curve", "point"))
-    data |= event_columns(join_events([orbits.rows_of(x.points, x.points.gamma <= top) for x in found]))
+    data |= event_columns(join_events([orbits.rows_of(x.points, x.points.gamma <= top) for x in parts]))
     names = ("kind", "bounces", "periods")
     coords = columns("curve", {name: [getattr(piece, name)[0] for piece in pieces] for name in names})
     other = "xi" if along is Parameter.OMEGA else "omega"
@@ -120,12 +120,12 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
     return Estimate({"curve": len(modes), "point": _POINTS}, memory=_MEMORY, small=False)
 
 
-def draw(found: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Γ of every curve, each kind in its colour; dotted where no cycle of the spring is."""
-    axes, along = figure.subplots(), found.attrs["along"]
-    kinds = sorted(set(found.curve_kind.values.tolist()))
-    for i in range(found.sizes["curve"]):
-        curve = found.isel(curve=i)
+    axes, along = figure.subplots(), result.attrs["along"]
+    kinds = sorted(set(result.curve_kind.values.tolist()))
+    for i in range(result.sizes["curve"]):
+        curve = result.isel(curve=i)
         colour, there = ATTRACTORS[kinds.index(curve.curve_kind.item())], curve.admissible.values == 0
         for shown, style in ((there, "-"), (~there, ":")):
             axes.plot(curve[along].values, np.where(shown, curve.gamma.values, np.nan), style, color=colour)
@@ -136,7 +136,7 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
     axes.set_xlabel(AXES[along])
     axes.set_ylabel(AXES["gamma"])
     other = "xi" if along == "omega" else "omega"
-    axes.set_title(f"{SYMBOLS[other]} = {found[other].item():g}")
+    axes.set_title(f"{SYMBOLS[other]} = {result[other].item():g}")
 
 
 VIEW: Final = View(

@@ -59,21 +59,21 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
     spec, along = study.spec, query.along
     fixed, window = fixed_axes(spec, along, dict(query)), _window(spec, query)
     part = slice(window.start, window.stop, query.every)
-    indices = {along: part, **{axis: at.index for axis, at in fixed.items()}}
+    indices = {along: part, **{axis: point.index for axis, point in fixed.items()}}
     cells = {
         direction: _line(study, direction, indices, query.min_flight)
         for direction in directions_of(spec, query.direction)
     }
-    coords = {axis: coordinate(axis, at.value) for axis, at in fixed.items()}
+    coords = {axis: coordinate(axis, point.value) for axis, point in fixed.items()}
     coords |= {along: coordinate(along, spec.axis_values(along)[part])}
     attrs: dict[str, Any] = {
         "along": along, "min_flight": shortest(spec, query.min_flight), "every": query.every,
         "model": spec.model.kind, "complete": all(study.is_complete(x["outcome"]) for x in cells.values()),
     }  # fmt: skip
-    found = cells_dataset(cells, coords, rows_of(spec), attrs)
+    result = cells_dataset(cells, coords, rows_of(spec), attrs)
     if query.caption:
-        found.attrs["caption"] = _caption(spec, found)
-    return found
+        result.attrs["caption"] = _caption(spec, result)
+    return result
 
 
 def _window(spec: SweepSpec, query: DiagramQuery) -> range:
@@ -111,15 +111,15 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     return Estimate(lengths, (query.along,), query.every, reads=(query.along,))
 
 
-def _caption(spec: SweepSpec, found: xarray.Dataset) -> str:
+def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
     """How the cells were computed and which of them are shown."""
-    attrs, outcome = found.attrs, found.variables["outcome"].values
+    attrs, outcome = result.attrs, result.variables["outcome"].values
     start = "from rest" if spec.ramp_axis is None else f"ramped along {spec.ramp_axis}"
     flights = f", flights above {attrs['min_flight']:g} rad" if attrs["min_flight"] else ""
     thinned = f", 1 cell in {attrs['every']:,}" if attrs["every"] > 1 else ""
     lost = int(np.count_nonzero(np.isin(outcome, (Outcome.UNRESOLVED, Outcome.DIVERGED))))
     unresolved = f", {lost:,} of {outcome.size:,} cells unresolved" if lost else ""
-    codes = found.variables[LABEL.name if LABEL.name in found else "outcome"].values
+    codes = result.variables[LABEL.name if LABEL.name in result else "outcome"].values
     special = (Outcome.SETTLING, QUASI_PERIODIC, CHAOTIC, UNSTABLE)
     counts = {code: int(np.count_nonzero(codes == code)) for code in special}
     told_apart = "".join(f", {count:,} {LABELS[code]}" for code, count in counts.items() if count)
@@ -130,17 +130,17 @@ def _caption(spec: SweepSpec, found: xarray.Dataset) -> str:
 SIZE: Final = (6.8, 4.2)
 
 
-def draw(found: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Flight times along the axis. The picture says how many cells are missing."""
     axes = figure.subplots()
-    draw_diagram(axes, found)
-    if "caption" in found.attrs:
-        _draw_caption(axes, found)
-    if found.sizes.get("direction", 1) > 1:
+    draw_diagram(axes, result)
+    if "caption" in result.attrs:
+        _draw_caption(axes, result)
+    if result.sizes.get("direction", 1) > 1:
         draw_legend(axes)
-    if not found.attrs["complete"]:
-        missing = int(np.count_nonzero(found.outcome.values == Outcome.MISSING))
-        total = found.outcome.size
+    if not result.attrs["complete"]:
+        missing = int(np.count_nonzero(result.outcome.values == Outcome.MISSING))
+        total = result.outcome.size
         reason = f"{missing:,} of {total:,} cells are not computed yet" if missing else "being repaired"
         axes.annotate(
             f"incomplete: {reason}", (0.5, 0.5), xycoords="axes fraction", ha="center", color=WARNING,
@@ -149,10 +149,10 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
         )  # fmt: skip
 
 
-def _draw_caption(axes: "Axes", found: xarray.Dataset) -> None:
-    fixed = (axis for axis in reversed(AXES) if axis != found.attrs["along"])
-    title = ",   ".join(f"{SYMBOLS[axis]} = {float(found[axis]):.6g}" for axis in fixed)
-    caption = re.sub("(?<=along )[a-z]+", lambda axis: SYMBOLS[axis[0]], found.attrs["caption"])
+def _draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
+    fixed = (axis for axis in reversed(AXES) if axis != result.attrs["along"])
+    title = ",   ".join(f"{SYMBOLS[axis]} = {float(result[axis]):.6g}" for axis in fixed)
+    caption = re.sub("(?<=along )[a-z]+", lambda axis: SYMBOLS[axis[0]], result.attrs["caption"])
     axes.set_title(title, loc="left", fontsize=11)
     axes.set_title(caption, loc="right", fontsize=8.5, color="0.35")
 

@@ -198,8 +198,8 @@ def _columns(
         elif prod(sizes := [part.sizes[dim] for dim in extra]) <= COLUMNS:
             for place in np.ndindex(*sizes):
                 numbers = "_".join(str(i + 1) for i in place)
-                at = variable.isel(dict(zip(extra, place, strict=True)))
-                yield f"{name}_{numbers}", _column(part, at, dims, kept)
+                cell = variable.isel(dict(zip(extra, place, strict=True)))
+                yield f"{name}_{numbers}", _column(part, cell, dims, kept)
 
 
 def _column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows) -> Column:

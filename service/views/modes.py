@@ -102,14 +102,14 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
         "min_flight": shortest(spec, query.min_flight), "every": query.every, "model": spec.model.kind,
         "complete": all(study.is_complete(each["outcome"]) for each in cells.values()),
     }  # fmt: skip
-    if schema.some_computed(spec):
+    if spec.fills_in:
         attrs["computed_share"] = _computed_share(study, xi.index, directions[0])
-    found = cells_dataset(cells, coords, _ROWS, attrs)
+    result = cells_dataset(cells, coords, _ROWS, attrs)
     if query.hysteresis:
         compared, complete = _hysteresis(study, xi.index, window, query.min_flight)
-        found["hysteresis"] = variable(_PLANE, compared, VARIABLES["hysteresis"])
-        found.attrs["complete"] &= complete
-    return found
+        result["hysteresis"] = variable(_PLANE, compared, VARIABLES["hysteresis"])
+        result.attrs["complete"] &= complete
+    return result
 
 
 def _window(spec: SweepSpec, query: ModesQuery) -> Window:
@@ -126,7 +126,7 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     lengths = {axis: part.stop - part.start for axis, part in window.items()}
     memory, most = 0, None
     if needs_flights(spec, query.min_flight):
-        if schema.some_computed(spec):
+        if spec.fills_in:
             rule = (
                 f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where modes of "
                 "these flights change, and those of others change elsewhere; submit the map with "
@@ -226,13 +226,13 @@ def _last(
     """(n, count) the last flights that count of stored ones (n, keep), sorted; NaN where there are fewer."""
     counts = counted(times, flights, min_flight)
     order = np.argsort(counts, axis=1, kind="stable")[:, -count:]
-    found = np.where(np.take_along_axis(counts, order, 1), np.take_along_axis(times, order, 1), np.nan)
-    return np.sort(found, axis=1)
+    last = np.where(np.take_along_axis(counts, order, 1), np.take_along_axis(times, order, 1), np.nan)
+    return np.sort(last, axis=1)
 
 
-def draw(found: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """A map of each direction."""
-    ways = [found.isel(direction=i) for i in range(found.sizes.get("direction", 0))] or [found]
+    ways = [result.isel(direction=i) for i in range(result.sizes.get("direction", 0))] or [result]
     for axes, way in zip(figure.subplots(1, len(ways), squeeze=False)[0], ways, strict=True):
         draw_modes(axes, way)
         if len(ways) > 1:

@@ -90,8 +90,8 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     spec, xi, rows = study.spec, nearest_index(study.spec, "xi", query.xi), slice(None)
     arrays = read_stored(study, _NAMES, {"xi": xi.index})
     if query.omega is not None:
-        at = nearest_index(spec, "omega", query.omega).index
-        rows = slice(at, at + 1)
+        row = nearest_index(spec, "omega", query.omega).index
+        rows = slice(row, row + 1)
     ids = _ids(arrays)
     labels, shown, there = _labels(arrays, ids), ids[rows], ids[rows] > 0
     count = np.where(arrays["outcome"] == Outcome.MISSING, -1, arrays["attractor_count"])[rows]
@@ -167,9 +167,9 @@ def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> 
     cells: list[set[int]] = [set() for _ in range(int(branch.max(initial=-1)) + 1)]
     members = [[number] for number in range(len(cells))]
     owner = np.arange(len(cells))
-    for at, number in enumerate(branch.ravel().tolist()):
+    for position, number in enumerate(branch.ravel().tolist()):
         if number >= 0:
-            cells[number].add(at // MAX_FOLLOWED)
+            cells[number].add(position // MAX_FOLLOWED)
     for pair, _ in sorted(votes.items(), key=lambda vote: (-vote[1], vote[0])):
         first, second = sorted(int(owner[number]) for number in pair)
         if first != second and cells[first].isdisjoint(cells[second]):
@@ -247,8 +247,8 @@ def _events(
     for i in range(len(omega))[rows]:
         for j in np.flatnonzero(computed[i, :-1] & computed[i, 1:]).tolist():
             below, above = (
-                {n: label for n, label in zip(ids[i, at].tolist(), labels[i, at], strict=True) if n}
-                for at in (j, j + 1)
+                {n: label for n, label in zip(ids[i, cell].tolist(), labels[i, cell], strict=True) if n}
+                for cell in (j, j + 1)
             )
             for number in sorted(below.keys() | above.keys()):
                 before, after = below.get(number, ""), above.get(number, "")
@@ -271,66 +271,66 @@ _OF_COUNTS: Final = ("not computed", "undecided", "one attractor", "two", "three
 _BY_ID: Final = (UNDECIDED, *ATTRACTORS, OTHER_ATTRACTORS)
 
 
-def draw(found: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Two maps, of the number of attractors and of the one that most drops reach; of a line its flights."""
-    if "flight_time" in found:
-        _draw_line(found, figure.subplots())
+    if "flight_time" in result:
+        _draw_line(result, figure.subplots())
         return
     from matplotlib.patches import Patch
 
     left, right = figure.subplots(1, 2, sharey=True)
-    number = np.clip(found["count"].values + 1, 0, len(COUNTS) - 1)
-    _map(left, found, number, COUNTS)
+    number = np.clip(result["count"].values + 1, 0, len(COUNTS) - 1)
+    _map(left, result, number, COUNTS)
     legend_beside(left, [Patch(facecolor=COUNTS[n], edgecolor="black", linewidth=0.5, label=_OF_COUNTS[n])
                          for n in np.unique(number).tolist()])  # fmt: skip
-    first = found.id.values[:, :, 0]
-    _map(right, found, np.minimum(first, len(_BY_ID) - 1), _BY_ID)
-    _name_attractors(right, found.isel(attractor=np.isin(found.attractor, first)))
+    first = result.id.values[:, :, 0]
+    _map(right, result, np.minimum(first, len(_BY_ID) - 1), _BY_ID)
+    _name_attractors(right, result.isel(attractor=np.isin(result.attractor, first)))
     left.set_ylabel(SYMBOLS["omega"])
-    several = found.attrs["several"]
+    several = result.attrs["several"]
     share = "" if np.isnan(several) else f": several in {100.0 * several:.1f} %"
     left.set_title(f"attractors of a cell{share}", fontsize=11)
     right.set_title("the attractor that most drops reach", fontsize=11)
-    figure.suptitle(f"{SYMBOLS['xi']} = {found.xi.item():g}  ({found.attrs['model']})", fontsize=11)
+    figure.suptitle(f"{SYMBOLS['xi']} = {result.xi.item():g}  ({result.attrs['model']})", fontsize=11)
 
 
-def _map(axes: "Axes", found: xarray.Dataset, values: NDArray[np.int64], colours: tuple[str, ...]) -> None:
+def _map(axes: "Axes", result: xarray.Dataset, values: NDArray[np.int64], colours: tuple[str, ...]) -> None:
     """Cells in the colours of their values; the grid may be uneven."""
     from matplotlib.colors import ListedColormap
 
     axes.pcolormesh(
-        edges(found.gamma.values), edges(found.omega.values), values, cmap=ListedColormap(list(colours)),
+        edges(result.gamma.values), edges(result.omega.values), values, cmap=ListedColormap(list(colours)),
         vmin=-0.5, vmax=len(colours) - 0.5, rasterized=True,
     )  # fmt: skip
     axes.set_xlabel(SYMBOLS["gamma"])
 
 
-def _draw_line(found: xarray.Dataset, axes: "Axes") -> None:
+def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
     """The flights of each attractor in its colour, at 0 without any."""
-    ids, times = found.id.values[0], found.flight_time.values[0].copy()
+    ids, times = result.id.values[0], result.flight_time.values[0].copy()
     times[~np.isfinite(times).any(axis=-1), 0] = 0.0
-    gamma = np.broadcast_to(found.gamma.values[:, np.newaxis, np.newaxis], times.shape)
+    gamma = np.broadcast_to(result.gamma.values[:, np.newaxis, np.newaxis], times.shape)
     for number in np.unique(ids[ids > 0])[::-1].tolist():
         shown = (ids == number)[..., np.newaxis] & np.isfinite(times)
         colour = _BY_ID[min(number, len(_BY_ID) - 1)]
         axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=2.5, markeredgewidth=0.0)
     axes.set_xlabel(SYMBOLS["gamma"])
     axes.set_ylabel("flight time (rad)")
-    values = ", ".join(f"{SYMBOLS[axis]} = {found[axis].item():g}" for axis in ("omega", "xi"))
-    axes.set_title(f"coexisting attractors, {values}  ({found.attrs['model']})", fontsize=11)
-    _name_attractors(axes, found)
+    values = ", ".join(f"{SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi"))
+    axes.set_title(f"coexisting attractors, {values}  ({result.attrs['model']})", fontsize=11)
+    _name_attractors(axes, result)
 
 
-def _name_attractors(axes: "Axes", found: xarray.Dataset) -> None:
+def _name_attractors(axes: "Axes", result: xarray.Dataset) -> None:
     from matplotlib.patches import Patch
 
-    named = zip(found.attractor.values.tolist(), found.attractor_label.values.tolist(), strict=True)
+    named = zip(result.attractor.values.tolist(), result.attractor_label.values.tolist(), strict=True)
     entries = [
         Patch(color=_BY_ID[number], label=f"{number}: mostly {label}")
         for number, label in named
         if number < len(_BY_ID) - 1
     ]
-    if others := found.sizes["attractor"] - len(entries):
+    if others := result.sizes["attractor"] - len(entries):
         entries.append(Patch(color=_BY_ID[-1], label=f"{others} more"))
     legend_beside(axes, entries)
 

@@ -244,18 +244,18 @@ def _grids(query: OrbitsQuery) -> tuple[tuple[float, float, int, int], ...]:
     return tuple((query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes))
 
 
-def compute_orbits(study: None, query: OrbitsQuery, *found: tuple[Branch, Events]) -> xarray.Dataset:
+def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events]) -> xarray.Dataset:
     """Branches of cycles of one bounce, and their events.
 
     Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
     `gamma_max` and comes back is several pieces.
     """
-    found = found or tuple(_branch(*grid) for grid in _grids(query))
-    pieces = [piece for branch, _ in found for piece in below(branch, query.gamma_max)]
+    parts = parts or tuple(_branch(*grid) for grid in _grids(query))
+    pieces = [piece for branch, _ in parts for piece in below(branch, query.gamma_max)]
     data = padded(_OF_POINT, pieces)
     if query.energy:
         data |= padded(BALANCE, [energy(x.omega, x.xi, x.periods, x.flight_time) for x in pieces])
-    data |= event_columns(join_events([rows_of(e, e.gamma <= query.gamma_max) for _, e in found]))
+    data |= event_columns(join_events([rows_of(e, e.gamma <= query.gamma_max) for _, e in parts]))
     coords = of_branches(pieces)
     coords |= {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")}
     return closed_form(data, coords, gamma_max=query.gamma_max)
@@ -271,16 +271,16 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
     return Estimate(sizes, memory=sum(lengths) * _PER_POINT, small=_seconds(query) <= SMALL_SECONDS)
 
 
-def draw(found: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Flight times over Γ: solid where stable, dashed where not, thin where no cycle of the spring is."""
     axes = figure.subplots()
-    draw_branches(axes, found)
+    draw_branches(axes, result)
     axes.set_xlabel(AXES["gamma"])
     axes.set_ylabel(FLIGHT)
-    axes.set_title(", ".join(f"{SYMBOLS[axis]} = {found[axis].item():g}" for axis in ("omega", "xi")))
+    axes.set_title(", ".join(f"{SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi")))
 
 
-ORBITS: Final = View(
+SPRING: Final = View(
     "orbits", "Branches of a spring", None, OrbitsQuery, compute_orbits, estimate_orbits,
     variables=tuple(ROWS[name] for name in (*_OF_POINT, *BALANCE, *BRANCH)) + EVENTS,
     rows="gamma", printed=("event_gamma",), parts=orbit_parts, draw=draw,
@@ -327,7 +327,7 @@ def word_parts(study: Stored[SweepSpec], query: WordsQuery) -> Sequence[Call]:
     return [(continue_words, study.spec, study.url, *indices, query.gamma_max, study.complete)]
 
 
-def compute_words(study: Stored[SweepSpec], query: WordsQuery, found: Words = _NONE) -> xarray.Dataset:
+def compute_words(study: Stored[SweepSpec], query: WordsQuery, words: Words = _NONE) -> xarray.Dataset:
     """Branches of the cycles that cells along Γ settled to.
 
     Stable and unstable ones, with their events, of the rigid contact without restitution: cells of another
@@ -335,18 +335,18 @@ def compute_words(study: Stored[SweepSpec], query: WordsQuery, found: Words = _N
     second. `skipped` are the periodic cells from which no branch was followed.
     """
     direction, spring = _line(study.spec, query)
-    data = padded(_OF_WORD, found.branches) | padded(
-        _OF_FLIGHT, found.branches, ("branch", "point", "flight")
+    data = padded(_OF_WORD, words.branches) | padded(
+        _OF_FLIGHT, words.branches, ("branch", "point", "flight")
     )
     if query.energy:
-        data |= padded(BALANCE, [word_energy(branch) for branch in found.branches])
-    data |= event_columns(join_events(found.events))
-    on = np.repeat(np.arange(len(found.events)), [len(events.gamma) for events in found.events])
+        data |= padded(BALANCE, [word_energy(branch) for branch in words.branches])
+    data |= event_columns(join_events(words.events))
+    on = np.repeat(np.arange(len(words.events)), [len(events.gamma) for events in words.events])
     data |= columns("event", {"branch": on})
-    data |= columns("skipped", {name: [getattr(x, name) for x in found.skipped] for name in Skipped._fields})
-    coords = of_branches(found.branches)
-    coords |= {"word": variable((), [branch.word for branch in found.branches], ROWS["word"])}
-    coords |= {axis: coordinate(axis, at.value) for axis, at in spring.items()}
+    data |= columns("skipped", {name: [getattr(x, name) for x in words.skipped] for name in Skipped._fields})
+    coords = of_branches(words.branches)
+    coords |= {"word": variable((), [branch.word for branch in words.branches], ROWS["word"])}
+    coords |= {axis: coordinate(axis, point.value) for axis, point in spring.items()}
     coords |= {"direction": coordinate("direction", direction)}
     return closed_form(data, coords, study.complete, gamma_max=query.gamma_max)
 
@@ -358,7 +358,7 @@ def estimate_words(spec: SweepSpec, query: WordsQuery) -> Estimate:
     return Estimate(sizes, memory=_MEMORY, small=False)
 
 
-WORDS: Final = View(
+VIEW: Final = View(
     "orbits", "Branches of a sweep's cycles", SweepSpec, WordsQuery, compute_words, estimate_words,
     variables=(
         *(ROWS[name] for name in (*_OF_WORD, *_OF_FLIGHT, *BALANCE, *BRANCH, "word")),

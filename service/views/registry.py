@@ -36,13 +36,13 @@ from worker.analysis.planning import Setting
 VIEWS: Final[dict[str, View]] = {
     view.name: view
     for view in (
-        diagram.VIEW, modes.VIEW, threshold.VIEW, orbits.WORDS, basins.VIEW, multistability.VIEW,
+        diagram.VIEW, modes.VIEW, threshold.VIEW, orbits.VIEW, basins.VIEW, multistability.VIEW,
         trajectory.VIEW, audit.VIEW,
     )
 }  # fmt: skip
 
 #: The results of a spring alone, in closed form.
-SPRINGS: Final[dict[str, View]] = {view.name: view for view in (threshold.SPRING, orbits.ORBITS, curves.VIEW)}
+SPRINGS: Final[dict[str, View]] = {view.name: view for view in (threshold.SPRING, orbits.SPRING, curves.VIEW)}
 
 
 def admit(
@@ -89,8 +89,8 @@ def answer(
     Arguments and result can be pickled. Raises as `View.compute`.
     """
     view = SPRINGS[name] if study is None else VIEWS[name]
-    found = view.compute(study, view.query(**fields), *parts)
-    return _encoded(view, study, found, format), bool(found.attrs["complete"])
+    result = view.compute(study, view.query(**fields), *parts)
+    return _encoded(view, study, result, format), bool(result.attrs["complete"])
 
 
 def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
@@ -103,14 +103,14 @@ def planned(settings: Sequence[Setting], query: plans.PlanQuery, found: Any, for
     return _encoded(plans.VIEW, None, plans.compute(settings, query, found), format)
 
 
-def _encoded(view: View, study: Stored[Any] | None, found: Dataset, format: str) -> bytes:
+def _encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str) -> bytes:
     about = {"release": software().release} if study is None else study.attributes
-    found.attrs = {"Conventions": "CF-1.11", "title": view.summary, **about, **found.attrs}
+    result.attrs = {"Conventions": "CF-1.11", "title": view.summary, **about, **result.attrs}
     if view.draw is not None and format in PICTURES:
         origin = about if study is None else study.origin
-        return style.encode(view.size, partial(view.draw, found), format, origin)
-    rows = view.finer_rows if view.finer_rows in found else view.rows
-    return encode.ENCODERS[format](found, rows)
+        return style.encode(view.size, partial(view.draw, result), format, origin)
+    rows = view.finer_rows if view.finer_rows in result else view.rows
+    return encode.ENCODERS[format](result, rows)
 
 
 def warm() -> None:

@@ -24,7 +24,7 @@ from worker.spec.errors import one_of
 from worker.spec.specification import Specification
 from worker.studies import study_of
 from worker.study import Array
-from worker.study.layout import CELL_DIMS
+from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.schema import MODE_ARRAYS
 
@@ -182,12 +182,12 @@ def read_stored(
         if study.forms is None:
             there = store.stored_forms(study.url, None)
             stored = [name for name in names if name in there]
-        found = store.read_slice(study.url, stored, **indices, complete=study.complete, forms=study.forms)
+        arrays = store.read_slice(study.url, stored, **indices, complete=study.complete, forms=study.forms)
     except store.StoreMissing as error:
         if study.complete:
             raise store.StoreDamaged(str(error)) from error
-        found = {}  # The job is still queued: its store is created with the first chunk.
-    return found if len(found) == len(names) else _fill_values(study.spec, names, indices) | found
+        arrays = {}  # The job is still queued: its store is created with the first chunk.
+    return arrays if len(arrays) == len(names) else _fill_values(study.spec, names, indices) | arrays
 
 
 def _fill_values(spec: Any, names: Sequence[str], indices: Indices) -> dict[str, NDArray[Any]]:
@@ -223,7 +223,7 @@ def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...
     """The stored arrays that `recounted` needs."""
     flights = ("flight_time", "takeoff_phase", "flights") if needs_flights(spec, min_flight) else ()
     exponents = (schema.LYAPUNOV.name, schema.LYAPUNOV_ERROR.name) if spec.exponents else ()
-    return (*flights, *MODE_ARRAYS, *exponents, *(row.name for row in schema.some_computed(spec)))
+    return (*flights, *MODE_ARRAYS, *exponents, *((COMPUTED,) if spec.fills_in else ()))
 
 
 def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict[str, NDArray[Any]]:
@@ -239,11 +239,11 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
             for name in ("flight_time", "takeoff_phase")
         )
         stored = Modes(*(arrays[name].ravel() for name in MODE_ARRAYS))
-        found = recount(
+        counted = recount(
             times, phases, arrays["flights"].ravel(), stored, spec.micro_flight, shortest(spec, min_flight)
         )
-        modes = {name: getattr(found, name).reshape(arrays["flights"].shape) for name in MODE_ARRAYS}
-    computed = {row.name: arrays[row.name] for row in schema.some_computed(spec)}
+        modes = {name: getattr(counted, name).reshape(arrays["flights"].shape) for name in MODE_ARRAYS}
+    computed = {COMPUTED: arrays[COMPUTED]} if spec.fills_in else {}
     return modes | labelled(spec, modes[schema.OUTCOME.name], arrays) | computed
 
 

@@ -18,13 +18,12 @@ from service.pictures import draw_thresholds
 from service.views.selection import MAX_READ, ROUNDING, Stored, check_kernel, nearest_index, read_direction
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
+from worker.analysis.bisection import TYPICAL_CELLS, Refined, Status, by_bisection, endless_rest, on_grid
 from worker.analysis.prediction import predict, predict_each, predict_from_cells, prediction_seconds
-from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, on_grid, refine
 from worker.spec.contact_models import Rigid
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
-from worker.sweep.schema import some_computed
 
 #: The contact of the closed form.
 CONTACT: Final = "rigid, restitution 0"
@@ -65,14 +64,15 @@ def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xa
     is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
     fold. A worker computes what takes longer than a second.
     """
-    found = computed[0] if computed else predicted(query.omega, query.xi)
+    thresholds = computed[0] if computed else predicted(query.omega, query.xi)
     data: dict[str, Any] = {
-        "threshold": found.gamma_th if np.isfinite(found.gamma_th) else np.nan,
-        "jump": found.jump, "down": found.down, "cause": found.cause, "reason": found.reason,
+        "threshold": thresholds.gamma_th if np.isfinite(thresholds.gamma_th) else np.nan,
+        "jump": thresholds.jump, "down": thresholds.down,
+        "cause": thresholds.cause, "reason": thresholds.reason,
     }  # fmt: skip
-    if found.fold is not None:
-        data |= {"lifetime": lifetime(found.fold, query.delta), "delta": query.delta}
-        data |= {name: values[0] for name, values in found.fold.energy._asdict().items()}
+    if thresholds.fold is not None:
+        data |= {"lifetime": lifetime(thresholds.fold, query.delta), "delta": query.delta}
+        data |= {name: values[0] for name, values in thresholds.fold.energy._asdict().items()}
     return dataset(
         {row.name: variable((), data.get(row.name, np.nan), row) for row in _OF_SPRING},
         {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")},
@@ -168,9 +168,9 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     `prediction` names; a descent ends there or earlier, on another cycle. Workers predict what takes longer
     than a second.
     """
-    spec, at = study.spec, nearest_index(study.spec, "xi", query.xi)
-    omega, xi = spec.axis_values("omega"), at.value
-    data, complete = _on_grid(study, at.index)
+    spec, nearest = study.spec, nearest_index(study.spec, "xi", query.xi)
+    omega, xi = spec.axis_values("omega"), nearest.value
+    data, complete = _on_grid(study, nearest.index)
     refined = [part for part in computed if isinstance(part, Refined)]
     if query.tolerance is not None:
         data |= _refined(data, refined)
@@ -179,14 +179,14 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     if not (each or why_not):
         each = [predicted(value, xi) for value in omega.tolist()]
     pairs = zip(data["down"].tolist(), each, strict=bool(each))
-    found: dict[str, Any] = {
+    predictions: dict[str, Any] = {
         "predicted_jump": [prediction.jump for prediction in each],
         "predicted_down": [prediction.down for prediction in each],
         "cause": [prediction.cause for prediction in each],
         "difference": [_difference(spec, query.tolerance, *pair) for pair in pairs],
     }
     nothing = {"predicted_jump": np.nan, "predicted_down": np.nan, "cause": why_not, "difference": ""}
-    data |= found if each else {name: np.full(len(omega), value) for name, value in nothing.items()}
+    data |= predictions if each else {name: np.full(len(omega), value) for name, value in nothing.items()}
     analytic = threshold(omega, xi)
     data["analytic"] = np.where(np.isfinite(analytic), analytic, np.nan)
     contact = f"{CONTACT}: the contact of the sweep"
@@ -237,26 +237,26 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
 
     Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue.
     """
-    spec, at = study.spec, nearest_index(study.spec, "xi", query.xi)
+    spec, nearest = study.spec, nearest_index(study.spec, "xi", query.xi)
     omega = spec.axis_values("omega").tolist()
     calls: list[Call] = []
     if query.tolerance is not None:
         check_kernel(study.kernel_version)
     if query.tolerance is not None and study.chunks_done:
         blocks = (tuple(range(low, min(low + BLOCK, len(omega)))) for low in range(0, len(omega), BLOCK))
-        calls += [(refine, spec, study.url, at.index, block, query.tolerance) for block in blocks]
-    if _left_out(spec, at.value, query.predict):
+        calls += [(by_bisection, spec, study.url, nearest.index, block, query.tolerance) for block in blocks]
+    if _left_out(spec, nearest.value, query.predict):
         return calls
     words = query.predict == "words" and study.chunks_done > 0  # before the first chunk there are none
-    seconds = _seconds(spec, at.value, WORDS_SECONDS if words else 0.0)
+    seconds = _seconds(spec, nearest.value, WORDS_SECONDS if words else 0.0)
     if query.predict == "some" and seconds[-1] <= AT_ONCE_SECONDS:
         return calls
     call = (seconds // CALL_SECONDS).astype(int)
     for block in (tuple(np.flatnonzero(call == number).tolist()) for number in np.unique(call)):
         if words:
-            calls.append((predict_from_cells, spec, study.url, at.index, block, study.complete))
+            calls.append((predict_from_cells, spec, study.url, nearest.index, block, study.complete))
         else:
-            calls.append((predict_each, tuple(omega[i] for i in block), at.value))
+            calls.append((predict_each, tuple(omega[i] for i in block), nearest.value))
     return calls
 
 
@@ -268,8 +268,8 @@ def _on_grid(study: Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]]
     spec = study.spec
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     endless = endless_rest(spec, omega, float(spec.axis_values("xi")[xi]))
-    names = ["outcome", *(row.name for row in some_computed(spec))]
-    data: dict[str, NDArray[Any]] = {"up_computed": np.zeros(len(omega), bool)} if COMPUTED in names else {}
+    names = ["outcome", COMPUTED] if spec.fills_in else ["outcome"]
+    data: dict[str, NDArray[Any]] = {"up_computed": np.zeros(len(omega), bool)} if spec.fills_in else {}
     for name in ("up", "down"):
         data[name] = np.full(len(omega), np.nan)
         data[f"{name}_status"] = np.full(len(omega), Status.NOT_RAMPED.value, object)
@@ -281,21 +281,23 @@ def _on_grid(study: Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]]
             part = read_direction(study, names, direction, {"xi": xi, "omega": slice(low, low + rows)})
             complete = complete and study.is_complete(part["outcome"])
             for i, outcome in enumerate(part["outcome"], low):
-                found = on_grid(outcome, down, bool(endless[i]))
-                data[f"{name}_status"][i] = found.status.value
-                if found.status is Status.FOUND and found.bouncing is not None:
-                    data[name][i] = gamma[found.bouncing]
+                bracket = on_grid(outcome, down, bool(endless[i]))
+                data[f"{name}_status"][i] = bracket.status.value
+                if bracket.status is Status.FOUND and bracket.bouncing is not None:
+                    data[name][i] = gamma[bracket.bouncing]
                     if COMPUTED in part:
-                        beside = part[COMPUTED][i - low, found.bouncing - 1 : found.bouncing + 1]
+                        beside = part[COMPUTED][i - low, bracket.bouncing - 1 : bracket.bouncing + 1]
                         data["up_computed"][i] = bool(beside.all())
     return data, complete
 
 
-def _refined(data: dict[str, NDArray[Any]], found: Sequence[Refined]) -> dict[str, NDArray[Any]]:
+def _refined(data: dict[str, NDArray[Any]], refined: Sequence[Refined]) -> dict[str, NDArray[Any]]:
     """What workers found instead of the grid; of a job that had not begun, all that they would have found."""
     changed: dict[str, NDArray[Any]] = {}
-    if found:
-        changed = {name: np.concatenate([getattr(part, name) for part in found]) for name in Refined._fields}
+    if refined:
+        changed = {
+            name: np.concatenate([getattr(part, name) for part in refined]) for name in Refined._fields
+        }
     else:
         for name in ("up", "down"):
             status = data[f"{name}_status"]
@@ -349,8 +351,8 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
         return ""
     if spacing is None:
         gamma = spec.axis_values("gamma")
-        at = int(np.searchsorted(gamma, down))
-        spacing = float(gamma[at] - gamma[at - 1]) if at else 0.0
+        i = int(np.searchsorted(gamma, down))
+        spacing = float(gamma[i] - gamma[i - 1]) if i else 0.0
     above, slack = down - prediction.down, ROUNDING * prediction.down
     if -slack <= above <= spacing + slack:
         return ""
@@ -376,5 +378,5 @@ def _below(fold: Fold | None, delta: float, window: int) -> str:
 
 VIEW: Final = View(
     "threshold", "Thresholds of a sweep", SweepSpec, ThresholdQuery, compute, estimate, variables=_ROWS,
-    rows="up_status", parts=parts, draw=lambda found, figure: draw_thresholds(figure.subplots(), found),
+    rows="up_status", parts=parts, draw=lambda result, figure: draw_thresholds(figure.subplots(), result),
 )  # fmt: skip

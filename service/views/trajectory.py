@@ -335,9 +335,9 @@ def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
 def _start(study: Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] | None:
     """The stored state of the attractor, or at the end of a ramp's window; None for a cell from rest."""
     spec = study.spec
-    at = {axis: nearest_index(spec, axis, getattr(query, axis)).index for axis in AXES}
+    indices = {axis: nearest_index(spec, axis, getattr(query, axis)).index for axis in AXES}
     if query.attractor is not None:
-        arrays = read_stored(study, ("attractor_outcome", "attractor_state"), at)
+        arrays = read_stored(study, ("attractor_outcome", "attractor_state"), indices)
         stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
         if query.attractor > stored:
             rule = f"must be from 1 to {stored}: the attractors of this cell"
@@ -346,7 +346,7 @@ def _start(study: Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] 
     if not isinstance(spec, SweepSpec) or spec.ramp_axis is None:
         return None
     names = (schema.OUTCOME.name, schema.END_STATE.name)
-    arrays = read_stored(study, names, {"direction": _direction(spec, query), **at})
+    arrays = read_stored(study, names, {"direction": _direction(spec, query), **indices})
     if arrays[schema.OUTCOME.name] == Outcome.MISSING:
         raise InvalidRequest.of("gamma", "this cell is not computed yet; a ramp computes its cells in order")
     _check_ended("gamma", int(arrays[schema.OUTCOME.name]))
@@ -361,14 +361,14 @@ def _on_cycle(cell: Cell, point: CyclePoint) -> CycleStart:
     """The start on a cycle. Raises InvalidRequest."""
     periods, time = point.periods, point.flight_time
     try:
-        found = start_on_stable_cycle(cell, periods) if time is None else start_on_cycle(cell, periods, time)
+        start = start_on_stable_cycle(cell, periods) if time is None else start_on_cycle(cell, periods, time)
     except KernelInputError as error:
         raise InvalidRequest.of(error.argument, error.rule) from error
-    if found is None:
-        at = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
-        rule = f"there is no cycle (1, {periods}) at {at}" if time is not None else no_cycle(cell, periods)
+    if start is None:
+        where = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
+        rule = f"there is no cycle (1, {periods}) at {where}" if time is not None else no_cycle(cell, periods)
         raise InvalidRequest.of("start", rule)
-    return found
+    return start
 
 
 def _check_ended(field: str, outcome: int) -> None:
@@ -378,17 +378,17 @@ def _check_ended(field: str, outcome: int) -> None:
         raise InvalidRequest.of(field, f"the cell is {name} before the first sample")
 
 
-def draw(found: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Plate and masses, the upper one lowered by the spring's rest length, and the contact force."""
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    periods = found.phase.values / TWO_PI
-    upper = found.z1.values - found.attrs["rest_length"]
+    periods = result.phase.values / TWO_PI
+    upper = result.z1.values - result.attrs["rest_length"]
     above.plot(periods, upper, color=LINES["upper-mass"], label="upper mass − rest length")
-    above.plot(periods, found.z2.values, color=LINES["lower-mass"], label="lower mass")
-    above.plot(periods, found.plate.values, color="black", label="plate")
+    above.plot(periods, result.z2.values, color=LINES["lower-mass"], label="lower mass")
+    above.plot(periods, result.plate.values, color="black", label="plate")
     above.set_ylabel("height (plate amplitudes)")
     above.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    below.plot(periods, found.force.values, color="black")
+    below.plot(periods, result.force.values, color="black")
     below.set_ylabel(r"force ($mA\omega^2$)")
     below.set_xlabel("plate periods")
 

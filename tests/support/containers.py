@@ -6,12 +6,10 @@ Needs root and Debian's packages:
 
 No image is fetched: the Dockerfile's base is made of Debian's packages. Podman has a store of its own, STORE,
 so no other image, container or network of the machine is touched. Images stay there between runs, and are
-made anew once their sources have changed; everything else is removed at the end.
+built anew from podman's cache; everything else is removed at the end.
 """
 
-import ast
 import fcntl
-import hashlib
 import json
 import os
 import re
@@ -19,13 +17,12 @@ import secrets
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
-from configparser import RawConfigParser
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from dask_processes import Remote
 from paths import ROOT
 from scripted import free_port
 
@@ -40,8 +37,6 @@ RUN = Path("/run/bouncing-spring/containers")
 
 IMAGE = "bouncing-spring"
 PROJECT = "bouncing-spring-test"
-#: A label of the image: a digest of what it was made from.
-SOURCES = "bouncing-spring.sources"
 
 #: Lower than those of most machines. Podman would raise its own, which not every root may do.
 LIMITS = ["nofile=16384:16384", "nproc=16384:16384"]
@@ -123,9 +118,6 @@ class Podman:
             output.seek(0)
             return subprocess.CompletedProcess(command, done.returncode, output.read(), "")
 
-    def has(self, image: str) -> bool:
-        return self.attempt("podman", "image", "exists", image).returncode == 0
-
     def inspect(self, container: str) -> dict[str, Any]:
         (found,) = json.loads(self.run("podman", "inspect", container))
         return dict(found)
@@ -138,38 +130,19 @@ class Podman:
         self.run("podman", "network", "prune", "--force")
 
 
-@contextmanager
-def podman(folder: Path) -> Iterator[Podman]:
-    """Podman for one test at a time, with nothing in its store but images, before and after."""
-    STORE.mkdir(parents=True, exist_ok=True)
-    with (STORE / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        engine = Podman(folder)
-        engine.clear()
-        try:
-            yield engine
-        finally:
-            engine.clear()
-
-
 # ---- The image
 
 
 def make_image(engine: Podman) -> None:
-    """Build the image from the Dockerfile, unless the store has it of the same sources."""
-    sources = digest()
-    label = engine.attempt(
-        "podman", "image", "inspect", "--format", f'{{{{index .Labels "{SOURCES}"}}}}', IMAGE
-    )
-    if label.returncode == 0 and label.stdout.strip() == sources:
-        return
+    """Build the image from the Dockerfile; podman's cache keeps what has not changed."""
     (base,) = re.findall(r"^FROM (\S+)$", (ROOT / "Dockerfile").read_text(), re.M)
-    if not engine.has(f"localhost/{base}"):
+    if engine.attempt("podman", "image", "exists", f"localhost/{base}").returncode:
         make_base(engine, base)
     engine.run(
         "podman", "build", "--pull=never", "--network=host",
-        *(f"--ulimit={limit}" for limit in LIMITS), *reaching_the_index(engine.folder),
-        f"--label={SOURCES}={sources}", f"--tag={IMAGE}", str(ROOT), seconds=BUILD_SECONDS,
+        *(f"--ulimit={limit}" for limit in LIMITS),
+        *(f"--volume={file}:{file}:ro" for file in [Path("/etc/pip.conf")] if file.exists()),
+        f"--tag={IMAGE}", str(ROOT), seconds=BUILD_SECONDS,
     )  # fmt: skip
     engine.run("podman", "image", "prune", "--force")
 
@@ -189,61 +162,15 @@ def make_base(engine: Podman, name: str) -> None:
     assert re.search(rf"^Python {re.escape(parts[1])}\.", version, re.M), version
 
 
-def digest() -> str:
-    """Of all files that the image is made from."""
-    taken = [line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")]
-    files = [ROOT / "Dockerfile"]
-    for name in taken:
-        files += sorted((ROOT / name).rglob("*")) if (ROOT / name).is_dir() else [ROOT / name]
-    found = hashlib.sha256()
-    for file in files:
-        if file.is_file() and file.suffix not in (".pyc", ".nbi", ".nbc"):
-            found.update(
-                f"{file.relative_to(ROOT)}\0{hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode()
-            )
-    return found.hexdigest()
-
-
-def reaching_the_index(folder: Path) -> list[str]:
-    """Options of a build that let its pip find packages where the pip of this machine does."""
-    listed = subprocess.run(
-        [sys.executable, "-m", "pip", "config", "list"],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    ).stdout
-    merged = RawConfigParser()
-    paths: set[str] = set()
-    for line in listed.splitlines():  # variables come first in it, and take precedence
-        section, name, quoted = re.fullmatch(r"(:env:|[^.]+)\.([^=]+)=(.*)", line).groups()  # type: ignore[union-attr]
-        section = "global" if section == ":env:" else section
-        value = str(ast.literal_eval(quoted))
-        if not merged.has_section(section):
-            merged.add_section(section)
-        if not merged.has_option(section, name):
-            merged.set(section, name, value)
-        for word in value.split():
-            # An index in a folder links to files beside that folder.
-            path = Path(word.removeprefix("file://"))
-            if path.is_absolute() and path.exists():
-                paths.add(str(path if word.startswith("/") else path.parent))
-    with (folder / "pip.conf").open("w") as file:
-        merged.write(file)
-    volumes = {str(folder / "pip.conf"): "/etc/pip.conf"} | {path: path for path in sorted(paths)}
-    return [f"--volume={source}:{target}:ro" for source, target in volumes.items()]
-
-
 # ---- docker-compose.yml
 
 
-class Stack:
+class Stack(Remote):
     """The services of docker-compose.yml, with a project name, a port and a token of their own."""
 
     def __init__(self, engine: Podman) -> None:
+        super().__init__(f"127.0.0.1:{free_port()}", secrets.token_urlsafe())
         self.engine = engine
-        self.address = f"127.0.0.1:{free_port()}"
-        self.token = secrets.token_urlsafe()
 
     def compose(self, *arguments: str) -> str:
         command = ["podman-compose", "-f", str(ROOT / "docker-compose.yml"), "-p", PROJECT, *arguments]
@@ -275,21 +202,22 @@ class Stack:
 
     def log(self) -> str:
         """The state of all containers, and the ends of their logs."""
-        parts = [self.engine.attempt("podman", "ps", "--all").stdout]
-        for name in self.containers():
-            parts += [
-                f"== {name}",
-                self.engine.attempt("podman", "logs", "--tail", "25", name).stdout[-3000:],
-            ]
-        return "\n".join(parts)
+        logs = [["podman", "logs", "--tail", "25", name] for name in self.containers()]
+        return "\n".join(self.engine.attempt(*each).stdout for each in [["podman", "ps", "--all"], *logs])
 
 
 @contextmanager
-def stack_up(engine: Podman) -> Iterator[Stack]:
-    """The stack until the end of the block."""
-    stack = Stack(engine)
-    stack.compose("up", "--detach", "--no-build")
-    try:
-        yield stack
-    finally:
-        stack.compose("down", "--volumes")
+def stack_up(folder: Path) -> Iterator[Stack]:
+    """The stack, one at a time; before and after it podman's store has nothing but images."""
+    STORE.mkdir(parents=True, exist_ok=True)
+    with (STORE / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        engine = Podman(folder)
+        engine.clear()
+        make_image(engine)
+        stack = Stack(engine)
+        try:
+            stack.compose("up", "--detach", "--no-build")
+            yield stack
+        finally:
+            engine.clear()

@@ -1,15 +1,17 @@
 """A Dask scheduler and workers as processes of their own, started as an operator starts them."""
 
 import os
-import shutil
+import re
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+import httpx2
 import psutil
 from paths import CACHE, ROOT
 from scripted import free_port, wait_for
@@ -79,15 +81,6 @@ class Processes:
             process.wait()
 
 
-def with_another_kernel(folder: Path) -> Path:
-    """A new folder with a copy of this project whose kernel has another line: a PYTHONPATH."""
-    for package in ("kernel", "worker"):
-        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
-    with (folder / "kernel" / "modes.py").open("a") as file:
-        file.write("\n# another kernel\n")
-    return folder
-
-
 def family(process: "subprocess.Popen[bytes]") -> list[psutil.Process]:
     """A process and all that it started."""
     try:
@@ -150,16 +143,41 @@ class Cluster:
         settings = {environment_variable(name): f"{value:g}" for name, value in SCHEDULER_SETTINGS.items()}
         settings |= variables or {}
         self.scheduler = Restarted(
-            folder / "scheduler.log", settings, "dask", "scheduler", "--host", "127.0.0.1",
-            "--port", str(port), "--no-dashboard", "--dashboard-address", "127.0.0.1:0",
-        )  # fmt: skip
+            folder / "scheduler.log", settings, "dask", "scheduler", *LOOPBACK, "--port", str(port)
+        )
         self.workers = Restarted(
-            folder / "worker.log", settings, "dask", "worker", self.address, "--nworkers", "2",
-            "--nthreads", "1", "--host", "127.0.0.1", "--no-dashboard",
-            "--local-directory", str(folder / "dask"), "--death-timeout", "60",
+            folder / "worker.log", settings, "dask", "worker", self.address, *LOOPBACK, "--nworkers", "2",
+            "--nthreads", "1", "--local-directory", str(folder / "dask"), "--death-timeout", "60",
         )  # fmt: skip
 
     def end(self) -> None:
         """Stop all of its processes."""
         self.workers.end()
         self.scheduler.end()
+
+
+class Remote:
+    """A service elsewhere, over HTTP."""
+
+    def __init__(self, address: str, token: str = "") -> None:
+        self.address, self.token = address, token
+
+    def ask(self, path: str, token: str | None = None) -> httpx2.Response | None:
+        """The service's answer; None while there is none."""
+        given = self.token if token is None else token
+        headers = {"Authorization": f"Bearer {given}"} if given else {}
+        try:
+            return httpx2.get(f"http://{self.address}{path}", headers=headers, timeout=10)
+        except httpx2.TransportError:
+            return None
+
+    def metrics(self, name: str) -> dict[str, int]:
+        """The values of a metric by its labels'; none while the service does not answer."""
+        answer = self.ask("/metrics")
+        found = re.findall(rf"^{name}{{(.*)}} (\S+)$", answer.text, re.M) if answer else []
+        return {" ".join(re.findall('"(.*?)"', labels)): int(float(value)) for labels, value in found}
+
+    def workers(self) -> int:
+        """Those that compute, a second later."""
+        time.sleep(1.0)
+        return self.metrics("bounce_workers").get("computing", 0)

@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Any
 
 from worker import store
-from worker.executors.base import ClusterState
+from worker.executors.base import ClusterState, Executor
 from worker.executors.inline import Inline
 from worker.studies import run_task
 from worker.study import Chunk, ChunkReport
@@ -43,7 +43,7 @@ class Scripted(Inline):
         self.before()
         if self.script[chunk.index]:
             raise self.script[chunk.index].pop(0)
-        if isinstance(spec, SweepSpec) and spec.refine is None:
+        if isinstance(spec, SweepSpec) and not spec.fills_in:
             return run_chunk(spec, chunk, store_url)  # in one piece
         return run_task(spec, chunk, store_url)
 
@@ -132,6 +132,26 @@ class Held:
         return all(store.is_cancelled(url) for url in urls)
 
 
+class Counting:
+    """An executor that records the chunks submitted to it."""
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+        self.chunks: list[int] = []
+
+    @property
+    def submitted(self) -> int:
+        return len(self.chunks)
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, url: str, **options: Any) -> "Future[ChunkReport]":
+        future = self._executor.submit(spec, chunk, url, **options)
+        self.chunks.append(chunk.index)
+        return future
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._executor, name)
+
+
 def wait_for(
     condition: Callable[[], bool],
     describe: Callable[[], str] = lambda: "the condition never held",
@@ -201,5 +221,22 @@ def sweep(name: str = "", **changes: Any) -> SweepSpec:
         "settle": 1500,
         "observe": 10,
         "keep": 4,
+    }
+    return SweepSpec(**(fields | changes))
+
+
+def costing(name: str = "", chunks: int = 8, seconds: float = 0.06, **changes: Any) -> SweepSpec:
+    """A sweep of `chunks` chunks of about `seconds` core-seconds each, by the cost table."""
+    cell = 0.01
+    fields: dict[str, Any] = {
+        "name": name,
+        "gamma": {"start": 0.5, "stop": 1.2, "num": max(round(chunks * seconds / cell), 1)},
+        "omega": 0.5,
+        "xi": 0.26,
+        "model": {"kind": "rigid"},
+        "settle": round(cell / 0.4e-6),
+        "observe": 10,
+        "keep": 4,
+        "settle_early": False,
     }
     return SweepSpec(**(fields | changes))

@@ -1,27 +1,44 @@
-"""The application on a data folder, in this process, and requests that most tests make."""
+"""A service, in the ways that tests start one, and requests that most of them make.
 
+`running`: its jobs, without HTTP. `service`, `computing`, `occupied`: the application, with a client.
+`service_at`, `computing_at`: at an address, in this process. `serving`: `bounce serve`, a process of its own.
+`listening`: an application on a real connection.
+"""
+
+import os
+import subprocess
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx2
+import numpy as np
+import psutil
 import pytest
 import uvicorn
 import xarray
 from fastapi.testclient import TestClient
 from json_results import from_json
-from scripted import DEADLINE, Held, sweep, wait_for
+from paths import CACHE, ROOT
+from scripted import DEADLINE, Held, costing, free_port, sweep, wait_for
 
 from service.api import app as application
 from service.api.app import create_app
+from service.jobs.manager import JobManager
 from service.jobs.on_demand import OnDemandCache
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState
+from service.ledger.transactions import Deletion
 from service.server import embedded
 from service.settings import Settings
+from worker import store
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
+from worker.sweep import SweepSpec
 
 #: Sweeps that several tests submit.
 FIGURE_2: dict[str, Any] = {
@@ -44,11 +61,86 @@ RAMP: dict[str, Any] = {
 }
 
 
+def settings_of(folder: Path, **settings: Any) -> Settings:
+    """Settings with short heartbeats and few chunks at work, unless they say otherwise."""
+    return Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **settings})
+
+
+# Jobs without HTTP
+
+
+class Running:
+    """A job manager with its ledger, and ways to wait for its jobs."""
+
+    def __init__(self, ledger: Ledger, manager: JobManager, settings: Settings) -> None:
+        self.ledger, self.manager, self.settings = ledger, manager, settings
+
+    def submit(self, spec: SweepSpec) -> JobRecord:
+        return self.manager.submit(spec).job
+
+    def job(self, job: JobRecord) -> JobRecord:
+        current = self.ledger.find(job.id)
+        assert current is not None
+        return current
+
+    def deletions(self) -> list[Deletion]:
+        with self.ledger.reading() as ledger:
+            return ledger.deletions()
+
+    def pending_deletions(self) -> int:
+        return len(self.deletions())
+
+    def unknown_stores(self) -> list[str]:
+        """The names of the stores that the service does not know, as it found them at the start."""
+        wait_for(lambda: self.manager.supervisor.unknown_stores is not None)
+        return sorted(self.manager.supervisor.unknown_stores or ())
+
+    def until(self, job: JobRecord, *states: JobState, seconds: float = DEADLINE) -> JobRecord:
+        wait_for(lambda: self.job(job).state in states, lambda: f"{self.job(job)} is not {states}", seconds)
+        return self.job(job)
+
+    def jobs_until(
+        self, came: Callable[[], bool], *, chunks: int, seconds: float, patience: float = DEADLINE
+    ) -> list[JobRecord]:
+        """Have jobs of such a cost computed, one after the other, until something has come, and all are done.
+
+        However fast the machine is, there is work when it comes.
+        """
+        jobs: list[JobRecord] = []
+        while not jobs or not came():
+            job = self.submit(costing(f"number {len(jobs)}", chunks, seconds))
+            jobs.append(self.until(job, JobState.DONE, JobState.FAILED, seconds=patience))
+            assert jobs[-1].state is JobState.DONE, jobs[-1]
+        return jobs
+
+    def outcomes(self, job: JobRecord) -> np.ndarray:
+        return store.read_slice(self.settings.store_of(job.store), ("outcome",))["outcome"]
+
+    def stored(self, job: JobRecord) -> dict[str, bytes]:
+        """The contents of the files of a job's store, by their names in it."""
+        url = Path(self.settings.store_of(job.store))
+        return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+
+
+@contextmanager
+def running(folder: Path, executor: Executor, **options: Any) -> Iterator[Running]:
+    settings = settings_of(folder, **options)
+    with Ledger(settings.ledger_path) as ledger:
+        manager = JobManager(ledger, executor, settings)
+        manager.start()
+        try:
+            yield Running(ledger, manager, settings)
+        finally:
+            manager.stop()
+
+
+# The application
+
+
 @contextmanager
 def service(folder: Path, executor: Executor, **settings: Any) -> Iterator[TestClient]:
-    """The application with `settings`, and with short heartbeats unless they say otherwise."""
-    merged = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **settings})
-    with TestClient(create_app(merged, executor), base_url="http://localhost") as client:
+    app = create_app(settings_of(folder, **settings), executor)
+    with TestClient(app, base_url="http://localhost") as client:
         yield client
 
 
@@ -60,10 +152,16 @@ def computing(folder: Path, **settings: Any) -> Iterator[TestClient]:
 
 
 @contextmanager
-def computing_at(folder: Path, **settings: Any) -> Iterator[str]:
-    """The address of a service that computes in this process."""
+def service_at(folder: Path, executor: Executor, **settings: Any) -> Iterator[str]:
+    """The address of a service in this process."""
     merged = Settings(data=folder, **{"port": 0, "heartbeat_seconds": 0.2, **settings})
-    with closing(Inline()) as executor, embedded.running(merged, executor) as address:
+    with embedded.running(merged, executor) as address:
+        yield address
+
+
+@contextmanager
+def computing_at(folder: Path, **settings: Any) -> Iterator[str]:
+    with closing(Inline()) as executor, service_at(folder, executor, **settings) as address:
         yield address
 
 
@@ -80,6 +178,77 @@ def occupied(folder: Path, **settings: Any) -> Iterator[TestClient]:
         here = first.headers["Location"]
         wait_for(lambda: bool(get(client, here)["state"] == "running"))
         yield client
+
+
+@contextmanager
+def listening(app: Any, http: Any) -> Iterator[tuple[str, int]]:
+    """The address of an application on a real connection, `http` being its uvicorn protocol."""
+    server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        wait_for(lambda: server.started)
+        yield server.servers[0].sockets[0].getsockname()
+    finally:
+        server.should_exit = True
+        thread.join()
+
+
+# A process of its own
+
+
+class Serving:
+    """A service that computes in `folder`/data and logs to `folder`/log."""
+
+    def __init__(self, folder: Path, before: Sequence[str], variables: dict[str, str], options: Any) -> None:
+        port = free_port()
+        self.url, self.log = f"http://127.0.0.1:{port}", folder / "log"
+        words = ["serve", "--port", str(port), "--data", str(folder / "data")]
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(
+                [*before, sys.executable, "-m", "service.cli.entry", *words],
+                stdout=log, stderr=log, cwd=ROOT,
+                env=os.environ | {"NUMBA_CACHE_DIR": str(CACHE)} | variables, **options,
+            )  # fmt: skip
+
+    def ask(self, method: str, path: str, **given: Any) -> httpx2.Response:
+        return httpx2.request(method, self.url + path, timeout=DEADLINE, **given)
+
+    def is_ready(self) -> bool:
+        assert self.process.poll() is None, self.log.read_text()
+        try:
+            return self.ask("GET", "/readyz").status_code == 200
+        except httpx2.TransportError:
+            return False
+
+    def family(self) -> list[psutil.Process]:
+        """The processes that it has started."""
+        return psutil.Process(self.process.pid).children(recursive=True)
+
+
+@contextmanager
+def serving(
+    folder: Path, before: Sequence[str] = (), *, variables: dict[str, str] | None = None, **options: Any
+) -> Iterator[Serving]:
+    """A service that is ready; `before` is a command that starts it, `options` are those of its process."""
+    service = Serving(folder, before, variables or {}, options)
+    family: list[psutil.Process] = []
+    try:
+        wait_for(service.is_ready)
+        family = service.family()
+        yield service
+    finally:
+        if service.process.poll() is None:
+            family += service.family()
+            service.process.terminate()
+            service.process.wait(DEADLINE)
+        _, left = psutil.wait_procs(family, timeout=DEADLINE)
+        for process in left:
+            process.kill()
+        assert left == [], "processes outlived the service"
+
+
+# Requests
 
 
 def finished(client: TestClient | httpx2.Client, spec: dict[str, Any]) -> str:
@@ -123,17 +292,3 @@ def read(client: TestClient, path: str, **query: Any) -> xarray.Dataset:
     answer = client.get(path, params=query)
     assert answer.status_code == 200, answer.text
     return from_json(answer.content)
-
-
-@contextmanager
-def listening(app: Any, http: Any) -> Iterator[tuple[str, int]]:
-    """The address of an application on a real connection, `http` being its uvicorn protocol."""
-    server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    try:
-        wait_for(lambda: server.started)
-        yield server.servers[0].sockets[0].getsockname()
-    finally:
-        server.should_exit = True
-        thread.join()

@@ -4,13 +4,17 @@ Needs root and Debian's packages: `apt-get install slurm-wlm munge`. All files a
 are free ones of loopback, and nothing of an installed Slurm is used but its programs.
 """
 
+import math
 import os
 import shutil
 import socket
 import subprocess
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Self
 
 from scripted import free_port, wait_for
 
@@ -87,10 +91,9 @@ class Slurm:
         environment = os.environ | self.variables
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=False).stdout
 
-    def jobs(self) -> dict[str, int]:
-        """The seconds for which each running job has run."""
-        lines = self.ask("squeue", "--noheader", "--states=R", "--format=%A %M").splitlines()
-        return {job: _seconds(ran) for job, ran in (line.split() for line in lines)}
+    def jobs(self) -> set[str]:
+        """The jobs that run."""
+        return set(self.ask("squeue", "--noheader", "--states=R", "--format=%A").split())
 
     def timed_out(self) -> set[str]:
         """The jobs of the last minutes that Slurm ended because their time was over."""
@@ -120,12 +123,36 @@ class Slurm:
             )
 
 
-def _seconds(text: str) -> int:
-    """Of Slurm's [[days-]hours:]minutes:seconds."""
-    days, _, clock = text.rpartition("-")
-    total = 24 * int(days or 0)
-    hours, minutes, seconds = [0, 0, *map(int, clock.split(":"))][-3:]
-    return ((total + hours) * 60 + minutes) * 60 + seconds
+class Allocations:
+    """The jobs that Slurm runs during the block, each cancelled `cancel_after` seconds after it was seen."""
+
+    def __init__(self, slurm: Slurm, cancel_after: float = math.inf) -> None:
+        self._slurm, self._cancel_after = slurm, cancel_after
+        self._since: dict[str, float] = {}
+        self.seen: set[str] = set()
+        self.ended: set[str] = set()  # cancelled, or timed out
+        self.most = 0  # at a time
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._follow)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _follow(self) -> None:
+        while not self._over.wait(1.0):
+            jobs, now = self._slurm.jobs(), time.monotonic()
+            for job in jobs - self.ended:
+                if now - self._since.setdefault(job, now) > self._cancel_after:
+                    self._slurm.ask("scancel", job)
+                    self.ended.add(job)
+            self.seen |= jobs
+            self.ended |= self.seen & self._slurm.timed_out()
+            self.most = max(self.most, len(jobs))
 
 
 @contextmanager

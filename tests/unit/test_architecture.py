@@ -26,7 +26,8 @@ ALLOWED = {
     "kernel": {"numpy", "numba"},
     "kernel.params": {"numpy"},
     "worker": {
-        "numpy", "numba", "pydantic", "zarr", "numcodecs", "obstore", "xarray", "dask", "distributed", "yaml",
+        "numpy", "numba", "pydantic", "zarr", "numcodecs", "obstore", "xarray", "dask", "distributed",
+        "cloudpickle", "yaml",
     },
     "worker.spec": {"numpy", "pydantic", "yaml"},
     "worker.study": {"numpy", "pydantic", "yaml"},

@@ -21,8 +21,8 @@ from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
 from kernel.stopping import check
 from worker import store
+from worker.analysis.bisection import Status, endless_rest, on_grid
 from worker.analysis.deviation import deviations
-from worker.analysis.thresholds import Status, endless_rest, on_grid
 from worker.spec.contact_models import Auto, Contact, Soft, Stepped
 from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema

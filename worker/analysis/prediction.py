@@ -75,7 +75,7 @@ def predict_from_cells(
     """
     direction = spec.directions.index("down") if "down" in spec.directions else 0
     at_xi = float(spec.axis_values("xi")[xi])
-    found = []
+    answers = []
     for omega in omegas:
         at_omega = float(spec.axis_values("omega")[omega])
         answer = predict(at_omega, at_xi)
@@ -83,8 +83,8 @@ def predict_from_cells(
             words, bouncing = lowest_words(spec, url, direction, xi, omega, complete)
             if words:
                 answer = _thresholds(at_omega, at_xi, words=words, bouncing=bouncing)
-        found.append(answer)
-    return found
+        answers.append(answer)
+    return answers
 
 
 def _thresholds(omega: float, xi: float, **known: Any) -> Thresholds:

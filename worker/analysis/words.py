@@ -19,7 +19,7 @@ from kernel.branches.events import Events, rows_of
 from kernel.branches.words import Word, WordBranch, from_flights
 from kernel.params import KernelInputError, Outcome
 from worker import store
-from worker.analysis.thresholds import BOUNCING
+from worker.analysis.bisection import BOUNCING
 from worker.sweep import SweepSpec
 
 Floats = NDArray[np.float64]
@@ -184,7 +184,7 @@ def _up_to_shorter(branch: WordBranch, cycle: _Cycle) -> WordBranch:
     """
     flights = len(branch.word)
     away = np.abs(np.sort(branch.flight_time, axis=1) - np.sort(cycle.flight_time)).max(axis=1)
-    low, at, high = 0, int(np.argmin(away)), len(branch.gamma)
+    low, nearest, high = 0, int(np.argmin(away)), len(branch.gamma)
     for n in range(1, flights):
         if flights % n or branch.word != branch.word[:n] * (flights // n):
             continue
@@ -192,8 +192,8 @@ def _up_to_shorter(branch: WordBranch, cycle: _Cycle) -> WordBranch:
         turns = np.flatnonzero((apart[:-1, 0] > 0.0) != (apart[1:, 0] > 0.0))
         size = np.abs(apart).max(axis=1)
         same = turns[np.minimum(size[turns], size[turns + 1]) < _STEP]
-        low = max([low, *(same[same < at] + 1).tolist()])
-        high = min([high, *(same[same >= at] + 1).tolist()])
+        low = max([low, *(same[same < nearest] + 1).tolist()])
+        high = min([high, *(same[same >= nearest] + 1).tolist()])
     return rows_of(branch, slice(low, high))
 
 

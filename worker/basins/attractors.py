@@ -179,11 +179,11 @@ class _Search:
             part = slice(first, first + BLOCK)
             request = Request(states[part], settle, observe, CYCLE_FLIGHTS)
             answer = self._run(request, partial(_reduced, micro_flight=self._spec.micro_flight))
-            ends, at = self._ends, which[part]
+            ends, rows = self._ends, which[part]
             for name in ("outcome", "bounces", "periods", "state", "cycle"):
-                getattr(ends, name)[at] = answer[name]
-            ends.time[at] = ends.phase[at] = np.nan
-            without = at[answer["outcome"] != Outcome.PERIODIC]
+                getattr(ends, name)[rows] = answer[name]
+            ends.time[rows] = ends.phase[rows] = np.nan
+            without = rows[answer["outcome"] != Outcome.PERIODIC]
             ends.time[without], ends.phase[without] = answer["time"], answer["phase"]
 
     def _record(self, request: Request) -> Line:
@@ -202,7 +202,7 @@ class _Search:
         """
         outcome = self._ends.outcome[which]
         undecided = [which[np.isin(outcome, (Outcome.APERIODIC, Outcome.SETTLING))]]
-        groups = _alike(self._ends, which)
+        groups = _groups_of_cycles(self._ends, which)
         chosen = [_spread(group, CYCLE_REPRESENTATIVES) for group in groups]
         if not groups:
             return undecided[0]
@@ -398,7 +398,7 @@ def _ends_of_flights(
     return {name: np.array(values, np.float32).reshape(-1, START_FLIGHTS) for name, values in rows.items()}
 
 
-def _alike(ends: _Ends, which: _Ints) -> list[_Ints]:
+def _groups_of_cycles(ends: _Ends, which: _Ints) -> list[_Ints]:
     """Groups of starts that end at rest, or on cycles of one mode with nearly equal flights."""
     rest = which[ends.outcome[which] == Outcome.AT_REST]
     cycles = which[ends.outcome[which] == Outcome.PERIODIC]
@@ -426,8 +426,8 @@ def _near(time: _Flights, flights: _Floats) -> NDArray[np.bool_]:
     """(n,) whether each flight in a row of `time` (n, m) is close to one of the sorted `flights`."""
     if len(flights) == 0:
         return np.zeros(len(time), np.bool_)
-    at = np.searchsorted(flights, time)
-    below, above = flights[np.maximum(at - 1, 0)], flights[np.minimum(at, len(flights) - 1)]
+    index = np.searchsorted(flights, time)
+    below, above = flights[np.maximum(index - 1, 0)], flights[np.minimum(index, len(flights) - 1)]
     near = np.minimum(np.abs(time - below), np.abs(above - time)) <= NEAR_CYCLE
     flown = np.isfinite(time)
     return np.asarray(np.all(near | ~flown, axis=1) & flown.any(axis=1))

@@ -251,8 +251,8 @@ def _standing(ends: Sequence[Reached]) -> list[list[int]]:
 
 def _aperiodic(ends: Sequence[Reached], most: int) -> list[int]:
     """At most this many aperiodic starts of a cell, evenly spaced."""
-    found = [i for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC]
-    return found[:: -(-len(found) // most) or 1]
+    aperiodic = [i for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC]
+    return aperiodic[:: -(-len(aperiodic) // most) or 1]
 
 
 def _groups(ends: Sequence[Reached]) -> list[list[int]]:

@@ -130,12 +130,6 @@ class GridSpec(Specification):
         return self
 
     @property
-    def shape(self) -> tuple[int, int, int]:
-        """Cells along (xi, omega, gamma)."""
-        xi, omega, gamma = (len(self.axis_values(axis)) for axis in AXES)
-        return xi, omega, gamma
-
-    @property
     def until(self) -> int:
         """Maximum plate periods of a start."""
         return self.settle_until or UNTIL * (self.settle + self.observe)

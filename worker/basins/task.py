@@ -33,8 +33,8 @@ def run_chunk(spec: BasinSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     work = Steps(store_url, chunk, basin_arrays(spec), record)
     for index in list(np.ndindex(chunk.shape))[work.done :]:
         xi, omega, gamma = (float(axis[i]) for axis, i in zip(values, index, strict=True))
-        found = find(starts_of(spec, gamma, omega, xi), spec, _runner(spec, gamma, omega, xi, work))
-        _fill_in(spec, found, record, index)
+        basins = find(starts_of(spec, gamma, omega, xi), spec, _runner(spec, gamma, omega, xi, work))
+        _fill_in(spec, basins, record, index)
         work.finish_step()
     return work.write(record)
 
@@ -51,21 +51,21 @@ def _runner(
     return run
 
 
-def _fill_in(spec: BasinSpec, found: Found, record: _Arrays, index: tuple[int, ...]) -> None:
+def _fill_in(spec: BasinSpec, basins: Found, record: _Arrays, index: tuple[int, ...]) -> None:
     """Fill in one cell."""
-    ids = np.where(found.ids <= MAX_ATTRACTORS, found.ids, 0).astype(np.uint8)
+    ids = np.where(basins.ids <= MAX_ATTRACTORS, basins.ids, 0).astype(np.uint8)
     ids = ids.reshape(spec.protocol.rows, spec.protocol.columns)
     record["attractor"][index] = ids
-    for i, attractor in enumerate(found.attractors[:MAX_ATTRACTORS]):
+    for i, attractor in enumerate(basins.attractors[:MAX_ATTRACTORS]):
         for name in (row.name for row in (*OF_ATTRACTORS, LIFETIME)):
             record[name][*index, i] = getattr(attractor, name.removeprefix("attractor_"))
         if spec.exponents:
             record["lyapunov"][*index, i] = attractor.lyapunov
             record["lyapunov_error"][*index, i] = attractor.lyapunov_error
-    record["attractor_count"][index] = len(found.attractors)
+    record["attractor_count"][index] = len(basins.attractors)
     record["undecided"][index] = np.mean(ids == 0)
     record["basin_entropy"][index], record["boundary_entropy"][index] = entropies(ids)
-    record["outcome"][index] = Outcome.PERIODIC if found.attractors else Outcome.UNRESOLVED
+    record["outcome"][index] = Outcome.PERIODIC if basins.attractors else Outcome.UNRESOLVED
 
 
 def entropies(ids: NDArray[np.uint8]) -> tuple[float, float]:

@@ -31,8 +31,8 @@ SCHEDULER_SETTINGS: Final[dict[str, float]] = {
 NO_SCHEDULER: Final = (OSError, ValueError, KeyError, TypeError)
 #: A cluster is replaced after this many unanswered connections in a row.
 UNANSWERED: Final = 3
-#: Seconds until a failed function is called again: the first pause, doubled each time, and the longest.
-FIRST_PAUSE, LONGEST_PAUSE = 1.0, 60.0
+#: A function is called once in this many seconds at most: it may ask a busy batch queue.
+MAKE_SECONDS: Final = 10.0
 #: Seconds between checks for lost workers.
 REFILL_SECONDS: Final = 5.0
 #: The states of a Dask cluster that no longer computes.
@@ -40,9 +40,6 @@ _ENDED: Final = frozenset({"closed", "closing", "failed"})
 LOOPBACK: Final = "127.0.0.1"
 #: Workers still running after CLOSE_SECONDS are killed, and those that replaced them after KILL_SECONDS.
 CLOSE_SECONDS, KILL_SECONDS = 1.5, 0.1
-#: distributed drops a worker for good if it is not back this long after a death. That can take longer on a
-#: busy machine, so this is switched off.
-_LOST_WORKER_SETTINGS: Final = {"distributed.deploy.lost-worker-timeout": "1000 days"}
 #: Schedulers and workers always listen for HTTP; without routes they have nothing but an empty sitemap.
 _NO_HTTP: Final[dict[str, list[str]]] = {
     "distributed.scheduler.http.routes": [],
@@ -127,8 +124,7 @@ class SchedulerFile(Target):
 class CreatedCluster(Target):
     """A cluster returned by `function()`, created again when it has ended or its scheduler does not answer.
 
-    `name` is for messages. A function that fails is called again after FIRST_PAUSE seconds, doubled each time
-    up to LONGEST_PAUSE.
+    `name` is for messages. A function that fails is called again MAKE_SECONDS after its last call.
     """
 
     is_own = True
@@ -137,7 +133,7 @@ class CreatedCluster(Target):
         super().__init__(None)
         self._function, self._name = function, name
         self._unanswered = 0  # connections in a row
-        self._pause, self._next_try, self._failure = 0.0, 0.0, ""
+        self._next_try, self._failure = 0.0, ""
 
     def find(self) -> Any:
         status = getattr(self.cluster, "status", None)
@@ -156,22 +152,17 @@ class CreatedCluster(Target):
         log.warning("the cluster of %s is made again: %s", self._name, why)
         with contextlib.suppress(Exception):  # the rest cannot be closed either
             self.close()
-        self._postpone()
-
-    def _postpone(self) -> None:
-        self._pause = min(2 * self._pause, LONGEST_PAUSE) if self._pause else FIRST_PAUSE
-        self._next_try = time.monotonic() + self._pause
 
     def _create(self) -> None:
         if (wait := self._next_try - time.monotonic()) > 0:
             raise ClusterLost(f"no cluster from {self._name}{self._failure}; made again in {wait:.0f} s")
+        self._next_try = time.monotonic() + MAKE_SECONDS
         try:
             self.cluster = self._function()
         except Exception as error:
             self._failure = f": {type(error).__name__}: {error}"
-            self._postpone()
             raise ClusterLost(f"no cluster from {self._name}{self._failure}") from error
-        self._pause, self._failure, self._unanswered = 0.0, "", 0
+        self._failure, self._unanswered = "", 0
         self._next_refill = time.monotonic() + REFILL_SECONDS
 
 
@@ -191,7 +182,7 @@ class LocalWorkers(Target):
 
     def __init__(self, workers: int, memory: int | None) -> None:
         super().__init__(None)
-        dask.config.set(SCHEDULER_SETTINGS | _LOST_WORKER_SETTINGS)
+        dask.config.set(SCHEDULER_SETTINGS)
         self._stack = contextlib.ExitStack()
         try:
             folder = str(self._stack.enter_context(temporary_folder("bouncing-spring-dask-")))

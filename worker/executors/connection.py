@@ -61,7 +61,6 @@ class SchedulerConnection:
         self._on_event, self._on_lost = on_event, on_lost
         self._closed = threading.Event()
         self._registered = False  # whether the scheduler has our plugin
-        self._takes_demand = False  # whether it has the plugin `Demand`
         self.fault = ""  # why the last attempt to connect failed
         self._client = self._connect(timeout)
         try:
@@ -84,33 +83,20 @@ class SchedulerConnection:
         try:
             client = self.client
             threads: dict[str, int] = client.sync(client.scheduler.ncores, callback_timeout=PING_SECONDS)
-        except (
-            ClusterLost,
-            OSError,
-            TimeoutError,
-            RuntimeError,
-        ):  # the last: the client was closed meanwhile
+        except (ClusterLost, OSError, RuntimeError):  # the last: the client was closed meanwhile
             return None
         return threads
 
-    def run_on(self, worker: str, function: Callable[..., Any], *arguments: Any) -> None:
-        """Run `function(*arguments, dask_worker=...)` in a worker's event loop; does not block."""
-        client = self._client
-
-        async def run() -> None:
-            with contextlib.suppress(Exception):  # the worker is gone, or the scheduler
-                await client.run(function, *arguments, workers=[worker], on_error="ignore")
-
-        client.loop.add_callback(run)
-
     def ask_for(self, seconds: float, tasks: int) -> None:
         """Tell the scheduler how much work remains (see `Demand`); does not block."""
-        if self._takes_demand and self._registered:
-            self._client.loop.add_callback(self._tell, self._client, seconds, tasks)
+        client = self._client
 
-    async def _tell(self, client: Any, seconds: float, tasks: int) -> None:
-        with contextlib.suppress(Exception):  # the next demand tries again
-            await getattr(client.scheduler, DEMAND)(client=client.id, seconds=seconds, tasks=tasks)
+        async def tell() -> None:
+            with contextlib.suppress(Exception):  # the next demand tries again
+                await client.scheduler.set_metadata(keys=[DEMAND, client.id], value=(seconds, tasks))
+
+        if client.status == "running":
+            client.loop.add_callback(tell)
 
     def close(self) -> None:
         """Disconnect. The scheduler and its workers stay."""
@@ -128,9 +114,8 @@ class SchedulerConnection:
         try:
             address = self._target.find()
             if isinstance(address, str):
-                listener = get_address_host_port(
-                    address
-                )  # with a malformed one, a client takes a minute to close
+                # With a malformed one, a client takes a minute to close.
+                listener = get_address_host_port(address)
                 if check:
                     socket.create_connection(listener, timeout).close()
             return _ClientOfOneConnection(  # type: ignore[no-untyped-call]
@@ -157,22 +142,17 @@ class SchedulerConnection:
         for topic in (TOPIC, ROSTER):
             self._client.subscribe_topic(topic, lambda event: self._on_event(event[1]))
         self._client.register_plugin(self._plugin)
-        self._check_settings()
-        self._takes_demand = False
-        try:
+        with contextlib.suppress(OSError, ValueError, KeyError):  # it refuses to run code, or is gone
             self._client.register_plugin(Demand())
-            self._takes_demand = True
-        except Exception as error:  # noqa: BLE001 - it runs no code that it is sent
-            log.warning("the scheduler cannot be told how much is left to compute: %s", error)
+            self._check_settings()
         self._registered = True
 
     def _check_settings(self) -> None:
         """Warn about settings that the scheduler lacks. Results are right without them."""
         for name, required in SCHEDULER_SETTINGS.items():
-            with contextlib.suppress(OSError, ValueError, KeyError):  # it refuses to run code, or is gone
-                if (actual := self._client.run_on_scheduler(dask.config.get, name)) != required:
-                    setting = f"{environment_variable(name)}={required:g}"
-                    log.warning("the scheduler's %s is %s: start it with %s", name, actual, setting)
+            if (actual := self._client.run_on_scheduler(dask.config.get, name)) != required:
+                setting = f"{environment_variable(name)}={required:g}"
+                log.warning("the scheduler's %s is %s: start it with %s", name, actual, setting)
 
     def _keep_connected(self) -> None:
         while not self._closed.wait(RETRY_SECONDS):

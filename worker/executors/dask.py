@@ -1,17 +1,16 @@
 """Computes chunks on a Dask cluster: an existing one, or worker processes on this machine."""
 
 import asyncio
-import logging
 import math
 import pickle
 import time
-from collections import defaultdict
 from collections.abc import Callable, Hashable
 from concurrent.futures import CancelledError, Future, InvalidStateError
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
+from uuid import uuid4
 
 from distributed import KilledWorker
 from distributed.protocol.pickle import dumps
@@ -29,14 +28,12 @@ from worker.executors.base import (
 )
 from worker.executors.clusters import CreatedCluster, LocalWorkers, SchedulerFile, Target
 from worker.executors.connection import SchedulerConnection
-from worker.executors.plugins import WorkerAdmission, facts, refusal, rest, run_if_admitted
-from worker.executors.roster import MARKS, REST_SECONDS, Roster
+from worker.executors.plugins import WorkerAdmission, facts, refusal, run_if_admitted
+from worker.executors.roster import Roster
 from worker.spec.specification import Specification
 from worker.study import Chunk, ChunkOptions, ChunkReport, TaskError
 from worker.study.chunks import USUAL
 from worker.watchdog import call_while_wanted, run_watched
-
-log = logging.getLogger(__name__)
 
 #: A worker that compiles reports it every half second; after this much silence it is done or gone.
 COMPILING_SECONDS: Final = 2.0
@@ -44,8 +41,6 @@ COMPILING_SECONDS: Final = 2.0
 COUNT_SECONDS: Final = 1.0
 #: Above the priority of any chunk: a request waits for the result.
 CALL_PRIORITY: Final = 1_000_000.0
-#: Seconds that a task waits for others, and the priorities that count as equal, in seconds.
-BUNDLE_SECONDS, SAME_PRIORITY = 0.002, 1.0
 
 
 @dataclass(eq=False)
@@ -53,8 +48,7 @@ class _Task:
     """A task on the cluster, and what workers reported about it."""
 
     client: Any
-    call: bytes
-    priority: float
+    key: str  # Dask's
     chunk: Hashable = None  # its store and number; None for a call, whose beginning workers do not report
     others: tuple[str, ...] = ()  # the only workers that may run it: a chunk failed on the others
     worker: str | None = None  # the address of the last worker that began it
@@ -107,9 +101,7 @@ class Dask:
         self._count_time = -math.inf  # when the workers were last counted
         self._present: dict[str, int] = {}  # their threads by address, then
         self._state = ClusterState(connected=False, workers=0)
-        self._unfinished: set[_Task] = set()
-        self._tasks: dict[str, _Task] = {}  # by Dask's key; used in the client's event loop only
-        self._bundles: defaultdict[Hashable, list[tuple[_Task, asyncio.Future[Any]]]] = defaultdict(list)
+        self._tasks: dict[str, _Task] = {}  # unfinished, by Dask's key
         self._compiling: dict[str, tuple[float, str, float]] = {}  # by store: when heard, kernel, began
         self._roster = Roster()
         is_own = address is None and scheduler_file is None
@@ -170,7 +162,7 @@ class Dask:
 
     def close(self) -> None:
         self._connection.close()
-        for task in list(self._unfinished):
+        for task in list(self._tasks.values()):
             self._fail(task, ClusterLost("the connection to the scheduler was closed"))
         self._target.close()
 
@@ -182,15 +174,10 @@ class Dask:
             self._roster.keep(present)
         refused = dict(self._roster.refused)
         useful = sum(count for worker, count in present.items() if worker not in refused)
-        self._state = ClusterState(
-            threads is not None,
-            useful,
-            self._target.planned(),
-            self._connection.fault,
-            tuple(refused.values()),
-        )
+        planned, fault = self._target.planned(), self._connection.fault
+        self._state = ClusterState(threads is not None, useful, planned, fault, tuple(refused.values()))
         self._count_time = time.monotonic()
-        for task in list(self._unfinished) if threads is not None else ():
+        for task in list(self._tasks.values()) if threads is not None else ():
             if task.others and task.worker is None and not present.keys() & task.others:
                 self._fail(task, WorkerLeft("the workers on which it had not failed are gone"))
 
@@ -203,23 +190,23 @@ class Dask:
     def _submit(
         self, call: _Call, priority: float, chunk: Hashable = None, others: tuple[str, ...] = ()
     ) -> "Future[Any]":
-        """Submit to the scheduler, together with other tasks of the moment. Raises ClusterLost.
+        """Submit to the scheduler. Raises ClusterLost.
 
         A task that ends otherwise than by its outcome is withdrawn: when it is cancelled, or its worker is
         terminated, or its client is lost. While its connection is being lost, a client's messages disappear
         without an error, and its event loop may end before the task does.
         """
-        task = _Task(self._connection.client, pickle.dumps(call), priority, chunk, others)
-        run = self._run(task)
+        task = _Task(self._connection.client, f"{run_if_admitted.__name__}-{uuid4().hex}", chunk, others)
+        run = self._run(task, pickle.dumps(call), priority)
         try:
             running = asyncio.run_coroutine_threadsafe(run, task.client.loop.asyncio_loop)
         except Exception as error:  # the loop is closed
             run.close()
             raise ClusterLost(f"the connection to the scheduler was lost: {error}") from error
-        self._unfinished.add(task)
+        self._tasks[task.key] = task
 
         def on_done(_: "Future[Any]") -> None:
-            self._unfinished.discard(task)
+            del self._tasks[task.key]
             running.cancel()
 
         task.result.add_done_callback(on_done)
@@ -227,59 +214,29 @@ class Dask:
             self._on_lost(task.client)
         return task.result
 
-    async def _run(self, task: _Task) -> None:
+    async def _run(self, task: _Task, call: bytes, priority: float) -> None:
         """Have a task computed, in the client's event loop; the cluster then forgets it."""
         future = None
         try:
-            future = await self._bundled(task)
-            self._tasks[future.key] = task
+            future = task.client.submit(
+                pickle.loads, call, key=task.key, priority=priority, workers=task.others or None
+            )
             outcome = await future.result()
             if isinstance(outcome, TaskError | WorkerRefused):
                 raise outcome
-            self._on_computed(task)
             with suppress(InvalidStateError):  # it was cancelled, or lost
                 task.result.set_result(outcome)
         except Exception as error:  # noqa: BLE001 - distributed raises anything while its client closes
             self._fail(task, error)
         finally:
             if future is not None:
-                del self._tasks[future.key]
                 if not future.done():
                     await future.cancel()  # else the scheduler may start it on another worker
                 future.release()
 
-    async def _bundled(self, task: _Task) -> Any:
-        """The Dask future of a task, submitted with others: the scheduler then takes a quarter less time."""
-        key = task.client, task.others, task.priority // SAME_PRIORITY
-        submitted: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        self._bundles[key].append((task, submitted))
-        if len(self._bundles[key]) == 1:
-            asyncio.get_running_loop().call_later(BUNDLE_SECONDS, self._submit_bundle, key)
-        return await submitted
-
-    def _submit_bundle(self, key: Hashable) -> None:
-        bundle = [each for each in self._bundles.pop(key) if not each[1].done()]  # done: cancelled meanwhile
-        if not bundle:
-            return
-        try:
-            futures = bundle[0][0].client.map(
-                pickle.loads,
-                [task.call for task, _ in bundle],
-                key=run_if_admitted.__name__,
-                pure=False,
-                priority=max(task.priority for task, _ in bundle),
-                workers=list(bundle[0][0].others) or None,
-            )
-        except Exception as error:  # noqa: BLE001 - every task gets the error
-            for _, submitted in bundle:
-                submitted.set_exception(error)
-        else:
-            for (_, submitted), future in zip(bundle, futures, strict=True):
-                submitted.set_result(future)
-
     def _on_lost(self, client: Any) -> None:
         """Fail the unfinished tasks of a client that was closed because its connection was lost."""
-        for task in list(self._unfinished):
+        for task in list(self._tasks.values()):
             if task.client is client:
                 self._fail(task, ClusterLost("the connection to the scheduler was lost"))
 
@@ -318,14 +275,3 @@ class Dask:
         if task.chunk is None or task.worker == address:
             return WorkerDied("the worker process that computed it died")
         return WorkerLost("the worker process at which it waited died")
-
-    def _on_computed(self, task: _Task) -> None:
-        """A chunk was computed: rest workers that failed several which others computed."""
-        if task.chunk is None:
-            return
-        for worker in self._roster.computed(task.chunk, task.worker):
-            log.warning(
-                "worker %s failed %d chunks in a row that others computed: it gets none for %g s",
-                self._roster.describe(worker), MARKS, REST_SECONDS,
-            )  # fmt: skip
-            self._connection.run_on(worker, rest, REST_SECONDS)

@@ -3,8 +3,8 @@
 A worker with another kernel computes other numbers; one without the stores, or unable to load the kernel,
 fails every chunk. Such workers are refused before their first chunk, with the reason.
 
-A worker that cannot unpickle a plugin ends, so the plugins are sent as the text of this module, also to other
-versions of this project and of Python. At its top it imports the standard library and distributed only.
+A worker that cannot unpickle a plugin ends, and one that is to be refused may lack this project: the plugins
+are pickled with their code. At its top this module imports the standard library and distributed only.
 """
 
 from __future__ import annotations
@@ -18,15 +18,14 @@ import pickle
 import platform
 import signal
 import socket
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Mapping
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any, Final
 
+import cloudpickle
 import dask
 from dask.utils import parse_timedelta
 from distributed import SchedulerPlugin, Status, WorkerPlugin, get_worker
@@ -34,23 +33,15 @@ from distributed import SchedulerPlugin, Status, WorkerPlugin, get_worker
 #: The topic under which workers log events, each with "worker", "host" and "process", and one of "refused"
 #: (why), "admitted" and "leaving".
 ROSTER: Final = "bouncing-spring-workers"
-#: The name of the scheduler's handler to which a service reports the remaining work.
-DEMAND: Final = "bouncing_spring_demand"
+#: Where a service writes the remaining work in the scheduler's metadata.
+DEMAND: Final = "bouncing-spring-demand"
 #: Seconds between checks of a refused worker: its folder may be mounted late.
 JUDGE_SECONDS: Final = 5.0
 #: Seconds for the last event to reach the scheduler before the process ends, and the longest that chunks may
 #: take to pause before that.
 REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
-#: A worker that has been idle for this long compiles the kernels that nobody has asked for yet.
-IDLE_SECONDS: Final = 60.0
 #: Libraries on whose versions stored numbers or bytes depend.
 _LIBRARIES: Final = ("numpy", "numba", "zarr", "numcodecs")
-
-
-def _as_text(name: str, *arguments: Any) -> Any:
-    """What unpickles as the object of this class in the text of this module."""
-    names = {"__name__": __name__, "text": Path(__file__).read_text("utf-8"), "arguments": arguments}
-    return eval, (f"exec(text) or {name}(*arguments)", names)
 
 
 class WorkerAdmission(WorkerPlugin):
@@ -69,11 +60,6 @@ class WorkerAdmission(WorkerPlugin):
         self._facts, self._stores, self._cache = facts, stores, cache
         self.refusal = ""  # why the worker is refused
         self._removed = False
-        self._began = 0.0  # time.monotonic() when the last task began
-        self._compiling: subprocess.Popen[bytes] | None = None
-
-    def __reduce__(self) -> Any:
-        return _as_text(type(self).__name__, self._facts, self._stores, self._cache)
 
     async def setup(self, worker: Any) -> None:
         """Called by distributed in the worker's process."""
@@ -82,33 +68,6 @@ class WorkerAdmission(WorkerPlugin):
         if worker.nanny is not None and threading.current_thread() is threading.main_thread():
             # Batch queues end all processes of a job at once: this one too, and not through its nanny.
             asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._leave, worker)
-        worker.loop.call_later(IDLE_SECONDS, self._use_idle_time, worker)
-
-    def transition(self, key: Any, start: str, finish: str, **_: Any) -> None:
-        """Called by distributed when a task changes its state; a task that begins ends the idle time."""
-        if finish == "executing":
-            self._began = time.monotonic()
-            self._stop_compiling()
-
-    def _use_idle_time(self, worker: Any) -> None:
-        """Compile all kernels in a process of the lowest priority after IDLE_SECONDS without a task."""
-        if self._removed:
-            return
-        if worker.state.executing or self.refusal or time.monotonic() - self._began < IDLE_SECONDS:
-            worker.loop.call_later(IDLE_SECONDS, self._use_idle_time, worker)
-            return
-        from worker.kernel_cache import BESIDE  # noqa: PLC0415 - see above
-
-        command = [sys.executable, "-P", "-m", "worker.kernel_cache", BESIDE, self._cache or ""]
-        null = subprocess.DEVNULL
-        self._compiling = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=null, stderr=null)
-
-    def _stop_compiling(self) -> None:
-        """End the process; finished kernels stay in the cache."""
-        if self._compiling is not None:
-            self._compiling.kill()
-            self._compiling.communicate()
-            self._compiling = None
 
     async def teardown(self, worker: Any) -> None:
         """Called by distributed when the plugin is replaced or the worker closes; then ends the process.
@@ -118,7 +77,6 @@ class WorkerAdmission(WorkerPlugin):
         leave. Without a nanny, nobody would notice that the process has ended.
         """
         self._removed = True
-        self._stop_compiling()
         if worker.status == Status.closing:
             _log_event(worker, leaving=True)
             if worker.nanny is not None:
@@ -178,7 +136,6 @@ def facts() -> dict[str, str]:
     return {
         "kernel version": KERNEL_VERSION,
         **{f"package {name}": digest_of(name) for name in ("kernel", "worker")},
-        "Python": ".".join(platform.python_version_tuple()[:2]),
         **{name: version(name) for name in _LIBRARIES},
         "kind of processor": platform.machine(),
     }
@@ -220,17 +177,6 @@ def run_if_admitted(call: bytes) -> Any:
 def refusal(dask_worker: Any) -> str:
     """Why a worker is refused; empty if it is admitted."""
     return getattr(dask_worker.plugins.get(WorkerAdmission.name), "refusal", "")
-
-
-def rest(seconds: float, dask_worker: Any) -> None:
-    """Take no task for `seconds`, unless the worker leaves; run on a worker by the service."""
-
-    def end() -> None:
-        if dask_worker.status == Status.running:
-            _set_available(dask_worker, available=True)
-
-    _set_available(dask_worker, available=False)
-    dask_worker.loop.call_later(seconds, end)
 
 
 def _set_available(worker: Any, *, available: bool) -> None:
@@ -276,31 +222,22 @@ class Demand(SchedulerPlugin):
 
     The scheduler counts its own tasks, but a service submits only a few chunks per worker. With `seconds`
     core-seconds left and Dask's `target-duration` T the workers are seconds / T, at most as many as chunks
-    could run at once, plus one for each refused or resting worker.
+    could run at once, plus one for each refused worker. Services write both, by client, under DEMAND into the
+    scheduler's metadata.
     """
 
     name = "bouncing-spring-demand"
     idempotent = True
 
-    def __init__(self) -> None:
-        self._needs: dict[str, tuple[float, int]] = {}  # core-seconds and chunks, by client
-
-    def __reduce__(self) -> Any:
-        return _as_text(type(self).__name__)
-
     async def start(self, scheduler: Any) -> None:
         """Called by distributed in the scheduler's process."""
         self._scheduler, self._by_tasks = scheduler, scheduler.adaptive_target
-        scheduler.adaptive_target = self._target
-        scheduler.handlers["adaptive_target"] = self._target
-        scheduler.handlers[DEMAND] = self._set
+        self._needs: dict[str, tuple[float, int]] = scheduler.task_metadata.setdefault(DEMAND, {})
+        scheduler.adaptive_target = scheduler.handlers["adaptive_target"] = self._target
 
     def remove_client(self, scheduler: Any, client: str) -> None:
         """Called by distributed: a service that has left needs nothing."""
         self._needs.pop(client, None)
-
-    def _set(self, client: str, seconds: float, tasks: int) -> None:
-        self._needs[client] = (seconds, tasks)
 
     def _target(self, target_duration: Any = None) -> int:
         """Replaces `Scheduler.adaptive_target`; never less than that."""
@@ -310,3 +247,7 @@ class Demand(SchedulerPlugin):
         wanted: int = sum(min(tasks, math.ceil(seconds / duration)) for seconds, tasks in needs)
         paused: int = sum(worker.status == Status.paused for worker in self._scheduler.workers.values())
         return max(by_tasks, wanted + paused) if wanted else by_tasks
+
+
+# Not by name, under which a worker without this project would look for it.
+cloudpickle.register_pickle_by_value(sys.modules[__name__])

@@ -1,19 +1,12 @@
-"""The service's view of its workers: which are refused, which leave, and which fail what others compute.
-
-A chunk that fails everywhere is itself to blame. A chunk that fails on one worker and is then computed by
-another counts against the first; a worker that computes a chunk clears its count.
-"""
+"""The service's view of its workers: which are refused, which leave, and on which a chunk has failed."""
 
 import logging
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Collection, Hashable
 from typing import Any, Final
 
 log = logging.getLogger(__name__)
 
-#: Failures in a row after which a worker gets no task for REST_SECONDS.
-MARKS: Final = 3
-REST_SECONDS: Final = 60.0
 #: Number of workers' hosts, workers that left, and failed chunks remembered.
 _REMEMBERED: Final = 10_000
 
@@ -26,7 +19,6 @@ class Roster:
         self._hosts: OrderedDict[Hashable, str] = OrderedDict()
         self._leaving: OrderedDict[Hashable, None] = OrderedDict()
         self._failed_on: OrderedDict[Hashable, set[str]] = OrderedDict()  # workers, by chunk
-        self._marks: Counter[str] = Counter()
 
     def note(self, event: dict[str, Any]) -> None:
         """Record an event that a worker's plugin logged."""
@@ -61,19 +53,8 @@ class Roster:
         """Note that a worker failed a chunk or died of it."""
         _remember(self._failed_on, chunk, self._failed_on.get(chunk, set()) | {worker})
 
-    def computed(self, chunk: Hashable, worker: str | None) -> list[str]:
-        """Note that a worker computed a chunk; return the workers to rest, which failed several such."""
-        if worker is not None:
-            self._marks.pop(worker, None)
-        failed_on = self._failed_on.pop(chunk, set()) - {worker}
-        self._marks.update(failed_on)
-        due = [each for each in failed_on if self._marks[each] >= MARKS]
-        for each in due:
-            del self._marks[each]
-        return due
-
     def failed_on(self, chunk: Hashable) -> frozenset[str]:
-        """Workers on which a chunk has failed since it was last computed."""
+        """Workers on which a chunk has failed."""
         return frozenset(self._failed_on.get(chunk, ()))
 
 

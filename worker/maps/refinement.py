@@ -65,7 +65,7 @@ def classes(
     return np.where(short, _MODES + bounces.astype(np.int64) * (MAX_MODE_PERIODS + 1) + periods, kinds)
 
 
-class Refinement:
+class Tile:
     """The rounds of one tile of `shape` = (rows, columns) cells; they depend on these cells alone.
 
     `cells`: flat indices of the next cells to compute; none at the end.
@@ -142,6 +142,11 @@ class Refinement:
         row, column = (top + bottom) // 2, (left + right) // 2
         for point in ((top, column), (bottom, column), (row, left), (row, right)):
             self._wanted[point] = True
+
+
+def tile_of(spec: SweepSpec, rows: int, columns: int) -> Tile:
+    """A tile of a map, of `rows` and `columns` of cells."""
+    return Tile((rows, columns), refine_of(spec))
 
 
 def _coarsest(shape: tuple[int, int], width: int) -> _Blocks:

@@ -130,8 +130,3 @@ class OrbitsSpec(Specification):
     def cycles(self) -> tuple[Mode, ...]:
         """The modes, in the order of the dimension `branch`."""
         return tuple(read_mode(name) for name in self.modes)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Cells along (xi, omega)."""
-        return len(self.axis_values("xi")), len(self.axis_values("omega"))

@@ -44,13 +44,13 @@ def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[
         return
     inside = [events.gamma <= spec.gamma_max for events in events_of_branches]
     cell["event_count"][0] = sum(int(rows.sum()) for rows in inside)
-    at = 0
+    filled = 0
     for events, rows in zip(events_of_branches, inside, strict=True):
-        for i in np.flatnonzero(rows)[: spec.events - at]:
-            cell["event_kind"][0, at] = 1 + KINDS.index(Kind(events.kind[i]))
+        for i in np.flatnonzero(rows)[: spec.events - filled]:
+            cell["event_kind"][0, filled] = 1 + KINDS.index(Kind(events.kind[i]))
             for name in ("gamma", "bounces", "periods", "flight_time", "admissible"):
-                cell[f"event_{name}"][0, at] = getattr(events, name)[i]
-            at += 1
+                cell[f"event_{name}"][0, filled] = getattr(events, name)[i]
+            filled += 1
     cell["outcome"][0] = Outcome.PERIODIC
 
 

@@ -172,6 +172,13 @@ Axis = Annotated[
 AxisValue = float | tuple[float, ...] | Range
 
 
+def length_of(axis: AxisValue) -> int:
+    """The number of values of an axis; allocates none."""
+    if isinstance(axis, Range):
+        return axis.num
+    return len(axis) if isinstance(axis, tuple) else 1
+
+
 def values_of(axis: AxisValue) -> NDArray[np.float64]:
     """The values of an axis, (n,) increasing; the first and last value of a range are exactly its ends.
 

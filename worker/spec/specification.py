@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, ValidationError
 
 from worker.spec import parsing
-from worker.spec.axes import AxisValue, Strict, values_of
+from worker.spec.axes import AxisValue, Strict, length_of, values_of
 from worker.spec.errors import BrokenRuleError, SpecInvalid, problems_of
 
 #: Combining marks on one letter of a name: more than scripts need would cover the lines above and below.
@@ -95,6 +95,16 @@ class Specification(Document):
         """The values of an axis by its name, (n,), strictly increasing."""
         values: AxisValue = getattr(self, axis)
         return values_of(values)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Cells along AXES; allocates no axis values."""
+        return tuple(length_of(getattr(self, axis)) for axis in self.AXES)
+
+    @property
+    def fills_in(self) -> bool:
+        """Whether only some cells are computed, and the others take their values (`layout.COMPUTED`)."""
+        return False
 
     def left_out(self) -> set[str]:
         """Fields that do not determine the stored numbers, or that are newer and off.

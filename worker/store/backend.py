@@ -147,7 +147,10 @@ def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[byt
             if file is None:
                 return None
             size = os.fstat(file.fileno()).st_size
-            return [os.pread(file.fileno(), n, at if at >= 0 else max(size + at, 0)) for at, n in spans]
+            return [
+                os.pread(file.fileno(), n, offset if offset >= 0 else max(size + offset, 0))
+                for offset, n in spans
+            ]
     bucket = _bucket(url)
     try:
         if spans[0][0] < 0:

@@ -81,9 +81,9 @@ def encode(form: ArrayForm, values: NDArray[Any], coords: Sequence[int]) -> byte
     index = np.full((prod(counts), 2), _ABSENT, "<u8")
     parts, offset = [], 0
     for number, inner in enumerate(product(*map(range, counts))):
-        first = [at * n for at, n in zip(inner, form.inner, strict=True)]
-        if all(at < n for at, n in zip(first, values.shape, strict=True)):
-            cells = block[tuple(slice(at, at + n) for at, n in zip(first, form.inner, strict=True))]
+        first = [i * n for i, n in zip(inner, form.inner, strict=True)]
+        if all(start < n for start, n in zip(first, values.shape, strict=True)):
+            cells = block[tuple(slice(start, start + n) for start, n in zip(first, form.inner, strict=True))]
             part = compress(np.ascontiguousarray(cells, form.dtype), level=LEVEL, checksum=True)
             parts.append(part + _seal(form, part, position(form, coords, inner)))
             index[number] = offset, len(parts[-1])
@@ -91,9 +91,9 @@ def encode(form: ArrayForm, values: NDArray[Any], coords: Sequence[int]) -> byte
     return b"".join([*parts, _CHECKED.encode(index.tobytes())]) if form.sharded else parts[0]
 
 
-def decode(form: ArrayForm, content: bytes, at: tuple[int, ...]) -> NDArray[Any]:
+def decode(form: ArrayForm, content: bytes, index: tuple[int, ...]) -> NDArray[Any]:
     """The values of the inner chunk at a position. Raises RuntimeError or ValueError for damaged bytes."""
-    check_seal(form, content, at)
+    check_seal(form, content, index)
     values = np.empty(form.inner, form.dtype)  # a damaged header may declare a far larger size
     decompress(content, values)
     return values
@@ -106,10 +106,10 @@ def position(form: ArrayForm, coords: Sequence[int], inner: Sequence[int]) -> tu
     return tuple(c * n + i for c, n, i in zip(outer, form.inner_counts, within, strict=True))
 
 
-def check_seal(form: ArrayForm, content: bytes, at: tuple[int, ...]) -> None:
+def check_seal(form: ArrayForm, content: bytes, index: tuple[int, ...]) -> None:
     """Raise ValueError unless an inner chunk's bytes are those stored at this position."""
     body = memoryview(content)[:-_SEAL_BYTES]
-    if content[-_SEAL_BYTES:] != _seal(form, body, at):
+    if content[-_SEAL_BYTES:] != _seal(form, body, index):
         raise ValueError("its bytes are not those stored here")
 
 
@@ -125,8 +125,8 @@ def check_file(form: ArrayForm, content: bytes, coords: Sequence[int]) -> None:
             check_seal(form, content[offset : offset + length], position(form, coords, inner))
 
 
-def _seal(form: ArrayForm, body: memoryview | bytes, at: tuple[int, ...]) -> bytes:
-    fact = f"{form.seal} {form.dtype.str} {form.shape} {form.chunks} {form.inner} {at} {len(body)}\n"
+def _seal(form: ArrayForm, body: memoryview | bytes, index: tuple[int, ...]) -> bytes:
+    fact = f"{form.seal} {form.dtype.str} {form.shape} {form.chunks} {form.inner} {index} {len(body)}\n"
     content = fact.encode() + bytes(body[-_CHECKSUM_BYTES:])
     return _SEAL_HEAD + blake2b(content, digest_size=_SEALED_BYTES).digest()
 

@@ -46,7 +46,7 @@ class _Part(NamedTuple):
     """The requested cells in one inner chunk (the whole chunk if it is no shard)."""
 
     inner: tuple[int, ...]  # position in the shard
-    at: tuple[int, ...]  # position in the array, in inner chunks
+    position: tuple[int, ...]  # in the array, in inner chunks
     in_chunk: tuple[slice, ...]  # their positions in the inner chunk
     in_result: tuple[slice, ...]  # their positions in the result
 
@@ -99,26 +99,30 @@ def _read(
 
     def take(names: Iterable[str], lenient: bool) -> None:
         """Read the chunks of some arrays. A missing one is damage, or `lenient`, not computed."""
-        files = [(chunk_key(name, len(arrays[name].dims), at), name, at) for name in names for at in chunks]
+        files = [
+            (chunk_key(name, len(arrays[name].dims), coords), name, coords)
+            for name in names
+            for coords in chunks
+        ]
 
         def read(file: tuple[str, str, ChunkCoords]) -> str | None:
-            key, name, at = file
-            return _read_file(url, key, arrays[name], parts[name][at], cells[name])
+            key, name, coords = file
+            return _read_file(url, key, arrays[name], parts[name][coords], cells[name])
 
         # Requests to a bucket run concurrently.
         failures = backend.pool().map(read, files) if in_bucket(url) else map(read, files)
-        for (file, _, at), failure in zip(files, failures, strict=True):
+        for (key, _, coords), failure in zip(files, failures, strict=True):
             if failure == _MISSING and lenient:
-                del chunks[at]
+                del chunks[coords]
             elif failure is not None:
-                damaged.setdefault(at, f"{file}: {failure}")
+                damaged.setdefault(coords, f"{key}: {failure}")
 
     # `outcome` is written last: without it the chunk is not computed, and the others are not read.
     take([OUTCOME], not complete)
     take([name for name in names if name != OUTCOME], False)
     if damaged:
         raise StoreDamaged(next(iter(damaged.values())), tuple(damaged))
-    drop = tuple(0 if isinstance(at, int) else slice(None) for at in index)
+    drop = tuple(0 if isinstance(i, int) else slice(None) for i in index)
     return {name: cells[name][drop] for name in names}
 
 
@@ -130,9 +134,9 @@ def _read_file(
         contents = _contents(url, key, form, [part.inner for part in parts])
         if contents is None:
             return _MISSING
-        first = (0,) * (len(form.dims) - len(parts[0].at))  # along other dimensions
+        first = (0,) * (len(form.dims) - len(parts[0].position))  # along other dimensions
         for part, content in zip(parts, contents, strict=True):
-            values = decode(form, content, part.at + first)
+            values = decode(form, content, part.position + first)
             cells[part.in_result] = values[part.in_chunk]
     except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes
         return f"cannot be decoded: {error}"
@@ -151,12 +155,12 @@ def _contents(
         return None
     if not form.sharded:
         return [whole]
-    return [whole[at : at + n] for at, n in spans_of(form, whole[-form.index_bytes :], inner)]
+    return [whole[offset : offset + n] for offset, n in spans_of(form, whole[-form.index_bytes :], inner)]
 
 
 def _fill_values(form: ArrayForm, index: tuple[Index, ...]) -> NDArray[Any]:
     """The requested cells of an array before any is computed, with dimensions indexed by an integer."""
-    cells = [len(_range(n, at)) for n, at in zip(form.shape, index, strict=False)]
+    cells = [len(_range(n, i)) for n, i in zip(form.shape, index, strict=False)]
     return np.full((*cells, *form.shape[len(cells) :]), form.fill, form.dtype)
 
 
@@ -196,7 +200,7 @@ def read_file(url: str, key: str, forms: Mapping[str, ArrayForm], *, complete: b
 def _in_grid(form: ArrayForm, coords: ChunkCoords) -> bool:
     """Whether an array has a chunk at these coordinates."""
     counts = [-(-n // size) for n, size in zip(form.shape, form.chunks, strict=True)]
-    return len(coords) == len(counts) and all(at < count for at, count in zip(coords, counts, strict=True))
+    return len(coords) == len(counts) and all(i < count for i, count in zip(coords, counts, strict=True))
 
 
 def read_attrs(url: str) -> dict[str, Any]:
@@ -238,14 +242,14 @@ def _parts_of(
     arrays: Mapping[str, ArrayForm], where: tuple[Index, ...]
 ) -> dict[str, dict[ChunkCoords, list[_Part]]]:
     """The inner chunks of each array that contain the cells at these indices, by chunk."""
-    found: dict[_Sizes, dict[ChunkCoords, list[_Part]]] = {}
+    by_sizes: dict[_Sizes, dict[ChunkCoords, list[_Part]]] = {}
     by_name = {}
     for name, form in arrays.items():
         sizes = tuple(zip(form.shape, form.chunks, form.inner, strict=True))[: len(where)]
-        if sizes not in found:
-            found[sizes] = _parts(sizes, where)
-        by_name[name] = found[sizes]
-    if any(parts.keys() != by_name[OUTCOME].keys() for parts in found.values()):
+        if sizes not in by_sizes:
+            by_sizes[sizes] = _parts(sizes, where)
+        by_name[name] = by_sizes[sizes]
+    if any(parts.keys() != by_name[OUTCOME].keys() for parts in by_sizes.values()):
         raise StoreDamaged("the store's metadata cannot be read: its arrays have different chunks")
     return by_name
 

@@ -69,13 +69,9 @@ def arrays(spec: SweepSpec) -> Iterator[Array]:
         yield LYAPUNOV_ERROR
     if spec.ramp_axis is not None:
         yield END_STATE
-    yield from some_computed(spec)
+    if spec.fills_in:
+        yield COMPUTED
     yield OUTCOME
-
-
-def some_computed(spec: SweepSpec) -> tuple[Array, ...]:
-    """COMPUTED, of a sweep that computes only some cells and fills in the others; else nothing."""
-    return () if spec.refine is None else (COMPUTED,)
 
 
 def sizes(spec: SweepSpec) -> dict[str, int]:

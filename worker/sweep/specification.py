@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from kernel.branches.starts import stable_ranges, start_on_stable_cycle
 from kernel.params import MAX_EXPONENTS, MAX_SETTLE_TOLERANCE, Cell, KernelInputError, Start
-from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, AxisValue, Range, within
+from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, within
 from worker.spec.contact_models import (
     CONTACT_MODELS,
     MAX_PENETRATION,
@@ -235,15 +235,19 @@ class SweepSpec(Specification):
         return isinstance(self.protocol, Rest) and not self.exponents and self.model.repeats
 
     @property
+    def fills_in(self) -> bool:
+        """Whether the sweep is an adaptive map."""
+        return self.refine is not None
+
+    @property
     def ramp_axis(self) -> str | None:
         """The axis a ramp moves along; None from rest."""
         return self.protocol.axis if isinstance(self.protocol, Ramp) else None
 
     @property
-    def shape(self) -> tuple[int, int, int, int]:
-        """Cells along (direction, xi, omega, gamma); allocates no axis values."""
-        xi, omega, gamma = (_length(getattr(self, axis)) for axis in AXES)
-        return len(self.directions), xi, omega, gamma
+    def shape(self) -> tuple[int, ...]:
+        """Cells along (direction, xi, omega, gamma)."""
+        return len(self.directions), *super().shape
 
     def left_out(self) -> set[str]:
         """The labels, and newer fields that are at their defaults or without effect."""
@@ -263,16 +267,16 @@ def is_open(spec: object) -> bool:
 def start_of(cell: Cell, periods: int) -> Start | None:
     """The start of a ramp on the stable cycle (1, periods) of its first cell; None if there is none."""
     try:
-        found = start_on_stable_cycle(cell, periods)
+        start = start_on_stable_cycle(cell, periods)
     except KernelInputError:
         return None
-    return found.start if found else None
+    return start.start if start else None
 
 
 def no_cycle(cell: Cell, periods: int) -> str:
     """The rule broken by a cell without a stable cycle, with the nearest range of Gamma that has one."""
-    at = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
-    rule = f"there is no stable cycle (1, {periods}) at {at}"
+    where = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
+    rule = f"there is no stable cycle (1, {periods}) at {where}"
     try:
         ranges = stable_ranges(cell.omega, cell.xi, periods)
     except KernelInputError as error:
@@ -281,9 +285,3 @@ def no_cycle(cell: Cell, periods: int) -> str:
         return f"{rule}, nor at any other gamma"
     low, high = min(ranges, key=lambda r: max(r.low - cell.gamma, cell.gamma - r.high))
     return f"{rule}; it exists from gamma {low:.6g} to {high:.6g}"
-
-
-def _length(axis: AxisValue) -> int:
-    if isinstance(axis, Range):
-        return axis.num
-    return len(axis) if isinstance(axis, tuple) else 1

@@ -16,7 +16,7 @@ from service.api.dependencies import JobDep, ResultsJob, ServiceDep
 from service.api.schemas import NOT_MODIFIED, content, problem_responses
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.ledger.model import JobRecord, JobState
-from service.views import files
+from service.views import exports
 from service.views.selection import BASE_MEMORY
 from worker.store import ROOT
 
@@ -30,7 +30,7 @@ class _OpenFile(StreamingResponse):
     """A file that is open; it is closed however the request ends, also before anything is read."""
 
     def __init__(self, file: IO[bytes], headers: Mapping[str, str], media_type: str) -> None:
-        super().__init__(files.pieces(file), 200, headers, media_type)
+        super().__init__(exports.pieces(file), 200, headers, media_type)
         self._file = file
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -39,7 +39,7 @@ class _OpenFile(StreamingResponse):
 
 
 def _export_cost(service: ServiceDep, job: JobRecord, query: schemas.ExportQuery) -> Cost:
-    group = files.GROUP_BYTES if query.format == "parquet" else 0
+    group = exports.GROUP_BYTES if query.format == "parquet" else 0
     chunk = service.manager.preparer.prepare(job).layout.chunk_bytes
     return Cost(BASE_MEMORY + group + _CHUNK_COPIES * chunk)
 
@@ -60,10 +60,10 @@ def export_job(service: ServiceDep, job: JobDep, query: Annotated[schemas.Export
     study, prepared = dependencies.stored(service, job), service.manager.preparer.prepare(job)
     study = replace(study, audit=service.audit_of(job))
     limit = service.settings.max_export_bytes
-    files.check(study.spec, prepared.plan, query.format, query.layout, limit)
-    attributes = files.attributes_of(job, prepared)
-    export = files.Export(study, prepared.plan, query.format, query.layout, attributes)
-    file = files.make(service.background, export, service.settings.exports_path)
+    exports.check(study.spec, prepared.plan, query.format, query.layout, limit)
+    attributes = exports.attributes_of(job, prepared)
+    export = exports.Export(study, prepared.plan, query.format, query.layout, attributes)
+    file = exports.make(service.background, export, service.settings.exports_path)
     headers = {
         "Content-Length": str(file.seek(0, 2)),
         "Content-Disposition": f'attachment; filename="{job.id}.{query.format}"',

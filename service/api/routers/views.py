@@ -194,8 +194,8 @@ def compute_trajectory(
     """
     spec = TrajectorySpec.from_json(body)
     check_cost(spec, service.settings.trajectory_seconds)
-    found = service.background.run(motion, spec, query.format)
-    return Response(found, media_type=MEDIA_TYPES[query.format])
+    content = service.background.run(motion, spec, query.format)
+    return Response(content, media_type=MEDIA_TYPES[query.format])
 
 
 _PLAN_FORMATS: Any = Literal[plans.VIEW.formats]

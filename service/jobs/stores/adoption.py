@@ -46,9 +46,9 @@ def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
         reason = f"it has no attribute {error}" if missing else str(error).removeprefix(f"{url}: ")
         raise NotAdoptable(f"{url} cannot be adopted: {reason}") from error
     reports = _whole_chunks(url, spec, plan)
-    found = f"{len(reports)} of {job.chunks_total} chunks were found whole in its store"
+    summary = f"{len(reports)} of {job.chunks_total} chunks were found whole in its store"
     with ledger.writing() as writing:
-        writing.adopt(job, name, reports, choice, time.time(), f"adopted: {found}; resume it for the rest")
+        writing.adopt(job, name, reports, choice, time.time(), f"adopted: {summary}; resume it for the rest")
         adopted = writing.find(job_id)
     assert adopted is not None
     return adopted

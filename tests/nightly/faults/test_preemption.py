@@ -8,8 +8,8 @@ import pytest
 from blame import blamed, noting_errors
 from dask_processes import dask_processes
 from paths import CACHE
-from running import running
 from scripted import wait_for
+from served import running
 
 from worker.executors.dask import Dask
 from worker.kernel_cache import use_cache

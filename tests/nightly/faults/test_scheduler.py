@@ -18,8 +18,8 @@ import psutil
 import pytest
 from dask_processes import Cluster, Restarted
 from paths import CACHE, ROOT
-from running import Counting, Running, costing, running
-from scripted import free_port, wait_for
+from scripted import Counting, costing, free_port, wait_for
+from served import Running, running
 
 from service.api.monitoring import Readiness
 from service.ledger.model import JobRecord, JobState

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from harm import fragile_cluster, pids, wait_until_ready
-from running import Running, costing, running
-from scripted import wait_for
+from scripted import costing, wait_for
+from served import Running, running
 
 from service.ledger.model import JobState
 from worker.executors.dask import Dask

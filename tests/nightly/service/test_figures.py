@@ -40,6 +40,7 @@ from drawn_figures import (
 )
 from paths import CACHE, ROOT
 from PIL import Image
+from served import service_at
 
 from kernel.params import Outcome
 from service import presets
@@ -47,8 +48,6 @@ from service.client import Client
 from service.figures import catalogue
 from service.figures.drawing import WIDTH
 from service.pictures import DPI
-from service.server import embedded
-from service.settings import Settings
 from worker.executors.dask import Dask
 
 #: The figures of this tier.
@@ -57,8 +56,7 @@ LATER = (3, 4, 5, 6, 7, 8, 9)
 
 @pytest.fixture(scope="module")
 def client(cluster: Dask, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    settings = Settings(data=tmp_path_factory.mktemp("figures"), port=0)
-    with embedded.running(settings, cluster) as url, Client(url) as client:
+    with service_at(tmp_path_factory.mktemp("figures"), cluster) as url, Client(url) as client:
         yield client
 
 
@@ -154,7 +152,7 @@ def write() -> None:
     with (
         tempfile.TemporaryDirectory() as folder,
         closing(Dask(workers=2, kernel_cache=CACHE)) as executor,
-        embedded.running(Settings(data=Path(folder), port=0), executor) as url,
+        service_at(Path(folder), executor) as url,
         Client(url) as client,
     ):
         pictures = Pictures(client)

@@ -6,7 +6,7 @@ import random
 import shutil
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,10 @@ import pytest
 import zarr
 from fastapi.testclient import TestClient
 from scripted import Scripted, wait_for
+from served import service
 from stores import files, store_in
 from studies import ADAPTIVE, BASINS
 
-from service.api.app import create_app
 from service.cli.doctor import verify
 from service.settings import Settings
 from worker import store
@@ -82,11 +82,8 @@ def is_complete(answer: Any) -> bool:
 
 @contextmanager
 def running(folder: Path) -> Iterator[Service]:
-    executor = Scripted()
-    settings = Settings(data=folder, heartbeat_seconds=0.2)
-    with TestClient(create_app(settings, executor), base_url="http://localhost") as client:
+    with closing(Scripted()) as executor, service(folder, executor) as client:
         yield Service(client, executor, folder)
-    executor.close()
 
 
 def flip(path: Path, chance: random.Random) -> None:

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 from disks import fill, mounted, read_only, use_up_inodes
-from running import running
 from scripted import Held, sweep, wait_for
-from served import FIGURE_2, service
+from served import FIGURE_2, running, service
 
 from kernel.params import Outcome
 from service.ledger.model import JobState
-from service.views import files
+from service.views import exports
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 
@@ -132,7 +131,7 @@ def test_an_export_that_fills_the_disk_ends_nothing_but_itself(
 
     The job waits for its first chunks: what is exported are missing cells.
     """
-    monkeypatch.setattr(files, "SPARE", -(2**40))
+    monkeypatch.setattr(exports, "SPARE", -(2**40))
     ballast, held = small_disk / "ballast", Held()
     with service(small_disk / "data", held) as client:
         here = f"{client.post('/v1/jobs', json=FIGURE_2).headers['Location']}/export?format=nc"

@@ -4,8 +4,8 @@ import os
 from pathlib import Path
 
 import pytest
-from running import Counting, costing, running
-from scripted import sweep, wait_for
+from scripted import Counting, costing, sweep, wait_for
+from served import running
 
 from service.ledger.model import JobState
 from worker import store

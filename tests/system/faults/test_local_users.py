@@ -17,7 +17,7 @@ import pytest
 from distributed import LocalCluster
 from paths import CACHE, ROOT, SUPPORT
 from scripted import DEADLINE
-from serving import serving
+from served import serving
 
 from service.client import Client
 

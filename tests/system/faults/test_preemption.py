@@ -7,8 +7,8 @@ import pytest
 from blame import blamed, noting_errors
 from dask_processes import Processes, dask_processes, family
 from paths import CACHE
-from running import Running, costing, running
-from scripted import wait_for
+from scripted import costing, wait_for
+from served import Running, running
 
 from service.ledger.model import JobRecord, JobState
 from worker.executors.base import WorkerDied, WorkerLeft

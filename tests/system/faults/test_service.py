@@ -22,7 +22,7 @@ import httpx2
 import pytest
 from paths import CACHE, ROOT
 from scripted import DEADLINE, wait_for
-from serving import Serving, serving
+from served import Serving, serving
 from stores import is_sound
 
 from worker.sweep import SweepSpec

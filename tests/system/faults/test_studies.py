@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 from paths import CACHE
-from running import Running, running
 from scripted import wait_for
+from served import Running, running
 from studies import STUDIES
 
 from service.ledger.model import JobRecord, JobState

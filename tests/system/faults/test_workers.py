@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 from harm import died_writing, fragile_cluster, pids, wait_until_ready
-from running import Counting, costing, running
-from scripted import wait_for
+from scripted import Counting, costing, wait_for
+from served import running
 
 from service.ledger.model import JobState
 from worker.executors.dask import Dask

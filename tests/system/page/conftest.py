@@ -5,9 +5,8 @@ from typing import Any
 
 import pytest
 from browser import chromium
+from served import service_at
 
-from service.server import embedded
-from service.settings import Settings
 from worker.executors.dask import Dask
 
 
@@ -19,5 +18,5 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
-    with embedded.running(Settings(data=tmp_path_factory.mktemp("data"), port=0), cluster) as address:
+    with service_at(tmp_path_factory.mktemp("data"), cluster) as address:
         yield address

@@ -22,13 +22,12 @@ from browser import (
 )
 from click.testing import CliRunner
 from scripted import DEADLINE, Held, Scripted, free_port, wait_for
-from served import computing_at, done
+from served import computing_at, done, service_at
 from toy_view import add_stored_variable
 
 from service.background import InThisProcess
 from service.cli.main import main
 from service.server import embedded
-from service.settings import Settings
 
 pytestmark = needs_chromium
 
@@ -83,8 +82,7 @@ def picture(page: Any) -> str:
 def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Path):
     """Each chunk is released once the bar shows the one before."""
     held = Held()
-    settings = Settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
-    with embedded.running(settings, held) as address, opened(browser, address) as page:
+    with service_at(tmp_path, held) as address, opened(browser, address) as page:
         page.get_by_role("link", name="Fig. 2").first.click()
         cost = page.locator(".cost")
         cost.filter(has_text="cells in").wait_for()  # the form is filled in
@@ -202,7 +200,7 @@ def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, ad
 def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_path: Path):
     with (
         closing(Scripted({0: [ValueError("no such spring")] * 3})) as executor,
-        embedded.running(Settings(data=tmp_path, port=0), executor) as address,
+        service_at(tmp_path, executor) as address,
         opened(browser, address) as page,
     ):
         job = submitted(address, {**LOOP, "name": "Failing"})

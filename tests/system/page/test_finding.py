@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from disks import read_only
 from PIL import Image
 from scripted import Held
-from served import computing_at
+from served import computing_at, service_at
 
 from kernel.params import KERNEL_VERSION
 from kernel.threshold import threshold
@@ -24,8 +24,6 @@ from service.client import Client
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState, NewJob
 from service.ledger.transactions import WriteTransaction
-from service.server import embedded
-from service.settings import Settings
 from worker.studies import from_json
 
 pytestmark = needs_chromium
@@ -86,7 +84,6 @@ def test_the_list_tells_why_no_sweep_is_accepted(browser: Any, tmp_path: Path):
 @pytest.fixture
 def many(tmp_path: Path) -> Iterator[str]:
     """A service with thirty cancelled sweeps, half of each contact."""
-    settings = Settings(data=tmp_path, port=0)
     with Ledger(tmp_path / "ledger.sqlite") as ledger, ledger.writing() as writing:
         for number in range(30):
             kind = "soft" if number % 2 else "rigid"
@@ -96,7 +93,7 @@ def many(tmp_path: Path) -> Iterator[str]:
             job = NewJob(spec.job_id(KERNEL_VERSION), spec.name, text, KERNEL_VERSION, (1, 2, 26), 1, 52)
             writing.insert(job, time.time())
             writing.finish(_found(writing, job.id), JobState.CANCELLED, time.time())
-    with embedded.running(settings, Held()) as address:
+    with service_at(tmp_path, Held()) as address:
         yield address
 
 

@@ -5,11 +5,10 @@ from pathlib import Path
 from browser import chromium, needs_chromium, opened, screenshot, wait_shown
 from earlier_kernel import IDS, earlier_folder
 from scripted import Held
+from served import service_at
 
 from kernel.params import KERNEL_VERSION
 from service.client import Client
-from service.server import embedded
-from service.settings import read_settings
 
 pytestmark = needs_chromium
 
@@ -18,9 +17,8 @@ NOTICE = f"Computed by kernel version 1; this release computes version {KERNEL_V
 
 def test_the_page_says_which_kernel_computed_a_sweep_and_follows_to_its_replacement(tmp_path: Path):
     done, interrupted = (IDS[name] for name in ("done", "interrupted"))
-    settings = read_settings(data=earlier_folder(tmp_path), port=0)
     with (
-        embedded.running(settings, Held()) as address,
+        service_at(earlier_folder(tmp_path), Held()) as address,
         Client(address) as client,
         chromium() as browser,
         opened(browser, f"{address}/#/job/{done}/diagram?omega=0.5") as page,

@@ -6,11 +6,10 @@ import httpx2
 import pytest
 from click.testing import CliRunner, Result
 from scripted import Held, wait_for
+from served import service_at
 
 from service import tokens
 from service.cli.main import main
-from service.server import embedded
-from service.settings import Settings
 
 
 def bounce(*arguments: str) -> Result:
@@ -31,8 +30,7 @@ def test_the_doctor_asks_the_service_on_the_folder(
     """Without the proxy that other requests may need."""
     for store in stores:
         (tmp_path / "stores" / f"{store}.zarr").mkdir(parents=True)
-    settings = Settings(data=tmp_path, port=0)
-    with embedded.running(settings, Held(capacity=workers)) as url, tokens.recorder(tmp_path) as record:
+    with service_at(tmp_path, Held(capacity=workers)) as url, tokens.recorder(tmp_path) as record:
         record(url)
         if stores:
             wait_for(lambda: bool(httpx2.get(f"{url}/readyz").json().get("notices")))

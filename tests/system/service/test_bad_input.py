@@ -15,8 +15,6 @@ from scripted import DEADLINE, Held, wait_for
 from served import computing, finished, listening, service
 
 from service.api.app import create_app
-from service.api.problems import problem_response
-from service.errors import LedgerUnavailable, UnknownJob
 from service.server.web_server import limited
 from service.settings import Settings
 from worker.executors.inline import Inline
@@ -132,19 +130,6 @@ def test_bad_body(client: TestClient, case: Body):
 def test_bad_request(client: TestClient, job: str, method: str, path: str, status: int, message: str):
     check_refusal(client.request(method, path.format(job=job)), status, message)
     assert client.get(job).json()["state"] == "done"
-
-
-def test_what_an_operator_must_look_at_is_logged(caplog: pytest.LogCaptureFixture):
-    refusal = problem_response(UnknownJob("no job"))
-    assert (refusal.status_code, caplog.records) == (404, [])
-    locked = problem_response(LedgerUnavailable("the ledger is locked"))
-    assert (locked.status_code, [record.message for record in caplog.records]) == (
-        503,
-        ["the ledger is locked"],
-    )
-    for error, reason in ((OSError(5, "Input/output error"), "Input/output error"), (OSError(), "OSError")):
-        document = json.loads(bytes(problem_response(error).body))
-        assert document["detail"] == f"the data folder cannot be used: {reason}; see the service log"
 
 
 def test_a_full_queue_sends_retry_after(tmp_path: Any):

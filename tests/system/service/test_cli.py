@@ -6,14 +6,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 import xarray
 from click.testing import CliRunner, Result
 from scripted import DEADLINE, TWO_LINES, Held, sweep
-from served import computing_at
+from served import computing_at, service_at
 
 from service import tokens
 from service.cli import options
@@ -21,10 +20,7 @@ from service.cli.main import main
 from service.client import Client
 from service.client.client import DEFAULT_URL
 from service.ledger.ledger import Ledger
-from service.server import embedded
-from service.settings import Settings
 from worker.executors.base import Executor
-from worker.executors.inline import Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
@@ -37,8 +33,7 @@ SPEC = {**TWO_LINES, "name": "two ω"}
 
 
 def serving(folder: Path, executor: Executor, **options: object):
-    settings = Settings(data=folder / "data", port=0, heartbeat_seconds=0.2, shutdown_seconds=1.0, **options)
-    return embedded.running(settings, executor)
+    return service_at(folder / "data", executor, shutdown_seconds=1.0, **options)
 
 
 def bounce(*words: object, url: str = "http://127.0.0.1:9", **options: object) -> Result:
@@ -110,17 +105,6 @@ def test_status_for_people_and_for_programs(url: str, job: str):
 # Thresholds
 
 
-RAMPED = {**TWO_LINES, "omega": 0.5, "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}}
-
-
-def test_a_threshold_outside_the_grid_has_its_status(url: str):
-    with Client(url) as client:
-        job = client.submit({**RAMPED, "gamma": [0.1, 0.2]}).wait(progress=False)
-    heading, row, *_ = bounce("threshold", job.id, url=url).stdout.splitlines()
-    assert not {"up", "down"} & {*heading.split()}  # without a value
-    assert "above the grid never bounces" in row
-
-
 # Diagrams
 
 
@@ -165,19 +149,17 @@ def is_picture(file: Path) -> bool:
 @pytest.mark.parametrize("how", ["variable", "named folder"])
 def test_figure_uses_a_running_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str):
     monkeypatch.chdir(tmp_path)
-    settings = Settings(data=tmp_path / "data", port=0, heartbeat_seconds=0.2, token="auto")
     target = tmp_path / "picture.png"
     with (
-        closing(Inline()) as executor,
-        embedded.running(settings, executor) as url,
-        tokens.recorder(settings.data) as record,
+        computing_at(tmp_path / "data", token="auto") as url,
+        tokens.recorder(tmp_path / "data") as record,
     ):
         record(url)
-        token = json.loads((settings.data / "token.json").read_text())["token"]
+        token = json.loads((tmp_path / "data" / "token.json").read_text())["token"]
         if how == "variable":
             result = figure_1("-o", target, BOUNCE_URL=url, BOUNCE_TOKEN=token)
         else:
-            result = figure_1("-o", target, "--data", settings.data, BOUNCE_URL="http://127.0.0.1:9")
+            result = figure_1("-o", target, "--data", tmp_path / "data", BOUNCE_URL="http://127.0.0.1:9")
     assert result.exit_code == 0, result.stderr
     assert is_picture(target)
     assert (result.stdout, f"{target}\n" in result.stderr) == ("", True)
@@ -214,18 +196,7 @@ def test_a_hangup_that_is_ignored_ends_nothing():
         assert (done.returncode, done.stdout) == ended
 
 
-def test_figure_computes_in_a_temporary_folder_if_another_command_has_the_data_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.chdir(tmp_path)
-    with Ledger(tmp_path / "bounce-data" / "ledger.sqlite"):
-        result = figure_1("--workers", "1")
-    assert result.exit_code == 0, result.stderr
-    assert "another service uses the data folder: using a temporary one\n" in result.stderr
-    assert is_picture(Path("figure-1.png"))
-
-
-def test_figure_does_not_replace_a_data_folder_that_was_named(tmp_path: Path):
+def test_figure_needs_a_data_folder_that_no_other_command_uses(tmp_path: Path):
     with Ledger(tmp_path / "ledger.sqlite"):
         result = figure_1("--data", tmp_path, "-o", tmp_path / "figure-1.png")
     assert result.exit_code == 1

@@ -13,13 +13,11 @@ from click.testing import CliRunner, Result
 from json_results import from_json
 from pyarrow import parquet
 from scripted import Held, sweep, wait_for
-from served import computing_at
+from served import computing_at, service_at
 
 from service.cli.main import main
 from service.client import BounceError, Client, Conflict, Job, NotFound
 from service.client.display import summary
-from service.server import embedded
-from service.settings import read_settings
 
 TOKEN = "a-token-of-thirty-two-characters"
 
@@ -48,8 +46,10 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 @pytest.fixture(scope="module")
 def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """A service that runs one job at a time, and runs one that never ends: all others stay queued."""
-    settings = read_settings(data=tmp_path_factory.mktemp("data"), port=0, active_jobs=1)
-    with embedded.running(settings, Held()) as address, Client(address) as client:
+    with (
+        service_at(tmp_path_factory.mktemp("data"), Held(), active_jobs=1) as address,
+        Client(address) as client,
+    ):
         yield Running(address, client, client.submit(sweep("never ends")))
 
 
@@ -141,8 +141,7 @@ def test_resume_and_delete(idle: Running):
 
 def test_follow_ends_with_the_job(tmp_path: Path):
     held = Held()
-    settings = read_settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
-    with embedded.running(settings, held) as address, Client(address) as client:
+    with service_at(tmp_path, held) as address, Client(address) as client:
         job = client.submit(sweep())
         wait_for(lambda: held.held() > 0)
         states = []
@@ -201,13 +200,6 @@ def test_pinned_jobs_are_listed_apart(idle: Running):
     assert [row.split()[0] for row in rows] == [job.id]
     assert len(output_of(idle, "list").splitlines()) > 2
     assert len(output_of(idle, "list", "--limit", "1").splitlines()) == 2
-
-
-def test_the_thresholds_of_a_spring_are_printed(running: Running):
-    text = output_of(running, "threshold", "--omega", "0.6", "--xi", "0.05")
-    assert "down  0.5532445932\ncause  fold (1,1)\nlifetime  3485.4" in text
-    refused = bounce(running, "threshold", "--omega", "0.6")
-    assert "give --xi or the ID of a job" in refused.stderr
 
 
 def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):

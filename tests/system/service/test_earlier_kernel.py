@@ -8,12 +8,11 @@ import pytest
 from click.testing import CliRunner
 from earlier_kernel import IDS, earlier_folder
 from scripted import Scripted
+from served import service_at
 
 from kernel.params import KERNEL_VERSION
 from service.cli.main import main
 from service.client import Client, Conflict
-from service.server import embedded
-from service.settings import read_settings
 
 NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_VERSION}"
 
@@ -24,8 +23,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_client_and_commands_follow_to_the_new_job(folder: Path):
-    settings = read_settings(data=folder, port=0)
-    with closing(Scripted()) as executor, embedded.running(settings, executor) as url, Client(url) as client:
+    with closing(Scripted()) as executor, service_at(folder, executor) as url, Client(url) as client:
 
         def bounce(*words: str) -> Any:
             return CliRunner().invoke(main, words, env={"BOUNCE_URL": url})

@@ -20,12 +20,11 @@ from drawn_figures import (
 )
 from paths import ROOT
 from scripted import DEADLINE
+from served import service_at
 
 from service.cli.main import main
 from service.client import Client
 from service.figures import catalogue
-from service.server import embedded
-from service.settings import Settings
 from worker.executors.dask import Dask
 
 #: The figures of this tier.
@@ -34,8 +33,7 @@ EARLY = (1, 2)
 
 @pytest.fixture(scope="module")
 def client(cluster: Dask, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    settings = Settings(data=tmp_path_factory.mktemp("figures"), port=0)
-    with embedded.running(settings, cluster) as url, Client(url) as client:
+    with service_at(tmp_path_factory.mktemp("figures"), cluster) as url, Client(url) as client:
         yield client
 
 

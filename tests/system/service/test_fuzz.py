@@ -18,10 +18,8 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from hypothesis.errors import FlakyStrategyDefinition
 from scripted import DEADLINE
-from served import finished
+from served import computing_at, done, service_at
 
-from service.server import embedded
-from service.settings import Settings
 from worker.executors.inline import Inline
 from worker.study import ChunkReport
 
@@ -80,22 +78,17 @@ class Api(NamedTuple):
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    given = {"data": tmp_path_factory.mktemp("data"), "port": 0, "heartbeat_seconds": 0.2}
-    computing, idle = Inline(), Idle()
-    with (
-        embedded.running(Settings(**given), computing) as address,
-        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
-    ):
-        done = finished(client, DONE).rsplit("/", 1)[1]  # type: ignore[arg-type]
-    computing.close()
+    folder, idle = tmp_path_factory.mktemp("data"), Idle()
+    with computing_at(folder) as address:
+        finished_job = done(address, DONE)
     caps = {"max_queue": 100_000, "trajectory_seconds": 0.02, "body_seconds": 2.0}
     with (
-        embedded.running(Settings(**given, **caps), idle) as address,
+        service_at(folder, idle, **caps) as address,
         httpx2.Client(base_url=address, timeout=DEADLINE) as client,
     ):
         queued = client.post("/v1/jobs", json={**DONE, "settle": 6}).json()["id"]
         schema = schemathesis.openapi.from_url(f"{address}/openapi.json")
-        yield Api(address, done, queued, schema)
+        yield Api(address, finished_job, queued, schema)
     idle.close()
 
 

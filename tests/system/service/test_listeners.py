@@ -11,8 +11,8 @@ from typing import Any
 
 import httpx2
 from scripted import DEADLINE, Held, sweep, wait_for
+from served import service_at
 
-from service.server import embedded
 from service.settings import Settings
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
@@ -49,7 +49,6 @@ async def statuses_at_once(url: str, job: str, count: int) -> Counter[int]:
 
 def test_many_listeners_do_not_delay_other_requests(tmp_path: Path):
     held, listeners = Held(), 60
-    settings = Settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
     heard: list[str] = []
     listening: list[str] = []
 
@@ -61,7 +60,7 @@ def test_many_listeners_do_not_delay_other_requests(tmp_path: Path):
 
     limits = httpx2.Limits(max_connections=listeners)
     with (
-        embedded.running(settings, held) as address,
+        service_at(tmp_path, held) as address,
         httpx2.Client(base_url=address, timeout=DEADLINE) as client,
         httpx2.Client(base_url=address, timeout=DEADLINE, limits=limits) as many,
     ):
@@ -88,9 +87,8 @@ def test_many_listeners_do_not_delay_other_requests(tmp_path: Path):
 
 
 def test_listeners_are_limited_and_do_not_delay_the_shutdown(tmp_path: Path):
-    settings = Settings(data=tmp_path, port=0, max_listeners=1, shutdown_seconds=1000)
     with httpx2.Client(timeout=DEADLINE) as client, ExitStack() as listening:
-        with embedded.running(settings, Held()) as address:
+        with service_at(tmp_path, Held(), max_listeners=1, shutdown_seconds=1000) as address:
             here = address + client.post(f"{address}/v1/jobs", json=SWEEP).headers["Location"]
             lines = listening.enter_context(client.stream("GET", f"{here}/events")).iter_lines()
             assert next(lines) == "event: progress"
@@ -103,9 +101,8 @@ def test_listeners_are_limited_and_do_not_delay_the_shutdown(tmp_path: Path):
 
 def test_of_more_listeners_than_allowed_the_others_are_told_to_come_again(tmp_path: Path):
     """At once, with the limit as it is: nobody waits for a place, and every place is free afterwards."""
-    settings = Settings(data=tmp_path, port=0)
-    allowed = settings.max_listeners
-    with embedded.running(settings, Held()) as address, httpx2.Client(base_url=address) as client:
+    allowed = Settings().max_listeners
+    with service_at(tmp_path, Held()) as address, httpx2.Client(base_url=address) as client:
         here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
 
         def statuses(count: int) -> Counter[int]:

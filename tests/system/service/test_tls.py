@@ -11,8 +11,8 @@ import pytest
 from dask_processes import LOOPBACK, dask_processes
 from distributed import Security
 from paths import CACHE
-from running import costing, running
-from scripted import wait_for
+from scripted import costing, wait_for
+from served import running
 from stores import marked
 
 from service.ledger.model import JobState

@@ -8,20 +8,20 @@ import httpx2
 import pytest
 from click.testing import CliRunner
 from scripted import Held
-from serving import serving
+from served import service_at, serving
 
 from service import tokens
 from service.cli.main import main
 from service.client import Client, Unauthorized
 from service.server import embedded
-from service.settings import Settings, read_settings
+from service.settings import read_settings
 
 ANA, BEN = "ana-has-a-token-of-her-own", "ben-has-a-token-of-his-own"
 
 
 def test_a_client_of_the_same_user_finds_the_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    settings = Settings(data=tmp_path / "bounce-data", port=0, token="auto")
-    with embedded.running(settings, Held()) as url:
+    data = tmp_path / "bounce-data"
+    with service_at(data, Held(), token="auto") as url:
         with Client(url) as stranger, pytest.raises(Unauthorized):
             next(iter(stranger.jobs()), None)
         monkeypatch.chdir(tmp_path)  # where ./bounce-data is
@@ -35,7 +35,7 @@ def test_a_client_of_the_same_user_finds_the_token(tmp_path: Path, monkeypatch: 
         assert httpx2.get(f"{url}/v1/jobs", headers={"Authorization": f"Bearer {token}"}).status_code == 200
     port = int(url.rpartition(":")[2])
     assert tokens.find_token(port) is None
-    with embedded.running(settings, Held()) as url, Client(url) as client:
+    with service_at(data, Held(), token="auto") as url, Client(url) as client:
         assert list(client.jobs()) == []
     assert json.loads((tmp_path / "bounce-data" / tokens.FILE_NAME).read_text())["token"] == token
 

@@ -9,18 +9,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import pytest
 from scripted import DEADLINE, Held, free_port, sweep, wait_for
-from served import listening
+from served import computing_at, listening, service_at, settings_of
 
 from service.api.app import create_app
 from service.client import Client
-from service.server import embedded
 from service.server.logging import JsonLines, OncePerSecond
 from service.server.web_server import (
     MOST_FILES,
@@ -29,8 +28,6 @@ from service.server.web_server import (
     limited,
     raise_file_limit,
 )
-from service.settings import Settings
-from worker.executors.inline import Inline
 
 MOST = 4
 
@@ -38,9 +35,7 @@ MOST = 4
 @pytest.fixture
 def address(tmp_path: Path) -> Iterator[tuple[str, int]]:
     """A service that takes MOST connections at a time."""
-    app = create_app(Settings(data=tmp_path), Held())
-    http = limited(DEADLINE, MOST)
-    with listening(app, http) as address:
+    with listening(create_app(settings_of(tmp_path), Held()), limited(DEADLINE, MOST)) as address:
         yield address
 
 
@@ -109,15 +104,15 @@ def test_more_connections_than_files_leave_some_for_jobs(tmp_path: Path, caplog:
     """They wait to be accepted when the service starts, and are refused a few at a time."""
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     files = len(list(Path("/proc/self/fd").iterdir())) + 300
-    settings = Settings(data=tmp_path, port=free_port())
-    command = [sys.executable, "-c", IDLE, str(settings.port), str(files)]
+    port = free_port()
+    command = [sys.executable, "-c", IDLE, str(port), str(files)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as flood:
         assert flood.stdin is not None
         assert flood.stdout is not None
         assert flood.stdout.readline() == b"begins\n"
         resource.setrlimit(resource.RLIMIT_NOFILE, (files, before[1]))
         try:
-            with closing(Inline()) as executor, embedded.running(settings, executor) as url:
+            with computing_at(tmp_path, port=port) as url:
                 assert flood.stdout.readline() == b"connected\n"
                 flood.stdin.close()
                 with Client(url) as client:
@@ -141,7 +136,7 @@ def test_an_answer_to_head_ends_after_its_headers(address: tuple[str, int]):
 def test_the_service_listens_on_ipv6(tmp_path: Path):
     if not socket.has_dualstack_ipv6():
         pytest.skip("needs IPv6")
-    with embedded.running(Settings(data=tmp_path, host="::1", port=0), Held()) as url:
+    with service_at(tmp_path, Held(), host="::1") as url:
         assert url.startswith("http://[::1]:")
         answer = httpx2.get(f"{url}/healthz")
         assert answer.status_code == 200

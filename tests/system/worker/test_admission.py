@@ -11,11 +11,11 @@ from pathlib import Path
 import psutil
 import pytest
 from blame import noting_errors
-from dask_processes import Processes, dask_processes, with_another_kernel
+from dask_processes import Processes, dask_processes
 from distributed import Client
 from paths import CACHE, ROOT
-from running import costing, running
-from scripted import wait_for
+from scripted import costing, wait_for
+from served import running
 from stores import marked
 
 from service.api.monitoring import Readiness
@@ -32,8 +32,17 @@ PATIENCE = 240.0
 EXPECTED = CancelledError | ChunkCancelled | ChunkPaused | WorkerRefused
 
 
+def changed_project(folder: Path, file: str, line: str) -> dict[str, str]:
+    """Variables of a worker with a copy of this project in which a file has another line."""
+    for package in ("kernel", "worker"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    with (folder / file).open("a") as changed:
+        changed.write(f"\n{line}\n")
+    return {"PYTHONPATH": str(folder)}
+
+
 def of_another_kernel(processes: Processes, folder: Path) -> None:
-    processes.worker(variables={"PYTHONPATH": str(with_another_kernel(folder / "copy"))})
+    processes.worker(variables=changed_project(folder / "copy", "kernel/modes.py", "# another kernel"))
 
 
 #: Of a Python without this project until there is a file `installed`. The kernels' files are then where they
@@ -70,13 +79,8 @@ def with_broken_numba(processes: Processes, folder: Path) -> None:
 
 def that_dies_at_once(processes: Processes, folder: Path) -> None:
     """Without a nanny, which would start it again; it ends as soon as it is to be prepared."""
-    for package in ("kernel", "worker"):
-        shutil.copytree(
-            ROOT / package, folder / "tree" / package, ignore=shutil.ignore_patterns("__pycache__")
-        )
-    with (folder / "tree" / "worker" / "kernel_cache.py").open("a") as file:
-        file.write("\nos._exit(1)\n")
-    processes.worker("--no-nanny", variables={"PYTHONPATH": str(folder / "tree")})
+    dying = changed_project(folder / "copy", "worker/kernel_cache.py", "os._exit(1)")
+    processes.worker("--no-nanny", variables=dying)
 
 
 def on_a_read_only_folder(processes: Processes, folder: Path) -> None:

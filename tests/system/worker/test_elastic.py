@@ -9,8 +9,8 @@ import dask
 import pytest
 from distributed import LocalCluster
 from paths import CACHE
-from running import costing, running
-from scripted import wait_for
+from scripted import costing, wait_for
+from served import running
 
 from service.api.monitoring import Readiness
 from service.ledger.model import JobState
@@ -122,7 +122,7 @@ def test_what_the_connection_swallows_is_lost_with_it(
     executor = Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)
     try:
         with monkeypatch.context() as patched:
-            patched.setattr(executor, "_bundled", swallowed)
+            patched.setattr(executor, "_run", swallowed)
             call = executor.call(len, "abc")
             assert sent.wait(PATIENCE)
         made[0].close()

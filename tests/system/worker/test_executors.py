@@ -100,11 +100,10 @@ def test_closing_does_not_wait_for_a_worker_that_is_starting(tmp_path):
 
 
 def test_workers_that_dask_has_dropped_are_replaced():
-    """Dask itself drops a worker that is not back 15 s after it died."""
+    """It drops one that is not back 15 s after it died: here 100 ms."""
     executor = Dask(workers=2, kernel_cache=CACHE)
     client, nannies = executor._connection.client, executor._target.cluster.workers
     try:
-        assert dask.config.get("distributed.deploy.lost-worker-timeout") == "1000 days"
         before = set(nannies.values())
         with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}):
             [pid, _] = client.run(os.getpid).values()

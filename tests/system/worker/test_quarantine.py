@@ -1,4 +1,4 @@
-"""A worker that fails what others compute: retries go elsewhere, and it gets nothing for a while."""
+"""A worker that fails what others compute: retries go elsewhere."""
 
 import errno
 import socket
@@ -8,15 +8,13 @@ from typing import Any
 import pytest
 from harm import leave
 from paths import CACHE
-from running import costing, running
-from scripted import wait_for
+from scripted import costing, wait_for
+from served import running
 
 from service.ledger.model import JobState
 from worker import store, watchdog
-from worker.executors import dask
 from worker.executors.base import WorkerLeft
 from worker.executors.dask import Dask
-from worker.executors.roster import MARKS
 from worker.kernel_cache import use_cache
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
@@ -33,11 +31,8 @@ def break_disk() -> None:
     watchdog.run_task = broken
 
 
-def test_one_of_two_workers_fails_everything(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-):
+def test_one_of_two_workers_fails_everything(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     use_cache(CACHE)
-    monkeypatch.setattr(dask, "REST_SECONDS", 5.0)
     executor = Dask(workers=2, kernel_cache=CACHE)
     try:
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
@@ -51,10 +46,7 @@ def test_one_of_two_workers_fails_everything(
             assert ended.chunks_done == ended.chunks_total
         failures = [message for message in caplog.messages if "Input/output error" in message]
         assert all(f"worker {bad} on {socket.gethostname()}" in message for message in failures)
-        assert MARKS <= len(failures) < ended.chunks_total
-        rested = [message for message in caplog.messages if "gets none for 5 s" in message]
-        assert rested
-        assert all(f"worker {bad} on " in message for message in rested)
+        assert 1 <= len(failures) <= ended.chunks_total
     finally:
         executor.close()
 

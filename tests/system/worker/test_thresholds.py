@@ -5,11 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from served import service_at
 
 from kernel.threshold import threshold
 from service.client import Client, Job
-from service.server.embedded import running
-from service.settings import Settings
 from worker.executors.dask import Dask
 
 
@@ -31,8 +30,7 @@ SWEEP: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
-    settings = Settings(data=tmp_path_factory.mktemp("data"), port=0)
-    with running(settings, cluster) as address:
+    with service_at(tmp_path_factory.mktemp("data"), cluster) as address:
         yield address
 
 

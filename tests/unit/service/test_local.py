@@ -63,14 +63,6 @@ def test_a_run_stores_the_bytes_of_a_service_whatever_the_number_of_threads(tmp_
     assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "one.zarr", "three.zarr"]
 
 
-def test_the_dataset_in_memory_is_that_of_the_store(tmp_path: Path):
-    in_memory = local.run(SPEC, progress=False)
-    stored = local.run(SPEC, tmp_path / "sweep.zarr", progress=False)
-    assert in_memory.sizes == {"direction": 1, "xi": 1, "omega": 2, "gamma": 25, "flight": 4}
-    assert (in_memory.outcome > 0).all()
-    xarray.testing.assert_identical(in_memory, stored.load())
-
-
 def test_a_complete_store_is_returned_and_not_computed_again(tmp_path: Path):
     target = tmp_path / "sweep.zarr"
     local.run(SPEC, target, progress=False)

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
-from running import costing
-from scripted import wait_for
+from scripted import costing, wait_for
 from served import computing_at, done
 from stores import files, is_sound, store_in
 

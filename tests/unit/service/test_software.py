@@ -11,15 +11,6 @@ def runs(text: str) -> list[dict[str, Any]]:
     return found
 
 
-def test_the_first_run_of_a_job_names_its_software():
-    (run,) = runs(software.with_this_run("[]", 5.0))
-    here = software.software()
-    assert run == {
-        "release": here.release, "python": here.python, "libraries": here.libraries,
-        "processor": software.processor(), "began": 5.0,
-    }  # fmt: skip
-
-
 def test_a_run_on_the_same_software_is_not_told_again():
     once = software.with_this_run("[]", 5.0)
     assert software.with_this_run(once, 6.0) == once

@@ -13,7 +13,7 @@ from distributed import Client, LocalCluster
 from scripted import DEADLINE, wait_for
 
 from worker import store, watchdog
-from worker.study import ChunkCancelled, ChunkPaused, ChunkReport
+from worker.study import ChunkCancelled
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
 from worker.watchdog import TOPIC, Watchdog, run_watched
@@ -27,31 +27,6 @@ class Process:
     def __init__(self, used: int = 0, limit: int | None = None) -> None:
         self.memory_manager = SimpleNamespace(memory_limit=limit)
         self.monitor = SimpleNamespace(get_process_memory=lambda: used)
-
-
-def reason(url: Path, *, after: float = 0.0, seconds: float = 8.0, **process: Any) -> str | None:
-    dog = Watchdog(Process(**process), str(url), seconds, print)
-    return dog._reason_to_terminate(dog._began + after)
-
-
-def test_a_chunk_may_take_its_time_and_no_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(watchdog, "time", SimpleNamespace(monotonic=lambda: 64.0))
-    assert reason(tmp_path / "a.zarr", after=8.0) is None
-    assert reason(tmp_path / "a.zarr", after=8.5) == (
-        "it took longer than 8 s; its worker process was terminated"
-    )
-
-
-@pytest.mark.parametrize(
-    ("used", "limit", "exceeds"),
-    [(LIMIT, LIMIT, True), (int(0.9 * LIMIT), LIMIT, False), (LIMIT, None, False)],
-)
-def test_a_worker_may_use_nine_tenths_of_its_memory(
-    tmp_path: Path, used: int, limit: int | None, exceeds: bool
-):
-    why = reason(tmp_path / "a.zarr", used=used, limit=limit)
-    expected = f"its worker process used {used >> 20} MB of memory of a limit of 1000 MB and was terminated"
-    assert why == (expected if exceeds else None)
 
 
 def test_a_chunk_that_does_not_stop_a_second_after_its_cancel_was_seen_is_ended(
@@ -146,25 +121,6 @@ class Watched:
 @pytest.fixture
 def watched(client: Client, tmp_path: Path, small_spec: Any, timers: Any) -> Watched:
     return Watched(client, str(tmp_path / "a.zarr"), small_spec())
-
-
-def test_a_worker_says_what_it_begins_and_returns_the_report(watched: Watched, timers: list[Any]):
-    report = watched()
-    assert isinstance(report, ChunkReport)
-    assert report.index == 0
-    assert store.read_chunk(watched.url, watched.plan[0], ["outcome"])["outcome"].all()
-    assert watched.events() == [watched.begun]
-    wait_for(lambda: not watching())
-    assert timers == [(105.0, True), ("cancelled",)]  # five seconds more than the chunk has
-
-
-@pytest.mark.parametrize("stop", [ChunkCancelled("cancelled"), ChunkPaused("paused")])
-def test_that_a_chunk_stopped_is_returned(watched: Watched, monkeypatch: pytest.MonkeyPatch, stop: Exception):
-    def stopping(*_: Any) -> None:
-        raise stop
-
-    monkeypatch.setattr(watchdog, "run_task", stopping)
-    assert type(watched()) is type(stop)
 
 
 def test_a_process_that_is_ended_says_why_first(watched: Watched, monkeypatch: pytest.MonkeyPatch):

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
-from served import impatient
+from served import impatient, service
 from tables import for_each
 
 from service.api.app import create_app
@@ -45,10 +45,8 @@ CALLS = [
 
 @pytest.fixture(scope="module")
 def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    settings = Settings(
-        data=tmp_path_factory.mktemp("data"), token=TOKEN, host="0.0.0.0", allowed_hosts="bounce.example.org"
-    )
-    with TestClient(create_app(settings, Held()), base_url="http://localhost") as client:
+    beyond = {"token": TOKEN, "host": "0.0.0.0", "allowed_hosts": "bounce.example.org"}
+    with service(tmp_path_factory.mktemp("data"), Held(), **beyond) as client:
         yield client
 
 
@@ -56,8 +54,7 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
 def local(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     with pytest.MonkeyPatch.context() as patch:
         impatient(patch)
-        app = create_app(Settings(data=tmp_path_factory.mktemp("data")), Held())
-        with TestClient(app, base_url="http://localhost:8000") as client:
+        with service(tmp_path_factory.mktemp("data"), Held()) as client:
             yield client
 
 
@@ -127,8 +124,7 @@ def named(tmp_path: Path) -> Iterator[TestClient]:
     file.write_text(f"# who may compute\nana: {ANA}\n\nben@lab : {BEN}\n")
     file.chmod(0o600)
     limits = {"max_queue_per_token": 3, "active_jobs": 1}
-    settings = Settings(data=tmp_path / "data", token=TOKEN, token_file=file, **limits)
-    with TestClient(create_app(settings, Held()), base_url="http://localhost") as client:
+    with service(tmp_path / "data", Held(), token=TOKEN, token_file=file, **limits) as client:
         endless = submitted(client, TOKEN, 0.123).json()["links"]["self"]
         wait_for(lambda: client.get(endless, headers=bearer(TOKEN)).json()["state"] == "running")
         yield client
@@ -335,17 +331,6 @@ def test_a_request_is_one_line(local: TestClient, logged: io.StringIO):
     assert line["ms"] >= 0
 
 
-def test_a_terminal_shows_only_requests_that_failed(local: TestClient, monkeypatch: pytest.MonkeyPatch):
-    terminal = io.StringIO()
-    terminal.isatty = lambda: True  # type: ignore[method-assign]
-    monkeypatch.setattr(sys, "stderr", terminal)
-    with log_to_stderr("info"):
-        local.get("/v1/jobs")
-        local.get("/v1/jobs/nowhere")
-        local.post("/v1/jobs", content=b"{", headers={"Content-Type": "application/json"})
-    assert [line["status"] for line in lines(terminal) if line["event"] == "request"] == [404, 400]
-
-
 def test_a_caller_cannot_forge_log_lines(local: TestClient, logged: io.StringIO):
     local.get("/v1/jobs/%0a%7b%22level%22:%22error%22%7d")
     local.get("/nowhere%0aevil", headers={"Authorization": "Bearer secret-of-somebody"})
@@ -357,7 +342,7 @@ def test_a_caller_cannot_forge_log_lines(local: TestClient, logged: io.StringIO)
 def test_a_traceback_goes_to_the_log_and_not_to_the_caller(
     tmp_path: Path, logged: io.StringIO, monkeypatch: pytest.MonkeyPatch
 ):
-    with TestClient(create_app(Settings(data=tmp_path), Held()), base_url="http://localhost") as client:
+    with service(tmp_path, Held()) as client:
         monkeypatch.setattr(client.app.state.service.ledger, "find", lambda job_id: 1 / 0)  # type: ignore[attr-defined]
         answer = client.get("/v1/jobs/none")
     assert answer.status_code == 500

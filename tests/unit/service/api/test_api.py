@@ -81,17 +81,6 @@ def test_cancel_and_resume(tmp_path: Path):
 # Diagrams
 
 
-def test_figure_2s_modes(client: TestClient, figure_2: str):
-    found = read(client, f"{figure_2}/diagram")
-    at = {gamma: found.sel(gamma=gamma, method="nearest") for gamma in (1.5, 2.3, 3.6, 5.0)}
-    modes = [(int(cell.bounces), int(cell.periods)) for cell in at.values()]
-    assert modes[:3] == [(1, 1), (2, 2), (1, 2)]
-    assert at[5.0].outcome == 2
-    threshold = read(client, "/v1/threshold", omega=0.5, xi=0.26).threshold.item()
-    np.testing.assert_array_equal(found.outcome == 3, found.gamma < threshold)
-    np.testing.assert_array_equal(found.flights == 0, found.gamma < threshold)
-
-
 @pytest.mark.parametrize("name", ["rigid", "soft"])
 def test_diagrams_contain_the_reference_flights(client: TestClient, name: str):
     tolerance = {"rigid": 1e-9, "soft": 1e-8}[name]

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from scripted import Held, sweep, wait_for
-from served import FIGURE_2, computing, finished, get, occupied, service
+from served import FIGURE_2, computing, finished, get, service
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
 
@@ -122,19 +122,6 @@ def test_results_of_a_done_job_answer_304(tmp_path: Path):
 # Resume, delete
 
 
-def test_resume_continues_a_cancelled_job_and_refuses_a_done_one(tmp_path: Path):
-    with computing(tmp_path) as client:
-        here = finished(client, SWEEP)
-        answer = client.post(f"{here}/resume")
-        assert (answer.status_code, answer.json()["detail"][:15]) == (409, "the job is done")
-    with occupied(tmp_path / "2") as client:
-        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
-        assert client.post(f"{here}/resume").status_code == 200
-        client.post(f"{here}/cancel")
-        answer = client.post(f"{here}/resume")
-        assert (answer.status_code, answer.json()["state"]) == (202, "queued")
-
-
 def test_deleting_a_job_removes_its_results(tmp_path: Path):
     with computing(tmp_path) as client:
         here = finished(client, SWEEP)
@@ -168,17 +155,3 @@ def test_a_finished_job_sends_one_event(tmp_path: Path):
 
 
 # Metrics
-
-
-def test_metrics_count_requests_and_jobs(tmp_path: Path):
-    with computing(tmp_path) as client:
-        here = finished(client, SWEEP)
-        client.get(f"{here}/nowhere")
-        client.get("/v1/jobs/none")
-        text = client.get("/metrics").text
-    assert 'bounce_jobs{state="done"} 1.0' in text
-    assert "bounce_cells_done 60.0" in text
-    assert "bounce_ready 1.0" in text
-    assert 'bounce_http_requests_total{method="GET",route="/v1/jobs/{job_id}",status="404"} 1.0' in text
-    assert 'bounce_http_requests_total{method="POST",route="/v1/jobs",status="202"} 1.0' in text
-    assert here.rsplit("/", 1)[1] not in text

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -78,21 +77,6 @@ def test_examples_are_accepted(document: dict[str, Any], name: str):
         TrajectorySpec(**json.loads(text))
     else:
         assert type(from_json(text)).__name__ == name
-
-
-def test_no_default_is_an_object(document: dict[str, Any]):
-    """openapi-python-client leaves out operations whose bodies have one."""
-
-    def defaults(part: Any) -> Iterator[object]:
-        if isinstance(part, dict):
-            yield part.get("default")
-            part = list(part.values())
-        for inner in part if isinstance(part, list) else ():
-            yield from defaults(inner)
-
-    found = list(defaults(document))
-    assert 200 in found
-    assert not any(isinstance(default, dict) for default in found)
 
 
 @pytest.mark.parametrize("token", [None, "a-token-of-the-service"])

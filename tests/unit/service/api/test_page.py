@@ -183,14 +183,6 @@ def test_a_window_has_more_cells_than_fit_the_whole_line(tmp_path: Path):
 # The trajectory of a cell
 
 
-def test_the_trajectory_of_a_cell_from_rest_has_the_stored_flights(client: TestClient, line: str):
-    found = read(client, f"{line}/trajectory", gamma=2.3, omega=0.5, periods=6)
-    assert found.gamma.item() == pytest.approx(2.3)
-    times = found.flight_time.values
-    np.testing.assert_allclose(sorted(times)[:2], [3.722384327764] * 2, atol=1e-6)
-    np.testing.assert_allclose(sorted(times)[-2:], [6.284615845152] * 2, atol=1e-6)
-
-
 @pytest.mark.parametrize(("direction", "bounces"), [("up", False), ("down", True)])
 def test_the_trajectory_of_a_ramp_cell_starts_from_its_stored_state(
     client: TestClient, ramp: str, direction: str, bounces: bool

@@ -1,7 +1,6 @@
 """`bounce tradeoff`: the table of costs and errors, and the picture."""
 
 import json
-import re
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -9,13 +8,10 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 from paths import GOLDEN
-from tables import for_each
 
 from service import tradeoff
 from service.cli.main import main
-from service.tradeoff import CELLS_PER_LINE, LINES, LOCKED, PURPOSES, SETUPS, Measurement, Setup
-from worker.spec.errors import SpecError
-from worker.sweep import SweepSpec
+from service.tradeoff import CELLS_PER_LINE, LINES, PURPOSES, SETUPS, Measurement, Setup
 
 
 def known(kind: type[Any], row: dict[str, Any]) -> Any:
@@ -59,28 +55,6 @@ def test_a_picture_of_another_kind_is_refused_before_anything_is_measured(bounce
     assert done.exit_code == 2
     assert "does not end in .png, .svg" in done.stderr
     assert "measuring" not in done.stderr
-
-
-@for_each(
-    ("scheme", "restitution", "adhesive"),
-    [
-        ("verlet", 0.01, True),
-        ("verlet", 0.6, True),
-        ("euler", 0.01, True),
-        ("euler", 0.01, False),
-        ("euler", 0.6, True),
-    ],
-)
-def test_steps_are_refused_as_a_specification_refuses_them(scheme: Any, restitution: float, adhesive: bool):
-    cells = tradeoff.cells_of(LINES[LOCKED])
-    model = {"restitution": restitution, "penetration": 0.1, "adhesive": adhesive, "scheme": scheme}
-    setup = Setup(purpose="adhesive", model="stepped", steps_per_contact=1, **model)
-    gamma, (omega, *_), (xi, *_) = (axis.tolist() for axis in cells)
-    with pytest.raises(SpecError, match="must be at least") as caught:
-        SweepSpec(gamma=gamma, omega=omega, xi=xi, model={"kind": "stepped", "steps_per_contact": 1, **model})
-    fewest = int(re.findall(r"at least (\d+), not 1", str(caught.value))[0])
-    for steps, stable in ((fewest - 1, False), (fewest, True)):
-        assert tradeoff.is_stable(replace(setup, steps_per_contact=steps), cells) is stable
 
 
 def test_steps_that_a_specification_would_refuse_are_not_computed():

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
-from fastapi.testclient import TestClient
+from paths import ROOT
 from scripted import TWO_LINES, Held, Scripted, sweep, wait_for
+from served import service
 from tables import for_each
 
 from kernel.params import Outcome
 from service import client as package
-from service.api.app import create_app
 from service.client import (
     BounceError,
     Client,
@@ -25,7 +25,6 @@ from service.client import (
     NotFound,
     WaitTimeout,
 )
-from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
 from worker.sweep import SweepSpec
@@ -35,8 +34,7 @@ SPEC: dict[str, Any] = {**TWO_LINES, "name": "coarse <figure 2>", "settle": 100}
 
 @contextmanager
 def serving(folder: Path, executor: Executor, **options: Any) -> Iterator[Client]:
-    settings = Settings(data=folder, heartbeat_seconds=0.2, **options)
-    with TestClient(create_app(settings, executor)) as http, Client("http://localhost", http=http) as client:
+    with service(folder, executor, **options) as http, Client("http://localhost", http=http) as client:
         yield client
     executor.close()
 
@@ -54,15 +52,6 @@ def job(client: Client) -> Job:
 
 
 # Submitting
-
-
-def test_a_submitted_sweep_is_computed(job: Job):
-    assert job.state == "done"
-    assert job.finished
-    assert job.name == SPEC["name"]
-    assert job.progress.cells_done == job.progress.cells_total == 92
-    assert job.progress.whole_percent == 100
-    assert job.spec["model"] == {"kind": "rigid", "restitution": 0.0}
 
 
 def test_the_same_sweep_is_the_same_job_in_every_form(client: Client, job: Job, tmp_path: Path):
@@ -183,16 +172,6 @@ def test_several_jobs_are_waited_for_together(client: Client):
     assert counts == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
-def test_an_open_store_can_be_written_to_a_file(job: Job, tmp_path: Path):
-    store = job.open()
-    assert store.direction.dtype.kind == "U"  # the lowest xarray writes no texts of any length
-    assert store.sel(direction="rest").direction_code == 0
-    store.load().to_netcdf(tmp_path / "sweep.nc")
-    with xarray.open_dataset(tmp_path / "sweep.nc") as written:
-        assert json.loads(written.attrs["spec"]) == json.loads(store.attrs["spec"])
-        assert json.loads(written.attrs["spec"])["xi"] == SPEC["xi"]
-
-
 def test_a_failed_job_says_why(tmp_path: Path):
     script = {0: [ValueError("the roof fell in")] * 99}
     with serving(tmp_path, Scripted(script), failed_chunks=1) as client:
@@ -254,6 +233,7 @@ def test_every_error_is_exported_and_descends_from_one():
         name for name, kind in vars(module).items() if isinstance(kind, type) and issubclass(kind, Exception)
     }
     assert declared <= set(package.__all__)
-    assert all(name in (module.__doc__ or "") for name in declared)
+    document = (ROOT / "docs" / "python-client.md").read_text()
+    assert all(name in document for name in declared)
     assert package.__all__ == sorted(package.__all__)
     assert set(package.__all__) <= set(dir(package))

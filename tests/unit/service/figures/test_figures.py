@@ -12,7 +12,7 @@ from tables import for_each
 
 from service.figures import catalogue, schematics
 from service.figures.drawing import Caption, compared, left_open
-from service.figures.thresholds import minima
+from service.figures.onsets import minima
 from worker.sweep import SweepSpec
 
 

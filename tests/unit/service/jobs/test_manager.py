@@ -3,8 +3,6 @@
 The executors compute with the real task into real stores; scripts raise the errors.
 """
 
-import errno
-import os
 import threading
 import time
 from collections.abc import Iterator
@@ -17,8 +15,8 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from running import Running, running
 from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
+from served import Running, running
 from stores import is_sound
 
 from kernel.params import KERNEL_VERSION, Outcome
@@ -28,10 +26,10 @@ from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from worker import store
-from worker.executors.base import ClusterState, WorkerLost
+from worker.executors.base import ClusterState
 from worker.executors.inline import Inline
 from worker.spec.errors import SpecTooLarge
-from worker.study import Chunk, ChunkPaused, ChunkReport
+from worker.study import Chunk, ChunkReport
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
@@ -65,52 +63,6 @@ def test_many_at_once_submitting_the_same_sweep_make_one_job(tmp_path: Path, inl
     assert sorted(answers) == [False] * 7 + [True]
 
 
-def test_a_ramps_chunks_go_one_after_the_other(tmp_path: Path):
-    held = Held()
-    ramp = {"kind": "ramp", "axis": "gamma", "direction": "both"}
-    with running(tmp_path, held) as service:
-        job = service.submit(sweep(protocol=ramp))
-        for _ in range(job.chunks_total):
-            wait_for(held.held)
-            assert held.held() == 1
-            held.let_go()
-        service.until(job, JobState.DONE)
-        assert np.all(service.outcomes(job) != Outcome.MISSING)
-
-
-def test_no_more_is_in_flight_than_the_window_allows(tmp_path: Path):
-    held = Held(capacity=1)
-    with running(tmp_path, held, window=2) as service:
-        job = service.submit(sweep())
-        wait_for(lambda: held.held() == 2)
-        time.sleep(0.5)  # heartbeats pass
-        most = [held.held()]
-
-        def done() -> bool:
-            most.append(held.held())
-            return service.job(job).state is JobState.DONE
-
-        held.let_go_until(done)
-        assert max(most) == 2
-
-
-def test_a_small_job_passes_a_huge_one(tmp_path: Path):
-    held = Held()
-    with running(tmp_path, held) as service:
-        huge = service.submit(sweep("huge", gamma={"start": 0.5, "stop": 1.2, "num": 1000}))
-        wait_for(lambda: held.held("huge") == 4)
-        small = service.submit(sweep("small"))
-
-        def small_is_done() -> bool:
-            if held.held("small"):
-                held.let_go_first()  # as workers do: the highest priority first
-            return service.job(small).state is JobState.DONE
-
-        wait_for(lambda: held.held("small") == 4)
-        wait_for(small_is_done)
-        assert service.job(huge).chunks_done <= 1  # its first has no more before it than the small one's
-
-
 def of_cells(cells: int, omega: float = 0.5) -> SweepSpec:
     """A sweep of so many cells, its name their number; chunks have four of them, or an eighth."""
     return sweep(f"{cells}", gamma={"start": 0.5, "stop": 1.2, "num": cells}, omega=omega)
@@ -135,37 +87,6 @@ def test_every_job_gets_turns_however_many_smaller_ones_follow(tmp_path: Path):
         assert len(small) > 2
 
 
-def test_a_job_whose_slices_take_long_shows_their_time_and_lets_others_pass(tmp_path: Path):
-    paused = ChunkPaused("paused")
-    paused.seconds = 1.5
-    held = Held(capacity=1)
-    with running(tmp_path, held, window=1) as service:
-        first = service.submit(of_cells(8))
-        wait_for(lambda: held.held("8") == 1)
-        future, *_ = held.chunks.pop()
-        future.set_exception(paused)
-        wait_for(lambda: service.job(first).core_seconds == 1.5)
-        second = service.submit(of_cells(28))  # estimated to take longer
-        wait_for(lambda: held.held("28") == 1)
-        held.let_go_until(lambda: service.job(second).state is JobState.DONE)
-        assert service.job(first).state is JobState.RUNNING
-        held.let_go_until(lambda: service.job(first).state is JobState.DONE)
-        assert service.job(first).core_seconds > 1.5
-
-
-def test_an_idle_job_gives_its_place_to_a_smaller_one_and_goes_on_later(tmp_path: Path):
-    held = Held(capacity=1)
-    with running(tmp_path, held, window=1, active_jobs=1) as service:
-        large = service.submit(of_cells(100))
-        wait_for(lambda: held.held("100") == 1)
-        small = service.submit(of_cells(8))
-        held.let_go_until(lambda: service.job(small).state is JobState.DONE)
-        assert service.job(large).state is JobState.RUNNING
-        assert 1 <= service.job(large).chunks_done < 8
-        held.let_go_until(lambda: service.job(large).state is JobState.DONE)
-        assert sorted(held.order) == sorted(set(held.order))  # nothing is computed twice
-
-
 # Cancelling and resuming
 
 
@@ -186,30 +107,6 @@ def test_a_running_job_is_cancelled_when_nothing_writes_any_more(tmp_path: Path)
         job = service.until(job, JobState.CANCELLED)
     assert (job.chunks_done, job.error) == (1, None)
     assert held.held() == 0
-
-
-def test_a_cancel_flag_that_an_earlier_job_left_stops_nothing(tmp_path: Path, inline: Inline):
-    with running(tmp_path / "elsewhere", inline) as service:
-        job = service.until(service.submit(sweep()), JobState.DONE)
-    with running(tmp_path, inline) as service:
-        url = service.settings.store_of(job.store)
-        store.set_cancelled(url)
-        service.until(service.submit(sweep()), JobState.DONE)
-        assert not store.is_cancelled(url)
-
-
-def test_a_cancel_taken_back_in_time_costs_nothing(tmp_path: Path):
-    held, spec = Held(), sweep()
-    with running(tmp_path, held) as service:
-        job = service.submit(spec)
-        wait_for(held.held)
-        service.manager.cancel(job.id)
-        wait_for(lambda: store.is_cancelled(service.settings.store_of(job.store)))
-        again = service.manager.submit(spec)
-        assert again.accepted
-        assert again.job.state is JobState.RUNNING
-        wait_for(lambda: not store.is_cancelled(service.settings.store_of(job.store)))
-        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
 
 
 def test_a_job_deleted_while_its_store_is_made_leaves_none(
@@ -275,11 +172,6 @@ def test_a_job_that_fails_everywhere_stops_trying(tmp_path: Path):
     assert "more chunks failed" in job.error
 
 
-def test_a_chunk_whose_neighbour_killed_the_worker_is_not_blamed(tmp_path: Path):
-    _, tried = run_script(JobState.DONE, tmp_path, {0: [WorkerLost("gone")] * 5}, chunk_tries=1)
-    assert tried.count(0) == 6
-
-
 @pytest.mark.parametrize("where", [".", ".partial", "outcome"])
 def test_nothing_is_written_through_a_link_in_the_data_folder(tmp_path: Path, where: str):
     link = Path(Settings(data=tmp_path).store_of(f"1-{sweep().job_id(KERNEL_VERSION)}.zarr"), where)
@@ -294,17 +186,6 @@ def test_nothing_is_written_through_a_link_in_the_data_folder(tmp_path: Path, wh
         service.manager.resume(job.id)
         service.until(job, JobState.DONE)
     assert [path.name for path in (tmp_path / "elsewhere").iterdir()] == ["their.partial"]
-
-
-def test_a_full_disk_fails_the_job_at_once_and_it_goes_on_when_there_is_room(tmp_path: Path):
-    executor = Scripted({chunk: [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))] for chunk in range(1, 5)})
-    with closing(executor), running(tmp_path, executor) as service:
-        job = service.until(service.submit(sweep()), JobState.FAILED)
-        assert job.error is not None
-        assert "No space left on device" in job.error
-        assert len(executor.tried) < 5
-        executor.script.clear()  # space has returned
-        service.until(service.submit(sweep()), JobState.DONE)
 
 
 class Refusing(Scripted):
@@ -423,15 +304,6 @@ def test_without_workers_a_cancelled_job_ends_at_once(tmp_path: Path):
 
 
 # Limits
-
-
-def test_a_full_queue_refuses(tmp_path: Path):
-    with running(tmp_path, Held(), max_queue=2) as service:
-        service.submit(sweep(omega=0.5))
-        service.submit(sweep(omega=0.6))
-        with pytest.raises(QueueFull, match="2 jobs are queued or running already, at most 2"):
-            service.submit(sweep(omega=0.7))
-        assert not service.manager.submit(sweep(omega=0.5)).accepted  # it is known already
 
 
 @pytest.mark.parametrize("limit", [{"max_cells": 59}, {"max_bytes": 1000}, {"max_core_seconds": 0.01}])

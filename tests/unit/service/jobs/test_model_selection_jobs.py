@@ -16,8 +16,6 @@ from stores import store_in
 from worker import store
 from worker.executors.base import ClusterLost, WorkerDied
 from worker.executors.inline import Inline
-from worker.sweep import SweepSpec
-from worker.sweep.plan import make_plan
 
 SWEEP: dict[str, Any] = {
     "name": "auto",
@@ -118,14 +116,3 @@ def test_a_choice_is_remembered_through_a_restart_before_the_first_chunk(tmp_pat
         job = ended(client)
     assert executor.calls == 0
     assert (job["state"], job["choice"]) == ("done", chosen)
-
-
-def test_the_plan_is_that_of_the_model_chosen(tmp_path: Path):
-    """A ball costs a fortieth, so that the job has fewer chunks."""
-    rest = SWEEP | {"gamma": {"start": 0.1, "stop": 0.4, "num": 2000}, "observe": 1}
-    with closing(Inline()) as executor, service(tmp_path, executor) as client:
-        job = ended(client, rest)
-    assert job["choice"]["model"] == "ball"
-    exact, ball = (len(make_plan(SweepSpec(**rest | {"model": {"kind": kind}}))) for kind in ("soft", "ball"))
-    assert job["progress"]["chunks_done"] == job["progress"]["chunks_total"] == ball < exact
-    assert job["progress"]["cells_done"] == 2000

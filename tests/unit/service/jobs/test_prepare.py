@@ -9,15 +9,14 @@ from typing import Any
 
 import pytest
 from ledgers import record
-from scripted import Held, small, sweep
-from served import computing, finished, get, service
+from scripted import small
+from served import computing, finished, get
 
 from kernel.params import KERNEL_VERSION
 from service.jobs import prepare
 from service.jobs.prepare import JobPreparer, PreparedJob
 from service.settings import Settings
 from worker import store, studies
-from worker.analysis.model_selection import ModelChoice
 from worker.spec.axes import Range
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
@@ -63,44 +62,12 @@ def test_from_submission_to_export_a_job_is_prepared_once(tmp_path: Path, calls:
         assert calls == {"parsed": 2, "planned": 2}  # by the submission, and once for all others
 
 
-def test_a_service_that_starts_again_prepares_a_job_once(tmp_path: Path, calls: Counter[str]):
-    with service(tmp_path, Held()) as client:
-        here = client.post("/v1/jobs", json=sweep().as_submitted()).headers["Location"]
-    calls.clear()
-    with computing(tmp_path) as client:
-        assert finished(client, sweep().as_submitted()) == here  # the request itself: one of each
-        get(client, f"{here}/diagram", along="gamma")
-    assert calls == {"parsed": 2, "planned": 2}
-
-
 # The preparer alone
 
 
 @pytest.fixture
 def preparer(tmp_path: Path) -> JobPreparer:
     return JobPreparer(Settings(data=tmp_path))
-
-
-def test_a_chosen_model_takes_the_place_of_auto_in_what_is_computed(preparer: JobPreparer):
-    spec = small(model={"kind": "auto", "restitution": 0.0})
-    before = preparer.prepare(record(spec))
-    choice = ModelChoice(model="rigid", reason="because", tolerance=1e-3, table=())
-    after = preparer.prepare(record(spec, choice=choice.model_dump_json()))
-    assert before.spec.model.kind == before.submitted.model.kind == after.submitted.model.kind == "auto"
-    assert after.spec.model.kind == "rigid"
-    assert after.attributes == {"model": "rigid", "choice": choice.reproducible()}
-
-
-def test_many_at_once_get_one_value(preparer: JobPreparer, calls: Counter[str]):
-    job, prepared = record(small()), []
-    threads = [threading.Thread(target=lambda: prepared.append(preparer.prepare(job))) for _ in range(16)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(prepared) == 16
-    assert len({id(value) for value in prepared}) == 1
-    assert calls == {"parsed": 1, "planned": 1}
 
 
 @pytest.mark.parametrize(("limit", "value"), [("MAX_JOBS", 3)])

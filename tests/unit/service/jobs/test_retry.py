@@ -1,17 +1,14 @@
 """What follows a chunk that failed, as a table."""
 
 import errno
-import math
 from concurrent.futures import CancelledError
 
 import pytest
 from tables import for_each
 
 from service.jobs.retry import (
-    BUCKET_SECONDS,
     MAX_COLLATERAL_LOSSES,
     Action,
-    ChunkCounts,
     Decision,
     History,
     RetryPolicy,
@@ -94,24 +91,3 @@ def test_a_predecessor_whose_end_state_cannot_be_read_is_computed_again(error: E
     assert POLICY.decide(error, last) == Decision(Action.GIVE_UP, recompute_predecessor=True)
     assert not POLICY.decide(error, FRESH).recompute_predecessor
     assert not POLICY.decide(error, ON_A_RAMP._replace(stopping=True)).recompute_predecessor
-
-
-def test_only_a_damaged_predecessor_is_computed_again():
-    assert not POLICY.decide(ValueError("no"), ON_A_RAMP).recompute_predecessor
-    assert not POLICY.decide(WorkerLost("gone"), ON_A_RAMP).recompute_predecessor
-
-
-def test_a_single_try_is_not_repeated():
-    policy = RetryPolicy(chunk_tries=1, failed_chunks=8)
-    assert policy.decide(ValueError("no"), FRESH) == Decision(Action.GIVE_UP)
-    assert policy.decide(WorkerLost("gone"), LAST_LOSS) == Decision(Action.GIVE_UP)
-
-
-def test_chunks_are_counted_by_what_they_took_and_by_how_they_came_back():
-    tally = ChunkCounts()
-    for seconds in (0.005, 0.01, 0.011, 1.0, 299.0, 301.0):
-        tally.add_computed(seconds)
-    assert tally.computed == 6
-    assert tally.seconds == pytest.approx(601.026)
-    counts = [2, 3, 3, 3, 4, 4, 4, 4, 4, 5, 6]
-    assert tally.by_seconds == list(zip((*BUCKET_SECONDS, math.inf), counts, strict=True))

@@ -130,25 +130,6 @@ def test_every_job_is_done_the_smallest_first_and_no_limit_is_passed(
     raise AssertionError(f"not done: {cluster.jobs}")
 
 
-def test_a_large_job_advances_beside_small_ones_that_do_not_end():
-    cluster = Cluster(workers=2, window_seconds=0.0)
-    cluster.jobs["large"] = Active("large", 0, 1.0, 10)
-    for seq in range(1, 400):
-        if seq % 4 == 1:
-            cluster.jobs[str(seq)] = Active(str(seq), seq, 0.5, 4)
-        cluster.sync()
-        cluster.submit()
-        cluster.compute()
-    assert "large" not in cluster.jobs
-
-
-def test_without_places_nothing_is_submitted():
-    cluster = Cluster(workers=0, window_seconds=0.0)
-    cluster.jobs["a"] = Active("a", 0, 1.0, 10)
-    cluster.sync()
-    assert cluster.submit() == []
-
-
 # Rotation
 
 
@@ -167,41 +148,10 @@ def rotation_of(jobs: str, owner: str = "") -> Rotation:
     return rotation
 
 
-def test_jobs_come_in_turn_and_new_ones_at_the_end():
-    rotation = rotation_of("abc")
-    assert turns(rotation, 4) == "abca"
-    rotation.update(dict.fromkeys("abcd", ""))
-    assert turns(rotation, 5) == "bcadb"
-
-
-def test_jobs_that_have_ended_have_no_turn():
-    rotation = rotation_of("abc")
-    rotation.update(dict.fromkeys("ac", ""))
-    assert turns(rotation, 3) == "aca"
-    rotation.update({})
-    assert list(rotation) == []
-
-
 def test_owners_come_in_turn_however_many_jobs_they_have():
     rotation = rotation_of("abcdefgh", "one")
     rotation.update(dict.fromkeys("abcdefgh", "one") | dict.fromkeys("xy", "two"))
     assert turns(rotation, 6) == "axbycx"
-
-
-@given(st.lists(st.sampled_from("abcdefghij"), min_size=1, unique=True), st.data())
-def test_no_job_waits_for_more_turns_than_there_are_jobs(jobs: list[str], data: st.DataObject):
-    """Whichever jobs follow and end: those that came later have at most one turn before it."""
-    rotation, waiting = rotation_of("".join(jobs)), jobs[-1]
-    ahead = len(jobs) - 1
-    for number in range(100):
-        new = data.draw(st.integers(0, 3))
-        present = [*rotation, *(f"{number}-{k}" for k in range(new))]
-        rotation.update(dict.fromkeys(present, ""))
-        job = next(iter(rotation))
-        if job == waiting:
-            break
-        rotation.begin_turn(job, 0.0)
-    assert number <= ahead
 
 
 def test_turns_take_their_share_of_the_time_and_no_more():

@@ -1,16 +1,14 @@
 """Backups and their commands: whole copies beside a running service; restoring loses nothing."""
 
-import os
-import re
 import shutil
 import sqlite3
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from running import running
 from scripted import Held, Scripted, free_port, sweep, wait_for
+from served import running
 from stores import files, store_in
 
 from kernel.params import KERNEL_VERSION
@@ -100,28 +98,6 @@ def test_what_contradicts_itself_is_neither_backed_up_nor_restored(folder: Path)
         backup.restore(ledger, copy)
     assert {path: path.read_bytes() for path in before} == before
     assert sorted(path.name for path in folder.iterdir()) == ["backup.sqlite", "copy.sqlite", "data"]
-
-
-def test_copies_are_on_the_disk_and_leave_no_file_open(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    ledger, file = folder / "data" / "ledger.sqlite", folder / "later.sqlite"
-    synced: list[str] = []
-    real = os.fsync
-
-    def noted(descriptor: int) -> None:
-        synced.append(str(Path(f"/proc/self/fd/{descriptor}").readlink()))
-        real(descriptor)
-
-    monkeypatch.setattr(os, "fsync", noted)
-    backup.backup(ledger, file)
-    backup.restore(ledger, file)
-    names = [re.sub(r"\.[0-9a-f]{8}\.", ".", Path(path).name) for path in synced]
-    partial = ".ledger.sqlite.partial"  # synced before the previous ledger is moved, too
-    assert names == [".later.sqlite.partial", folder.name, partial, partial, "data"]  # contents before names
-    opened = []
-    for descriptor in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):  # of the listing itself
-            opened.append(str(descriptor.readlink()))
-    assert [path for path in opened if path.startswith(str(folder))] == []
 
 
 def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Path):

@@ -7,10 +7,9 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from ledgers import accept, current, new_job, reports
+from ledgers import accept, current, reports
 
-from kernel.params import KERNEL_VERSION
-from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
+from service.errors import LedgerUnavailable, LedgerUnusable
 from service.ledger import backup
 from service.ledger.ledger import Ledger
 from service.ledger.model import Failure, JobRecord, JobState
@@ -28,12 +27,6 @@ def run(ledger: Ledger, job: JobRecord, now: float = 200.0) -> JobRecord:
     return current(ledger, job.id)
 
 
-def mark_and_finish(ledger: Ledger, job: JobRecord) -> None:
-    with ledger.writing() as writing:
-        writing.mark_done(job, reports(0))
-        writing.finish(job, JobState.DONE, 300.0)
-
-
 def mark_and_interrupt(ledger: Ledger, job: JobRecord) -> None:
     with ledger.writing() as writing:
         writing.mark_done(job, reports(0))
@@ -46,36 +39,6 @@ def test_the_same_job_is_not_accepted_twice(ledger: Ledger):
         accept(ledger)
 
 
-def test_a_resumed_job_keeps_its_chunks_and_loses_its_error(ledger: Ledger):
-    job = run(ledger, accept(ledger))
-    with ledger.writing() as writing:
-        writing.mark_done(job, reports(0, 1))
-        writing.finish(job, JobState.FAILED, 300.0, "because")
-    with ledger.writing() as writing:
-        writing.queue(current(ledger), None)
-    job = run(ledger, current(ledger), now=400.0)
-    assert (job.error, job.finished, job.chunks_done) == (None, None, 2)
-    assert (job.started, job.run_started, job.run_cells) == (200.0, 400.0, 20)
-    assert job.eta_seconds(410.0) is None  # nothing done in this run yet
-
-
-def test_an_illegal_step_changes_nothing(ledger: Ledger):
-    job = accept(ledger)
-    with pytest.raises(IllegalTransition):
-        mark_and_finish(ledger, job)
-    assert current(ledger) == job
-
-
-def test_chunks_are_marked_once(ledger: Ledger):
-    job = run(ledger, accept(ledger))
-    for chunks in (reports(0, 2), reports(2, 3)):
-        with ledger.writing() as writing:
-            writing.mark_done(job, chunks)
-    assert current(ledger).chunks_done == 3
-    assert current(ledger).cells_done == 30
-    assert ledger.done_mask(job).tolist() == [True, False, True, True]
-
-
 def test_a_transaction_is_all_or_nothing(ledger: Ledger):
     job = accept(ledger)
     with pytest.raises(KeyboardInterrupt):
@@ -84,13 +47,6 @@ def test_a_transaction_is_all_or_nothing(ledger: Ledger):
     with ledger.writing() as writing:  # and the next one works
         writing.mark_done(job, reports(1))
     assert current(ledger).chunks_done == 1
-
-
-def test_a_reader_does_not_wait_for_a_writer(ledger: Ledger):
-    job = accept(ledger)
-    with ledger.writing() as writing:
-        writing.mark_done(job, reports(0))
-        assert current(ledger).chunks_done == 0
 
 
 def test_threads_do_not_lose_each_others_marks(ledger: Ledger):
@@ -108,13 +64,6 @@ def test_threads_do_not_lose_each_others_marks(ledger: Ledger):
         thread.join()
     assert current(ledger).chunks_done == 200
     assert ledger.done_mask(job).all()
-
-
-def test_one_service_at_a_time(tmp_path: Path):
-    path = tmp_path / "ledger.sqlite"
-    with Ledger(path), pytest.raises(DataFolderBusy, match="another service uses the data folder"):
-        Ledger(path)
-    Ledger(path).close()
 
 
 def test_a_closed_ledger_is_not_opened_again(tmp_path: Path):
@@ -177,18 +126,6 @@ def test_damaged_chunks_of_an_outdated_job_are_given_up_with_the_reason(ledger: 
     assert current(ledger).chunks_done == 3
 
 
-@pytest.mark.parametrize(("chunks", "state"), [((0, 1, 2, 3), JobState.DONE), ((0, 3), JobState.FAILED)])
-def test_an_adopted_job_is_done_if_all_its_chunks_are(
-    ledger: Ledger, chunks: tuple[int, ...], state: JobState
-):
-    with ledger.writing() as writing:
-        writing.adopt(new_job(), "a.zarr", reports(*chunks), "{}", 50.0, "some are missing")
-    job = current(ledger)
-    assert (job.store, job.state, job.chunks_done, job.choice) == ("a.zarr", state, len(chunks), "{}")
-    assert (job.created, job.started, job.finished) == (50.0, 50.0, 50.0)
-    assert job.error == (None if state is JobState.DONE else "some are missing")
-
-
 # Deletions and keys
 
 
@@ -207,38 +144,7 @@ def test_chunks_of_deleted_jobs_are_forgotten_a_few_at_a_time(ledger: Ledger):
     assert ledger.done_mask(kept).all()
 
 
-def test_keys_are_remembered_until_they_are_forgotten(ledger: Ledger):
-    job = accept(ledger)
-    with ledger.writing() as writing:
-        writing._sql.execute("UPDATE jobs SET kernel_version = ?", [KERNEL_VERSION])
-        writing.remember_key("early", "body", job, 10.0)
-        writing.remember_key("late", "other", job, 20.0)
-        assert writing.key("early") == "body"
-        writing.forget_keys(20.0)
-        assert writing.key("early") is None
-        assert writing.key("late") == "other"
-
-
 # Space and files
-
-
-def test_a_ledger_that_can_be_written_has_no_fault(ledger: Ledger):
-    assert ledger.fault() is None
-    with ledger.writing():
-        assert ledger.fault() is None  # it waits for no writer
-    ledger._writer.execute("PRAGMA busy_timeout = 10")
-    with closing(sqlite3.connect(ledger.path, isolation_level=None)) as other:
-        other.execute("BEGIN IMMEDIATE")
-        with pytest.raises(LedgerUnavailable, match="database is locked"), ledger.writing():
-            pass
-        assert ledger.fault() == "the ledger cannot be written: database is locked"
-        with pytest.raises(LedgerUnavailable, match="database is locked"):
-            ledger.check()
-        other.execute("ROLLBACK")
-    ledger.check()
-    assert ledger.fault() is None
-    accept(ledger)
-    assert ledger.fault() is None
 
 
 #: The tables of 0.2.0, made from today's.

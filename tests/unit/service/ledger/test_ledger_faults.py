@@ -12,9 +12,8 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
-from running import running
 from scripted import Held, Scripted, sweep, wait_for
-from served import FIGURE_2, finished, get, service
+from served import FIGURE_2, finished, get, running, service
 from stores import marked
 
 from service.cli.doctor import examine

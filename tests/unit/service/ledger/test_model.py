@@ -1,6 +1,5 @@
 """Records of jobs: states, transitions, progress, and how they are shown over HTTP."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ from scripted import Held, sweep, wait_for
 from served import get, service
 from tables import for_each
 
-from service.api.schemas import job_view
 from service.errors import IllegalTransition
 from service.ledger.model import (
     Failure,
@@ -54,11 +52,6 @@ def test_transitions_are_these_and_no_others(old: JobState, new: JobState):
             check_transition(old, new)
 
 
-def test_percent_is_100_only_when_all_is_done():
-    for done, percent in ((0, 0), (999_999, 99.9), (1_000_000, 100)):
-        assert record(cells_done=done, cells_total=1_000_000).progress(0.0)["percent"] == percent
-
-
 def test_eta_uses_the_rate_of_this_run_alone():
     # 900 of 1000 cells were done before; this run did 20 in 4 s, 80 are left
     run = {"cells_total": 1000, "run_cells": 900, "run_started": 100.0}
@@ -66,22 +59,6 @@ def test_eta_uses_the_rate_of_this_run_alone():
     assert record(cells_done=900, **run).eta_seconds(104.0) is None
     assert record(cells_done=920, **run).eta_seconds(100.0) is None
     assert record(cells_done=920, state=JobState.DONE, **run).eta_seconds(104.0) is None
-
-
-@for_each(
-    ("state", "finished", "repairing"),
-    [
-        (JobState.RUNNING, 5.0, True),
-        (JobState.RUNNING, None, False),
-        (JobState.DONE, 5.0, False),
-        (JobState.FAILED, 5.0, False),
-        (JobState.QUEUED, None, False),
-    ],
-)
-def test_only_a_running_job_that_was_done_before_is_repairing(
-    state: JobState, finished: float | None, repairing: bool
-):
-    assert record(state=state, finished=finished).repairing is repairing
 
 
 @pytest.mark.parametrize(("first_cells", "needed"), [(100, 40 + 60), (91, 40 + 55)])
@@ -122,25 +99,6 @@ def test_failures_are_told_by_the_first_and_the_number_of_others(given: list[Fai
 
 
 # As users see a job
-
-
-def test_the_time_left_is_that_at_the_moment_of_the_view():
-    assert job_view(record(), 110.0).progress.eta_seconds == pytest.approx(30.0)
-    assert job_view(record(), 120.0).progress.eta_seconds == pytest.approx(60.0)
-
-
-def test_a_notice_of_the_service_stands_in_for_that_of_the_job():
-    assert job_view(record(), notice="no workers yet").notice == "no workers yet"
-    old = record(kernel_version="1")
-    assert job_view(old).notice == old.notice is not None
-    assert job_view(old, notice="no workers yet").notice == "no workers yet"
-    assert job_view(record()).notice is None
-
-
-def test_a_list_leaves_out_a_specification_that_is_too_long():
-    assert job_view(record(), longest_spec=len(record().spec)).spec == json.loads(record().spec)
-    assert job_view(record(), longest_spec=len(record().spec) - 1).spec is None
-    assert job_view(record()).spec == json.loads(record().spec)
 
 
 def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):

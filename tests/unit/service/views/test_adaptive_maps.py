@@ -51,17 +51,6 @@ def adaptive(client: TestClient) -> str:
     return finished(client, MAP)
 
 
-def test_a_mode_map_tells_which_cells_were_computed(client: TestClient, full: str, adaptive: str):
-    whole, part = read(client, f"{full}/modes"), read(client, f"{adaptive}/modes")
-    assert "computed" not in whole
-    computed = part.computed.values.astype(bool)
-    assert computed.shape == (41, 49)
-    assert part.attrs["computed_share"] == pytest.approx(computed.mean())
-    assert 0.1 < computed.mean() < 0.9
-    for name in ("outcome", "bounces", "periods"):
-        np.testing.assert_array_equal(whole[name].values[computed], part[name].values[computed])
-
-
 def test_a_mode_map_counts_no_flights_anew(client: TestClient, adaptive: str):
     answer = client.get(f"{adaptive}/modes?min_flight=0.3")
     assert answer.status_code == 422

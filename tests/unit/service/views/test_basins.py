@@ -1,7 +1,6 @@
 """Basins as a job: over HTTP, in the client, as a picture."""
 
 from collections.abc import Iterator
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
-from matplotlib import image
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -65,13 +63,6 @@ def test_the_basin_of_a_cell(found: xarray.Dataset, job: Job):
     assert (stored.attractor.sel(gamma=1.27).squeeze().values == ids.values).all()
 
 
-def test_rest_is_an_attractor(service: TestClient, job: Job):
-    variables = get(service, f"/v1/jobs/{job.id}/basins", gamma=0.6)["data_vars"]
-    told = {name: variables[f"attractor_{name}"]["data"] for name in ("label", "outcome", "fraction")}
-    assert told == {"label": ["rest"], "outcome": [3], "fraction": [1.0]}
-    assert set(variables["attractor_flight_time"]["data"][0]) == {None}
-
-
 def test_a_cell_that_is_not_computed_yet_is_not_complete(tmp_path: Path):
     with occupied(tmp_path) as service:
         job = service.post("/v1/jobs", json=SPEC).json()
@@ -79,14 +70,6 @@ def test_a_cell_that_is_not_computed_yet_is_not_complete(tmp_path: Path):
         assert answer["attrs"]["complete"] is False
         assert answer["dims"]["attractor"] == 0
         assert answer["data_vars"]["undecided"]["data"] is None
-
-
-def test_the_picture(job: Job):
-    picture = job.result_file("basins", "png", gamma=1.27)
-    assert picture == job.result_file("basins", "png", gamma=1.27)
-    pixels = image.imread(BytesIO(picture))
-    colours = {to_hex(row) for row in np.unique(pixels[..., :3].reshape(-1, 3), axis=0)}
-    assert {*ATTRACTORS[:2]} <= colours
 
 
 def test_what_is_refused(client: Client, job: Job):

@@ -2,22 +2,17 @@
 
 import csv
 import io
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray
 from matplotlib.axes import Axes
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from kernel.threshold import threshold
 from service import pictures
-from service.pictures import LINES
-from service.views import diagram, encode, style
+from service.views import diagram, encode
 from service.views.variables import variable
 from worker.sweep import schema
 
@@ -60,11 +55,6 @@ def places(line: Line2D) -> list[tuple[float, float]]:
     return sorted(zip(line.get_xdata(), line.get_ydata(), strict=True))
 
 
-def onsets(axes: Axes) -> list[Line2D]:
-    """The vertical lines."""
-    return [line for line in axes.lines if list(line.get_ydata()) == [0, 1]]
-
-
 def texts(axes: Axes) -> list[str]:
     return [text.get_text() for text in axes.texts]
 
@@ -78,30 +68,6 @@ def test_a_table_has_a_row_per_flight():
     assert [(row["direction"], row["gamma"], row["flight"]) for row in rows] == [
         ("up", "1.5", "0"), ("up", "2.5", "0"), ("up", "2.5", "1"), ("down", "1.5", "0"), ("down", "2.5", "1")
     ]  # fmt: skip
-
-
-def test_a_dot_for_each_flight_at_its_cell():
-    axes = drawn(cells())
-    (line,) = dots(axes)
-    assert places(line) == [(1.5, 4.0), (2.5, 3.0), (2.5, 6.0)]
-    assert to_hex(line.get_color()) == LINES["rest"]
-    assert (axes.get_xlim(), axes.get_ylim()) == ((0.5, 3.5), pytest.approx((0.0, 1.06 * 6.0)))
-    assert axes.get_title("right") == r"ramped along $\xi$"
-    assert axes.get_legend() is None
-    plain = cells()
-    del plain.attrs["caption"]
-    assert {drawn(plain).get_title(side) for side in ("left", "right")} == {""}
-
-
-def test_up_is_a_rim_below_down():
-    axes = drawn(both(cells(), cells(flight_time=[[NAN, NAN], [2.0, NAN], [1.0, 5.0], [NAN, NAN]])))
-    up, down = dots(axes)
-    assert (to_hex(up.get_color()), to_hex(down.get_color())) == (LINES["up"], LINES["down"])
-    assert up.get_markersize() > 2 * down.get_markersize()
-    assert places(down) == [(1.5, 2.0), (2.5, 1.0), (2.5, 5.0)]
-    legend = axes.get_legend()
-    assert legend is not None
-    assert [text.get_text() for text in legend.get_texts()] == ["ramp up", "ramp down"]
 
 
 def test_many_flights_are_drawn_as_density(monkeypatch: pytest.MonkeyPatch):
@@ -126,40 +92,8 @@ def test_values_in_equal_ratios_have_a_logarithmic_axis(values: list[float], sca
     assert drawn(cells(gamma=np.array(values, float))).get_xscale() == scale
 
 
-def test_the_threshold_is_a_line_where_the_axis_has_it():
-    onset = float(threshold(0.5, 0.26))
-    axes = drawn(cells())
-    assert [(line.get_xdata()[0], line.get_color()) for line in onsets(axes)] == [(onset, LINES["threshold"])]
-    assert r"$\Gamma_{\mathrm{th}}$" in texts(axes)
-    assert len(onsets(drawn(cells(gamma=[onset, 2.0, 3.0, 4.0])))) == 1
-    assert onsets(drawn(cells(gamma=[0.1, 0.2, 0.3, onset - 0.01]))) == []
-    assert onsets(drawn(cells(along="omega"))) == []
-
-
 def test_a_picture_says_what_is_missing():
     missing = both(cells(outcome=[3, 0, 0, 3], complete=False), cells())
     assert "incomplete: 2 of 8 cells are not computed yet" in texts(drawn(missing))
     assert "incomplete: being repaired" in texts(drawn(cells(complete=False)))
     assert not any("incomplete" in text for text in texts(drawn(cells())))
-
-
-@pytest.mark.parametrize(
-    "found",
-    [cells().isel(gamma=[1]), cells(flight_time=np.full((4, 2), NAN)),
-     cells(gamma=np.geomspace(1e-3, 1e3, 4)), cells(flight_time=np.full((4, 2), 1e4)),
-     cells(flight_time=np.full((4, 2), 1e-9))],
-    ids=["one cell", "no flight", "logarithmic", "huge flights", "tiny flights"],
-)  # fmt: skip
-def test_odd_diagrams_can_be_drawn(found: xarray.Dataset):
-    assert len(picture(found)) > 1000
-
-
-def test_pictures_may_be_drawn_by_many_at_once():
-    found = [cells(flight_time=np.full((4, 2), float(longest))) for longest in range(1, 5)]
-    alone = [picture(each) for each in found]
-    with ThreadPoolExecutor(4) as threads:
-        assert list(threads.map(picture, found)) == alone
-
-
-def picture(found: xarray.Dataset) -> bytes:
-    return style.encode(diagram.SIZE, partial(diagram.draw, found), "png", {"release": "0.2.0"})

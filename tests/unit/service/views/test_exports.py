@@ -20,7 +20,7 @@ from kernel.params import KERNEL_VERSION, Outcome
 from service.background import InThisProcess
 from service.errors import NoSpace
 from service.software import processor, software
-from service.views import files
+from service.views import exports
 from service.views.selection import Stored
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
@@ -132,32 +132,32 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
 
 
 @pytest.fixture
-def whole(done: Done) -> files.Export:
+def whole(done: Done) -> exports.Export:
     """The sweep of `done` as a table."""
     job = done.client.app.state.service.ledger.find(done.here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
     url = done.client.app.state.service.settings.store_of(job.store)  # type: ignore[attr-defined]
     spec = SweepSpec(**RAMP)
-    return files.Export(Stored(spec, url), make_plan(spec, chunk_shape=job.chunk_shape), "parquet")
+    return exports.Export(Stored(spec, url), make_plan(spec, chunk_shape=job.chunk_shape), "parquet")
 
 
-def test_files_are_written_where_this_user_alone_finds_them(whole: files.Export, tmp_path: Path):
+def test_files_are_written_where_this_user_alone_finds_them(whole: exports.Export, tmp_path: Path):
     folder = tmp_path / "deep" / "exports"
     open_before = len(list(Path("/proc/self/fd").iterdir()))
     for _ in range(20):
-        with files.make(InThisProcess(), whole, folder) as file:
+        with exports.make(InThisProcess(), whole, folder) as file:
             assert file.read(4) == b"PAR1"
         assert list(folder.iterdir()) == []
     assert folder.stat().st_mode & 0o7777 == 0o700
     assert len(list(Path("/proc/self/fd").iterdir())) < open_before + 10
 
 
-def test_only_a_full_disk_is_told_as_one(whole: files.Export, tmp_path: Path):
+def test_only_a_full_disk_is_told_as_one(whole: exports.Export, tmp_path: Path):
     (tmp_path / "full").symlink_to("/dev/full")
     with pytest.raises(NoSpace, match=r"^no space left for the export file: "):
-        files.write(whole, tmp_path / "full")
+        exports.write(whole, tmp_path / "full")
     (tmp_path / "folder").mkdir()
     with pytest.raises(IsADirectoryError):
-        files.write(whole, tmp_path / "folder")
+        exports.write(whole, tmp_path / "folder")
 
 
 @for_each(

@@ -1,13 +1,11 @@
 """Multistability as a job: attractors matched over a plane, over HTTP, in the client and as pictures."""
 
-import io
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas
 import pytest
 import xarray
 from fastapi.testclient import TestClient
@@ -58,15 +56,6 @@ def test_one_attractor_has_one_id_in_all_cells(job: Job):
     line = found.isel(omega=0)
     labels = [line.label.values[line.id.values == number].tolist() for number in (1, 2)]
     assert sorted(labels) == sorted(MODES)
-
-
-def test_a_table_of_a_plane_has_a_row_for_each_attractor_and_of_a_line_for_each_flight(job: Job):
-    plane, line = (
-        pandas.read_csv(io.BytesIO(job.result_file("multistability", "csv", omega=omega)))
-        for omega in (None, 0.5)
-    )
-    assert len(plane) == 20
-    assert len(line) == int(np.isfinite(job.multistability(omega=0.5).flight_time).sum()) > 10
 
 
 def test_what_is_refused(service: TestClient, job: Job):

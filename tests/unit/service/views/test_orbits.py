@@ -45,18 +45,6 @@ def refused(service: TestClient, path: str, status: int, **query: Any) -> str:
     return str(answer.json()["detail"])
 
 
-def test_the_thresholds_of_a_spring(client: Client):
-    answer = client.threshold(**SPRING, delta=1e-5)
-    assert float(answer.down) == pytest.approx(FOLD_060, abs=1e-9)
-    assert float(answer.jump) == pytest.approx(JUMP_060, abs=1e-6)
-    assert float(answer.threshold) == pytest.approx(0.7818, abs=1e-4)
-    assert (answer.cause.item(), answer.reason.item(), answer.delta.item()) == ("fold (1,1)", "", 1e-5)
-    assert float(answer.lifetime) == pytest.approx(1102, abs=1)
-    assert float(
-        answer.plate_contact + answer.plate_impact - answer.dashpot - answer.impact
-    ) == pytest.approx(0.0, abs=1e-9)
-
-
 def test_branches_are_those_of_the_kernel(client: Client, monkeypatch: pytest.MonkeyPatch):
     answer = client.orbits(**SPRING, gamma_max=1e6, energy=True)
     assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
@@ -255,26 +243,3 @@ def test_closed_forms_that_take_long_are_left_to_workers(tmp_path: Path, monkeyp
 
 
 # The study
-
-GRID: dict[str, Any] = {
-    "name": "folds", "protocol": {"kind": "orbits"}, "omega": {"start": 0.55, "stop": 0.65, "num": 3},
-    "xi": [0.05, 0.1], "points": 40,
-}  # fmt: skip
-
-
-def test_a_grid_of_springs_is_a_job(service: TestClient, client: Client):
-    estimate = client.estimate(GRID)
-    assert (estimate.cells, estimate.chunks > 1) == (6, True)
-    job = client.submit(GRID).wait(progress=False)
-    assert job.progress.cells_done == 6
-    assert job.spec["modes"] == ["1-1", "1-2"]
-    stored = job.open().load()
-    assert stored.gamma.dims == ("xi", "omega", "branch", "point")
-    assert stored.event_gamma.dims == ("xi", "omega", "event")
-    cell = stored.sel(xi=0.05).sel(omega=0.6, method="nearest")
-    fold = (cell.event_kind.values == 1) & (cell.event_periods.values == 1)
-    assert cell.event_gamma.values[fold].min() == pytest.approx(FOLD_060, abs=1e-9)
-    assert "has no diagram: the protocol of this job is orbits" in refused(
-        service, f"/v1/jobs/{job.id}/diagram", 422
-    )
-    assert client.submit(GRID | {"name": "the same"}).id == job.id

@@ -13,7 +13,7 @@ from tables import for_each
 from kernel.params import Outcome
 from service.errors import InvalidRequest, TooLarge
 from service.views import selection
-from service.views.modes import OTHER_FLIGHTS, Hysteresis, compare
+from service.views.modes import OTHER_FLIGHTS, Hysteresis
 from service.views.registry import VIEWS, admit
 from service.views.selection import Stored
 from worker import store
@@ -22,8 +22,6 @@ from worker.sweep import SweepSpec, schema
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import MODE_ARRAYS, layout
 from worker.sweep.task import run_chunk
-
-ARRAYS = tuple(array.name for array in (*schema.RECORD, schema.OUTCOME))
 
 
 def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Stored:
@@ -78,28 +76,6 @@ def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.n
 
 
 @pytest.mark.parametrize(
-    ("along", "values"),
-    [("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.05})],
-)
-def test_a_line_is_the_stores_own(sweep: Stored, along: str, values: dict[str, float]):
-    line = diagram(sweep, along=along, min_flight=0, **values)
-    assert {axis: line[axis].item() for axis in values} == values
-    assert line[along].values.tolist() == sweep.spec.axis_values(along).tolist()
-    indices = {
-        axis: int(np.flatnonzero(sweep.spec.axis_values(axis) == value)[0]) for axis, value in values.items()
-    }
-    for name, array in store.read_slice(sweep.url, ARRAYS, direction=0, **indices).items():
-        np.testing.assert_array_equal(line[name], array)
-    assert line.attrs["complete"]
-
-
-def test_fixed_values_snap_to_the_grid(sweep: Stored):
-    for asked, snapped in (((0.59, 0.1), [0.5, 0.05]), ((0.61, 0.2), [0.7, 0.26])):
-        line = diagram(sweep, omega=asked[0], xi=asked[1])
-        assert [line.omega.item(), line.xi.item()] == snapped
-
-
-@pytest.mark.parametrize(
     ("values", "field", "rule"),
     [
         ({"omega": 1.01, "xi": 0.05}, "omega", "from 0.5 to 1.0, not 1.01"),
@@ -115,13 +91,6 @@ def test_a_parameter_outside_the_grid_is_named(
         diagram(sweep, **values)
     assert [problem.field for problem in error.value.problems] == [field]
     assert rule in str(error.value)
-
-
-def test_the_only_value_of_an_axis_may_be_left_out(tmp_path: Path):
-    queued = Stored(spec(omega=0.5, xi=0.26), str(tmp_path))
-    assert [diagram(queued)[axis].item() for axis in ("omega", "xi")] == [0.5, 0.26]
-    with pytest.raises(InvalidRequest, match=r"xi: must be within .*, which is at 0\.26 alone, not 0\.3"):
-        diagram(queued, xi=0.3)
 
 
 def test_a_sweep_ramped_both_ways_has_both_directions_unless_one_is_selected(tmp_path: Path):
@@ -150,14 +119,6 @@ def test_flights_that_do_not_count_are_missing_in_their_place(sweep: Stored):
         np.testing.assert_array_equal(line[name], whole[name].where(shown))
     np.testing.assert_array_equal(line.flights, whole.flights)
     assert 0 < shown.sum() < np.isfinite(whole.flight_time).sum()
-
-
-def test_a_caption_says_how_the_cells_were_computed(tmp_path: Path):
-    lost = np.full((1, 1, 1, 10), Outcome.AT_REST)
-    lost[..., 3:5] = Outcome.UNRESOLVED
-    line = diagram(handmade(tmp_path, lost, spec(omega=0.5, xi=0.26)), min_flight=0.1, every=3)
-    said = "flights above 0.1 rad, 1 cell in 3, 1 of 4 cells unresolved"
-    assert line.attrs["caption"] == f"rigid contact, from rest, {said}"
 
 
 def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
@@ -195,17 +156,6 @@ def test_only_the_chunks_that_a_line_touches_are_read(sweep: Stored, reads: list
     assert chunks == {f"flight_time/c.0.0.{omega}.0.0" for omega in (0, 1)}
 
 
-def test_points_are_counted_before_anything_is_read(sweep: Stored, reads: list[str]):
-    point = {"omega": 0.5, "xi": 0.05}
-    assert diagram(sweep, 80, **point).attrs["complete"]
-    reads.clear()
-    with pytest.raises(TooLarge, match=r"80 points \(gamma 10 × flight 8\); the limit is 79"):
-        diagram(sweep, 79, **point)
-    with pytest.raises(TooLarge, match=r"omega 3 × gamma 10.*every=2 "):
-        modes(sweep, 29, xi=0.05)
-    assert reads == []
-
-
 @for_each(("max_points", "every"), [(80, 1), (79, 2), (40, 2), (39, 3), (8, 10), (7, None)])
 def test_a_refusal_names_the_thinning_that_fits(sweep: Stored, max_points: int, every: int | None):
     """Ten values of gamma of eight flights: the least `every` that fits, and one less is refused."""
@@ -221,30 +171,7 @@ def test_a_refusal_names_the_thinning_that_fits(sweep: Stored, max_points: int, 
             diagram(sweep, max_points, every=every - 1, **point)
 
 
-@for_each("every", [1, 2, 3, 4, 7, 10, 99])
-def test_every_nth_cell_is_the_one_of_the_whole(sweep: Stored, every: int):
-    for along, point in (("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.26})):
-        whole = diagram(sweep, along=along, **point).isel({along: slice(None, None, every)})
-        xarray.testing.assert_equal(diagram(sweep, along=along, every=every, **point), whole)
-    part = slice(None, None, every)
-    whole_map = modes(sweep, xi=0.05).isel(omega=part, gamma=part)
-    xarray.testing.assert_equal(modes(sweep, xi=0.05, every=every), whole_map)
-
-
 # Planes
-
-
-@for_each(
-    ("low", "high", "inside"),
-    [(1.0, 2.0, [1.0, 1.5, 2.0]), (None, 1.0, [0.5, 1.0]), (1.6, 1.8, [1.5])],
-)
-def test_a_window_of_a_plane_has_the_cells_inside(
-    sweep: Stored, low: float | None, high: float | None, inside: list[float]
-):
-    window = modes(sweep, xi=0.05, gamma_start=low, gamma_stop=high, omega_start=0.6)
-    assert window.gamma.values.tolist() == inside
-    assert window.omega.values.tolist() == [0.7, 1.0]
-    assert window.outcome.shape == (2, len(inside))
 
 
 #: Around the fold of Omega = 0.6 and, at larger Gamma, the flights that leap on the way up.
@@ -291,34 +218,6 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Stor
     window = modes(both_ways, direction="up", hysteresis=True, **ends)
     columns = [i for i, gamma in enumerate(both_ways.spec.axis_values("gamma")) if 0.6 <= gamma <= 1.0]
     assert window.hysteresis.values.tolist() == expected[1:][:, columns].tolist()
-
-
-def test_cycles_of_one_mode_are_other_cycles_if_a_flight_differs(both_ways: Stored):
-    """By more than OTHER_FLIGHTS, among those of the cycle; the last cell has none."""
-    times = np.tile([3.0, 2.0], (5, 1))
-    up = {
-        "outcome": np.array([1, 1, 1, 1, Outcome.APERIODIC], np.uint8),
-        "bounces": np.array([2, 2, 2, 1, 0], np.int32),
-        "periods": np.array([1, 1, 1, 1, 0], np.int32),
-        "flight_time": times,
-        "flights": np.full(5, 2, np.int32),
-    }
-    changed = times + np.array([[0.0, 0.0], [0.0, 0.9e-3], [-1.1e-3, 0.0], [1.0, 0.0], [1.0, 1.0]])
-    found = compare(up, up | {"flight_time": changed}, both_ways.spec.micro_flight)
-    assert found.tolist() == [0, 0, Hysteresis.FLIGHTS, 0, 0]
-    unknown = up | {"outcome": np.array([0, 1, Outcome.SETTLING, 1, Outcome.UNRESOLVED], np.uint8)}
-    shorter = unknown | {"bounces": np.array([1, 1, 1, 1, 0], np.int32)}
-    assert compare(up, shorter, 0.05).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
-    assert compare(shorter, up, 0.05).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
-
-
-def test_cells_of_one_direction_alone_have_no_hysteresis(tmp_path: Path):
-    begun = computed(tmp_path, SweepSpec(**BOTH_WAYS), chunks=6)  # up is done, down is not begun
-    found = modes(begun, direction="up", hysteresis=True)
-    assert (found.outcome != Outcome.MISSING).all()
-    assert not found.hysteresis.any()
-    assert not found.attrs["complete"]
-    assert modes(begun, direction="up").attrs["complete"]
 
 
 @pytest.mark.parametrize(

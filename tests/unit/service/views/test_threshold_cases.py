@@ -19,7 +19,7 @@ from tables import for_each
 from kernel.params import Outcome
 from service.settings import Settings
 from worker import store
-from worker.analysis.thresholds import Status, endless_rest, on_grid
+from worker.analysis.bisection import Status, endless_rest, on_grid
 from worker.study.layout import CELL_DIMS
 from worker.sweep import SweepSpec, schema
 from worker.sweep.plan import make_plan
@@ -123,37 +123,10 @@ def test_the_worker_reads_the_grid(case: Case):
             assert (value, found.status) == expected
 
 
-@for_each(
-    ("row", "between"),
-    [
-        ("rrpp", (1, 2)),
-        ("rrsp", (1, 3)),
-        ("rsudpp", (0, 4)),
-        ("rrsrp", (None, None)),
-        ("rr.p", (None, None)),
-        ("srrp", (None, None)),
-    ],
-)
-def test_cells_that_do_not_tell_are_left_to_refinement(row: str, between: tuple[int | None, int | None]):
-    for down in (False, True):
-        found = on_grid(np.array([OUTCOMES[letter] for letter in row], np.uint8), down, endless=False)
-        assert (found.resting, found.bouncing) == between
-
-
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     with computing(tmp_path_factory.mktemp("data")) as client:
         yield client
-
-
-@for_each("case", CASES[::6])
-def test_the_service_answers_it(case: Case, client: TestClient):
-    here = submitted(client, case)
-    answer = get(client, f"{here}/threshold", predict="none")
-    found = {name: about["data"] for name, about in answer["data_vars"].items()}
-    for name, expected in (("up", case.up), ("down", case.down)):
-        assert list(zip(found[name], found[f"{name}_status"], strict=True)) == list(expected)
-    assert answer["attrs"]["complete"] == all("." not in row for rows in case.rows.values() for row in rows)
 
 
 #: Of folds at Γ = 0.553245, and of Eq. 25 at 0.869608.

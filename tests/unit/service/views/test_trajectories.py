@@ -44,20 +44,6 @@ def sampled(model: Model, restitution: float = 0.0, **sampling: Any) -> Trajecto
     return sample(Cell(2.3, 0.5, 0.26), contact, line.end_state[0], model=model, **sampling)
 
 
-@pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
-def test_lengths_fit_together(client: TestClient, model: dict[str, Any]):
-    path = trajectory(client, model=model)
-    z1, z2, plate = (np.array(path[name]) for name in ("z1", "z2", "plate"))
-    flies = np.array(path["in_flight"])
-    assert len(z1) == len(path["phase"]) == 4 * 50 + 1
-    np.testing.assert_allclose(plate, np.cos(path["phase"]), atol=1e-12)
-    assert path.attrs["rest_length"] == pytest.approx(10.0)
-    assert np.all(z2 - plate >= (-0.02 if model["kind"] == "soft" else -1e-9))
-    assert np.all(np.array(path["force"])[flies] == 0)
-    assert np.any(flies)
-    assert path.attrs["complete"]
-
-
 def test_a_start_on_a_cycle(client: TestClient):
     """Where stable and unstable cycles exist: each flies as its point of the branch says."""
     cell = {"gamma": 0.7, "omega": 0.6, "xi": 0.05, "model": {"kind": "rigid"}}

@@ -11,8 +11,7 @@ from kernel_runs import Model, run
 
 from kernel.params import Line
 from worker.analysis.deviation import deviations
-from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
-from worker.spec.contact_models import Ball, Rigid, Soft
+from worker.analysis.model_selection import CELLS, ModelChoice, choose, sample
 from worker.sweep import SweepSpec
 
 RANGE = {"start": 1.0, "stop": 6.0, "num": 101}
@@ -100,16 +99,6 @@ def test_the_same_sweep_always_gets_the_same_model_for_the_same_reasons():
     assert one.reproducible() == two.reproducible()
     assert "measured" not in json.dumps(one.reproducible())
     assert ModelChoice.model_validate_json(one.model_dump_json()) == one
-
-
-def test_a_sweep_computed_with_its_choice_keeps_its_contact():
-    spec = sweep(model={"restitution": 0.2, "penetration": 1e-2, "adhesive": False})
-    exact = Soft(restitution=0.2, penetration=1e-2, adhesive=False)
-    kinds = {"soft": exact, "rigid": Rigid(kind="rigid", restitution=0.2), "ball": Ball(kind="ball")}
-    for kind, model in kinds.items():
-        choice = ModelChoice(model=kind, reason="", tolerance=1e-2, table=())
-        assert resolved(spec, choice).model == model
-        assert resolved(spec, choice).settle == spec.settle
 
 
 @settings(max_examples=30)

@@ -2,96 +2,17 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from tables import for_each
 
 import worker.analysis.words
-from kernel.branches.words import WordBranch
-from kernel.params import Outcome
 from worker import store
 from worker.analysis.words import (
-    Skipped,
-    _Cycle,
-    _cycles,
-    _round,
-    _up_to_shorter,
     continue_words,
 )
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
 from worker.sweep.task import run_chunk
-
-
-def doubled(first: np.ndarray, second: np.ndarray, word: str = "ss") -> WordBranch:
-    """A branch whose cycles have two flights, of these times."""
-    n = len(first)
-    times = np.column_stack([first, second])
-    return WordBranch(
-        omega=0.5, xi=0.26, word=word, periods=2, unknowns=np.zeros((n, 1)), gamma=np.linspace(2.0, 3.0, n),
-        flight_time=times, takeoff_phase=np.zeros((n, 2)), impact_velocity=-np.ones((n, 2)),
-        multiplier=np.zeros((n, 2), complex), stable=np.ones(n, bool), admissible=np.zeros(n, np.uint8),
-    )  # fmt: skip
-
-
-def settled(*flights: float) -> _Cycle:
-    return _Cycle(0.5, 0.26, 2.5, 2, 2, np.array(flights), np.zeros(2))
-
-
-APART = np.linspace(-0.45, 0.45, 10)  # passes through 0 between the fifth and the sixth point
-
-
-def test_a_doubled_cycle_ends_where_it_is_the_single_one_twice():
-    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
-    above = _up_to_shorter(branch, settled(5.35, 4.3))
-    assert above.gamma.tolist() == branch.gamma[5:].tolist()
-    assert (above.flight_time[:, 0] > above.flight_time[:, 1]).all()
-    assert len(above.stable) == len(above.multiplier) == 5
-
-
-@for_each(
-    ("times", "phases", "bounces", "flights"),
-    [
-        ([1, 2, 1, 2], [0, 3, 0, 3], 2, 2),
-        ([1, 1, 1, 1], [0, 0, 0, 0], 2, 2),
-        ([1, 1e-9, 1, 1e-9], [0, 1, 0, 1], 1, 2),  # with a hop that does not count
-        ([7, 1, 2, 1, 2], [0, 0, 3, 0, 3], 2, 2),  # the last flights, not the first
-        ([1, 2, 1], [0, 3, 0], 2, 0),
-        ([1, 1], [1e-4, 2 * np.pi - 1e-4], 1, 1),  # phases are on a circle
-        ([1, 1.0011], [0, 0], 1, 0),
-        ([1, 1.0009], [0, 0], 1, 1),
-    ],
-)
-def test_a_round_is_the_fewest_flights_that_repeat(
-    times: list[float], phases: list[float], bounces: int, flights: int
-):
-    assert _round(np.array(times, float), np.array(phases, float), bounces) == flights
-
-
-def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
-    times = np.array([[1, 2, 1, 2, 9, 9], [3, 3, 0, 0, 0, 0], [1, 2, 3, 4, 0, 0], [4, 4, 0, 0, 0, 0]], float)
-    arrays = {
-        "outcome": np.array([Outcome.PERIODIC] * 3 + [Outcome.APERIODIC]),
-        "flight_time": times,
-        "takeoff_phase": times / 10,
-        "flights": np.array([4, 2, 4, 2]),
-        "bounces": np.array([2, 1, 2, 1]),
-        "periods": np.array([3, 1, 2, 1]),
-    }
-    spec = SweepSpec(gamma=[1.0, 1.5, 2.0, 2.5], omega=0.5, xi=0.26)
-    skipped: list[Skipped] = []
-    found = list(_cycles(spec, arrays, (0, 0), skipped))
-    assert [(c.gamma, c.bounces, c.periods) for c in found] == [(1.0, 2, 3), (1.5, 1, 1)]
-    assert [c.flight_time.tolist() for c in found] == [[1, 2], [3]]
-    assert [c.takeoff_phase.tolist() for c in found] == [[0.1, 0.2], [0.3]]
-    (missed,) = skipped
-    assert missed[:3] == (2.0, 2, 2)
-    assert "its 4 stored flights" in missed.reason
-    filled_in = {"flights": np.array([0, 2, 4, 2])}  # the first cell has the mode of another
-    assert [c.gamma for c in _cycles(spec, arrays | filled_in, (0, 0), [])] == [1.5]
-    more_flights_than_kept = {**arrays, "flights": np.array([4, 2_000, 4, 2])}
-    assert len(list(_cycles(spec, more_flights_than_kept, (0, 0), []))) >= 1
 
 
 @pytest.mark.parametrize(("most", "followed"), [(2, 2), (1, 1)])

@@ -61,7 +61,6 @@ def spread(low: float, high: float) -> list[float]:
     return np.random.default_rng(1).permutation(np.linspace(low, high, 300)).tolist()
 
 
-REST = always(Outcome.AT_REST)
 CHAOS = always(Outcome.APERIODIC, spread(1.0, 2.0))
 
 
@@ -87,33 +86,6 @@ def searched(starts: Sequence[int], *motions: Motion, **rules: Any) -> Found:
     return find(states, SPEC.model_copy(update=rules), run)
 
 
-def test_cycles_and_rest_are_followed_by_representatives_and_recorded():
-    diverging = always(Outcome.DIVERGED)
-    found = searched([0, 0, 0, 1, 1, 2], cycle(1.0, 2.0, periods=3), REST, diverging, exponents=2)
-    assert found.ids.tolist() == [1, 1, 1, 2, 2, 0]
-    assert found.ids.dtype == np.uint16
-    bounce, rest = found.attractors
-    assert (bounce.outcome, bounce.bounces, bounce.periods) == (Outcome.PERIODIC, 2, 3)
-    assert (rest.outcome, rest.bounces, rest.periods) == (Outcome.AT_REST, 0, 0)
-    assert (bounce.fraction, rest.fraction) == (0.5, 1 / 3)
-    assert bounce.flights.tolist() == [1.0, 2.0]
-    assert (bounce.longest_flight, rest.longest_flight) == (2.0, 0.0)
-    assert np.isinf(bounce.lifetime)
-    assert not len(bounce.phases)
-    assert bounce.state[ELAPSED] == rest.state[ELAPSED] == 1200
-    assert bounce.flight_time[:6].tolist() == [1.0, 2.0] * 3
-    assert np.isnan(bounce.flight_time[6:]).all()
-    assert bounce.takeoff_phase[:6].tolist() == [0.5] * 6
-    assert bounce.lyapunov.tolist() == [4200.0, 4200.0]
-
-
-def test_what_settles_to_the_end_belongs_to_the_cycle_that_its_flights_are_near():
-    slow, other = (always(Outcome.SETTLING, flights) for flights in ((1.01, 1.99), (3.0,)))
-    found = searched([0, 1, 2], cycle(1.0, 2.0), slow, other)
-    assert found.ids.tolist() == [1, 1, 0]
-    assert found.attractors[0].fraction == 2 / 3
-
-
 def test_a_group_whose_representatives_end_apart_goes_on_until_it_is_two():
     """One of two seems to be on the cycle of the other for 500 plate periods."""
     leaving = turning(500, cycle(1.0, 2.0), cycle(4.0))
@@ -137,30 +109,6 @@ def test_cycles_of_one_mode_are_one_if_their_flights_are(flights: tuple[float, .
     assert set(found.ids.tolist()) == set(range(1, count + 1))
 
 
-@pytest.mark.parametrize("other", [cycle(1.0, 2.0, periods=2), cycle(1.0, 2.0, 2.0, 1.0), cycle(1.5, 1.5)])
-def test_cycles_of_other_modes_or_flights_are_others(other: Motion):
-    found = searched([0, 1], cycle(1.0, 2.0), other)
-    assert sorted(found.ids.tolist()) == [1, 2]
-
-
-def test_attractors_of_equal_shares_are_in_the_order_of_outcome_mode_and_longest_flight():
-    motions = cycle(1.0, 3.0), cycle(1.0, 2.0), cycle(1.0, 2.0, periods=2), cycle(9.0), REST
-    found = searched([0, 1, 2, 3, 4], *motions)
-    assert found.ids.tolist() == [3, 2, 4, 1, 5]
-    assert [a.fraction for a in found.attractors] == [0.2] * 5
-
-
-def test_aperiodic_starts_of_which_none_leaves_are_one_attractor():
-    found = searched([0, 0, 0], CHAOS)
-    (attractor,) = found.attractors
-    assert found.ids.tolist() == [1, 1, 1]
-    assert (attractor.outcome, attractor.bounces, attractor.periods) == (Outcome.APERIODIC, 0, 0)
-    assert attractor.flights.tolist() == sorted(spread(1.0, 2.0) * 3)
-    assert len(attractor.phases) == 900
-    assert attractor.state[START] == 0
-    assert np.isinf(attractor.lifetime)
-
-
 def test_two_distributions_are_two_attractors():
     found = searched([0, 1, 1, 0, 1], CHAOS, always(Outcome.APERIODIC, spread(1.5, 2.5)))
     assert found.ids.tolist() == [2, 1, 1, 2, 1]
@@ -173,22 +121,6 @@ def test_the_starts_farthest_from_what_is_known_are_looked_at_too():
     starts[2] = 1
     found = searched(starts, CHAOS, always(Outcome.APERIODIC, spread(3.0, 4.0)))
     assert found.ids.tolist() == [2 if which else 1 for which in starts]
-
-
-LEAVING = turning(1000, CHAOS, cycle(4.0))
-
-
-def test_motion_that_ends_is_followed_and_has_a_lifetime():
-    """One of four leaves after 1000 plate periods; the last look is 240 before the end."""
-    found = searched([0, 1, 1, 1], LEAVING, CHAOS)
-    assert found.ids.tolist() == [2, 1, 1, 1]
-    assert [a.lifetime for a in found.attractors] == [pytest.approx(240 * 3.5), np.inf]
-
-
-def test_what_seems_to_settle_joins_the_distribution_that_it_has():
-    slow, other = (always(Outcome.SETTLING, flights) for flights in (spread(1.0, 2.0), (9.0,) * 70))
-    found = searched([0, 1, 2], CHAOS, slow, other)
-    assert found.ids.tolist() == [1, 1, 0]
 
 
 def test_a_cycle_of_many_flights_joins_the_distribution_that_it_has():

@@ -16,16 +16,16 @@ from tables import for_each
 from kernel.line import LineRun
 from kernel.models.rigid import plate
 from kernel.params import STATE_FIELDS, Line, Outcome
-from worker import store, studies, work
+from worker import store, work
 from worker.basins.attractors import Attractor, Found, Request, find
 from worker.basins.schema import MAX_ATTRACTORS, basin_arrays, basin_sizes
 from worker.basins.specification import UNTIL, BasinSpec
 from worker.basins.starts import starts_of
 from worker.basins.task import _fill_in, entropies, run_chunk
-from worker.spec.errors import SpecError, SpecTooLarge
+from worker.spec.errors import SpecError
 from worker.studies import STUDIES
-from worker.study import ChunkCancelled, ChunkOptions, ChunkPaused
-from worker.study.chunks import check_size, with_options
+from worker.study import ChunkOptions, ChunkPaused
+from worker.study.chunks import with_options
 from worker.study.layout import empty_record
 
 BASINS = STUDIES["basin"]
@@ -152,23 +152,6 @@ def test_a_long_transient_is_no_attractor():
     assert found.attractors[0].fraction > 0.95
 
 
-def test_starts_that_have_hardly_settled_make_no_attractors_of_their_own():
-    """After 10 periods many starts are on no cycle yet, or on one to 1e-3."""
-    for settle in (10, 60):
-        found = search(3.6, 0.5, 0.26, settle=settle, observe=20)
-        assert told(found) == [(Outcome.PERIODIC, 3, 4), (Outcome.PERIODIC, 1, 2)], settle
-        assert (found.ids > 0).all()
-
-
-def test_a_state_of_each_attractor_stays_on_it():
-    found = search(1.27, 0.5, 0.26)
-    for attractor in found.attractors:
-        repeated = attractor.flight_time[np.isfinite(attractor.flight_time)][-5:]
-        assert len(repeated) == 5
-        np.testing.assert_allclose(repeated, attractor.longest_flight, atol=1e-6)
-        assert attractor.state[0] == 0.0
-
-
 def test_entropies_of_known_maps():
     halves = np.ones((16, 16), np.uint8)
     halves[:, 8:] = 2
@@ -274,16 +257,6 @@ def test_a_start_may_take_ten_windows_unless_it_is_told_how_long():
     assert told.until == 900
 
 
-def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
-    spec, url = basin(), str(tmp_path / "a.zarr")
-    plan = BASINS.plan(spec)
-    store.create(url, BASINS.variables(spec, plan.chunk_shape))
-    store.set_cancelled(url)
-    with pytest.raises(ChunkCancelled):
-        run_chunk(spec, plan[0], url)
-    assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
-
-
 @pytest.mark.parametrize("kind", ["soft", "ball", "stepped"])
 def test_other_contacts_have_basins(tmp_path: Path, kind: str):
     model = {"kind": kind, "penetration": 0.01} if kind != "ball" else {"kind": kind}
@@ -309,45 +282,3 @@ def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
     with pytest.raises(SpecError) as caught:
         basin(**changes)
     assert rule in str(caught.value)
-
-
-def test_the_same_basin_is_the_same_job_whatever_its_name():
-    spec = basin()
-    assert studies.parse(spec.as_submitted()) == spec
-    assert basin(name="another").job_id("3") == spec.job_id("3")
-    assert basin(rows=17).job_id("3") != spec.job_id("3")
-    assert studies.study_of(spec) is BASINS
-
-
-def test_cost_grows_with_the_starts_and_with_settle_until():
-    def seconds(**fields: Any) -> Any:
-        spec = basin(**fields)
-        return BASINS.estimate(spec, BASINS.plan(spec))
-
-    small, large = seconds(rows=16), seconds(rows=64)
-    assert large.core_seconds == pytest.approx(4.0 * small.core_seconds)
-    assert large.longest_core_seconds > 5.0 * large.core_seconds
-    assert seconds(settle_until=100_000).longest_core_seconds > 10.0 * large.core_seconds
-
-
-@for_each(
-    ("fields", "least", "most"),
-    [
-        ({}, 1.0, 50.0),
-        ({"model": {"kind": "rigid", "restitution": 0.3}}, 1.0, 60.0),
-        ({"model": {"kind": "rigid", "restitution": 0.99}}, 500.0, 3_000.0),
-        ({"model": {"kind": "rigid", "restitution": 1.0}}, 2_000.0, 10_000.0),
-        ({"model": {"kind": "rigid", "restitution": 0.9}, "omega": 1e-6, "xi": 1e-30}, 2_000.0, 10_000.0),
-        ({"model": {"kind": "soft", "restitution": 0.9999999, "penetration": 1e-6}}, 2_000.0, 10_000.0),
-        ({"model": {"kind": "stepped", "restitution": 0.5}, "xi": 1e-30}, 5.0, 50.0),
-    ],
-)
-def test_the_upper_end_of_the_cost_grows_with_the_hops_of_a_period(
-    fields: dict[str, Any], least: float, most: float
-):
-    """Relative to the usual cost; the kernel's budget of evaluations for each period bounds it."""
-    spec = basin(**{"rows": 8, "columns": 8, "omega": 0.5, "xi": 0.26, "settle": 500, "observe": 60} | fields)
-    cost = BASINS.estimate(spec, BASINS.plan(spec))
-    assert least <= cost.upper_core_seconds / cost.core_seconds <= most
-    with pytest.raises(SpecTooLarge, match="up to"):
-        check_size(cost, max_core_seconds=2.0 * cost.core_seconds)

@@ -169,12 +169,3 @@ def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
 def test_lines_along_gamma_are_not_cut():
     with pytest.raises(ValueError, match="must span the 3 values of gamma, not 2"):
         MULTISTABILITY.plan(multistability(), (1, 1, 2))
-
-
-def test_cost_grows_with_the_drops_and_the_cells():
-    def seconds(**fields: Any) -> float:
-        spec = multistability(**fields)
-        return MULTISTABILITY.estimate(spec, MULTISTABILITY.plan(spec)).core_seconds
-
-    assert seconds(rows=8) > 1.5 * seconds()
-    assert seconds(omega=[0.5, 0.52, 0.54, 0.56]) == pytest.approx(2.0 * seconds())

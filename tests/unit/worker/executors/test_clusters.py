@@ -9,7 +9,7 @@ import pytest
 
 from worker.executors import clusters
 from worker.executors.base import ClusterLost
-from worker.executors.clusters import FIRST_PAUSE, UNANSWERED, CreatedCluster, SchedulerFile
+from worker.executors.clusters import MAKE_SECONDS, UNANSWERED, CreatedCluster, SchedulerFile
 
 
 @pytest.fixture
@@ -64,10 +64,10 @@ def test_a_cluster_is_made_once_and_again_when_it_has_ended(now: list[float]):
     assert target.find() is target.find() is made[0]
     assert target.planned() == 1
     made[0].status = SimpleNamespace(name="closing")
-    with pytest.raises(ClusterLost, match=r"no cluster from mine; made again in 1 s"):
+    with pytest.raises(ClusterLost, match=r"no cluster from mine; made again in 10 s"):
         target.find()
     assert made[0].closed == 1
-    now[0] += FIRST_PAUSE
+    now[0] += MAKE_SECONDS
     assert target.find() is made[1]
     assert target.planned() == 2
     target.close()
@@ -91,7 +91,7 @@ def test_a_cluster_whose_scheduler_does_not_answer_several_times_in_a_row_is_mad
     assert made[0].closed == 0
     target.unanswered()
     assert made[0].closed == 1
-    now[0] += FIRST_PAUSE
+    now[0] += MAKE_SECONDS
     target.find()
     for _ in range(UNANSWERED - 1):
         target.unanswered()
@@ -110,8 +110,8 @@ def test_a_failure_is_told_until_the_next_try(now: list[float]):
     target = CreatedCluster(make, "mine")
     with pytest.raises(ClusterLost, match=r"^no cluster from mine: RuntimeError: the queue is closed$"):
         target.find()
-    now[0] += 0.4
-    with pytest.raises(ClusterLost, match=r": RuntimeError: the queue is closed; made again in 1 s$"):
+    now[0] += 4.0
+    with pytest.raises(ClusterLost, match=r": RuntimeError: the queue is closed; made again in 6 s$"):
         target.find()
-    now[0] += 0.6
+    now[0] += 6.0
     assert isinstance(target.find(), Cluster)

@@ -1,7 +1,6 @@
 """Adaptive maps: the refinement of a tile, and maps against full grids."""
 
 import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,9 @@ from tables import for_each
 from kernel.params import Outcome
 from worker import store, work
 from worker.maps.plan import estimate, make_plan, tile_shape
-from worker.maps.refinement import Refinement, classes
+from worker.maps.refinement import Tile, classes
 from worker.spec.errors import SpecInvalid, SpecTooLarge
-from worker.spec.refine import COARSEST, MAX_COARSEST, MAX_MODE_PERIODS, SETTLE_UNTIL, Refine
+from worker.spec.refine import MAX_COARSEST, SETTLE_UNTIL, Refine
 from worker.studies import run_task, study_of
 from worker.study import ChunkOptions, ChunkPaused
 from worker.study.chunks import check_size, with_options
@@ -38,10 +37,6 @@ TILE = (1, 17, 17)
 
 def sweep(**changes: Any) -> SweepSpec:
     return SweepSpec(**SPACE | changes)
-
-
-def adaptive(**refine: Any) -> SweepSpec:
-    return sweep(refine={"by": "mode", "coarsest": 8} | refine)
 
 
 def compute(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
@@ -69,7 +64,7 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
 
 def refined(kinds: np.ndarray, refine: Refine) -> tuple[np.ndarray, np.ndarray]:
     """Which cells of a tile are computed, and every cell's source, of a map that bounces `kinds` times."""
-    refinement = Refinement(kinds.shape, refine)
+    refinement = Tile(kinds.shape, refine)
     arrays = np.full(kinds.shape, Outcome.PERIODIC), kinds, np.ones_like(kinds)
     computed = np.zeros(kinds.shape, np.bool_)
     while refinement.cells.size:
@@ -90,25 +85,6 @@ def test_a_cell_takes_the_values_of_the_nearest_corner_or_centre_of_its_block():
         assert taken in vertices
         nearest = min((cell[0] - row) ** 2 + (cell[1] - column) ** 2 for row, column in vertices)
         assert (cell[0] - taken[0]) ** 2 + (cell[1] - taken[1]) ** 2 == nearest
-
-
-@for_each("shape", [(1, 1), (1, 2), (2, 1), (1, 30), (30, 1), (2, 2), (3, 3), (2, 30), (23, 31)])
-def test_every_shape_of_tile_is_covered(shape):
-    rng = np.random.default_rng(7)
-    for kinds in (np.ones(shape, int), rng.integers(1, 3, shape)):
-        computed, source = refined(kinds, MODE)
-        assert computed.flat[source].all()
-        assert np.array_equal(source[computed], np.flatnonzero(computed))
-        assert computed[[0, 0, -1, -1], [0, -1, 0, -1]].all()
-
-
-@pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, -0.7])
-def test_straight_borders_are_found_exactly(slope):
-    row, column = np.mgrid[:65, :65]
-    kinds = np.where(column - 30.5 > slope * (row - 32), 2, 1)
-    computed, source = refined(kinds, Refine(by="mode", coarsest=64))
-    assert np.array_equal(kinds.flat[source], kinds)
-    assert np.mean(computed) < 0.15
 
 
 def island(rows: int, columns: int) -> np.ndarray:
@@ -133,7 +109,7 @@ def test_the_same_tile_is_always_refined_the_same_way(by: str, coarsest: int, ex
     """Stored maps depend on it: rounds, computed cells, and a hash of all cells' sources."""
     kinds = island(21, 27)
     outcomes = np.array([0, Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING, Outcome.AT_REST])[kinds]
-    tile = Refinement((21, 27), Refine(by=by, coarsest=coarsest))
+    tile = Tile((21, 27), Refine(by=by, coarsest=coarsest))
     rounds = []
     while tile.cells.size:
         rounds.append(len(tile.cells))
@@ -144,7 +120,7 @@ def test_the_same_tile_is_always_refined_the_same_way(by: str, coarsest: int, ex
 
 def outcomes_refined(outcome: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Which cells of a tile without modes are computed, and every cell's outcome in the map."""
-    tile, none = Refinement(outcome.shape, MODE), np.zeros_like(outcome)
+    tile, none = Tile(outcome.shape, MODE), np.zeros_like(outcome)
     computed = np.zeros(outcome.shape, np.bool_)
     while tile.cells.size:
         computed.flat[tile.cells] = True
@@ -169,31 +145,6 @@ def test_aperiodic_cells_do_not_stand_for_any_others(other: Outcome):
     row, column = np.mgrid[:9, :9]
     outcome = np.where((row + column) % 3 == 0, other, Outcome.APERIODIC)
     assert np.array_equal(outcomes_refined(outcome)[1], outcome)
-
-
-def test_a_tongue_that_one_block_sees_is_followed_into_the_next_ones():
-    kinds = np.ones((65, 65), int)
-    kinds[31:34] = 2  # through the centre of the first blocks' rows only where they are split
-    kinds[:, 40:] = 1
-    computed, source = refined(kinds, Refine(by="mode", coarsest=32))
-    assert np.array_equal(kinds.flat[source], kinds)
-    assert computed[31:34, :40].any(axis=0).all()
-
-
-def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
-    outcome = np.array(
-        [Outcome.AT_REST, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.APERIODIC]
-    )
-    bounces, periods = np.array([0, 1, 1, 7, 0]), np.array([0, 1, 2, 9, 0])
-    by_bouncing = classes(Refine(by="bouncing", coarsest=8), outcome, bounces, periods)
-    assert by_bouncing[0] != by_bouncing[1] == by_bouncing[2] == by_bouncing[3] == by_bouncing[4]
-    by_mode = classes(MODE, outcome, bounces, periods)
-    assert len(set(by_mode.tolist())) == 5
-    settling = classes(MODE, np.array([Outcome.SETTLING]), np.zeros(1, int), np.zeros(1, int))
-    assert settling not in by_mode  # nor is a cell without a cycle of the class of longer ones
-    periods = np.array([MAX_MODE_PERIODS, MAX_MODE_PERIODS + 1])
-    longest, longer = classes(MODE, np.full(2, Outcome.PERIODIC), np.ones(2, int), periods)
-    assert longest != longer == by_mode[3]
 
 
 @pytest.mark.parametrize("by", ["mode", "bouncing"])
@@ -258,14 +209,6 @@ def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
     assert rule in problem.rule
     with pytest.raises(SpecInvalid, match="rest"):
         sweep(refine={"by": "mode"}, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
-
-
-def test_the_width_of_the_first_blocks_depends_on_what_is_told_apart():
-    for by, coarsest in COARSEST.items():
-        spec = sweep(refine={"by": by})
-        assert spec.refine == Refine(by=by, coarsest=coarsest)
-        assert SweepSpec.from_json(json.dumps(spec.as_submitted())) == spec
-        assert spec.job_id("3") == sweep(refine={"by": by, "coarsest": coarsest}).job_id("3")
 
 
 def test_cells_of_an_adaptive_map_settle_before_others_take_their_values():

@@ -16,7 +16,6 @@ from worker.orbits.specification import OrbitsSpec
 from worker.orbits.task import _stored_rows
 from worker.spec.errors import SpecError
 from worker.studies import STUDIES, run_task
-from worker.study import ChunkCancelled
 
 ORBITS = STUDIES["orbits"]
 
@@ -99,16 +98,6 @@ def test_chunks_do_not_change_what_is_stored(stored: xarray.Dataset, tmp_path: P
             assert again[name].values.tobytes() == stored[name].values.tobytes(), name
 
 
-def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
-    spec, url = OrbitsSpec.parse(SPEC), str(tmp_path / "a.zarr")
-    plan = ORBITS.plan(spec)
-    store.create(url, ORBITS.variables(spec, plan.chunk_shape))
-    store.set_cancelled(url)
-    with pytest.raises(ChunkCancelled):
-        run_task(spec, plan[0], url)
-    assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
-
-
 @for_each(
     ("changes", "rule"),
     [
@@ -125,15 +114,6 @@ def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
     with pytest.raises(SpecError) as caught:
         studies.parse(SPEC | changes)
     assert rule in str(caught.value)
-
-
-def test_the_same_grid_is_the_same_job_whatever_its_name():
-    spec = OrbitsSpec.parse(SPEC)
-    assert OrbitsSpec.parse(spec.as_submitted()) == spec
-    same = OrbitsSpec.parse(SPEC | {"name": "another", "xi": {"start": 0.0, "stop": 0.05, "num": 2}})
-    assert same.job_id("2") == spec.job_id("2")
-    assert OrbitsSpec.parse(SPEC | {"points": 61}).job_id("2") != spec.job_id("2")
-    assert spec.job_id("3") != spec.job_id("2")
 
 
 @pytest.mark.parametrize("points", [5, 7, 10, 40])

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tables import for_each
 
 from worker import store
 from worker.store import backend
@@ -65,14 +64,6 @@ def test_pipes_and_endless_files_are_no_part_of_a_store(url: str, tmp_path: Path
         assert backend.read_parts(url, key, [(0, 1)]) is None
 
 
-@for_each(
-    ("span", "part"),
-    [((8, 5), b"89"), ((10, 1), b""), ((-3, 3), b"789"), ((-3, 2), b"78"), ((-20, 20), b"0123456789")],
-)
-def test_parts_count_from_either_end(url: str, span: tuple[int, int], part: bytes):
-    assert backend.read_parts(url, "a", [span]) == [part]
-
-
 def test_a_key_is_written_whole_or_not_at_all(url: str):
     backend.put(url, "folder/b", b"new")
     backend.put(url, "c", b"")
@@ -99,36 +90,6 @@ def test_a_folder_is_removed_with_what_an_interrupted_removal_left(url: str, tmp
     backend.remove(url)
     assert below(tmp_path) == set()
     backend.remove(url)  # it is gone
-
-
-def test_a_marker_is_read_as_it_was_written(tmp_path: Path):
-    place = str(tmp_path / "stores")
-    assert store.read_marker(place) is None
-    store.write_marker(place, "ours")
-    assert store.read_marker(place) == "ours"
-    (tmp_path / "stores" / store.MARKER).write_bytes(b"\xff")
-    assert store.read_marker(place) == "\ufffd"
-
-
-def test_a_checkpoint_is_kept_until_it_is_removed(url: str):
-    arrays = {"lines": np.arange(3), "record/flights": np.ones((2, 2), np.int32)}
-    assert store.read_checkpoint(url, 7) is None
-    store.write_checkpoint(url, 7, {"lines": np.zeros(1)})
-    store.write_checkpoint(url, 7, arrays)
-    store.write_checkpoint(url, 12, {})
-    found = store.read_checkpoint(url, 7)
-    assert found is not None
-    assert {name: array.tolist() for name, array in found.items()} == {
-        name: array.tolist() for name, array in arrays.items()
-    }
-    assert store.read_checkpoint(url, 12) == {}
-    Path(url, ".checkpoint-").touch()
-    Path(url, ".checkpoint-x").touch()
-    assert sorted(store.checkpoints_in(url)) == [7, 12]
-    for _ in range(2):
-        store.remove_checkpoint(url, 7)
-        assert store.checkpoints_in(url) == [12]
-    assert store.read_checkpoint(url, 7) is None
 
 
 @pytest.mark.parametrize("at", [0, 31, 32, -1])

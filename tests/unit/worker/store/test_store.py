@@ -4,7 +4,6 @@ import json
 import os
 import re
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import count as count_from
 from pathlib import Path
@@ -16,10 +15,9 @@ import xarray as xr
 import zarr
 from hypothesis import given
 from hypothesis import strategies as st
-from stores import is_sound
 from tables import for_each
 
-from kernel.params import KERNEL_VERSION, STATE_FIELDS
+from kernel.params import STATE_FIELDS
 from worker import store
 from worker.store import backend, reader
 from worker.store import store as stored
@@ -80,17 +78,6 @@ def test_opens_with_plain_xarray(url, spec):
         assert dataset["end_state"].attrs["fields"].split() == list(STATE_FIELDS)
 
 
-def test_attributes_say_what_it_is(url, spec):
-    attrs = store.read_attrs(url)
-    assert SweepSpec.parse(attrs["spec"]) == spec
-    assert attrs["job"] == spec.job_id(KERNEL_VERSION)
-    assert attrs["kernel_version"] == KERNEL_VERSION
-    assert attrs["model"] == "rigid"
-    assert "time_steps" not in attrs
-    assert attrs["title"] == "a label"
-    assert attrs["Conventions"].startswith("CF-")
-
-
 def test_a_reader_without_text_finds_directions_as_numbers(url, spec):
     with xr.open_zarr(url) as dataset:
         code = dataset["direction_code"]
@@ -113,48 +100,11 @@ def test_a_store_of_time_steps_states_their_limit(tmp_path):
     assert 0.0 < steps["longest_step"] < steps["stable_below"]
 
 
-def test_the_root_is_written_once_all_else_is_there(tmp_path, spec, plan, monkeypatch):
-    """A store whose root has the metadata of all arrays is complete."""
-    named, real = [], os.replace
-    monkeypatch.setattr(os, "replace", lambda *given: (real(*given), named.append(Path(given[1])))[0])
-    url = tmp_path / "new.zarr"
-    store.create(str(url), layout(spec, plan.chunk_shape))
-    assert len(named) == len(set(named)) > 7
-    assert named[-1] == url / "zarr.json"
-    named.clear()
-    for name in ("zarr.json", "outcome/zarr.json"):
-        (url / name).unlink()
-    assert store.repair_metadata(str(url), layout(spec, plan.chunk_shape))[-1] == "zarr.json"
-    assert named == [url / "outcome" / "zarr.json", url / "zarr.json"]
-
-
-def test_creation_that_was_interrupted_is_finished(url, spec, plan):
-    before = files(url)
-    root = Path(url) / "zarr.json"
-    metadata = json.loads(root.read_text())
-    del metadata["consolidated_metadata"]
-    root.write_text(json.dumps(metadata))
-    (Path(url) / "outcome" / "zarr.json").unlink()
-    with pytest.raises(store.StoreMissing, match="was interrupted"):
-        store.read_attrs(url)
-    store.create(url, layout(spec, plan.chunk_shape))
-    assert files(url) == before
-
-
 def test_another_sweep_or_another_cut_is_not_overwritten(url, spec, small_spec, plan):
     with pytest.raises(store.StoreConflict, match="holds job"):
         store.create(url, layout(small_spec(settle=21), plan.chunk_shape))
     with pytest.raises(store.StoreConflict, match=r"is cut into chunks of \[1, 2, 4\], not \[2, 3, 10\]"):
         store.create(url, layout(spec, make_plan(spec, chunk_shape=(2, 3, 10)).chunk_shape))
-
-
-def test_every_chunk_reads_back_as_written(url, spec, plan):
-    written = {chunk: record_of(spec, chunk) for chunk in plan}
-    for chunk, record in written.items():
-        store.write_chunk(url, chunk, record)
-    for chunk, record in written.items():
-        stored = store.read_chunk(url, chunk, record)
-        assert all(np.array_equal(stored[name], record[name]) for name in record)
 
 
 @pytest.fixture(scope="module")
@@ -196,16 +146,6 @@ def test_what_a_chunk_without_outcomes_holds_is_not_read(url, spec, plan):
     assert np.isnan(cells["flight_time"]).all()
 
 
-def test_same_record_gives_the_same_bytes(url, spec, plan):
-    record = record_of(spec, plan[1])
-    store.write_chunk(url, plan[1], record)
-    before = files(url)
-    store.write_chunk(url, plan[1], record)
-    assert files(url) == before
-    store.write_chunk(url, plan[1], record_of(spec, plan[1], seed=1))
-    assert files(url) != before
-
-
 def test_chunk_of_fill_values_is_written_all_the_same(url, spec, plan):
     """zarr leaves such chunks out by default, and their checksum with them."""
     record = {
@@ -232,22 +172,6 @@ def test_a_chunk_that_is_not_the_stores_own_is_refused_before_it_is_computed(url
         store.check_chunk(str(tmp_path / "none.zarr"), plan[0], schema.arrays(spec))
 
 
-def test_concurrent_writers_of_different_chunks_lose_nothing(url, spec, plan):
-    with ThreadPoolExecutor(8) as threads:
-        list(threads.map(lambda chunk: store.write_chunk(url, chunk, record_of(spec, chunk)), plan))
-    for chunk in plan:
-        expected = record_of(spec, chunk)
-        stored = store.read_chunk(url, chunk, expected)
-        assert all(np.array_equal(stored[name], expected[name]) for name in expected)
-
-
-def stored_files(url: str, chunk: Chunk) -> list[Path]:
-    (xi, _), (omega, _), (gamma, _) = chunk.spans
-    coords = f"{chunk.direction}.{xi}.{omega // 2}.{gamma // 4}"
-    paths = [*Path(url).glob(f"*/c.{coords}"), *Path(url).glob(f"*/c.{coords}.0")]
-    return sorted(path for path in paths if path.is_file())
-
-
 def flip(path: Path, seed: int) -> None:
     content = bytearray(path.read_bytes())
     content[seed % len(content)] ^= 1 << seed % 8
@@ -260,44 +184,6 @@ def cut(path: Path, seed: int) -> None:
 
 def delete(path: Path, seed: int) -> None:
     path.unlink()
-
-
-@pytest.mark.parametrize("damage", [flip, cut, delete])
-def test_any_damage_to_a_chunk_is_noticed(url, spec, plan, damage):
-    chunk = plan[2]
-    record = record_of(spec, chunk)
-    store.write_chunk(url, chunk, record)
-    cut_as = layout(spec, plan.chunk_shape)
-    names = stored_files(url, chunk)
-    assert len(names) == len(record)
-    for number, path in enumerate(names * 6):
-        kept = path.read_bytes()
-        damage(path, 7 * number + 1)
-        assert not is_sound(url, cut_as, chunk)
-        path.write_bytes(kept)
-    assert is_sound(url, cut_as, chunk)
-
-
-@pytest.mark.parametrize("damage", [flip, cut])
-def test_damaged_bytes_are_never_read_as_data(url, spec, plan, damage):
-    chunk = plan[2]
-    record = record_of(spec, chunk)
-    store.write_chunk(url, chunk, record)
-    for path in stored_files(url, chunk):
-        damage(path, path.stat().st_size // 2)
-    for name in record:
-        with pytest.raises(store.StoreDamaged, match="cannot be decoded"):
-            store.read_chunk(url, chunk, [name])
-
-
-def test_leftovers_of_killed_writers_are_swept(url, spec, plan):
-    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
-    before = files(url)
-    for name in (".partial/0.partial", ".checkpoint-0.0.partial"):
-        (Path(url) / name).write_bytes(b"half")
-    assert store.sweep_leftovers(url) == 2
-    assert store.sweep_leftovers(url) == 0
-    assert files(url) == before
 
 
 def test_of_a_complete_store_every_file_must_be_there(url, spec, plan):
@@ -339,18 +225,6 @@ def test_a_store_that_is_not_finished_or_has_no_outcomes_is_said(url):
     for read in (store.read_attrs, lambda url: store.read_slice(url, ["flights"])):
         with pytest.raises(store.StoreMissing, match="no store here"):
             read(url)
-
-
-def test_cancel_flag_is_no_part_of_the_store(url):
-    before = files(url)
-    assert not store.is_cancelled(url)
-    store.set_cancelled(url)
-    store.set_cancelled(url)
-    assert store.is_cancelled(url)
-    assert files(url) == before
-    store.clear_cancelled(url)
-    store.clear_cancelled(url)
-    assert not store.is_cancelled(url)
 
 
 def test_bytes_are_those_that_zarr_writes_with_a_seal_behind(url, spec, plan):
@@ -397,42 +271,6 @@ def test_a_store_that_is_removed_meanwhile_is_not_made_again(url, spec, plan, mo
     assert not Path(url).exists()
 
 
-def test_what_is_discarded_is_gone_and_outcomes_first(url, spec, plan, monkeypatch):
-    for chunk in plan[:2]:
-        store.write_chunk(url, chunk, record_of(spec, chunk))
-    removed, real = [], backend.delete
-    monkeypatch.setattr(backend, "delete", lambda url, key: (removed.append(key), real(url, key)))
-    store.discard(url, layout(spec, plan.chunk_shape), plan[0])
-    assert removed[0] == "outcome/c.0.0.0.0"
-    assert stored_files(url, plan[0]) == []
-    assert len(stored_files(url, plan[1])) == len(schema.RECORD) + 2
-
-
-@pytest.fixture
-def synced(monkeypatch) -> list[str]:
-    """The files and folders that are synced."""
-    paths: list[str] = []
-    real = os.fsync
-
-    def fsync(descriptor: int) -> None:
-        paths.append(str(Path(f"/proc/self/fd/{descriptor}").readlink()))
-        real(descriptor)
-
-    monkeypatch.setattr(os, "fsync", fsync)
-    return paths
-
-
-def test_a_store_is_on_the_disk_once_it_is_created(tmp_path, spec, plan, synced):
-    url = tmp_path / "new.zarr"
-    store.create(str(url), layout(spec, plan.chunk_shape))
-    paths = list(url.rglob("*"))
-    assert {str(path) for path in paths if path.is_dir() and path.name != ".partial"} <= set(synced)
-    assert {str(url), str(tmp_path)} <= set(synced)
-    partial = [path for path in synced if path.endswith(".partial")]
-    assert len(set(partial)) == len([path for path in paths if path.is_file()])
-    assert [path for path in synced if not path.startswith(str(tmp_path))] == []
-
-
 @pytest.fixture
 def sharded(tmp_path, spec, monkeypatch) -> tuple[str, Plan]:
     """A store whose larger arrays have shards of 2 × 2 × 2 inner chunks."""
@@ -443,20 +281,6 @@ def sharded(tmp_path, spec, monkeypatch) -> tuple[str, Plan]:
     for chunk in plan:
         store.write_chunk(url, chunk, record_of(spec, chunk))
     return url, plan
-
-
-def test_shards_hold_the_same_values_in_as_many_files_as_chunks(sharded, spec):
-    url, plan = sharded
-    group = zarr.open_group(url, mode="r")
-    assert {name for name, array in group.arrays() if array.shards} == {
-        "flight_time", "takeoff_phase", "end_state"
-    }  # fmt: skip
-    assert len(list(Path(url).glob("*/c.*"))) == 7 * len(plan)
-    with xr.open_zarr(url, chunks=None) as dataset:
-        for chunk in plan:
-            for name, values in record_of(spec, chunk).items():
-                np.testing.assert_array_equal(dataset[name].values[chunk.slices][0], values)
-                np.testing.assert_array_equal(store.read_chunk(url, chunk, [name])[name], values)
 
 
 @for_each(

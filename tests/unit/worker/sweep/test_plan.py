@@ -1,31 +1,20 @@
 """The plan: chunks partition the grid whatever its size and cut, and never wait for what comes later."""
 
-import importlib
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tables import for_each
 
 import kernel.line  # noqa: F401 - registers the models' lanes
-from kernel.interface import advance_lanes
-from kernel.params import LANES
-from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import SpecTooLarge
 from worker.study import Chunk, Cost, Plan
-from worker.study.chunks import TARGET_SECONDS, check_size
-from worker.study.layout import INNER_BYTES, WHOLE_BYTES
+from worker.study.chunks import check_size
+from worker.study.layout import INNER_BYTES
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.plan import (
-    FEWEST_CHUNKS,
-    FOLLOWED_SHARE,
     MAX_SHARD_BYTES,
-    SMALLEST_SECONDS,
-    block,
     cell_seconds,
-    cells_at_once,
     estimate,
     longest_cell_seconds,
     make_plan,
@@ -55,15 +44,6 @@ grids = st.builds(sweep, sizes, sizes, sizes, st.none() | st.sampled_from(RAMPS)
 
 
 @given(grids, shapes)
-def test_chunks_partition_the_grid(spec, shape):
-    times = np.zeros(spec.shape, dtype=int)
-    for chunk in make_plan(spec, chunk_shape=shape):
-        times[chunk.slices] += 1
-        assert times[chunk.slices].size == chunk.cells == math.prod(chunk.shape)
-    assert np.all(times == 1)
-
-
-@given(grids, shapes)
 def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
     plan = make_plan(spec, chunk_shape=shape)
     chunks = list(plan)
@@ -72,11 +52,6 @@ def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
     assert sum(chunk.after is None for chunk in chunks) == plan.lines
     coords = layout(spec, plan.chunk_shape).coords
     assert [plan.number(*coords(chunk.slices)) for chunk in chunks] == list(range(len(plan)))
-
-
-@given(grids, st.integers(1, 2000))
-def test_chunks_hold_no_more_cells_than_asked_for(spec, cells):
-    assert all(chunk.cells <= cells for chunk in make_plan(spec, block(spec, cells)))
 
 
 @pytest.mark.parametrize("axis", AXES)
@@ -109,89 +84,6 @@ def cells_along(spec: SweepSpec, chunk: Chunk, axis: str) -> list[tuple[str, int
     return [(direction, place) for place in (reversed(places) if direction == "down" else places)]
 
 
-def test_chunks_of_cells_side_by_side_fill_the_lanes():
-    full = sweep(gamma=64 * LANES, settle=10**6)
-    assert all(chunk.cells == LANES for chunk in make_plan(full))
-
-
-@for_each("kind", CONTACT_MODELS)
-def test_those_models_fill_lanes_that_the_kernel_computes_in_lanes(kind):
-    spec = sweep(gamma=100, model={"kind": kind})
-    module = importlib.import_module(CONTACT_MODELS[kind].kernel)
-    values = spec.model.exact if kind == "auto" else spec.model
-    plate = module.plate(**values.plate_arguments(*(np.ones(1),) * 3))
-    assert (cells_at_once(spec) > 1) == (type(plate) in advance_lanes)
-
-
-@for_each(
-    ("lines", "cells", "shape"),
-    [
-        (200, 1600, (1, 50, 32)),  # 7 parts, all but the last of a length that can be halved
-        (200, 800, (1, 50, LANES)),
-        (200, 320, (1, 17, LANES)),  # parts of lines, so that the lanes are full
-        (20, 400, (1, 50, 7)),  # few lines: one vector at most, and no chunk much smaller than others
-        (1, 40, (1, 25, 1)),
-    ],
-)
-def test_a_chunk_of_a_ramp_in_lanes_has_lines_to_fill_them(lines, cells, shape):
-    spec = sweep(omega=50, gamma=lines, ramp=("omega", "up"))
-    assert block(spec, cells) == shape
-
-
-@given(grids, st.integers(1, 500))
-def test_a_line_from_rest_touches_few_chunks_whichever_axis_it_goes_along(spec, cells):
-    """No axis is cut into more parts than the least number that all of them could be cut into."""
-    spec = spec.model_copy(update={"protocol": sweep().protocol})
-    plan = make_plan(spec, block(spec, cells))
-    fewest = next(
-        parts
-        for parts in range(1, 10)
-        if parts == 9 or math.prod(-(-n // min(n, parts)) for n in plan.grid) <= cells
-    )
-    assert max(plan.counts) <= fewest
-
-
-@pytest.mark.parametrize("gamma", [300, 1000, 3000, 100_000])
-def test_a_chunk_costs_an_eighth_of_the_sweep_within_bounds(gamma):
-    spec = sweep(gamma=gamma)
-    seconds = min(max(gamma * cell_seconds(spec) / FEWEST_CHUNKS, SMALLEST_SECONDS), TARGET_SECONDS)
-    assert len(make_plan(spec)) == math.ceil(gamma / math.ceil(seconds / cell_seconds(spec)))
-
-
-@for_each(
-    ("grid", "cells", "shape"),
-    [
-        ((1, 1, 101), 100, (1, 1, 51)),
-        ((1, 10, 10), 99, (1, 5, 10)),  # what is left over goes to gamma
-        ((10, 10, 10), 124, (4, 5, 5)),
-        ((2, 3, 1000), 100, (1, 1, 100)),
-    ],
-)
-def test_blocks_from_rest_are_balanced(grid, cells, shape):
-    assert block(sweep(*grid), cells) == shape
-
-
-def test_a_chunk_that_is_long_in_bytes_can_be_halved():
-    """Its length along an axis is a multiple of 8 from 64 on, of 4 from 16 and of 2 from 4, or the axis."""
-    shapes = {}
-    for cells in (900_000, 200_000, 9_000, 9):
-        spec = sweep(omega=1003, gamma=1003, keep=10_000 if cells == 9 else 1)
-        assert (cells * schema.bytes_per_cell(spec) > WHOLE_BYTES) == (cells != 9_000)
-        shapes[cells] = block(spec, cells)
-    assert shapes == {900_000: (1, 504, 1003), 200_000: (1, 336, 504), 9_000: (1, 92, 92), 9: (1, 3, 3)}
-
-
-def test_estimate_counts_what_the_store_holds():
-    spec = sweep(2, 3, 1000, ramp=("gamma", "both"), keep=10, settle=100, observe=200)
-    found = cost_of(spec)
-    assert found.cells == 2 * 2 * 3 * 1000
-    assert found.chunks == len(make_plan(spec))
-    # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
-    assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 4 + 4 + 6 * 8 + 1)
-    assert found.core_seconds == pytest.approx(found.cells * cell_seconds(spec))
-    assert cost_of(sweep(100_000, 100_000, 100_000)).cells == 10**15  # takes neither time nor memory
-
-
 def test_what_is_harder_costs_more():
     def cost(**more):
         return cell_seconds(sweep(gamma=2, **more))
@@ -201,20 +93,6 @@ def test_what_is_harder_costs_more():
     assert cost() < cost(model=soft) < cost(model=soft | {"penetration": 1e-6})
     assert cost() < cost(settle_until=1_500) < longest_cell_seconds(sweep(settle_until=1_500))
     assert cost(model={"kind": "auto"}) == cost(model=soft)  # at most the exact one
-
-
-def test_time_steps_are_counted():
-    """A contact of d = 1e-3 and e = 0.01 lasts 1.78 times pi*d; see kernel.restitution."""
-    coarse, fine, deep = (
-        cost_of(sweep(model={"kind": "stepped", "steps_per_contact": n, "penetration": d})).core_seconds
-        for n, d in ((20, 1e-3), (100, 1e-3), (20, 1e-2))
-    )
-    assert fine / coarse == pytest.approx(5.0, rel=1e-3)
-    assert coarse / deep == pytest.approx(10.0, rel=1e-2)
-    periods = 300 + FOLLOWED_SHARE * 200
-    assert coarse == pytest.approx(
-        periods * 20 / (1.778 * 0.5e-3) * CONTACT_MODELS["stepped"].cost_us * 1e-6, rel=1e-2
-    )
 
 
 def test_too_much_is_refused_with_the_limit():

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kernel_runs import Model, run_line
-from stores import files, is_sound
+from stores import files
 
 from kernel.branches.starts import cycles_at
 from kernel.branches.thresholds import thresholds
 from kernel.params import STATE_FIELDS, Cell, Outcome
 from worker import store, work
 from worker.study import ChunkCancelled, ChunkOptions, ChunkPaused, ChunkReport, Plan, PredecessorMissing
-from worker.study.chunks import LEAVING, with_options
+from worker.study.chunks import with_options
 from worker.sweep import AXES, SweepSpec, task
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
@@ -136,21 +136,6 @@ def test_after_a_diverged_cell_a_ramp_starts_from_rest():
     assert task._start_at(end, (1,)).cell == Cell(1.0, 1.0, 1.0)
 
 
-def test_report_counts_what_became_of_the_cells(tmp_path, small_spec):
-    spec = small_spec()
-    plan, url = stored(tmp_path, spec)
-    report = run_chunk(spec, plan[0], url)
-    outcome = store.read_slice(url, ["outcome"])["outcome"]
-    assert report.index == 0
-    assert report.cells == outcome.size == sum(report.outcomes)
-    assert report.outcomes == tuple(np.count_nonzero(outcome == one) for one in Outcome)
-    assert report.outcomes[Outcome.MISSING] == 0
-    assert report.outcomes[Outcome.AT_REST] > 0
-    assert report.outcomes[Outcome.PERIODIC] > 0
-    assert is_sound(url, layout(spec, plan.chunk_shape), plan[0])
-    assert 0 < report.kernel_seconds <= report.seconds
-
-
 def test_running_a_chunk_again_writes_the_same_bytes(tmp_path, small_spec):
     spec = small_spec(protocol=ramp("gamma", "both"))
     plan, url = stored(tmp_path, spec, (1, 3, 5))
@@ -160,15 +145,6 @@ def test_running_a_chunk_again_writes_the_same_bytes(tmp_path, small_spec):
     for chunk in reversed(plan):
         run_chunk(spec, chunk, url)
     assert files(url) == first
-
-
-def test_cancelled_chunk_writes_nothing(tmp_path, small_spec):
-    spec = small_spec()
-    plan, url = stored(tmp_path, spec)
-    store.set_cancelled(url)
-    with pytest.raises(ChunkCancelled, match="cancelled"):
-        run_chunk(spec, plan[0], url)
-    assert not store.read_slice(url, ["outcome"])["outcome"].any()
 
 
 def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path, small_spec):
@@ -236,14 +212,6 @@ def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     return spec, plan, url
 
 
-def test_a_paused_chunk_does_not_begin_anew(tmp_path, small_spec, monkeypatch):
-    spec, plan, url = paused(tmp_path, small_spec, monkeypatch)
-    taken = store.read_checkpoint(url, 0)["seconds"]
-    report = run_chunk(spec, plan[0], url)
-    assert report.kernel_seconds > taken[1]
-    assert store.read_checkpoint(url, 0) is None
-
-
 @pytest.mark.parametrize("harm", ["damaged", "of another line"])
 def test_a_checkpoint_that_is_not_what_was_written_begins_anew(tmp_path, small_spec, monkeypatch, harm):
     spec, plan, url = paused(tmp_path, small_spec, monkeypatch)
@@ -290,19 +258,6 @@ def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, small_spec, exponents)
         run_chunk(spec, plan[0], url)
     timer.join()
     assert not store.read_slice(url, ["outcome"])["outcome"].any()
-
-
-def test_chunks_of_a_worker_that_leaves_pause_at_once(tmp_path, monkeypatch, small_spec):
-    spec = small_spec()
-    plan, url = stored(tmp_path, spec)
-    monkeypatch.setattr(work, "FIRST_STEPS", 100)
-    LEAVING.set()
-    try:
-        with pytest.raises(ChunkPaused):
-            run_chunk(spec, plan[0], url)
-    finally:
-        LEAVING.clear()
-    assert run_chunk(spec, plan[0], url).outcomes[Outcome.MISSING] == 0
 
 
 def test_an_error_names_the_cells(tmp_path, monkeypatch, small_spec):

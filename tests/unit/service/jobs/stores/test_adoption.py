@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 import zarr
-from running import running
 from scripted import Held, Scripted, small, sweep
+from served import running
 from stores import files, store_in
 
 from kernel.params import Outcome

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from running import running
 from scripted import DEADLINE, Held, sweep, wait_for
+from served import running
 
 from kernel.params import KERNEL_VERSION
 from service.jobs import supervisor

@@ -59,7 +59,7 @@ def attributes_of(job: JobRecord, prepared: PreparedJob) -> dict[str, str | int 
     events += [(run["began"], f"computing with {text}") for run, text in zip(runs, software, strict=True)]
     if job.finished is not None and not job.repairing:
         events.append((job.finished, str(job.state)))
-    times = [f"{datetime.fromtimestamp(at, UTC):%Y-%m-%dT%H:%M:%SZ} {what}" for at, what in events]
+    times = [f"{datetime.fromtimestamp(when, UTC):%Y-%m-%dT%H:%M:%SZ} {what}" for when, what in events]
     attributes = {**layout.attributes, **prepared.attributes, **layout.identity}
     attributes |= {"job": job.id, "kernel_version": job.kernel_version, "history": "\n".join(times)}
     if runs:

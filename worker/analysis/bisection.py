@@ -20,7 +20,6 @@ from worker import store
 from worker.spec.axes import LARGEST, SMALLEST
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
-from worker.sweep.schema import some_computed
 from worker.sweep.specification import MAX_PERIODS
 from worker.sweep.task import run_cells
 
@@ -115,7 +114,7 @@ def endless_rest(spec: SweepSpec, omega: NDArray[np.float64], xi: float) -> NDAr
     return np.asarray(threshold(omega, xi) > LARGEST)
 
 
-def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], tolerance: float) -> Refined:
+def by_bisection(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], tolerance: float) -> Refined:
     """The thresholds of a stored sweep, to `tolerance` in gamma.
 
     spec: from rest, or a ramp along gamma. xi, omegas: indices on the sweep's axes. Raises a
@@ -127,10 +126,10 @@ def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], toleranc
     for direction, name in enumerate(spec.directions):
         down = name == "down"
         for i, omega in enumerate(omegas):
-            found = _on_line(spec, url, (direction, xi, omega), down, bool(endless[i]))
-            result = math.nan, found.status
-            if found.resting is not None and found.bouncing is not None:
-                edge = (found.bouncing, found.resting) if down else (found.resting, found.bouncing)
+            bracket = _on_line(spec, url, (direction, xi, omega), down, bool(endless[i]))
+            result = math.nan, bracket.status
+            if bracket.resting is not None and bracket.bouncing is not None:
+                edge = (bracket.bouncing, bracket.resting) if down else (bracket.resting, bracket.bouncing)
                 result = _refine_line(fine, url, (direction, xi, omega), edge, tolerance, down)
             results["down" if down else "up"][i] = result
     return Refined(
@@ -147,17 +146,17 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
     Deciding cells that were filled in from others are computed first.
     """
     direction, xi, omega = line
-    names = ("outcome", *(row.name for row in some_computed(spec)))
+    names = ("outcome", COMPUTED) if spec.fills_in else ("outcome",)
     stored = store.read_slice(url, names, direction=direction, xi=xi, omega=omega)
     outcome = stored["outcome"]
     computed = stored.get(COMPUTED, np.ones(len(outcome)))
     while True:
-        found = on_grid(outcome, down, endless)
+        bracket = on_grid(outcome, down, endless)
         lowest = next(iter(np.flatnonzero(outcome != Outcome.AT_REST)), None)
-        cells = (found.resting, lowest, found.bouncing)
+        cells = (bracket.resting, lowest, bracket.bouncing)
         deciding = {int(i) for i in cells if i is not None and not computed[i]}
         if not deciding:
-            return found
+            return bracket
         values = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
         for i in deciding:
             outcome[i], _ = _run(spec, Cell(float(spec.axis_values("gamma")[i]), *values), None)

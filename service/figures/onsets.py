@@ -54,8 +54,8 @@ def figure_6(job: Job) -> Drawing:
         for figure, values, line, style, colour in sections:
             for letter, value in zip("abc", values, strict=True):
                 line(value, color=colour, linestyle=style, linewidth=1)
-                at = (0.05, value) if figure == 7 else (value, 0.05)
-                axes.annotate(f"{figure}{letter}", at, (3, 3), textcoords="offset points", color=colour)
+                corner = (0.05, value) if figure == 7 else (value, 0.05)
+                axes.annotate(f"{figure}{letter}", corner, (3, 3), textcoords="offset points", color=colour)
         axes.plot([], [], color=red, linestyle="--", label=r"$(\Gamma, \varphi)$, Fig. 7")
         axes.plot([], [], color=blue, linestyle=":", label=r"$(\Omega, \varphi)$, Fig. 8")
         axes.plot(onset.up, onset.omega, "ko", markersize=4, markerfacecolor="white", label="computed")
@@ -95,7 +95,7 @@ def _dampings_caption(onsets: dict[float, xarray.Dataset]) -> Caption:
     lows = {xi: extremum(xi) for xi in (0.2, 0.05, 0.01)}
     omegas = [omega for omega, _ in lows.values()]
     near = ", ".join(f"{gamma:.3f} at Ω = {omega:.3f} (ξ = {xi:g})" for xi, (omega, gamma) in lows.items())
-    at, low = extremum(1.0)
+    dip, low = extremum(1.0)
     tops = [(xi, digits, *extremum(xi, upper=True)) for xi, digits in ((0.05, 3), (0.2, 2))]
     where = " and ".join(
         f"{gamma:.{digits}f} at Ω = {omega:.4f} (ξ = {xi:g})" for xi, digits, omega, gamma in tops
@@ -106,7 +106,7 @@ def _dampings_caption(onsets: dict[float, xarray.Dataset]) -> Caption:
         # The paper: "For ξ = 1, the threshold remains constant and equals to Γ_th = 1".
         compared(
             np.all(np.abs(threshold(OMEGA_GRID, 1.0) - 1) < 0.01),
-            f"for ξ = 1, Γ_th is not constantly 1: {low:.3f} at Ω = {at:.3f}, 1 at √(4/3) as for every ξ, "
+            f"for ξ = 1, Γ_th is not constantly 1: {low:.3f} at Ω = {dip:.3f}, 1 at √(4/3) as for every ξ, "
             f"{threshold(MAX_OMEGA, 1.0):.3f} at Ω = {MAX_OMEGA:g}, {threshold(4.0, 1.0):.3f} at Ω = 4, "
             f"{threshold(1e3, 1.0):.3f} far beyond",
         ),
@@ -209,13 +209,13 @@ def _rise(values: NDArray[np.float64]) -> float:
 
 
 def _hysteresis_caption(loop: xarray.Dataset, lower: xarray.Dataset, spec: Mapping[str, Any]) -> Caption:
-    gamma, (at, highest) = spec["gamma"], extremum(XI, upper=True)
+    gamma, (peak, highest) = spec["gamma"], extremum(XI, upper=True)
     step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
     shows = (
         "Threshold at ξ = 0.05 with Γ increased (blue: lowest Γ that bounces) and decreased (red: last Γ "
         f"that bounces) in steps of {step:.2g}, {spec['settle'] + spec['observe']} plate periods each and up "
         f"to {spec['settle_until']:,} while flights still settle, on an ideal plate; dashed, Eq. 25. Its "
-        f"maximum, {highest:.1f} at Ω = {at:.3f}, lies outside the frame."
+        f"maximum, {highest:.1f} at Ω = {peak:.3f}, lies outside the frame."
     )
     worst, gain = max_relative_difference(loop), 1.0 - (loop.down / loop.up).values
     most, lows = int(np.nanargmax(gain)), minima(loop.down.values, MIN_DEPTH)

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import worker.analysis.thresholds
+import worker.analysis.bisection
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from worker import store
+from worker.analysis.bisection import Refined, Status, by_bisection
 from worker.analysis.prediction import predict, predict_each
-from worker.analysis.thresholds import Refined, Status, refine
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
@@ -41,7 +41,7 @@ def ramp(direction: str) -> dict[str, str]:
 
 
 def thresholds(spec: SweepSpec, url: str, tolerance: float) -> Refined:
-    return refine(spec, url, 0, tuple(range(len(spec.axis_values("omega")))), tolerance)
+    return by_bisection(spec, url, 0, tuple(range(len(spec.axis_values("omega")))), tolerance)
 
 
 @pytest.mark.parametrize("xi", [0.01, 0.2])
@@ -150,7 +150,7 @@ def test_a_refinement_that_reaches_its_limit_says_so(
     spec, url = computed(tmp_path, protocol=protocol, **fields)
     within = thresholds(spec, url, TOLERANCE)
     assert {*within.up_status, *within.down_status} <= {Status.FOUND, Status.NOT_RAMPED}
-    monkeypatch.setattr(worker.analysis.thresholds, limit, most)
+    monkeypatch.setattr(worker.analysis.bisection, limit, most)
     found = thresholds(spec, url, TOLERANCE)
     assert (found.up_status, found.down_status) == ((up,), (down,))
     assert np.isfinite(found.up + found.down).tolist() == [up is Status.FOUND, down is Status.FOUND]
