@@ -74,7 +74,7 @@ class JobRecord(NewJob):
     created: float
     started: float | None
     finished: float | None  # during a repair: when it was done before
-    run_started: float | None  # when it last started or continued
+    run_started: float | None  # when it last started or continued, then when its first chunks were done
     run_cells: int  # cells done at that time
     chunks_done: int
     cells_done: int
@@ -86,6 +86,7 @@ class JobRecord(NewJob):
     core_seconds: float = 0.0  # of its chunks, repetitions included; unknown for adopted chunks
     runs: str = "[]"  # JSON: the software that computed it, see service.software.with_this_run
     cells_timed: int = 0  # cells of these chunks
+    progressed: float | None = None  # when the last chunks of this run were done
 
     @property
     def outdated(self) -> bool:
@@ -118,11 +119,17 @@ class JobRecord(NewJob):
         return (self.id, *facts, self.notice, self.owner, self.pinned)
 
     def eta_seconds(self, now: float) -> float | None:
-        """Estimated remaining seconds at the rate since the last start; None without a rate."""
-        cells, seconds = self.cells_done - self.run_cells, now - (self.run_started or now)
-        if self.state is not JobState.RUNNING or cells <= 0 or seconds <= 0:
+        """Estimated remaining seconds at the rate since the first chunks of this run; None without a rate.
+
+        Falls between chunks, to no less than half, so that a slow chunk at most doubles it.
+        """
+        if self.state is not JobState.RUNNING or self.progressed is None or self.run_started is None:
             return None
-        return (self.cells_total - self.cells_done) * seconds / cells
+        cells, seconds = self.cells_done - self.run_cells, self.progressed - self.run_started
+        if cells <= 0 or seconds <= 0:
+            return None
+        left = (self.cells_total - self.cells_done) * seconds / cells
+        return max(left - max(now - self.progressed, 0.0), 0.5 * left)
 
     def progress(self, now: float) -> dict[str, float | None]:
         """What users see of the job's progress at `now`, in seconds since 1970."""

@@ -40,6 +40,7 @@ TABLES: Final = f"""
         finished REAL,
         run_started REAL,
         run_cells INTEGER NOT NULL DEFAULT 0,
+        progressed REAL,
         runs TEXT NOT NULL DEFAULT '[]',
         chunks_done INTEGER NOT NULL DEFAULT 0,
         chunks_total INTEGER NOT NULL,
@@ -113,5 +114,7 @@ _STORES: Final = """
     DROP TABLE earlier;
 """
 
+_SINCE_15: Final = f"ALTER TABLE jobs ADD COLUMN progressed REAL; {_ANSWERS}"
+
 #: What makes these tables of those of an earlier version.
-UPGRADES: Final = {14: _STORES + _ANSWERS, 15: _ANSWERS}
+UPGRADES: Final = {14: _STORES + _SINCE_15, 15: _SINCE_15}

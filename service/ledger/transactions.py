@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from typing import Any, Final, NamedTuple, cast
@@ -228,8 +229,10 @@ class WriteTransaction(ReadTransaction):
         if job.state is not JobState.RUNNING:
             check_transition(job.state, JobState.RUNNING)
         runs, first = with_this_run(job.runs, now), job.started or now
-        state = JobState.RUNNING
-        self.update(job, state=state, started=first, run_started=now, run_cells=job.cells_done, runs=runs)
+        self.update(
+            job, state=JobState.RUNNING, started=first, run_started=now, run_cells=job.cells_done,
+            progressed=None, runs=runs,
+        )  # fmt: skip
 
     def finish(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> None:
         """End the job as done, failed or cancelled."""
@@ -348,6 +351,11 @@ class WriteTransaction(ReadTransaction):
             core_seconds=sum(report.seconds - report.paused_seconds for report in marked),
             cells_timed=sum(report.cells for report in marked if report.seconds > 0),
         )
+        # The rate counts from the first chunks on: before them kernels compile.
+        now = time.time()
+        first = "UPDATE jobs SET run_started = ?, run_cells = cells_done WHERE seq = ? AND progressed IS NULL"
+        self._do(first, now, job.seq)
+        self.update(job, progressed=now)
 
     def note_paused(self, job: JobRecord, seconds: float) -> None:
         """Add the time of slices after which chunks paused."""

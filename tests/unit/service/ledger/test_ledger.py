@@ -150,6 +150,7 @@ def test_chunks_of_deleted_jobs_are_forgotten_a_few_at_a_time(ledger: Ledger):
 #: The tables of 0.2.0, made from today's.
 BACK_TO_14 = """
     DROP TABLE answers;
+    ALTER TABLE jobs DROP COLUMN progressed;
     ALTER TABLE jobs DROP COLUMN store;
     ALTER TABLE jobs ADD COLUMN verified REAL;
     ALTER TABLE chunks ADD COLUMN checksum BLOB NOT NULL DEFAULT x'00';

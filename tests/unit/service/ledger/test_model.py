@@ -37,7 +37,8 @@ def record(**changes: Any) -> JobRecord:
     """A running job of 1000 cells, of which 400 are done, 200 in this run, since second 100."""
     running: dict[str, Any] = {
         "state": JobState.RUNNING, "cells_total": 1000, "chunks_total": 10, "created": 90.0, "started": 95.0,
-        "run_started": 100.0, "run_cells": 200, "chunks_done": 4, "cells_done": 400, "cells_computed": 40,
+        "run_started": 100.0, "run_cells": 200, "progressed": 104.0, "chunks_done": 4, "cells_done": 400,
+        "cells_computed": 40,
     }  # fmt: skip
     return ledgers.record(sweep(), **running | changes)
 
@@ -56,8 +57,10 @@ def test_eta_uses_the_rate_of_this_run_alone():
     # 900 of 1000 cells were done before; this run did 20 in 4 s, 80 are left
     run = {"cells_total": 1000, "run_cells": 900, "run_started": 100.0}
     assert record(cells_done=920, **run).eta_seconds(104.0) == pytest.approx(16.0)
+    assert record(cells_done=920, **run).eta_seconds(109.0) == pytest.approx(11.0)  # between chunks
+    assert record(cells_done=920, **run).eta_seconds(204.0) == pytest.approx(8.0)
     assert record(cells_done=900, **run).eta_seconds(104.0) is None
-    assert record(cells_done=920, **run).eta_seconds(100.0) is None
+    assert record(cells_done=920, progressed=None, **run).eta_seconds(104.0) is None
     assert record(cells_done=920, state=JobState.DONE, **run).eta_seconds(104.0) is None
 
 
