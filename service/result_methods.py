@@ -218,7 +218,7 @@ class ResultMethods(Methods):
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
-        """How many cells a computation that can be trusted would change.
+        """How many cells a longer computation would change.
 
         Workers draw cells at random and compute them again: for `numerics` with the same contact, cell by cell,
         and windows ten times as long, of the cells that have no certificate; for `model`, where the

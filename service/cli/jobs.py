@@ -105,9 +105,9 @@ def run(
 @json_option
 @with_client
 def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query: Any) -> None:
-    """Show what efforts and grids of a sweep would cost, and how much of its picture would be wrong.
+    """Show what efforts and grids of a sweep would cost.
 
-    Seconds are on the service's workers; shares are of the plane, from pilot points that every setting
+    And how much of its picture would be wrong. Seconds are on the service's workers; shares are of the plane, from pilot points that every setting
     computes. For example:
 
       bounce plan sweep.toml --budget 5m

@@ -80,7 +80,7 @@ class AuditQuery(Query):
 
 
 def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, Any]) -> xarray.Dataset:
-    """How many cells a computation that can be trusted would change.
+    """How many cells a longer computation would change.
 
     Workers draw cells at random and compute them again: for `numerics` with the same contact, cell by cell,
     and windows ten times as long, of the cells that have no certificate; for `model`, where the
