@@ -107,8 +107,8 @@ def run(
 def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query: Any) -> None:
     """Show what efforts and grids of a sweep would cost.
 
-    And how much of its picture would be wrong. Seconds are on the service's workers; shares are of the plane, from pilot points that every setting
-    computes. For example:
+    And how much of its picture would be wrong: shares are of the plane, from pilot points that every setting
+    computes, seconds on the service's workers. For example:
 
       bounce plan sweep.toml --budget 5m
     """
