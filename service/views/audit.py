@@ -58,10 +58,7 @@ _CELLS: Final = (
     row("cell_deviation", ("cell",), "<f8", "deviation of flights", "rad"),
     row("cell_undecided", ("cell",), "|b1", "whether the reference does not decide"),
 )
-_SCALARS: Final = (
-    row("cells", (), "<i8", "cells of the sweep"),
-    row("certified", (), "<i8", "of them, those with a certificate"),
-)
+_COUNT: Final = row("cells", (), "<i8", "cells of the sweep")
 
 #: The questions, in order.
 QUESTIONS: Final = ("rest", "outcome", "mode", "flights", "distribution", "label", "threshold", "area")
@@ -83,10 +80,10 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     """How many cells a longer computation would change.
 
     Workers draw cells at random and compute them again: for `numerics` with the same contact, cell by cell,
-    and windows ten times as long, of the cells that have no certificate; for `model`, where the
-    specification names a contact that the sweep approximates, with that one, of all cells. On a ramp a cell
-    starts again from the stored state of the cell before it. `low` and `high` are exact bounds of the share
-    of all cells, whatever it is; undecided cells count as right in one and as wrong in the other.
+    and windows ten times as long; for `model`, where the specification names a contact that the sweep
+    approximates, with that one. On a ramp a cell starts again from the stored state of the cell before it.
+    `low` and `high` are exact bounds of the share of all cells, whatever it is; undecided cells count as
+    right in one and as wrong in the other.
 
     The questions:
 
@@ -101,16 +98,16 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     mode.
     """
     table = _table(parts)
-    cells, certified, thresholds = (parts[0][name] for name in ("cells", "certified", "thresholds"))
+    cells, thresholds = (parts[0][name] for name in ("cells", "thresholds"))
     drawn = {name: {field: values[table["set"] == i] for field, values in table.items()}
              for i, name in enumerate(SETS)}  # fmt: skip
     labelled = bool(study.spec.exponents)
     answers = {
-        "numerics": _answers(drawn["numerics"], cells - certified, cells, query.tolerance, labelled)
+        "numerics": _answers(drawn["numerics"], cells, query.tolerance, labelled)
         | {"threshold": _of_pairs(drawn["threshold"], thresholds), "area": _of_points(drawn["area"])}
     }
     if _contact(study) is not None:
-        answers["model"] = _answers(drawn["model"], cells, cells, query.tolerance, labelled=False)
+        answers["model"] = _answers(drawn["model"], cells, query.tolerance, labelled=False)
     both = len(answers) > 1
     numbers = {
         each.name: np.array([[getattr(of.get(question, _NOT_ASKED), each.name) for question in QUESTIONS]
@@ -127,8 +124,7 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     data |= {_MATRIX.name: variable((), matrix, _MATRIX)}
     listed = _listed(study.spec, table, query.tolerance)
     data |= {each.name: variable((), listed[each.name], each) for each in _CELLS}
-    sizes = {"cells": cells, "certified": certified}
-    data |= {each.name: variable((), sizes[each.name], each) for each in _SCALARS}
+    data |= {_COUNT.name: variable((), cells, _COUNT)}
     names = [outcome.name.lower() for outcome in Outcome]
     coords = {
         "against": coordinate("against", list(answers) if both else "numerics"),
@@ -136,7 +132,7 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
         "outcome": coordinate("outcome", names),
         "true_outcome": coordinate("true_outcome", names),
     }
-    attrs = {"sentence": _sentence(answers, certified / cells, query.tolerance), "seed": query.seed,
+    attrs = {"sentence": _sentence(answers, query.tolerance), "seed": query.seed,
              "tolerance": query.tolerance, "model": study.spec.model.kind, "complete": True}  # fmt: skip
     return dataset(data, coords, attrs)
 
@@ -182,32 +178,29 @@ def _masks(table: _Table, tolerance: float) -> dict[str, Any]:
     }
 
 
-def _answers(
-    table: _Table, population: int, cells: int, tolerance: float, labelled: bool
-) -> dict[str, _Answer]:
-    """The answers of a simple random sample of a population within the cells."""
-    part = population / cells
+def _answers(table: _Table, cells: int, tolerance: float, labelled: bool) -> dict[str, _Answer]:
+    """The answers of a simple random sample of all cells."""
     answers = {
-        name: _answer(changed, table["undecided"], population, part)
+        name: _answer(changed, table["undecided"], cells)
         for name, changed in _masks(table, tolerance).items()
         if labelled or name != "label"
     }
     repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
     deviation = np.where(table["deviation"] < 0.0, np.inf, table["deviation"])[repeating]
     largest = float(np.nanmax(deviation, initial=0.0))
-    within = 1.0 - part * (1.0 - covered(len(table["outcome"]), population))
+    within = covered(len(table["outcome"]), cells)
     answers["flights"] = answers["flights"]._replace(largest=largest, covered=within)
     return answers
 
 
-def _answer(changed: Any, undecided: Any, population: int, part: float = 1.0) -> _Answer:
-    """changed, undecided: (n,) of a sample of a population that is a part of all."""
+def _answer(changed: Any, undecided: Any, population: int) -> _Answer:
+    """changed, undecided: (n,) of a sample of a population."""
     sampled = len(changed)
     if not sampled:
         return _Answer(0, 0, 0, 0.0, 0.0, 0.0) if not population else _NOT_ASKED
     certain, open_ = int(np.count_nonzero(changed & ~undecided)), int(np.count_nonzero(undecided))
     low, high = bounds(certain, certain + open_, sampled, population)
-    return _Answer(sampled, certain, open_, part * certain / sampled, part * low, part * high)
+    return _Answer(sampled, certain, open_, certain / sampled, low, high)
 
 
 def _of_pairs(table: _Table, thresholds: int) -> _Answer:
@@ -249,9 +242,9 @@ def _named(table: _Table, prefix: str) -> list[str]:
     return [attractor_label(*each) for each in zip(*fields, strict=True)]
 
 
-def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, tolerance: float) -> str:
+def _sentence(answers: Mapping[str, Mapping[str, _Answer]], tolerance: float) -> str:
     """What the audit says of all cells."""
-    said = [f"{certified:.3g} of the cells have a certificate"] if certified else []
+    said = []
     for against, of in answers.items():
         mode, flights = of["mode"], of["flights"]
         said.append(
@@ -319,6 +312,6 @@ def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
 
 VIEW: Final = View(
     "audit", "Audit of a sweep", SweepSpec, AuditQuery, compute, estimate,
-    variables=(*_QUESTION, _MATRIX, *_CELLS, *_SCALARS), rows="share", printed=("share", "cell_stored"),
+    variables=(*_QUESTION, _MATRIX, *_CELLS, _COUNT), rows="share", printed=("share", "cell_stored"),
     parts=parts, kept=True,
 )  # fmt: skip

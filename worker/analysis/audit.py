@@ -5,11 +5,11 @@ early end, and windows LONGER times as long. `model`: the contact that the speci
 it names one. Each cell of a ramp is computed again from the stored state of the cell before it, so that cells
 are independent of each other: what is audited is the step from cell to cell.
 
-A simple random sample has the interval of `worker.analysis.intervals`. For `numerics` it is drawn from the
-cells without a certificate (`flight_error`), which need no sample. Cells that are hard, the corners of the
-grid and cells next to another mode, are looked at besides, and do not enter any interval.
+A simple random sample of all cells has the interval of `worker.analysis.intervals`. Cells that are hard, the
+corners of the grid and cells next to another mode, are looked at besides, and do not enter any interval.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -84,9 +84,9 @@ def look(
     """Compute a part of the drawn cells again; every part draws the same.
 
     contact: of the question `model`. cells: of each sample. Returns the lists of FIELDS, and how many cells
-    the sweep has, how many of them a certificate, and how many thresholds. Raises a `store.StoreError`.
+    and thresholds the sweep has. Raises a `store.StoreError`.
     """
-    names = ("outcome", "bounces", "periods", *_optional(url))
+    names = ("outcome", "bounces", "periods", *((COMPUTED,) if spec.fills_in else ()))
     grid = store.read_slice(url, names, complete=True)
     drawn, sizes = _draw(spec, grid, contact is not None, cells, seed)
     mine = drawn[part::PARTS]
@@ -99,12 +99,6 @@ def look(
     return {name: list(column) for name, column in zip(FIELDS, columns, strict=True)} | sizes
 
 
-def _optional(url: str) -> tuple[str, ...]:
-    """Arrays that only some sweeps have."""
-    stored = store.stored_forms(url, None)
-    return tuple(name for name in ("flight_error", COMPUTED) if name in stored)
-
-
 # Drawing
 
 
@@ -114,25 +108,22 @@ def _draw(
     """All cells to be looked at, and the sizes of what they are drawn from."""
     random = np.random.default_rng(seed)
     outcome = grid["outcome"]
-    certified = np.isfinite(grid["flight_error"]) if "flight_error" in grid else np.zeros(outcome.shape, bool)
-    drawn = list(_sample(random, "numerics", np.flatnonzero(~certified), cells, outcome.shape))
+    drawn = list(_sample(random, "numerics", cells, outcome.shape))
     if with_model:
-        drawn += _sample(random, "model", np.arange(outcome.size), cells, outcome.shape)
+        drawn += _sample(random, "model", cells, outcome.shape)
     drawn += _besides(random, grid)
     if spec.ramp_axis is None:
         drawn += _points(random, spec, cells // 2)
     lines = list(_thresholds(spec, outcome)) if spec.ramp_axis in (None, "gamma") else []
     chosen = random.permutation(len(lines))[: max(cells // 4, 1)]
     drawn += [_Drawn("threshold", int(i), index) for i in chosen for index in lines[i]]
-    sizes = {"cells": outcome.size, "certified": int(np.count_nonzero(certified)), "thresholds": len(lines)}
-    return drawn, sizes
+    return drawn, {"cells": outcome.size, "thresholds": len(lines)}
 
 
-def _sample(
-    random: np.random.Generator, name: str, population: _Array, cells: int, shape: Sequence[int]
-) -> Iterator[_Drawn]:
+def _sample(random: np.random.Generator, name: str, cells: int, shape: tuple[int, ...]) -> Iterator[_Drawn]:
     """A simple random sample without replacement."""
-    chosen = random.choice(population, min(cells, len(population)), replace=False)
+    population = math.prod(shape)
+    chosen = random.choice(population, min(cells, population), replace=False)
     for i, index in enumerate(np.stack(np.unravel_index(chosen, shape), axis=1).tolist()):
         yield _Drawn(name, i, tuple(index))
 
