@@ -16,6 +16,8 @@ from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 
 #: Share of a budget for the first level by the table of costs, and for the audit of the answer.
 FIRST, AUDIT = 0.05, 0.1
+#: Seconds below which no audit begins: its kernel may have to compile, which nothing interrupts.
+LEAST_AUDIT: Final = 5.0
 #: The next level begins if this many times its expected time is left.
 MARGIN: Final = 1.15
 
@@ -84,7 +86,7 @@ def within(
         rule = f"{budget:g} s are too short for {cells(spec, coarsest(spec)):,} of its cells"
         raise InvalidRequest.of("budget", f"{rule}; {2.0 * budget:g}s may work")
     left = budget - (clock() - began)
-    if left > 0.0:
+    if left >= LEAST_AUDIT:
         show(f"audit of the last level, {left:.0f} s left")
         answer.audit = runner.audit(answer.levels[-1].spec, left)
     show(answer.audit or "no audit: the time is over")

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -83,6 +84,8 @@ def run(
 
     format = output_format(output, _RUN_FORMATS, format)
     specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    if budget is not None:
+        budget = max(budget - time.process_time(), 1.0)  # the imports of this process count
     try:
         if format == "zarr":
             local.run(specification, output, workers=workers, budget=budget)
@@ -172,8 +175,6 @@ def watch(client: "Client", interval: float) -> None:
     They are the queued and running ones, and those that ended meanwhile. Where the output is no terminal, it
     is one table, and the command ends.
     """
-    import time
-
     from rich.console import Console
     from rich.live import Live
     from rich.text import Text
