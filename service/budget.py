@@ -23,7 +23,7 @@ MARGIN: Final = 1.15
 
 
 class Runner(Protocol):
-    """What computes levels: this process, or a service."""
+    """What computes levels."""
 
     def seconds(self, spec: SweepSpec) -> float:
         """The expected time of a sweep, by the table of costs."""
@@ -44,11 +44,6 @@ class Level:
     cells: int
     seconds: float  # that it took
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether it is the sweep itself."""
-        return self.steps == WHOLE
-
 
 @dataclass
 class Answer:
@@ -56,7 +51,6 @@ class Answer:
 
     levels: list[Level] = field(default_factory=list)
     audit: str | None = None
-    seconds: float = 0.0  # all that it took
 
 
 def within(
@@ -90,7 +84,6 @@ def within(
         show(f"audit of the last level, {left:.0f} s left")
         answer.audit = runner.audit(answer.levels[-1].spec, left)
     show(answer.audit or "no audit: the time is over")
-    answer.seconds = clock() - began
     return answer
 
 

@@ -11,7 +11,6 @@ bytes.
 """
 
 import errno
-import json
 import math
 import os
 import shutil
@@ -46,6 +45,9 @@ if TYPE_CHECKING:
 LOOK_SECONDS: Final = 0.05
 #: Seconds that an interrupted run waits for its chunks to notice the cancel.
 CANCEL_SECONDS: Final = 0.8
+
+#: More levels than a budget has.
+MOST_LEVELS: Final = 100
 
 #: Announce compilation after this many seconds.
 MESSAGE_SECONDS: Final = 1.0
@@ -254,8 +256,7 @@ def computed(
     ):
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
-        if budget is None:
-            _check_folder(ledger, parsed, folder)
+        _check_folder(ledger, parsed, folder, levels=budget is not None)
         _compile(parsed, progress)
         manager.start()
         try:
@@ -325,10 +326,22 @@ class _Levels:
         return None if found is None else str(found.attrs["sentence"])
 
 
-def _check_folder(ledger: "Ledger", spec: Any, folder: Path) -> None:
-    """Raise FileExistsError for a folder with another study, whose results would be removed."""
+def _check_folder(ledger: "Ledger", spec: Any, folder: Path, *, levels: bool = False) -> None:
+    """Raise FileExistsError for a folder with another study, whose results would be removed.
+
+    levels: whether those of a budget may be there.
+    """
+    from worker.studies import from_json
+    from worker.sweep import SweepSpec
+    from worker.sweep.levels import is_level
+
+    def belongs(other: Any) -> bool:
+        if levels and isinstance(spec, SweepSpec) and isinstance(other, SweepSpec):
+            return is_level(spec, other)
+        return bool(other == spec)
+
     with ledger.reading() as reading:
-        others = [job for job in reading.newest(None, 2) if json.loads(job.spec) != spec.as_submitted()]
+        others = [job for job in reading.newest(None, MOST_LEVELS) if not belongs(from_json(job.spec))]
     if others:
         raise FileExistsError(
             errno.EEXIST, "holds a run of another specification; remove it first", str(folder)

@@ -351,6 +351,8 @@ class WriteTransaction(ReadTransaction):
             core_seconds=sum(report.seconds - report.paused_seconds for report in marked),
             cells_timed=sum(report.cells for report in marked if report.seconds > 0),
         )
+        if not marked:
+            return
         # The rate counts from the first chunks on: before them kernels compile.
         now = time.time()
         first = "UPDATE jobs SET run_started = ?, run_cells = cells_done WHERE seq = ? AND progressed IS NULL"

@@ -1,7 +1,7 @@
 """The audit of a sweep: how many of its cells a computation that can be trusted would change."""
 
 from collections.abc import Mapping, Sequence
-from math import nan
+from math import nan, prod
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
@@ -13,11 +13,19 @@ from service.errors import InvalidRequest
 from service.views.selection import Stored, attractor_label, check_kernel
 from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Call, Estimate, Number, Query, View
-from worker.analysis.audit import FIELDS, LONGER, PARTS, SETS, approximated, look
+from worker.analysis.audit import (
+    FIELDS,
+    MAX_SECONDS,
+    PARTS,
+    SETS,
+    approximated,
+    look,
+    reference_seconds,
+)
 from worker.analysis.bisection import BOUNCING
-from worker.analysis.intervals import bounds, covered
+from worker.analysis.intervals import ENDLESS, bounds, covered
 from worker.sweep import SweepSpec
-from worker.sweep.plan import cell_seconds, period_seconds
+from worker.sweep.plan import cell_seconds
 
 #: Cells of a sample where nothing else is asked for: as many as cost SHARE of the sweep, within these limits.
 FEWEST, MOST_BY_DEFAULT = 59, 200
@@ -26,12 +34,8 @@ SHARE: Final = 0.1
 HARD_AND_POINTS: Final = 2.5
 #: Of a budget: fewer cells tell nothing.
 FEWEST_AFFORDED: Final = 20
-#: Core-seconds that one audit may take.
-MAX_SECONDS: Final = 3_600.0
 #: Bytes of a cell in an answer.
 _PER_CELL: Final = 400
-#: Points of the plane: more than any sample.
-_EVERYWHERE: Final = 10**9
 
 _QUESTION: Final = (
     row("sampled", ("question",), "<i4", "cells drawn; of threshold pairs of cells, of area points"),
@@ -215,10 +219,9 @@ def _of_pairs(table: _Table, thresholds: int) -> _Answer:
 
 
 def _of_points(table: _Table) -> _Answer:
-    """Points anywhere in the plane, of which there are more than any sample tells from infinitely many."""
-    return _answer(
-        _masks(table, 0.0)["mode"], table["undecided"], _EVERYWHERE if len(table["outcome"]) else 0
-    )
+    """Points anywhere in the plane."""
+    population = ENDLESS if len(table["outcome"]) else 0
+    return _answer(_masks(table, 0.0)["mode"], table["undecided"], population)
 
 
 def _listed(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[Any]]:
@@ -269,36 +272,27 @@ def _cells(spec: SweepSpec, query: AuditQuery) -> int:
     """Cells of each sample."""
     if query.cells is not None:
         return query.cells
-    by_cost = SHARE * spec_seconds(spec) / (HARD_AND_POINTS * _look_seconds(spec))
+    seconds = prod(spec.shape) * cell_seconds(spec)
+    by_cost = SHARE * seconds / (HARD_AND_POINTS * reference_seconds(spec))
     return int(min(max(by_cost, FEWEST), MOST_BY_DEFAULT))
 
 
 def affordable(spec: SweepSpec, seconds: float) -> int | None:
     """Cells of each sample that take this many core-seconds, by the table; None if too few."""
-    cells = int(seconds / (HARD_AND_POINTS * _look_seconds(spec)))
+    cells = int(seconds / (HARD_AND_POINTS * reference_seconds(spec)))
     return None if cells < FEWEST_AFFORDED else min(cells, MOST_BY_DEFAULT)
-
-
-def spec_seconds(spec: SweepSpec) -> float:
-    """Core-seconds of a sweep, by the table of contact models."""
-    return float(np.prod(spec.shape)) * cell_seconds(spec)
-
-
-def _look_seconds(spec: SweepSpec) -> float:
-    """Core-seconds of looking at one cell, from its start and from another beside it."""
-    return 2.0 * LONGER * (spec.settle + spec.observe) * period_seconds(spec, alone=True)
 
 
 def estimate(spec: SweepSpec, query: AuditQuery) -> Estimate:
     """The cells of the sets. Raises InvalidRequest for more computing than one audit may take."""
     cells = _cells(spec, query)
-    seconds = HARD_AND_POINTS * cells * _look_seconds(spec)
+    seconds = HARD_AND_POINTS * cells * reference_seconds(spec)
     if seconds > MAX_SECONDS:
         fitting = int(cells * MAX_SECONDS / seconds)
         rule = f"{cells:,} cells take about {seconds:,.0f} core-seconds, the limit is {MAX_SECONDS:g}"
         raise InvalidRequest.of("cells", f"{rule}: enough for {fitting:,}")
     looked = 3 * cells + 100
-    return Estimate({"cell": looked}, memory=looked * _PER_CELL + int(np.prod(spec.shape)), small=False)
+    return Estimate({"cell": looked}, memory=looked * _PER_CELL + prod(spec.shape), small=False)
 
 
 def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:

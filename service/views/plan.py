@@ -7,12 +7,13 @@ import numpy as np
 import xarray
 from pydantic import Field
 
-from service.errors import InvalidRequest
+from service.errors import InvalidRequest, TooLarge
 from service.pictures import ATTRACTORS
 from service.views.style import TEXT
 from service.views.variables import dataset, row, variable
 from service.views.view import Call, Estimate, Number, Query, View
-from worker.analysis.planning import Setting, Share, frontier, plan
+from worker.analysis.audit import MAX_SECONDS, reference_seconds
+from worker.analysis.planning import FIRST, FRESH, MORE, Setting, Share, frontier, plan
 from worker.study import Cost
 from worker.sweep import SweepSpec
 from worker.sweep.efforts import EFFORTS, with_effort
@@ -68,10 +69,14 @@ def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int
 
 
 def parts(settings: Sequence[Setting], query: PlanQuery) -> Sequence[Call]:
-    """The pilot. Raises InvalidRequest for a ramp, whose cells depend on those before them."""
+    """The pilot. Raises InvalidRequest for a ramp, whose cells depend on those before them, and TooLarge."""
     if settings[0].spec.ramp_axis is not None:
         rule = "must be rest: cells of a ramp depend on those before; compute it with a budget, or audit it"
         raise InvalidRequest.of("protocol.kind", rule)
+    seconds = (FIRST + MORE + FRESH) * reference_seconds(settings[0].spec)
+    if seconds > MAX_SECONDS:
+        rule = f"its pilot points take about {seconds:,.0f} core-seconds, the limit is {MAX_SECONDS:g}"
+        raise TooLarge(f"{rule}: a cheaper contact, such as rigid or soft, has a plan")
     tolerance = query.tolerance
     if query.budget is None and tolerance is None:
         tolerance = TOLERANCE

@@ -26,6 +26,7 @@ from worker.analysis.deviation import deviations
 from worker.spec.contact_models import Auto, Contact, Soft, Stepped
 from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema
+from worker.sweep.plan import period_seconds
 from worker.sweep.protocols import Ramp
 from worker.sweep.specification import start_of
 from worker.work import FIRST_STEPS, plate_of
@@ -38,6 +39,9 @@ MOVED: Final = 1e-12
 BESIDE: Final = 16
 #: Calls of `look` into which an audit is divided.
 PARTS: Final = 8
+
+#: Core-seconds of references that one answer may take.
+MAX_SECONDS: Final = 3_600.0
 
 #: What is looked at: cells of the samples of the two questions, hard cells, points anywhere in the plane, and
 #: the two cells of a threshold.
@@ -225,6 +229,11 @@ def reference(
     while not run.advance(FIRST_STEPS):
         check()
     return run.line
+
+
+def reference_seconds(spec: SweepSpec) -> float:
+    """Core-seconds of the reference of one cell, with its start and moved, by the table of contact models."""
+    return 2.0 * LONGER * (spec.settle + spec.observe) * period_seconds(spec, alone=True)
 
 
 def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:

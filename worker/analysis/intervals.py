@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 #: Probabilities that the lower bound lies above the truth, and that the upper one lies below it. An interval
 #: holds the truth with at least 94 %, and "at most" with 95 %.
 ABOVE, BELOW = 0.01, 0.05
+#: A population that no sample tells from one without end, such as the points of a plane.
+ENDLESS = 10**9
 
 
 def bounds(

@@ -22,7 +22,7 @@ from pydantic import Field
 from kernel.params import Line as Record
 from kernel.params import Outcome
 from worker.analysis.deviation import deviations, percentile
-from worker.analysis.intervals import bounds
+from worker.analysis.intervals import ENDLESS, bounds
 from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS, Auto, Ball, Rigid, Soft
 from worker.sweep import AXES, SweepSpec
@@ -48,8 +48,6 @@ MAX_MICRO_FLIGHT: Final = 0.1
 MOST_BEYOND: Final = 0.05
 #: Share of aperiodic cells whose distributions differ from those of their own next window, see `deviation`.
 OWN_SCATTER: Final = 0.058
-#: Cells of a population without end.
-EVERYWHERE: Final = 10**9
 #: Probability that the bound of one model is too low: two are judged beside the exact one.
 BELOW: Final = 0.025
 
@@ -222,7 +220,7 @@ def _is_within(auto: Auto, row: ModelComparison) -> bool:
     if row.most is None:
         return row.percentile_95 is not None and row.percentile_95 <= auto.tolerance
     others = row.cells - row.repeating
-    unlike, _ = bounds(row.unlike, row.unlike, others, max(others, EVERYWHERE))
+    unlike, _ = bounds(row.unlike, row.unlike, others, ENDLESS)
     return row.most <= MOST_BEYOND and (others == 0 or unlike <= OWN_SCATTER)
 
 

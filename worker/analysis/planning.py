@@ -7,14 +7,14 @@ worse than another are dropped after the first of them, and the one recommended 
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Cell, Line, Outcome
 from worker.analysis.audit import moved, reference
-from worker.analysis.intervals import bounds
+from worker.analysis.intervals import ENDLESS, bounds
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import Steps, level_indices
 from worker.sweep.schema import MODE_ARRAYS
@@ -23,8 +23,6 @@ from worker.sweep.task import run_cells
 #: Points at which all settings are compared, those for the ones left after it, and others for the one
 #: recommended.
 FIRST, MORE, FRESH = 40, 60, 100
-#: Points of a plane: more than any sample.
-EVERYWHERE: Final = 10**9
 
 
 class Setting(NamedTuple):
@@ -154,5 +152,5 @@ def _differ(one: Line, other: Line) -> NDArray[np.bool_]:
 
 def _share(wrong: NDArray[np.bool_], undecided: NDArray[np.bool_]) -> Share:
     certain, open_ = int(np.count_nonzero(wrong)), int(np.count_nonzero(undecided))
-    low, high = bounds(certain, certain + open_, len(wrong), EVERYWHERE)
+    low, high = bounds(certain, certain + open_, len(wrong), ENDLESS)
     return Share(len(wrong), certain / len(wrong), low, high)

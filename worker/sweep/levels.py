@@ -36,6 +36,13 @@ def level(spec: SweepSpec, steps: Steps) -> SweepSpec:
     return SweepSpec.parse(spec.as_submitted() | kept)
 
 
+def is_level(spec: SweepSpec, other: SweepSpec) -> bool:
+    """Whether another sweep is a level of this one, or this one itself."""
+    values = {axis: getattr(spec, axis) for axis in AXES}
+    same = other.model_copy(update=values) == spec
+    return same and all(np.isin(other.axis_values(axis), spec.axis_values(axis)).all() for axis in AXES)
+
+
 def level_indices(spec: SweepSpec, steps: Steps) -> list[NDArray[np.int64]]:
     """The indices of a level's values on the axes of the sweep."""
     along = zip(spec.shape[1:], steps, strict=True)

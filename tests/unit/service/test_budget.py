@@ -1,5 +1,7 @@
 """A budget is kept, and used: levels computed by a runner whose speed is not what its estimates say."""
 
+from pathlib import Path
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -8,7 +10,7 @@ from service import local
 from service.budget import Answer, within
 from service.errors import InvalidRequest
 from worker.sweep import SweepSpec
-from worker.sweep.levels import cells
+from worker.sweep.levels import WHOLE, cells, level
 
 SPEC = SweepSpec(
     gamma={"start": 0.5, "stop": 6, "num": 400}, omega={"start": 0.3, "stop": 1.5, "num": 150}, xi=0.1
@@ -45,7 +47,7 @@ def test_a_budget_is_never_missed_and_mostly_used(cell, start, guess, budget):
     runner = Simulated(cell, start, guess)
     answer: Answer = within(SPEC, budget, runner, clock=runner.clock)
     assert runner.now <= budget * (1 + 1e-9)
-    assert answer.levels[-1].is_whole or sum(level.seconds for level in answer.levels) > 0.3 * budget
+    assert answer.levels[-1].steps == WHOLE or sum(level.seconds for level in answer.levels) > 0.3 * budget
     grids = [cells(level.spec, (1, 1, 1)) for level in answer.levels]
     assert grids == sorted(set(grids))
 
@@ -66,5 +68,18 @@ def test_a_run_within_a_budget_is_the_sweep_with_its_audit():
     found = local.run(spec, budget=120.0, progress=False)
     assert found.sizes["gamma"] == 60
     assert "have another outcome or mode" in found.attrs["audit"]
-    xarray_of_all = local.run(spec, progress=False)
-    assert found.flight_time.equals(xarray_of_all.flight_time)
+    assert found.flight_time.equals(local.run(spec, progress=False).flight_time)
+
+
+def test_a_budget_leaves_what_another_study_has_computed_and_takes_up_its_own_levels(tmp_path: Path):
+    store = tmp_path / "sweep.zarr"
+    spec = {"gamma": {"start": 0.8, "stop": 3, "num": 60}, "omega": 0.5, "xi": 0.26} | {"model": RIGID}
+    with local.computed(spec | {"xi": 0.1}, local.partial_of(store), progress=False):
+        pass  # as an interrupted run leaves it
+    with pytest.raises(FileExistsError, match="another specification"):
+        local.run(spec, store, budget=60.0, progress=False)
+    assert local.partial_of(store).exists()
+    other = tmp_path / "other.zarr"
+    with local.computed(level(SweepSpec(**spec), (1, 1, 4)), local.partial_of(other), progress=False):
+        pass
+    assert local.run(spec, other, budget=60.0, progress=False).sizes["gamma"] == 60

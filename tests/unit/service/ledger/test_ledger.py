@@ -126,6 +126,16 @@ def test_damaged_chunks_of_an_outdated_job_are_given_up_with_the_reason(ledger: 
     assert current(ledger).chunks_done == 3
 
 
+def test_a_pause_is_no_progress_from_which_the_time_left_counts(ledger: Ledger):
+    job = accept(ledger, chunks=3)
+    for done in ([], [0], [], [1]):
+        with ledger.writing() as writing:
+            writing.mark_done(job, reports(*done))
+        now = current(ledger)
+        assert (now.progressed is None) == (now.chunks_done == 0)
+    assert now.run_cells == now.cells_done // 2
+
+
 # Deletions and keys
 
 
