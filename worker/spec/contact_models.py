@@ -102,11 +102,6 @@ class ContactFields(Strict):
         """Maximum Lyapunov exponents that can be computed with this contact; 0: none."""
         return self.dimension
 
-    @property
-    def repeats(self) -> bool:
-        """Whether the motion repeats once its flights do."""
-        return True
-
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
     """The cost of a cell with `at_once` computed side by side, from the costs in full lanes and alone.
@@ -187,11 +182,6 @@ class Stepped(_SoftContact):
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
         names = ("steps_per_contact", "scheme", "events")
         return super().plate_arguments(gamma, omega, xi) | {name: getattr(self, name) for name in names}
-
-    @property
-    def repeats(self) -> bool:
-        """Plain flights are whole steps: they repeat while the motion between them still settles."""
-        return self.events == "located"
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """`base` times the steps per plate period: the geometric mean of the sweep's two ends."""

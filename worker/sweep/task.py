@@ -92,19 +92,19 @@ def _line_run(
 ) -> LineRun:
     """Lines of cells as a sweep computes them, at their beginning; of ramps, one for each start."""
     carry = spec.ramp_axis is not None
+    settle, observe = spec.window
     return LineRun(
         np.ascontiguousarray(gamma),
         np.ascontiguousarray(omega),
         np.ascontiguousarray(xi),
         plate=plate_of(spec.model, gamma, omega, xi),
         carry=carry,
-        settle=spec.settle,
-        observe=spec.observe,
+        settle=settle,
+        observe=observe,
         keep=spec.keep,
         micro_flight=spec.micro_flight,
-        settle_tolerance=spec.settle_tolerance,
-        settle_until=spec.settle_until,
-        settle_early=spec.ends_early,
+        certify=spec.certifies,
+        settle_until=spec.settles_until,
         exponents=spec.exponents,
         start=starts if carry else None,
     )
