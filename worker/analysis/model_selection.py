@@ -98,7 +98,7 @@ def choose(spec: SweepSpec) -> ModelChoice:
     """Choose the model of a sweep whose model is `auto`. Raises TypeError for any other."""
     auto = _auto(spec)
     lines = list(sample(spec))
-    exact, _ = _run(_shortened(spec, auto.exact, settle_tolerance=0.0), lines)
+    exact, _ = _run(_shortened(spec, auto.exact), lines)
     table = [_compare(spec, model, lines, exact) for model in _candidates(auto).values()]
     return _choice(auto, table, next((row for row in table if _is_within(auto, row)), table[-1]))
 
@@ -159,19 +159,18 @@ def _auto(spec: SweepSpec) -> Auto:
     return spec.model
 
 
-def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball, settle_tolerance: float) -> SweepSpec:
-    """The sweep with another model and the windows of the comparison."""
-    observe = min(spec.observe, MAX_OBSERVE)
+def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball) -> SweepSpec:
+    """The sweep with another model and the windows of the comparison, which are fixed."""
+    settle, observe = (min(*each) for each in zip(spec.window, (MAX_SETTLE, MAX_OBSERVE), strict=True))
     micro_flight = max(spec.micro_flight, min(_auto(spec).tolerance, MAX_MICRO_FLIGHT))
     return spec.model_copy(
         update={
             "model": model,
-            "settle": min(spec.settle, MAX_SETTLE),
+            "settle": settle,
             "observe": observe,
             "keep": min(8 * observe, MAX_FLIGHTS),
             "micro_flight": micro_flight,
-            "settle_tolerance": settle_tolerance,
-            "settle_until": None,
+            "until": None,
         }
     )
 
@@ -186,13 +185,13 @@ def _run(spec: SweepSpec, lines: list[Line]) -> tuple[list[Record], float]:
     records = [run_cells(spec, line.gamma, line.omega, line.xi, None) for line in lines]
     seconds = time.thread_time() - began
     cells = sum(len(line.gamma) for line in lines)
-    return records, seconds / cells / (spec.settle + spec.observe) * 1e6
+    return records, seconds / cells / sum(spec.window) * 1e6
 
 
 def _compare(
     spec: SweepSpec, model: Soft | Rigid | Ball, lines: list[Line], exact: list[Record]
 ) -> ModelComparison:
-    run = _shortened(spec, model, spec.settle_tolerance)
+    run = _shortened(spec, model)
     records, microseconds = _run(run, lines)
     errors = np.concatenate(
         [deviations(*pair, run.micro_flight) for pair in zip(exact, records, strict=True)]

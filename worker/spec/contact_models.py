@@ -274,7 +274,7 @@ class ContactModel(NamedTuple):
     kernel: str  # name of the module that has its `plate`
     cost_us: float  # core-microseconds per cell per plate period from rest; of `stepped`, per time step
     label: str  # for figures and messages
-    early: float = 1.0  # share of the cost where provably repeating cycles are skipped
+    certified: float = 1.0  # share of the cost where cells end once they are certified
     ramp: float = 1.0  # cost of a ramp's cell relative to one from rest; of models in lanes, side by side
 
 

@@ -152,22 +152,22 @@ def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
     alone: as in `period_seconds`.
     """
     followed = periods_followed(spec.observe)
-    periods, share = spec.settle + spec.observe + FOLLOWED_SHARE * followed, SETTLING_SHARE
+    periods, share = sum(spec.window) + FOLLOWED_SHARE * followed, SETTLING_SHARE
     for added in _extensions(spec):
         periods, share = periods + share * (added + followed), share * STILL_SETTLING_SHARE
-    share = CONTACT_MODELS[spec.model.kind].early if spec.ends_early else 1.0
+    share = CONTACT_MODELS[spec.model.kind].certified if spec.certifies else 1.0
     return share * period_seconds(spec, alone=alone) * periods
 
 
 def longest_cell_seconds(spec: SweepSpec) -> float:
-    """Core-seconds of a cell that settles until settle_until, among the busiest of the sweep."""
-    windows = [spec.settle + spec.observe, *_extensions(spec)]
+    """Core-seconds of a cell that settles until `settles_until`, among the busiest of the sweep."""
+    windows = [sum(spec.window), *_extensions(spec)]
     return longest_seconds(spec, sum(added + periods_followed(spec.observe) for added in windows))
 
 
 def longest_seconds(spec: SweepSpec, until: int) -> float:
     """Core-seconds of a cell followed for `until` plate periods, among the busiest of the sweep."""
-    window = spec.settle + spec.observe
+    window = sum(spec.window)
     busiest = spec.model.busiest(*map(spec.axis_values, ("gamma", "omega", "xi")))
     return period_seconds(spec) * (busiest * window + min(busiest, BUSIEST_FOLLOWED) * (until - window))
 
@@ -203,7 +203,7 @@ def lines_of(spec: SweepSpec) -> int:
 
 def _extensions(spec: SweepSpec) -> Iterator[int]:
     """Plate periods of each extension of a cell that is still settling, as in `kernel.cell.extend`."""
-    taken = spec.settle + spec.observe
-    while (added := min(taken, (spec.settle_until or 0) - taken)) >= spec.observe:
+    taken = sum(spec.window)
+    while (added := min(taken, (spec.settles_until or 0) - taken)) >= spec.observe:
         yield added
         taken += added
