@@ -32,7 +32,7 @@ MAX_CELLS: Final = 2_000
 #: Typical number of cells per threshold, to estimate the cost of a request.
 TYPICAL_CELLS: Final = 40
 
-#: Plate periods before the window of a cell of a refinement that is not certified, and all that one that still
+#: Plate periods before the window of a refinement's cell that is not certified, and all that one that still
 #: settles may take.
 PATIENCE: Final = UNTIL
 SETTLES_UNTIL: Final = 4 * UNTIL

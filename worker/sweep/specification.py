@@ -95,8 +95,8 @@ AutoSettle = Annotated[
     Discriminator(lambda value: "<auto>" if value == "auto" else "<periods>"),
     BeforeValidator(_auto),
     Field(
-        description="Plate periods before the window; auto: a cell ends once its cycle is certified, or after "
-        f"{SETTLE} + observe, and one that still settles goes on."
+        description="Plate periods before the window; auto: a cell ends once its cycle is certified, or "
+        f"after {SETTLE} + observe, and one that still settles goes on."
     ),
 ]
 Exponents = Annotated[
@@ -107,8 +107,8 @@ Exponents = Annotated[
 class SweepSpec(Specification):
     """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
-    `settle`, `observe` and `until` are in plate periods, `keep` in flights, `micro_flight` in rad. `parent` is
-    a label: the job in whose map this sweep is a window.
+    `settle`, `observe` and `until` are in plate periods, `keep` in flights, `micro_flight` in rad.
+    `parent` is a label: the job in whose map this sweep is a window.
     `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names each field and rule.
     """
 
@@ -172,8 +172,8 @@ class SweepSpec(Specification):
         if self.until is None:
             return
         if self.settle != "auto":
-            rule = f"must be null where settle is {self.settle}: its windows are fixed; \"settle\": \"auto\" works"
-            raise BrokenRuleError("until", rule)
+            rule = f"must be null where settle is {self.settle}: its windows are fixed"
+            raise BrokenRuleError("until", f'{rule}; "settle": "auto" works')
         effective = SETTLE + 2 * self.observe
         if self.until < effective:
             nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
@@ -281,9 +281,11 @@ class SweepSpec(Specification):
     def left_out(self) -> set[str]:
         """The labels, and newer fields that are at their defaults."""
         defaults = {"settle": ("auto",), "until": (None, UNTIL), "exponents": (0,), "refine": (None,)}
-        return super().left_out() | {"parent"} | {
-            field for field, default in defaults.items() if getattr(self, field) in default
-        }
+        return (
+            super().left_out()
+            | {"parent"}
+            | {field for field, default in defaults.items() if getattr(self, field) in default}
+        )
 
 
 def is_open(spec: object) -> bool:
