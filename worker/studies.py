@@ -19,7 +19,7 @@ from worker.spec.specification import Specification
 from worker.study import Chunk, ChunkReport, Study
 from worker.sweep import SweepSpec, plan, schema
 from worker.sweep.earlier import EarlierSweep
-from worker.sweep.specification import REMOVED
+from worker.sweep.specification import removed_from
 
 SWEEP: Final = Study(SweepSpec.parse, plan.make_plan, schema.layout, plan.estimate, "worker.sweep.task")
 
@@ -70,7 +70,7 @@ def from_json(text: str | bytes) -> Any:
 def from_stored(text: str | bytes) -> Any:
     """A specification that a ledger or store has, also of an earlier release. Raises a `SpecError`."""
     data = parsing.read_json(text)
-    if isinstance(data, dict) and _study_named(data) is SWEEP and not REMOVED.keys().isdisjoint(data):
+    if isinstance(data, dict) and _study_named(data) is SWEEP and removed_from(data):
         return EarlierSweep.parse(data)
     return parse(data)
 

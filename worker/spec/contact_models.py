@@ -102,6 +102,11 @@ class ContactFields(Strict):
         """Maximum Lyapunov exponents that can be computed with this contact; 0: none."""
         return self.dimension
 
+    @property
+    def certifies(self) -> bool:
+        """Whether cycles can be certified, which needs variations."""
+        return self.dimension > 0
+
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
     """The cost of a cell with `at_once` computed side by side, from the costs in full lanes and alone.
@@ -260,6 +265,11 @@ class Auto(_SoftContact):
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """Until a model is chosen, the exact one's cost."""
         return self.exact.cost_us(base, gamma, omega, at_once=at_once)
+
+    @property
+    def certifies(self) -> bool:
+        """As any model that may be chosen."""
+        return True
 
     @property
     def exact(self) -> Soft:

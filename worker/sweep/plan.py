@@ -22,7 +22,7 @@ from worker.sweep.specification import AXES, SweepSpec
 SMALLEST_SECONDS: Final = 0.0125
 FEWEST_CHUNKS: Final = 8
 #: A sweep that would have more chunks has longer ones instead, of LONGEST_SECONDS at most: 15,000 chunks of
-#: six arrays are 90,000 files. Like any long chunk, they pause in between.
+#: nine arrays are 135,000 files. Like any long chunk, they pause in between.
 MANY_CHUNKS: Final = 15_000
 #: From this many lines of a ramp on, chunks fill all lanes. With fewer, twice as many chunks of half the
 #: lanes keep more workers busy.

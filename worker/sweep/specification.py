@@ -6,7 +6,7 @@ specification without loading kernels, Dask or zarr.
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
@@ -46,11 +46,11 @@ MAX_STARTS: Final = 1_000
 SETTLE: Final = 200
 UNTIL: Final = 5_000
 
-#: Fields of earlier releases, and what works instead.
-REMOVED: Final = {
-    "settle_early": '"settle": "auto" ends a cell as soon as its cycle is certified',
-    "settle_tolerance": '"settle": "auto" ends a cell as soon as its cycle is certified',
-    "settle_until": '"until", with "settle": "auto", gives settling cells more plate periods',
+#: Fields of earlier releases: their defaults, which say nothing, and what works instead of other values.
+REMOVED: Final[dict[str, tuple[object, str]]] = {
+    "settle_early": (True, '"settle": "auto" ends a cell as soon as its cycle is certified'),
+    "settle_tolerance": (0.0, '"settle": "auto" ends a cell as soon as its cycle is certified'),
+    "settle_until": (None, '"until", with "settle": "auto", gives settling cells more plate periods'),
 }
 
 #: Contact models that can start on a cycle of the spring.
@@ -141,12 +141,12 @@ class SweepSpec(Specification):
     @model_validator(mode="before")
     @classmethod
     def _of_today(cls, fields: Any) -> Any:
-        """Refuse removed fields with what works instead."""
-        removed = (name for name in REMOVED if name not in cls.model_fields and name in fields)
-        name = next(removed, None) if isinstance(fields, dict) else None
-        if name is not None:
-            raise BrokenRuleError(name, f"was removed; {REMOVED[name]}", "unknown")
-        return fields
+        """Leave out removed fields, and refuse those that ask for something with what works instead."""
+        if not isinstance(fields, dict) or not REMOVED.keys().isdisjoint(cls.model_fields):
+            return fields
+        for name in removed_from(fields):
+            raise BrokenRuleError(name, f"was removed; {REMOVED[name][1]}", "unknown")
+        return {name: value for name, value in fields.items() if name not in REMOVED}
 
     @model_validator(mode="after")
     def _rules(self) -> Self:
@@ -261,7 +261,7 @@ class SweepSpec(Specification):
     @property
     def certifies(self) -> bool:
         """Whether cells end once their cycle is certified: with tangents, which exponents use up."""
-        return self.settle == "auto" and not self.exponents and self.model.exponents > 0
+        return self.settle == "auto" and not self.exponents and self.model.certifies
 
     @property
     def fills_in(self) -> bool:
@@ -286,6 +286,11 @@ class SweepSpec(Specification):
             | {"parent"}
             | {field for field, default in defaults.items() if getattr(self, field) in default}
         )
+
+
+def removed_from(fields: Mapping[str, object]) -> list[str]:
+    """The removed fields among these that are not at the default that they had."""
+    return [name for name, (default, _) in REMOVED.items() if fields.get(name, default) != default]
 
 
 def is_open(spec: object) -> bool:
