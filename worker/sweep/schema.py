@@ -60,8 +60,8 @@ COMPUTED: Final = array(
 #: Written last: a cell with an outcome has all its values.
 OUTCOME: Final = array(
     "outcome", CELL_DIMS, "|u1", "what became of the cell", **OUTCOME_FLAGS,
-    comment="3 % of aperiodic cells are periodic in the end, chaotic transients; where no cell is certified, a "
-    "start exactly on an unstable cycle is periodic",
+    comment="3 % of aperiodic cells are periodic in the end, chaotic transients; where no cell is certified, "
+    "a start exactly on an unstable cycle is periodic",
 )  # fmt: skip
 
 
