@@ -75,3 +75,20 @@ def chatter_lift(hop: float, n: float, n1: float, e: float) -> tuple[float, floa
     area = 2.0 * hop * hop * hop / (3.0 * n * n * (1.0 - e * e * e))
     centre = hop / (n * (1.0 - e)) * (1.0 - e + e * e) / (1.0 + e * e)
     return area * (1.0 - centre * n1 / n), area * centre
+
+
+@jit
+def chatter_lift_variation(
+    hop: float, n: float, n1: float, e: float, dhop: float, dn: float, dn1: float
+) -> tuple[float, float]:
+    """By how much both integrals of `chatter_lift` vary with small changes of hop > 0, n and n1."""
+    area, moment = chatter_lift(hop, n, 0.0, e)
+    by_hop, by_n, slope = dhop / hop, dn / n, moment / n
+    d_area = area * (3.0 * by_hop - 2.0 * by_n) - slope * (4.0 * n1 * (by_hop - by_n) + dn1)
+    return d_area, moment * (4.0 * by_hop - 3.0 * by_n)
+
+
+@inlined
+def chatter_push(b: float, w: float, area: float, moment: float) -> tuple[float, float]:
+    """What both integrals of the gap add to q and q' of a stuck spring of dashpot b and stiffness w."""
+    return b * area - (w - b * b) * moment, (w - b * b) * area + b * (2.0 * w - b * b) * moment

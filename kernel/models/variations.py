@@ -8,8 +8,8 @@ of the state before and after it,
 
     d+ = DR (d- + f- dphi) - f+ dphi
 
-The functions below write this out for each event. Nothing is approximated except where a model sums chatter:
-there the varied motion sticks at once, and what the rest of the chatter adds does not vary with it.
+The functions below write this out for each event. A landing from which a model sums chatter is one event,
+whose R has the sums. Nothing is approximated.
 """
 
 from typing import Any
@@ -20,7 +20,8 @@ from kernel import interface
 from kernel.interface import Phase, PlatePhase, State, plate_phase
 from kernel.models import flight
 from kernel.models.ball import Ball, BallPlate, fall
-from kernel.models.rigid import RigidPlate, Spring
+from kernel.models.contact_law import chatter_lift, chatter_lift_variation, chatter_push
+from kernel.models.rigid import RigidPlate, Spring, normal_force
 from kernel.models.soft import SoftPlate
 from kernel.models.soft_contact import SoftSpring, combine, separate
 from kernel.numerics.jit import inlined, jit
@@ -107,6 +108,8 @@ def _rigid_takeoff(s: Spring, vectors: Any, end: Phase) -> None:
 def _rigid_landing(s: Spring, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
     """Sticking, which needs no dphi; a hop; or, with a hop of velocity zero, a new take-off at once."""
     if not end.in_flight:
+        if s.restitution > 0.0:
+            _rest_of_chatter(s, vectors, phi, state, end)
         for k in range(len(vectors)):
             g, g1, q, q1 = _get(vectors, k)
             _put(vectors, k, 0.0, 0.0, q + g, q1 + g1 - s.dashpot * g)
@@ -125,6 +128,35 @@ def _rigid_landing(s: Spring, vectors: Any, phi: PlatePhase, state: State, end: 
         change = g1 + before2 * dphi  # variation of the impact velocity
         dq1 += (1.0 + e) * (change - 2.0 * s.dashpot * g)
         _put(vectors, k, -e * g, -e * change - after2 * dphi, dq + (1.0 + e) * g, dq1)
+
+
+@jit
+def _rest_of_chatter(s: Spring, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
+    """What summed chatter adds to q and q' of a mass that sticks varies with its first hop, n and n'."""
+    b, w, e = s.dashpot, s.stiffness, s.restitution
+    _, impact, q, q1 = flight.state_after(flight.begin_flight(s.flight, s.gravity, phi, state), end.tau)
+    if impact >= 0.0:
+        return
+    _, sin, cos = plate_phase(phi.rad + end.tau)
+    gap2 = cos - s.gravity + b * q1 + w * q
+    q1 += impact
+    hop, n = -e * impact, normal_force(s, cos, q, q1)
+    q2 = cos - s.gravity - b * q1 - w * q
+    n1 = sin - b * q2 - w * q1
+    n2 = cos - b * (-sin - b * q2 - w * q1) - w * q2
+    more, more1 = chatter_push(b, w, *chatter_lift(hop, n, n1 + b * n, e))
+    for k in range(len(vectors)):
+        g, g1, dq, dq1 = _get(vectors, k)
+        dphi = _delay(g, impact)
+        dhop = -e * (g1 + gap2 * dphi)
+        x, x1 = dq + g, dq1 + g1 - b * g  # of a mass that sticks
+        x2 = -b * x1 - w * x
+        dn, dn1 = x2 + n1 * dphi, -b * x2 - w * x1 + n2 * dphi
+        lift = chatter_lift_variation(hop, n, n1 + b * n, e, dhop, dn, dn1 + b * dn)
+        push, push1 = chatter_push(b, w, *lift)
+        dq += push - more1 * dphi
+        dq1 += push1 + (b * more1 + w * more) * dphi
+        _put(vectors, k, g, g1, dq, dq1)
 
 
 # --- soft -----------------------------------------------------------------------------------------------

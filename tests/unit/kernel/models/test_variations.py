@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from kernel_runs import Model, plate_of
+from tables import for_each
 
 from kernel import interface
 from kernel.interface import State, plate_phase
 from kernel.models.ball import Ball
-from kernel.models.contact_law import STEADY
 from kernel.models.rigid import Spring
 from kernel.numerics.first_root import HORIZON, ROOT
 
@@ -29,7 +29,7 @@ LONGEST = 200.0
 
 #: Flights that stay lower than this (plate amplitudes) are left out: differences of states of order 1, which
 #: rounding leaves at 1e-16, do not resolve them to TOLERANCE.
-LOWEST = 1e-6
+LOWEST = 1e-5
 
 
 class Setting(NamedTuple):
@@ -180,10 +180,48 @@ def test_jacobians_through_events_are_those_of_the_motion(setting):
         vectors = np.zeros((len(directions), 4))
         vectors[range(len(directions)), directions] = 1.0
         carried(cell, here, span, vectors)
-        sums = setting.restitution > 0.0 and here.flying and not phase(cell, here, span)[1].flying
-        tolerance = 10.0 * STEADY**2 if sums and isinstance(cell, Spring) else TOLERANCE
-        assert np.max(np.abs(vectors.T - expected)) < tolerance * np.max(np.abs(expected)), (here, span)
+        assert np.max(np.abs(vectors.T - expected)) < TOLERANCE * np.max(np.abs(expected)), (here, span)
         compared += 1
         if compared == EVENTS:
             break
     assert compared == EVENTS
+
+
+class Flip(NamedTuple):
+    """Where the cycle (1, 1) of a rigid contact flips, and about where it is stuck there."""
+
+    gamma: float
+    omega: float
+    xi: float
+    restitution: float
+    phi: float
+    q: float
+    q1: float
+
+
+#: From the segments and times of a cycle, solved without these variations; a stricter criterion for the sums
+#: of chatter, with two to ten hops more, moves such flips by 3e-13.
+FLIPS = [
+    Flip(2.080477043502, 0.5, 0.26, 0.3, 5.494, -0.798, 0.610),
+    Flip(0.727912197002, 0.6, 0.05, 0.5, 5.459, -2.208, 3.542),
+    Flip(0.721456140149, 0.6, 0.05, 0.3, 5.312, -2.975, 2.333),
+]
+
+
+def multipliers_of_the_cycle(flip: Flip) -> np.ndarray:
+    """The eigenvalues (2,) of a plate period's map, at its fixed point."""
+    cell = cell_of(Setting(Model.RIGID, flip.gamma, flip.omega, flip.xi, flip.restitution))
+    y, change = np.array([flip.q, flip.q1]), np.ones(2)
+    while np.max(np.abs(change)) > 1e-12:
+        here = Point(flip.phi, False, State(0.0, 0.0, *y))
+        vectors = np.eye(4)[2:]
+        carried(cell, here, TWO_PI, vectors)
+        jacobian = vectors[:, 2:].T
+        change = np.linalg.solve(np.eye(2) - jacobian, moved(cell, here, TWO_PI)[0].state[2:] - y)
+        y += change
+    return np.linalg.eigvals(jacobian)
+
+
+@for_each("flip", FLIPS)
+def test_a_multiplier_is_minus_one_where_a_chattering_cycle_flips(flip):
+    assert np.min(np.abs(multipliers_of_the_cycle(flip) + 1.0)) < 1e-11
