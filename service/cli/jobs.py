@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
 ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
+_BUDGET: Final = "Compute the finest level that fits into this time: 90s, 5m, 1h."
 _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
 
@@ -35,12 +36,16 @@ _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 @click.option("--wait", "wait_for_job", is_flag=True, help="Show progress and wait until the job is done.")
 @click.option("--estimate", is_flag=True, help="Print the estimated cost without submitting.")
 @click.option("--key", help="Idempotency key: repeating the request with it changes nothing.")
+@click.option("--budget", type=DURATION, help=_BUDGET)
 @with_client
-def submit(client: "Client", spec: str, wait_for_job: bool, estimate: bool, key: str | None) -> None:
+def submit(
+    client: "Client", spec: str, wait_for_job: bool, estimate: bool, key: str | None, budget: float | None
+) -> None:
     """Submit a sweep and print its job id.
 
     SPEC is a .json, .toml or .yaml file, or - for JSON on standard input. The same sweep is always the same
     job: one that is done is not computed again, one that failed or was cancelled continues.
+    With --budget the jobs are levels from coarse to fine; the id is that of the last one that is done.
     """
     from service.cli import output
     from service.client.specification import read
@@ -48,6 +53,9 @@ def submit(client: "Client", spec: str, wait_for_job: bool, estimate: bool, key:
     specification = spec if spec != "-" else read(sys.stdin.buffer.read())
     if estimate:
         click.echo(output.estimate_line(client.estimate(specification)))
+        return
+    if budget is not None:
+        click.echo(client.run(specification, budget=budget).id)
         return
     job = client.submit(specification, key=key)
     click.echo(job.id)
@@ -61,9 +69,7 @@ def submit(client: "Client", spec: str, wait_for_job: bool, estimate: bool, key:
 @format_option(*_RUN_FORMATS)
 @click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
 @click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
-@click.option(
-    "--budget", type=DURATION, help="Compute the finest level that fits into this time: 90s, 5m, 1h."
-)
+@click.option("--budget", type=DURATION, help=_BUDGET)
 def run(
     spec: str, output: str, format: str | None, workers: int | None, budget: float | None, **query: Any
 ) -> None:
