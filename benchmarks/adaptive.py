@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from benchmarks.measuring import Running, describe, options, service, short, table
 from worker import store
 from worker.maps.refinement import classes
-from worker.spec.refine import SETTLE_UNTIL, Refine
+from worker.spec.refine import Refine
 from worker.studies import run_task, study_of
 from worker.sweep import SweepSpec
 from worker.sweep.schema import MODE_ARRAYS, layout
@@ -55,7 +55,6 @@ def sweep(xi: float, side: int, keep: int, refine: dict[str, Any] | None = None)
             "gamma": {"start": gamma[0], "stop": gamma[1], "num": side},
             "omega": {"start": omega[0], "stop": omega[1], "num": side},
             "xi": xi,
-            "settle_until": SETTLE_UNTIL,  # of the full grid too
             "keep": keep,
             "model": {"kind": "rigid"},
             "refine": refine,

@@ -25,9 +25,9 @@ from worker.sweep import SweepSpec
 
 
 def atlas(
-    gamma: int, omega: int, xi: int, model: str = "rigid", *, ramp: bool = False, settle_early: bool = True
+    gamma: int, omega: int, xi: int, model: str = "rigid", *, ramp: bool = False, every_cycle: bool = False
 ) -> dict[str, Any]:
-    """The specification; 300 plate periods per cell."""
+    """The specification; 300 plate periods per cell that is not certified, or of every cell."""
     protocol = {"kind": "ramp", "axis": "gamma", "direction": "both"} if ramp else {"kind": "rest"}
     return {
         "name": f"atlas {gamma} x {omega} x {xi}",
@@ -36,8 +36,7 @@ def atlas(
         "xi": {"start": 0.02, "stop": 5.0, "num": xi, "spacing": "log"},
         "model": {"kind": model},
         "protocol": protocol,
-        "settle_early": settle_early,
-        "settle": 200,
+        "settle": 200 if every_cycle else "auto",
         "observe": 100,
         "keep": 16,
     }
@@ -85,8 +84,8 @@ def main() -> None:
         __doc__, gamma=1000, omega=100, xi=10, workers=2, model="rigid", ramp=False, every_cycle=False
     )
     print(describe("dask", "zarr"))
-    early = not given.every_cycle
-    spec = atlas(given.gamma, given.omega, given.xi, given.model, ramp=given.ramp, settle_early=early)
+    axes = given.gamma, given.omega, given.xi
+    spec = atlas(*axes, given.model, ramp=given.ramp, every_cycle=given.every_cycle)
     with closing(Counting(workers=given.workers)) as executor, service(executor) as (client, _, data):
         warm(client, given.model)
         executor.kernel_seconds = executor.task_seconds = 0.0

@@ -31,7 +31,7 @@ CONTACTS = {
 #: The start is at this part of the range of Gamma in which the cycle is stable. From there Gamma rises to
 #: RAISED times, in RISES cells, to begin the descent, which ends at this part of the fold.
 BEGIN, RAISED, RISES, END = 0.9, 1.05, 26, 0.6
-SETTLE, OBSERVE, SETTLE_UNTIL = 400, 100, 4000
+SETTLE, OBSERVE, SETTLE_UNTIL = 200, 100, 5000
 
 #: Cells computed at a time: a ramp ends soon after bouncing has.
 PIECE = 50
@@ -65,7 +65,8 @@ def _ramp(gamma: np.ndarray, omega: float, contact: str, share: np.ndarray, star
     same = np.ones(len(gamma))
     return run_line(
         gamma, omega * same, XI * same, model=model, restitution=restitution * share, penetration=1e-3 * same,
-        carry=True, settle=SETTLE, observe=OBSERVE, keep=1, settle_until=SETTLE_UNTIL, start=start,
+        carry=True, settle=SETTLE, observe=OBSERVE, keep=1, certify=True, settle_until=SETTLE_UNTIL,
+        start=start,
     )  # fmt: skip
 
 

@@ -110,12 +110,12 @@ def estimate_row(name: str, ramp: bool, repeat: int) -> list[str]:
 
     def run() -> object:
         return run_line(
-            gamma, omega, xi, plate=plate, carry=ramp, settle=spec.settle, observe=spec.observe,
-            keep=spec.keep, micro_flight=spec.micro_flight, settle_early=spec.ends_early,
-            start=[None] * n if ramp else None,
+            gamma, omega, xi, plate=plate, carry=ramp, settle=spec.window[0], observe=spec.observe,
+            keep=spec.keep, micro_flight=spec.micro_flight, certify=spec.certifies,
+            settle_until=spec.settles_until, start=[None] * n if ramp else None,
         )  # fmt: skip
 
-    periods = spec.settle + spec.observe
+    periods = sum(spec.window)
     took = cost_of(run, len(gamma) * periods, 1 if name.startswith("stepped") else repeat)
     expected = cell_seconds(spec) / periods * 1e6
     return [f"{name}, {protocol['kind']}", short(took), short(expected), f"{expected / took:.2f}"]

@@ -5,7 +5,7 @@
 Time: cells of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate periods each
 from rest. "neighbours" computes 64 cells within 1% of Gamma in one line, as in a sweep; "alone" computes one
 cell with the scalar functions; "ramp" computes 16 lines within 1% of Omega, each of 10 cells within 5% of
-Gamma. Every cycle is computed (no settle_early). Every number is the median over the cells of the median
+Gamma. Every cycle is computed. Every number is the median over the cells of the median
 over repetitions; the ratios come from one run. heyoka, a general integrator, solves the rigid
 spring, compiled beforehand; `--own` leaves it out.
 

@@ -44,7 +44,7 @@ def sweep(name: str, scale: float, number: int = 0) -> dict[str, Any]:
     model, protocol, (gamma, omega, xi) = SWEEPS[name]
     return {
         "name": name, "model": model, "protocol": protocol,
-        "settle": 200, "observe": PERIODS - 200, "keep": 16, "settle_early": False,
+        "settle": 200, "observe": PERIODS - 200, "keep": 16,
         "gamma": {"start": 0.5, "stop": 6.0 + 1e-9 * number, "num": max(2, round(scale * gamma))},
         "omega": {"start": 0.1, "stop": 5.0, "num": omega, "spacing": "log"},
         "xi": {"start": 0.02, "stop": 5.0, "num": xi, "spacing": "log"},

@@ -21,6 +21,7 @@ from kernel.interface import (
     PlatePhase,
     advance_lanes,
     contact,
+    dimension,
     flight,
     load_lane,
     plate_phase,
@@ -270,6 +271,8 @@ class LineRun:
     The periods are doubled as long as the cell settles, and the last `observe` of them are recorded.
     settle_early: whether the cycles that are left are not computed but repeated, once the last flights surely
     follow one (`modes.find_repetition`); not with `carry` or `exponents`.
+    certify: whether a cell ends as soon as its cycle is certified; not with exponents, nor for a contact
+    without variations.
     exponents: Lyapunov exponents to compute. in_lanes: False computes cell by cell also where lanes could,
     for comparison; the last digits differ.
 
@@ -281,7 +284,7 @@ class LineRun:
         self, gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64], *,
         plate: Any, carry: bool, settle: int, observe: int, keep: int, micro_flight: float = 0.0,
         settle_tolerance: float = 0.0, settle_until: int | None = None, settle_early: bool = False,
-        exponents: int = 0, start: Start | Sequence[Start | None] | None = None,
+        certify: bool = False, exponents: int = 0, start: Start | Sequence[Start | None] | None = None,
         states: NDArray[np.float64] | None = None, in_lanes: bool = True,
     ) -> None:  # fmt: skip
         arrays = {"gamma": gamma, "omega": omega, "xi": xi}
@@ -292,6 +295,10 @@ class LineRun:
                 "settle_early", "must be false with carry or exponents, which compute every cycle"
             )
         _check_plate(plate, len(gamma))
+        if certify and (exponents or dimension(plate) == 0):
+            raise KernelInputError(
+                "certify", "must be false with exponents, and for a contact that has no variations"
+            )
         self.line = empty_line(len(gamma), keep, exponents)
         self._gamma, self._omega, self._xi = (np.ascontiguousarray(a) for a in arrays.values())
         self._plate, self._length = plate, 1

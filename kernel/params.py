@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Part of every job's identity: raise it whenever any stored number may change.
-KERNEL_VERSION: Final = "8"
+KERNEL_VERSION: Final = "9"
 
 #: Cells that `rigid` and `soft` compute side by side, in lanes: two vectors of eight doubles, so that the
 #: latency of one hides behind the other.
@@ -115,6 +115,10 @@ class Line(NamedTuple):
     end_state: NDArray[np.float64]  # (n, len(STATE_FIELDS)) at the end of each cell's window
     lyapunov: NDArray[np.float64]  # (n, exponents) per plate period, natural logarithm, the largest first
     lyapunov_error: NDArray[np.float64]  # (n,) standard error of the first of them, NaN without exponents
+    # of certified cells, else NaN:
+    flight_error: NDArray[np.float64]  # (n,) rad; a bound on the error of each flight time and take-off phase
+    multiplier: NDArray[np.float64]  # (n,) modulus of the cycle's leading Floquet multiplier
+    multiplier_angle: NDArray[np.float64]  # (n,) its angle, rad from 0 to pi
 
 
 def empty_line(n: int, keep: int, exponents: int = 0) -> Line:
@@ -129,6 +133,9 @@ def empty_line(n: int, keep: int, exponents: int = 0) -> Line:
         end_state=np.full((n, len(STATE_FIELDS)), np.nan),
         lyapunov=np.full((n, exponents), np.nan),
         lyapunov_error=np.full(n, np.nan),
+        flight_error=np.full(n, np.nan),
+        multiplier=np.full(n, np.nan),
+        multiplier_angle=np.full(n, np.nan),
     )
 
 

@@ -331,7 +331,7 @@ def _check_folder(ledger: "Ledger", spec: Any, folder: Path, *, levels: bool = F
 
     levels: whether those of a budget may be there.
     """
-    from worker.studies import from_json
+    from worker.studies import renewed
     from worker.sweep import SweepSpec
     from worker.sweep.levels import is_level
 
@@ -341,7 +341,7 @@ def _check_folder(ledger: "Ledger", spec: Any, folder: Path, *, levels: bool = F
         return bool(other == spec)
 
     with ledger.reading() as reading:
-        others = [job for job in reading.newest(None, MOST_LEVELS) if not belongs(from_json(job.spec))]
+        others = [job for job in reading.newest(None, MOST_LEVELS) if not belongs(renewed(job.spec))]
     if others:
         raise FileExistsError(
             errno.EEXIST, "holds a run of another specification; remove it first", str(folder)

@@ -45,6 +45,13 @@ CLASSES: Final = (
     | {name: on_white for name, (on_white, _) in PALETTE["labels"].items()}
 )
 
+#: Classes of certified cells by the modulus of their leading multiplier, up to these, and their colours.
+MARGINS: Final = (0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
+MARGIN_CLASSES: Final = {
+    f"{low:g} to {high:g}": colour
+    for low, high, colour in zip((0.0, *MARGINS), MARGINS, PALETTE["margins"], strict=False)
+}
+
 AXES: Final = {
     "gamma": r"plate acceleration over gravity $\Gamma$",
     "omega": r"plate frequency over that of the spring $\Omega$",
@@ -209,11 +216,15 @@ def draw_branches(ax: "Axes", branches: xarray.Dataset) -> None:
 
 
 def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
-    """The cells of the plane (Γ, Ω) by the plate periods of their cycle, or by what else they do."""
+    """The cells of the plane (Γ, Ω) by the plate periods of their cycle, or by what else they do.
+
+    With `multiplier`, certified cells by their margin of stability.
+    """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
-    names, colours = list(CLASSES), list(CLASSES.values())
+    classes = CLASSES | MARGIN_CLASSES
+    names, colours = list(classes), list(classes.values())
     codes = modes.label.values if "label" in modes else modes.outcome.values
     periods = modes.periods.values
     cycles = 3 * (periods - 1) + 1 + np.sign(modes.bounces.values - periods)
@@ -222,6 +233,11 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     for code, label in enumerate(LABELS):
         here = codes == code
         cells[here] = cycles[here] if label == "periodic" else names.index(label)
+    counted = "periods of the plate in a cycle"
+    if "multiplier" in modes:
+        counted, multiplier = "modulus of the leading multiplier", modes.multiplier.values
+        margins = len(CLASSES) + np.searchsorted(MARGINS[:-1], multiplier, side="right")
+        cells = np.where(np.isfinite(multiplier), margins, cells)
     corners = edges(modes.gamma.values), edges(modes.omega.values)
     ax.pcolormesh(
         *corners, cells, rasterized=True, cmap=ListedColormap(colours), vmin=-0.5, vmax=len(names) - 0.5
@@ -239,7 +255,7 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
     ax.set_xlabel(AXES["gamma"])
     ax.set_ylabel(AXES["omega"])
-    ax.set_title(f"{SYMBOLS['xi']} = {modes.xi.item():g}, periods of the plate in a cycle")
+    ax.set_title(f"{SYMBOLS['xi']} = {modes.xi.item():g}, {counted}")
 
 
 def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:

@@ -49,9 +49,6 @@ CONTACTS: Final[Mapping[str, Sweep]] = {
 #: Settling times, in plate periods: ample and too short.
 LONG_SETTLE: Final = 1000
 SHORT_SETTLE: Final = 20
-#: Plate periods that a cell may take at most to settle before it decides a threshold: 16 windows of 120, in
-#: which oscillations of the damping 0.01 decay to e^(-2 pi 1920 0.01/omega), below e^-60 up to omega = 2.
-SETTLE_UNTIL: Final = 1920
 #: Restitutions far above the paper's, at which the same values of Γ are chaotic.
 ELASTIC: Final = (0.25, 0.5)
 #: The simplest time steps of the paper's length (Eq. 13), which scatter the flights at the same values of Γ.
@@ -122,8 +119,8 @@ def _figure_5() -> tuple[Sweep, ...]:
     return (
         {
             "name": "figure 5", "gamma": _axis(0.03, 4.0, 981, "log"), "omega": _axis(0.1, 2.0, 39),
-            "xi": list(DAMPINGS), "protocol": _ramp("gamma"), "model": RIGID,
-            "settle": 100, "observe": 20, "settle_until": SETTLE_UNTIL, "keep": 1,
+            "xi": list(DAMPINGS), "protocol": _ramp("gamma"), "model": RIGID, "observe": 20,
+            "keep": 1,
         },
     )  # fmt: skip
 
@@ -171,8 +168,7 @@ def _figure_9() -> tuple[Sweep, ...]:
     """Both ramps; then a ramp down from a lower Γ, at some Ω."""
     sweep = {
         "name": "figure 9", "gamma": _axis(0.1, 3.0, 726), "omega": _axis(0.1, 1.4, 131), "xi": XI,
-        "protocol": _ramp("gamma", "both"), "model": RIGID,
-        "settle": 100, "observe": 20, "settle_until": SETTLE_UNTIL, "keep": 1,
+        "protocol": _ramp("gamma", "both"), "model": RIGID, "observe": 20, "keep": 1,
     }  # fmt: skip
     lower = {
         **sweep, "name": "figure 9, from less high", "gamma": _axis(0.1, 1.2, 276),

@@ -55,8 +55,9 @@ class ResultMethods(Methods):
         unless all of a cell are so short.
 
         Returns a Dataset with the attribute `complete` and the variables `flight_time` (rad), `takeoff_phase`
-        (rad), `flights`, `bounces`, `periods`, `lyapunov`, `lyapunov_error`, `computed`, `outcome`, `label`.
-        Raises BadRequest naming the parameter, TooLarge naming what fits.
+        (rad), `flights`, `bounces`, `periods`, `flight_error` (rad), `multiplier`, `multiplier_angle` (rad),
+        `lyapunov`, `lyapunov_error`, `computed`, `outcome`, `label`. Raises BadRequest naming the parameter,
+        TooLarge naming what fits.
         """
         return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, start=start, stop=stop, caption=caption)
 
@@ -67,6 +68,7 @@ class ResultMethods(Methods):
         min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
         hysteresis: Annotated[bool, "of a sweep ramped both ways: where they differ"] = False,
+        color: Annotated[Literal["mode", "multiplier"], "multiplier: the margin of stability, of a sweep that certifies cells"] = "mode",
         gamma_start: float | None = None,
         gamma_stop: float | None = None,
         omega_start: float | None = None,
@@ -77,12 +79,14 @@ class ResultMethods(Methods):
         The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
         unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
         corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
+        With the color `multiplier` cells have their certificates, too.
 
         Returns a Dataset with the attribute `complete` and the variables `bounces`, `periods`, `outcome`,
-        `label`, `computed`, `lyapunov`, `lyapunov_error`, `hysteresis`. Raises BadRequest naming the
-        parameter, TooLarge naming what fits.
+        `label`, `computed`, `lyapunov`, `lyapunov_error`, `flight_error` (rad), `multiplier`,
+        `multiplier_angle` (rad), `hysteresis`. Raises BadRequest naming the parameter, TooLarge naming what
+        fits.
         """
-        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis, gamma_start=gamma_start, gamma_stop=gamma_stop, omega_start=omega_start, omega_stop=omega_stop)
+        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis, color=color, gamma_start=gamma_start, gamma_stop=gamma_stop, omega_start=omega_start, omega_stop=omega_stop)
 
     def threshold(
         self,

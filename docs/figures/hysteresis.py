@@ -37,8 +37,7 @@ def seeded(omega: float) -> dict[str, Any] | None:
     return {
         "gamma": {"start": low, "stop": high, "num": 31}, "omega": omega, "xi": XI,
         "protocol": {"kind": "ramp", "axis": "gamma", "direction": "down", "start": start},
-        "model": {"kind": "rigid"}, "settle": 300, "observe": 100, "keep": 1,
-        "settle_until": 8000,  # just below a fold, bouncing outlives shorter windows
+        "model": {"kind": "rigid"}, "keep": 1,
     }  # fmt: skip
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 #: What a table of flights says of their cells.
-_OF_CELLS: Final = ("outcome", "label", "lyapunov_error", "bounces", "periods")
+_OF_CELLS: Final = ("outcome", "label", "lyapunov_error", "bounces", "periods", "flight_error", "multiplier")
 
 _DTYPES: Final = frozenset({"bool", "str", "uint8", "int32", "int64", "float32", "float64", "complex128"})
 
@@ -86,9 +86,9 @@ class BounceAccessor:
         """One row per flight: of a diagram, or of a whole sweep.
 
         Columns: the axes `gamma`, `omega`, `xi` and `direction`; `flight`, its place in its cell, from 0;
-        `flight_time` and `takeoff_phase` in rad; `outcome`, `bounces` and `periods` of its cell, of a sweep
-        with exponents `label` and `lyapunov_error`. Cells without a flight have no row. Raises BounceError
-        for a Dataset that has no flights.
+        `flight_time` and `takeoff_phase` in rad; `outcome`, `bounces` and `periods` of its cell, with
+        exponents `label` and `lyapunov_error`, of certified cells `flight_error` and `multiplier`. Cells
+        without a flight have no row. Raises BounceError for a Dataset that has no flights.
         """
         import pandas
 

@@ -131,7 +131,7 @@ def settling_note(job: JobStatus) -> str:
         return ""
     return (
         f"{settling:,} of {job.progress.cells_done:,} cells were still settling: "
-        "give them more time with settle_until (plate periods)"
+        "give them more time with settle auto and until"
     )
 
 

@@ -213,9 +213,8 @@ def _hysteresis_caption(loop: xarray.Dataset, lower: xarray.Dataset, spec: Mappi
     step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
     shows = (
         "Threshold at ξ = 0.05 with Γ increased (blue: lowest Γ that bounces) and decreased (red: last Γ "
-        f"that bounces) in steps of {step:.2g}, {spec['settle'] + spec['observe']} plate periods each and up "
-        f"to {spec['settle_until']:,} while flights still settle, on an ideal plate; dashed, Eq. 25. Its "
-        f"maximum, {highest:.1f} at Ω = {peak:.3f}, lies outside the frame."
+        f"that bounces) in steps of {step:.2g}, each until its cycle is certified, on an ideal plate; "
+        f"dashed, Eq. 25. Its maximum, {highest:.1f} at Ω = {peak:.3f}, lies outside the frame."
     )
     worst, gain = max_relative_difference(loop), 1.0 - (loop.down / loop.up).values
     most, lows = int(np.nanargmax(gain)), minima(loop.down.values, MIN_DEPTH)

@@ -18,7 +18,7 @@ from service.ledger.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
 from worker.executors.base import Compiling, Executor
 from worker.spec.errors import SpecError
-from worker.studies import from_json, study_of
+from worker.studies import renewed, study_of
 from worker.study import Plan
 from worker.study.chunks import check_size
 
@@ -155,7 +155,7 @@ class JobManager:
             again = ": submit the sweep again to compute it anew" if job.outdated else ""
             raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
         if job.outdated:
-            return self.submit(from_json(job.spec), owner=owner, replaces=job)
+            return self.submit(renewed(job.spec), owner=owner, replaces=job)
         with self._ledger.writing() as ledger:
             accepted = self._accept(ledger, replace(job, owner=owner))
             record = _existing(ledger, job_id)
@@ -191,7 +191,7 @@ class JobManager:
             state, reason = JobState.CANCELLED, None
             if not job.cancel_requested:
                 try:
-                    spec = from_json(job.spec)
+                    spec = renewed(job.spec)
                     successor, _ = self.submit(spec, owner=job.owner, replaces=job, limited=False)
                     fate = f"job {successor.id} computes all of it anew"
                 except SpecError as error:

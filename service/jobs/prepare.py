@@ -14,7 +14,7 @@ from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
 from worker.spec.errors import SpecError
-from worker.studies import from_json, study_of
+from worker.studies import from_stored, study_of
 from worker.study import Chunk, Cost, Layout, Plan, Study
 
 #: Prepared jobs kept, the last used, and the maximum characters of their specifications together.
@@ -138,7 +138,7 @@ class JobPreparer:
             return self._jobs[key][0]
 
     def _prepared(self, job: JobRecord) -> PreparedJob:
-        submitted, choice = from_json(job.spec), choice_of(job)
+        submitted, choice = from_stored(job.spec), choice_of(job)
         return PreparedJob(
             job_id=job.id,
             submitted=submitted,

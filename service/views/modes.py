@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from enum import IntEnum
 from math import prod
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
 import xarray
@@ -52,7 +52,7 @@ _PER_COMPARED: Final = 48
 _PLANE: Final = ("omega", "gamma")
 _ROWS: Final = (
     *(row for row in schema.RECORD if row.name in schema.MODE_ARRAYS), OUTCOME, LABEL, COMPUTED,
-    schema.LYAPUNOV, schema.LYAPUNOV_ERROR,
+    schema.LYAPUNOV, schema.LYAPUNOV_ERROR, *schema.CERTIFICATE,
 )  # fmt: skip
 
 Window = dict[str, slice]
@@ -74,6 +74,10 @@ class ModesQuery(Query):
     min_flight: MinFlight = None
     every: Every = 1
     hysteresis: Annotated[bool, Field(description="of a sweep ramped both ways: where they differ")] = False
+    color: Annotated[
+        Literal["mode", "multiplier"],
+        Field(description="multiplier: the margin of stability, of a sweep that certifies cells"),
+    ] = "mode"
     gamma_start: Number | None = None
     gamma_stop: Number | None = None
     omega_start: Number | None = None
@@ -86,16 +90,17 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
     The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
     unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
     corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
+    With the color `multiplier` cells have their certificates, too.
     """
     spec, directions = study.spec, directions_of(study.spec, query.direction)
     xi, window = nearest_index(spec, "xi", query.xi), _window(spec, query)
     names = arrays_of_modes(spec, query.min_flight)
-    cells = {
-        direction: recounted(
-            spec, read_direction(study, names, direction, {"xi": xi.index, **window}), query.min_flight
-        )
-        for direction in directions
-    }
+    certificates = [row.name for row in schema.CERTIFICATE] if query.color == "multiplier" else []
+    cells = {}
+    for direction in directions:
+        arrays = read_direction(study, (*names, *certificates), direction, {"xi": xi.index, **window})
+        certified = {name: arrays[name] for name in certificates}
+        cells[direction] = recounted(spec, arrays, query.min_flight) | certified
     coords = {"xi": coordinate("xi", xi.value)}
     coords |= {axis: coordinate(axis, spec.axis_values(axis)[part]) for axis, part in window.items()}
     attrs: dict[str, Any] = {
@@ -124,6 +129,11 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     nearest_index(spec, "xi", query.xi)
     directions, window = directions_of(spec, query.direction), _window(spec, query)
     lengths = {axis: part.stop - part.start for axis, part in window.items()}
+    if query.color == "multiplier" and not spec.certifies:
+        rule = (
+            "must be 'mode': this sweep certifies no cells, as one with settle 'auto' and no exponents does"
+        )
+        raise InvalidRequest.of("color", rule)
     memory, most = 0, None
     if needs_flights(spec, query.min_flight):
         if spec.fills_in:

@@ -357,7 +357,7 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
     if -slack <= above <= spacing + slack:
         return ""
     if above < 0.0:
-        return _below(prediction.fold, -above, spec.settle + spec.observe)
+        return _below(prediction.fold, -above, sum(spec.window))
     if prediction.fold is not None:
         return (
             f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the "

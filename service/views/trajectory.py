@@ -327,7 +327,7 @@ def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
         raise InvalidRequest.of("attractor", "must be left out: the job is a sweep, which stores none")
     else:
         _direction(spec, query)
-        settle = min(spec.settle, MAX_SETTLE) if spec.ramp_axis is None else 0
+        settle = min(spec.window[0], MAX_SETTLE) if spec.ramp_axis is None else 0
     sampling = {"settle": settle, "periods": query.periods, "samples": query.samples}
     return TrajectorySpec(**values, model=spec.model, **sampling)
 

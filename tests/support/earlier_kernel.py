@@ -14,6 +14,7 @@ from worker import store
 from worker.studies import run_task
 from worker.study import Array
 from worker.sweep import SweepSpec, schema
+from worker.sweep.earlier import EarlierSweep
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
 
@@ -38,19 +39,20 @@ SPECS: dict[str, dict[str, Any]] = {
         "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
         "model": {"kind": "rigid"},
         "settle": 40,
+        "settle_until": 640,
         "observe": 20,
         "keep": 8,
     },
 }
-#: A variable that this kernel version did not store.
-ADDED_SINCE = "lyapunov_error"
+#: Variables that this kernel version did not store.
+ADDED_SINCE = ("lyapunov_error", "flight_error", "multiplier", "multiplier_angle")
 #: Chunks that are done, of 1 and of 12.
 DONE_CHUNKS = {"done": 1, "interrupted": 3}
-IDS = {name: SweepSpec(**spec).job_id(VERSION) for name, spec in SPECS.items()}
+IDS = {name: EarlierSweep(**spec).job_id(VERSION) for name, spec in SPECS.items()}
 
 
 def arrays_of_then(spec: SweepSpec, today: Any = schema.arrays) -> Iterator[Array]:
-    yield from (array for array in today(spec) if array.name != ADDED_SINCE)
+    yield from (array for array in today(spec) if array.name not in ADDED_SINCE)
 
 
 def earlier_folder(parent: Path) -> Path:
@@ -58,7 +60,7 @@ def earlier_folder(parent: Path) -> Path:
     settings = Settings(data=parent / "bounce-data")
     with patch.object(schema, "arrays", arrays_of_then), open_ledger(settings) as ledger:
         for name, fields in SPECS.items():
-            spec = SweepSpec(**fields)
+            spec = EarlierSweep(**fields)
             plan = make_plan(spec, chunk_shape=(1, 2 if name == "done" else 1, 41))
             now = layout(spec, plan.chunk_shape)
             then = replace(

@@ -237,6 +237,5 @@ def costing(name: str = "", chunks: int = 8, seconds: float = 0.06, **changes: A
         "settle": round(cell / 0.4e-6),
         "observe": 10,
         "keep": 4,
-        "settle_early": False,
     }
     return SweepSpec(**(fields | changes))

@@ -218,11 +218,13 @@ def reference(
 
     contact: another one than the sweep's.
     """
+    settle, observe = (LONGER * max(periods, 1) for periods in spec.window)
+    until = spec.settles_until
     gamma, omega, xi = np.array(cells, np.float64).reshape(-1, 3).T.copy()
     model = contact or spec.model
     run = LineRun(
         gamma, omega, xi, plate=plate_of(model, gamma, omega, xi), carry=True, start=list(starts),
-        settle=LONGER * max(spec.settle, 1), observe=LONGER * spec.observe,
+        settle=settle, observe=observe, settle_until=None if until is None else LONGER * until,
         keep=max(spec.keep, min(LONGER * spec.keep, 4096)), micro_flight=spec.micro_flight, in_lanes=False,
         exponents=spec.exponents if contact is None else 0,
     )  # fmt: skip
@@ -233,7 +235,7 @@ def reference(
 
 def reference_seconds(spec: SweepSpec) -> float:
     """Core-seconds of the reference of one cell, with its start and moved, by the table of contact models."""
-    return 2.0 * LONGER * (spec.settle + spec.observe) * period_seconds(spec, alone=True)
+    return 2.0 * LONGER * sum(spec.window) * period_seconds(spec, alone=True)
 
 
 def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:

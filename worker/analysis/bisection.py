@@ -5,6 +5,9 @@ refined by bisection. On a ramp the refinement continues from the stored state o
 change, in smaller steps. A step whose cell is beyond the change is halved and repeated from the cell before:
 the step itself excites the spring, more so with less damping, and may have caused the change. This ends when
 neither the step, nor the sum of the last accepted steps of its size, exceeds half the tolerance.
+
+Just below the fold where a cycle ends, bouncing lasts for long without a cycle. So a cell of a refinement
+bounces if its cycle is certified, or if it is aperiodic after PATIENCE plate periods.
 """
 
 import math
@@ -20,7 +23,7 @@ from worker import store
 from worker.spec.axes import LARGEST, SMALLEST
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
-from worker.sweep.specification import MAX_PERIODS
+from worker.sweep.specification import UNTIL
 from worker.sweep.task import run_cells
 
 #: Maximum cells computed for one threshold on a ramp; beyond it the threshold is not refined.
@@ -29,9 +32,10 @@ MAX_CELLS: Final = 2_000
 #: Typical number of cells per threshold, to estimate the cost of a request.
 TYPICAL_CELLS: Final = 40
 
-#: A cell of a refinement still settling after its window continues to this many times the window's length.
-#: Settling is slow near a threshold, and an unsettled cell decides nothing.
-PATIENCE: Final = 16
+#: Plate periods before the window of a refinement's cell that is not certified, and all that one that still
+#: settles may take.
+PATIENCE: Final = UNTIL
+SETTLES_UNTIL: Final = 4 * UNTIL
 
 BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC)
 
@@ -165,9 +169,8 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
 
 def _patient(spec: SweepSpec) -> SweepSpec:
     """The specification of a refinement's cells: only the outcome counts, and settling may take longer."""
-    window = spec.settle + spec.observe
-    until = max(spec.settle_until or window, min(PATIENCE * window, MAX_PERIODS))
-    return spec.model_copy(update={"keep": 1, "exponents": 0, "settle_until": until})
+    until = max(spec.settles_until or 0, SETTLES_UNTIL)
+    return spec.model_copy(update={"keep": 1, "exponents": 0, "settle": "auto", "until": until})
 
 
 def _refine_line(
@@ -185,8 +188,13 @@ def _refine_line(
     beyond = float(gamma[after])
     if spec.ramp_axis is None:
         return _bisect(spec, cell, beyond, tolerance)
-    state = store.read_slice(url, ("end_state",), direction=direction, xi=xi, omega=omega, gamma=before)
-    return _ramp_on(spec, Start(state["end_state"], cell), beyond - cell.gamma, tolerance, down)
+    for i in range(before, len(gamma)):
+        state = store.read_slice(url, ("end_state",), direction=direction, xi=xi, omega=omega, gamma=i)
+        start = Start(state["end_state"], cell._replace(gamma=float(gamma[i])))
+        # The window of a cell of the ramp may have been too short to show that its bouncing ends.
+        if not down or _run(spec, start.cell, start)[0] in BOUNCING:
+            return _ramp_on(spec, start, beyond - start.cell.gamma, tolerance, down)
+    return math.nan, Status.NOT_REFINED
 
 
 def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> tuple[float, Status]:
@@ -236,5 +244,5 @@ def _ramp_on(
 def _run(spec: SweepSpec, cell: Cell, start: Start | None) -> tuple[int, NDArray[np.float64]]:
     """Outcome and end state of one cell."""
     gamma, omega, xi = (np.array([value]) for value in cell)
-    line = run_cells(spec, gamma, omega, xi, start)
+    line = run_cells(spec, gamma, omega, xi, start, PATIENCE)
     return int(line.outcome[0]), line.end_state[0]

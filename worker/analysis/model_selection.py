@@ -155,19 +155,18 @@ def _auto(spec: SweepSpec) -> Auto:
     return spec.model
 
 
-def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball, settle_tolerance: float) -> SweepSpec:
-    """The sweep with another model and the windows of the comparison."""
-    observe = min(spec.observe, MAX_OBSERVE)
+def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball) -> SweepSpec:
+    """The sweep with another model and the windows of the comparison, which are fixed."""
+    settle, observe = (min(*each) for each in zip(spec.window, (MAX_SETTLE, MAX_OBSERVE), strict=True))
     micro_flight = max(spec.micro_flight, min(_auto(spec).tolerance, MAX_MICRO_FLIGHT))
     return spec.model_copy(
         update={
             "model": model,
-            "settle": min(spec.settle, MAX_SETTLE),
+            "settle": settle,
             "observe": observe,
             "keep": min(8 * observe, MAX_FLIGHTS),
             "micro_flight": micro_flight,
-            "settle_tolerance": settle_tolerance,
-            "settle_until": None,
+            "until": None,
         }
     )
 
@@ -189,7 +188,7 @@ def timed(spec: SweepSpec, lines: Sequence[Line], least: float = 0.0) -> tuple[l
         seconds = time.thread_time() - began
         shortest, total = min(shortest, seconds), total + seconds
     cells = sum(len(line.gamma) for line in lines)
-    return records, shortest / cells / (spec.settle + spec.observe) * 1e6
+    return records, shortest / cells / sum(spec.window) * 1e6
 
 
 def compared(
@@ -200,10 +199,10 @@ def compared(
     Core-microseconds per cell per plate period and the deviations (n,) by kind, and the exact outcomes (n,).
     """
     auto = _auto(spec)
-    exact, _ = timed(_shortened(spec, auto.exact, settle_tolerance=0.0), lines)
+    exact, _ = timed(_shortened(spec, auto.exact), lines)
     models = {}
     for kind, model in _candidates(auto).items():
-        run = _shortened(spec, model, spec.settle_tolerance)
+        run = _shortened(spec, model)
         records, microseconds = timed(run, lines)
         errors = [deviations(*pair, run.micro_flight) for pair in zip(exact, records, strict=True)]
         models[kind] = microseconds, np.concatenate(errors)

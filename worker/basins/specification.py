@@ -8,19 +8,21 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from worker.spec.axes import NUMBER, WHOLE, Strict
-from worker.spec.contact_models import Auto, Ball, Contact, Soft
+from worker.spec.contact_models import Auto, Ball, Contact, Soft, Stepped
 from worker.spec.errors import BrokenRuleError, SpecError
 from worker.spec.specification import Specification
+from worker.spec.time_steps import check_steps, corners
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.specification import (
+    MAX_PERIODS,
     Exponents,
     Gamma,
     Keep,
     MicroFlight,
     Observe,
     Omega,
+    Periods,
     Settle,
-    SettleUntil,
     Xi,
 )
 
@@ -110,7 +112,13 @@ class GridSpec(Specification):
     observe: Observe
     keep: Keep = 64
     micro_flight: MicroFlight = 0.05
-    settle_until: SettleUntil = None
+    settle_until: Annotated[
+        Periods | None,
+        Field(
+            description="Maximum plate periods of a start, if it has not settled by then; null: "
+            f"{UNTIL} windows, or more where what is transient needs it."
+        ),
+    ] = None
 
     @model_validator(mode="after")
     def _rules(self) -> Self:
@@ -122,12 +130,23 @@ class GridSpec(Specification):
             raise BrokenRuleError(
                 "protocol.plane", "must be 'drop' where model.kind is 'ball': it has no spring"
             )
+        self._check_until()
         try:
             self.sweep()
         except SpecError as error:
             problem = error.problems[0]
             raise BrokenRuleError(*problem) from error
         return self
+
+    def _check_until(self) -> None:
+        """`settle_until` allows another window after the first."""
+        effective = self.settle + 2 * self.observe
+        if self.settle_until is not None and self.settle_until < effective:
+            nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
+            rule = f"must be at least settle + 2 * observe, or null: less has no effect; {nearest} works"
+            raise BrokenRuleError("settle_until", rule)
+        if isinstance(self.model, Stepped) and self.settle_until is not None:
+            check_steps(self.model, corners(*map(self.axis_values, ("gamma", "omega", "xi"))), self.until)
 
     @property
     def until(self) -> int:
@@ -137,9 +156,11 @@ class GridSpec(Specification):
     def sweep(self) -> SweepSpec:
         """The sweep of these cells with this window, from rest, every cycle computed. Raises SpecInvalid."""
         fields: dict[str, Any] = {
-            name: getattr(self, name) for name in type(self).model_fields if name not in ("name", "protocol")
+            name: getattr(self, name)
+            for name in type(self).model_fields
+            if name not in ("name", "protocol", "settle_until")
         }
-        return SweepSpec(**fields, settle_early=False)
+        return SweepSpec(**fields)
 
 
 class BasinSpec(GridSpec):

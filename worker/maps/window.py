@@ -11,6 +11,7 @@ from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid
 from worker.spec.refine import Margin, Refine
 from worker.spec.specification import Document
 from worker.sweep import SweepSpec
+from worker.sweep.earlier import EarlierSweep
 from worker.sweep.protocols import Rest
 
 #: Minimum values of a window along an axis.
@@ -53,6 +54,7 @@ class Window(Document):
         if not isinstance(spec.protocol, Rest):
             rule = f"must be 'rest' to refine a window, and is {spec.protocol.kind!r} in this sweep"
             raise SpecInvalid([Problem("protocol.kind", rule)])
+        spec = spec.today() if isinstance(spec, EarlierSweep) else spec
         axes = {name: self._axis(spec, name) for name in ("gamma", "omega")}
         refine = Refine.model_validate({"by": self.by})
         name = f"Window of {spec.name or 'sweep ' + job[:8]}"[:200]

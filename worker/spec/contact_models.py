@@ -103,9 +103,9 @@ class ContactFields(Strict):
         return self.dimension
 
     @property
-    def repeats(self) -> bool:
-        """Whether the motion repeats once its flights do."""
-        return True
+    def certifies(self) -> bool:
+        """Whether cycles can be certified, which needs variations."""
+        return self.dimension > 0
 
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
@@ -188,11 +188,6 @@ class Stepped(_SoftContact):
         names = ("steps_per_contact", "scheme", "events")
         return super().plate_arguments(gamma, omega, xi) | {name: getattr(self, name) for name in names}
 
-    @property
-    def repeats(self) -> bool:
-        """Plain flights are whole steps: they repeat while the motion between them still settles."""
-        return self.events == "located"
-
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """`base` times the steps per plate period: the geometric mean of the sweep's two ends."""
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
@@ -272,6 +267,11 @@ class Auto(_SoftContact):
         return self.exact.cost_us(base, gamma, omega, at_once=at_once)
 
     @property
+    def certifies(self) -> bool:
+        """As any model that may be chosen."""
+        return True
+
+    @property
     def exact(self) -> Soft:
         """The contact that the tolerance refers to."""
         return Soft(**self.model_dump(include=set(_SoftContact.model_fields) - {"kind"}))
@@ -284,7 +284,7 @@ class ContactModel(NamedTuple):
     kernel: str  # name of the module that has its `plate`
     cost_us: float  # core-microseconds per cell per plate period from rest; of `stepped`, per time step
     label: str  # for figures and messages
-    early: float = 1.0  # share of the cost where provably repeating cycles are skipped
+    certified: float = 1.0  # share of the cost where cells end once they are certified
     ramp: float = 1.0  # cost of a ramp's cell relative to one from rest; of models in lanes, side by side
 
 

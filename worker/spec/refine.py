@@ -14,11 +14,6 @@ MAX_COARSEST: Final = 128
 #: mix, every cell would be computed.
 MAX_MODE_PERIODS: Final = 4
 
-#: Default `settle_until` of an adaptive map: others should not take the outcome of a cell still settling. In
-#: the plane of docs/specification.md, 8 % of the cells settle after 300 plate periods, 0.2 % after 5,000, and
-#: 0.2 % after 20,000.
-SETTLE_UNTIL: Final = 5_000
-
 #: Default `coarsest`. Modes have islands and tongues of a few cells, which blocks of 64 miss; the bouncing
 #: region has none (`python -m benchmarks.adaptive`).
 COARSEST: Final = {"mode": 16, "bouncing": 64}

@@ -8,9 +8,9 @@ Effort = Literal["draft", "standard", "thorough"]
 
 #: The fields of each effort (docs/accuracy.md has what each shows wrong, and its cost).
 EFFORTS: Final[dict[str, dict[str, Any]]] = {
-    "draft": {"settle": 60, "observe": 30},
-    "standard": {"settle": 200, "observe": 100},
-    "thorough": {"settle": 1000, "observe": 300},
+    "draft": {"settle": 60, "observe": 30, "until": None},
+    "standard": {"settle": "auto", "observe": 100, "until": None},
+    "thorough": {"settle": "auto", "observe": 1000, "until": 20_000},
 }
 
 

@@ -22,7 +22,7 @@ from worker.sweep.specification import AXES, SweepSpec
 SMALLEST_SECONDS: Final = 0.0125
 FEWEST_CHUNKS: Final = 8
 #: A sweep that would have more chunks has longer ones instead, of LONGEST_SECONDS at most: 15,000 chunks of
-#: six arrays are 90,000 files. Like any long chunk, they pause in between.
+#: nine arrays are 135,000 files. Like any long chunk, they pause in between.
 MANY_CHUNKS: Final = 15_000
 #: From this many lines of a ramp on, chunks fill all lanes. With fewer, twice as many chunks of half the
 #: lanes keep more workers busy.
@@ -35,6 +35,10 @@ MAX_SHARD_BYTES: Final = 96 * 2**20
 #: after 1,200, 0.2% after 2,400 (`python -m benchmarks.settling`).
 SETTLING_SHARE: Final = 0.053
 STILL_SETTLING_SHARE: Final = 0.35
+
+#: Shares of the cells that are not certified in their window and settle, and those that still do after
+#: they were followed.
+GOING_ON_SHARES: Final = (0.06, 0.03)
 
 #: Share of the cells whose window shows no mode and which are followed beyond it, of 24,000 random cells.
 FOLLOWED_SHARE: Final = 0.25
@@ -151,23 +155,27 @@ def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
 
     alone: as in `period_seconds`.
     """
+    if spec.certifies:
+        parts = zip((1.0, *GOING_ON_SHARES), [sum(spec.window), *_extensions(spec)], strict=False)
+        share = CONTACT_MODELS[spec.model.kind].certified
+        return share * period_seconds(spec, alone=alone) * sum(part * periods for part, periods in parts)
     followed = periods_followed(spec.observe)
-    periods, share = spec.settle + spec.observe + FOLLOWED_SHARE * followed, SETTLING_SHARE
+    periods, share = sum(spec.window) + FOLLOWED_SHARE * followed, SETTLING_SHARE
     for added in _extensions(spec):
         periods, share = periods + share * (added + followed), share * STILL_SETTLING_SHARE
-    share = CONTACT_MODELS[spec.model.kind].early if spec.ends_early else 1.0
-    return share * period_seconds(spec, alone=alone) * periods
+    return period_seconds(spec, alone=alone) * periods
 
 
 def longest_cell_seconds(spec: SweepSpec) -> float:
-    """Core-seconds of a cell that settles until settle_until, among the busiest of the sweep."""
-    windows = [spec.settle + spec.observe, *_extensions(spec)]
-    return longest_seconds(spec, sum(added + periods_followed(spec.observe) for added in windows))
+    """Core-seconds of a cell that settles until `settles_until`, among the busiest of the sweep."""
+    windows = [sum(spec.window), *_extensions(spec)]
+    followed = 0 if spec.certifies else periods_followed(spec.observe)
+    return longest_seconds(spec, sum(added + followed for added in windows))
 
 
 def longest_seconds(spec: SweepSpec, until: int) -> float:
     """Core-seconds of a cell followed for `until` plate periods, among the busiest of the sweep."""
-    window = spec.settle + spec.observe
+    window = sum(spec.window)
     busiest = spec.model.busiest(*map(spec.axis_values, ("gamma", "omega", "xi")))
     return period_seconds(spec) * (busiest * window + min(busiest, BUSIEST_FOLLOWED) * (until - window))
 
@@ -202,8 +210,15 @@ def lines_of(spec: SweepSpec) -> int:
 
 
 def _extensions(spec: SweepSpec) -> Iterator[int]:
-    """Plate periods of each extension of a cell that is still settling, as in `kernel.cell.extend`."""
-    taken = spec.settle + spec.observe
-    while (added := min(taken, (spec.settle_until or 0) - taken)) >= spec.observe:
+    """Plate periods of each extension of a cell that is still settling, as in `kernel.cell`."""
+    taken = sum(spec.window)
+    if spec.certifies:
+        ends = taken + periods_followed(spec.observe), spec.settles_until or 0
+        for end in ends:
+            if end - taken >= spec.observe:
+                yield end - taken
+                taken = end
+        return
+    while (added := min(taken, (spec.settles_until or 0) - taken)) >= spec.observe:
         yield added
         taken += added

@@ -22,8 +22,7 @@ from worker.sweep.specification import SweepSpec
 
 RECORD: Final = (
     array("flight_time", (*CELL_DIMS, "flight"), "<f8", "flight time, last flights of the window in order",
-          "rad", comment="those of a periodic cell are within 6e-6 rad of its cycle, within 1.2e-4 rad if "
-          "settle_until extended it: what is left of a slow approach"),
+          "rad"),
     array("takeoff_phase", (*CELL_DIMS, "flight"), "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
     array("flights", CELL_DIMS, "<i4", "flights taken off and landed within the window"),
     array("bounces", CELL_DIMS, "<i4", "mode: bounces in one cycle, 0 if none was found"),
@@ -34,6 +33,15 @@ MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
 END_STATE: Final = array(
     "end_state", (*CELL_DIMS, "state"), "<f8", "state at the end of the window, in the cell's own units",
     None, fields=" ".join(STATE_FIELDS),
+)  # fmt: skip
+_CERTIFIED: Final = "of certified cells; NaN: not certified"
+CERTIFICATE: Final = (
+    array("flight_error", CELL_DIMS, "<f8", "bound on the error of each flight time and take-off phase",
+          "rad", comment=_CERTIFIED),
+    array("multiplier", CELL_DIMS, "<f8", "modulus of the cycle's leading Floquet multiplier",
+          comment=f"margin of stability: 1 at a bifurcation; {_CERTIFIED}"),
+    array("multiplier_angle", CELL_DIMS, "<f8", "angle of the cycle's leading Floquet multiplier", "rad",
+          comment=f"near a bifurcation: 0 beside a fold, pi beside a flip; {_CERTIFIED}"),
 )  # fmt: skip
 LYAPUNOV: Final = array(
     "lyapunov", (*CELL_DIMS, "exponent"), "<f8", "Lyapunov exponents, the largest first",
@@ -52,18 +60,20 @@ COMPUTED: Final = array(
 #: Written last: a cell with an outcome has all its values.
 OUTCOME: Final = array(
     "outcome", CELL_DIMS, "|u1", "what became of the cell", **OUTCOME_FLAGS,
-    comment="of the window: 3 % of aperiodic cells are periodic in the end, chaotic transients that "
-    "settle_until does not extend; a start exactly on an unstable cycle is periodic there",
+    comment="3 % of aperiodic cells are periodic in the end, chaotic transients; where no cell is certified, "
+    "a start exactly on an unstable cycle is periodic",
 )  # fmt: skip
 
 
 #: Every array that a sweep may have.
-ARRAYS: Final = (*RECORD, LYAPUNOV, LYAPUNOV_ERROR, END_STATE, COMPUTED, OUTCOME)
+ARRAYS: Final = (*RECORD, *CERTIFICATE, LYAPUNOV, LYAPUNOV_ERROR, END_STATE, COMPUTED, OUTCOME)
 
 
 def arrays(spec: SweepSpec) -> Iterator[Array]:
     """The arrays of a sweep in the order they are written; `end_state` only for ramps."""
     yield from RECORD
+    if spec.certifies:
+        yield from CERTIFICATE
     if spec.exponents:
         yield LYAPUNOV
         yield LYAPUNOV_ERROR

@@ -6,15 +6,15 @@ specification without loading kernels, Dask or zarr.
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Final, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from kernel.branches.starts import stable_ranges, start_on_stable_cycle
-from kernel.params import MAX_EXPONENTS, MAX_SETTLE_TOLERANCE, Cell, KernelInputError, Start
+from kernel.params import MAX_EXPONENTS, Cell, KernelInputError, Start
 from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, within
 from worker.spec.contact_models import (
     CONTACT_MODELS,
@@ -26,8 +26,8 @@ from worker.spec.contact_models import (
     Stepped,
     penetration_of,
 )
-from worker.spec.errors import BrokenRuleError, one_of
-from worker.spec.refine import SETTLE_UNTIL, Refinement
+from worker.spec.errors import BrokenRuleError, describe, one_of
+from worker.spec.refine import Refinement
 from worker.spec.specification import JobId, Specification
 from worker.spec.time_steps import check_steps, corners
 from worker.sweep.protocols import Protocol, Ramp, Rest
@@ -40,6 +40,18 @@ MAX_KEEP: Final = 10_000
 
 #: Maximum lines of a ramp that starts on cycles; each cycle is sought on submission (5 ms).
 MAX_STARTS: Final = 1_000
+
+#: Plate periods before the window of a cell that "settle": "auto" does not certify, and all that a settling
+#: one may take by default: of the cells of docs/specification.md's map, 0.2 % still settle then.
+SETTLE: Final = 200
+UNTIL: Final = 5_000
+
+#: Fields of earlier releases: their defaults, which say nothing, and what works instead of other values.
+REMOVED: Final[dict[str, tuple[object, str]]] = {
+    "settle_early": (True, '"settle": "auto" ends a cell as soon as its cycle is certified'),
+    "settle_tolerance": (0.0, '"settle": "auto" ends a cell as soon as its cycle is certified'),
+    "settle_until": (None, '"until", with "settle": "auto", gives settling cells more plate periods'),
+}
 
 #: Contact models that can start on a cycle of the spring.
 WITH_CYCLES: Final = ("rigid", "soft", "stepped")
@@ -66,11 +78,25 @@ Keep = Annotated[int, Field(ge=1, le=MAX_KEEP, description="Number of last fligh
 MicroFlight = Annotated[
     float, Field(ge=0.0, description="Flights shorter than this are not counted as bounces (rad)."), NUMBER
 ]
-SettleUntil = Annotated[
-    Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None,
+Periods = Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE]
+
+
+def _auto(value: object) -> object:
+    if isinstance(value, str) and value != "auto":
+        raise BrokenRuleError(
+            "", f"must be 'auto' or a whole number of plate periods, not {describe(value)}", "type"
+        )
+    return value
+
+
+#: Tagged, so that errors name the rule of one of the two.
+AutoSettle = Annotated[
+    Annotated[Literal["auto"], Tag("<auto>")] | Annotated[Settle, Tag("<periods>")],
+    Discriminator(lambda value: "<auto>" if value == "auto" else "<periods>"),
+    BeforeValidator(_auto),
     Field(
-        description="Maximum plate periods of a cell, if it has not settled by then; null: no extension, "
-        f"or {SETTLE_UNTIL:,} for an adaptive map."
+        description="Plate periods before the window; auto: a cell ends once its cycle is certified, or "
+        f"after {SETTLE} + observe, and one that still settles goes on."
     ),
 ]
 Exponents = Annotated[
@@ -81,8 +107,8 @@ Exponents = Annotated[
 class SweepSpec(Specification):
     """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
-    `settle`, `observe` and `settle_until` are in plate periods, `keep` in flights, `micro_flight` and
-    `settle_tolerance` in rad. `parent` is a label: the job in whose map this sweep is a window.
+    `settle`, `observe` and `until` are in plate periods, `keep` in flights, `micro_flight` in rad.
+    `parent` is a label: the job in whose map this sweep is a window.
     `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names each field and rule.
     """
 
@@ -95,28 +121,17 @@ class SweepSpec(Specification):
         Rest()
     )
     model: Annotated[Contact, Field(description="The contact of the lower mass with the plate.")] = Soft()
-    settle: Settle = 200
+    settle: AutoSettle = "auto"
     observe: Observe = 100
+    until: Annotated[
+        Periods | None,
+        Field(
+            description="Maximum plate periods of a cell that still settles, with settle auto; null: "
+            f"{UNTIL:,}."
+        ),
+    ] = None
     keep: Keep = 64
     micro_flight: MicroFlight = 0.05
-    settle_tolerance: Annotated[
-        float,
-        Field(
-            ge=0.0,
-            le=MAX_SETTLE_TOLERANCE,
-            description="A cell ends early when its flights repeat within this (rad); 0: never.",
-        ),
-        NUMBER,
-    ] = 0.0
-    settle_until: SettleUntil = None
-    settle_early: Annotated[
-        bool,
-        Field(
-            strict=True,
-            description="From rest without exponents or plain events: whether provably repeating cycles are "
-            "skipped.",
-        ),
-    ] = True
     exponents: Exponents = 0
     refine: Annotated[
         Refinement, Field(description="Compute only where the map changes; null: every cell.")
@@ -125,15 +140,13 @@ class SweepSpec(Specification):
 
     @model_validator(mode="before")
     @classmethod
-    def _settled(cls, fields: Any) -> Any:
-        """Let the cells of an adaptive map settle before others take their values."""
-        if not isinstance(fields, dict) or fields.get("refine") is None or fields.get("settle_until"):
+    def _of_today(cls, fields: Any) -> Any:
+        """Leave out removed fields, and refuse those that ask for something with what works instead."""
+        if not isinstance(fields, dict) or not REMOVED.keys().isdisjoint(cls.model_fields):
             return fields
-        settle, observe = (fields.get(name, cls.model_fields[name].default) for name in ("settle", "observe"))
-        if not all(isinstance(periods, int | float) for periods in (settle, observe)):
-            return fields
-        until = max(SETTLE_UNTIL, settle + 2 * observe)
-        return fields | {"settle_until": int(until)} if until <= MAX_PERIODS else fields
+        for name in removed_from(fields):
+            raise BrokenRuleError(name, f"was removed; {REMOVED[name][1]}", "unknown")
+        return {name: value for name, value in fields.items() if name not in REMOVED}
 
     @model_validator(mode="after")
     def _rules(self) -> Self:
@@ -142,11 +155,7 @@ class SweepSpec(Specification):
             remedy = f"ramp along {one_of(longer)}" if longer else f"give {self.protocol.axis} a range"
             rule = f"must name an axis of at least 2 values, and {self.protocol.axis} has 1; {remedy}"
             raise BrokenRuleError("protocol.axis", rule)
-        effective = self.settle + 2 * self.observe
-        if self.settle_until is not None and self.settle_until < effective:
-            nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
-            rule = f"must be at least settle + 2 * observe, or null: less has no effect; {nearest} works"
-            raise BrokenRuleError("settle_until", rule)
+        self._check_until()
         if self.refine is not None and not isinstance(self.protocol, Rest):
             rule = f"needs protocol.kind 'rest', not {self.protocol.kind!r}, which computes every cell"
             raise BrokenRuleError("refine", f"{rule}; null works")
@@ -155,8 +164,21 @@ class SweepSpec(Specification):
         self._check_start()
         if isinstance(self.model, Stepped):
             axes = (self.axis_values(axis) for axis in ("gamma", "omega", "xi"))
-            check_steps(self.model, corners(*axes), max(self.settle + self.observe, self.settle_until or 0))
+            check_steps(self.model, corners(*axes), max(sum(self.window), self.settles_until or 0))
         return self
+
+    def _check_until(self) -> None:
+        """`until` is for auto, and allows another window after the first."""
+        if self.until is None:
+            return
+        if self.settle != "auto":
+            rule = f"must be null where settle is {self.settle}: its windows are fixed"
+            raise BrokenRuleError("until", f'{rule}; "settle": "auto" works')
+        effective = SETTLE + 2 * self.observe
+        if self.until < effective:
+            nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
+            rule = f"must be at least {SETTLE} + 2 * observe, or null: less has no effect; {nearest} works"
+            raise BrokenRuleError("until", rule)
 
     def _check_exponents(self) -> None:
         """No more exponents than the state has dimensions, and none where no variations are computed."""
@@ -225,14 +247,21 @@ class SweepSpec(Specification):
         return ("up", "down") if self.protocol.direction == "both" else (self.protocol.direction,)
 
     @property
-    def ends_early(self) -> bool:
-        """Whether `settle_early` is on and has an effect."""
-        return self.settle_early and self._may_end_early
+    def window(self) -> tuple[int, int]:
+        """Plate periods before the window and in it, of a cell that is not certified."""
+        return (SETTLE if self.settle == "auto" else self.settle), self.observe
 
     @property
-    def _may_end_early(self) -> bool:
-        """Never on a ramp, with exponents, or where flights do not tell that the motion repeats."""
-        return isinstance(self.protocol, Rest) and not self.exponents and self.model.repeats
+    def settles_until(self) -> int | None:
+        """Plate periods that a cell still settling may take in all; None: its window is fixed."""
+        if self.settle != "auto":
+            return None
+        return self.until or max(UNTIL, sum(self.window))
+
+    @property
+    def certifies(self) -> bool:
+        """Whether cells end once their cycle is certified: with tangents, which exponents use up."""
+        return self.settle == "auto" and not self.exponents and self.model.certifies
 
     @property
     def fills_in(self) -> bool:
@@ -250,12 +279,18 @@ class SweepSpec(Specification):
         return len(self.directions), *super().shape
 
     def left_out(self) -> set[str]:
-        """The labels, and newer fields that are at their defaults or without effect."""
-        later = ("settle_tolerance", "settle_until", "exponents", "refine")
-        left_out = {"parent"} | {field for field in later if not getattr(self, field)}
-        if self.settle_early or not self._may_end_early:
-            left_out.add("settle_early")  # on, or without effect
-        return super().left_out() | left_out
+        """The labels, and newer fields that are at their defaults."""
+        defaults = {"settle": ("auto",), "until": (None, UNTIL), "exponents": (0,), "refine": (None,)}
+        return (
+            super().left_out()
+            | {"parent"}
+            | {field for field, default in defaults.items() if getattr(self, field) in default}
+        )
+
+
+def removed_from(fields: Mapping[str, object]) -> list[str]:
+    """The removed fields among these that are not at the default that they had."""
+    return [name for name, (default, _) in REMOVED.items() if fields.get(name, default) != default]
 
 
 def is_open(spec: object) -> bool:

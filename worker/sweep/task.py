@@ -71,13 +71,15 @@ def run_cells(
     omega: NDArray[np.float64],
     xi: NDArray[np.float64],
     start: Start | None,
+    settle: int | None = None,
 ) -> Line:
     """Compute a line of cells as a sweep does.
 
     gamma, omega, xi: (n,), in the order of the ramp. start: on a ramp, the state before the first cell;
-    None starts from rest. Raises KernelInputError for values that the kernel does not accept.
+    None starts from rest. settle: plate periods before the window, if not the sweep's. Raises
+    KernelInputError for values that the kernel does not accept.
     """
-    run = _line_run(spec, gamma, omega, xi, [start])
+    run = _line_run(spec, gamma, omega, xi, [start], settle)
     while not run.advance(FIRST_STEPS):
         check()
     return run.line
@@ -89,22 +91,23 @@ def _line_run(
     omega: NDArray[np.float64],
     xi: NDArray[np.float64],
     starts: list[Start | None],
+    settle: int | None = None,
 ) -> LineRun:
     """Lines of cells as a sweep computes them, at their beginning; of ramps, one for each start."""
     carry = spec.ramp_axis is not None
+    usual, observe = spec.window
     return LineRun(
         np.ascontiguousarray(gamma),
         np.ascontiguousarray(omega),
         np.ascontiguousarray(xi),
         plate=plate_of(spec.model, gamma, omega, xi),
         carry=carry,
-        settle=spec.settle,
-        observe=spec.observe,
+        settle=usual if settle is None else settle,
+        observe=observe,
         keep=spec.keep,
         micro_flight=spec.micro_flight,
-        settle_tolerance=spec.settle_tolerance,
-        settle_until=spec.settle_until,
-        settle_early=spec.ends_early,
+        certify=spec.certifies,
+        settle_until=spec.settles_until,
         exponents=spec.exponents,
         start=starts if carry else None,
     )

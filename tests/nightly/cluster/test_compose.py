@@ -39,7 +39,6 @@ SWEEP: dict[str, Any] = {
     "xi": 0.26,
     "model": {"kind": "rigid"},
     "settle": 25_000,
-    "settle_early": False,
     "observe": 100,
     "keep": 16,
 }

@@ -37,7 +37,7 @@ def test_the_example_has_the_shares_of_the_whole_grid_in_half_of_its_time(tmp_pa
     [text] = EXAMPLE.findall((ROOT / "docs" / "specification.md").read_text())
     fields = json.loads(text)
     found, seconds = computed(SweepSpec.parse(fields), tmp_path / "map.zarr")
-    whole = SweepSpec.parse(fields | {"refine": None, "settle_until": 5_000})
+    whole = SweepSpec.parse(fields | {"refine": None})
     full, full_seconds = computed(whole, tmp_path / "full.zarr")
     for outcome in Outcome:
         shares = [float(np.mean(cells["outcome"] == outcome)) for cells in (found, full)]

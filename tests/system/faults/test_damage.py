@@ -39,7 +39,6 @@ SWEEP: dict[str, Any] = {
     "xi": [0.05, 0.26],
     "model": {"kind": "rigid"},
     "settle": 12_000,
-    "settle_early": False,
     "observe": 20,
     "keep": 8,
 }

@@ -25,7 +25,7 @@ ENDLESS = {
 
 
 def endless(kind: str) -> SweepSpec:
-    return sweep("endless", **ENDLESS[kind], settle=10_000_000, observe=10_000_000, settle_early=False)
+    return sweep("endless", **ENDLESS[kind], settle=10_000_000, observe=10_000_000)
 
 
 def pids(executor: Dask) -> set[int]:

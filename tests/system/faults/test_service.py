@@ -55,7 +55,6 @@ SWEEP: dict[str, Any] = {
     "xi": 0.26,
     "model": {"kind": "rigid"},
     "settle": 10_000,
-    "settle_early": False,
     "observe": 20,
     "keep": 8,
 }

@@ -411,6 +411,20 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
         assert page.get_by_text("Hysteresis: going up").count() == 0
 
 
+def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, address: str):
+    axes = {"gamma": {"start": 1.0, "stop": 2.4, "num": 57}, "omega": {"start": 0.45, "stop": 0.6, "num": 16}}
+    job = done(address, {**axes, "name": "Margins", "xi": 0.26, "model": {"kind": "rigid"}})
+    with opened(browser, view(address, job, "modes")) as page:
+        page.locator(".legend", has_text="(1, 1)").wait_for()
+        page.get_by_label("Colour").select_option("margin of stability |μ|")
+        page.locator(".legend", has_text="|μ| 0.2 to 0.4").wait_for()
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        page.locator(".panel .readout", has_text="|μ| 0.").wait_for()
+        assert "flights within" in page.locator(".panel .readout").inner_text()
+        screenshot(page, "modes-margin")
+
+
 def test_a_map_of_too_many_cells_is_thinned_until_it_is_zoomed(browser: Any, tmp_path: Path):
     axes = {"gamma": {"start": 0.5, "stop": 6.0, "num": 60}, "omega": {"start": 0.4, "stop": 1.6, "num": 40}}
     spec = {**axes, "xi": 0.05, "model": {"kind": "rigid"}, "settle": 2, "observe": 8, "keep": 8}
@@ -449,7 +463,7 @@ def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
         page.locator(".notice", has_text="of 46 cells were still settling after 80 plate periods").wait_for()
         page.locator(".legend", has_text="still settling").wait_for()
         page.get_by_role("link", name="New sweep with more time").click()
-        page.locator("[data-field='settle_until']").wait_for()
+        page.locator("[data-field='until']").wait_for()
 
 
 def test_a_study_without_diagrams_is_listed_and_described(browser: Any, address: str):

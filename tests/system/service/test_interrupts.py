@@ -27,7 +27,6 @@ LONG = {
     "xi": 0.26,
     "model": {"kind": "rigid"},
     "settle": 20_000,
-    "settle_early": False,
 }
 
 RUN = ("run", "long.json", "-o", "long.zarr")

@@ -33,7 +33,6 @@ LONG = SPEC | {
     "omega": {"start": 0.5, "stop": 0.6, "num": 10},
     "model": {"kind": "soft", "penetration": 1e-3, "restitution": 0.01},
     "settle": 4000,
-    "settle_early": False,
 }
 
 ORBITS = {

@@ -21,7 +21,7 @@ SWEEPS = {
     "soft": {"model": {"kind": "soft", "penetration": 1e-2}, "gamma": [0.5, 1.5, 2.3], "xi": 0.26},
     "ramp both": {"protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}},
     "ramp down": {"protocol": {"kind": "ramp", "axis": "omega", "direction": "down"}},
-    "settling": {"omega": [0.808, 1.167, 1.288], "xi": [0.043, 0.352], "settle": 50, "settle_until": 1_000},
+    "settling": {"omega": [0.808, 1.167, 1.288], "xi": [0.043, 0.352], "settle": "auto"},
 }
 
 

@@ -13,6 +13,8 @@ from service.pictures import PALETTE
 #: The least difference of two classes, in CIEDE2000.
 APART = 12.0
 VISIONS = ("", "deutan", "tritan")
+#: Labels of most cells beside certified ones.
+UNCERTIFIED = ("at_rest", "aperiodic", "settling")
 SCHEMES = ("on white", "on dark")
 
 
@@ -39,6 +41,13 @@ def neighbours(scheme: int) -> set[tuple[str, str]]:
 @pytest.mark.parametrize("scheme", [0, 1], ids=SCHEMES)
 def test_neighbouring_classes_of_a_map_differ(scheme: int):
     assert min((difference(*pair), *pair) for pair in neighbours(scheme))[0] >= APART
+
+
+@pytest.mark.parametrize("scheme", [0, 1], ids=SCHEMES)
+def test_margins_of_stability_differ_from_each_other_and_from_what_has_none(scheme: int):
+    margins = PALETTE["margins"]
+    pairs = {*combinations([*margins, *(PALETTE["labels"][name][scheme] for name in UNCERTIFIED)], 2)}
+    assert min((difference(*pair), *pair) for pair in pairs)[0] >= APART
 
 
 @pytest.mark.parametrize("scheme", [0, 1], ids=SCHEMES)

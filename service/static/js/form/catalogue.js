@@ -53,7 +53,7 @@ const MODE_MAP = {
   number: "map", label: "Mode map", title: "Γ–Ω plane at ξ = 0.05",
   sweeps: [{
     name: "mode map", gamma: { start: 0.1, stop: 5, num: 197 }, omega: { start: 0.3, stop: 1.7, num: 141 }, xi: 0.05,
-    model: { kind: "rigid" }, settle: 150, observe: 60, keep: 48,
+    model: { kind: "rigid" }, keep: 48,
   }],
 };
 

@@ -18,7 +18,7 @@ const TEXTS = {
 };
 
 /** What an empty input means where the default is null. */
-const NULL_DEFAULTS = { penetration: "0.001", rest_length: "none", restitution: "f(ξ)", settle_until: "off" };
+const NULL_DEFAULTS = { penetration: "0.001", rest_length: "none", restitution: "f(ξ)", until: "5000" };
 
 const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
 

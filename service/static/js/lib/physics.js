@@ -99,6 +99,14 @@ export function exponentOf({ lyapunov, lyapunov_error: errors }, cell) {
   return Number.isFinite(exponent) ? [exponentText(exponent, errors[cell])] : [];
 }
 
+/** Whether the cells of a sweep end once their cycles are certified. */
+export const certifies = ({ settle, exponents, model }) => settle === "auto" && !exponents && model.kind !== "stepped";
+
+/** "|μ| 0.42, flights within 3e-13 rad": the certificate of one of some cells, as a list: empty where it has none. */
+export function certificateOf({ multiplier, flight_error: errors }, cell) {
+  return Number.isFinite(multiplier?.[cell]) ? [`|μ| ${number(multiplier[cell], 3)}`, `flights within ${number(errors[cell], 1)} rad`] : [];
+}
+
 const NUMBERS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
 
 /** How addresses name a start in place of a direction: on a cycle ("cycle", its periods, its flight time), with a drop, in contact, on an attractor. */

@@ -45,26 +45,29 @@ const HUES = palette.periods;
 const SHADES = 3;
 const FIRST = 10; // the class of the first shade of the first hue; codes of outcomes and labels are below
 const LONG = FIRST + SHADES * HUES.length;
-const CLASSES = LONG + 1;
+const MARGIN = LONG + 1; // the first class of certified cells by the modulus of their multiplier, up to these
+const MARGINS = [0.2, 0.4, 0.6, 0.8, 0.95, 1];
+const CLASSES = MARGIN + MARGINS.length;
 /** Order of the legend: at rest, modes by period, the cells without a mode, the rest. */
 const ORDER = [OUTCOME.atRest, ...Array.from({ length: CLASSES - FIRST }, (_, i) => FIRST + i),
   LABEL.unstable, LABEL.quasiPeriodic, LABEL.chaotic, OUTCOME.aperiodic, OUTCOME.settling, OUTCOME.unresolved, OUTCOME.diverged, OUTCOME.missing];
 
-function classOf(label, bounces, periods) {
+function classOf(label, bounces, periods, multiplier) {
+  if (Number.isFinite(multiplier)) return MARGIN + MARGINS.findIndex((margin) => multiplier < margin);
   if (label !== OUTCOME.periodic) return label;
   return periods > HUES.length ? LONG : FIRST + SHADES * (periods - 1) + 1 + Math.sign(bounces - periods);
 }
 
 /**
- * Classes of cells by colour: {ofCell: Uint8Array, present: [{id, name, cells}, …]}, `present` in legend order.
+ * Classes of cells by colour, by their multipliers if those are given: {ofCell: Uint8Array, present: [{id, name, cells}, …]}, `present` in legend order.
  */
-export function modeClasses({ outcome, label: labels = outcome, bounces, periods }) {
+export function modeClasses({ outcome, label: labels = outcome, bounces, periods, multiplier }) {
   const ofCell = new Uint8Array(labels.length);
   const cells = new Uint32Array(CLASSES);
   const minBounces = new Int32Array(CLASSES).fill(2 ** 30);
   const maxBounces = new Int32Array(CLASSES);
   for (let i = 0; i < ofCell.length; i++) {
-    const id = classOf(labels[i], bounces[i], periods[i]);
+    const id = classOf(labels[i], bounces[i], periods[i], multiplier?.[i]);
     ofCell[i] = id;
     cells[id]++;
     if (bounces[i] < minBounces[id]) minBounces[id] = bounces[i];
@@ -76,6 +79,7 @@ export function modeClasses({ outcome, label: labels = outcome, bounces, periods
 
 function className(id, minBounces, maxBounces) {
   if (id < FIRST) return outcomeText(id).replace(" on the plate", "");
+  if (id >= MARGIN) return `|μ| ${MARGINS[id - MARGIN - 1] ?? 0} to ${MARGINS[id - MARGIN]}`;
   if (id === LONG) return `over ${HUES.length} periods`;
   const periods = Math.floor((id - FIRST) / SHADES) + 1;
   return `(${minBounces === maxBounces ? minBounces : `${minBounces}–${maxBounces}`}, ${periods})`;
@@ -83,6 +87,7 @@ function className(id, minBounces, maxBounces) {
 
 /** The colour of a class of cells. */
 export function modeColour(id, dark) {
+  if (id >= MARGIN) return palette.margins[id - MARGIN];
   if (id >= FIRST && id < LONG) return HUES[Math.floor((id - FIRST) / SHADES)][(id - FIRST) % SHADES];
   return (id === LONG ? palette.longer : palette.labels[LABEL_NAMES[id]])[Number(dark)];
 }

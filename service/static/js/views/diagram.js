@@ -4,7 +4,7 @@ import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, clampIndex, exponentOf, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, certificateOf, clampIndex, exponentOf, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
 import { branchColour, directionColour, theme } from "../plot/colours.js";
 import { circle, disc, polygon, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn } from "../plot/flights.js";
@@ -288,7 +288,7 @@ function describeCell({ line, cell }, withDirection) {
   const parts = [`${SYMBOL[along]} = ${number(values[cell])}`];
   if (withDirection) parts.push(`ramp ${line.direction}`);
   parts.push(outcomeText(label[cell], bounces[cell], periods[cell]));
-  parts.push(...exponentOf(line, cell));
+  parts.push(...exponentOf(line, cell), ...certificateOf(line, cell));
   if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
   if (computed && !computed[cell] && outcome[cell] !== OUTCOME.missing) parts.push("taken from its block, without flights");
   const times = distinctFlights(line, cell);

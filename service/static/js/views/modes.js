@@ -4,7 +4,7 @@ import { currentQuery, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
-import { HYSTERESIS, OUTCOME, axisLabel, exponentOf, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
+import { HYSTERESIS, OUTCOME, axisLabel, certificateOf, certifies, exponentOf, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, theme } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
 import { PlaneView, hatchSymbol, legendEntry, windowOf } from "./cells.js";
@@ -36,6 +36,7 @@ export class Modes extends PlaneView {
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, ["xi"]),
         this.isTwoWay && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
+        certifies(this.job.spec) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color })),
         this.isTwoWay && h("label", { className: "option" }, this.showsHysteresis, " Hatch where up and down differ"),
         !this.isAdaptive && !this.isFollower && minFlightInput(this.job),
         this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
@@ -47,6 +48,10 @@ export class Modes extends PlaneView {
   get direction() {
     const { dir } = currentQuery();
     return this.directions.includes(dir) ? dir : this.directions[0];
+  }
+
+  get color() {
+    return certifies(this.job.spec) && currentQuery().color === "multiplier" ? "multiplier" : "mode";
   }
 
   /** Start an adaptive sweep of the visible window on a finer grid, and show it. */
@@ -69,7 +74,7 @@ export class Modes extends PlaneView {
     const { xi } = this.source.grid;
     const own = { xi: xi[nearestIndex(xi, this.place.xi)], direction: this.direction };
     const hysteresis = (this.isTwoWay && this.showsHysteresis.checked) || null;
-    return `/v1/jobs/${this.job.id}/modes?${query({ ...own, min_flight: this.isAdaptive ? null : minFlightOf(this.job), hysteresis, ...parameters })}`;
+    return `/v1/jobs/${this.job.id}/modes?${query({ ...own, min_flight: this.isAdaptive ? null : minFlightOf(this.job), hysteresis, color: this.color === "mode" ? null : this.color, ...parameters })}`;
   }
 
   /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
@@ -88,7 +93,7 @@ export class Modes extends PlaneView {
   }
 
   read([result]) {
-    const data = Object.fromEntries(["outcome", "label", "bounces", "periods", "computed", "hysteresis", "lyapunov", "lyapunov_error"].map((name) => [name, result[name]?.data]));
+    const data = Object.fromEntries(["outcome", "label", "bounces", "periods", "computed", "hysteresis", "lyapunov", "lyapunov_error", "multiplier", "flight_error"].map((name) => [name, result[name]?.data]));
     Object.assign(this, { cells: data, attrs: result.attrs, columns: result.gamma.data, rows: result.omega.data, xi: result.xi.data, ramp: result.direction.data });
     this.isThinned ||= result.attrs.every > 1;
     this.classes = modeClasses(data);
@@ -174,7 +179,7 @@ export class Modes extends PlaneView {
     const cell = row * this.columns.length + column;
     const parts = [`Γ = ${number(this.columns[column])}`, `Ω = ${number(this.rows[row])}`, outcomeText(label[cell], bounces[cell], periods[cell])];
     if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
-    parts.push(...exponentOf(this.cells, cell));
+    parts.push(...exponentOf(this.cells, cell), ...certificateOf(this.cells, cell));
     if (hysteresis?.[cell]) parts.push(`ramped ${this.directions.find((direction) => direction !== this.ramp)}, ${hysteresis[cell] === HYSTERESIS.mode ? "another mode" : "other flights"}`);
     if (this.isAdaptive && outcome[cell] !== OUTCOME.missing) parts.push(computed[cell] ? "computed" : "taken from its block");
     return parts.join(" · ");

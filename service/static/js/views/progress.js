@@ -74,9 +74,9 @@ const notice = ({ notice: text, replaced_by: successor }) => [
 export function settling({ id, progress, spec }) {
   const { cells_settling: cells } = progress;
   if (!cells || !spec) return [];
-  const taken = spec.settle_until ?? spec.settle + spec.observe;
+  const taken = spec.settle === "auto" ? (spec.until ?? 5000) : (spec.settle_until ?? spec.settle + spec.observe);
   return [`${count(cells)} of ${plural(progress.cells_done, "cell")} were still settling after ${count(taken)} plate periods. `,
-    h("a", { href: link(["new"], { from: id }) }, "New sweep with more time"), ": set “settle until”."];
+    h("a", { href: link(["new"], { from: id }) }, "New sweep with more time"), spec.settle === "auto" ? ": set “until”." : ": set “settle” to auto."];
 }
 
 function axisText(axis) {

@@ -39,7 +39,7 @@ def test_the_parameters_are_the_papers():
     near_two = [SweepSpec.parse(dict(sweep)) for sweep in catalogue.FIGURES[7].sweeps[1:]]
     assert {sweep.omega for sweep in near_two} == {1.0}
     loop = SweepSpec.parse(dict(catalogue.FIGURES[9].sweeps[0]))
-    assert (loop.xi, loop.protocol.direction, loop.settle + loop.observe) == (0.05, "both", 120)
+    assert (loop.xi, loop.protocol.direction, loop.window) == (0.05, "both", (200, 20))
 
 
 @for_each("which", ["10", "0", "-1", "one", "ALL", ""])

@@ -60,7 +60,7 @@ def test_what_earlier_jobs_took_over_what_the_table_says_is_the_speed(preparer: 
     assert ratio(preparer, pace(SPEC, 3.0, 1.5)) == pytest.approx(2.0)
     assert ratio(preparer, pace(SPEC, 3.0, 1.0), pace(small(omega=0.9), 1.0, 7.0)) == pytest.approx(0.5)
     assert ratio(preparer, pace(SPEC, 3.0, 1.0), spec=ADAPTIVE) == pytest.approx(3.0)
-    assert ratio(preparer, pace(SPEC, 3.0, 1.0), spec=small(settle_until=640)) == pytest.approx(3.0)
+    assert ratio(preparer, pace(SPEC, 3.0, 1.0), spec=small(settle="auto", until=640)) == pytest.approx(3.0)
 
 
 def test_jobs_of_another_model_and_adaptive_maps_say_nothing(preparer: JobPreparer):

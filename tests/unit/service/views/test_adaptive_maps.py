@@ -20,8 +20,7 @@ SPACE: dict[str, Any] = {
     "omega": {"start": 0.4, "stop": 1.0, "num": 41},
     "xi": 0.05,
     "model": {"kind": "rigid"},
-    "settle": 300,
-    "settle_until": 5_000,  # as of an adaptive map
+    "until": 5_000,
     "observe": 60,
     "keep": 8,
 }

@@ -48,7 +48,7 @@ SPECS: Final[dict[str, dict[str, Any]]] = {
     },
     "adaptive": _RIGID | {
         "gamma": {"start": 0.6, "stop": 2.6, "num": 33}, "omega": {"start": 0.4, "stop": 0.6, "num": 33},
-        "settle": 200, "observe": 40, "keep": 4, "refine": {"by": "mode", "coarsest": 8},
+        "observe": 40, "keep": 4, "refine": {"by": "mode", "coarsest": 8},
     },
     "basins": _RIGID | {
         "gamma": [1.27, 2.3], "omega": 0.5, "protocol": {"kind": "basin", "rows": 8, "columns": 8},
@@ -84,6 +84,7 @@ QUERIES: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("ramp", "modes", {"xi": 0.26, "every": 2, "min_flight": 5.0}),
     ("ramp", "modes", {"xi": 0.26}),
     ("adaptive", "modes", {}),
+    ("adaptive", "modes", {"color": "multiplier"}),
     ("adaptive", "diagram", {"omega": 0.5}),
     ("adaptive", "modes", {"gamma_start": 1.0, "gamma_stop": 2.0, "omega_start": 0.45}),
     ("basins", "basins", {"gamma": 1.27}),

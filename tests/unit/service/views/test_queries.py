@@ -220,6 +220,23 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Stor
     assert window.hysteresis.values.tolist() == expected[1:][:, columns].tolist()
 
 
+def test_the_margin_of_stability_is_that_of_certified_cells(tmp_path: Path):
+    axes = {"gamma": [0.5, 1.5, 2.3, 5.0], "omega": [0.5, 0.6], "xi": 0.26, "settle": "auto", "observe": 100}
+    sweep = computed(tmp_path / "auto", spec(**axes))
+    found, plain = modes(sweep, color="multiplier"), modes(sweep)
+    assert set(found) - set(plain) == {"multiplier", "multiplier_angle", "flight_error"}
+    certified = np.isfinite(found.multiplier.values)
+    assert certified.tolist() == (found.outcome.values == Outcome.PERIODIC).tolist()
+    assert certified[:, 1].all()
+    assert (found.multiplier.values[certified] < 1.0).all()
+    assert (found.flight_error.values[certified] < 1e-9).all()
+    line = diagram(sweep, omega=0.5)
+    assert line.multiplier.values.tolist() == pytest.approx(found.multiplier.values[0].tolist(), nan_ok=True)
+    fixed = computed(tmp_path / "fixed", spec(**axes | {"settle": 20}))
+    with pytest.raises(InvalidRequest, match="color: must be 'mode': this sweep certifies no cells"):
+        modes(fixed, color="multiplier")
+
+
 @pytest.mark.parametrize(
     ("protocol", "rule"),
     [({"kind": "ramp", "axis": "gamma", "direction": "up"}, "ramped up only")],

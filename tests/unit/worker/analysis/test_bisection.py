@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import worker.analysis.bisection
+from kernel.branches.thresholds import thresholds as fold_at
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from worker import store
@@ -99,6 +100,17 @@ def test_the_descending_threshold_is_that_of_the_model_page(tmp_path: Path, mode
     assert found.down_status == (Status.FOUND,) * len(DESCENDING)
     np.testing.assert_allclose(found.down, on_the_grid, rtol=0, atol=0.0041)
     np.testing.assert_allclose(found.up, threshold(np.array(spec.omega), 0.05), rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("window", [{}, {"settle": 100}], ids=["auto", "120 periods"])
+def test_bouncing_ends_at_the_fold_of_its_cycle(tmp_path: Path, window: dict[str, int]):
+    """Not at the ghost below it, which outlives any window."""
+    folds = {omega: fold_at(omega, 0.05).down for omega in (0.56, 0.58, 0.60, 0.61, 0.62, 0.64, 0.66, 0.70)}
+    gamma = {"start": 0.4, "stop": 1.2, "num": 81}
+    spec, url = computed(tmp_path, gamma=gamma, omega=list(folds), xi=0.05, protocol=ramp("both"), **window)
+    found = thresholds(spec, url, 1e-5)
+    assert found.down_status == (Status.FOUND,) * len(folds)
+    np.testing.assert_allclose(found.down, list(folds.values()), rtol=0, atol=1e-5)
 
 
 def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path):

@@ -13,7 +13,7 @@ from worker import store, work
 from worker.maps.plan import estimate, make_plan, tile_shape
 from worker.maps.refinement import Tile, classes
 from worker.spec.errors import SpecInvalid, SpecTooLarge
-from worker.spec.refine import MAX_COARSEST, SETTLE_UNTIL, Refine
+from worker.spec.refine import MAX_COARSEST, Refine
 from worker.studies import run_task, study_of
 from worker.study import ChunkOptions, ChunkPaused
 from worker.study.chunks import check_size, with_options
@@ -26,9 +26,7 @@ SPACE: dict[str, Any] = {
     "gamma": {"start": 0.4, "stop": 3.4, "num": 52},
     "xi": 0.05,
     "model": {"kind": "rigid"},
-    "settle": 60,
     "observe": 40,
-    "settle_until": 5_000,
     "keep": 8,
 }
 #: Tiles of it, in place of the default ones, which are larger than the plane.
@@ -166,7 +164,7 @@ def test_computed_cells_are_those_of_the_full_grid(full, tmp_path, by):
 
 def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
     refine, omega = {"by": "mode", "coarsest": 8}, {"start": 0.35, "stop": 0.7, "num": 20}
-    spec = sweep(refine=refine, omega=omega, settle_until=300)
+    spec = sweep(refine=refine, omega=omega, until=300)
     compute(spec, tmp_path / "whole.zarr")
     monkeypatch.setattr(work, "FIRST_STEPS", 16384)
     monkeypatch.setattr(work, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
@@ -209,18 +207,6 @@ def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
     assert rule in problem.rule
     with pytest.raises(SpecInvalid, match="rest"):
         sweep(refine={"by": "mode"}, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
-
-
-def test_cells_of_an_adaptive_map_settle_before_others_take_their_values():
-    briefly: Any = {"settle": 60, "observe": 40, "settle_until": None, "refine": {"by": "mode"}}
-    assert sweep(**briefly).settle_until == SETTLE_UNTIL
-    assert sweep(**briefly | {"settle_until": 700}).settle_until == 700
-    assert sweep(**briefly | {"settle": 9_000}).settle_until == 9_080
-    assert sweep(**briefly | {"settle": 10**7}).settle_until is None  # nothing could be added
-    assert sweep(**briefly | {"refine": None}).settle_until is None
-    assert sweep(**briefly).job_id("3") == sweep(**briefly | {"settle_until": SETTLE_UNTIL}).job_id("3")
-    with pytest.raises(SpecInvalid, match="settle"):
-        sweep(**briefly | {"settle": "long"})
 
 
 @for_each(

@@ -89,18 +89,18 @@ def test_what_is_harder_costs_more():
         return cell_seconds(sweep(gamma=2, **more))
 
     soft = {"kind": "soft"}
-    assert cost() < cost(settle_early=False) < cost(ramp=("gamma", "up")) < cost(exponents=1)
+    assert cost() < cost(settle=200) < cost(ramp=("gamma", "up"), settle=200) < cost(exponents=1)
     assert cost() < cost(model=soft) < cost(model=soft | {"penetration": 1e-6})
-    assert cost() < cost(settle_until=1_500) < longest_cell_seconds(sweep(settle_until=1_500))
+    assert cost() < cost(until=50_000) < longest_cell_seconds(sweep(until=50_000))
     assert cost(model={"kind": "auto"}) == cost(model=soft)  # at most the exact one
 
 
 def test_too_much_is_refused_with_the_limit():
     cost = cost_of(sweep(gamma=1000))
-    check_size(cost, max_cells=1000, max_bytes=1_037_000, max_core_seconds=cost.upper_core_seconds)
+    check_size(cost, max_cells=1000, max_bytes=1_061_000, max_core_seconds=cost.upper_core_seconds)
     for limit, rule in (
         ({"max_cells": 999}, r"^asks for 1000 cells; at most 999 are allowed: take fewer values$"),
-        ({"max_bytes": 1_036_999}, r"^keep: asks for 1037000 bytes, 1037 per cell; at most 1036999 are"),
+        ({"max_bytes": 1_060_999}, r"^keep: asks for 1061000 bytes, 1061 per cell; at most 1060999 are"),
         (
             {"max_core_seconds": 0.99 * cost.upper_core_seconds},
             r"^asks for up to \S+ core-seconds; at most \S+ are",
@@ -117,10 +117,10 @@ def huge(kind: str, xi: int) -> SweepSpec:
 
 
 @pytest.mark.parametrize("kind", ["rigid", "soft"])
-def test_a_billion_cells_are_less_than_a_hundred_thousand_files(kind: str):
+def test_a_billion_cells_are_less_than_150_000_files(kind: str):
     spec = huge(kind, 1000)
     plan, files = make_plan(spec), len(list(schema.arrays(spec)))
-    assert len(plan) * files < 100_000
+    assert len(plan) * files < 150_000
     cut = schema.layout(spec, plan.chunk_shape)
     assert cut.chunk_bytes <= MAX_SHARD_BYTES
     flights = cut.arrays[0]

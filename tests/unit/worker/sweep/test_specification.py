@@ -1,5 +1,6 @@
 """The specification: what it accepts, and for every rule the very line that a user reads."""
 
+import json
 import re
 
 import numpy as np
@@ -13,7 +14,9 @@ from worker.spec.axes import MAX_AXIS_VALUES
 from worker.spec.contact_models import CONTACT_MODELS, penetration_of
 from worker.spec.errors import SpecInvalid, SpecUnreadable
 from worker.spec.specification import Label
+from worker.studies import from_stored
 from worker.sweep import SweepSpec
+from worker.sweep.earlier import EarlierSweep
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
@@ -109,8 +112,12 @@ RULES = [
         "model.steps_per_contact: must be at least 12, not 2: ",
     ),
     ({"model": {"kind": "auto", "tolerance": 0}}, "model.tolerance: must be at least 1e-09, not 0.0: "),
-    ({"settle_tolerance": 1e-7}, "settle_tolerance: must be at most 1e-09, not 1e-07"),
-    ({"settle_until": 399}, "settle_until: must be at least settle + 2 * observe, or null: less has no "),
+    ({"settle_tolerance": 1e-10}, 'settle_tolerance: was removed; "settle": "auto" ends a cell as soon as '),
+    ({"settle_early": False}, 'settle_early: was removed; "settle": "auto" ends a cell as soon as its '),
+    ({"settle_until": 399}, 'settle_until: was removed; "until", with "settle": "auto", gives settling '),
+    ({"until": 399}, "until: must be at least 200 + 2 * observe, or null: less has no effect; 400 or null"),
+    ({"until": 5000, "settle": 100}, "until: must be null where settle is 100: its windows are fixed; "),
+    ({"settle": "long"}, "settle: must be 'auto' or a whole number of plate periods, not text 'long'"),
     (
         {"exponents": 4, "model": {"kind": "rigid"}},
         "exponents: must be at most 3 where model.kind is 'rigid' ",
@@ -233,8 +240,9 @@ def test_a_line_begins_where_its_first_direction_does(direction, gamma):
 
 
 def test_same_sweep_written_differently_is_the_same_job():
-    one = sweep(gamma=range_(1.0, 2.0, 3), name="a", settle=200.0)
+    one = sweep(gamma=range_(1.0, 2.0, 3), name="a", until=5000.0)
     two = sweep(gamma=[1, 1.5, 2], name="b", model={"penetration": 1e-3}, protocol={"kind": "rest"})
+    assert sweep(settle=200).job_id("1") == sweep(settle=200.0, settle_early=True).job_id("1")
     assert one.job_id("1") == two.job_id("1")
     assert len(one.job_id("1")) == 32
     assert int(one.job_id("1"), 16) >= 0
@@ -247,8 +255,8 @@ def test_same_sweep_written_differently_is_the_same_job():
         {"keep": 63},
         {"model": {"kind": "rigid"}},
         {"model": {"rest_length": 1.0}},
-        {"settle_tolerance": 1e-9},
-        {"settle_early": False},
+        {"settle": 200},
+        {"until": 8000},
     ],
 )
 def test_any_other_number_is_another_job(changes):
@@ -257,23 +265,40 @@ def test_any_other_number_is_another_job(changes):
 
 def test_identity_is_not_forgotten_from_release_to_release():
     """If this fails, every stored job is computed anew: a thing to do on purpose only."""
-    assert sweep(micro_flight=0.0).job_id("1") == "07e4a0b73fc29560de65d362ac80685e"
+    assert sweep(micro_flight=0.0, settle=200).job_id("1") == "07e4a0b73fc29560de65d362ac80685e"
     for model in (STEPPED, STEPPED | {"events": "located"}):
-        assert sweep(model=model).job_id("1") == "92361d912a9cc876b64adbb2df8ace86"
+        assert sweep(model=model, settle=200).job_id("1") == "92361d912a9cc876b64adbb2df8ace86"
     assert sweep(model=STEPPED | {"events": "plain"}).job_id("1") != sweep(model=STEPPED).job_id("1")
 
 
 PLAIN = {"model": {"kind": "stepped", "events": "plain"}}
 
 
-@pytest.mark.parametrize("changes", [{"protocol": ramp()}, {"exponents": 1}, PLAIN])
-def test_early_settling_is_left_out_where_it_has_no_effect(changes):
-    full = SweepSpec(**(POINT | {"gamma": range_()} | changes), settle_early=False)
-    early = SweepSpec(**(POINT | {"gamma": range_()} | changes))
-    assert full.job_id("1") == early.job_id("1")
-    assert not early.ends_early
-    assert sweep().ends_early
-    assert not sweep(settle_early=False).ends_early
+@for_each(
+    ("changes", "certifies", "until"),
+    [
+        ({}, True, 5000),
+        ({"protocol": ramp(), "gamma": range_(), "until": 8000}, True, 8000),
+        ({"model": {"kind": "ball"}, "observe": 10_000}, True, 10_200),  # no extension
+        ({"settle": 200}, False, None),
+        ({"exponents": 1}, False, 5000),
+        (PLAIN, False, 5000),
+    ],
+)
+def test_cells_are_certified_unless_windows_are_fixed_or_tangents_are_missing(changes, certifies, until):
+    spec = sweep(**changes)
+    assert (spec.certifies, spec.settles_until, spec.window[0]) == (certifies, until, 200)
+
+
+def test_an_earlier_specification_keeps_its_id_and_is_computed_anew_with_certificates():
+    fields = POINT | {"settle": 100, "observe": 20, "settle_until": 1920}
+    stored = from_stored(json.dumps(EarlierSweep(**fields).as_submitted()))
+    assert isinstance(stored, EarlierSweep)
+    assert stored.job_id("8") == "d6fd92cfef6c87c354a569414af7fec9"
+    assert EarlierSweep(**POINT).job_id("8") == sweep(settle=200).job_id("8")
+    assert EarlierSweep(**POINT, settle_early=False).job_id("8") == "cd0cca3331677e544616eb949ad4a002"
+    assert stored.today() == sweep(settle="auto", observe=20, until=1920)
+    assert EarlierSweep(**POINT, settle_tolerance=1e-9).today() == sweep(settle=200)
 
 
 def arguments(model, xi):

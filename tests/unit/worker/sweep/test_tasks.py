@@ -40,8 +40,8 @@ def naive_line(spec: SweepSpec, gamma, omega, xi, carry: bool):
         gamma, omega, xi, model=Model[model["kind"].upper()],
         restitution=np.full(n, float(model["restitution"])),
         penetration=np.full(n, 1.0) * depth, adhesive=model.get("adhesive", True), carry=carry,
-        settle=spec.settle, observe=spec.observe, keep=spec.keep, micro_flight=spec.micro_flight,
-        settle_early=spec.ends_early,
+        settle=spec.window[0], observe=spec.observe, keep=spec.keep, micro_flight=spec.micro_flight,
+        certify=spec.certifies, settle_until=spec.settles_until,
     )  # fmt: skip
 
 
@@ -100,7 +100,7 @@ def test_a_ramp_that_starts_on_the_cycle_ends_at_its_fold(tmp_path, small_spec):
     fold = thresholds(0.6, 0.05).down
     spec = small_spec(
         gamma={"start": fold - 1e-4, "stop": fold + 9e-4, "num": 101}, omega=0.6, xi=0.05,
-        model={"kind": "rigid"}, settle=400, observe=100, settle_until=8000,
+        model={"kind": "rigid"}, settle="auto",
         protocol={**ramp("gamma", "down"), "start": {"periods": 1}},
     )  # fmt: skip
     plan, url = stored(tmp_path, spec, (1, 1, 51))
@@ -162,7 +162,7 @@ def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path, small_spec):
 PAUSING = {
     "in lanes": ({"model": {"kind": "rigid"}}, 2003),
     "soft ramp in lanes": ({"model": {"kind": "soft"}, "protocol": ramp("gamma", "both")}, 8009),
-    "settling": ({"model": {"kind": "soft"}, "settle_until": 640}, 16001),
+    "settling": ({"model": {"kind": "soft"}, "settle": "auto"}, 16001),
     "exponents": ({"model": {"kind": "soft"}, "protocol": ramp("omega", "down"), "exponents": 2}, 401),
     "stepped": ({"model": {"kind": "stepped"}, "protocol": ramp("xi", "up")}, 211),
 }
@@ -249,7 +249,7 @@ def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, small_spec, exponents)
     """A single cell takes a quarter of a minute at least."""
     spec = small_spec(
         gamma=3.7, omega=0.5, xi=0.05, model={"kind": "soft"}, exponents=exponents, settle=10_000_000,
-        observe=10_000_000, settle_early=False,
+        observe=10_000_000,
     )  # fmt: skip
     plan, url = stored(tmp_path, spec)
     timer = threading.Timer(0.3, store.set_cancelled, [url])
