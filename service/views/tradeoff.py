@@ -35,7 +35,6 @@ WINDOWS: Final[dict[str, Any]] = {
     "observe": 50,
     "keep": 1_024,
     "micro_flight": 1e-2,
-    "settle_early": False,
 }
 
 #: (Omega, xi, lowest and highest gamma), eight values each, at equal ratios.
