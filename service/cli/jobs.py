@@ -21,8 +21,11 @@ from service.cli.options import (
 from service.cli.views import query_options
 from service.formats import EXPORTS, PICTURES, TABLES
 from service.result_methods import ResultMethods
+from worker.spec.efforts import EFFORTS
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from service.client import Client, Job
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
@@ -30,16 +33,28 @@ ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
 _BUDGET: Final = "Compute the finest level that fits into this time: 90s, 5m, 1h."
 _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
+_effort_option: Final = click.option(
+    "--effort", type=click.Choice([*EFFORTS]),
+    help="Windows of the cells, in place of settle, observe and until.",
+)  # fmt: skip
+
 
 @click.command()
 @click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
 @click.option("--wait", "wait_for_job", is_flag=True, help="Show progress and wait until the job is done.")
 @click.option("--estimate", is_flag=True, help="Print the estimated cost without submitting.")
 @click.option("--key", help="Idempotency key: repeating the request with it changes nothing.")
+@_effort_option
 @click.option("--budget", type=DURATION, help=_BUDGET)
 @with_client
 def submit(
-    client: "Client", spec: str, wait_for_job: bool, estimate: bool, key: str | None, budget: float | None
+    client: "Client",
+    spec: str,
+    wait_for_job: bool,
+    estimate: bool,
+    key: str | None,
+    effort: str | None,
+    budget: float | None,
 ) -> None:
     """Submit a sweep and print its job id.
 
@@ -48,9 +63,8 @@ def submit(
     With --budget the jobs are levels from coarse to fine; the id is that of the last one that is done.
     """
     from service.cli import output
-    from service.client.specification import read
 
-    specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    specification = _specification(spec, effort)
     if estimate:
         click.echo(output.estimate_line(client.estimate(specification)))
         return
@@ -69,9 +83,16 @@ def submit(
 @format_option(*_RUN_FORMATS)
 @click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
 @click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
+@_effort_option
 @click.option("--budget", type=DURATION, help=_BUDGET)
 def run(
-    spec: str, output: str, format: str | None, workers: int | None, budget: float | None, **query: Any
+    spec: str,
+    output: str,
+    format: str | None,
+    workers: int | None,
+    effort: str | None,
+    budget: float | None,
+    **query: Any,
 ) -> None:
     """Compute a sweep without a service, and write it.
 
@@ -86,10 +107,9 @@ def run(
       bounce run sweep.toml -o sweep.zarr --budget 5m
     """
     from service import local
-    from service.client.specification import read
 
     format = output_format(output, _RUN_FORMATS, format)
-    specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    specification = _specification(spec, effort)
     if budget is not None:
         budget = max(budget - time.process_time(), 1.0)  # the imports of this process count
     try:
@@ -123,9 +143,8 @@ def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query
     """
     from service.cli.output import as_json as json_text
     from service.cli.views import table
-    from service.client.specification import read
 
-    specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    specification = _specification(spec)
     if output is not None:
         format = output_format(output, (*EXPORTS, *PICTURES, *TABLES), None)
         write_file(output, client.plan_file(specification, format, **query))
@@ -262,6 +281,14 @@ def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, 
 
 
 COMMANDS: Final = (submit, plan, run, status, wait, watch, follow, cancel, resume, delete, list_jobs)
+
+
+def _specification(spec: str, effort: str | None = None) -> "Mapping[str, Any]":
+    """What a file, or - for standard input, contains."""
+    from service.client.specification import read
+
+    fields = read(Path(spec) if spec != "-" else sys.stdin.buffer.read())
+    return fields if effort is None else {**fields, "effort": effort}
 
 
 def _wait(job: "Job", timeout: float | None = None) -> None:
