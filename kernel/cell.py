@@ -39,6 +39,7 @@ class Window(NamedTuple):
     settle_tolerance: float  # rad; flights repeating within it end the settling early; 0: never
     settle_until: int  # plate periods that a cell still settling may take in all; 0: no more than the window
     settle_early: bool = False  # whether cycles that surely repeat are not computed
+    certify: bool = False  # whether only certified cycles are periodic, and end the cell
 
 
 class Progress(NamedTuple):
@@ -50,11 +51,12 @@ class Progress(NamedTuple):
     state: State
     takeoff_phase: float
     takeoff_period: int  # -1 for a flight under way at the start or at an extension: it is not recorded
-    recorded: int  # flights that took off and landed inside the window (or so far, while settling)
+    recorded: int  # flights in the ring buffer so far
+    opened: int  # how many of them precede the window
     flew: bool  # whether a flight was under way in the window
     budget: int  # evaluations left
     ending: int  # first_root.ROOT while running, HORIZON once the window's end is reached
-    settle: int  # plate periods before the window: window.settle, and more once `extend` has moved it
+    settle: int  # plate periods before the window: window.settle, and more once it has been moved
     end: int  # plate periods to where the run ends: the window's end, and later once `follow` has moved it
 
 
@@ -95,6 +97,7 @@ def begin(
         takeoff_phase=state[0],
         takeoff_period=0 if takes_off else -1,
         recorded=0,
+        opened=0,
         flew=False,
         budget=BUDGET * end,
         ending=ROOT,
@@ -107,8 +110,8 @@ def begin(
 def changed(
     run: Progress, phase: float | None = None, period: int | None = None, in_flight: bool | None = None,
     state: State | None = None, takeoff_phase: float | None = None, takeoff_period: int | None = None,
-    recorded: int | None = None, flew: bool | None = None, budget: int | None = None,
-    ending: int | None = None, settle: int | None = None, end: int | None = None,
+    recorded: int | None = None, opened: int | None = None, flew: bool | None = None,
+    budget: int | None = None, ending: int | None = None, settle: int | None = None, end: int | None = None,
 ) -> Progress:  # fmt: skip
     """`run` with the fields that are given: numba does not compile `run._replace`."""
     return Progress(
@@ -119,6 +122,7 @@ def changed(
         takeoff_phase=run.takeoff_phase if takeoff_phase is None else takeoff_phase,
         takeoff_period=run.takeoff_period if takeoff_period is None else takeoff_period,
         recorded=run.recorded if recorded is None else recorded,
+        opened=run.opened if opened is None else opened,
         flew=run.flew if flew is None else flew,
         budget=run.budget if budget is None else budget,
         ending=run.ending if ending is None else ending,
@@ -148,20 +152,20 @@ def horizon_of(run: Progress) -> float:
 def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int) -> Progress:
     """The run after the contact or flight `p`; adds a flight that lies inside the window to `flights`.
 
-    While settling, flights are recorded only for the test of
-    settle_tolerance and of settle_early, and forgotten when the window begins.
+    While settling, flights are recorded only for the tests of certify, settle_tolerance and settle_early.
     """
     turns = math.floor((run.phase + p.tau) * (1.0 / TWO_PI))
     phase = run.phase + p.tau - TWO_PI * turns
     period = run.period + turns
     settling = period < run.settle
     recorded, flew = run.recorded, run.flew
-    if run.period < run.settle and not settling:
+    opens = run.period < run.settle and not settling
+    if opens and not window.certify:
         recorded = 0
     if run.in_flight and p.tau > SHORTEST_FLIGHT:
         flew = flew or not settling
         tested = settling and (window.settle_early or window.settle_tolerance > 0.0)
-        inside = run.takeoff_period >= run.settle or tested
+        inside = run.takeoff_period >= run.settle or tested or window.certify
         if p.ending == ROOT and inside and run.takeoff_period >= 0:
             j = slot(flights, first, recorded)
             flights.time[j], flights.phase[j] = p.tau, run.takeoff_phase
@@ -173,7 +177,7 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
         phase, period, ending = 0.0, run.end, HORIZON
     return changed(
         run, phase=phase, period=period, in_flight=p.in_flight, state=p.state, takeoff_phase=phase,
-        takeoff_period=period, recorded=recorded, flew=flew,
+        takeoff_period=period, recorded=recorded, opened=recorded if opens else run.opened, flew=flew,
         budget=run.budget - p.used, ending=ending,
     )  # fmt: skip
 
@@ -241,6 +245,23 @@ def decide(outcome: int, followed: Progress, flights: Flights, first: int, windo
 
 
 @jit
+def go_on(before: Progress, run: Progress, outcome: int, window: Window) -> Progress:
+    """`run`, which has ended without a certificate; if its cell settles, `before` that phase, to end later.
+
+    First as late as `follow` says, then after window.settle_until plate periods, if that is set.
+    """
+    end = window.settle_until
+    if run.end == window.settle + window.observe:
+        end = min(end, run.end + periods_followed(window.observe))
+    if outcome != SETTLING or end < run.end + window.observe:
+        return run
+    return changed(
+        before, flew=False, budget=before.budget + BUDGET * (end - run.end), settle=end - window.observe,
+        end=end,
+    )  # fmt: skip
+
+
+@jit
 def extend(run: Progress, outcome: int, window: Window) -> Progress:
     """`run`, which has ended, made to go on if its cell still settles and window.settle_until permits.
 
@@ -251,7 +272,7 @@ def extend(run: Progress, outcome: int, window: Window) -> Progress:
     if outcome != SETTLING or added < window.observe:
         return run
     return changed(
-        run, takeoff_phase=run.phase, takeoff_period=-1, recorded=0, flew=False,
+        run, takeoff_phase=run.phase, takeoff_period=-1, recorded=0, opened=0, flew=False,
         budget=run.budget + BUDGET * added, ending=ROOT, settle=run.settle + added, end=run.end + added,
     )  # fmt: skip
 
@@ -263,7 +284,7 @@ def store_run(run: Progress, numbers: Any) -> None:
     numbers[3], numbers[4], numbers[5], numbers[6] = run.state
     numbers[7], numbers[8], numbers[9] = run.takeoff_phase, run.takeoff_period, run.recorded
     numbers[10], numbers[11], numbers[12], numbers[13] = run.flew, run.budget, run.ending, run.settle
-    numbers[14] = run.end
+    numbers[14], numbers[15] = run.end, run.opened
 
 
 @jit
@@ -282,6 +303,7 @@ def load_run(numbers: Any) -> Progress:
         ending=int(numbers[12]),
         settle=int(numbers[13]),
         end=int(numbers[14]),
+        opened=int(numbers[15]),
     )
 
 
@@ -303,8 +325,8 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
     time, phase, period = _counted(flights, first, run.recorded, considered, window.micro_flight)
     bounces, periods = modes.find_mode(time, phase, period)
     if bounces > 0:
-        return PERIODIC, bounces, periods
-    if _comes_to_rest(run, flights, first):
+        return (SETTLING, 0, 0) if window.certify else (PERIODIC, bounces, periods)
+    if _comes_to_rest(run, flights, first, window):
         return SETTLING, 0, 0
     if cut:
         return UNRESOLVED, 0, 0
@@ -314,24 +336,25 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
 @jit
 def _considered(run: Progress, flights: Flights, first: int) -> tuple[int, bool]:
     """How many of the last flights are considered for the mode, and whether too many before them are lost."""
-    kept = min(run.recorded, flights.size)
-    number = min(run.recorded, max(flights.stored, MODE_FLIGHTS))
+    recorded = run.recorded - run.opened
+    kept = min(recorded, flights.size)
+    number = min(recorded, max(flights.stored, MODE_FLIGHTS))
     oldest = flights.period[slot(flights, first, run.recorded - number)]
     while number < kept and oldest > run.end - MODE_PERIODS:
         number += 1
         oldest = flights.period[slot(flights, first, run.recorded - number)]
-    return number, number < run.recorded and oldest > run.end - FEWEST_PERIODS
+    return number, number < recorded and oldest > run.end - FEWEST_PERIODS
 
 
 @jit
-def _comes_to_rest(run: Progress, flights: Flights, first: int) -> bool:
-    """Whether a run was in contact for the last half of what was recorded, and for QUIET periods."""
-    if run.in_flight or run.recorded == 0:
+def _comes_to_rest(run: Progress, flights: Flights, first: int, window: Window) -> bool:
+    """Whether a run was in contact for QUIET periods at last and, without `certify`, half of what was recorded."""
+    if run.in_flight or run.recorded == run.opened:
         return False
     last = slot(flights, first, run.recorded - 1)
     landing = flights.period[last] + (flights.phase[last] + flights.time[last]) * (1.0 / TWO_PI)
     still: float = run.end - landing
-    return still > max(0.5 * (run.end - run.settle), QUIET)
+    return still > (QUIET if window.certify else max(0.5 * (run.end - run.settle), QUIET))
 
 
 @allocating
@@ -365,10 +388,10 @@ def allocate_flights(keep: int, lanes: int) -> Flights:
 def write_record(line: Line, i: int, run: Progress, flights: Flights, first: int, window: Window) -> None:
     """Write the record of a cell whose run has ended as the i-th of `line`."""
     outcome, bounces, periods = classify(run, flights, first, window)
-    line.flights[i], line.outcome[i] = run.recorded, outcome
+    line.flights[i], line.outcome[i] = run.recorded - run.opened, outcome
     line.bounces[i], line.periods[i] = bounces, periods
     keep = line.flight_time.shape[1]
-    kept = min(run.recorded, keep)
+    kept = min(run.recorded - run.opened, keep)
     for k in range(kept):
         j = slot(flights, first, run.recorded - kept + k)
         line.flight_time[i, k], line.takeoff_phase[i, k] = flights.time[j], flights.phase[j]

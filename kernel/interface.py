@@ -75,6 +75,17 @@ def flight(  # type: ignore[empty-body]
     """The flight that begins with this state, to after its landing or to the horizon."""
 
 
+@inlined
+def phase_of(cell: Any, phi: PlatePhase, run: Any, horizon: float) -> Phase:
+    """The contact or flight that follows a run (`cell.Progress`), to its end or to the horizon."""
+    p: Phase
+    if run.in_flight:
+        p = flight(cell, phi, run.state, horizon, run.budget)
+    else:
+        p = contact(cell, phi, run.state, horizon, run.budget)
+    return p
+
+
 @by_type
 def contact_force(cell: Any, phi: PlatePhase, state: State) -> float:  # type: ignore[empty-body]
     """The plate's force n on the lower mass in contact, in m A omega**2."""

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from kernel import cell
 from kernel import exponents as lyapunov
 from kernel.cell import CACHE_SIZE, RUN_FIELDS, Progress, Window
+from kernel.certify import CERTIFIED, Search, allocate_search, begin_search, certified, has_candidate
 from kernel.exponents import Variations
 from kernel.interface import (
     Phase,
     PlatePhase,
     advance_lanes,
-    contact,
     dimension,
-    flight,
     load_lane,
+    phase_of,
     plate_phase,
     prepare,
     replay,
@@ -107,13 +107,7 @@ def _scalar_phase(spring: Any, run: Progress, phi: PlatePhase) -> Phase:
     """The run's next phase by the scalar functions; one of no length if it has ended."""
     if run.ending != ROOT:
         return Phase(0.0, run.ending, run.in_flight, run.state, 0)
-    horizon = cell.horizon_of(run)
-    p: Phase
-    if run.in_flight:
-        p = flight(spring, phi, run.state, horizon, run.budget)
-    else:
-        p = contact(spring, phi, run.state, horizon, run.budget)
-    return p
+    return phase_of(spring, phi, run, cell.horizon_of(run))
 
 
 @allocating
@@ -127,6 +121,13 @@ def _after_window(
     """
     first = k * flights.size
     lanes.cache[:] = 0.0
+    if window.certify:
+        if run.ending != CERTIFIED:
+            cell.write_record(line, i, run, flights, first, window)
+            run = cell.go_on(before, run, line.outcome[i], window)
+        if run.ending != ROOT:
+            lanes.counts[1] += 1
+        return run
     if lanes.followed[k]:
         line.outcome[i] = cell.decide(line.outcome[i], run, flights, first, window)
         run, lanes.followed[k] = cell.load_run(lanes.ends[k]), False
@@ -150,13 +151,14 @@ def _after_window(
 @allocating
 def _walk(
     plate: Any, gamma: Any, omega: Any, xi: Any, length: int, states: Any, window: Window, line: Line,
-    flights: Flights, lanes: Lanes, table: Any, variations: Variations | None, steps: int,
+    flights: Flights, lanes: Lanes, table: Any, variations: Variations | None, search: Search | None,
+    steps: int,
 ) -> bool:  # fmt: skip
     """Run lines of `length` cells each for about `steps` phases or moves of all lanes; whether all is done.
 
     `states`: (n / length, 6) where each line begins, as in `cell.begin`. Fills `line`. The next call
-    goes on from `flights`, `lanes` and `variations`. table: that of `lanes`; None is seen at compile time.
-    variations: for the exponents of one cell at a time, or None.
+    goes on from `flights`, `lanes`, `variations` and `search`. table: that of `lanes`; None is seen at
+    compile time. variations: for the exponents of one cell at a time, or None. search: to certify, or None.
 
     Each lane holds one cell and its phase. `advance_lanes` moves all on. A lane whose phase has ended goes
     through the landing or take-off here, and gets its next phase or, at the end of its window, the next cell
@@ -188,7 +190,8 @@ def _walk(
                         p, phi = unload_lane(springs[k], table, k, run)
                         turned = True
                     else:
-                        if run.in_flight and run.state.gap == 0.0 and run.state.gap1 == 0.0:
+                        from_rest = run.in_flight and run.state.gap == 0.0 and run.state.gap1 == 0.0
+                        if from_rest and search is None:
                             run = replay(springs[k], run, window, flights, lanes.cache)
                         phi = phi if exact else plate_phase(run.phase)
                         p = _scalar_phase(springs[k], run, phi)
@@ -198,6 +201,8 @@ def _walk(
                     run = cell.record(started, p, window, flights, first)
                     if window.settle_tolerance > 0.0:
                         run = cell.end_settling(started, run, window, flights, first)
+                    if search is not None and has_candidate(run, k, window, flights, search):
+                        run = certified(springs[k], run, i, k, window, line, flights, search)
                     if cell.may_repeat(started, run, window):
                         run = cell.skip_cycles(run, flights, first)
                     if run.ending != ROOT:
@@ -216,6 +221,8 @@ def _walk(
                     run = cell.begin(springs[k], i, length, gamma, omega, states, run, state, window)
                     if variations is not None:
                         lyapunov.start_variations(variations)
+                    if search is not None:
+                        begin_search(search, k)
                 if table is not None:
                     phi = PlatePhase(run.phase, phi.sin, phi.cos) if turned else plate_phase(run.phase)
                     exact = not turned
@@ -309,25 +316,27 @@ class LineRun:
             self._length = len(gamma) // len(starts)
         self._window = Window(
             int(settle), int(observe), float(micro_flight), float(settle_tolerance),
-            int(settle_until or 0), bool(settle_early),
+            int(settle_until or 0), bool(settle_early), bool(certify),
         )  # fmt: skip
         self._variations = lyapunov.allocate_variations(plate, exponents) if exponents else None
         in_lanes = in_lanes and type(plate) in advance_lanes and self._variations is None
         self._lanes = _allocate_lanes(LANES if in_lanes else 1)
         self._flights = cell.allocate_flights(keep, len(self._lanes.index))
+        self._search = allocate_search(len(self._lanes.index), self._flights) if certify else None
 
     def advance(self, steps: int = _ALL) -> bool:
         """Compute on for about `steps` >= 1 contacts and flights; whether every cell of `line` is done."""
         return _walk(
             self._plate, self._gamma, self._omega, self._xi, self._length, self._states, self._window,
-            self.line, self._flights, self._lanes, self._lanes.table, self._variations, steps,
+            self.line, self._flights, self._lanes, self._lanes.table, self._variations,
+            self._search, steps,
         )  # fmt: skip
 
     def save(self) -> dict[str, NDArray[Any]]:
         """All that `advance` changes, by name: the arrays themselves, not copies."""
         return {
             f"{type(part).__name__}.{name}": array
-            for part in (self.line, self._flights, self._lanes, self._variations)
+            for part in (self.line, self._flights, self._lanes, self._variations, self._search)
             if part is not None
             for name, array in part._asdict().items()
             if isinstance(array, np.ndarray)

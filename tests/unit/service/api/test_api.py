@@ -48,7 +48,7 @@ def test_a_submission_is_accepted_and_returns_the_jobs_location(tmp_path: Path):
 
 
 def test_the_same_sweep_however_it_is_written_is_the_same_job(client: TestClient, figure_2: str):
-    same = {**FIGURE_2, "name": "", "omega": [0.5], "settle": 200.0, "protocol": {"kind": "rest"}}
+    same = {**FIGURE_2, "name": "", "omega": [0.5], "observe": 100.0, "protocol": {"kind": "rest"}}
     answer = client.post("/v1/jobs", json=same)
     assert (answer.status_code, answer.headers["Location"]) == (200, figure_2)
     assert answer.json()["name"] == "figure 2, coarse"

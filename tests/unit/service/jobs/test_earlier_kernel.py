@@ -4,6 +4,7 @@ The folder holds a job that is done and one that was stopped after 3 of its 12 c
 """
 
 import json
+import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -17,6 +18,9 @@ from scripted import Held, Scripted, wait_for
 from served import get, read, service
 
 from kernel.params import KERNEL_VERSION
+from service.jobs.stores.adoption import adopt
+from service.jobs.stores.opening import open_ledger
+from service.settings import Settings
 from worker import store
 from worker.studies import from_stored
 from worker.sweep import SweepSpec
@@ -156,6 +160,14 @@ def test_no_number_of_this_kernel_is_added_to_an_earlier_job(folder: Path):
             answer = client.get(path, params=query)
             assert answer.status_code == 409
             assert answer.json()["detail"].startswith(f"the sweep was {NOTICE}: submit the sweep again")
+
+
+def test_a_store_whose_specification_has_removed_fields_is_adopted(folder: Path, tmp_path: Path):
+    settings = Settings(data=tmp_path / "another")
+    with open_ledger(settings) as ledger:
+        shutil.copytree(store_of(folder, "interrupted"), settings.store_of(f"{IDS['interrupted']}.zarr"))
+        job = adopt(ledger, settings, IDS["interrupted"])
+    assert (job.id, job.chunks_done, job.kernel_version) == (IDS["interrupted"], 3, "1")
 
 
 # Damage

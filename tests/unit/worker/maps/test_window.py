@@ -8,6 +8,7 @@ from tables import for_each
 from worker.maps.window import FEWEST_VALUES, Window
 from worker.spec.errors import SpecInvalid
 from worker.sweep import SweepSpec
+from worker.sweep.earlier import EarlierSweep
 
 JOB = "0123456789abcdef" * 2
 MAP: dict[str, Any] = {
@@ -39,6 +40,8 @@ def test_a_window_keeps_all_but_the_grid():
     assert window({"name": "m" * 200}).name == "Window of " + "m" * 190
     assert (found.model, found.settle, found.keep) == (whole.model, 60, 8)
     assert found.refine.model_dump() == {"by": "mode", "coarsest": 16, "margin": False}
+    earlier = EarlierSweep(**MAP | {"xi": 0.125, "settle_until": 600})
+    assert Window().of(earlier, JOB).until == 600
     assert window(by="bouncing").refine.model_dump() == {"by": "bouncing", "coarsest": 64, "margin": False}
 
 

@@ -1,0 +1,475 @@
+"""A periodic cell certifies itself: Newton's method from where its flights nearly repeat (docs/model.md).
+
+A *candidate* is a number of flights after which the last flights repeat within NEAR. From a *section* of the
+trajectory, in the middle of a contact or flight, Newton's method solves y = P(y), P being the map over the
+candidate's plate periods. Its derivative M is carried along exactly (`interface.carry_in_contact` and kin).
+The cycle found is accepted if its leading multiplier is below one and the map surely contracts at the
+trajectory's own distance from it; until then the trajectory goes on. All this depends on a cell's flights
+only.
+"""
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from kernel import interface
+from kernel.cell import PERIODIC, Progress, Window, changed, record, store_state
+from kernel.interface import Phase, State, phase_of, plate_phase
+from kernel.modes import Flights, slot
+from kernel.numerics.elementary import TWO_PI
+from kernel.numerics.first_root import HORIZON, ROOT
+from kernel.numerics.jit import allocating, jit
+from kernel.numerics.matrices import (
+    apply,
+    contracting_norm,
+    dot,
+    largest,
+    leading_eigenvalue,
+    set_identity,
+    solve,
+    trace,
+    transpose,
+)
+from kernel.params import BUDGET, Line
+
+EVERY: Final = 4  # flights that count, after which cycles of up to SHORT flights are looked for, ...
+RARELY: Final = 32  # ... and of up to LONGEST
+SHORT: Final = 24
+LONGEST: Final = 85
+SEARCHED: Final = 256  # flights kept for the search, a power of two of at least 3 * LONGEST
+ALONE: Final = 24  # plate periods without a flight that counts after which all others count
+
+NEAR: Final = 1e-3  # rad within which flights of a candidate repeat; the result does not depend on it
+LEFT: Final = 10.0 * NEAR  # rad beyond which the trajectory has left a candidate that failed
+NEARER: Final = 0.3  # part of the difference at a failure, at which a candidate is tried again
+BETTER: Final = 0.1  # part of a divisor's difference that a candidate's own must be below
+ROUNDING: Final = 1e-13  # rad by which differences may grow; and of states, relative
+
+SOLVED: Final = 1e-11  # the last step of Newton's method, relative to the state
+STEPS: Final = 8  # of it at most
+SAME: Final = 1e-8  # rad within which flights of a cycle repeat
+FAR: Final = 2**40  # plate periods: no end
+
+MARGIN: Final = 1e-6  # of the leading multiplier from one
+DEFECT: Final = 0.5  # of the map from its linear part, over the contraction that there must be
+#: What flights are off by rounding, rad; 3e-13 was exceeded in three of 4,961 cells.
+FLOOR: Final = 5e-13
+
+#: What is counted of a lane: flights read, those that count, plate period of the last that is not too short;
+#: flights and plate periods of the candidate.
+READ, COUNTED, LONGER, BOUNCES, PERIODS = range(5)
+
+#: The ending of a run whose cell is certified, beside those of `first_root`.
+CERTIFIED: Final = 4
+
+
+class Search(NamedTuple):
+    """Where the cells in some lanes are searched for cycles."""
+
+    time: Any  # (lanes * SEARCHED,) the flights that count, in ring buffers as `modes.Flights`
+    phase: Any
+    period: Any
+    failed: (
+        Any  # (lanes, LONGEST + 1) rad, difference of flights at which a candidate last failed, or infinite
+    )
+    counts: Any  # (lanes, 5) int64, see READ
+    cycle: Flights  # room for an attempt
+
+
+def allocate_search(lanes: int, flights: Flights) -> Search:
+    """Room for cells in some lanes, whose flights are recorded in `flights`."""
+    n, size = lanes * SEARCHED, 2 * flights.size
+    cycle = Flights(np.empty(size), np.empty(size), np.empty(size, np.int64), size, 0)
+    failed, counts = np.full((lanes, LONGEST + 1), np.inf), np.zeros((lanes, 5), np.int64)
+    return Search(np.empty(n), np.empty(n), np.empty(n, np.int64), failed, counts, cycle)
+
+
+@jit
+def begin_search(search: Search, k: int) -> None:
+    """Begin a cell in lane k."""
+    search.failed[k] = math.inf
+    search.counts[k] = 0
+
+
+@allocating
+def certified(
+    cell: Any, run: Progress, i: int, k: int, window: Window, line: Line, flights: Flights, search: Search
+) -> Progress:
+    """`run`, in lane k, where it has a candidate; if certified, on the cycle, with the ending CERTIFIED.
+
+    Then the record of the i-th cell is written.
+    """
+    periods = search.counts[k, PERIODS]
+    start = _section(cell, run, k, periods, window, flights, search)
+    if start.ending == ROOT:
+        y, first = np.empty(4), np.empty(4)
+        if _newton(cell, start, periods, window, search, y, first):
+            run = _accept(cell, run, start, periods, window, search, y, first, i, line)
+    if run.ending != CERTIFIED:
+        search.failed[k, search.counts[k, BOUNCES]] = search.failed[k, 0]
+    return run
+
+
+# --- the search for a candidate -------------------------------------------------------------------------
+
+
+@jit
+def has_candidate(run: Progress, k: int, window: Window, flights: Flights, search: Search) -> bool:
+    """Whether the run in lane k, after a flight, nearly repeats a cycle worth an attempt."""
+    if run.ending != ROOT or not _read(run, k, window, flights, search):
+        return False
+    bounces, periods, difference = _candidate(k, search)
+    search.counts[k, BOUNCES], search.counts[k, PERIODS] = bounces, periods
+    search.failed[k, 0] = difference
+    return bounces > 0
+
+
+@jit
+def _read(run: Progress, k: int, window: Window, flights: Flights, search: Search) -> bool:
+    """Read the flights recorded since; whether it is time to look for a candidate."""
+    counts, due = search.counts[k], False
+    for n in range(counts[READ], run.recorded):
+        j = slot(flights, k * flights.size, n)
+        longer = flights.time[j] > window.micro_flight
+        if longer:
+            counts[LONGER] = flights.period[j]
+        if longer or flights.period[j] - counts[LONGER] > ALONE:
+            m = _searched(k, counts[COUNTED])
+            search.time[m], search.phase[m] = flights.time[j], flights.phase[j]
+            search.period[m] = flights.period[j]
+            counts[COUNTED] += 1
+            due = due or counts[COUNTED] % EVERY == 0
+    counts[READ] = max(counts[READ], run.recorded)
+    return due
+
+
+@jit
+def _searched(k: int, n: int) -> int:
+    """Where the n-th flight of lane k that counts is."""
+    return k * SEARCHED + (n & (SEARCHED - 1))
+
+
+@jit
+def _candidate(k: int, search: Search) -> tuple[int, int, float]:
+    """Flights and plate periods of the shortest cycle to try, and how far it repeats, rad. 0: none."""
+    n, failed = search.counts[k, COUNTED], search.failed[k]
+    chosen, chosen_periods, difference = 0, 0, 0.0
+    for bounces in range(1, min(LONGEST if n % RARELY == 0 else SHORT, n // 3) + 1):
+        periods, newest = _last_turn(k, n, bounces, search)
+        if newest > LEFT:
+            failed[bounces] = math.inf
+        if chosen == 0 and periods >= 1 and newest <= min(NEAR, NEARER * failed[bounces]):
+            last = _difference(k, n, bounces, bounces, periods, search)
+            repeats = last <= min(NEAR, NEARER * failed[bounces])
+            if repeats and _approaches(k, n, bounces, periods, last, search):
+                chosen, chosen_periods, difference = bounces, periods, last
+    return chosen, chosen_periods, difference
+
+
+@jit
+def _last_turn(k: int, n: int, bounces: int, search: Search) -> tuple[int, float]:
+    """Plate periods from the flight `bounces` before the n-th to that, and their difference, rad."""
+    j, i = _searched(k, n - 1), _searched(k, n - 1 - bounces)
+    shift = search.phase[j] - search.phase[i]
+    turn = round(shift * (1.0 / TWO_PI))  # phases either side of the turn of a period are neighbours
+    difference = max(abs(search.time[j] - search.time[i]), abs(shift - TWO_PI * turn))
+    return search.period[j] - search.period[i] + int(turn), difference
+
+
+@jit
+def _difference(k: int, n: int, count: int, bounces: int, periods: int, search: Search) -> float:
+    """How far the `count` flights before the n-th differ at most from those `bounces` before, rad."""
+    difference = 0.0
+    for m in range(n - count, n):
+        j, i = _searched(k, m), _searched(k, m - bounces)
+        shift = search.phase[j] - search.phase[i] + TWO_PI * (search.period[j] - search.period[i] - periods)
+        difference = max(difference, abs(search.time[j] - search.time[i]), abs(shift))
+    return difference
+
+
+@jit
+def _approaches(k: int, n: int, bounces: int, periods: int, last: float, search: Search) -> bool:
+    """Whether the flights do not leave a candidate, and no part of it repeats nearly as well as all of it."""
+    before = _difference(k, n - bounces, bounces, bounces, periods, search)
+    if before > LEFT or last > before + ROUNDING:
+        return False
+    for shorter in range(1, bounces // 2 + 1):
+        if bounces % shorter == 0:
+            difference = 0.0
+            for m in range(n - bounces, n):
+                j, i = _searched(k, m), _searched(k, m - shorter)
+                difference = max(difference, abs(search.time[j] - search.time[i]))
+            if BETTER * difference <= last:
+                return False
+    return True
+
+
+# --- Newton's method ------------------------------------------------------------------------------------
+
+
+@jit
+def _section(
+    cell: Any, run: Progress, k: int, periods: int, window: Window, flights: Flights, search: Search
+) -> Progress:
+    """The run on to the middle of the next long contact or flight: at least half of the longest of a turn.
+
+    It ends otherwise if there is none within two turns.
+    """
+    least = 0.5 * _longest(run, k, periods, flights)
+    run = changed(run, recorded=0, opened=0, budget=BUDGET * periods, settle=0, end=FAR)
+    last = run.period + 2 * periods
+    while run.ending == ROOT and run.period <= last:
+        phi = plate_phase(run.phase)
+        p = phase_of(cell, phi, run, TWO_PI * (2 * periods + 1))
+        if p.ending == ROOT and p.tau >= least:
+            half = 0.5 * p.tau
+            p = phase_of(cell, phi, run, half)
+            turns = math.floor((run.phase + half) * (1.0 / TWO_PI))
+            return changed(
+                run, phase=run.phase + half - TWO_PI * turns, period=run.period + turns, state=p.state,
+                takeoff_period=-1, recorded=0,
+            )  # fmt: skip
+        run = record(run, p, window, search.cycle, 0)
+    return changed(run, ending=HORIZON)
+
+
+@jit
+def _longest(run: Progress, k: int, periods: int, flights: Flights) -> float:
+    """The longest contact or flight of the last turn, rad."""
+    longest, landing = 0.0, TWO_PI * run.period + run.phase
+    for n in range(run.recorded - 1, max(run.recorded - flights.size, 0) - 1, -1):
+        j = slot(flights, k * flights.size, n)
+        takeoff = TWO_PI * flights.period[j] + flights.phase[j]
+        longest = max(longest, flights.time[j], landing - takeoff - flights.time[j])
+        landing = takeoff
+        if takeoff < TWO_PI * (run.period - periods) + run.phase:
+            break
+    return longest
+
+
+@jit
+def _cover(
+    cell: Any, run: Progress, left: float, window: Window, vectors: Any, flights: Flights
+) -> tuple[Progress, Phase]:
+    """Follow a run, and variations `vectors` (n, 4), for `left` rad.
+
+    Returns the run before the phase that is cut off there, and that phase; one that fails ends it too.
+    """
+    while True:
+        phi = plate_phase(run.phase)
+        p = phase_of(cell, phi, run, max(left, 0.0))
+        if len(vectors) > 0:
+            if run.in_flight:
+                interface.carry_in_flight(cell, vectors, p.tau)
+                if p.ending == ROOT:
+                    interface.carry_through_landing(cell, vectors, phi, run.state, p)
+            else:
+                interface.carry_in_contact(cell, vectors, p.tau)
+                if p.ending == ROOT:
+                    interface.carry_through_takeoff(cell, vectors, p)
+        if p.ending != ROOT:
+            return run, p
+        left -= p.tau
+        run = record(run, p, window, flights, 0)
+
+
+@jit
+def _from(start: Progress, y: Any) -> Progress:
+    """The run that begins at the section `start` with the state y (4,)."""
+    return changed(start, state=State(y[0], y[1], y[2], y[3]))
+
+
+@jit
+def _set_state(y: Any, state: State) -> None:
+    """Write a state to y (4,)."""
+    y[0], y[1], y[2], y[3] = state
+
+
+@allocating
+def _newton(
+    cell: Any, start: Progress, periods: int, window: Window, search: Search, y: Any, first: Any
+) -> bool:
+    """Whether Newton's method finds a cycle of `periods` plate periods from the section `start`.
+
+    Writes its state there to y (4,), and to `first` (4,) where the trajectory is after a turn.
+    """
+    vectors, matrix, step, end = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty(4)
+    _set_state(y, start.state)
+    scale, before = 1.0 + largest(y), 0.0
+    for count in range(STEPS):
+        set_identity(vectors)
+        run, p = _cover(cell, _from(start, y), TWO_PI * periods, window, vectors, search.cycle)
+        if p.ending != HORIZON or run.in_flight != start.in_flight:
+            return False
+        _set_state(end, p.state)
+        if count == 0:
+            first[:] = end
+        for i in range(4):
+            step[i] = end[i] - y[i]
+            for j in range(4):
+                matrix[i, j] = (1.0 if i == j else 0.0) - vectors[j, i]
+        solve(matrix, step)
+        size = largest(step)
+        if not size <= 0.5 * scale or (count >= 2 and size > 2.0 * before):
+            return False
+        for i in range(4):
+            y[i] += step[i]
+        # the next step would be about size * (size / before)**2
+        nears = count >= 1 and size <= 1e-6 * scale and size <= 1e-3 * before
+        if size <= SOLVED * scale or (nears and (size / before) ** 2 * size <= SOLVED * scale):
+            return True
+        before = size
+    return False
+
+
+# --- the cycle ------------------------------------------------------------------------------------------
+
+
+@allocating
+def _accept(
+    cell: Any, run: Progress, start: Progress, periods: int, window: Window, search: Search, y: Any,
+    first: Any, i: int, line: Line,
+) -> Progress:  # fmt: skip
+    """The run on the cycle through y (4,) at the section `start`, if it is certified; else `run`.
+
+    It then ends at phase zero, as many plate periods before the window's end as turns take. Writes the record
+    of the i-th cell.
+    """
+    vectors, none, cycle = np.empty((4, 4)), np.empty((0, 4)), search.cycle
+    set_identity(vectors)
+    turn, p = _cover(cell, _from(start, y), TWO_PI * periods, window, vectors, cycle)
+    if p.ending != HORIZON or turn.in_flight != start.in_flight:
+        return run
+    over_turn, over_cycle = np.empty((4, 4)), np.empty((4, 4))
+    transpose(vectors, over_turn)
+    end = start.period + periods + 1
+    end += (run.end - end) % periods
+    last, p_end = _cover(cell, turn, TWO_PI * (end - turn.period) - turn.phase, window, none, cycle)
+    if p_end.ending != HORIZON:
+        return run
+    left = TWO_PI * (start.period + 2 * periods - last.period) + start.phase - last.phase
+    after, p = _cover(cell, last, left, window, none, cycle)
+    p = phase_of(cell, plate_phase(after.phase), after, TWO_PI * periods)  # to its own end
+    after = record(after, p, window, cycle, 0)
+    total = after.recorded
+    if after.ending != ROOT or total == 0 or total % 2 != 0 or total > cycle.size:
+        return run
+    repeats = _repeats(cycle, total, total // 2, periods)
+    if not repeats <= SAME:
+        return run
+    parts = _parts(cycle, total, periods, max(SAME, 10.0 * repeats))
+    if parts > 1:
+        set_identity(vectors)
+        turn, p = _cover(cell, _from(start, y), TWO_PI * (periods // parts), window, vectors, cycle)
+        if p.ending != HORIZON:
+            return run
+    transpose(vectors, over_cycle)
+    modulus, angle = leading_eigenvalue(over_cycle)
+    if not modulus < 1.0 - MARGIN or not _contracts(over_turn, start.state, first, y):
+        return run
+    flights, periods = total // 2 // parts, periods // parts
+    line.flight_error[i] = (_repeats(cycle, total, flights, periods) + FLOOR) / (1.0 - modulus)
+    line.multiplier[i], line.multiplier_angle[i] = modulus, angle
+    line.outcome[i], line.periods[i] = PERIODIC, periods
+    line.bounces[i] = _counting(cycle, total, flights, window.micro_flight)
+    _write_flights(cycle, total, flights, periods, end, window.observe, line, i)
+    ended = changed(
+        run, phase=0.0, period=run.end, in_flight=p_end.in_flight, state=p_end.state, ending=CERTIFIED
+    )
+    store_state(ended, line.end_state[i])
+    return ended
+
+
+@jit
+def _repeats(cycle: Flights, total: int, flights: int, periods: int) -> float:
+    """How far the last half of `total` flights differ at most from those `flights` before, rad."""
+    difference = 0.0
+    for n in range(total // 2, total):
+        m = n - flights
+        shift = cycle.phase[n] - cycle.phase[m] + TWO_PI * (cycle.period[n] - cycle.period[m] - periods)
+        difference = max(difference, abs(cycle.time[n] - cycle.time[m]), abs(shift))
+    return difference
+
+
+@jit
+def _parts(cycle: Flights, total: int, periods: int, same: float) -> int:
+    """How many cycles a turn of `periods` plate periods, half of `total` flights, consists of."""
+    for parts in range(periods, 1, -1):
+        flights = total // (2 * parts)
+        whole = periods % parts == 0 and total % (2 * parts) == 0
+        if whole and _repeats(cycle, total, flights, periods // parts) <= same:
+            return parts
+    return 1
+
+
+@allocating
+def _contracts(turn: Any, state: State, first: Any, y: Any) -> bool:
+    """Whether a turn, of derivative `turn` on the cycle at y (4,), contracts at the distance of a state.
+
+    Its end `first` (4,) must differ by less than DEFECT of the contraction from what the derivative says.
+    """
+    modulus, _ = leading_eigenvalue(turn)
+    r = 0.5 * (1.0 + modulus)
+    norm, image, before, rest = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(4)
+    contracting_norm(turn, r, norm)
+    _set_state(before, state)
+    scale = 1.0 + largest(before)
+    for j in range(4):
+        before[j] -= y[j]
+    apply(turn, before, image)
+    for j in range(4):
+        rest[j] = first[j] - y[j] - image[j]
+    apply(norm, before, image)
+    distance = math.sqrt(dot(before, image))
+    apply(norm, rest, image)
+    defect = math.sqrt(dot(rest, image))
+    rounding = ROUNDING * scale * math.sqrt(trace(norm))
+    return distance <= rounding or defect < DEFECT * (1.0 - r) * distance
+
+
+@jit
+def _write_flights(
+    cycle: Flights, total: int, flights: int, periods: int, end: int, observe: int, line: Line, i: int
+) -> None:
+    """Write to the i-th record the cycle's flights in a window of `observe` plate periods before `end`.
+
+    The cycle is that of the last `flights` of `total`.
+    """
+    first, number, latest = total - flights, 0, -FAR
+    for n in range(first, total):
+        turns = _last_before(cycle, n, periods, end)
+        latest = max(latest, turns)
+        # those that take off in the window
+        number += max(turns + (cycle.period[n] - end + observe) // periods + 1, 0)
+    keep = line.flight_time.shape[1]
+    kept = min(number, keep)
+    line.flights[i] = number
+    for k in range(kept, keep):  # of a window before
+        line.flight_time[i, k] = line.takeoff_phase[i, k] = math.nan
+    turns, n = latest, total - 1
+    while kept > 0:
+        if turns <= _last_before(cycle, n, periods, end):
+            kept -= 1
+            line.flight_time[i, kept], line.takeoff_phase[i, kept] = cycle.time[n], cycle.phase[n]
+        n -= 1
+        if n < first:
+            turns, n = turns - 1, total - 1
+
+
+@jit
+def _last_before(cycle: Flights, n: int, periods: int, end: int) -> int:
+    """Turns after which the n-th flight of a cycle lands last before the plate period `end`."""
+    landing = cycle.period[n] + math.floor((cycle.phase[n] + cycle.time[n]) * (1.0 / TWO_PI))
+    last: int = (end - 1 - landing) // periods
+    return last
+
+
+@jit
+def _counting(cycle: Flights, total: int, flights: int, micro_flight: float) -> int:
+    """How many of the last `flights` of `total` count for the mode."""
+    longer = 0
+    for n in range(total - flights, total):
+        if cycle.time[n] > micro_flight:
+            longer += 1
+    return longer if longer > 0 else flights

@@ -1,0 +1,152 @@
+"""A periodic cell ends once its cycle is certified: which cells, and what is recorded of them."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from kernel_runs import assert_same_bytes
+from tables import for_each
+
+from kernel.line import LineRun, run_line
+from kernel.models.ball import BallPlate
+from kernel.models.rigid import RigidPlate
+from kernel.models.soft import SoftPlate
+from kernel.models.stepped import SteppedPlate
+from kernel.params import Cell, KernelInputError, Line, Outcome, Start
+
+N = 40
+RANDOM = np.random.default_rng(5)
+GAMMA = np.concatenate([[0.4], RANDOM.uniform(0.5, 6.0, N - 1)])
+OMEGA, XI = np.exp(RANDOM.uniform(np.log(0.2), np.log(2.0), N)), np.exp(RANDOM.uniform(np.log(0.02), 0.0, N))
+
+ZERO = np.zeros(N)
+PLATES: dict[str, Any] = {
+    "rigid": RigidPlate(ZERO),
+    "rigid, restitution": RigidPlate(ZERO + 0.3),
+    "soft, adhesive": SoftPlate(ZERO + 0.01, ZERO + 1e-3, True),
+    "soft, nonadhesive": SoftPlate(ZERO + 0.01, ZERO + 1e-3, False),
+    "ball": BallPlate(ZERO),
+    "ball, restitution": BallPlate(ZERO + 0.3),
+}
+WINDOW: dict[str, Any] = {"settle": 200, "observe": 100, "keep": 24, "micro_flight": 0.05}
+CERTIFY: dict[str, Any] = {"certify": True, "settle_until": 3000, **WINDOW}
+
+#: The ramp down at Omega 0.6, xi 0.05: where the mode (1, 1) ends, by continuation of its cycle.
+FOLD = 0.553244593
+
+
+def line_of(plate: str, **options: Any) -> Line:
+    fields: dict[str, Any] = {"carry": False, **CERTIFY, **options}
+    return run_line(GAMMA, OMEGA, XI, plate=PLATES[plate], **fields)
+
+
+@for_each("plate", PLATES)
+def test_certified_cells_are_on_the_cycle_that_a_long_run_approaches(plate: str):
+    line = line_of(plate)
+    long = line_of(plate, certify=False, settle=5000, settle_until=None, in_lanes=False)
+    certified = line.outcome == Outcome.PERIODIC
+    assert np.count_nonzero(certified) > N / 4
+    np.testing.assert_array_equal(certified, np.isfinite(line.flight_error))
+    np.testing.assert_array_equal(certified, np.isfinite(line.multiplier))
+    for name in ("outcome", "bounces", "periods", "flights"):
+        np.testing.assert_array_equal(
+            getattr(line, name)[certified], getattr(long, name)[certified], err_msg=name
+        )
+    for name in ("flight_time", "takeoff_phase"):
+        error = np.nanmax(
+            np.abs(getattr(line, name) - getattr(long, name)), axis=1, where=certified[:, None], initial=0.0
+        )
+        assert np.all(error[certified] <= line.flight_error[certified]), name
+
+
+@for_each("plate", PLATES)
+def test_no_other_cell_of_a_long_run_is_certified(plate: str):
+    line = line_of(plate)
+    long = line_of(plate, certify=False, settle=5000, settle_until=None, in_lanes=False)
+    assert not np.any((line.outcome == Outcome.PERIODIC) & (long.outcome != Outcome.PERIODIC))
+    assert np.count_nonzero(line.outcome == Outcome.SETTLING) <= 1
+    rest = line.outcome == Outcome.AT_REST
+    np.testing.assert_array_equal(rest, long.outcome == Outcome.AT_REST)
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize("window", [(200, 100), (100, 20)], ids=str)
+def test_a_ramp_ends_at_the_last_cell_above_the_fold(step: float, window: tuple[int, int]):
+    """Below it flights repeat within 1e-6 for hundreds of periods beside the cycle that there was."""
+
+    def ramp(gamma: Any, start: Start | None) -> Line:
+        same = np.ones(len(gamma))
+        fields = CERTIFY | {"settle": window[0], "observe": window[1]}
+        return run_line(
+            gamma, 0.6 * same, 0.05 * same, plate=RigidPlate(0.0 * same), carry=True, start=start, **fields
+        )
+
+    coarse = np.arange(1.2, 0.5545, -1e-3)
+    state = ramp(coarse, None).end_state[-1]
+    first = np.floor((coarse[-1] - FOLD) / step) * step
+    gamma = coarse[-1] - step * np.arange(round(first / step) - 25, round(first / step) + 5)
+    gamma = gamma[gamma < coarse[-1]]
+    line = ramp(gamma, Start(state, Cell(float(coarse[-1]), 0.6, 0.05)))
+    above = gamma > FOLD
+    assert above.any()
+    np.testing.assert_array_equal(line.outcome == Outcome.PERIODIC, above)
+    assert set(line.outcome[~above]) == {int(Outcome.AT_REST)}
+
+
+@for_each("plate", PLATES)
+@for_each("carry", [False, True])
+def test_lanes_and_scalars_certify_the_same_cycles(plate: str, carry: bool):
+    lanes, scalar = (line_of(plate, carry=carry, in_lanes=in_lanes) for in_lanes in (True, False))
+    both = (lanes.outcome == Outcome.PERIODIC) & (scalar.outcome == Outcome.PERIODIC)
+    if not carry:  # a ramp may follow another branch after chaos
+        np.testing.assert_array_equal(lanes.outcome, scalar.outcome)
+        np.testing.assert_allclose(lanes.flight_time[both], scalar.flight_time[both], atol=1e-9)
+        np.testing.assert_allclose(lanes.multiplier[both], scalar.multiplier[both], atol=1e-7)
+    assert both.any()
+
+
+@for_each("plate", ["rigid", "soft, adhesive", "ball"])
+def test_a_cell_has_the_same_bytes_alone_and_among_others(plate: str):
+    line = line_of(plate)
+    for i in range(0, N, 7):
+        one = slice(i, i + 1)
+        fields = (x[one] if isinstance(x, np.ndarray) else x for x in PLATES[plate])
+        run = LineRun(
+            np.concatenate([GAMMA[one]] * 5), np.concatenate([OMEGA[one]] * 5), np.concatenate([XI[one]] * 5),
+            plate=type(PLATES[plate])(*(np.repeat(x, 5) if isinstance(x, np.ndarray) else x for x in fields)),
+            carry=False, **CERTIFY,
+        )  # fmt: skip
+        run.advance()
+        for k in range(5):
+            assert_same_bytes(Line(*(x[k : k + 1] for x in run.line)), Line(*(x[one] for x in line)))
+
+
+def test_a_ramp_goes_on_from_the_cycle():
+    line = line_of("rigid", carry=True)
+    parts = []
+    start = None
+    for i in range(N):
+        one = slice(i, i + 1)
+        parts.append(
+            run_line(
+                GAMMA[one],
+                OMEGA[one],
+                XI[one],
+                plate=RigidPlate(ZERO[one]),
+                carry=True,
+                start=start,
+                **CERTIFY,
+            )
+        )
+        start = Start(parts[-1].end_state[0], Cell(GAMMA[i], OMEGA[i], XI[i]))
+    whole = LineRun(GAMMA, OMEGA, XI, plate=PLATES["rigid"], carry=True, in_lanes=True, **CERTIFY)
+    whole.advance()
+    assert_same_bytes(Line(*(np.concatenate(x) for x in zip(*parts, strict=True))), line)
+
+
+def test_exponents_and_contacts_without_variations_are_refused():
+    with pytest.raises(KernelInputError, match="certify: must be false with exponents"):
+        line_of("rigid", exponents=2)
+    stepped = SteppedPlate(ZERO + 0.69, ZERO + 1e-2, np.full(N, 400), True, 0.5)
+    with pytest.raises(KernelInputError, match="certify: must be false"):
+        run_line(GAMMA, OMEGA, XI, plate=stepped, carry=False, **CERTIFY)
