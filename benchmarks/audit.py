@@ -110,9 +110,11 @@ def drawn(all_cells: Census, cells: int, random: np.random.Generator) -> Census:
     }
 
 
-def answered(study: Stored[SweepSpec], cells: Census) -> Any:
-    """What an audit says of these cells."""
-    return audit.compute(study, audit.AuditQuery(), cells)
+def answered(study: Stored[SweepSpec], cells: Census, against: str = "numerics") -> dict[str, Any]:
+    """What an audit says of these cells, by question."""
+    table = {name: values for name, values in cells.items() if isinstance(values, np.ndarray)}
+    answers = audit.answers_of(study, audit.AuditQuery(), table, cells["cells"], cells["thresholds"])
+    return answers[against]
 
 
 def coverage(side: int, draws: int, cells: int) -> str:
@@ -128,25 +130,24 @@ def coverage(side: int, draws: int, cells: int) -> str:
             for _ in range(draws):
                 said = answered(study, drawn(made, cells, random))
                 for name in ASKED:
-                    held[name] += _holds(said.sel(question=name), truth.sel(question=name))
-            wrong = float(truth.sel(question="mode").share)
+                    held[name] += _holds(said[name], truth[name])
             name = f"{kind}, {'as computed' if share is None else f'{100 * share:g} %'}"
-            shares = (_percent(held[asked], draws, truth.sel(question=asked)) for asked in ASKED)
-            rows.append([name, f"{100 * wrong:.2g} %", *shares])
+            shares = (_percent(held[asked], draws, truth[asked]) for asked in ASKED)
+            rows.append([name, f"{100 * truth['mode'].share:.2g} %", *shares])
             print(rows[-1], flush=True)
     return table(["sweep", "cells wrong", *ASKED], rows)
 
 
 def _holds(said: Any, truth: Any) -> bool:
     """Whether an interval holds the share, whatever the undecided cells are."""
-    if not int(truth.sampled):
+    if not truth.sampled:
         return True
-    most = (int(truth.changed) + int(truth.undecided)) / int(truth.sampled)
+    most = (truth.changed + truth.undecided) / truth.sampled
     return bool(said.low <= truth.share + 1e-12 and most - 1e-12 <= said.high)
 
 
 def _percent(held: int, draws: int, truth: Any) -> str:
-    return f"{100 * held / draws:.1f} %" if int(truth.sampled) else "-"
+    return f"{100 * held / draws:.1f} %" if truth.sampled else "-"
 
 
 def power(side: int, draws: int, output: str) -> str:
@@ -157,8 +158,8 @@ def power(side: int, draws: int, output: str) -> str:
     for i, share in enumerate(PLANTED):
         made = planted(found, share, random)
         for k, cells in enumerate(SAMPLES):
-            said = [answered(study, drawn(made, cells, random)).sel(question="mode") for _ in range(draws)]
-            seen[i, k] = np.mean([int(each.changed) > 0 for each in said])
+            said = (answered(study, drawn(made, cells, random))["mode"] for _ in range(draws))
+            seen[i, k] = np.mean([each.changed > 0 for each in said])
     if output:
         picture = encode((6.0, 4.0), lambda figure: _draw_power(figure, seen), "png", {"release": "-"})
         Path(output).write_bytes(picture)
@@ -193,10 +194,10 @@ def damage(side: int, cells: int) -> str:
     rows = []
     for name, (spec, submitted, question) in cases.items():
         study, found = census(spec, submitted)
-        said = answered(study, drawn(found, cells, np.random.default_rng(3))).sel(question=question)
-        of = said.sel(against="model") if submitted else said
-        rows.append([name, question, f"{int(of.changed)} of {int(of.sampled)}",
-                     f"{100 * float(of.low):.2g} to {100 * float(of.high):.2g} %"])  # fmt: skip
+        against = "model" if submitted else "numerics"
+        said = answered(study, drawn(found, cells, np.random.default_rng(3)), against)[question]
+        rows.append([name, question, f"{said.changed} of {said.sampled}",
+                     f"{100 * said.low:.2g} to {100 * said.high:.2g} %"])  # fmt: skip
     return table(["damage", "question", "changed", "share of all cells"], rows)
 
 
