@@ -1,6 +1,6 @@
 """Do audits hold the truth, what do they see, and does the choice of `auto` hold its bound?
 
-    python -m benchmarks.audit coverage power damage auto [--side 40] [--draws 1000] [-o power.png]
+    python -m benchmarks.audit coverage power damage auto efforts [--side 40] [--draws 1000] [-o power.png]
 
 Small sweeps are computed entirely in both ways: as a job does, and as an audit computes its cells again.
 Their audits are then drawn `--draws` times from these cells. `coverage`: sweeps of four kinds as computed,
@@ -8,7 +8,9 @@ and with 0, .1, 1, 5 and 20 % of cells, thresholds and points made wrong at rand
 has the true share with the undecided cells counted as right and as wrong. `power`: audits that see at least
 one of the faults planted in .5, 1, 2 and 5 % of the cells; -o draws it. `damage`: what one audit says of
 three sweeps done badly. `auto`: ten sweeps with every contact; the share of all cells beyond the tolerance
-against the bound that 120 random cells state, for each contact, and how often it is chosen.
+against the bound that 120 random cells state, for each contact, and how often it is chosen. `efforts`: random
+cells, or lines of a ramp, of the paper's figures and of a map by each effort, against 10,000 plate periods of
+settling: the share with another outcome or mode, and core-microseconds per cell.
 """
 
 import tempfile
@@ -21,14 +23,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measuring import describe, options, table
+from kernel.params import Line as Record
 from kernel.params import Outcome
 from service.local import computed
+from service.presets import FIGURES as PRESETS
 from service.views import audit
 from service.views.selection import Stored
 from service.views.style import encode
 from worker.analysis.audit import PARTS, SETS, look
-from worker.analysis.model_selection import CELLS, Line, ModelChoice, chosen, compared
+from worker.analysis.model_selection import CELLS, Line, ModelChoice, chosen, compared, timed
+from worker.spec.efforts import EFFORTS
 from worker.sweep import SweepSpec
+from worker.sweep.schema import MODE_ARRAYS
 
 #: Shares of cells made wrong for `coverage`, and for `power`.
 BANDS: Final = (0.0, 0.001, 0.01, 0.05, 0.2)
@@ -239,10 +245,64 @@ def _shares(choice: ModelChoice) -> dict[str, float]:
     return {row.model: row.beyond / row.drawn for row in choice.table}
 
 
+#: Sweeps of the paper's figures by their number and place, of presets.
+FIGURES: Final = ((2, 0), (2, 1), (3, 0), (4, 0), (6, 0), (7, 0), (8, 0), (9, 0))
+#: Cells or lines of them that `efforts` computes.
+EFFORT_CELLS, EFFORT_LINES = 400, 2
+
+
+def efforts() -> str:
+    """What each effort shows wrong, and costs."""
+    plane = {"gamma": {"start": 0.1, "stop": 5, "num": 197}, "omega": {"start": 0.3, "stop": 1.7, "num": 141}}
+    presets = {figure.number: figure.sweeps for figure in PRESETS}
+    asked = {str(presets[number][i]["name"]): presets[number][i] for number, i in FIGURES}
+    rows = []
+    for name, fields in (asked | {"mode map": plane | {"xi": 0.05, "model": {"kind": "rigid"}}}).items():
+        plain = {field: x for field, x in fields.items() if field not in ("settle", "observe", "exponents")}
+        lines = _lines(SweepSpec(**plain))
+        true, _ = timed(SweepSpec(**plain, settle=10_000, observe=1_000), lines)
+        row = [name]
+        for effort in EFFORTS:
+            spec = SweepSpec(**plain, effort=effort)
+            records, microseconds = timed(spec, lines)
+            pairs = zip(records, true, strict=True)
+            wrong = np.concatenate([_another(*pair)[pair[1].outcome != Outcome.SETTLING] for pair in pairs])
+            row += [f"{100 * np.mean(wrong):.2g} %", f"{microseconds * sum(spec.window):,.0f}"]
+        rows.append(row)
+        print(row, flush=True)
+    return table(["sweep", *(f"{name}{what}" for name in EFFORTS for what in ("", ", µs"))], rows)
+
+
+def _lines(spec: SweepSpec) -> list[Line]:
+    """Random cells of a sweep from rest, or lines of a ramp in their order."""
+    axis, random = spec.ramp_axis, np.random.default_rng(5)
+    values = {name: spec.axis_values(name) for name in spec.AXES}
+    if axis is None:
+        chosen = {name: random.choice(along, EFFORT_CELLS) for name, along in values.items()}
+        return [Line(**chosen)]
+    runs = {"up": values[axis], "down": values[axis][::-1]}
+    along = np.concatenate([runs[direction] for direction in spec.directions])
+    others = [
+        {name: np.full(len(along), random.choice(each)) for name, each in values.items()}
+        for _ in range(EFFORT_LINES)
+    ]
+    return [Line(**other | {axis: along}) for other in others]
+
+
+def _another(record: Record, true: Record) -> NDArray[np.bool_]:
+    """Which cells have another outcome or mode."""
+    return np.any([getattr(record, name) != getattr(true, name) for name in MODE_ARRAYS], axis=0)
+
+
 def main() -> None:
     """Run what is asked for."""
     asked = options(
-        __doc__, parts=["coverage", "power", "damage", "auto"], side=40, draws=1_000, cells=200, output=""
+        __doc__,
+        parts=["coverage", "power", "damage", "auto", "efforts"],
+        side=40,
+        draws=1_000,
+        cells=200,
+        output="",
     )
     print(describe())
     if "coverage" in asked.parts:
@@ -253,6 +313,8 @@ def main() -> None:
         print(damage(asked.side, asked.cells))
     if "auto" in asked.parts:
         print(auto(asked.draws))
+    if "efforts" in asked.parts:
+        print(efforts())
 
 
 if __name__ == "__main__":
