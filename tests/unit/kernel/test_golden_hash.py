@@ -48,15 +48,24 @@ PLATES: dict[str, Any] = {
     "ball": BallPlate(0.0 * E),
     "ball, restitution": BallPlate(2.0 * E),
 }
-PROTOCOLS = {"rest": False, "ramp": True}
-CASES = [f"{plate}, {protocol}" for plate in PLATES for protocol in PROTOCOLS]
+PROTOCOLS = ("rest", "ramp")
+CASES = [
+    *(f"{plate}, {protocol}" for plate in PLATES for protocol in PROTOCOLS),
+    *(
+        f"{plate}, certified, {protocol}"
+        for plate in PLATES
+        if "stepped" not in plate
+        for protocol in PROTOCOLS
+    ),
+]
 
 
 def line_of(case: str) -> Line:
     plate, protocol = case.rsplit(", ", 1)
+    certified = plate.endswith(", certified")
     return run_line(
-        GAMMA, OMEGA, XI, plate=PLATES[plate], carry=PROTOCOLS[protocol], settle=60, observe=20, keep=12,
-        micro_flight=0.01,
+        GAMMA, OMEGA, XI, plate=PLATES[plate.removesuffix(", certified")], carry=protocol == "ramp",
+        settle=60, observe=20, keep=12, micro_flight=0.01, certify=certified,
     )  # fmt: skip
 
 

@@ -34,6 +34,12 @@ CASES = [
     *((plate, False, {"settle_tolerance": 1e-9}) for plate in ("rigid", "soft")),
     *((plate, False, {"settle_early": True, "settle": 90}) for plate in PLATES),
     *(
+        (plate, carry, {"certify": True, "settle_until": 330})
+        for plate in PLATES
+        if plate != "stepped"
+        for carry in (False, True)
+    ),
+    *(
         (plate, True, {"exponents": 2, "settle_until": 330})
         for plate in ("rigid", "rigid, restitution", "soft")
     ),
