@@ -41,6 +41,8 @@ BANDS: Final = (0.0, 0.001, 0.01, 0.05, 0.2)
 PLANTED: Final = (0.005, 0.01, 0.02, 0.05)
 #: Cells of the samples of `power`.
 SAMPLES: Final = (20, 59, 100, 200, 400, 800)
+#: Twice the fewest points anywhere that are computed.
+POINTS: Final = 400
 #: Questions whose intervals are asked for, by the set of cells that they draw.
 ASKED: Final = {"mode": "numerics", "flights": "numerics", "threshold": "threshold", "area": "area"}
 
@@ -73,7 +75,7 @@ def census(spec: SweepSpec, submitted: SweepSpec | None = None) -> tuple[Stored[
     """
     study = Stored(spec, "", complete=True, submitted=submitted or spec)
     contact = None if submitted is None else submitted.model.exact
-    cells = int(np.prod(spec.shape))
+    cells = max(int(np.prod(spec.shape)), POINTS)
     with tempfile.TemporaryDirectory() as folder, computed(spec, Path(folder), progress=False) as done:
         url = done.job.store_url
         with ThreadPoolExecutor(2) as threads:
