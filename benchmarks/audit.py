@@ -9,7 +9,7 @@ has the true share with the undecided cells counted as right and as wrong. `powe
 one of the faults planted in .5, 1, 2 and 5 % of the cells; -o draws it. `damage`: what one audit says of
 three sweeps done badly. `auto`: ten sweeps with every contact; the share of all cells beyond the tolerance
 against the bound that 120 random cells state, for each contact, and how often it is chosen. `efforts`: random
-cells, or lines of a ramp, of the paper's figures and of a map by each effort, against 10,000 plate periods of
+cells, or lines of a ramp, of the paper's figures and of a map by each effort, against 3,000 plate periods of
 settling: the share with another outcome or mode, and core-microseconds per cell.
 """
 
@@ -250,7 +250,7 @@ def _shares(choice: ModelChoice) -> dict[str, float]:
 #: Sweeps of the paper's figures by their number and place, of presets.
 FIGURES: Final = ((2, 0), (2, 1), (3, 0), (4, 0), (6, 0), (7, 0), (8, 0), (9, 0))
 #: Cells or lines of them that `efforts` computes.
-EFFORT_CELLS, EFFORT_LINES = 400, 2
+EFFORT_CELLS, EFFORT_LINES = 400, 1
 
 
 def efforts() -> str:
@@ -262,7 +262,7 @@ def efforts() -> str:
     for name, fields in (asked | {"mode map": plane | {"xi": 0.05, "model": {"kind": "rigid"}}}).items():
         plain = {field: x for field, x in fields.items() if field not in ("settle", "observe", "exponents")}
         lines = _lines(SweepSpec(**plain))
-        true, _ = timed(SweepSpec(**plain, settle=10_000, observe=1_000), lines)
+        true, _ = timed(SweepSpec(**plain, settle=3_000, observe=1_000), lines)
         row = [name]
         for effort in EFFORTS:
             spec = SweepSpec(**plain, effort=effort)
