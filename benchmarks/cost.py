@@ -9,14 +9,16 @@ of the grid: whole sweeps over HTTP on the embedded cluster of two workers, from
 "exponent" is that of the total time against the quantity, between its ends (1: proportional). The cost should
 not depend on Gamma, Omega, xi and d: see the ratio of the largest to the smallest.
 
-`--estimates`: of every model, law and protocol, what is expected of a cell with the default window beside
-what it takes on average: random cells from rest (Gamma 0.3 to 6, Omega 0.2 to 2, xi 0.01 to 1), and 16
-lines of 50 values of Gamma; both include the periods in which cells without a mode are followed.
+`--estimates`: of every model, law and protocol, what is expected of a cell by default beside what it takes on
+average, and that relative to every cycle computed, 200 + 100 periods and those in which cells without a mode
+are followed: random cells from rest (Gamma 0.3 to 6, Omega 0.2 to 2, xi 0.01 to 1), and 16 lines of 50 values
+of Gamma.
 """
 
 import math
 import statistics
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -106,9 +108,10 @@ def estimate_row(name: str, ramp: bool, repeat: int) -> list[str]:
     xis = {"start": 0.01, "stop": 1.0, "num": 100, "spacing": "log"}
     protocol = {"kind": "ramp", "axis": "gamma", "direction": "up"} if ramp else {"kind": "rest"}
     spec = SweepSpec(**axes, xi=xis, model=model, protocol=protocol)
+    fixed = spec.model_copy(update={"settle": spec.window[0]})
     plate = plate_of(spec.model, gamma, omega, xi)
 
-    def run() -> object:
+    def run(spec: SweepSpec) -> object:
         return run_line(
             gamma, omega, xi, plate=plate, carry=ramp, settle=spec.window[0], observe=spec.observe,
             keep=spec.keep, micro_flight=spec.micro_flight, certify=spec.certifies,
@@ -116,9 +119,11 @@ def estimate_row(name: str, ramp: bool, repeat: int) -> list[str]:
         )  # fmt: skip
 
     periods = sum(spec.window)
-    took = cost_of(run, len(gamma) * periods, 1 if name.startswith("stepped") else repeat)
+    repeat = 1 if name.startswith("stepped") else repeat
+    took, whole = (cost_of(partial(run, each), len(gamma) * periods, repeat) for each in (spec, fixed))
     expected = cell_seconds(spec) / periods * 1e6
-    return [f"{name}, {protocol['kind']}", short(took), short(expected), f"{expected / took:.2f}"]
+    ratios = f"{expected / took:.2f}", f"{took / whole:.2f}"
+    return [f"{name}, {protocol['kind']}", short(took), short(expected), *ratios]
 
 
 def exponent(curve: Curve) -> float:
@@ -160,7 +165,10 @@ def main() -> None:
             for ramp in (False, True):
                 rows.append(estimate_row(name, ramp, arguments.repeat))
                 print(*rows[-1], flush=True)
-        print("\n" + table(["", "taken, µs per plate period", "estimated, µs", "ratio"], rows))
+        print(
+            "\n"
+            + table(["", "taken, µs per plate period", "estimated, µs", "ratio", "of every cycle's"], rows)
+        )
         return
     curves: dict[str, dict[str, Curve]] = {}
     for axis in AXES:

@@ -105,7 +105,7 @@ class ContactFields(Strict):
     @property
     def certifies(self) -> bool:
         """Whether cycles can be certified, which needs variations."""
-        return self.dimension > 0
+        return self.exponents > 0
 
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
@@ -292,12 +292,12 @@ class ContactModel(NamedTuple):
 #: docs/architecture.md). Costs: means over cells of all kinds (`python -m benchmarks.cost --estimates`). On a
 #: ramp few cells of springs are at rest, and more cells of a ball.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
-    "soft": ContactModel(Soft, "kernel.models.soft", 0.39, "soft contact", 0.7, 1.4),
+    "soft": ContactModel(Soft, "kernel.models.soft", 0.39, "soft contact", 0.53, 1.4),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
-    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.165, "rigid contact", 0.7, 1.4),
-    "ball": ContactModel(Ball, "kernel.models.ball", 0.13, "ball contact", 0.7, 0.7),
+    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.165, "rigid contact", 0.62, 1.4),
+    "ball": ContactModel(Ball, "kernel.models.ball", 0.13, "ball contact", 2.0, 0.7),
     # Until a model is chosen: the exact one, which is the most expensive.
-    "auto": ContactModel(Auto, "kernel.models.soft", 0.39, "auto contact", 0.7, 1.4),
+    "auto": ContactModel(Auto, "kernel.models.soft", 0.39, "auto contact", 0.53, 1.4),
 }
 
 

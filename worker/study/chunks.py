@@ -155,7 +155,7 @@ class Cost(Strict):
     least_core_seconds: float | None = Field(None, description="adaptive maps: lower limit; null for others")
     longest_core_seconds: float | None = Field(
         None,
-        description="upper end: every cell hops as often as any and settles for as long as it may; "
+        description="upper end: every cell hops as often as any, and as many settle as where it is slow; "
         "null where core_seconds is",
     )
     basis: Literal["measured", "table"] = Field(

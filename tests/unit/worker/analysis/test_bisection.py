@@ -150,8 +150,7 @@ def test_a_change_that_the_sweep_does_not_hold_is_not_made_up(
     ("protocol", "limit", "most", "up", "down"),
     [
         (ramp("both"), "MAX_CELLS", 3, Status.NOT_REFINED, Status.NOT_REFINED),
-        (ramp("both"), "PATIENCE", 1, Status.FOUND, Status.SETTLING),
-        ({"kind": "rest"}, "PATIENCE", 1, Status.SETTLING, Status.NOT_RAMPED),
+        (ramp("both"), "PATIENCE", 1, Status.FOUND, Status.NOT_REFINED),
     ],
 )
 def test_a_refinement_that_reaches_its_limit_says_so(

@@ -89,8 +89,8 @@ def test_what_is_harder_costs_more():
         return cell_seconds(sweep(gamma=2, **more))
 
     soft = {"kind": "soft"}
-    assert cost() < cost(settle=200) < cost(ramp=("gamma", "up"), settle=200) < cost(exponents=1)
-    assert cost() < cost(model=soft) < cost(model=soft | {"penetration": 1e-6})
+    assert cost(settle=200) < cost(ramp=("gamma", "up"), settle=200) < cost(exponents=1)
+    assert cost(model=soft) < cost(model=soft | {"penetration": 1e-6}) < cost(model=soft, settle=200)
     assert cost() < cost(until=50_000) < longest_cell_seconds(sweep(until=50_000))
     assert cost(model={"kind": "auto"}) == cost(model=soft)  # at most the exact one
 

@@ -289,6 +289,8 @@ PLAIN = {"model": {"kind": "stepped", "events": "plain"}}
     ("changes", "certifies", "until"),
     [
         ({}, True, 5000),
+        ({"model": {"kind": "rigid"}}, True, 5000),
+        ({"model": {"kind": "auto"}}, True, 5000),
         ({"protocol": ramp(), "gamma": range_(), "until": 8000}, True, 8000),
         ({"model": {"kind": "ball"}, "observe": 10_000}, True, 10_200),  # no extension
         ({"settle": 200}, False, None),

@@ -162,7 +162,7 @@ def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path, small_spec):
 PAUSING = {
     "in lanes": ({"model": {"kind": "rigid"}}, 2003),
     "soft ramp in lanes": ({"model": {"kind": "soft"}, "protocol": ramp("gamma", "both")}, 8009),
-    "settling": ({"model": {"kind": "soft"}, "settle": "auto"}, 16001),
+    "settling": ({"model": {"kind": "soft"}, "settle": "auto"}, 2003),
     "exponents": ({"model": {"kind": "soft"}, "protocol": ramp("omega", "down"), "exponents": 2}, 401),
     "stepped": ({"model": {"kind": "stepped"}, "protocol": ramp("xi", "up")}, 211),
 }
