@@ -161,7 +161,7 @@ def test_stored_variables_are_those_of_a_store(tmp_path: Path):
     from served import RAMP, computing, finished, get
 
     with computing(tmp_path) as client:
-        metadata = get(client, f"{finished(client, RAMP | {"settle": "auto"})}/zarr/zarr.json")
+        metadata = get(client, f"{finished(client, RAMP | {'settle': 'auto'})}/zarr/zarr.json")
     arrays = metadata["consolidated_metadata"]["metadata"]
     stored = {
         (name, ", ".join(array["dimension_names"]), array["data_type"])
