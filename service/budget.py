@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
-from service.errors import InvalidRequest
+from worker.spec.errors import Problem, SpecInvalid
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 
@@ -60,7 +60,7 @@ def within(
     show: Callable[[str], None] = lambda _: None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Answer:
-    """Compute the finest level that fits into `budget` seconds. Raises InvalidRequest if none does."""
+    """Compute the finest level that fits into `budget` seconds. Raises SpecInvalid if none does."""
     began, answer = clock(), Answer()
     reserved = AUDIT * budget
     per_cell = runner.seconds(spec) / cells(spec, WHOLE)
@@ -78,7 +78,7 @@ def within(
         steps = finest(spec, _affordable(answer.levels, left / MARGIN), steps)
     if not answer.levels:
         rule = f"{budget:g} s are too short for {cells(spec, coarsest(spec)):,} of its cells"
-        raise InvalidRequest.of("budget", f"{rule}; {2.0 * budget:g}s may work")
+        raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * budget:g}s may work")])
     left = budget - (clock() - began)
     if left >= LEAST_AUDIT:
         show(f"audit of the last level, {left:.0f} s left")

@@ -104,21 +104,22 @@ def _service(workers: int | None, data: str | None, token: str | None) -> Iterat
 
 @click.command()
 @click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
-              help="Picture to write as well, .png, .svg or .pdf.")  # fmt: skip
+              help="File to write as well, a picture or a table.")  # fmt: skip
 def tradeoff(output: str | None) -> None:
     """Measure the cost and the accuracy of each contact model.
 
     Computes a fixed set of cells, extreme ones included, one after another in this process, which takes a
     minute or two.
     """
+    from service.cli.views import table
+    from service.client.display import display_parts
+    from service.views import tradeoff
+    from service.views.registry import encoded
     from worker.kernel_cache import use_cache
 
-    format = output_format(output, PICTURES) if output else None
+    format = output_format(output, tradeoff.VIEW.formats) if output else None
     use_cache()
-    from service import tradeoff as measurements
-
-    click.echo("measuring (two or three minutes)", err=True)
-    rows = [measurements.measure(setup) for setup in measurements.SETUPS]
+    found = tradeoff.measure(tradeoff.SETTINGS, display_parts(True, "measured", "contacts"))
     if output and format:
-        write_file(output, measurements.draw(rows, format))
-    click.echo(measurements.report(rows))
+        write_file(output, encoded(tradeoff.VIEW, None, found, format))
+    click.echo(table(found, ["cost"]))

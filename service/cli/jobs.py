@@ -21,13 +21,22 @@ from service.cli.options import (
 from service.cli.views import query_options
 from service.formats import EXPORTS, PICTURES, TABLES
 from service.result_methods import ResultMethods
+from worker.spec.efforts import EFFORTS
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from service.client import Client, Job
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
 ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
+_BUDGET: Final = "Compute the finest level that fits into this time: 90s, 5m, 1h."
 _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
+
+_effort_option: Final = click.option(
+    "--effort", type=click.Choice([*EFFORTS]),
+    help="Windows of the cells, in place of settle, observe and until.",
+)  # fmt: skip
 
 
 @click.command()
@@ -35,19 +44,32 @@ _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 @click.option("--wait", "wait_for_job", is_flag=True, help="Show progress and wait until the job is done.")
 @click.option("--estimate", is_flag=True, help="Print the estimated cost without submitting.")
 @click.option("--key", help="Idempotency key: repeating the request with it changes nothing.")
+@_effort_option
+@click.option("--budget", type=DURATION, help=_BUDGET)
 @with_client
-def submit(client: "Client", spec: str, wait_for_job: bool, estimate: bool, key: str | None) -> None:
+def submit(
+    client: "Client",
+    spec: str,
+    wait_for_job: bool,
+    estimate: bool,
+    key: str | None,
+    effort: str | None,
+    budget: float | None,
+) -> None:
     """Submit a sweep and print its job id.
 
     SPEC is a .json, .toml or .yaml file, or - for JSON on standard input. The same sweep is always the same
     job: one that is done is not computed again, one that failed or was cancelled continues.
+    With --budget the jobs are levels from coarse to fine; the id is that of the last one that is done.
     """
     from service.cli import output
-    from service.client.specification import read
 
-    specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    specification = _specification(spec, effort)
     if estimate:
         click.echo(output.estimate_line(client.estimate(specification)))
+        return
+    if budget is not None:
+        click.echo(client.run(specification, budget=budget).id)
         return
     job = client.submit(specification, key=key)
     click.echo(job.id)
@@ -61,11 +83,16 @@ def submit(client: "Client", spec: str, wait_for_job: bool, estimate: bool, key:
 @format_option(*_RUN_FORMATS)
 @click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
 @click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
-@click.option(
-    "--budget", type=DURATION, help="Compute the finest level that fits into this time: 90s, 5m, 1h."
-)
+@_effort_option
+@click.option("--budget", type=DURATION, help=_BUDGET)
 def run(
-    spec: str, output: str, format: str | None, workers: int | None, budget: float | None, **query: Any
+    spec: str,
+    output: str,
+    format: str | None,
+    workers: int | None,
+    effort: str | None,
+    budget: float | None,
+    **query: Any,
 ) -> None:
     """Compute a sweep without a service, and write it.
 
@@ -80,10 +107,9 @@ def run(
       bounce run sweep.toml -o sweep.zarr --budget 5m
     """
     from service import local
-    from service.client.specification import read
 
     format = output_format(output, _RUN_FORMATS, format)
-    specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    specification = _specification(spec, effort)
     if budget is not None:
         budget = max(budget - time.process_time(), 1.0)  # the imports of this process count
     try:
@@ -117,9 +143,8 @@ def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query
     """
     from service.cli.output import as_json as json_text
     from service.cli.views import table
-    from service.client.specification import read
 
-    specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    specification = _specification(spec)
     if output is not None:
         format = output_format(output, (*EXPORTS, *PICTURES, *TABLES), None)
         write_file(output, client.plan_file(specification, format, **query))
@@ -256,6 +281,14 @@ def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, 
 
 
 COMMANDS: Final = (submit, plan, run, status, wait, watch, follow, cancel, resume, delete, list_jobs)
+
+
+def _specification(spec: str, effort: str | None = None) -> "Mapping[str, Any]":
+    """What a file, or - for standard input, contains."""
+    from service.client.specification import read
+
+    fields = read(Path(spec) if spec != "-" else sys.stdin.buffer.read())
+    return fields if effort is None else {**fields, "effort": effort}
 
 
 def _wait(job: "Job", timeout: float | None = None) -> None:

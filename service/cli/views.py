@@ -139,8 +139,6 @@ def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
 
 def _rows(result: "xarray.Dataset", rows: str) -> str:
     """The variables over dimensions of the variable `rows`."""
-    from pandas import option_context
-
     dims = {*map(str, result[rows].dims)}
     names = [str(name) for name, v in result.data_vars.items() if v.dims and dims.issuperset(v.dims)]
     frame = result[names].drop_vars([n for n, v in result.coords.items() if not v.dims]).to_dataframe()
@@ -154,8 +152,7 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
     if frame.empty:
         return "  ".join([*map(str, frame.index.names), *frame.columns])
     frame = frame.loc[:, [not (each.isna() | (each == "")).all() for _, each in frame.items()]]
-    with option_context("display.precision", DIGITS):
-        return frame.reset_index().to_string(index=False, na_rep="-")
+    return frame.reset_index().to_string(index=False, na_rep="-", float_format=f"{{:.{DIGITS}g}}".format)
 
 
 def _without(prefixes: tuple[str, ...], name: str) -> str:

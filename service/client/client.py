@@ -109,6 +109,35 @@ class Client(ResultReader, SpringMethods):
         response = self._transport.post("/v1/jobs", body(spec), headers=headers)
         return Job(self._transport, json_object(response), response)
 
+    def run(self, spec: Specification, *, budget: float, progress: bool = True) -> Job:
+        """Compute the finest level of a sweep that fits into a time, and audit it.
+
+        Levels are sweeps from coarse to fine, submitted one after another: plain jobs, whose results can be
+        read while the next one is computed. One that does not end in time is cancelled.
+
+        Parameters
+        ----------
+        spec
+            A sweep, as for `submit`.
+        budget
+            Seconds for all of it, waiting for workers included.
+        progress
+            Whether levels and their progress are written to standard error.
+
+        Returns
+        -------
+        Job
+            The last level that is done; `job.audit()` says at once how wrong it is, if the time sufficed.
+
+        Raises
+        ------
+        InvalidSpecification
+            The time is too short for any level. Also raises as `submit` and `Job.wait`.
+        """
+        from service.client.levels import Levels
+
+        return Levels(self.submit, self.estimate, progress).within(spec, budget)
+
     def estimate(self, spec: Specification) -> Estimate:
         """The estimated cost of a sweep, without submitting it. Raises as `submit`."""
         query = {"validate_only": "true"}

@@ -101,17 +101,8 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     The cells that changed are listed, also hard ones looked at besides: corners, and cells next to another
     mode.
     """
-    table = _table(parts)
-    cells, thresholds = (parts[0][name] for name in ("cells", "thresholds"))
-    drawn = {name: {field: values[table["set"] == i] for field, values in table.items()}
-             for i, name in enumerate(SETS)}  # fmt: skip
-    labelled = bool(study.spec.exponents)
-    answers = {
-        "numerics": _answers(drawn["numerics"], cells, query.tolerance, labelled)
-        | {"threshold": _of_pairs(drawn["threshold"], thresholds), "area": _of_points(drawn["area"])}
-    }
-    if _contact(study) is not None:
-        answers["model"] = _answers(drawn["model"], cells, query.tolerance, labelled=False)
+    table, cells = _table(parts), parts[0]["cells"]
+    answers = answers_of(study, query, table, cells, parts[0]["thresholds"])
     both = len(answers) > 1
     numbers = {
         each.name: np.array([[getattr(of.get(question, _NOT_ASKED), each.name) for question in QUESTIONS]
@@ -124,7 +115,8 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
         for each in _QUESTION
     }
     matrix = np.zeros((len(Outcome), len(Outcome)), np.int32)
-    np.add.at(matrix, (drawn["numerics"]["outcome"], drawn["numerics"]["true_outcome"]), 1)
+    own = table["set"] == SETS.index("numerics")
+    np.add.at(matrix, (table["outcome"][own], table["true_outcome"][own]), 1)
     data |= {_MATRIX.name: variable((), matrix, _MATRIX)}
     listed = _listed(study.spec, table, query.tolerance)
     data |= {each.name: variable((), listed[each.name], each) for each in _CELLS}
@@ -139,6 +131,25 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     attrs = {"sentence": _sentence(answers, query.tolerance), "seed": query.seed,
              "tolerance": query.tolerance, "model": study.spec.model.kind, "complete": True}  # fmt: skip
     return dataset(data, coords, attrs)
+
+
+def answers_of(
+    study: Stored[SweepSpec], query: AuditQuery, table: "_Table", cells: int, thresholds: int
+) -> "dict[str, dict[str, _Answer]]":
+    """The answer to each question, by what the sweep is against.
+
+    table: FIELDS of the drawn cells; cells, thresholds: how many the sweep has.
+    """
+    drawn = {name: {field: values[table["set"] == i] for field, values in table.items()}
+             for i, name in enumerate(SETS)}  # fmt: skip
+    labelled = bool(study.spec.exponents)
+    answers = {
+        "numerics": _answers(drawn["numerics"], cells, query.tolerance, labelled)
+        | {"threshold": _of_pairs(drawn["threshold"], thresholds), "area": _of_points(drawn["area"])}
+    }
+    if _contact(study) is not None:
+        answers["model"] = _answers(drawn["model"], cells, query.tolerance, labelled=False)
+    return answers
 
 
 class _Answer(NamedTuple):

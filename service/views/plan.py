@@ -14,9 +14,9 @@ from service.views.variables import dataset, row, variable
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.audit import MAX_SECONDS, reference_seconds
 from worker.analysis.planning import FIRST, FRESH, MORE, Setting, Share, frontier, plan
+from worker.spec.efforts import EFFORTS
 from worker.study import Cost
 from worker.sweep import SweepSpec
-from worker.sweep.efforts import EFFORTS, with_effort
 from worker.sweep.levels import WHOLE, cells, finest, level
 from worker.sweep.schema import bytes_per_cell
 
@@ -57,7 +57,7 @@ def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int
     """The settings that are compared, the most thorough first. Raises SpecInvalid."""
     chosen: list[Setting] = []
     for effort in reversed(EFFORTS):
-        whole = with_effort(spec, effort)
+        whole = _with_effort(spec, effort)
         core_seconds = cost(whole).core_seconds
         for part in PARTS:
             steps = WHOLE if part == 1.0 else finest(whole, part * cells(whole, WHOLE))
@@ -104,9 +104,14 @@ def compute(settings: Sequence[Setting], query: PlanQuery, found: tuple[list[Sha
     return dataset({each.name: variable((), data[each.name], each) for each in _ROWS}, {}, attrs)
 
 
+def _with_effort(spec: SweepSpec, effort: str) -> SweepSpec:
+    """The sweep with the windows of an effort."""
+    return SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
+
+
 def _effort(spec: SweepSpec) -> str:
     """The effort whose windows a sweep has."""
-    return next(name for name in EFFORTS if with_effort(spec, name) == spec)
+    return next(name for name in EFFORTS if _with_effort(spec, name) == spec)
 
 
 def draw(found: xarray.Dataset, axes: "Axes") -> None:

@@ -90,20 +90,21 @@ def answer(
     """
     view = SPRINGS[name] if study is None else VIEWS[name]
     result = view.compute(study, view.query(**fields), *parts)
-    return _encoded(view, study, result, format), bool(result.attrs["complete"])
+    return encoded(view, study, result, format), bool(result.attrs["complete"])
 
 
 def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
     """The bytes of the motion of one cell without a job. Raises as `trajectory.motion`."""
-    return _encoded(trajectory.VIEW, None, trajectory.motion(spec), format)
+    return encoded(trajectory.VIEW, None, trajectory.motion(spec), format)
 
 
 def planned(settings: Sequence[Setting], query: plans.PlanQuery, found: Any, format: str) -> bytes:
     """The bytes of the plan of a sweep."""
-    return _encoded(plans.VIEW, None, plans.compute(settings, query, found), format)
+    return encoded(plans.VIEW, None, plans.compute(settings, query, found), format)
 
 
-def _encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str) -> bytes:
+def encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str) -> bytes:
+    """The bytes of a result in a format."""
     about = {"release": software().release} if study is None else study.attributes
     result.attrs = {"Conventions": "CF-1.11", "title": view.summary, **about, **result.attrs}
     if view.draw is not None and format in PICTURES:

@@ -7,6 +7,7 @@ worse than another are dropped after the first of them, and the one recommended 
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,10 @@ from numpy.typing import NDArray
 
 from kernel.params import Cell, Line, Outcome
 from worker.analysis.audit import moved, reference
+from worker.analysis.deviation import deviations
 from worker.analysis.intervals import ENDLESS, bounds
+from worker.analysis.model_selection import Line as Cells
+from worker.analysis.model_selection import timed
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import Steps, level_indices
 from worker.sweep.schema import MODE_ARRAYS
@@ -24,6 +28,9 @@ from worker.sweep.task import run_cells
 #: recommended.
 FIRST, MORE, FRESH = 40, 60, 100
 
+#: Core-seconds for which a line of cells is repeated: a single run is too short for the clock.
+MIN_SECONDS = 0.05
+
 
 class Setting(NamedTuple):
     """An effort and a grid. `spec` has the effort's windows and the grid of the whole sweep."""
@@ -31,6 +38,15 @@ class Setting(NamedTuple):
     spec: SweepSpec
     steps: Steps
     seconds: float  # expected
+
+
+class Measured(NamedTuple):
+    """A line of cells beside the same cells with another contact."""
+
+    cost: float  # core-µs per cell per plate period
+    true: Line
+    deviation: NDArray[np.float64]  # of flights (n,), rad: see `worker.analysis.deviation`
+    wrong: NDArray[np.bool_]  # whether outcome or mode differ
 
 
 class Share(NamedTuple):
@@ -95,6 +111,21 @@ def frontier(settings: Sequence[Setting], shares: Sequence[Share]) -> list[bool]
         )
         for i, own in enumerate(settings)
     ]
+
+
+def measured(spec: SweepSpec, true: SweepSpec) -> Measured:
+    """Measure a sweep along gamma against the one that counts as true."""
+    record, cost = _along_gamma(spec)
+    exact, _ = _along_gamma(true)
+    return Measured(cost, exact, deviations(exact, record, spec.micro_flight), _differ(exact, record))
+
+
+@lru_cache(maxsize=64)
+def _along_gamma(spec: SweepSpec) -> tuple[Line, float]:
+    gamma = spec.axis_values("gamma")
+    omega, xi = (np.full_like(gamma, spec.axis_values(axis)[0]) for axis in ("omega", "xi"))
+    [record], cost = timed(spec, [Cells(gamma, omega, xi)], MIN_SECONDS)
+    return record, cost
 
 
 def _points(random: np.random.Generator, spec: SweepSpec, number: int) -> NDArray[np.float64]:

@@ -26,6 +26,7 @@ from worker.spec.contact_models import (
     Stepped,
     penetration_of,
 )
+from worker.spec.efforts import EFFORTS, Effort
 from worker.spec.errors import BrokenRuleError, describe, one_of
 from worker.spec.refine import Refinement
 from worker.spec.specification import JobId, Specification
@@ -121,6 +122,10 @@ class SweepSpec(Specification):
         Rest()
     )
     model: Annotated[Contact, Field(description="The contact of the lower mass with the plate.")] = Soft()
+    effort: Annotated[
+        Effort | None,
+        Field(exclude=True, description="Sets settle, observe and until; stored are these, not the effort."),
+    ] = None
     settle: AutoSettle = "auto"
     observe: Observe = 100
     until: Annotated[
@@ -147,6 +152,17 @@ class SweepSpec(Specification):
         for name in removed_from(fields):
             raise BrokenRuleError(name, f"was removed; {REMOVED[name][1]}", "unknown")
         return {name: value for name, value in fields.items() if name not in REMOVED}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _resolved(cls, fields: Any) -> Any:
+        """Put the fields of an effort in its place."""
+        effort = fields.get("effort") if isinstance(fields, dict) else None
+        if not isinstance(effort, str) or effort not in EFFORTS:
+            return fields
+        for name in EFFORTS[effort].keys() & fields.keys():
+            raise BrokenRuleError(name, f"is set by effort {effort!r}: leave out one of the two")
+        return EFFORTS[effort] | {**fields, "effort": None}
 
     @model_validator(mode="after")
     def _rules(self) -> Self:

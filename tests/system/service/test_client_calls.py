@@ -74,6 +74,16 @@ def test_an_estimate_submits_nothing(idle: Running, tmp_path: Path):
     assert len(list(idle.client.jobs())) == before
 
 
+def test_a_budget_and_an_effort_on_the_command_line(running: Running, tmp_path: Path):
+    file = tmp_path / "sweep.json"
+    windows = {"settle", "observe"}
+    file.write_text(json.dumps({name: x for name, x in PLANE.items() if name not in windows} | {"xi": 0.3}))
+    done = output_of(running, "submit", str(file), "--budget", "120s", "--effort", "draft")
+    job = running.client.job(done.strip())
+    assert (job.state, job.spec["settle"], job.spec["observe"]) == ("done", 60, 30)
+    assert "effort" not in job.spec
+
+
 def test_a_key_on_the_command_line(idle: Running, tmp_path: Path):
     file = tmp_path / "sweep.json"
     for xi in (0.31, 0.32):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from service import local
 from service.budget import Answer, within
-from service.errors import InvalidRequest
+from worker.spec.errors import SpecInvalid
 from worker.sweep import SweepSpec
 from worker.sweep.levels import WHOLE, cells, level
 
@@ -54,7 +54,7 @@ def test_a_budget_is_never_missed_and_mostly_used(cell, start, guess, budget):
 
 def test_a_budget_too_short_for_any_level_says_what_may_work():
     runner = Simulated(cell=1.0, start=0.0, guess=1.0)
-    with pytest.raises(InvalidRequest, match=r"1 s are too short for 48 of its cells; 2s may work"):
+    with pytest.raises(SpecInvalid, match=r"1 s are too short for 48 of its cells; 2s may work"):
         within(SPEC, 1.0, runner, clock=runner.clock)
 
 

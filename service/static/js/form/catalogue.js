@@ -29,7 +29,8 @@ export async function loadSchema() {
   const resolve = (schema) => (schema.$ref ? schemas[schema.$ref.split("/").pop()] : schema);
   const fieldsOf = (properties) => Object.fromEntries(Object.entries(properties).map(([name, schema]) => {
     const { type, enum: choices, title = name, description = "", default: own, "x-default": shown } = { ...resolve(schema), ...schema };
-    return [name, { title: title.toLowerCase(), about: description.replace(/\.$/, ""), default: own ?? shown ?? null, type, choices }];
+    const optional = schema.anyOf?.find((each) => each.enum)?.enum; // a choice that may be left open
+    return [name, { title: title.toLowerCase(), about: description.replace(/\.$/, ""), default: own ?? shown ?? null, type, choices: choices ?? (optional && ["", ...optional]) }];
   }));
   const { properties } = schemas.SweepSpec;
   const models = (properties.model.oneOf ?? properties.model.anyOf).map(resolve).map(({ description = "", properties: { kind, ...own } }) =>

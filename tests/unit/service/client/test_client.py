@@ -164,6 +164,17 @@ def test_specifications_are_mapped_to_jobs_few_at_once(client: Client):
         next(client.map(specs, at_once=0))
 
 
+def test_a_budget_ends_with_a_job_that_is_the_sweep_itself_where_all_of_it_fits(client: Client):
+    spec = SPEC | {"gamma": {"start": 1.1, "stop": 2.1, "num": 30}, "name": "within a budget"}
+    done = client.run(spec, budget=120.0, progress=False)
+    assert done.state == "done"
+    assert done.id == client.submit(spec).id
+    assert "of the cells" in done.audit(progress=False).attrs["sentence"]
+    with pytest.raises(InvalidSpecification, match="budget: 1e-06 s are too short for"):
+        client.run(spec | {"xi": 0.11}, budget=1e-6, progress=False)
+    assert [job.state for job in client.jobs(search="within a budget")][:1] == ["cancelled"]
+
+
 def test_several_jobs_are_waited_for_together(client: Client):
     jobs = [client.submit(SPEC | {"gamma": [1.2, 1.3 + 0.01 * i]}) for i in range(3)]
     assert {job.state for job in client.as_completed(jobs)} == {"done"}

@@ -7,7 +7,6 @@ What is drawn has to be what tests/golden/pictures.json says;
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +25,7 @@ from paths import GOLDEN, ROOT
 from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.pictures import DPI, draw_branches, draw_diagram, draw_modes, draw_thresholds
-from service.tradeoff import SIZE, Measurement, compose
-from service.views import diagram, multistability
+from service.views import diagram, multistability, tradeoff
 from service.views.selection import LABEL
 from service.views.style import STYLE
 from worker.sweep import SweepSpec
@@ -93,10 +91,10 @@ def diagrams(cells: int, directions: list[str], **attrs: Any) -> Draw:
     return lambda figure: diagram.draw(found, figure)
 
 
-def tradeoff(figure: Figure) -> None:
-    rows = json.loads((GOLDEN / "tradeoff_rows.json").read_text())["rows"]
-    names = [field.name for field in fields(Measurement)]
-    compose(figure, [Measurement(**{name: row[name] for name in names}) for row in rows])
+def contacts(figure: Figure) -> None:
+    columns = json.loads((GOLDEN / "tradeoff_rows.json").read_text())["variables"]
+    numbers = {name: ("setting", np.array(columns[name], float)) for name in ("cost", "error", "error_95")}
+    tradeoff.draw(xarray.Dataset(numbers), figure)
 
 
 def client_diagram(figure: Figure) -> None:
@@ -151,7 +149,7 @@ PICTURES: dict[str, tuple[tuple[float, float], Draw]] = {
     ),
     "diagram": (diagram.SIZE, diagrams(40, ["up", "down"], complete=False)),
     "diagram, dense": (diagram.SIZE, diagrams(80_000, ["rest"])),
-    "tradeoff": (SIZE, tradeoff),
+    "tradeoff": (tradeoff.VIEW.size, contacts),
     "client's diagram": ((6.4, 4.8), client_diagram),
     "client's map": ((12.8, 4.8), client_map),
     "client's thresholds": ((12.8, 4.8), client_thresholds),

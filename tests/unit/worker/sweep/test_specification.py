@@ -263,6 +263,17 @@ def test_any_other_number_is_another_job(changes):
     assert sweep(**changes).job_id("1") != sweep().job_id("1")
 
 
+def test_an_effort_is_its_fields():
+    thorough = SweepSpec.parse(POINT | {"effort": "thorough"})
+    assert thorough == sweep(observe=1000, until=20_000)
+    assert "effort" not in thorough.as_submitted()
+    assert sweep(effort="standard") == sweep()
+    assert sweep(effort="draft").window == (60, 30)
+    assert message(effort="draft", observe=3) == "observe: is set by effort 'draft': leave out one of the two"
+    expected = "effort: must be 'draft', 'standard' or 'thorough', not text 'fast'"
+    assert message(effort="fast") == expected
+
+
 def test_identity_is_not_forgotten_from_release_to_release():
     """If this fails, every stored job is computed anew: a thing to do on purpose only."""
     assert sweep(micro_flight=0.0, settle=200).job_id("1") == "07e4a0b73fc29560de65d362ac80685e"

@@ -2,8 +2,6 @@
 
 from typing import Any, Final, Literal
 
-from worker.sweep.specification import SweepSpec
-
 Effort = Literal["draft", "standard", "thorough"]
 
 #: The fields of each effort (docs/accuracy.md has what each shows wrong, and its cost).
@@ -12,8 +10,3 @@ EFFORTS: Final[dict[str, dict[str, Any]]] = {
     "standard": {"settle": "auto", "observe": 100, "until": None},
     "thorough": {"settle": "auto", "observe": 1000, "until": 20_000},
 }
-
-
-def with_effort(spec: SweepSpec, effort: str) -> SweepSpec:
-    """The sweep with the windows of an effort."""
-    return SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
