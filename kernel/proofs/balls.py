@@ -230,8 +230,8 @@ def check_positive(
 ) -> None:
     """Prove that at every instant of (0, end) one of the conditions is positive.
 
-    a (n, n), start (n, 1): the motion is exp(a x) start. By bisection. Where a condition is zero at an end, its
-    derivative has the sign that makes it positive inside. stiff: by eigenvectors, where they can be had.
+    a (n, n), start (n, 1): the motion is exp(a x) start. By bisection. Where a condition is zero at an end,
+    its derivative has the sign that makes it positive inside. stiff: by eigenvectors, where there are any.
     Raises `DisprovenError` if all are negative somewhere, `NotProvenError` if a box is undecided.
     """
     rows = [condition.row for condition in conditions]

@@ -5,7 +5,7 @@ so that Gamma(T), its derivatives and the tangent map are balls for a ball of T.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from flint import arb, arb_mat, ctx
 
@@ -69,7 +69,7 @@ class ProvenBranch:
         omega, xi = (exact(number) for number in self._given)
         b, w = 2 * xi / omega, 1 / (omega * omega)
         self.whole = 2 * self._periods * arb.pi()
-        rows = [
+        rows: list[list[Any]] = [
             [0, 1, 0, 0, 0, 0, 0],
             [0, 0, w, b, 1, 0, -1],
             [0, 0, 0, 1, 0, 0, 0],
@@ -85,9 +85,8 @@ class ProvenBranch:
         self._gap = matrix([[1, 0, 0, 0, 0, 0, 0]])
         self._force_in_flight = matrix([[0, 0, -w, -b, -1, 0, 1]])
         self._force = matrix([[-w, -b, -1, 0, 1]])
-        self._unknowns = matrix(
-            [[0] * 4, [0] * 4, *([int(i == j) for j in range(4)] for i in range(4)), [0] * 4]
-        )
+        unknown = [[int(i == j) for j in range(4)] for i in range(4)]
+        self._unknowns = matrix([[0] * 4, [0] * 4, *unknown, [0] * 4])
         self._constant = matrix([[0]] * 6 + [[1]])
         # a landing: of states, and of variations at fixed phase
         kept = [[int(i == j) for j in range(7)] for i in (4, 5, 6)]

@@ -1,7 +1,7 @@
 """Proofs for one cycle under any contact law, from its segments: that it exists, admissible and stable.
 
-A word has a letter for each segment, from one that begins after a landing: S stuck, C soft contact, F flight,
-B flight that returns to contact below the surface (nonadhesive). Unknowns are the state and the phase where
+A word has a letter for each segment, as in `kernel.branches.segments`, from one that begins after a landing.
+Unknowns are the state and the phase where
 the first segment begins and the duration of every segment; the events and the return after the periods are
 as many equations. Krawczyk's operator maps a box of them into its inside: the box holds exactly one solution.
 
@@ -11,12 +11,13 @@ _LAST_HOP; what the rest does is enclosed. In Q = q + gap and u = q' + gap', whi
     Q' = u,  u' = c - 1 - b u - w Q + (b gap' + w gap):
 
 a stuck spring but for the integral of a smooth function times the gap, since b gap' can be integrated by
-parts over each hop. The gap is at most h**2/(2 n) after a hop at h, and the rest takes at most 2 h/(n (1 - e)).
+parts over each hop. After a hop at speed h the gap is at most h**2/(2 n), and the rest takes at most
+2 h/(n (1 - e)).
 """
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from flint import acb, arb, arb_mat, ctx
 
@@ -37,6 +38,9 @@ from kernel.proofs.balls import (
     with_enough_bits,
 )
 from kernel.restitution import scalar_damping_ratio
+
+if TYPE_CHECKING:
+    from kernel.branches.cycles import Point
 
 #: Velocity of a hop from which on the rest of a chatter is enclosed, in g/omega per rad.
 _LAST_HOP: Final = 1e-14
@@ -68,6 +72,14 @@ class Guess(NamedTuple):
     q1: float
     phase: float  # rad
     durations: Sequence[float]  # (segments,) rad
+
+
+def guess_of(point: "Point") -> Guess:
+    """A cycle of `kernel.branches.cycles`, begun where the mass sticks after a chatter, if it does."""
+    chatter = point.letters.find("c")
+    point = point.begun((chatter + 1) % len(point.letters))
+    gap1, q, q1 = point.x[:3].tolist()
+    return Guess(point.letters, point.cycles.periods, gap1, q, q1, point.phase, point.times.tolist())
 
 
 class ProvenCycle(NamedTuple):
@@ -121,24 +133,23 @@ class _Cycle:
     ) -> None:
         self.gamma, self.e, omega_ball = exact(gamma), exact(law.restitution), exact(omega)
         self.b, self.w = 2 * exact(xi) / omega_ball, 1 / (omega_ball * omega_ball)
-        self.soft, self.adhesive = law.penetration is not None, law.adhesive
-        hops = not self.soft and float(law.restitution) > 0.0
+        self.adhesive = law.adhesive
         word = guess.word
-        # where the mass has stopped, its velocity is no unknown
-        self.free = (Q, Q1) if word[0] == "S" or not (self.soft or hops) else (GAP1, Q, Q1)
+        # where the mass has the plate's velocity, gap' is no unknown
+        self.free = (Q, Q1) if word[-1] in "csz" else (GAP1, Q, Q1)
         start = {GAP1: guess.gap1, Q: guess.q, Q1: guess.q1}
         known = [arb(value) for value in (*(start[i] for i in self.free), guess.phase)]
         durations = [arb(t) for t in guess.durations]
-        self._build(law, hops)
-        if hops and "S" in word:
+        self._build(law)
+        if "c" in word:
             word, known, durations = self._with_hops(word, known, durations)
         self.word, self.periods = word, guess.periods
-        self.segments = [self._segment(word, i, hops) for i in range(len(word))]
+        self.segments = [self._segment(word, i) for i in range(len(word))]
         self.guess = known + durations
 
-    def _build(self, law: Law, hops: bool) -> None:
+    def _build(self, law: Law) -> None:
         b, w = self.b, self.w
-        flight = [
+        flight: list[list[Any]] = [
             [0, 1, 0, 0, 0, 0, 0],
             [0, 0, w, b, 1, 0, -1],
             [0, 0, 0, 1, 0, 0, 0],
@@ -170,8 +181,8 @@ class _Cycle:
         self.stick[GAP1, GAP1], self.stick[Q1, GAP1] = 0, 1
         self.hop[GAP1, GAP1], self.hop[Q1, GAP1] = -self.e, 1 + self.e
 
-    def _segment(self, word: str, i: int, hops: bool) -> _Segment:
-        letter, before, after = word[i], word[i - 1], word[(i + 1) % len(word)]
+    def _segment(self, word: str, i: int) -> _Segment:
+        letter, before = word[i], word[i - 1]
         up, down, force, pull = self.up, -1 * self.up, self.force, -1 * self.force
         same = identity(7)
         if letter == "S":
@@ -179,52 +190,43 @@ class _Cycle:
         if letter == "C" and self.adhesive:
             return _Segment(self.contact, up, same, ((Condition(down, 1, True),),))
         if letter == "C":
-            below = int(before == "B")
+            below = int(before == "b")
             sides = ((Condition(down, 1 - below, False),), (Condition(force, below, True),))
             return _Segment(self.contact, force, same, sides)
-        if letter == "B":
+        if letter == "b":
             return _Segment(self.flight, force, same, ((Condition(pull, 1, True),),))
-        if self.soft:
-            clear = (
-                (Condition(up, 1, True),)
-                if self.adhesive
-                else (Condition(up, 0, True), Condition(pull, 1, False))
-            )
-            return _Segment(self.flight, up, same, (clear,))
-        order = 3 if before == "S" else 1 if hops else 2
-        sticks = after == "S" or not hops
-        reset = self.stick if sticks else self.hop
-        return _Segment(
-            self.flight, up, reset, ((Condition(up, order, True),),), chatters=hops and after == "S"
-        )
+        if letter == "F" and self.adhesive:
+            return _Segment(self.flight, up, same, ((Condition(up, 1, True),),))
+        if letter == "F":
+            return _Segment(self.flight, up, same, ((Condition(up, 0, True), Condition(pull, 1, False)),))
+        order = {"S": 3, "z": 2, "h": 1}[before]
+        reset = self.hop if letter == "h" else self.stick
+        return _Segment(self.flight, up, reset, ((Condition(up, order, True),),), chatters=letter == "c")
 
     def _with_hops(
         self, word: str, known: list[arb], durations: list[arb]
     ) -> tuple[str, list[arb], list[arb]]:
         """Word, state and durations with all hops to _LAST_HOP, computed from the guess in order.
 
-        Its mass sticks from where the guess sums the rest of a chatter on, the other's after the last hop.
+        In the guess the mass sticks from where the rest of a chatter is summed on, here after the last hop.
         """
         if word[0] != "S":
             raise NotCoveredError("a cycle that does not begin where the mass sticks")
         y, letters, times, late = self.start(known), "", list[arb](), arb(0)
         for i, letter in enumerate(word):
-            if letter == "S":
-                end = _root(self.contact, self.force, y, durations[i] - late)
-                y, late = flow(self.contact, end) * y, arb(0)
-            else:
-                end = _root(self.flight, self.up, y, durations[i])
-                y = flow(self.flight, end) * y
-                sticks = word[(i + 1) % len(word)] == "S"
-                while sticks and not abs(y[GAP1, 0]) < _LAST_HOP:
-                    letters, times = letters + "F", [*times, end]
-                    y = (self.hop * y).mid()
-                    n = (self.force * y)[0, 0]
-                    if not n > 0 or len(letters) > _MOST_HOPS:
-                        raise NotCoveredError(f"a chatter of more than {_MOST_HOPS} hops, or without an end")
-                    end = _root(self.flight, self.up, y, 2 * y[GAP1, 0] / n)
-                    y, late = flow(self.flight, end) * y, late + end
-                y = (self.stick if sticks else self.hop) * y
+            motion, event = (self.contact, self.force) if letter == "S" else (self.flight, self.up)
+            end = _root(motion, event, y, durations[i] - late)
+            y, late = flow(motion, end) * y, arb(0)
+            while letter == "c" and not abs(y[GAP1, 0]) < _LAST_HOP:
+                letters, times = letters + "h", [*times, end]
+                y = (self.hop * y).mid()
+                n = (self.force * y)[0, 0]
+                if not n > 0 or len(letters) > _MOST_HOPS:
+                    raise NotCoveredError(f"a chatter of more than {_MOST_HOPS} hops, or without an end")
+                end = _root(self.flight, self.up, y, 2 * y[GAP1, 0] / n)
+                y, late = flow(self.flight, end) * y, late + end
+            if letter != "S":
+                y = (self.hop if letter == "h" else self.stick) * y
             letters, times, y = letters + letter, [*times, end], y.mid()
         times[0] = (times[0] - late).mid()
         phase = acb(y[COS, 0], y[SIN, 0]).arg().mid()
@@ -372,7 +374,7 @@ class _Cycle:
     def described(self, box: Sequence[arb], tangent: arb_mat, stable: bool) -> ProvenCycle:
         states = len(self.free)
         durations = list(box[states + 1 :])
-        flown = [t for t, letter in zip(durations, self.word, strict=True) if letter in "FB"]
+        flown = [t for t, letter in zip(durations, self.word, strict=True) if letter not in "SC"]
         return ProvenCycle(self.word, self.periods, box[states], durations, flown, tangent, stable)
 
 
@@ -396,6 +398,14 @@ def _solution(a: arb_mat, b: arb_mat, sizes: Sequence[arb]) -> arb_mat:
         for i, size in enumerate(sizes):
             middle[i, j] = around(middle[i, j], radius * size)
     return middle
+
+
+def _scaled_rows(a: arb_mat, sizes: Sequence[arb]) -> list[list[arb]]:
+    """The rows of a map between vectors whose entries are of these sizes, in units of them."""
+    return [
+        [entry * size / own for entry, size in zip(row, sizes, strict=True)]
+        for row, own in zip(a.tolist(), sizes, strict=True)
+    ]
 
 
 def _upper(ball: arb) -> float:
