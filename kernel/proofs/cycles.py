@@ -19,7 +19,9 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import numpy as np
 from flint import acb, arb, arb_mat, ctx
+from numpy.typing import NDArray
 
 from kernel.proofs.balls import (
     Condition,
@@ -123,6 +125,14 @@ def prove_cycle(
         return cycle.described(box, tangent, contracting)
 
     return with_enough_bits(prove)
+
+
+def jacobian(
+    law: Law, gamma: float | str, omega: float | str, xi: float | str, guess: Guess
+) -> NDArray[np.float64]:
+    """Of a cycle's equations (m, m) at a guess, by its free state, phase and durations."""
+    cycle = _Cycle(law, gamma, omega, xi, guess)
+    return np.array([[float(entry) for entry in row] for row in cycle.residual(cycle.guess)[1].tolist()])
 
 
 class _Cycle:
