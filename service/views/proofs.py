@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.branches.descent import Fold
+from kernel.cell import SHORTEST_FLIGHT
 from kernel.interface import State
 from kernel.params import Cell
 from service.errors import NotInstalled
@@ -82,9 +83,8 @@ def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dic
         if isinstance(model, Rigid):
             law = Law(repr(model.restitution))
         elif isinstance(model, Soft):
-            gamma, omega = (np.array([value]) for value in cell[:2])
-            depth = model.penetration or float(penetration_of(model, gamma, omega)[0])
-            law = Law(repr(model.restitution), repr(depth), model.adhesive)
+            depth = penetration_of(model, *(np.array([value]) for value in cell[:2]))[0]
+            law = Law(repr(model.restitution), repr(float(depth)), model.adhesive)
         else:
             raise NotCoveredError(f"the contact is {getattr(model, 'kind', model)}")
         if state is None:
@@ -98,8 +98,9 @@ def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dic
         point = next((point for point in points if point is not None), None)
         if point is None:
             raise NotProvenError(f"no cycle of up to {_MOST_PERIODS} plate periods is near")
-        proof = prove_cycle(law, *(repr(value) for value in cell), guess_of(point))
-        digits = [bounds(time, _DIGITS) for time in proof.flight_times]
+        gamma, omega, xi = (repr(value) for value in cell)
+        proof = prove_cycle(law, gamma, omega, xi, guess_of(point))
+        digits = [bounds(time, _DIGITS) for time in proof.flight_times if time > SHORTEST_FLIGHT]
         says = (
             f"exactly one cycle of {proof.periods} plate periods and {len(digits)} flights lies here; it is "
             "admissible and stable; gamma, omega, xi and the contact's numbers are these decimals"
