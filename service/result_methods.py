@@ -196,6 +196,7 @@ class ResultMethods(Methods):
         attractor: Annotated[int | None, "of a job of basins or multistability: which attractor of the cell, from 1"] = None,
         periods: Annotated[int, "plate periods"] = 4,
         samples: Annotated[int, "per plate period"] = 200,
+        prove: Annotated[bool, "the cycle that the cell is on, with a proof"] = False,
     ) -> "xarray.Dataset":
         """The motion of one cell of a job.
 
@@ -209,10 +210,10 @@ class ResultMethods(Methods):
         `takeoff_phase` (rad), `flight_time` (rad), `cycle_bounces`, `cycle_periods`, `cycle_flight_time`
         (rad), `cycle_multipliers`, `cycle_stable`, `cycle_admissible`, `energy_plate_contact` (m A² ω²),
         `energy_plate_impact` (m A² ω²), `energy_dashpot` (m A² ω²), `energy_impact` (m A² ω²), `energy_force`
-        (m A ω), `energy_impulse` (m A ω), `energy_weight` (m A ω). Raises BadRequest naming the parameter,
-        TooLarge naming what fits.
+        (m A ω), `energy_impulse` (m A ω), `energy_weight` (m A ω), `proof`, `proof_says`,
+        `proven_flight_times` (rad). Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
-        return self.result("trajectory", gamma=gamma, omega=omega, xi=xi, direction=direction, attractor=attractor, periods=periods, samples=samples)
+        return self.result("trajectory", gamma=gamma, omega=omega, xi=xi, direction=direction, attractor=attractor, periods=periods, samples=samples, prove=prove)
 
     def audit(
         self,
@@ -265,6 +266,7 @@ class SpringMethods(Methods):
         omega: float,
         xi: float,
         delta: Annotated[float, "Γ below `down` with a lifetime"] = 1e-06,
+        prove: Annotated[bool, "an upper bound of `down` with a proof"] = False,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -276,13 +278,15 @@ class SpringMethods(Methods):
         is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
         fold. A worker computes what takes longer than a second.
 
+        With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
+
         Returns a Dataset with the attribute `complete` and the variables `threshold`, `jump`, `down`,
         `cause`, `reason`, `lifetime` (plate periods), `delta`, `plate_contact` (m A² ω²), `plate_impact` (m
-        A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force` (m A ω), `impulse` (m A ω), `weight` (m A ω).
-        Waits up to `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the
-        parameter, TooLarge naming what fits.
+        A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force` (m A ω), `impulse` (m A ω), `weight` (m A ω),
+        `proof`, `proof_says`, `down_at_most`, `proven_flight_time` (rad). Waits up to `timeout` seconds for
+        the workers, and shows `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
-        return self.result("threshold", omega=omega, xi=xi, delta=delta, timeout=timeout, progress=progress)
+        return self.result("threshold", omega=omega, xi=xi, delta=delta, prove=prove, timeout=timeout, progress=progress)
 
     def orbits(
         self,

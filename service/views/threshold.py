@@ -15,6 +15,7 @@ from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
 from service.pictures import draw_thresholds
+from service.views import proofs
 from service.views.selection import MAX_READ, ROUNDING, Stored, check_kernel, nearest_index, read_direction
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
@@ -40,6 +41,7 @@ _OF_SPRING: Final = (
     row("lifetime", (), "<f8", "life of bouncing at Γ = down - delta", "plate periods"),
     row("delta", (), "<f8", "Γ below down"),
     *ENERGY,
+    *proofs.OF_THRESHOLD,
 )
 
 
@@ -49,6 +51,7 @@ class SpringQuery(Query):
     omega: Omega
     xi: Xi
     delta: Annotated[Number, Field(ge=1e-15, le=0.1, description="Γ below `down` with a lifetime")] = 1e-6
+    prove: Annotated[bool, Field(description="an upper bound of `down` with a proof")] = False
 
 
 #: The thresholds of one spring; `unresolved` or `not searched` where the rule does not decide.
@@ -63,6 +66,8 @@ def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xa
     `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
     is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
     fold. A worker computes what takes longer than a second.
+
+    With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
     """
     thresholds = computed[0] if computed else predicted(query.omega, query.xi)
     data: dict[str, Any] = {
@@ -73,8 +78,11 @@ def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xa
     if thresholds.fold is not None:
         data |= {"lifetime": lifetime(thresholds.fold, query.delta), "delta": query.delta}
         data |= {name: values[0] for name, values in thresholds.fold.energy._asdict().items()}
+    if query.prove:
+        data |= proofs.of_threshold(query.omega, query.xi, thresholds.fold)
+    rows = [row for row in _OF_SPRING if query.prove or row not in proofs.OF_THRESHOLD]
     return dataset(
-        {row.name: variable((), data.get(row.name, np.nan), row) for row in _OF_SPRING},
+        {row.name: variable((), data.get(row.name, np.nan), row) for row in rows},
         {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")},
         {"model": CONTACT, "complete": True},
     )
@@ -89,7 +97,8 @@ def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
 
 def estimate_spring(spec: None, query: SpringQuery) -> Estimate:
     """One number of each variable."""
-    return Estimate({}, small=prediction_seconds(query.omega, query.xi) <= SMALL_SECONDS)
+    brief = prediction_seconds(query.omega, query.xi) <= SMALL_SECONDS
+    return Estimate({}, small=brief and not query.prove)  # proofs have a precision of the whole process
 
 
 SPRING: Final = View(

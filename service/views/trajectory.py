@@ -15,6 +15,7 @@ from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import LINES
+from service.views import proofs
 from service.views.selection import (
     Stored,
     check_kernel,
@@ -132,6 +133,7 @@ class TrajectorySpec(Document):
         | Annotated[None, Tag("<null>")],
         Discriminator(_start_tag),
     ] = None
+    prove: Annotated[bool, Field(strict=True)] = False
 
     def __init__(self, /, **data: object) -> None:
         if data.get("start") is not None:
@@ -184,6 +186,7 @@ _ROWS: Final = {
         row("cycle_stable", (), "?", "whether both multipliers are inside the unit circle"),
         row("cycle_admissible", (), "|u1", "0, or the sum of the conditions that fail"),
         *(each._replace(name=f"energy_{each.name}") for each in ENERGY),
+        *proofs.OF_CELL,
     )
 }  # fmt: skip
 
@@ -239,6 +242,8 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
         state = line.end_state[0]
     plate = plate_of(spec.model, gamma, omega, xi)
     path = sample(cell, plate, state, periods=spec.periods, samples=spec.samples)
+    if spec.prove:
+        values |= proofs.of_cell(spec.model, cell, state)
     length = float(penetration_of(spec.model, gamma, omega)[0]) / DEPTH_OVER_LENGTH
     z2 = path.plate + path.gap
     values |= {
@@ -292,6 +297,7 @@ class TrajectoryQuery(Query):
     ] = None
     periods: Annotated[int, Field(ge=1, le=1000, description="plate periods")] = 4
     samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES, description="per plate period")] = 200
+    prove: Annotated[bool, Field(description="the cycle that the cell is on, with a proof")] = False
 
 
 _Spec = SweepSpec | BasinSpec | MultistabilitySpec
@@ -328,7 +334,9 @@ def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
     else:
         _direction(spec, query)
         settle = min(spec.window[0], MAX_SETTLE) if spec.ramp_axis is None else 0
-    sampling = {"settle": settle, "periods": query.periods, "samples": query.samples}
+    sampling = {
+        "settle": settle, "periods": query.periods, "samples": query.samples, "prove": query.prove,
+    }  # fmt: skip
     return TrajectorySpec(**values, model=spec.model, **sampling)
 
 

@@ -1,0 +1,190 @@
+"""Branches of the cycles of any contact, found and followed, in the form of those in closed form.
+
+They begin at cycles of the closed form, for an ideal plate with restitution 0, which the contact in question
+goes through once from the same state: Newton's method finds its own cycle beside. With rebound the cycles of
+one mode lie on more than one branch: beside those that stick, families of a few hops that never do.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.branches.cycles import FLIGHTS, Point, cycle_from
+from kernel.branches.events import Events, branch, check_spring, join_events
+from kernel.branches.follow import POINTS, RANGE, Event, follow
+from kernel.branches.roots import Floats
+from kernel.branches.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
+from kernel.interface import State
+from kernel.numerics.elementary import TWO_PI
+from kernel.params import Cell, KernelInputError
+
+#: Flight times of the closed form, rad, near rest: where many contacts still have a cycle that sticks.
+_SHORT_FLIGHTS: Final = (0.5, 0.25, 1.0, 0.1, 1.5)
+#: Parts of each range of Gamma with a stable cycle in closed form, and the narrowest range that counts.
+_SHARES: Final = (0.5, 0.3, 0.7, 0.15, 0.85)
+_NARROWEST: Final = 1e-3
+#: Cycles with shorter flights only, rad, are too close to rest.
+_REST: Final = 0.05
+#: Two cycles whose longest flights differ by less, rad, are one.
+_SAME: Final = 1e-6
+
+
+class CycleBranch(NamedTuple):
+    """n cycles of a contact in order along their branch; of the longest flight of each.
+
+    Units as in `events.Branch`.
+    """
+
+    periods: int
+    omega: Floats  # (n,)
+    xi: Floats  # (n,)
+    gamma: Floats  # (n,)
+    letters: NDArray[np.str_]  # (n,) the segments of the cycle: see `segments`
+    flights: NDArray[np.int32]  # (n,) of a cycle
+    bounces: NDArray[np.int32]  # (n,) of them, that count
+    flight_time: Floats  # (n,) rad
+    takeoff_phase: Floats  # (n,) rad, in [0, 2 pi)
+    elongation: Floats  # (n,) at take-off
+    elongation_velocity: Floats  # (n,) at take-off
+    impact_velocity: Floats  # (n,) gap' before landing, < 0
+    multiplier: NDArray[np.complex128]  # (n, 2) the largest two
+    stable: NDArray[np.bool_]  # (n,)
+
+
+class Followed(NamedTuple):
+    """A branch, its cycles and its events, all in order along it."""
+
+    points: list[Point]
+    events: list[Event]
+
+
+def branches(
+    plate: Any, omega: float, xi: float, periods: int, *, points: int = POINTS,
+    gamma: tuple[float, float] = RANGE,
+) -> list[Followed]:  # fmt: skip
+    """The branches along Gamma of the cycles that those of the closed form (1, periods) lead to.
+
+    plate: of one cell, with restitution < 1. points: of each, each way. Raises KernelInputError.
+    """
+    check_spring(omega, xi, periods)
+    if not plate.restitution[0] < 1.0:
+        raise KernelInputError("restitution", "must be < 1")
+    followed: list[Followed] = []
+    for seed in seeds(plate, omega, xi, periods):
+        if gamma[0] <= seed.parameter <= gamma[1] and not any(lies_on(seed, each) for each in followed):
+            followed.append(both_ways(seed, points, gamma))
+    return followed
+
+
+def both_ways(seed: Point, points: int = POINTS, span: tuple[float, float] = RANGE) -> Followed:
+    """The whole branch through a cycle, as far as it is followed."""
+    (down, before), (up, after) = (follow(seed, way, points=points, span=span) for way in (-1.0, 1.0))
+    return Followed([*down[:0:-1], *up], [*before[::-1], *after])
+
+
+def seeds(plate: Any, omega: float, xi: float, periods: int) -> Iterator[Point]:
+    """Cycles of a contact beside those of the closed form (1, periods). Raises KernelInputError."""
+    near_rest = branch(omega, xi, periods, np.array(_SHORT_FLIGHTS))
+    for gamma, t in zip(near_rest.gamma, near_rest.flight_time, strict=True):
+        if RANGE[0] < gamma < RANGE[1]:
+            point = _beside(plate, start_on_cycle(Cell(float(gamma), omega, xi), periods, float(t)), periods)
+            if point is not None:
+                yield point
+                break
+    for low, high in stable_ranges(omega, xi, periods):
+        for share in _SHARES if high - low > _NARROWEST else ():
+            cell = Cell(low + share * (high - low), omega, xi)
+            point = _beside(plate, start_on_stable_cycle(cell, periods), periods)
+            if point is not None:
+                yield point
+
+
+def _beside(plate: Any, start: CycleStart | None, periods: int) -> Point | None:
+    """The contact's own cycle, if it has one there and not one of fewer periods gone through again."""
+    if start is None:
+        return None
+    phase, _, *state = map(float, start.start.state)
+    point = cycle_from(plate, *start.start.cell, periods, phase, State(*state))
+    if point is None or longest_flight(point)[1] < _REST or _repeats(point):
+        return None
+    return point
+
+
+def _repeats(point: Point) -> bool:
+    """Whether the cycle is one of fewer plate periods, gone through more than once."""
+    n, periods = len(point.letters), point.cycles.periods
+    return any(
+        n % m == 0
+        and point.letters == point.letters[: n // m] * m
+        and np.abs(point.times - np.roll(point.times, n // m)).max() < _SAME
+        for m in range(2, periods + 1)
+    )
+
+
+def lies_on(point: Point, line: Followed) -> bool:
+    """Whether a branch passes through a cycle."""
+    parameter, (_, flight) = point.parameter, longest_flight(point)
+    here = np.array([each.parameter for each in line.points])
+    for i in np.flatnonzero((here[:-1] - parameter) * (here[1:] - parameter) <= 0.0):
+        a, b = line.points[i], line.points[i + 1]
+        guesses = [a, b]
+        if a.letters == b.letters and here[i] != here[i + 1]:
+            share = (parameter - here[i]) / (here[i + 1] - here[i])
+            guesses.insert(0, a._replace(x=a.x + share * (b.x - a.x)))
+        for guess in guesses:
+            same = guess.cycles.at(guess.x, parameter)
+            if same is not None and abs(longest_flight(same)[1] - flight) < _SAME:
+                return True
+    return False
+
+
+def longest_flight(point: Point) -> tuple[int, float]:
+    """Its segment and rad."""
+    flights = [(float(t), i) for i, t in enumerate(point.times) if point.letters[i] in FLIGHTS]
+    time, i = max(flights)
+    return i, time
+
+
+def record(points: list[Point], micro_flight: float) -> CycleBranch:
+    """The record of cycles; flights count that take longer than `micro_flight`, rad."""
+    gamma, omega, xi = np.array([point.cell for point in points]).reshape(-1, 3).T
+    flights = [[t for t, x in zip(p.times, p.letters, strict=True) if x in FLIGHTS] for p in points]
+    i = [longest_flight(point)[0] for point in points]
+    begin = np.array([p.round.starts[j] for p, j in zip(points, i, strict=True)]).reshape(-1, 7)
+    multiplier = np.array([point.multipliers() for point in points]).reshape(-1, 4)
+    return CycleBranch(
+        periods=points[0].cycles.periods,
+        omega=omega,
+        xi=xi,
+        gamma=gamma,
+        letters=np.array([point.letters for point in points]),
+        flights=np.array([len(times) for times in flights], np.int32),
+        bounces=np.array([sum(t > micro_flight for t in times) for times in flights], np.int32),
+        flight_time=np.array([p.times[j] for p, j in zip(points, i, strict=True)]),
+        takeoff_phase=np.mod(np.arctan2(begin[:, 5], begin[:, 4]), TWO_PI),
+        elongation=begin[:, 2] / gamma,
+        elongation_velocity=begin[:, 3] / gamma,
+        impact_velocity=np.array([p.round.rates[j] for p, j in zip(points, i, strict=True)]) / gamma,
+        multiplier=multiplier[:, :2],
+        stable=np.abs(multiplier[:, 0]) < 1.0,
+    )
+
+
+def event_record(events: list[Event], micro_flight: float) -> Events:
+    """Their record, as that of the closed form."""
+    if not events:
+        return join_events([])
+    x = record([event.point for event in events], micro_flight)
+    return Events(
+        kind=np.array([event.kind for event in events], np.str_),
+        omega=x.omega,
+        xi=x.xi,
+        bounces=x.bounces,
+        periods=np.full(len(events), x.periods, np.int32),
+        flight_time=x.flight_time,
+        gamma=x.gamma,
+        multiplier=x.multiplier,
+        admissible=np.zeros(len(events), np.uint8),
+    )

@@ -1,0 +1,248 @@
+"""How the segments of a cycle change along its branch, and the first cycle with the new ones."""
+
+import math
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from kernel.branches.cycles import (
+    LANDINGS,
+    Broken,
+    Cycles,
+    Point,
+    confirmed,
+    end_of_round,
+    kernels_round,
+)
+from kernel.branches.events import Kind
+from kernel.branches.roots import Floats
+from kernel.branches.segments import START, lowest, simulated
+from kernel.interface import State
+from kernel.numerics.elementary import TWO_PI
+
+#: Samples of a segment when its minimum is looked for, and near where it was before.
+_SAMPLES, _FEW = 4000, 400
+#: That part of the segment on either side counts as near.
+_NEAR: Final = 0.1
+#: Beyond the ends of a segment, where its event function is zero, minima do not count: part of it.
+_ENDS: Final = 1e-9
+
+#: First steps of a new segment, in the units of the unknowns; the first that works.
+_STEPS: Final = (1e-4, 1e-3, 1e-5)
+#: How long before n touches zero a mass that sticks lets go, rad.
+_EARLIER: Final = (2.5e-3, 7.5e-4, 7.5e-3, 2.5e-4)
+#: and phases of the kernel that it may then go through at most.
+_HOPS: Final = 400
+#: Distances at which a signature is read anew.
+_ASIDE: Final = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-5)
+
+
+class Next(NamedTuple):
+    """The first cycle with other segments, its tangent leading away, and what happens there."""
+
+    kind: Kind
+    point: Point
+
+
+class _Edit(NamedTuple):
+    """The cycle at a change, written with other segments."""
+
+    kind: Kind
+    cycles: Cycles
+    x: Floats
+    way: Floats | None = None  # the first step; None: either direction of the branch
+    steps: tuple[float, ...] = _STEPS
+
+
+class Margin:
+    """What falls through zero where a solution breaks."""
+
+    def __init__(self, broken: Broken, beyond: Point) -> None:
+        """`beyond` is a solution that is broken."""
+        self.broken = broken
+        self.time = math.nan  # rad after the segment's beginning, where it touches
+        if broken.reason == "touches":
+            since = broken.time if broken.time > 0.0 else 0.0
+            self.time, _ = _lowest(beyond, broken.segment, since, math.inf, _SAMPLES)
+
+    def __call__(self, point: Point) -> float:
+        """Positive on the side of the cycles; NaN if it is not known."""
+        i, cycle = self.broken.segment, point.round
+        match self.broken.reason:
+            case "vanishes":
+                return float(point.times[i])
+            case "lands softly":
+                return -float(cycle.rates[i])
+            case "emerges":
+                return -float(cycle.starts[i + 1, 0])
+            case "sticks":
+                return -float(cycle.forces[i])
+            case "takes off":
+                return float(cycle.forces[i])
+            case "touches":
+                near = _NEAR * point.times[i]
+                time, value = _lowest(point, i, self.time - near, self.time + near, _FEW)
+                self.time = self.time if math.isnan(time) else time
+                return value
+        return math.nan
+
+
+def _lowest(point: Point, i: int, since: float, until: float, samples: int) -> tuple[float, float]:
+    """Time and value of the first minimum of segment i's event function between two times; NaN: none."""
+    _, omega, xi = point.cell
+    code, whole = point.cycles.code, point.times[i]
+    since, until = max(since, _ENDS * whole), min(until, (1.0 - _ENDS) * whole)
+    start = point.round.starts[i]
+    time, value = lowest(point.cycles.plate, omega, xi, code[i], code[i - 1], start, since, until, samples)
+    return float(time), float(value)
+
+
+def next_cycle(margin: Margin, point: Point) -> Next | None:
+    """The branch beyond `point`, at which the margin is zero; None if it is not known."""
+    margin(point)  # where it touches here
+    for edit in _edits(margin.broken, margin.time, point):
+        first = _first(edit)
+        if first is not None:
+            return Next(edit.kind, first)
+    return None
+
+
+def _first(edit: _Edit) -> Point | None:
+    """The first admissible cycle of an edit."""
+    if edit.way is not None:
+        ways = [edit.way / math.sqrt(edit.way @ edit.way)]
+    else:
+        along = edit.cycles.on_branch(edit.x).tangent
+        ways = [along, -along]
+    for step in edit.steps:
+        for way in ways:
+            point = edit.cycles.newton(edit.x + step * way, way, float(way @ edit.x) + step)
+            if point is None:
+                continue
+            point, broken = confirmed(point.towards(way))
+            if broken is None:
+                return point
+    return None
+
+
+def _edits(broken: Broken, time: float, point: Point) -> Iterator[_Edit]:
+    """With which segments the branch may go on."""
+    i, rebounds = broken.segment, bool(point.cycles.plate.restitution[0] > 0.0)
+    if broken.reason in ("vanishes", "lands softly"):
+        point, i = _inside(point, i)
+    letters, times = point.letters, point.times
+    letter, before, after = letters[i], letters[i - 1], letters[(i + 1) % len(letters)]
+    inside = 0 < i < len(letters) - 1
+    match broken.reason:
+        case "touches" if letter in "hcsz":
+            new = ("h" if rebounds else "z") + letter
+            yield _replaced(Kind.GRAZE_FLIGHT, point, i, 1, new, (time, times[i] - time), (-1.0, 1.0))
+        case "touches" if letter in "FC":
+            between = "C" if letter == "F" else "F" if point.cycles.plate.adhesive else "b"
+            kind = Kind.GRAZE_FLIGHT if letter == "F" else Kind.GRAZE_CONTACT
+            parts = (time, 0.0, times[i] - time)
+            yield _replaced(kind, point, i, 1, letter + between + letter, parts, (-0.5, 1.0, -0.5))
+        case "touches" if letter == "S":
+            yield from _letting_go(point, i, time)
+        case "lands softly" if letter == "h" and i + 1 < len(letters):
+            yield _replaced(Kind.GRAZE_FLIGHT, point, i, 2, after, (times[i] + times[i + 1],))
+        case "lands softly" if letter == "F" and not point.cycles.plate.adhesive:
+            yield _replaced(Kind.GRAZE_FLIGHT, point, i, 1, "b", (times[i],))
+        case "emerges":
+            yield _replaced(Kind.GRAZE_FLIGHT, point, i, 1, "F", (times[i],))
+        case "vanishes" if letter == "S" and before == "s" and len(letters) > 2:
+            at = point if i > 0 else point.begun(len(letters) - 1)
+            i = i if i > 0 else 1
+            yield _replaced(Kind.IMMEDIATE_TAKEOFF, at, i - 1, 2, "z", (at.times[i - 1],))
+        case "vanishes" if letter in "scFbC" and inside and before != "z":
+            kind = Kind.GRAZE_FLIGHT if letter == "C" else Kind.GRAZE_CONTACT
+            whole = (times[i - 1 : i + 2].sum(),)
+            yield _replaced(kind, point, i - 1, 3, after if before == "b" else before, whole)
+        case "vanishes" if letter in "sz" and before == "z" and i > 0:
+            yield _replaced(Kind.IMMEDIATE_TAKEOFF, point, i - 1, 2, letter, (times[i - 1],))
+        case "sticks":
+            yield _replaced(Kind.IMMEDIATE_TAKEOFF, point, i, 1, "sS", (times[i], 0.0), (0.0, 1.0))
+        case "takes off":
+            yield _replaced(Kind.IMMEDIATE_TAKEOFF, point, i, 1, "zs", (times[i], 0.0), (0.0, 1.0))
+
+
+def _replaced(
+    kind: Kind, point: Point, i: int, count: int, letters: str, times: tuple[float, ...],
+    way: tuple[float, ...] | None = None,
+) -> _Edit:  # fmt: skip
+    """With other segments in place of `count` from the i-th on."""
+    old, spans = point.letters, point.times
+    new = [*spans[:i], *times, *spans[i + count :]]
+    cycles, x = point.cycles.with_segments(old[:i] + letters + old[i + count :], point.x, new)
+    if way is None:
+        return _Edit(kind, cycles, x)
+    direction = np.zeros(len(x))
+    direction[START + i : START + i + len(way)] = way
+    return _Edit(kind, cycles, x, direction)
+
+
+def _inside(point: Point, i: int) -> tuple[Point, int]:
+    """The same cycle, begun so that segment i is neither its first nor its last, if it can be."""
+    n = len(point.letters)
+    for j in range(n):
+        if point.letters[j - 1] in LANDINGS and 0 < (i - j) % n < n - 1:
+            return point.begun(j), (i - j) % n
+    return point, i
+
+
+def _letting_go(point: Point, i: int, time: float) -> Iterator[_Edit]:
+    """A mass that sticks lets go where n touches zero: a flight with all its hops, and sticks again.
+
+    n = n2/2 (t**2 - a**2) makes a flight of 4 a that begins a before the lowest n: the kernel follows it
+    from 2 a before, n lowered by n2/2 a**2.
+    """
+    whole = point.times[i]
+    gamma, omega, xi = point.cell
+    b, w = 2.0 * xi / omega, 1.0 / omega**2
+    for early in _EARLIER:
+        wait = time - 2.0 * early
+        cut = point.cycles.with_segments(point.letters[: i + 1], point.x, [*point.times[:i], wait])
+        z = cut[0].equations(cut[1])[2].starts[-1]
+        n = z[6] - z[4] - b * z[3] - w * z[2]
+        state = State(0.0, 0.0, (z[2] + 0.25 * n / w) / gamma, z[3] / gamma)
+        phase = math.atan2(z[5], z[4]) % TWO_PI
+        code, times, _ = simulated(point.cycles.plate, gamma, omega, xi, phase, state, whole - wait, _HOPS)
+        letters = code.tobytes().decode()
+        end = max(letters.find("c"), letters.find("s")) + 1
+        left = whole - wait - times[:end].sum()
+        if end < 2 or letters[0] != "S" or left <= 0.0:
+            continue
+        parts = (wait + times[0], *times[1:end], left)
+        way = (parts[0] - time, *times[1:end], left - (whole - time))
+        edit = _replaced(Kind.GRAZE_CONTACT, point, i, 1, letters[:end] + "S", parts, way)
+        yield edit._replace(steps=(0.0,))
+
+
+def over_small_segment(last: Point, before: Point | None) -> Point | None:
+    """Beyond a point where a minute segment is lost or born: from the start, the kernel's own segments."""
+    start = last.tangent[:START]
+    if np.linalg.norm(start) < 1e-6 and before is not None:
+        start = last.x[:START] - before.x[:START]
+    size = np.linalg.norm(start)
+    if not size > 0.0:
+        return None
+    whole = TWO_PI * last.cycles.periods
+    around, flight = last.letters[-1] + last.letters[0], last.times[-1]
+    for step in _ASIDE:
+        x = last.x.copy()
+        x[:START] += step * start / size
+        letters, times, _ = kernels_round(last.cycles, x, 1.6 * whole + 1.0)
+        end = end_of_round(letters, times, 0, whole, around, flight)
+        if end == 0:
+            continue
+        cycles, x = last.cycles.with_segments(letters[:end], x, times[:end])
+        way = np.zeros(len(x))
+        way[:START] = start / size
+        point = cycles.newton(x, way)
+        if point is None:
+            continue
+        point, broken = confirmed(point.towards(way))
+        if broken is None and np.linalg.norm(point.x[:START] - last.x[:START]) < 5.0 * step + 1e-6:
+            return point
+    return None

@@ -1,0 +1,272 @@
+"""Branches of cycles of any contact, followed by pseudo-arclength, and their events.
+
+Newton's method with exact derivatives finds the cycle on each plane across the tangent, and every event is
+the zero of one function on such a plane, so that a fold is as well-conditioned as any other point. Where the
+spring's cycle gets other segments, the branch goes on with them (`kernel.branches.changes`).
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from kernel.branches.changes import Margin, next_cycle, over_small_segment
+from kernel.branches.cycles import FLIGHTS, Broken, Point, confirmed
+from kernel.branches.events import Kind
+from kernel.branches.roots import Floats
+from kernel.branches.segments import START
+
+#: Steps along a branch: the first, the largest, the smallest; the tangent turns by at most this, rad.
+_FIRST, _LARGEST, _SMALLEST = 1e-3, 0.1, 1e-10
+_TURN: Final = 0.25
+#: Of a soft contact smaller steps hide a segment that is lost or born.
+_SMALLEST_SOFT: Final = 1e-8
+#: A step to a solution that is no cycle is shortened to this before what lies between is looked for.
+_NEAR: Final = 1e-6
+
+#: Newton's method along a branch: the last step's size, relative. What it leaves is its square.
+_NEARLY: Final = 1e-11
+
+#: Steps of the search for an event, and how often its range is stretched by how much.
+_STEPS: Final = 80
+_STRETCHES, _STRETCH = 8, 1.3
+
+#: A multiplier this close to 1, -1 or the unit circle makes an event.
+_AT: Final = 1e-4
+
+#: A mass that chatters ceases to stick where it sticks for less than the first, rad, or for less than the
+#: second where the branch does not get on.
+_LAST_STICK, _LITTLE_STICK = 1e-6, 1e-4
+
+#: A branch whose longest flight is shorter, rad, ends at rest.
+_REST: Final = 1e-2
+
+#: Points of a branch each way, signatures on it, and range of the parameter, unless others are asked for.
+POINTS: Final = 300
+SIGNATURES: Final = 40
+RANGE: Final = (0.05, 8.0)
+
+_TESTS: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER)
+
+
+class End(StrEnum):
+    """Where a branch of a contact ends, beside the kinds of events that all have."""
+
+    STICK_VANISHES = "stick-vanishes"  # the mass ceases to stick; beyond, numbers of hops accumulate
+    REST = "rest"  # its flights vanish
+
+
+class Event(NamedTuple):
+    """What happens at a cycle of a branch."""
+
+    kind: Kind | End
+    point: Point
+    turns: bool = False  # whether the parameter turns back here
+    letters: str = ""  # of a change: the segments with which the branch goes on
+
+
+class _Stretch(NamedTuple):
+    """Cycles of one signature but for their number of hops, and why they end."""
+
+    points: list[Point]
+    broken: Broken | None = None
+    beyond: Point | None = None  # the solution `step` further that is broken
+    step: float = 0.0
+
+
+def follow(
+    point: Point, way: float, *, points: int = POINTS, span: tuple[float, float] = RANGE
+) -> tuple[list[Point], list[Event]]:
+    """The branch from a cycle on, the parameter first rising (way > 0) or falling, and its events in order.
+
+    Ends where the parameter leaves `span`, at rest, where a stick vanishes, where it does not get on, or
+    after so many points.
+    """
+    point = point if point.rising * way > 0.0 else point._replace(tangent=-point.tangent)
+    line: list[Point] = []
+    events: list[Event] = []
+    for _ in range(SIGNATURES):
+        stretch = _walk(point, points - len(line), span)
+        line += stretch.points
+        events += _events_along(stretch.points)
+        last = line[-1]
+        if max(t for t, letter in zip(last.times, last.letters, strict=True) if letter in FLIGHTS) < _REST:
+            events.append(Event(End.REST, last))
+            break
+        if _shortest_stick(last) < _LITTLE_STICK:
+            events.append(Event(End.STICK_VANISHES, last))
+            break
+        if stretch.broken is None:
+            break
+        change = _change(stretch)
+        if change is None:
+            break
+        point = change.point
+        if change.event is not None:
+            events.append(change.event)
+        if len(line) >= points:
+            break
+    return line, events
+
+
+def _walk(first: Point, points: int, span: tuple[float, float]) -> _Stretch:
+    """Cycles from `first` on, towards its tangent, for as long as their signature is the spring's."""
+    line, step, bend = [first], _FIRST, np.zeros(len(first.x))
+    smallest = _SMALLEST_SOFT if "C" in first.letters else _SMALLEST
+    while len(line) < points and span[0] <= line[-1].parameter <= span[1]:
+        last = line[-1]
+        if _shortest_stick(last) < _LAST_STICK:
+            break
+        if step < smallest:
+            return _Stretch(line, Broken("too small", 0))
+        point, angle = _stepped(last, step, bend)
+        if point is None or angle > _TURN:
+            step *= 0.5
+            continue
+        solution = point
+        broken = Broken("vanishes", int(np.argmin(point.times))) if (point.times <= 0.0).any() else None
+        if broken is None:
+            point, broken = confirmed(point)
+        if broken is not None:
+            if step <= _NEAR:
+                return _Stretch(line, broken, solution if len(solution.x) == len(point.x) else point, step)
+            step *= 0.25
+            continue
+        line.append(point)
+        bend = np.zeros(len(point.x))
+        if len(point.x) == len(last.x):
+            bend = (point.tangent - last.tangent) / step
+            bend -= (bend @ point.tangent) * point.tangent
+        step = min(step * (1.5 if angle < 0.5 * _TURN else 1.0), _LARGEST)
+    return _Stretch(line)
+
+
+def _stepped(last: Point, step: float, bend: Floats) -> tuple[Point | None, float]:
+    """The solution a step further, and the angle by which the tangent turns."""
+    guess = last.x + step * (last.tangent + 0.5 * step * bend)
+    point = last.cycles.newton(guess, last.tangent, float(last.tangent @ last.x) + step, _NEARLY)
+    if point is None:
+        return None, math.inf
+    return point, math.acos(min(1.0, max(-1.0, float(point.tangent @ last.tangent))))
+
+
+# --- events on a stretch ------------------------------------------------------------------------------------
+
+
+def _events_along(line: list[Point]) -> Iterator[Event]:
+    """Folds, flips and Neimark-Sacker points between neighbours."""
+    tests = np.array([point.tests() for point in line])
+    with np.errstate(invalid="ignore"):
+        turned = tests[:-1] * tests[1:] < 0.0
+    turned &= np.isfinite(tests[:-1]) & np.isfinite(tests[1:])
+    for i, which in np.argwhere(turned):
+        point = _root(line[i], _reach(line[i], line[i + 1]), partial(_test, int(which)))
+        if point is not None and _happens(_TESTS[which], point):
+            yield Event(_TESTS[which], point, _TESTS[which] is Kind.FOLD)
+
+
+def _test(which: int, point: Point) -> float:
+    return float(point.tests()[which])
+
+
+def _happens(kind: Kind, point: Point) -> bool:
+    """Whether a multiplier is where this kind needs it: a test may also change sign at a pole."""
+    mu = point.multipliers()
+    if kind is Kind.FOLD:
+        return bool(np.abs(mu - 1.0).min() < _AT)
+    if kind is Kind.FLIP:
+        return bool(np.abs(mu + 1.0).min() < _AT)
+    return bool(((np.abs(mu.imag) > 1e-9) & (np.abs(np.abs(mu) - 1.0) < _AT)).any())
+
+
+def _reach(a: Point, b: Point) -> float:
+    """How far b lies along the tangent at a; about, if their hops differ in number."""
+    if len(a.x) == len(b.x):
+        return float(a.tangent @ (b.x - a.x))
+    return 1.2 * float(np.linalg.norm(a.x[:START] - b.x[:START])) + 1e-6
+
+
+def _ahead(node: Point, reach: float) -> Point | None:
+    """The solution so far along the tangent."""
+    goal = float(node.tangent @ node.x) + reach
+    point = node.cycles.newton(node.x + reach * node.tangent, node.tangent, goal)
+    return None if point is None else point.towards(node.tangent)
+
+
+def _root(node: Point, reach: float, function: Callable[[Point], float]) -> Point | None:
+    """The solution within about `reach` of `node` at which a function is zero that changes sign.
+
+    By the Illinois rule. Where the function is not finite, or there is no solution, it counts as beyond zero.
+    """
+    low, low_value = 0.0, function(node)
+    if not math.isfinite(low_value) or low_value == 0.0:
+        return None
+
+    def value_at(x: float) -> tuple[Point | None, float]:
+        point = _ahead(node, x)
+        value = math.nan if point is None else function(point)
+        return (point, value) if math.isfinite(value) else (None, -low_value)
+
+    high = reach
+    best, high_value = value_at(high)
+    for _ in range(_STRETCHES):
+        if high_value * low_value < 0.0:
+            break
+        high *= _STRETCH
+        best, high_value = value_at(high)
+    else:
+        return None
+    best_value, side, first = abs(high_value), 0, low_value
+    for k in range(_STEPS):
+        x = low - low_value * (high - low) / (high_value - low_value) if k % 4 < 3 else 0.5 * (low + high)
+        x = x if low < x < high else 0.5 * (low + high)
+        point, value = value_at(x)
+        if point is not None and abs(value) <= best_value:
+            best, best_value = point, abs(value)
+        if abs(value) < 1e-15 or high - low < 1e-16 + 1e-13 * reach:
+            break
+        if value * first > 0.0:
+            low, low_value, high_value = x, value, high_value * (0.5 if side < 0 else 1.0)
+            side = -1
+        else:
+            high, high_value, low_value = x, value, low_value * (0.5 if side > 0 else 1.0)
+            side = 1
+    return best
+
+
+# --- from one signature to the next -------------------------------------------------------------------------
+
+
+class _Next(NamedTuple):
+    """The first cycle beyond a change."""
+
+    point: Point
+    event: Event | None  # None where it was not located
+
+
+def _change(stretch: _Stretch) -> _Next | None:
+    """How the branch goes on where the signature changes; None if it is not known."""
+    last, broken, beyond = stretch.points[-1], stretch.broken, stretch.beyond
+    if broken is not None and beyond is not None and len(beyond.x) == len(last.x):
+        margin = Margin(broken, beyond)
+        point = _root(last, stretch.step, margin)
+        after = None if point is None else next_cycle(margin, point)
+        if point is not None and after is not None:
+            turns = point.towards(last.tangent).rising * after.point.rising < 0.0
+            event = Event(after.kind, point, turns, after.point.letters)
+            return _Next(after.point, event)
+    if "C" not in last.letters:
+        return None
+    before = stretch.points[-2] if len(stretch.points) > 1 else None
+    new = over_small_segment(last, before)
+    return None if new is None else _Next(new, None)
+
+
+def _shortest_stick(point: Point) -> float:
+    """Rad for which a mass that chatters sticks; infinite if it does not."""
+    if "c" not in point.letters:
+        return math.inf
+    return min(float(t) for t, letter in zip(point.times, point.letters, strict=True) if letter == "S")

@@ -1,0 +1,534 @@
+"""One round of a cycle of any contact, segment by segment: its equations and their exact derivatives.
+
+A cycle is a cyclic list of segments, a letter each, which says how the segment moves and how it ends:
+
+    S  the mass sticks to an ideal plate until n = 0
+    h  a flight that lands on an ideal plate, and the mass leaves again: a hop
+    c  a flight that lands, and the rest of the chatter, in closed form; then the mass sticks
+    s  a flight that lands without restitution, and the mass sticks
+    z  a flight that lands without restitution where n < 0: the mass takes off again at once
+    C  a soft contact
+    F  a flight that lands on a soft plate
+    b  a flight that returns to contact below the surface of a soft plate, without adhesion
+
+Unknowns are the state at the beginning, (gap', q, q', c, s) with gap = 0 and c + i s = Gamma e^{i phi}, and
+the duration of each segment. Equations: one event ends each segment, gap', q and q' come back, and the
+durations add up to 2 pi periods: one fewer than unknowns. With lengths in units of g/omega**2 every motion is
+linear in the state, so that one function moves the state and all its derivatives. An event function has a
+root at zero duration, which is divided out: times, not velocities, are unknowns, and nothing is singular
+where a flight or contact shrinks to nothing.
+"""
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from kernel.interface import Phase, State, contact, flies, flight, plate_phase, prepare
+from kernel.models.contact_law import chatter_lift
+from kernel.models.rigid import Spring
+from kernel.models.soft_contact import SoftSpring, combine, separate
+from kernel.numerics.elementary import TWO_PI, sincos
+from kernel.numerics.first_root import ROOT
+from kernel.numerics.jit import allocating, by_type, inlined, jit
+from kernel.numerics.oscillator import propagator, response
+
+STUCK, HOP, CHATTER, STICKS, TAKES_OFF = (ord(letter) for letter in "Shcsz")
+CONTACT, FLIGHT, BELOW = (ord(letter) for letter in "CFb")
+
+#: Numbers of a start; the durations follow among the unknowns.
+START: Final = 5
+
+#: A duration that is exactly zero is taken as this: what is divided by it stays a number.
+_SHORTEST: Final = 1e-30
+
+#: Below this rate * time a flight's integrals are summed as power series: 24 terms leave 1/24! = 2e-24.
+_SHORT: Final = 1.0
+_TERMS: Final = 24
+
+#: Evaluations of one phase of the kernel.
+_BUDGET: Final = 1_000_000
+
+
+class Motion(NamedTuple):
+    """A state and the constant 1, or a derivative of both: the equations of motion are linear in it."""
+
+    gap: float
+    gap1: float
+    q: float
+    q1: float
+    cos: float  # Gamma cos(phi)
+    sin: float
+    unit: float
+
+
+class Fall(NamedTuple):
+    """The functions of the time t that a flight is a combination of, good to all digits as t -> 0."""
+
+    c: float  # of the elongation: q(t) = q(0) c + q'(0) s
+    s: float
+    s1: float
+    s_int: float  # integral of s from 0 to t
+    s_int2: float  # and the integral of that
+    s_rest: float  # s - t
+    s_int_rest: float  # s_int - t**2/2
+    sin_rest: float  # t - sin t
+    cos_rest: float  # 1 - cos t - t**2/2
+    versine: float  # 1 - cos t
+
+
+@inlined
+def _get(x: Any, j: int) -> Motion:
+    """Row j of x (., 7)."""
+    return Motion(x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5], x[j, 6])
+
+
+@inlined
+def _put(x: Any, j: int, z: Motion) -> None:
+    """Overwrite row j of x (., 7)."""
+    x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5], x[j, 6] = z
+
+
+@inlined
+def _turned(z: Motion, sin: float, cos: float) -> tuple[float, float]:
+    """c and s later."""
+    return z.cos * cos - z.sin * sin, z.cos * sin + z.sin * cos
+
+
+# --- flights, the same for both plates ----------------------------------------------------------------------
+
+
+@jit
+def _fall(spring: Any, t: float) -> Fall:
+    """The functions of a flight after t > 0 rad."""
+    b, w = spring.flight.damping, 0.5 * spring.flight.stiffness
+    c, s, s1 = response(spring.flight, t)
+    sin, _ = sincos(t)
+    half, _ = sincos(0.5 * t)
+    versine = 2.0 * half * half
+    s_int = (1.0 - c) / (2.0 * w)
+    s_int2 = (t - s - 2.0 * b * s_int) / (2.0 * w)
+    s_rest, s_int_rest = s - t, s_int - 0.5 * t * t
+    if t * max(math.sqrt(2.0 * w), 2.0 * b) < _SHORT:
+        before, last, power = 0.0, 1.0, t  # derivatives of s at zero, and t**n/n!
+        s_rest, s_int_rest, double = 0.0, 0.0, 0.0
+        for n in range(2, _TERMS):
+            before, last = last, -2.0 * b * last - 2.0 * w * before
+            power *= t / n
+            s_rest += last * power
+            s_int_rest += last * power * t / (n + 1)
+            double += last * power * t * t / ((n + 1) * (n + 2))
+        s_int, s_int2 = 0.5 * t * t + s_int_rest, t * t * t / 6.0 + double
+    sin_rest, cos_rest = t - sin, versine - 0.5 * t * t
+    if t < _SHORT:
+        sin_rest, cos_rest, power = 0.0, 0.0, 0.5 * t * t
+        for n in range(3, _TERMS, 2):
+            sign = 1.0 if n % 4 == 3 else -1.0
+            power *= t / n
+            sin_rest += sign * power
+            power *= t / (n + 1)
+            cos_rest -= sign * power
+    return Fall(c, s, s1, s_int, s_int2, s_rest, s_int_rest, sin_rest, cos_rest, versine)
+
+
+@inlined
+def _gap2(spring: Any, z: Motion) -> float:
+    """gap'' in flight."""
+    press: float = spring.flight.damping * z.q1 + 0.5 * spring.flight.stiffness * z.q
+    return press + z.cos - z.unit
+
+
+@jit
+def _fly(spring: Any, t: float, power: int, x: Any) -> None:
+    """Move the rows of x over a flight; with power 3, gap'' = -n = 0 at its beginning is an equation."""
+    f = _fall(spring, t)
+    b, w = spring.flight.damping, 0.5 * spring.flight.stiffness
+    sin, cos = sincos(t)
+    for j in range(len(x)):
+        z = _get(x, j)
+        press = b * z.q1 + w * z.q
+        gap2 = 0.0 if power == 3 else _gap2(spring, z)
+        gap = z.cos * f.cos_rest - z.sin * f.sin_rest + press * f.s_int_rest + w * z.q1 * f.s_int2
+        gap1 = press * f.s_rest + w * z.q1 * f.s_int - z.cos * f.sin_rest - z.sin * f.versine
+        c, s = _turned(z, sin, cos)
+        end = Motion(
+            z.gap + t * z.gap1 + 0.5 * t * t * gap2 + gap, z.gap1 + t * gap2 + gap1,
+            z.q * f.c + z.q1 * f.s, z.q1 * f.s1 - spring.flight.stiffness * f.s * z.q, c, s, z.unit,
+        )  # fmt: skip
+        _put(x, j, end)
+
+
+@inlined
+def _falling(spring: Any, z: Motion) -> Motion:
+    """The rate of change in flight."""
+    osc = spring.flight
+    q2 = -2.0 * osc.damping * z.q1 - osc.stiffness * z.q
+    return Motion(z.gap1, _gap2(spring, z), z.q1, q2, -z.sin, z.cos, 0.0)
+
+
+# --- what depends on the plate ------------------------------------------------------------------------------
+
+
+@by_type
+def root_power(spring: Any, letter: int, before: int) -> int:  # type: ignore[empty-body]
+    """The power of the root at zero duration of a segment's event function."""
+
+
+@by_type
+def move(spring: Any, letter: int, before: int, t: float, x: Any) -> None:
+    """Move the rows of x (., 7), motions, over t > 0 rad of a segment."""
+
+
+@by_type
+def rate(spring: Any, letter: int, z: Motion) -> Motion:  # type: ignore[empty-body]
+    """The rate of change within a segment, per rad."""
+
+
+@by_type
+def event(spring: Any, letter: int, z: Motion) -> float:  # type: ignore[empty-body]
+    """The event function: positive within the segment, falling through zero at its end."""
+
+
+@by_type
+def reset(spring: Any, letter: int, x: Any) -> float:  # type: ignore[empty-body]
+    """Carry the rows of x (., 7), the value first, through the event; n of a mass that sticks to it."""
+
+
+@by_type
+def letter_of(spring: Any, flew: bool, end: Phase) -> int:  # type: ignore[empty-body]
+    """The letter of a contact or flight of the kernel that ended so."""
+
+
+@root_power.register(Spring)
+@jit
+def _rigid_power(spring: Spring, letter: int, before: int) -> int:
+    """gap and gap' are zero after sticking, and n too, or after a take-off at once; gap after a hop."""
+    if letter == STUCK:
+        return 0
+    return 3 if before == STUCK else 2 if before == TAKES_OFF else 1
+
+
+@move.register(Spring)
+@jit
+def _rigid_move(spring: Spring, letter: int, before: int, t: float, x: Any) -> None:
+    """Stuck, the elongation is a driven oscillator."""
+    if letter != STUCK:
+        _fly(spring, t, _rigid_power(spring, letter, before), x)
+        return
+    c, s, s1 = response(spring.stuck, t)
+    sin, cos = sincos(t)
+    static, re, im = spring.static_elongation, spring.q_re, spring.q_im
+    for j in range(len(x)):
+        z = _get(x, j)
+        h = z.q - static * z.unit - (re * z.cos - im * z.sin)
+        h1 = z.q1 + (re * z.sin + im * z.cos)
+        cos_j, sin_j = _turned(z, sin, cos)
+        q = h * c + h1 * s + static * z.unit + (re * cos_j - im * sin_j)
+        q1 = h1 * s1 - spring.stuck.stiffness * s * h - (re * sin_j + im * cos_j)
+        _put(x, j, Motion(0.0, 0.0, q, q1, cos_j, sin_j, z.unit))
+
+
+@inlined
+def _sticking(spring: Spring, z: Motion) -> Motion:
+    """The rate of change of a mass that sticks."""
+    q2 = z.cos - z.unit - spring.dashpot * z.q1 - spring.stiffness * z.q
+    return Motion(0.0, 0.0, z.q1, q2, -z.sin, z.cos, 0.0)
+
+
+@rate.register(Spring)
+@jit
+def _rigid_rate(spring: Spring, letter: int, z: Motion) -> Motion:
+    return _sticking(spring, z) if letter == STUCK else _falling(spring, z)
+
+
+@inlined
+def _force(spring: Spring, z: Motion) -> float:
+    """n of a mass that sticks."""
+    return z.unit - z.cos - spring.dashpot * z.q1 - spring.stiffness * z.q
+
+
+@event.register(Spring)
+@jit
+def _rigid_event(spring: Spring, letter: int, z: Motion) -> float:
+    return _force(spring, z) if letter == STUCK else z.gap
+
+
+@reset.register(Spring)
+@jit
+def _rigid_reset(spring: Spring, letter: int, x: Any) -> float:
+    """A landing: the upper mass keeps its velocity, so that q' takes what gap' loses."""
+    if letter == STUCK:
+        return 0.0
+    e = spring.restitution
+    kept = e if letter == HOP else 0.0
+    hop = -e * x[0, 1]
+    z = _get(x, 0)
+    value = Motion(0.0, 0.0, z.q, z.q1 + z.gap1, z.cos, z.sin, 1.0)
+    force = _force(spring, value)
+    if letter == CHATTER:
+        _rest_of_chatter(spring, hop, value, x)
+        return force
+    for j in range(len(x)):
+        z = _get(x, j)
+        _put(x, j, Motion(0.0, -kept * z.gap1, z.q, z.q1 + (1.0 + kept) * z.gap1, z.cos, z.sin, z.unit))
+    return force
+
+
+@jit
+def _rest_of_chatter(spring: Spring, hop: float, value: Motion, x: Any) -> None:
+    """The end of chatter that begins with `hop`, `value` being the state of a mass that sticks at once.
+
+    What is added is a function of hop, n and n' (`kernel.models.rigid`), differentiated here.
+    """
+    b, w, e = spring.dashpot, spring.stiffness, spring.restitution
+    hop = max(hop, _SHORTEST)
+    n = _force(spring, value)
+    n1 = _force(spring, _sticking(spring, value)) + b * n
+    area, moment = chatter_lift(hop, n, n1, e)
+    centre = hop / (n * (1.0 - e)) * (1.0 - e + e * e) / (1.0 + e * e)
+    whole = moment / centre  # of a constant n
+    for j in range(len(x)):
+        z = _get(x, j)
+        stuck = Motion(0.0, 0.0, z.q, z.q1 + z.gap1, z.cos, z.sin, z.unit)
+        more, later = area, moment
+        if j > 0:
+            d_n = _force(spring, stuck)
+            d_n1 = _force(spring, _sticking(spring, stuck)) + b * d_n
+            d_hop, d_n = -e * z.gap1 / hop, d_n / n  # relative
+            more = (3.0 * d_hop - 2.0 * d_n) * area - whole * centre / n * (n1 * (d_hop - 2.0 * d_n) + d_n1)
+            later = (4.0 * d_hop - 3.0 * d_n) * moment
+        q = stuck.q + b * more - (w - b * b) * later
+        q1 = stuck.q1 + (w - b * b) * more + b * (2.0 * w - b * b) * later
+        _put(x, j, Motion(0.0, 0.0, q, q1, z.cos, z.sin, z.unit))
+
+
+@letter_of.register(Spring)
+@jit
+def _rigid_letter(spring: Spring, flew: bool, end: Phase) -> int:
+    if not flew:
+        return STUCK
+    if end.in_flight:
+        return HOP if end.state.gap1 > 0.0 else TAKES_OFF
+    return CHATTER if spring.restitution > 0.0 else STICKS
+
+
+@root_power.register(SoftSpring)
+@jit
+def _soft_power(spring: SoftSpring, letter: int, before: int) -> int:
+    """A segment that ends as it began; without adhesion a contact begins with gap = 0 and ends with n = 0."""
+    return 1 if spring.adhesive or BELOW in (letter, before) else 0
+
+
+@move.register(SoftSpring)
+@jit
+def _soft_move(spring: SoftSpring, letter: int, before: int, t: float, x: Any) -> None:
+    """In contact, the static part, the driven part and both free modes (`kernel.models.soft_contact`)."""
+    if letter != CONTACT:
+        _fly(spring, t, _soft_power(spring, letter, before), x)
+        return
+    gap_over, elongation_over = propagator(spring.gap_mode, t), propagator(spring.elongation_mode, t)
+    sin, cos = sincos(t)
+    for j in range(len(x)):
+        z = _get(x, j)
+        gap, gap1, q, q1 = _forced(spring, z.cos, z.sin, z.unit)
+        m = separate(spring, State(z.gap - gap, z.gap1 - gap1, z.q - q, z.q1 - q1))
+        free = combine(spring, m, gap_over, elongation_over)
+        c, s = _turned(z, sin, cos)
+        gap, gap1, q, q1 = _forced(spring, c, s, z.unit)
+        _put(x, j, Motion(free.gap + gap, free.gap1 + gap1, free.q + q, free.q1 + q1, c, s, z.unit))
+
+
+@inlined
+def _forced(s: SoftSpring, cos: float, sin: float, unit: float) -> State:
+    """The static and driven parts in contact."""
+    return State(
+        s.static_gap * unit + s.g_re * cos - s.g_im * sin,
+        -(s.g_re * sin + s.g_im * cos),
+        s.static_elongation * unit + s.q_re * cos - s.q_im * sin,
+        -(s.q_re * sin + s.q_im * cos),
+    )
+
+
+@inlined
+def _push(s: SoftSpring, z: Motion) -> float:
+    """n in contact."""
+    return -(s.kappa * z.gap + s.beta * z.gap1)
+
+
+@rate.register(SoftSpring)
+@jit
+def _soft_rate(spring: SoftSpring, letter: int, z: Motion) -> Motion:
+    """As in flight; in contact n pushes the lower mass up, and so shortens the spring."""
+    f = _falling(spring, z)
+    n = _push(spring, z) if letter == CONTACT else 0.0
+    return Motion(f.gap, f.gap1 + n, f.q, f.q1 - n, f.cos, f.sin, 0.0)
+
+
+@event.register(SoftSpring)
+@jit
+def _soft_event(spring: SoftSpring, letter: int, z: Motion) -> float:
+    if letter == FLIGHT:
+        return z.gap
+    if letter == BELOW:
+        return -_push(spring, z)
+    return -z.gap if spring.adhesive else _push(spring, z)
+
+
+@reset.register(SoftSpring)
+@jit
+def _soft_reset(spring: SoftSpring, letter: int, x: Any) -> float:
+    """The gap is zero, but for a take-off without adhesion and a return below the surface."""
+    if letter == FLIGHT or (letter == CONTACT and spring.adhesive):
+        for j in range(len(x)):
+            x[j, 0] = 0.0
+    return 0.0
+
+
+@letter_of.register(SoftSpring)
+@jit
+def _soft_letter(spring: SoftSpring, flew: bool, end: Phase) -> int:
+    if not flew:
+        return CONTACT
+    return BELOW if end.state.gap < 0.0 else FLIGHT
+
+
+# --- a whole cycle ------------------------------------------------------------------------------------------
+
+
+class Round(NamedTuple):
+    """A cycle of n segments gone through once; m = START + n unknowns."""
+
+    value: Any  # (m - 1,) of the equations
+    slope: Any  # (m - 1, m) their derivatives by the unknowns
+    starts: Any  # (n + 1, 7) motions: at each segment's beginning, and at the end
+    rates: Any  # (n,) of each event function at its end: < 0
+    forces: Any  # (n,) n of a mass that sticks, at each landing on an ideal plate
+
+
+@allocating
+def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u: Any) -> Round:
+    """The equations of a cycle at unknowns u (m,): see the module. letters (n,) uint8; plate: of one cell."""
+    spring = prepare(plate, 0, 1.0, omega, xi)  # Gamma = 1: lengths in g/omega**2
+    n = len(letters)
+    m = START + n
+    x = np.zeros((1 + m, 7))
+    x[0, 6] = 1.0
+    for i in range(START):
+        x[0, 1 + i], x[1 + i, 1 + i] = u[i], 1.0
+    value, slope = np.empty(m - 1), np.empty((m - 1, m))
+    starts, rates, forces = np.empty((n + 1, 7)), np.empty(n), np.empty(n)
+    total = 0.0
+    for i in range(n):
+        letter, before, place = letters[i], letters[i - 1], START + i
+        t = u[place] if u[place] != 0.0 else _SHORTEST
+        total += u[place]
+        starts[i] = x[0]
+        power = root_power(spring, letter, before)
+        gap2 = _gap2(spring, _get(x, 0)) if power == 3 else 0.0  # taken as zero by `move`
+        move(spring, letter, before, t, x)
+        now = rate(spring, letter, _get(x, 0))
+        now = Motion(now.gap, now.gap1 - gap2, now.q, now.q1, now.cos, now.sin, 0.0)
+        x[1 + place, 0] += now.gap
+        x[1 + place, 1] += now.gap1
+        x[1 + place, 2] += now.q
+        x[1 + place, 3] += now.q1
+        x[1 + place, 4] += now.cos
+        x[1 + place, 5] += now.sin
+        scale = t ** (-power)
+        value[i] = event(spring, letter, _get(x, 0)) * scale
+        for j in range(m):
+            slope[i, j] = event(spring, letter, _get(x, 1 + j)) * scale
+        slope[i, place] -= power * value[i] / t
+        rates[i] = event(spring, letter, now)
+        forces[i] = reset(spring, letter, x)
+    starts[n] = x[0]
+    for i in range(3):
+        value[n + i] = x[0, 1 + i] - u[i]
+        for j in range(m):
+            slope[n + i, j] = x[1 + j, 1 + i]
+        slope[n + i, i] -= 1.0
+    value[m - 2] = total - TWO_PI * periods
+    slope[m - 2] = 0.0
+    slope[m - 2, START:] = 1.0
+    return Round(value, slope, starts, rates, forces)
+
+
+@allocating
+def lowest(
+    plate: Any, omega: float, xi: float, letter: int, before: int, start: Any, since: float, until: float,
+    samples: int,
+) -> tuple[float, float]:  # fmt: skip
+    """(time, value) of the first minimum of a segment's event function between two times; NaN if none.
+
+    start (7,): the motion at the segment's beginning. Minima closer than the samples are missed.
+    """
+    spring = prepare(plate, 0, 1.0, omega, xi)
+    x = np.empty((1, 7))
+    low, low_slope = since, -1.0
+    for i in range(samples + 1):
+        high = since + (until - since) * i / samples
+        _, slope, _ = _event_after(spring, letter, before, start, high, x)
+        if i > 0 and low_slope < 0.0 <= slope:
+            t = 0.5 * (low + high)
+            for _ in range(100):
+                _, slope, slope1 = _event_after(spring, letter, before, start, t, x)
+                if slope < 0.0:
+                    low = t
+                else:
+                    high = t
+                step = t - slope / slope1 if slope1 > 0.0 else low
+                step = step if low < step < high else 0.5 * (low + high)
+                if abs(step - t) <= 1e-16 * (1.0 + t):
+                    break
+                t = step
+            return t, _event_after(spring, letter, before, start, t, x)[0]
+        low, low_slope = high, slope
+    return math.nan, math.nan
+
+
+@jit
+def _event_after(
+    spring: Any, letter: int, before: int, start: Any, t: float, x: Any
+) -> tuple[float, float, float]:
+    """A segment's event function after t rad, with two derivatives; x (1, 7) is overwritten."""
+    for i in range(7):
+        x[0, i] = start[i]
+    gap2 = _gap2(spring, _get(x, 0)) if root_power(spring, letter, before) == 3 else 0.0
+    move(spring, letter, before, t, x)
+    z = _get(x, 0)
+    now = rate(spring, letter, z)
+    now = Motion(now.gap, now.gap1 - gap2, now.q, now.q1, now.cos, now.sin, 0.0)
+    value, slope = event(spring, letter, z), event(spring, letter, now)
+    return value, slope, event(spring, letter, rate(spring, letter, now))
+
+
+@allocating
+def simulated(
+    plate: Any, gamma: float, omega: float, xi: float, phi: float, state: State, span: float, most: int
+) -> tuple[Any, Any, Any]:
+    """The kernel's own segments from a state (plate amplitudes) at phi, over `span` rad, `most` at most.
+
+    Returns their letters (n,) uint8, durations (n,) and states (n + 1, 4) at each beginning and at the end.
+    The last that is cut off is left out.
+    """
+    spring = prepare(plate, 0, gamma, omega, xi)
+    letters, times, states = np.empty(most, np.uint8), np.empty(most), np.empty((most + 1, 4))
+    fly = flies(spring, plate_phase(phi), state)
+    n = 0
+    while n < most:
+        states[n, 0], states[n, 1], states[n, 2], states[n, 3] = state
+        here = plate_phase(phi)
+        if fly:
+            end = flight(spring, here, state, span, _BUDGET)
+        else:
+            end = contact(spring, here, state, span, _BUDGET)
+        if end.ending != ROOT:
+            break
+        letters[n], times[n] = letter_of(spring, fly, end), end.tau
+        n += 1
+        phi += end.tau
+        phi -= TWO_PI * math.floor(phi / TWO_PI)
+        span -= end.tau
+        fly, state = end.in_flight, end.state
+    states[n, 0], states[n, 1], states[n, 2], states[n, 3] = state
+    return letters[:n], times[:n], states[: n + 1]

@@ -1,0 +1,75 @@
+"""Branches of cycles of many contacts against folds, flips and ends known by other means.
+
+The numbers come from a separate implementation of this method and, for the folds, from single shooting of the
+return map; 5,000 simulated plate periods on either side of each showed that a stable cycle ends there.
+"""
+
+import numpy as np
+import pytest
+from plates import Model, plate_of
+
+from kernel.branches.any_contact import branches
+from kernel.branches.events import Kind
+from kernel.branches.follow import End
+
+
+def soft(restitution=0.01, penetration=1e-3, adhesive=True):
+    return plate_of(Model.SOFT, np.array([restitution]), np.array([penetration]), adhesive)
+
+
+def rigid(restitution):
+    return plate_of(Model.RIGID, np.array([restitution]), np.empty(0))
+
+
+FOLD, FLIP, TORUS, STICK = Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, End.STICK_VANISHES
+
+#: Contact, Omega, xi; lower fold, upper fold, flip, and others, of the branch (1,1) that begins at rest.
+TABLE = [
+    (soft(), 0.60, 0.05, (0.553241345562, 0.915986309968), {FLIP: 0.724382078263}),
+    (soft(), 0.62, 0.05, (0.507031875922, 0.871910919092), {FLIP: 0.981890951064}),
+    (soft(), 0.66, 0.05, (0.596890103655, 0.809085730714), {FLIP: 2.373172758743}),
+    (
+        soft(), 0.70, 0.05, (0.669278722617, 0.752498081518),
+        {TORUS: (1.063995206954, 2.219171783138), FLIP: 4.189405636770},
+    ),
+    (soft(), 0.50, 0.26, (1.248070477993, 1.295171159281), {FLIP: 2.075150936344}),
+    (soft(penetration=1e-2), 0.60, 0.05, (0.552918762421, 0.915742981450), {FLIP: 0.724322139983}),
+    (soft(adhesive=False), 0.60, 0.05, (0.553238870182, 0.915985867041), {FLIP: 0.724380768985}),
+    (rigid(0.1), 0.60, 0.05, (0.5535529730, 0.915794804063), {FLIP: 0.724168302641}),
+    (rigid(0.3), 0.60, 0.05, (0.559952062803, 0.912513252023), {FLIP: 0.721456140149}),
+    (rigid(0.3), 0.62, 0.05, (0.516259290719, 0.869786519752), {FLIP: 0.987579157392}),
+    (rigid(0.3), 0.50, 0.26, (1.252524207015, 1.294358283349), {FLIP: 2.080477043502}),
+    (
+        rigid(0.5), 0.60, 0.05, (0.580588856410, 0.904571734165),
+        {FLIP: 0.727912197002, STICK: 1.4773308873},
+    ),
+    (
+        rigid(0.5), 0.66, 0.05, (0.695395334976, 0.805215730572),
+        {TORUS: (0.701567857477, 1.424505823882), FLIP: 2.532228009750, STICK: 2.7365421457},
+    ),
+    (rigid(0.7), 0.60, 0.05, (0.626045192610, 0.896463199269), {STICK: 0.6351854981}),
+    (rigid(0.8), 0.60, 0.05, (0.908499312368,), {STICK: 0.7867535018}),
+    (rigid(0.9), 0.60, 0.05, (), {STICK: 0.8801070686}),
+]  # fmt: skip
+
+
+def gammas(followed, kind):
+    return sorted(event.point.parameter for event in followed.events if event.kind is kind)
+
+
+@pytest.mark.parametrize(("plate", "omega", "xi", "folds", "others"), TABLE)
+def test_folds_flips_and_ends_of_a_branch(plate, omega, xi, folds, others):
+    followed = branches(plate, omega, xi, 1, gamma=(0.05, 5.0))[0]
+    assert gammas(followed, FOLD) == pytest.approx(folds, abs=1e-9)
+    for kind in (TORUS, FLIP):
+        expected = np.atleast_1d(others.get(kind, ()))
+        assert gammas(followed, kind)[: len(expected)] == pytest.approx(expected, abs=1e-9)
+    if STICK in others:
+        assert gammas(followed, STICK) == pytest.approx([others[STICK]], abs=1e-8)
+
+
+def test_a_family_of_hops_that_never_sticks():
+    _, hops = branches(rigid(0.9), 0.60, 0.05, 1)
+    assert {point.letters for point in hops.points} >= {"h", "hh", "hhh"}
+    assert pytest.approx(gammas(hops, FOLD)[0], abs=1e-9) == 0.393179810088
+    assert pytest.approx(gammas(hops, FLIP)[0], abs=1e-9) == 0.427801679385
