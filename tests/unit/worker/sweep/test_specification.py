@@ -268,7 +268,7 @@ def test_an_effort_is_its_fields():
     assert thorough == sweep(observe=1000, until=20_000)
     assert "effort" not in thorough.as_submitted()
     assert sweep(effort="standard") == sweep()
-    assert sweep(effort="draft").window == (60, 30)
+    assert sweep(effort="draft").settles_until == 260
     assert message(effort="draft", observe=3) == "observe: is set by effort 'draft': leave out one of the two"
     expected = "effort: must be 'draft', 'standard' or 'thorough', not text 'fast'"
     assert message(effort="fast") == expected
