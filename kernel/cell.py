@@ -348,7 +348,7 @@ def _considered(run: Progress, flights: Flights, first: int) -> tuple[int, bool]
 
 @jit
 def _comes_to_rest(run: Progress, flights: Flights, first: int, window: Window) -> bool:
-    """Whether a run was in contact for QUIET periods at last and, without `certify`, half of what was recorded."""
+    """Whether a run was in contact for its last QUIET periods and, without `certify`, half of its window."""
     if run.in_flight or run.recorded == run.opened:
         return False
     last = slot(flights, first, run.recorded - 1)

@@ -333,8 +333,7 @@ def _accept(
 ) -> Progress:  # fmt: skip
     """The run on the cycle through y (4,) at the section `start`, if it is certified; else `run`.
 
-    It then ends at phase zero, as many plate periods before the window's end as turns take. Writes the record
-    of the i-th cell.
+    It then ends where the cycle passes the window's end, at phase zero. Writes the record of the i-th cell.
     """
     vectors, none, cycle = np.empty((4, 4)), np.empty((0, 4)), search.cycle
     set_identity(vectors)
@@ -344,13 +343,13 @@ def _accept(
     over_turn, over_cycle = np.empty((4, 4)), np.empty((4, 4))
     transpose(vectors, over_turn)
     end = start.period + periods + 1
-    end += (run.end - end) % periods
+    end += (window.settle + window.observe - end) % periods
     last, p_end = _cover(cell, turn, TWO_PI * (end - turn.period) - turn.phase, window, none, cycle)
     if p_end.ending != HORIZON:
         return run
     left = TWO_PI * (start.period + 2 * periods - last.period) + start.phase - last.phase
     after, p = _cover(cell, last, left, window, none, cycle)
-    p = phase_of(cell, plate_phase(after.phase), after, TWO_PI * periods)  # to its own end
+    p = phase_of(cell, plate_phase(after.phase), after, TWO_PI * (periods + 1))  # to its own end
     after = record(after, p, window, cycle, 0)
     total = after.recorded
     if after.ending != ROOT or total == 0 or total % 2 != 0 or total > cycle.size:

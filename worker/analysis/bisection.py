@@ -163,13 +163,13 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
             return bracket
         values = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
         for i in deciding:
-            outcome[i], _ = _run(spec, Cell(float(spec.axis_values("gamma")[i]), *values), None)
+            outcome[i], _ = _run(_patient(spec), Cell(float(spec.axis_values("gamma")[i]), *values), None)
             computed[i] = 1
 
 
 def _patient(spec: SweepSpec) -> SweepSpec:
     """The specification of a refinement's cells: only the outcome counts, and settling may take longer."""
-    until = max(spec.settles_until or 0, SETTLES_UNTIL)
+    until = max(spec.settles_until or 0, SETTLES_UNTIL, PATIENCE + spec.observe)
     return spec.model_copy(update={"keep": 1, "exponents": 0, "settle": "auto", "until": until})
 
 

@@ -8,5 +8,5 @@ Effort = Literal["draft", "standard", "thorough"]
 EFFORTS: Final[dict[str, dict[str, Any]]] = {
     "draft": {"settle": "auto", "observe": 30, "until": 260},
     "standard": {"settle": "auto", "observe": 100, "until": None},
-    "thorough": {"settle": "auto", "observe": 1000, "until": 20_000},
+    "thorough": {"settle": "auto", "observe": 1000, "until": None},
 }

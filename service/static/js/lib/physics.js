@@ -104,7 +104,7 @@ export const certifies = ({ settle, exponents, model }) => settle === "auto" && 
 
 /** "|μ| 0.42, flights within 3e-13 rad": the certificate of one of some cells, as a list: empty where it has none. */
 export function certificateOf({ multiplier, flight_error: errors }, cell) {
-  return Number.isFinite(multiplier?.[cell]) ? [`|μ| ${number(multiplier[cell], 3)}`, `flights within ${number(errors[cell], 1)} rad`] : [];
+  return Number.isFinite(multiplier?.[cell]) ? [`|μ| ${number(multiplier[cell], 3)}`, `flights within ${errors[cell].toExponential(0)} rad`] : [];
 }
 
 const NUMBERS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };

@@ -101,7 +101,7 @@ def test_a_window_is_an_adaptive_sweep_on_a_finer_grid(client: TestClient, full:
     assert spec["refine"] == {"by": "bouncing", "coarsest": 64, "margin": False}
     assert spec["gamma"] == {"start": 0.6, "stop": 1.1, "num": 20 * 11 + 1, "spacing": "linear"}
     assert spec["omega"]["stop"] == 1.0  # cut to the sweep
-    assert all(spec[name] == SPACE[name] for name in ("settle", "observe", "keep"))
+    assert all(spec[name] == SPACE[name] for name in ("observe", "keep"))
     assert view["name"] == "Window of thresholds and modes"
     wait_for(lambda: get(client, answer.headers["Location"])["state"] == "done")
     assert client.post(f"{full}/refine", json=body).status_code == 200
