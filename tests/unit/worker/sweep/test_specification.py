@@ -265,7 +265,7 @@ def test_any_other_number_is_another_job(changes):
 
 def test_an_effort_is_its_fields():
     thorough = SweepSpec.parse(POINT | {"effort": "thorough"})
-    assert thorough == sweep(observe=1000, until=20_000)
+    assert thorough == sweep(observe=1000)
     assert "effort" not in thorough.as_submitted()
     assert sweep(effort="standard") == sweep()
     assert sweep(effort="draft").settles_until == 260
