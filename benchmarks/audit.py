@@ -183,7 +183,8 @@ def _draw_power(figure: Any, seen: NDArray[np.float64]) -> None:
     axes.set(xscale="log", xlabel="cells drawn", ylabel="share of audits that see a fault", ylim=(0, 1.02))
     for share, row in zip(PLANTED, seen, strict=True):
         axes.plot(SAMPLES, row, "o-", label=f"{100 * share:g} % of the cells wrong")
-    axes.set_xticks(SAMPLES, [str(cells) for cells in SAMPLES], minor=False)
+    axes.minorticks_off()
+    axes.set_xticks(SAMPLES, [str(cells) for cells in SAMPLES])
     axes.legend(frameon=False)
 
 

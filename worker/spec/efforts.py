@@ -6,7 +6,7 @@ Effort = Literal["draft", "standard", "thorough"]
 
 #: The fields of each effort (docs/accuracy.md has what each shows wrong, and its cost).
 EFFORTS: Final[dict[str, dict[str, Any]]] = {
-    "draft": {"settle": 60, "observe": 30, "until": None},
+    "draft": {"settle": "auto", "observe": 30, "until": 260},
     "standard": {"settle": "auto", "observe": 100, "until": None},
     "thorough": {"settle": "auto", "observe": 1000, "until": None},
 }

@@ -80,7 +80,7 @@ def test_a_budget_and_an_effort_on_the_command_line(running: Running, tmp_path: 
     file.write_text(json.dumps({name: x for name, x in PLANE.items() if name not in windows} | {"xi": 0.3}))
     done = output_of(running, "submit", str(file), "--budget", "120s", "--effort", "draft")
     job = running.client.job(done.strip())
-    assert (job.state, job.spec["settle"], job.spec["observe"]) == ("done", 60, 30)
+    assert (job.state, job.spec["until"], job.spec["observe"]) == ("done", 260, 30)
     assert "effort" not in job.spec
 
 

@@ -107,7 +107,7 @@ def test_a_plan_tells_what_a_budget_buys(client: TestClient):
 
 
 def test_a_plan_that_would_take_hours_is_refused_before_it_begins(client: TestClient):
-    fine = {"kind": "stepped", "steps_per_contact": 100, "penetration": 3e-4}
+    fine = {"kind": "stepped", "steps_per_contact": 100, "penetration": 1e-4}
     answer = client.post("/v1/plans", json=PLANE | {"model": fine})
     assert answer.status_code == 413
     assert "core-seconds" in answer.text

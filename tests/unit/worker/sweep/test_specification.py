@@ -265,10 +265,10 @@ def test_any_other_number_is_another_job(changes):
 
 def test_an_effort_is_its_fields():
     thorough = SweepSpec.parse(POINT | {"effort": "thorough"})
-    assert thorough == sweep(observe=1000, until=20_000)
+    assert thorough == sweep(observe=1000)
     assert "effort" not in thorough.as_submitted()
     assert sweep(effort="standard") == sweep()
-    assert sweep(effort="draft").window == (60, 30)
+    assert sweep(effort="draft").settles_until == 260
     assert message(effort="draft", observe=3) == "observe: is set by effort 'draft': leave out one of the two"
     expected = "effort: must be 'draft', 'standard' or 'thorough', not text 'fast'"
     assert message(effort="fast") == expected
