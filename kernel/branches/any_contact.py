@@ -80,7 +80,10 @@ def branches(
 
 def both_ways(seed: Point, points: int = POINTS, span: tuple[float, float] = RANGE) -> Followed:
     """The whole branch through a cycle, as far as it is followed."""
-    (down, before), (up, after) = (follow(seed, way, points=points, span=span) for way in (-1.0, 1.0))
+    up, after = follow(seed, 1.0, points=points, span=span)
+    if len(up) > 1 and up[-1] is up[0]:
+        return Followed(up, after)
+    down, before = follow(seed, -1.0, points=points, span=span)
     return Followed([*down[:0:-1], *up], [*before[::-1], *after])
 
 
