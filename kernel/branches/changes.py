@@ -204,8 +204,9 @@ def _letting_go(point: Point, i: int, time: float) -> Iterator[_Edit]:
     b, w = 2.0 * xi / omega, 1.0 / omega**2
     for early in _EARLIER:
         wait = time - 2.0 * early
-        cut = point.cycles.with_segments(point.letters[: i + 1], point.x, [*point.times[:i], wait])
-        z = cut[0].equations(cut[1])[2].starts[-1]
+        x = point.x.copy()
+        x[START + i] = wait
+        z = point.cycles.equations(x)[2].starts[i + 1]
         n = z[6] - z[4] - b * z[3] - w * z[2]
         state = State(0.0, 0.0, (z[2] + 0.25 * n / w) / gamma, z[3] / gamma)
         phase = math.atan2(z[5], z[4]) % TWO_PI

@@ -203,7 +203,7 @@ def _reach(a: Point, b: Point) -> float:
     return 1.2 * float(np.linalg.norm(a.x[:START] - b.x[:START])) + 1e-6
 
 
-def _ahead(node: Point, reach: float) -> Point | None:
+def ahead(node: Point, reach: float) -> Point | None:
     """The solution so far along the tangent."""
     goal = float(node.tangent @ node.x) + reach
     point = node.cycles.newton(node.x + reach * node.tangent, node.tangent, goal)
@@ -220,7 +220,7 @@ def _root(node: Point, reach: float, function: Callable[[Point], float]) -> Poin
         return None
 
     def value_at(x: float) -> tuple[Point | None, float]:
-        point = _ahead(node, x)
+        point = ahead(node, x)
         value = math.nan if point is None else function(point)
         return (point, value) if math.isfinite(value) else (None, -low_value)
 
