@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from kernel.branches.cycles import FLIGHTS, Point, cycle_from
 from kernel.branches.events import Events, branch, check_spring, join_events
-from kernel.branches.follow import POINTS, RANGE, Event, follow
+from kernel.branches.follow import POINTS, RANGE, Event, ahead, follow
 from kernel.branches.roots import Floats
+from kernel.branches.segments import START
 from kernel.branches.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
 from kernel.interface import State
 from kernel.numerics.elementary import TWO_PI
@@ -27,7 +28,7 @@ _SHARES: Final = (0.5, 0.3, 0.7, 0.15, 0.85)
 _NARROWEST: Final = 1e-3
 #: Cycles with shorter flights only, rad, are too close to rest.
 _REST: Final = 0.05
-#: Two cycles whose longest flights differ by less, rad, are one.
+#: Two cycles whose starts or durations differ by less are one.
 _SAME: Final = 1e-6
 
 
@@ -80,7 +81,10 @@ def branches(
 
 def both_ways(seed: Point, points: int = POINTS, span: tuple[float, float] = RANGE) -> Followed:
     """The whole branch through a cycle, as far as it is followed."""
-    (down, before), (up, after) = (follow(seed, way, points=points, span=span) for way in (-1.0, 1.0))
+    up, after = follow(seed, 1.0, points=points, span=span)
+    if len(up) > 1 and up[-1] is up[0]:
+        return Followed(up, after)
+    down, before = follow(seed, -1.0, points=points, span=span)
     return Followed([*down[:0:-1], *up], [*before[::-1], *after])
 
 
@@ -125,19 +129,17 @@ def _repeats(point: Point) -> bool:
 
 def lies_on(point: Point, line: Followed) -> bool:
     """Whether a branch passes through a cycle."""
-    parameter, (_, flight) = point.parameter, longest_flight(point)
-    here = np.array([each.parameter for each in line.points])
-    for i in np.flatnonzero((here[:-1] - parameter) * (here[1:] - parameter) <= 0.0):
-        a, b = line.points[i], line.points[i + 1]
-        guesses = [a, b]
-        if a.letters == b.letters and here[i] != here[i + 1]:
-            share = (parameter - here[i]) / (here[i + 1] - here[i])
-            guesses.insert(0, a._replace(x=a.x + share * (b.x - a.x)))
-        for guess in guesses:
-            same = guess.cycles.at(guess.x, parameter)
-            if same is not None and abs(longest_flight(same)[1] - flight) < _SAME:
-                return True
-    return False
+
+    def away(other: Point) -> float:
+        return float(np.linalg.norm(other.x[:START] - point.x[:START]))
+
+    alike = [other for other in line.points if other.letters == point.letters]
+    near = min(alike or line.points, key=away)
+    if alike:
+        other = ahead(near, float(near.tangent @ (point.x - near.x)))
+    else:
+        other = near.cycles.at(near.x, point.parameter)
+    return other is not None and away(other) < _SAME
 
 
 def longest_flight(point: Point) -> tuple[int, float]:

@@ -30,6 +30,8 @@ _ENDS: Final = 1e-9
 
 #: First steps of a new segment, in the units of the unknowns; the first that works.
 _STEPS: Final = (1e-4, 1e-3, 1e-5)
+#: The same of a cycle of twice the period.
+_DOUBLED_STEPS: Final = (1e-2, 3e-3, 1e-3)
 #: How long before n touches zero a mass that sticks lets go, rad.
 _EARLIER: Final = (2.5e-3, 7.5e-4, 7.5e-3, 2.5e-4)
 #: and phases of the kernel that it may then go through at most.
@@ -202,8 +204,9 @@ def _letting_go(point: Point, i: int, time: float) -> Iterator[_Edit]:
     b, w = 2.0 * xi / omega, 1.0 / omega**2
     for early in _EARLIER:
         wait = time - 2.0 * early
-        cut = point.cycles.with_segments(point.letters[: i + 1], point.x, [*point.times[:i], wait])
-        z = cut[0].equations(cut[1])[2].starts[-1]
+        x = point.x.copy()
+        x[START + i] = wait
+        z = point.cycles.equations(x)[2].starts[i + 1]
         n = z[6] - z[4] - b * z[3] - w * z[2]
         state = State(0.0, 0.0, (z[2] + 0.25 * n / w) / gamma, z[3] / gamma)
         phase = math.atan2(z[5], z[4]) % TWO_PI
@@ -217,6 +220,20 @@ def _letting_go(point: Point, i: int, time: float) -> Iterator[_Edit]:
         way = (parts[0] - time, *times[1:end], left - (whole - time))
         edit = _replaced(Kind.GRAZE_CONTACT, point, i, 1, letters[:end] + "S", parts, way)
         yield edit._replace(steps=(0.0,))
+
+
+def doubled(point: Point) -> Point | None:
+    """The first cycle of the branch of twice the period that begins at a flip; None if there is none."""
+    cycles, x = point.cycles.with_segments(2 * point.letters, point.x, [*point.times, *point.times])
+    cycles = cycles._replace(periods=2 * cycles.periods)
+    slope = cycles.equations(x)[1]
+    n = len(point.letters)
+    along = np.concatenate([point.tangent[: START + n], point.tangent[START:]])
+    # two branches pass here: of the two directions without change, the one that is not the same twice
+    scale = 1.0 / np.abs(slope).max(axis=1, keepdims=True)
+    way = np.linalg.svd(np.vstack([slope * scale, along]))[2][-1]
+    longest = START + int(np.argmax(point.times))
+    return _first(_Edit(Kind.FLIP, cycles, x, way if way[longest] > 0.0 else -way, _DOUBLED_STEPS))
 
 
 def over_small_segment(last: Point, before: Point | None) -> Point | None:

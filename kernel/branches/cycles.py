@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.branches.roots import Floats
-from kernel.branches.segments import START, Round, go_round, simulated
+from kernel.branches.segments import START, Round, go_round, newton_step, simulated
 from kernel.interface import State
 from kernel.numerics.elementary import TWO_PI
 from kernel.stopping import check
@@ -110,11 +110,10 @@ class Point(NamedTuple):
             return np.column_stack([rows[:, :3], c * rows[:, 4] - s * rows[:, 3]])
 
         events, final = slope[:n], slope[n : n + 3]
-        scale = 1.0 / np.abs(events).max(axis=1, keepdims=True)
-        try:
-            times = -np.linalg.solve(events[:, START:] * scale, by_start(events) * scale)
-        except np.linalg.LinAlgError:
-            return np.full(4, np.inf, np.complex128)
+        times = -by_start(events)
+        with np.errstate(all="ignore"):
+            for i in range(n):  # an event depends on the durations up to its own
+                times[i] = (times[i] - events[i, START : START + i] @ times[:i]) / events[i, START + i]
         whole = np.eye(4)
         whole[:3] += by_start(final) + final[:, START:] @ times
         whole[3] += times.sum(axis=0)
@@ -193,14 +192,8 @@ class Cycles(NamedTuple):
                 value, slope, cycle = self.equations(x)
             if not (np.isfinite(value).all() and np.isfinite(slope).all()):
                 return None
-            matrix = np.vstack([slope, direction])
-            right = np.zeros((len(x), 2))
-            right[:-1, 0], right[-1] = value, (direction @ x - goal, 1.0)
-            scale = 1.0 / np.maximum(np.abs(matrix).max(axis=1, keepdims=True), 1e-300)
-            try:
-                step, tangent = np.linalg.solve(matrix * scale, right * scale).T
-            except np.linalg.LinAlgError:
-                return None
+            distance = float(direction @ x) - goal
+            step, tangent = newton_step(len(self.letters), slope, value, direction, distance)
             if done:
                 return Point(self, x, slope, cycle, tangent / math.sqrt(tangent @ tangent))
             size = np.abs(step).max()

@@ -82,14 +82,14 @@ def follow(
 ) -> tuple[list[Point], list[Event]]:
     """The branch from a cycle on, the parameter first rising (way > 0) or falling, and its events in order.
 
-    Ends where the parameter leaves `span`, at rest, where a stick vanishes, where it does not get on, or
-    after so many points.
+    Ends where the parameter leaves `span`, at rest, where a stick vanishes, where it does not get on, at the
+    first cycle if it comes back to it, or after so many points.
     """
-    point = point if point.rising * way > 0.0 else point._replace(tangent=-point.tangent)
+    origin = point = point if point.rising * way > 0.0 else point._replace(tangent=-point.tangent)
     line: list[Point] = []
     events: list[Event] = []
     for _ in range(SIGNATURES):
-        stretch = _walk(point, points - len(line), span)
+        stretch = _walk(point, points - len(line), span, origin)
         line += stretch.points
         events += _events_along(stretch.points)
         last = line[-1]
@@ -112,8 +112,11 @@ def follow(
     return line, events
 
 
-def _walk(first: Point, points: int, span: tuple[float, float]) -> _Stretch:
-    """Cycles from `first` on, towards its tangent, for as long as their signature is the spring's."""
+def _walk(first: Point, points: int, span: tuple[float, float], origin: Point) -> _Stretch:
+    """Cycles from `first` on, towards its tangent, for as long as their signature is the spring's.
+
+    origin: the first of the branch, with which a closed one ends.
+    """
     line, step, bend = [first], _FIRST, np.zeros(len(first.x))
     smallest = _SMALLEST_SOFT if "C" in first.letters else _SMALLEST
     while len(line) < points and span[0] <= line[-1].parameter <= span[1]:
@@ -135,6 +138,8 @@ def _walk(first: Point, points: int, span: tuple[float, float]) -> _Stretch:
                 return _Stretch(line, broken, solution if len(solution.x) == len(point.x) else point, step)
             step *= 0.25
             continue
+        if last is not origin and _passes(last, step, origin):
+            return _Stretch([*line, origin])
         line.append(point)
         bend = np.zeros(len(point.x))
         if len(point.x) == len(last.x):
@@ -151,6 +156,15 @@ def _stepped(last: Point, step: float, bend: Floats) -> tuple[Point | None, floa
     if point is None:
         return None, math.inf
     return point, math.acos(min(1.0, max(-1.0, float(point.tangent @ last.tangent))))
+
+
+def _passes(last: Point, step: float, origin: Point) -> bool:
+    """Whether the first cycle lies within the next step."""
+    if last.letters != origin.letters or origin.tangent @ last.tangent < 0.0:
+        return False
+    away = origin.x - last.x
+    ahead = float(last.tangent @ away)
+    return 0.0 < ahead <= step and bool(np.linalg.norm(away - ahead * last.tangent) < step * _TURN)
 
 
 # --- events on a stretch ------------------------------------------------------------------------------------
@@ -189,7 +203,7 @@ def _reach(a: Point, b: Point) -> float:
     return 1.2 * float(np.linalg.norm(a.x[:START] - b.x[:START])) + 1e-6
 
 
-def _ahead(node: Point, reach: float) -> Point | None:
+def ahead(node: Point, reach: float) -> Point | None:
     """The solution so far along the tangent."""
     goal = float(node.tangent @ node.x) + reach
     point = node.cycles.newton(node.x + reach * node.tangent, node.tangent, goal)
@@ -206,7 +220,7 @@ def _root(node: Point, reach: float, function: Callable[[Point], float]) -> Poin
         return None
 
     def value_at(x: float) -> tuple[Point | None, float]:
-        point = _ahead(node, x)
+        point = ahead(node, x)
         value = math.nan if point is None else function(point)
         return (point, value) if math.isfinite(value) else (None, -low_value)
 

@@ -46,6 +46,9 @@ _SHORTEST: Final = 1e-30
 _SHORT: Final = 1.0
 _TERMS: Final = 24
 
+#: A row is taken in its turn if its pivot is this part of the largest.
+_PIVOT: Final = 0.05
+
 #: Evaluations of one phase of the kernel.
 _BUDGET: Final = 1_000_000
 
@@ -425,7 +428,7 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
         starts[i] = x[0]
         power = root_power(spring, letter, before)
         gap2 = _gap2(spring, _get(x, 0)) if power == 3 else 0.0  # taken as zero by `move`
-        move(spring, letter, before, t, x)
+        move(spring, letter, before, t, x[: 1 + place])  # nothing depends on later durations yet
         now = rate(spring, letter, _get(x, 0))
         now = Motion(now.gap, now.gap1 - gap2, now.q, now.q1, now.cos, now.sin, 0.0)
         x[1 + place, 0] += now.gap
@@ -436,11 +439,12 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
         x[1 + place, 5] += now.sin
         scale = t ** (-power)
         value[i] = event(spring, letter, _get(x, 0)) * scale
-        for j in range(m):
+        slope[i, place + 1 :] = 0.0
+        for j in range(place + 1):
             slope[i, j] = event(spring, letter, _get(x, 1 + j)) * scale
         slope[i, place] -= power * value[i] / t
         rates[i] = event(spring, letter, now)
-        forces[i] = reset(spring, letter, x)
+        forces[i] = reset(spring, letter, x[: 2 + place])
     starts[n] = x[0]
     for i in range(3):
         value[n + i] = x[0, 1 + i] - u[i]
@@ -451,6 +455,56 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
     slope[m - 2] = 0.0
     slope[m - 2, START:] = 1.0
     return Round(value, slope, starts, rates, forces)
+
+
+@allocating
+def newton_step(segments: int, slope: Any, value: Any, direction: Any, distance: float) -> tuple[Any, Any]:
+    """Newton's step (m,) and the unnormed tangent (m,) on a plane; NaN where there is none.
+
+    slope (m - 1, m), value (m - 1,) of the equations; the plane is `distance` behind along `direction` (m,).
+    An event depends on the durations up to its own: with these unknowns first the matrix is nearly
+    triangular, and elimination that takes a row out of turn only where it must keeps it so. A cycle of
+    hundreds of hops takes m**2 operations for each number of a start, not m**3.
+    """
+    n, m = segments, len(direction)
+    a = np.empty((m, m + 2))
+    reach = np.full(m, n)  # durations beyond are zero in this row
+    for i in range(m):
+        row = slope[i] if i < m - 1 else direction
+        a[i, :n], a[i, n : n + START], a[i, n + START : m] = (
+            row[START : START + n],
+            row[:START],
+            row[START + n :],
+        )
+        a[i, m] = value[i] if i < m - 1 else distance
+        a[i, m + 1] = 0.0 if i < m - 1 else 1.0
+        if i < n:
+            reach[i] = i + 1
+        largest = np.abs(a[i, :m]).max()
+        a[i] /= largest if largest > 0.0 else 1.0
+    for k in range(m):
+        p = k + np.argmax(np.abs(a[k:, k]))
+        if abs(a[k, k]) < _PIVOT * abs(a[p, k]):
+            for j in range(m + 2):
+                a[k, j], a[p, j] = a[p, j], a[k, j]
+            reach[k], reach[p] = reach[p], reach[k]
+        for i in range(k + 1, m):
+            if a[i, k] != 0.0:
+                factor = a[i, k] / a[k, k]
+                for j in range(k + 1, reach[k]):
+                    a[i, j] -= factor * a[k, j]
+                for j in range(max(n, k + 1), m + 2):
+                    a[i, j] -= factor * a[k, j]
+                reach[i] = max(reach[i], reach[k])
+    found = np.empty((2, m))
+    for k in range(m - 1, -1, -1):
+        for j in range(2):
+            rest = a[k, m + j]
+            for i in range(k + 1, m):
+                rest -= a[k, i] * a[i, m + j]
+            a[k, m + j] = rest / a[k, k]
+            found[j, k + START if k < n else k - n if k < n + START else k] = a[k, m + j]
+    return found[0], found[1]
 
 
 @allocating

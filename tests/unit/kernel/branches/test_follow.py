@@ -6,20 +6,11 @@ return map; 5,000 simulated plate periods on either side of each showed that a s
 
 import numpy as np
 import pytest
-from plates import Model, plate_of
+from contacts import rigid, soft
 
-from kernel.branches.any_contact import branches
+from kernel.branches.any_contact import both_ways, branches
 from kernel.branches.events import Kind
 from kernel.branches.follow import End
-
-
-def soft(restitution=0.01, penetration=1e-3, adhesive=True):
-    return plate_of(Model.SOFT, np.array([restitution]), np.array([penetration]), adhesive)
-
-
-def rigid(restitution):
-    return plate_of(Model.RIGID, np.array([restitution]), np.empty(0))
-
 
 FOLD, FLIP, TORUS, STICK = Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, End.STICK_VANISHES
 
@@ -73,3 +64,25 @@ def test_a_family_of_hops_that_never_sticks():
     assert {point.letters for point in hops.points} >= {"h", "hh", "hhh"}
     assert pytest.approx(gammas(hops, FOLD)[0], abs=1e-9) == 0.393179810088
     assert pytest.approx(gammas(hops, FLIP)[0], abs=1e-9) == 0.427801679385
+
+
+@pytest.mark.parametrize(
+    ("plate", "omega", "along", "span", "turn"),
+    [
+        (rigid(0.3), 0.60, "omega", (0.4, 0.9), 0.649242430964),
+        (soft(), 0.60, "omega", (0.4, 0.9), 0.661091706414),
+        (rigid(0.3), 0.62, "xi", (0.04, 0.2), 0.064071208251),
+        (soft(), 0.62, "xi", (0.04, 0.2), 0.065927841578),
+    ],
+)
+def test_turns_along_the_other_parameters(plate, omega, along, span, turn):
+    """At Gamma = 0.6; along Gamma the branch there has its fold at 0.6."""
+    followed = branches(plate, omega, 0.05, 1, gamma=(0.05, 1.0))[0]
+    near = min(followed.points, key=lambda point: abs(point.parameter - 0.6) - point.rising)
+    point = near.cycles.at(near.x, 0.6)
+    cycles = point.cycles._replace(along=along, gamma=0.6)
+    start = cycles.on_branch(np.append(point.x, omega if along == "omega" else 0.05))
+    other = both_ways(start, span=span)
+    assert gammas(other, FOLD)[-1] == pytest.approx(turn, abs=1e-9)
+    if along == "omega":  # it is closed
+        assert other.points[-1] is other.points[0]

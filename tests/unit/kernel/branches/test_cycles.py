@@ -1,0 +1,62 @@
+"""Cycles of any contact read from simulated cells, and their multipliers."""
+
+import numpy as np
+import pytest
+from contacts import rigid, soft
+from kernel_runs import run
+from plates import Model
+
+from kernel.branches.any_contact import branches, longest_flight
+from kernel.branches.cycles import LANDINGS, confirmed, cycle_from
+from kernel.interface import State
+from kernel.params import Outcome
+
+CONTACTS = [rigid(0.0), rigid(0.3), soft(), soft(penetration=1e-2), soft(adhesive=False)]
+
+
+@pytest.mark.parametrize("plate", CONTACTS)
+def test_every_periodic_cell_leads_to_its_cycle(plate):
+    """From its end state, by one round of the kernel; flights are those recorded."""
+    rng = np.random.default_rng(7)
+    gamma, omega = rng.uniform(0.5, 4.0, 24), rng.uniform(0.4, 1.2, 24)
+    which = Model.SOFT if hasattr(plate, "penetration") else Model.RIGID
+    contact = {"restitution": plate.restitution[0]}
+    if which is Model.SOFT:
+        contact |= {"penetration": plate.penetration[0], "adhesive": plate.adhesive}
+    line = run(gamma, omega, 0.1, which, settle=600, observe=40, **contact)
+    cells = np.flatnonzero((line.outcome == Outcome.PERIODIC) & (line.bounces > 0) & (line.periods <= 8))
+    assert len(cells) > 8
+    for i in cells:
+        phase, _, *state = map(float, line.end_state[i])
+        point = cycle_from(
+            plate, float(gamma[i]), float(omega[i]), 0.1, int(line.periods[i]), phase, State(*state)
+        )
+        assert point is not None, i
+        assert point.cell == pytest.approx((gamma[i], omega[i], 0.1), abs=1e-13)
+        assert np.abs(point.multipliers()[0]) < 1.0
+        longest = max(t for t, x in zip(point.times, point.letters, strict=True) if x in LANDINGS)
+        assert np.nanmin(np.abs(line.flight_time[i] - longest)) < 1e-6
+
+
+@pytest.mark.parametrize("plate", [rigid(0.3), rigid(0.7), rigid(0.9), soft()])
+def test_multipliers_do_not_depend_on_where_the_cycle_begins(plate):
+    """A second section of the same cycle, where its map is another product of the same motions."""
+    compared = 0
+    for point in branches(plate, 0.60, 0.05, 1, gamma=(0.05, 3.0))[-1].points[::12]:
+        landings = [j for j in range(1, len(point.letters)) if point.letters[j - 1] in LANDINGS]
+        if landings and longest_flight(point)[1] > 0.05:
+            known, other = point.multipliers()[:2], point.begun(landings[0]).multipliers()[:2]
+            assert other == pytest.approx(known, abs=1e-9 * max(1.0, np.abs(known[0]))), point.letters
+            compared += 1
+    assert compared > 3
+
+
+def test_a_solution_that_passes_through_the_plate_is_no_cycle():
+    """The family of two hops at e = 0.9, followed beyond where its flight touches the plate."""
+    (hop,) = [x for x in branches(rigid(0.9), 0.60, 0.05, 1)[1].events if x.letters == "hh"][:1]
+    before = hop.point
+    beyond = [
+        before.cycles.newton(before.x + step * before.tangent, before.tangent) for step in (-1e-3, 1e-3)
+    ]
+    reasons = [confirmed(point)[1] for point in beyond]
+    assert [reason.reason for reason in reasons if reason is not None] in (["touches"], ["lands softly"])
