@@ -10,7 +10,7 @@ import numpy as np
 
 from kernel import modes
 from kernel.interface import Phase, State, flies, plate_phase, rest
-from kernel.modes import CHECK, Flights, slot
+from kernel.modes import Flights, slot
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT
 from kernel.numerics.jit import allocating, compilable, inlined, jit
@@ -21,7 +21,6 @@ MODE_FLIGHTS: Final = 256  # considered for the mode, even if fewer are stored: 
 MODE_PERIODS: Final = 24  # more are considered where these reach back fewer plate periods
 KEPT_FLIGHTS: Final = 4096  # as many of them are kept; a landing at e = 0.95 is followed by 400 hops
 FEWEST_PERIODS: Final = 3  # flights that reach back fewer, those before being lost, decide nothing
-SETTLING_CHECK: Final = 24  # flights after which a settle_tolerance is tested, and which the test considers
 QUIET: Final = 10.0  # plate periods; a contact this long, over the last half of the window, ends all flights
 CACHE_SIZE: Final = 64  # numbers that a model may use to cache what it knows of a cell (`interface.replay`)
 
@@ -36,10 +35,8 @@ class Window(NamedTuple):
     settle: int  # plate periods discarded
     observe: int  # plate periods recorded
     micro_flight: float  # rad; shorter flights do not count for the mode, unless all are
-    settle_tolerance: float  # rad; flights repeating within it end the settling early; 0: never
     settle_until: int  # plate periods that a cell still settling may take in all; 0: no more than the window
-    settle_early: bool = False  # whether cycles that surely repeat are not computed
-    certify: bool = False  # whether only certified cycles are periodic, and end the cell
+    certify: bool  # whether only certified cycles are periodic, and end the cell
 
 
 class Progress(NamedTuple):
@@ -152,7 +149,7 @@ def horizon_of(run: Progress) -> float:
 def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int) -> Progress:
     """The run after the contact or flight `p`; adds a flight that lies inside the window to `flights`.
 
-    While settling, flights are recorded only for the tests of certify, settle_tolerance and settle_early.
+    While settling, flights are recorded only to certify.
     """
     turns = math.floor((run.phase + p.tau) * (1.0 / TWO_PI))
     phase = run.phase + p.tau - TWO_PI * turns
@@ -160,12 +157,9 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
     settling = period < run.settle
     recorded, flew = run.recorded, run.flew
     opens = run.period < run.settle and not settling
-    if opens and not window.certify:
-        recorded = 0
     if run.in_flight and p.tau > SHORTEST_FLIGHT:
         flew = flew or not settling
-        tested = settling and (window.settle_early or window.settle_tolerance > 0.0)
-        inside = run.takeoff_period >= run.settle or tested or window.certify
+        inside = run.takeoff_period >= run.settle or window.certify
         if p.ending == ROOT and inside and run.takeoff_period >= 0:
             j = slot(flights, first, recorded)
             flights.time[j], flights.phase[j] = p.tau, run.takeoff_phase
@@ -180,52 +174,6 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
         takeoff_period=period, recorded=recorded, opened=recorded if opens else run.opened, flew=flew,
         budget=run.budget - p.used, ending=ending,
     )  # fmt: skip
-
-
-@jit
-def at_period(run: Progress, period: int, recorded: int, flew: bool) -> Progress:
-    """`run` in another plate period, where a flight that begins takes off."""
-    return changed(
-        run, period=period, takeoff_phase=run.phase, takeoff_period=period, recorded=recorded, flew=flew
-    )
-
-
-@allocating
-def end_settling(before: Progress, run: Progress, window: Window, flights: Flights, first: int) -> Progress:
-    """`run`, with its settling ended if its last flights repeat; `before`: before its last phase."""
-    if run.recorded == before.recorded or run.period >= run.settle or run.recorded % SETTLING_CHECK:
-        return run
-    tolerance = window.settle_tolerance
-    time, phase, period = _counted(flights, first, run.recorded, SETTLING_CHECK, window.micro_flight)
-    bounces, _ = modes.find_cycle(time, phase, period, tolerance)
-    if bounces == 0:
-        return run
-    return at_period(run, run.settle, 0, run.flew)
-
-
-@inlined
-def may_repeat(before: Progress, run: Progress, window: Window) -> bool:
-    """Whether to look for cycles that repeat, after the phase from `before` to `run`: not beyond a window."""
-    enough = run.recorded // CHECK != before.recorded // CHECK
-    return window.settle_early and enough and run.ending == ROOT and run.end - run.settle == window.observe
-
-
-@allocating
-def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
-    """`run`, at a landing, moved on by the cycles left, as if computed, if they surely repeat."""
-    bounces, periods = modes.find_repetition(flights, first, run.recorded, run.end - run.period)
-    if bounces == 0:
-        return run
-    turns = (run.end - 1 - run.period) // periods
-    if turns <= 0:
-        return run
-    now = run.period + turns * periods
-    recorded, begun = run.recorded, run.period >= run.settle
-    if now >= run.settle:
-        recorded = modes.repeat_flights(
-            flights, first, run.recorded, bounces, periods, turns, run.settle, begun
-        )
-    return at_period(run, now, recorded, run.flew or now >= run.settle)
 
 
 @jit

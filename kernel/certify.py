@@ -70,9 +70,7 @@ class Search(NamedTuple):
     time: Any  # (lanes * SEARCHED,) the flights that count, in ring buffers as `modes.Flights`
     phase: Any
     period: Any
-    failed: (
-        Any  # (lanes, LONGEST + 1) rad, difference of flights at which a candidate last failed, or infinite
-    )
+    failed: Any  # (lanes, LONGEST + 1) rad, differences at which candidates last failed; 0: the one under way
     counts: Any  # (lanes, 5) int64, see READ
     cycle: Flights  # room for an attempt
 

@@ -197,14 +197,9 @@ def _walk(
                         p = _scalar_phase(springs[k], run, phi)
                     if variations is not None and not lanes.followed[k]:
                         lyapunov.carry_run(springs[k], before, run, p, window, variations)
-                    started = run
-                    run = cell.record(started, p, window, flights, first)
-                    if window.settle_tolerance > 0.0:
-                        run = cell.end_settling(started, run, window, flights, first)
+                    run = cell.record(run, p, window, flights, first)
                     if search is not None and has_candidate(run, k, window, flights, search):
                         run = certified(springs[k], run, i, k, window, line, flights, search)
-                    if cell.may_repeat(started, run, window):
-                        run = cell.skip_cycles(run, flights, first)
                     if run.ending != ROOT:
                         run = _after_window(before, run, i, k, window, line, flights, lanes, variations)
                         turned = False
@@ -272,14 +267,12 @@ class LineRun:
     `start` or from rest (None). A sequence of starts makes the cells as many lines of equal length, one after
     another, each from its own. Without `carry` every cell starts from rest, or from its row of `states`
     (n, 6), in its own units. settle, observe: plate periods discarded and recorded. keep: flights stored.
-    micro_flight: rad; shorter flights do not count for the mode, unless all are. settle_tolerance: rad; if
-    > 0, flights that repeat within it end the settling early. settle_until: plate periods that a cell still
-    settling may take in all; None: no more than the window.
-    The periods are doubled as long as the cell settles, and the last `observe` of them are recorded.
-    settle_early: whether the cycles that are left are not computed but repeated, once the last flights surely
-    follow one (`modes.find_repetition`); not with `carry` or `exponents`.
-    certify: whether a cell ends as soon as its cycle is certified; not with exponents, nor for a contact
-    without variations.
+    micro_flight: rad; shorter flights do not count for the mode, unless all are.
+    certify: whether a cell ends as soon as its cycle is certified, and is periodic only then; not with
+    exponents, nor for a contact without variations.
+    settle_until: plate periods that a cell still settling may take in all; None: no more than the window. The
+    last `observe` of them are recorded. With `certify` they are first `params.periods_followed` more than the
+    window's, then all of them; without they are doubled as long as the cell settles.
     exponents: Lyapunov exponents to compute. in_lanes: False computes cell by cell also where lanes could,
     for comparison; the last digits differ.
 
@@ -290,17 +283,13 @@ class LineRun:
     def __init__(
         self, gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64], *,
         plate: Any, carry: bool, settle: int, observe: int, keep: int, micro_flight: float = 0.0,
-        settle_tolerance: float = 0.0, settle_until: int | None = None, settle_early: bool = False,
-        certify: bool = False, exponents: int = 0, start: Start | Sequence[Start | None] | None = None,
-        states: NDArray[np.float64] | None = None, in_lanes: bool = True,
+        settle_until: int | None = None, certify: bool = False, exponents: int = 0,
+        start: Start | Sequence[Start | None] | None = None, states: NDArray[np.float64] | None = None,
+        in_lanes: bool = True,
     ) -> None:  # fmt: skip
         arrays = {"gamma": gamma, "omega": omega, "xi": xi}
         check_arrays(arrays)
-        check_window(settle, observe, keep, micro_flight, settle_tolerance, settle_until, exponents)
-        if settle_early and (carry or exponents):
-            raise KernelInputError(
-                "settle_early", "must be false with carry or exponents, which compute every cycle"
-            )
+        check_window(settle, observe, keep, micro_flight, settle_until, exponents)
         _check_plate(plate, len(gamma))
         if certify and (exponents or dimension(plate) == 0):
             raise KernelInputError(
@@ -315,8 +304,7 @@ class LineRun:
             self._states = _first_states(starts, self._gamma, self._omega)
             self._length = len(gamma) // len(starts)
         self._window = Window(
-            int(settle), int(observe), float(micro_flight), float(settle_tolerance),
-            int(settle_until or 0), bool(settle_early), bool(certify),
+            int(settle), int(observe), float(micro_flight), int(settle_until or 0), bool(certify)
         )  # fmt: skip
         self._variations = lyapunov.allocate_variations(plate, exponents) if exponents else None
         in_lanes = in_lanes and type(plate) in advance_lanes and self._variations is None

@@ -1,6 +1,6 @@
 """From the flights of a window to the mode (bounces, plate periods), or to whether they still settle.
 
-The rules are those of docs/model.md, section 4; `benchmarks.settling` and `benchmarks.early` measure them.
+The rules are those of docs/model.md, section 4; `benchmarks.settling` measures them.
 """
 
 import math
@@ -34,12 +34,6 @@ DRIFT: Final = 0.05
 # of mean squares
 _FALLEN, _NEAR, _APPROACHED = (1.0 - FALLS) ** 2, NEAR**2, APPROACH**2
 _CLOSE, _DRIFTED = CLOSE**2, (1.0 - DRIFT) ** 2
-
-AGREE: Final = 1e-10  # rad; for `find_repetition` flights agree, and drift until the end, within this
-TURNS: Final = 5  # the last flights must repeat a cycle this often; n repetitions give n - 1 differences
-LONGEST: Final = 24  # cycles of up to this many flights are looked for, ...
-CHECK: Final = 8  # ... after this many flights
-ROUNDING: Final = 1e-13  # rad by which differences may grow from one turn to the next
 
 
 class Flights(NamedTuple):
@@ -179,85 +173,6 @@ def _mean_square(flight_time: Any, takeoff_phase: Any, lag: int, first: int, par
         phase -= TWO_PI if phase > math.pi else (-TWO_PI if phase < -math.pi else 0.0)
         total += time * time + phase * phase
     return total / part
-
-
-# --- cycles that the last flights follow so closely that the others are known (`settle_early`) --------------
-
-
-@jit
-def find_repetition(flights: Flights, first: int, recorded: int, left: int) -> tuple[int, int]:
-    """The shortest cycle that the last flights of a run repeat: (bounces, plate periods), or (0, 0).
-
-    `recorded` flights were written; `left`: plate periods of the run that are left.
-
-    Over TURNS turns all flights agree within AGREE with those of the turn before. Let a be the largest
-    difference of one turn from that before. The flights of the n turns left then differ from those of the
-    last by at most a n or, if a has fallen throughout, by a geometric series with the largest ratio measured.
-    The cycle is accepted if that is at most AGREE, and if a does not grow beyond rounding.
-    """
-    phase, period = flights.phase, flights.period
-    for bounces in range(1, min(LONGEST, min(recorded, flights.size) // TURNS) + 1):
-        j, k = slot(flights, first, recorded - 1), slot(flights, first, recorded - 1 - bounces)
-        if abs(flights.time[j] - flights.time[k]) > AGREE:
-            continue
-        # phases either side of the turn of a period are neighbours
-        periods = period[j] - period[k] + round((phase[j] - phase[k]) * (1.0 / TWO_PI))
-        if periods >= 1 and _drift(flights, first, recorded, bounces, periods, left) <= AGREE:
-            return bounces, periods
-    return 0, 0
-
-
-@jit
-def _drift(flights: Flights, first: int, recorded: int, bounces: int, periods: int, left: int) -> float:
-    """A bound (rad) on how far flights of the turns left are from those of the last; infinite: no cycle."""
-    time, phase, period = flights.time, flights.phase, flights.period
-    ratio, older = 0.0, -1.0
-    for turn in range(TURNS - 2, -1, -1):
-        change = 0.0  # the largest difference from the turn before
-        for i in range(recorded - (turn + 1) * bounces, recorded - turn * bounces):
-            j, k = slot(flights, first, i), slot(flights, first, i - bounces)
-            shift = phase[j] - phase[k] + TWO_PI * (period[j] - period[k] - periods)
-            change = max(change, abs(time[j] - time[k]), abs(shift))
-            if change > AGREE:
-                return math.inf
-        if older >= 0.0:
-            if change > older + ROUNDING:
-                return math.inf
-            ratio = max(ratio, change / older if older > 0.0 else math.ceil(change))
-        older = change
-    turns = float(left // periods + 1)
-    return older * (min(turns, ratio / (1.0 - ratio)) if ratio < 1.0 else turns)
-
-
-@allocating
-def repeat_flights(
-    flights: Flights,
-    first: int,
-    recorded: int,
-    bounces: int,
-    periods: int,
-    turns: int,
-    settle: int,
-    begun: bool,
-) -> int:
-    """Record the last `bounces` flights `turns` times more, each turn `periods` plate periods later.
-
-    As the run would: those that take off before the plate period `settle` are left out and, unless the window
-    has `begun` already, those recorded before it are forgotten. Returns how many are recorded then.
-    """
-    cycle = np.empty((bounces, 2))
-    takeoff = np.empty(bounces, dtype=np.int64)
-    early = 0  # flights that take off before the window
-    for i in range(bounces):
-        j = slot(flights, first, recorded - bounces + i)
-        cycle[i, 0], cycle[i, 1], takeoff[i] = flights.time[j], flights.phase[j], flights.period[j]
-        early += min(max(-((takeoff[i] - settle) // periods) - 1, 0), turns)
-    base, total = recorded if begun else 0, turns * bounces
-    for n in range(max(early, total - flights.size), total):
-        j, i = slot(flights, first, base + n - early), n % bounces
-        flights.time[j], flights.phase[j] = cycle[i, 0], cycle[i, 1]
-        flights.period[j] = takeoff[i] + (n // bounces + 1) * periods
-    return base + total - early
 
 
 class Modes(NamedTuple):

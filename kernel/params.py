@@ -82,10 +82,6 @@ STATE_FIELDS: Final = (
 )
 
 
-#: The largest settle_tolerance, rad. Flights can repeat within a larger one beside a cycle they are about to
-#: leave: of 6,000 random cells with settle 2000, 1e-7 changes the outcome of one, and 1e-8 that of none.
-MAX_SETTLE_TOLERANCE: Final = 1e-9
-
 #: Dimensions of a state at a fixed phase of the plate, and so the largest numbers of Lyapunov exponents: of a
 #: spring; of one that always leaves an ideal plate at the plate's velocity (e = 0); of a ball.
 SPRING_DIMENSION: Final = 4
@@ -176,13 +172,12 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
 
 
 def check_window(
-    settle: int, observe: int, keep: int, micro_flight: float, settle_tolerance: float,
-    settle_until: int | None, exponents: int,
+    settle: int, observe: int, keep: int, micro_flight: float, settle_until: int | None, exponents: int
 ) -> None:  # fmt: skip
     """Check an observation window, as in `kernel.line.run_line`.
 
-    settle, observe and settle_until are in plate periods, keep in flights, micro_flight and settle_tolerance
-    in rad, exponents a number.
+    settle, observe and settle_until are in plate periods, keep in flights, micro_flight in rad, exponents a
+    number.
     """
     fewest = settle + observe if is_whole(settle) and is_whole(observe) else 0
     for name, value, least, most in (
@@ -194,12 +189,8 @@ def check_window(
     ):
         if not is_whole(value) or not least <= value <= most:
             raise KernelInputError(name, f"must be an integer from {least} to {most}, got {value!r}")
-    for name, length, longest in (
-        ("micro_flight", micro_flight, math.inf),
-        ("settle_tolerance", settle_tolerance, MAX_SETTLE_TOLERANCE),
-    ):
-        if not (0.0 <= length <= longest and length < math.inf):
-            raise KernelInputError(name, f"must be from 0 to {longest:g} and finite, got {length!r}")
+    if not 0.0 <= micro_flight < math.inf:
+        raise KernelInputError("micro_flight", f"must be from 0 to inf and finite, got {micro_flight!r}")
 
 
 def is_whole(value: object) -> bool:

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cell import Progress, Window, at_period, horizon_of, record
+from kernel.cell import Progress, Window, changed, horizon_of, record
 from kernel.interface import (
     Phase,
     PlatePhase,
@@ -210,7 +210,7 @@ def _skip_cycles(run: Progress, cache: Any) -> Progress:
     cycles = (run.settle - 1 - run.period) // length if cache[BEFORE] >= 0.0 else 0
     period = run.period + max(cycles, 0) * length
     cache[BEFORE] = period
-    return at_period(run, period, run.recorded, run.flew)
+    return changed(run, period=period, takeoff_phase=run.phase, takeoff_period=period)
 
 
 @replay.register(Ball)

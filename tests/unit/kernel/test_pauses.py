@@ -31,8 +31,6 @@ PLATES: dict[str, Any] = {
 CASES = [
     *((plate, carry, {}) for plate in PLATES for carry in (False, True)),
     *((plate, carry, {"settle_until": 330}) for plate in PLATES for carry in (False, True)),
-    *((plate, False, {"settle_tolerance": 1e-9}) for plate in ("rigid", "soft")),
-    *((plate, False, {"settle_early": True, "settle": 90}) for plate in PLATES),
     *(
         (plate, carry, {"certify": True, "settle_until": 330})
         for plate in PLATES

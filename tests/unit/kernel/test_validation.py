@@ -67,7 +67,7 @@ def test_arrays_of_another_kind_or_shape(name, bad, why):
     ("name", "bad"),
     [
         ("settle", -1), ("settle", 1.0), ("settle", True), ("settle", None), ("observe", 0), ("keep", 0),
-        ("micro_flight", -1e-9), ("micro_flight", math.nan), ("settle_tolerance", 1.1e-9),
+        ("micro_flight", -1e-9), ("micro_flight", math.nan),
         ("settle_until", 2), ("settle_until", 10.0), ("exponents", -1), ("exponents", 5),
     ],
 )  # fmt: skip
