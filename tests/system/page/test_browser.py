@@ -88,6 +88,8 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
         cost.filter(has_text="cells in").wait_for()  # the form is filled in
         page.locator("[data-field='gamma.num']").fill("120")
         page.get_by_label("contact model").select_option("rigid")
+        efforts = page.locator("select[data-field=effort] option").all_inner_texts()
+        assert efforts == ["", "draft", "standard", "thorough"]
         page.locator("[data-field=settle]").fill("20000")
         cost.filter(has_text=re.compile(r"120 cells in \d+ chunks · about .+ on 2 workers")).wait_for()
         screenshot(page, "form")
