@@ -6,18 +6,18 @@ one mode lie on more than one branch: beside those that stick, families of a few
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.cycles import FLIGHTS, Point, cycle_from
+from kernel.branches.cycles import FLIGHTS, Point, confirmed, cycle_from
 from kernel.branches.events import Events, branch, check_spring, join_events
 from kernel.branches.follow import POINTS, RANGE, Event, ahead, follow
 from kernel.branches.roots import Floats
 from kernel.branches.segments import START
 from kernel.branches.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
-from kernel.interface import State
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, KernelInputError
 
@@ -62,24 +62,59 @@ class Followed(NamedTuple):
 
 
 def branches(
-    plate: Any, omega: float, xi: float, periods: int, *, points: int = POINTS,
-    gamma: tuple[float, float] = RANGE,
+    plate: Any, omega: float, xi: float, periods: int, *, span: tuple[float, float] = RANGE,
+    points: int = POINTS,
 ) -> list[Followed]:  # fmt: skip
     """The branches along Gamma of the cycles that those of the closed form (1, periods) lead to.
 
-    plate: of one cell, with restitution < 1. points: of each, each way. Raises KernelInputError.
+    plate: of one cell, with restitution < 1. span: of Gamma. points: of each, each way. Raises
+    KernelInputError.
     """
     check_spring(omega, xi, periods)
     if not plate.restitution[0] < 1.0:
         raise KernelInputError("restitution", "must be < 1")
+    inside = (seed for seed in seeds(plate, omega, xi, periods) if span[0] <= seed.parameter <= span[1])
+    return _all_through(inside, span, points)
+
+
+def branches_at(
+    plate: Any, cell: Cell, periods: int, along: str, span: tuple[float, float], *, points: int = POINTS
+) -> list[Followed]:
+    """The branches along Omega or xi through the cycles that a cell has on those along Gamma.
+
+    along: "omega" or "xi", which varies within `span`. Raises KernelInputError.
+    """
+    gamma, omega, xi = map(float, cell)
+    lines = branches(plate, omega, xi, periods, span=(RANGE[0], max(gamma, RANGE[1])), points=points)
+    here = omega if along == "omega" else xi
+    cycles = (
+        point.cycles._replace(along=along, gamma=gamma).on_branch(np.append(point.x, here))
+        for line in lines
+        for point in passing(line, gamma)
+    )
+    return _all_through(cycles, span, points)
+
+
+def _all_through(seeds: Iterator[Point], span: tuple[float, float], points: int) -> list[Followed]:
+    """The branches through cycles, each once."""
     followed: list[Followed] = []
-    for seed in seeds(plate, omega, xi, periods):
-        if gamma[0] <= seed.parameter <= gamma[1] and not any(lies_on(seed, each) for each in followed):
-            followed.append(both_ways(seed, points, gamma))
+    for seed in seeds:
+        if not any(lies_on(seed, each) for each in followed):
+            followed.append(both_ways(seed, span, points))
     return followed
 
 
-def both_ways(seed: Point, points: int = POINTS, span: tuple[float, float] = RANGE) -> Followed:
+def passing(line: Followed, parameter: float) -> Iterator[Point]:
+    """The cycles of a branch at a value of its parameter."""
+    for a, b in pairwise(line.points):
+        if (a.parameter - parameter) * (b.parameter - parameter) <= 0.0:
+            near = a if abs(a.parameter - parameter) < abs(b.parameter - parameter) else b
+            point = near.cycles.at(near.x, parameter)
+            if point is not None and confirmed(point)[1] is None:
+                yield point
+
+
+def both_ways(seed: Point, span: tuple[float, float] = RANGE, points: int = POINTS) -> Followed:
     """The whole branch through a cycle, as far as it is followed."""
     up, after = follow(seed, 1.0, points=points, span=span)
     if len(up) > 1 and up[-1] is up[0]:
@@ -109,8 +144,7 @@ def _beside(plate: Any, start: CycleStart | None, periods: int) -> Point | None:
     """The contact's own cycle, if it has one there and not one of fewer periods gone through again."""
     if start is None:
         return None
-    phase, _, *state = map(float, start.start.state)
-    point = cycle_from(plate, *start.start.cell, periods, phase, State(*state))
+    point = cycle_from(plate, start.start.cell, periods, start.start.state)
     if point is None or longest_flight(point)[1] < _REST or _repeats(point):
         return None
     return point

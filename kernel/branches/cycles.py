@@ -11,6 +11,7 @@ from kernel.branches.roots import Floats
 from kernel.branches.segments import START, Round, go_round, newton_step, simulated
 from kernel.interface import State
 from kernel.numerics.elementary import TWO_PI
+from kernel.params import Cell
 from kernel.stopping import check
 
 #: Newton steps at most, and the last step's size, relative.
@@ -352,16 +353,17 @@ def _hides(point: Point, i: int, duration: float) -> bool:
 # --- from a state -------------------------------------------------------------------------------------------
 
 
-def read(
-    plate: Any, gamma: float, omega: float, xi: float, periods: int, phase: float, state: State
-) -> tuple[Cycles, Floats] | None:
-    """The signature and a guess of the unknowns of the cycle near a state (plate amplitudes), or None.
+def read(plate: Any, cell: Cell, periods: int, state: Floats) -> tuple[Cycles, Floats] | None:
+    """The signature and a guess of the unknowns of the cycle near a state (6,), or None.
 
-    From one round that the kernel simulates: it begins after the longest flight.
+    state: as STATE_FIELDS, such as a cell's end state. From one round that the kernel simulates: it begins
+    after the longest flight.
     """
+    gamma, omega, xi = map(float, cell)
+    phase, _, *rest = map(float, state)
     whole = TWO_PI * periods
     code, times, states = simulated(
-        plate, gamma, omega, xi, phase, state, _ROUNDS * whole + 3.0, MOST * periods
+        plate, gamma, omega, xi, phase, State(*rest), _ROUNDS * whole + 3.0, MOST * periods
     )
     letters = code.tobytes().decode()
     since = np.concatenate([[0.0], np.cumsum(times)])
@@ -392,12 +394,10 @@ def end_of_round(letters: str, times: Floats, first: int, whole: float, around: 
     return min(ends, key=unlike, default=0)
 
 
-def cycle_from(
-    plate: Any, gamma: float, omega: float, xi: float, periods: int, phase: float, state: State
-) -> Point | None:
-    """The admissible cycle of `periods` plate periods near a state (plate amplitudes) at a phase, or None."""
-    guess = read(plate, gamma, omega, xi, periods, phase, state)
-    point = None if guess is None else guess[0].at(guess[1], gamma)
+def cycle_from(plate: Any, cell: Cell, periods: int, state: Floats) -> Point | None:
+    """The cycle of `periods` plate periods that a spring has near a state (6,) (STATE_FIELDS), or None."""
+    guess = read(plate, cell, periods, state)
+    point = None if guess is None else guess[0].at(guess[1], float(cell.gamma))
     if point is None:
         return None
     point, broken = confirmed(point)

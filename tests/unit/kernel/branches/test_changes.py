@@ -30,7 +30,7 @@ def gammas(events, kind):
 )
 def test_a_doubled_cycle_doubles_again(plate, flip):
     """From the flip of (1,1) at Omega = 0.5, xi = 0.26, 5,000 simulated periods within 1e-12 of it."""
-    (first,) = (e for e in branches(plate, 0.5, 0.26, 1, gamma=(0.5, 3.0))[0].events if e.kind is Kind.FLIP)
+    (first,) = (e for e in branches(plate, 0.5, 0.26, 1, span=(0.5, 3.0))[0].events if e.kind is Kind.FLIP)
     start = doubled(first.point)
     assert start.cycles.periods == 2
     _, events = follow(start, 1.0, span=(1.0, 2.6))
@@ -40,7 +40,7 @@ def test_a_doubled_cycle_doubles_again(plate, flip):
 def test_a_landing_that_takes_off_at_once():
     """The (2,2) with a "z" that (1,2) becomes at Omega = 1.26 where it lands with n = 0, and its fold."""
     expected = REFERENCE["immediate_takeoff"]
-    followed = branches(rigid(0.0), 1.26, 0.05, 2, gamma=(0.5, 2.6))
+    followed = branches(rigid(0.0), 1.26, 0.05, 2, span=(0.5, 2.6))
     events = [event for each in followed for event in each.events]
     _, single = branch_and_events(1.26, 0.05, 2)
     begins = single.gamma[(single.kind == Kind.IMMEDIATE_TAKEOFF) & (single.admissible == 0)]
@@ -53,7 +53,7 @@ def test_a_doubled_cycle_ends_where_its_second_flight_vanishes():
     """The (2,2) of Fig. 2: two flips, then one flight again."""
     word = next(w for w in REFERENCE["words"] if w["word"] == "ss" and w["mode"] == [2, 2])
     (first,) = (
-        e for e in branches(rigid(0.0), 0.5, 0.26, 1, gamma=(0.5, 3.0))[0].events if e.kind is Kind.FLIP
+        e for e in branches(rigid(0.0), 0.5, 0.26, 1, span=(0.5, 3.0))[0].events if e.kind is Kind.FLIP
     )
     line, events = follow(doubled(first.point), 1.0, span=(1.0, 4.0))
     assert gammas(events, Kind.FLIP)[:2] == pytest.approx(word["flip"], abs=1e-8)

@@ -8,8 +8,7 @@ from plates import Model
 
 from kernel.branches.any_contact import branches, longest_flight
 from kernel.branches.cycles import LANDINGS, confirmed, cycle_from
-from kernel.interface import State
-from kernel.params import Outcome
+from kernel.params import Cell, Outcome
 
 CONTACTS = [rigid(0.0), rigid(0.3), soft(), soft(penetration=1e-2), soft(adhesive=False)]
 
@@ -27,12 +26,10 @@ def test_every_periodic_cell_leads_to_its_cycle(plate):
     cells = np.flatnonzero((line.outcome == Outcome.PERIODIC) & (line.bounces > 0) & (line.periods <= 8))
     assert len(cells) > 8
     for i in cells:
-        phase, _, *state = map(float, line.end_state[i])
-        point = cycle_from(
-            plate, float(gamma[i]), float(omega[i]), 0.1, int(line.periods[i]), phase, State(*state)
-        )
+        cell = Cell(float(gamma[i]), float(omega[i]), 0.1)
+        point = cycle_from(plate, cell, int(line.periods[i]), line.end_state[i])
         assert point is not None, i
-        assert point.cell == pytest.approx((gamma[i], omega[i], 0.1), abs=1e-13)
+        assert point.cell == pytest.approx(cell, abs=1e-13)
         assert np.abs(point.multipliers()[0]) < 1.0
         longest = max(t for t, x in zip(point.times, point.letters, strict=True) if x in LANDINGS)
         assert np.nanmin(np.abs(line.flight_time[i] - longest)) < 1e-6
@@ -42,7 +39,7 @@ def test_every_periodic_cell_leads_to_its_cycle(plate):
 def test_multipliers_do_not_depend_on_where_the_cycle_begins(plate):
     """A second section of the same cycle, where its map is another product of the same motions."""
     compared = 0
-    for point in branches(plate, 0.60, 0.05, 1, gamma=(0.05, 3.0))[-1].points[::12]:
+    for point in branches(plate, 0.60, 0.05, 1, span=(0.05, 3.0))[-1].points[::12]:
         landings = [j for j in range(1, len(point.letters)) if point.letters[j - 1] in LANDINGS]
         if landings and longest_flight(point)[1] > 0.05:
             known, other = point.multipliers()[:2], point.begun(landings[0]).multipliers()[:2]

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from contacts import rigid, soft
 
-from kernel.branches.any_contact import both_ways, branches
+from kernel.branches.any_contact import branches, branches_at
 from kernel.branches.events import Kind
 from kernel.branches.follow import End
+from kernel.params import Cell
 
 FOLD, FLIP, TORUS, STICK = Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, End.STICK_VANISHES
 
@@ -50,7 +51,7 @@ def gammas(followed, kind):
 
 @pytest.mark.parametrize(("plate", "omega", "xi", "folds", "others"), TABLE)
 def test_folds_flips_and_ends_of_a_branch(plate, omega, xi, folds, others):
-    followed = branches(plate, omega, xi, 1, gamma=(0.05, 5.0))[0]
+    followed = branches(plate, omega, xi, 1, span=(0.05, 5.0))[0]
     assert gammas(followed, FOLD) == pytest.approx(folds, abs=1e-9)
     for kind in (TORUS, FLIP):
         expected = np.atleast_1d(others.get(kind, ()))
@@ -77,12 +78,8 @@ def test_a_family_of_hops_that_never_sticks():
 )
 def test_turns_along_the_other_parameters(plate, omega, along, span, turn):
     """At Gamma = 0.6; along Gamma the branch there has its fold at 0.6."""
-    followed = branches(plate, omega, 0.05, 1, gamma=(0.05, 1.0))[0]
-    near = min(followed.points, key=lambda point: abs(point.parameter - 0.6) - point.rising)
-    point = near.cycles.at(near.x, 0.6)
-    cycles = point.cycles._replace(along=along, gamma=0.6)
-    start = cycles.on_branch(np.append(point.x, omega if along == "omega" else 0.05))
-    other = both_ways(start, span=span)
-    assert gammas(other, FOLD)[-1] == pytest.approx(turn, abs=1e-9)
+    first = branches_at(plate, Cell(0.6, omega, 0.05), 1, along, span)[0]
+    assert max(gammas(first, FOLD)) == pytest.approx(turn, abs=1e-9)
+    assert all(point.cell[0] == pytest.approx(0.6, abs=1e-13) for point in first.points)
     if along == "omega":  # it is closed
-        assert other.points[-1] is other.points[0]
+        assert first.points[-1] is first.points[0]

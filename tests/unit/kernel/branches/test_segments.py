@@ -34,7 +34,7 @@ def test_derivatives_are_those_of_the_equations(plate, letters, times):
 
 @pytest.mark.parametrize("plate", [rigid(0.5), soft(), soft(penetration=1e-2, adhesive=False)])
 def test_a_cycle_closes_in_the_kernel(plate):
-    for point in branches(plate, 0.60, 0.05, 1, gamma=(0.5, 1.4))[0].points[20::15]:
+    for point in branches(plate, 0.60, 0.05, 1, span=(0.5, 1.4))[0].points[20::15]:
         letters, times, states = kernels_round(point.cycles, point.x, 2.0 * np.pi + 0.5)
         n = len(point.letters)
         assert letters[:n] == point.letters

@@ -55,7 +55,7 @@ def gamma_of(plate, gap, gamma, state):
 
 @pytest.mark.parametrize("plate", [soft(), soft(0.1, 1e-2, adhesive=False), rigid(0.3)])
 def test_folds_are_where_gamma_turns_for_the_simulated_map(plate):
-    events = branches(plate, 0.60, 0.05, 1, gamma=(0.5, 1.0))[0].events
+    events = branches(plate, 0.60, 0.05, 1, span=(0.5, 1.0))[0].events
     folds = [event.point for event in events if event.kind is Kind.FOLD]
     assert len(folds) == 2
     for point in folds:
