@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from kernel.branches.descent import Fold
 from kernel.cell import SHORTEST_FLIGHT
-from kernel.interface import State
 from kernel.params import Cell
 from service.errors import NotInstalled
 from service.views.variables import row
@@ -90,11 +89,7 @@ def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dic
         if state is None:
             raise NotProvenError("the motion begins at rest: settle first")
         plate = plate_of(model, *(np.array([value]) for value in cell))
-        here = State(*state[2:].tolist())
-        points = (
-            cycle_from(plate, *cell, periods, float(state[0]), here)
-            for periods in range(1, _MOST_PERIODS + 1)
-        )
+        points = (cycle_from(plate, cell, periods, state) for periods in range(1, _MOST_PERIODS + 1))
         point = next((point for point in points if point is not None), None)
         if point is None:
             raise NotProvenError(f"no cycle of up to {_MOST_PERIODS} plate periods is near")

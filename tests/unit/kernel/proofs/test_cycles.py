@@ -7,7 +7,6 @@ pytest.importorskip("flint", reason="needs the extra proofs")
 
 from kernel.branches.cycles import cycle_from
 from kernel.branches.starts import start_on_stable_cycle
-from kernel.interface import State
 from kernel.line import run_line
 from kernel.models.rigid import plate as rigid
 from kernel.models.soft import plate as soft
@@ -38,9 +37,8 @@ def settled(law, n=12):
     omega, xi = np.exp(random.uniform(np.log(0.2), np.log(2.0), n)), np.exp(random.uniform(-3.5, 0.0, n))
     line = run_line(gamma, omega, xi, plate=plate_of(law, n), carry=False, settle=2000, observe=50, keep=64)
     for i in np.flatnonzero((line.outcome == Outcome.PERIODIC) & (line.periods <= 2)):
-        cell = (float(gamma[i]), float(omega[i]), float(xi[i]))
-        phase, _, *state = map(float, line.end_state[i])
-        point = cycle_from(plate_of(law), *cell, int(line.periods[i]), phase, State(*state))
+        cell = Cell(float(gamma[i]), float(omega[i]), float(xi[i]))
+        point = cycle_from(plate_of(law), cell, int(line.periods[i]), line.end_state[i])
         if point is not None:
             yield cell, guess_of(point), line.flight_time[i, : min(line.flights[i], 64)]
 
@@ -81,8 +79,7 @@ def test_a_wrong_word_is_never_proven():
 def test_below_the_fold_nothing_is_proven():
     law, fold = LAWS[0], 0.553244593224
     start = start_on_stable_cycle(Cell(fold + 1e-4, 0.6, 0.05), 1)
-    phase, _, *state = map(float, start.start.state)
-    point = cycle_from(plate_of(law), *start.start.cell, 1, phase, State(*state))
+    point = cycle_from(plate_of(law), start.start.cell, 1, start.start.state)
     guess = guess_of(point)
     prove_cycle(law, fold + 1e-4, 0.6, 0.05, guess)
     with pytest.raises(NotProvenError):
