@@ -305,7 +305,7 @@ def _newton(
             return False
         _set_state(end, p.state)
         if count == 0:
-            first[:] = end
+            _set_state(first, p.state)
         for i in range(4):
             step[i] = end[i] - y[i]
             for j in range(4):
