@@ -130,6 +130,7 @@ def coverage(side: int, draws: int, cells: int) -> str:
     for kind, fields in sweeps(side).items():
         study, found = census(SweepSpec(**fields))
         random = np.random.default_rng(1)
+        rest = 1.0 - found["certified"] / found["cells"]
         for share in (None, *BANDS):
             made = found if share is None else planted(found, share, random)
             truth = answered(study, made)
@@ -137,7 +138,8 @@ def coverage(side: int, draws: int, cells: int) -> str:
             for _ in range(draws):
                 said = answered(study, drawn(made, cells, random))
                 for name in ASKED:
-                    held[name] += _holds(said[name], truth[name])
+                    weight = rest if ASKED[name] == "numerics" else 1.0
+                    held[name] += _holds(said[name], truth[name], weight)
             name = f"{kind}, {'as computed' if share is None else f'{100 * share:g} %'}"
             shares = (_percent(held[asked], draws, truth[asked]) for asked in ASKED)
             rows.append([name, f"{100 * truth['mode'].share:.2g} %", *shares])
@@ -145,11 +147,14 @@ def coverage(side: int, draws: int, cells: int) -> str:
     return table(["sweep", "cells wrong", *ASKED], rows)
 
 
-def _holds(said: Any, truth: Any) -> bool:
-    """Whether an interval holds the share, whatever the undecided cells are."""
+def _holds(said: Any, truth: Any, weight: float) -> bool:
+    """Whether an interval holds the share, whatever the undecided cells are.
+
+    weight: of what is drawn from in all cells.
+    """
     if not truth.sampled:
         return True
-    most = (truth.changed + truth.undecided) / truth.sampled
+    most = weight * (truth.changed + truth.undecided) / truth.sampled
     return bool(said.low <= truth.share + 1e-12 and most - 1e-12 <= said.high)
 
 
