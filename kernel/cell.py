@@ -196,11 +196,12 @@ def decide(outcome: int, followed: Progress, flights: Flights, first: int, windo
 def go_on(before: Progress, run: Progress, outcome: int, window: Window) -> Progress:
     """`run`, which has ended without a certificate; if its cell settles, `before` that phase, to end later.
 
-    First as late as `follow` says, then after window.settle_until plate periods, if that is set.
+    First as late as `follow` says, if that makes a window, then after window.settle_until plate periods, if
+    that is set.
     """
-    end = window.settle_until
-    if run.end == window.settle + window.observe:
-        end = min(end, run.end + periods_followed(window.observe))
+    end, added = window.settle_until, periods_followed(window.observe)
+    if run.end == window.settle + window.observe and added >= window.observe:
+        end = min(end, run.end + added)
     if outcome != SETTLING or end < run.end + window.observe:
         return run
     return changed(

@@ -17,7 +17,7 @@ from kernel import interface
 from kernel.cell import Progress
 from kernel.interface import Phase, PlatePhase, State, plate_phase
 from kernel.models import lanes
-from kernel.models.contact_law import chatter_completes, chatter_lift
+from kernel.models.contact_law import chatter_completes, chatter_lift, chatter_push
 from kernel.models.flight import begin_flight, landing, short_hop, state_after
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Terms, departure_step, first_root, terms
@@ -247,8 +247,8 @@ def _rest_of_chatter(
     rate = h3 + s.n_re * phi.sin + s.n_im * phi.cos
     if not chatter_completes(hop, n, rate, bound + envelope(s.stuck, h4, h5), s.restitution):
         return False, 0.0, 0.0
-    area, moment = chatter_lift(hop, n, rate + b * n, s.restitution)
-    return True, b * area - (w - b * b) * moment, (w - b * b) * area + b * (2.0 * w - b * b) * moment
+    more, more1 = chatter_push(b, w, *chatter_lift(hop, n, rate + b * n, s.restitution))
+    return True, more, more1
 
 
 # --- in lanes ----------------------------------------------------------------------------------------------

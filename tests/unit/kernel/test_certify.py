@@ -158,3 +158,13 @@ def test_exponents_and_contacts_without_variations_are_refused():
     stepped = SteppedPlate(ZERO + 0.69, ZERO + 1e-2, np.full(N, 400), True, 0.5)
     with pytest.raises(KernelInputError, match="certify: must be false"):
         run_line(GAMMA, OMEGA, XI, plate=stepped, carry=False, **CERTIFY)
+
+
+@pytest.mark.parametrize("observe", [100, 250])
+def test_a_cell_that_settles_late_goes_on_until_it_is_certified(observe: int):
+    """The cell takes more than 1,000 periods; a window of 250 is longer than any that follows it."""
+    cell = np.array([[5.8851], [1.1539], [0.9968]])
+    options = {**CERTIFY, "observe": observe, "settle_until": 20_000}
+    line = run_line(*cell, plate=RigidPlate(ZERO[:1]), carry=False, **options)
+    assert line.outcome[0] == Outcome.PERIODIC
+    assert (line.bounces[0], line.periods[0]) == (7, 12)

@@ -98,6 +98,7 @@ export function axisField(axis) {
     element: h("fieldset", { "data-group": axis }, h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, meaningOf(axis))), labelled("given as", kind), list, parts),
     read: () => {
       if (kind.value === "range") return { ...Object.fromEntries(Object.entries(range).map(([name, part]) => [name, parseNumber(part.value)])), spacing: spacing.value };
+      if (/\d,\d/.test(values.value)) return values.value.trim(); // a decimal comma, or two values: the service asks
       const numbers = values.value.split(/[,;\s]+/).filter(Boolean).map(parseNumber);
       return numbers.length === 1 ? numbers[0] : numbers;
     },

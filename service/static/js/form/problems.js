@@ -42,9 +42,13 @@ function inWords({ rule, code }, input) {
   const text = input.value?.trim() ?? "";
   if (code !== "type" && code !== "missing") return rule;
   if (text === "") return "is empty: type a number";
+  const [pair] = text.match(/\d+,\d+/) ?? [];
+  if (pair && inputTakesLists(input)) return `write ${pair.replace(",", ".")}, or ${pair.replace(",", ", ")} for two values`;
   if (/^[-−+]?\d+,\d+$/.test(text)) return `write a decimal point, not a comma: ${text.replace(",", ".")}`;
   return rule;
 }
+
+const inputTakesLists = ({ dataset }) => ["gamma", "omega", "xi"].includes(dataset.field);
 
 function mark(input, rule) {
   const id = `error-${input.dataset.field.replaceAll(".", "-")}`;

@@ -104,11 +104,11 @@ async function request(path, options) {
 }
 
 /** The flights of a trajectory in words. */
-function describe({ phase, flights, cycle, complete }) {
+function describe({ phase, flights, in_flight: flies, cycle, complete }) {
   const times = flights.filter((time) => time > MIN_FLIGHT);
   const listed = times.slice(0, MAX_LISTED).map((time) => number(time, 4)).join(", ");
   const text = times.length
     ? `${plural(times.length, "complete flight")} in ${periodsOf({ phase })} plate periods: ${listed}${times.length > MAX_LISTED ? " …" : ""} rad.`
-    : "The spring stays on the plate.";
+    : flies.some(Boolean) ? `No flight is complete within ${periodsOf({ phase })} plate periods.` : "The spring stays on the plate.";
   return `${cycle ? `On the ${cycleText(cycle)}. ` : ""}${text}${complete ? "" : " The computation stopped before the end."}`;
 }

@@ -30,6 +30,7 @@ export class TrajectoryPanel {
     this.title.textContent = `Trajectory of ${{ cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }[start?.kind] ?? "a cell"}`;
     this.about.textContent = `${values.join(", ")}, ${startText(cell.direction)}`;
     this.values.hidden = true;
+    this.proof.hidden = true;
     const [path, options] = addressOf(job, cell);
     const isShown = await this.motion.load(path, { ...options, signal });
     if (signal.aborted) return;
@@ -38,6 +39,7 @@ export class TrajectoryPanel {
       return;
     }
     this.files.replaceChildren(this.#downloads(job, cell, path, options));
+    if (!options.body) this.#offerProof(path, signal);
     if (start) {
       this.motion.portraits.show({ flights: this.motion.trajectory.flights });
       return;
@@ -53,11 +55,29 @@ export class TrajectoryPanel {
     this.title = h("h2", { tabindex: "-1" });
     this.values = h("details", { hidden: true });
     this.files = h("div", {});
+    this.proof = h("p", { hidden: true, role: "status" });
     const portraits = h("div", {});
     this.motion = new Motion({ portraits });
     this.root.replaceChildren(
       h("header", {}, this.title, this.about, h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close")),
-      this.motion.element, this.values, this.files, portraits);
+      this.motion.element, this.values, this.proof, this.files, portraits);
+  }
+
+  /** A button that has the cell's cycle proven, and the answer in its place. */
+  #offerProof(path, signal) {
+    const prove = async () => {
+      this.proof.textContent = "Proving …";
+      try {
+        const { proof, proof_says: says, proven_flight_times: times } = await requestDataset(`${path}&prove=true`, { signal, waits: true });
+        const flights = times.data.flat();
+        const lines = flights.filter((_, i) => i % 2 === 0).map((low, i) => `${low} to ${flights[2 * i + 1]} rad`);
+        this.proof.replaceChildren(h("strong", {}, proof.data), `: ${says.data}.`, ...(lines.length ? [` Flights: ${lines.slice(0, MAX_LISTED).join("; ")}.`] : []));
+      } catch (error) {
+        if (!signal.aborted) this.proof.textContent = error.message;
+      }
+    };
+    this.proof.hidden = false;
+    this.proof.replaceChildren(h("button", { type: "button", className: "quiet", onclick: prove }, "Prove this cycle"));
   }
 
   hide() {

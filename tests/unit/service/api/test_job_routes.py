@@ -53,7 +53,7 @@ def test_validate_only_accepts_nothing_and_estimates_the_cost(tmp_path: Path):
         assert answer.status_code == 200
         cost = answer.json()
         assert (cost["cells"], cost["basis"], cost["workers"]) == (111, "table", 2)
-        assert cost["bytes"] == 111 * (64 * 16 + 13)
+        assert cost["bytes"] == 111 * (64 * 16 + 13 + 24)
         assert cost["chunks"] >= 1
         assert cost["core_seconds"] > 0
         assert get(client, "/v1/jobs")["total"] == 0
