@@ -30,7 +30,7 @@ from service.presets import FIGURES as PRESETS
 from service.views import audit
 from service.views.selection import Stored
 from service.views.style import encode
-from worker.analysis.audit import PARTS, SETS, look
+from worker.analysis.audit import PARTS, SETS, SIZES, look
 from worker.analysis.model_selection import CELLS, Line, ModelChoice, chosen, compared, timed
 from worker.spec.efforts import EFFORTS
 from worker.sweep import SweepSpec
@@ -79,13 +79,12 @@ def census(spec: SweepSpec, submitted: SweepSpec | None = None) -> tuple[Stored[
     with tempfile.TemporaryDirectory() as folder, computed(spec, Path(folder), progress=False) as done:
         url = done.job.store_url
         with ThreadPoolExecutor(2) as threads:
-            parts = list(
-                threads.map(lambda part: look(done.job.spec, url, contact, cells, 0, part), range(PARTS))
-            )
-    fields = [name for name in parts[0] if name not in ("cells", "thresholds")]
+            asked = (done.job.spec, url, contact, cells, 0, audit.AuditQuery().tolerance)
+            parts = list(threads.map(lambda part: look(*asked, part), range(PARTS)))
+    fields = [name for name in parts[0] if name not in SIZES]
     dtypes = {"deviation": np.float64, "undecided": bool}
     columns = {name: np.array([x for part in parts for x in part[name]], dtypes.get(name)) for name in fields}
-    return study, columns | {name: parts[0][name] for name in ("cells", "thresholds")}
+    return study, columns | {name: parts[0][name] for name in SIZES}
 
 
 def planted(all_cells: Census, share: float, random: np.random.Generator) -> Census:
@@ -121,7 +120,7 @@ def drawn(all_cells: Census, cells: int, random: np.random.Generator) -> Census:
 def answered(study: Stored[SweepSpec], cells: Census, against: str = "numerics") -> dict[str, Any]:
     """What an audit says of these cells, by question."""
     table = {name: values for name, values in cells.items() if isinstance(values, np.ndarray)}
-    answers = audit.answers_of(study, audit.AuditQuery(), table, cells["cells"], cells["thresholds"])
+    answers = audit.answers_of(study, audit.AuditQuery(), table, cells)
     return answers[against]
 
 
@@ -131,6 +130,7 @@ def coverage(side: int, draws: int, cells: int) -> str:
     for kind, fields in sweeps(side).items():
         study, found = census(SweepSpec(**fields))
         random = np.random.default_rng(1)
+        rest = 1.0 - found["certified"] / found["cells"]
         for share in (None, *BANDS):
             made = found if share is None else planted(found, share, random)
             truth = answered(study, made)
@@ -138,7 +138,8 @@ def coverage(side: int, draws: int, cells: int) -> str:
             for _ in range(draws):
                 said = answered(study, drawn(made, cells, random))
                 for name in ASKED:
-                    held[name] += _holds(said[name], truth[name])
+                    weight = rest if ASKED[name] == "numerics" else 1.0
+                    held[name] += _holds(said[name], truth[name], weight)
             name = f"{kind}, {'as computed' if share is None else f'{100 * share:g} %'}"
             shares = (_percent(held[asked], draws, truth[asked]) for asked in ASKED)
             rows.append([name, f"{100 * truth['mode'].share:.2g} %", *shares])
@@ -146,11 +147,14 @@ def coverage(side: int, draws: int, cells: int) -> str:
     return table(["sweep", "cells wrong", *ASKED], rows)
 
 
-def _holds(said: Any, truth: Any) -> bool:
-    """Whether an interval holds the share, whatever the undecided cells are."""
+def _holds(said: Any, truth: Any, weight: float) -> bool:
+    """Whether an interval holds the share, whatever the undecided cells are.
+
+    weight: of what is drawn from in all cells.
+    """
     if not truth.sampled:
         return True
-    most = (truth.changed + truth.undecided) / truth.sampled
+    most = weight * (truth.changed + truth.undecided) / truth.sampled
     return bool(said.low <= truth.share + 1e-12 and most - 1e-12 <= said.high)
 
 

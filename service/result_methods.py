@@ -228,6 +228,7 @@ class ResultMethods(Methods):
         Workers draw cells at random and compute them again: for `numerics` with the same contact, cell by cell,
         and windows ten times as long; for `model`, where the specification names a contact that the sweep
         approximates, with that one. On a ramp a cell starts again from the stored state of the cell before it.
+        Cells that are certified within `tolerance` need no sample for `numerics`, which is drawn from the rest.
         `low` and `high` are exact bounds of the share of all cells, whatever it is; undecided cells count as
         right in one and as wrong in the other.
 
@@ -246,8 +247,8 @@ class ResultMethods(Methods):
         Returns a Dataset with the attribute `complete` and the variables `sampled`, `changed`, `undecided`,
         `share`, `low`, `high`, `largest` (rad), `covered`, `outcomes`, `cell_set`, `cell_direction`,
         `cell_gamma`, `cell_omega`, `cell_xi`, `cell_stored`, `cell_reference`, `cell_deviation` (rad),
-        `cell_undecided`, `cells`. Waits up to `timeout` seconds for the workers, and shows `progress`. Raises
-        BadRequest naming the parameter, TooLarge naming what fits.
+        `cell_undecided`, `cells`, `certified`. Waits up to `timeout` seconds for the workers, and shows
+        `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
         return self.result("audit", cells=cells, seed=seed, tolerance=tolerance, timeout=timeout, progress=progress)
 

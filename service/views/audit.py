@@ -18,6 +18,7 @@ from worker.analysis.audit import (
     MAX_SECONDS,
     PARTS,
     SETS,
+    SIZES,
     approximated,
     look,
     reference_seconds,
@@ -63,6 +64,9 @@ _CELLS: Final = (
     row("cell_undecided", ("cell",), "|b1", "whether the reference does not decide"),
 )
 _COUNT: Final = row("cells", (), "<i8", "cells of the sweep")
+_CERTIFIED: Final = row(
+    "certified", (), "<f8", "share of the cells certified within the tolerance, not drawn for numerics"
+)
 
 #: The questions, in order.
 QUESTIONS: Final = ("rest", "outcome", "mode", "flights", "distribution", "label", "threshold", "area")
@@ -86,6 +90,7 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     Workers draw cells at random and compute them again: for `numerics` with the same contact, cell by cell,
     and windows ten times as long; for `model`, where the specification names a contact that the sweep
     approximates, with that one. On a ramp a cell starts again from the stored state of the cell before it.
+    Cells that are certified within `tolerance` need no sample for `numerics`, which is drawn from the rest.
     `low` and `high` are exact bounds of the share of all cells, whatever it is; undecided cells count as
     right in one and as wrong in the other.
 
@@ -101,8 +106,9 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     The cells that changed are listed, also hard ones looked at besides: corners, and cells next to another
     mode.
     """
-    table, cells = _table(parts), parts[0]["cells"]
-    answers = answers_of(study, query, table, cells, parts[0]["thresholds"])
+    table, sizes = _table(parts), {name: parts[0][name] for name in SIZES}
+    answers = answers_of(study, query, table, sizes)
+    certified = sizes["certified"] / sizes["cells"]
     both = len(answers) > 1
     numbers = {
         each.name: np.array([[getattr(of.get(question, _NOT_ASKED), each.name) for question in QUESTIONS]
@@ -120,7 +126,8 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     data |= {_MATRIX.name: variable((), matrix, _MATRIX)}
     listed = _listed(study.spec, table, query.tolerance)
     data |= {each.name: variable((), listed[each.name], each) for each in _CELLS}
-    data |= {_COUNT.name: variable((), cells, _COUNT)}
+    data |= {_COUNT.name: variable((), sizes["cells"], _COUNT)}
+    data |= {_CERTIFIED.name: variable((), certified, _CERTIFIED)}
     names = [outcome.name.lower() for outcome in Outcome]
     coords = {
         "against": coordinate("against", list(answers) if both else "numerics"),
@@ -128,27 +135,31 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
         "outcome": coordinate("outcome", names),
         "true_outcome": coordinate("true_outcome", names),
     }
-    attrs = {"sentence": _sentence(answers, query.tolerance), "seed": query.seed,
+    attrs = {"sentence": _sentence(answers, certified, query.tolerance), "seed": query.seed,
              "tolerance": query.tolerance, "model": study.spec.model.kind, "complete": True}  # fmt: skip
     return dataset(data, coords, attrs)
 
 
 def answers_of(
-    study: Stored[SweepSpec], query: AuditQuery, table: "_Table", cells: int, thresholds: int
+    study: Stored[SweepSpec], query: AuditQuery, table: "_Table", sizes: Mapping[str, Any]
 ) -> "dict[str, dict[str, _Answer]]":
     """The answer to each question, by what the sweep is against.
 
-    table: FIELDS of the drawn cells; cells, thresholds: how many the sweep has.
+    table: FIELDS of the drawn cells. sizes: SIZES of the sweep.
     """
     drawn = {name: {field: values[table["set"] == i] for field, values in table.items()}
              for i, name in enumerate(SETS)}  # fmt: skip
     labelled = bool(study.spec.exponents)
     answers = {
-        "numerics": _answers(drawn["numerics"], cells, query.tolerance, labelled)
-        | {"threshold": _of_pairs(drawn["threshold"], thresholds), "area": _of_points(drawn["area"])}
+        "numerics": _answers(drawn["numerics"], sizes, query.tolerance, labelled)
+        | {
+            "threshold": _of_pairs(drawn["threshold"], sizes["thresholds"]),
+            "area": _of_points(drawn["area"]),
+        }
     }
     if _contact(study) is not None:
-        answers["model"] = _answers(drawn["model"], cells, query.tolerance, labelled=False)
+        of_all = {**sizes, "certified": 0, "certified_error": 0.0}
+        answers["model"] = _answers(drawn["model"], of_all, query.tolerance, labelled=False)
     return answers
 
 
@@ -193,29 +204,32 @@ def _masks(table: _Table, tolerance: float) -> dict[str, Any]:
     }
 
 
-def _answers(table: _Table, cells: int, tolerance: float, labelled: bool) -> dict[str, _Answer]:
-    """The answers of a simple random sample of all cells."""
+def _answers(table: _Table, sizes: Mapping[str, Any], tolerance: float, labelled: bool) -> dict[str, _Answer]:
+    """The answers of a simple random sample of the cells that are not certified, scaled to all cells."""
+    rest = sizes["cells"] - sizes["certified"]
+    weight = rest / sizes["cells"]
     answers = {
-        name: _answer(changed, table["undecided"], cells)
+        name: _answer(changed, table["undecided"], rest, weight)
         for name, changed in _masks(table, tolerance).items()
         if labelled or name != "label"
     }
     repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
     deviation = np.where(table["deviation"] < 0.0, np.inf, table["deviation"])[repeating]
-    largest = float(np.nanmax(deviation, initial=0.0))
-    within = covered(len(table["outcome"]), cells)
+    largest = float(np.nanmax(deviation, initial=sizes["certified_error"]))
+    within = 1.0 - weight * (1.0 - covered(len(table["outcome"]), rest))
     answers["flights"] = answers["flights"]._replace(largest=largest, covered=within)
     return answers
 
 
-def _answer(changed: Any, undecided: Any, population: int) -> _Answer:
-    """changed, undecided: (n,) of a sample of a population."""
+def _answer(changed: Any, undecided: Any, population: int, weight: float = 1.0) -> _Answer:
+    """changed, undecided: (n,) of a sample of a population, which is this part of all."""
     sampled = len(changed)
     if not sampled:
         return _Answer(0, 0, 0, 0.0, 0.0, 0.0) if not population else _NOT_ASKED
     certain, open_ = int(np.count_nonzero(changed & ~undecided)), int(np.count_nonzero(undecided))
     low, high = bounds(certain, certain + open_, sampled, population)
-    return _Answer(sampled, certain, open_, certain / sampled, low, high)
+    share = certain / sampled
+    return _Answer(sampled, certain, open_, weight * share, weight * low, weight * high)
 
 
 def _of_pairs(table: _Table, thresholds: int) -> _Answer:
@@ -256,15 +270,19 @@ def _named(table: _Table, prefix: str) -> list[str]:
     return [attractor_label(*each) for each in zip(*fields, strict=True)]
 
 
-def _sentence(answers: Mapping[str, Mapping[str, _Answer]], tolerance: float) -> str:
+def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, tolerance: float) -> str:
     """What the audit says of all cells."""
     said = []
     for against, of in answers.items():
         mode, flights = of["mode"], of["flights"]
+        begins, drawn = ("numerics: " if against == "numerics" else "contact: "), "drawn"
+        if against == "numerics" and certified:
+            begins += f"{100.0 * certified:.3g} % of the cells are certified, "
+            drawn = "others drawn"
         said.append(
-            f"{'numerics' if against == 'numerics' else 'contact'}: {_between(mode)} of the cells have "
-            f"another outcome or mode ({mode.changed} of {mode.sampled} drawn), {_between(flights)} flights "
-            f"that deviate by more than {tolerance:g} rad"
+            f"{begins}{_between(mode)} of the cells have another outcome or mode ({mode.changed} of "
+            f"{mode.sampled} {drawn}), {_between(flights)} flights that deviate by more than "
+            f"{tolerance:g} rad"
         )
     return "; ".join(said)
 
@@ -312,11 +330,12 @@ def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
     if not study.complete:
         raise InvalidRequest.of("job_id", "is not done: an audit is of a sweep with all its cells")
     cells = _cells(study.spec, query)
-    return [(look, study.spec, study.url, _contact(study), cells, query.seed, part) for part in range(PARTS)]
+    asked = (study.spec, study.url, _contact(study), cells, query.seed, query.tolerance)
+    return [(look, *asked, part) for part in range(PARTS)]
 
 
 VIEW: Final = View(
     "audit", "Audit of a sweep", SweepSpec, AuditQuery, compute, estimate,
-    variables=(*_QUESTION, _MATRIX, *_CELLS, _COUNT), rows="share", printed=("share", "cell_stored"),
-    parts=parts, kept=True,
+    variables=(*_QUESTION, _MATRIX, *_CELLS, _COUNT, _CERTIFIED), rows="share",
+    printed=("share", "cell_stored"), parts=parts, kept=True,
 )  # fmt: skip

@@ -5,11 +5,11 @@ early end, and windows LONGER times as long. `model`: the contact that the speci
 it names one. Each cell of a ramp is computed again from the stored state of the cell before it, so that cells
 are independent of each other: what is audited is the step from cell to cell.
 
-A simple random sample of all cells has the interval of `worker.analysis.intervals`. Cells that are hard, the
-corners of the grid and cells next to another mode, are looked at besides, and do not enter any interval.
+A simple random sample has the interval of `worker.analysis.intervals`. That of `numerics` is drawn from the
+rest: cells that are not certified within the tolerance. Cells that are hard, the corners of the grid and
+cells next to another mode, are looked at besides, and do not enter any interval.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -26,7 +26,7 @@ from worker.analysis.deviation import deviations
 from worker.spec.contact_models import Auto, Contact, Soft, Stepped
 from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema
-from worker.sweep.plan import period_seconds
+from worker.sweep.plan import mean_periods, period_seconds
 from worker.sweep.protocols import Ramp
 from worker.sweep.specification import start_of
 from worker.work import FIRST_STEPS, plate_of
@@ -63,6 +63,14 @@ FIELDS: Final = (
 )  # fmt: skip
 
 
+#: What `look` returns of the sweep.
+SIZES: Final = (
+    "cells", "thresholds",
+    "certified",  # cells whose flights are certified within the tolerance
+    "certified_error",  # the largest `flight_error` of these, rad
+)  # fmt: skip
+
+
 class _Drawn(NamedTuple):
     """Cells to compute again: their stored indices, or for a point its parameters."""
 
@@ -83,16 +91,17 @@ def approximated(submitted: SweepSpec, spec: SweepSpec) -> Contact | None:
 
 
 def look(
-    spec: SweepSpec, url: str, contact: Contact | None, cells: int, seed: int, part: int
+    spec: SweepSpec, url: str, contact: Contact | None, cells: int, seed: int, tolerance: float, part: int
 ) -> dict[str, Any]:
     """Compute a part of the drawn cells again; every part draws the same.
 
-    contact: of the question `model`. cells: of each sample. Returns the lists of FIELDS, and how many cells
-    and thresholds the sweep has. Raises a `store.StoreError`.
+    contact: of the question `model`. cells: of each sample. tolerance: of flights, rad. Returns the lists of
+    FIELDS and the values of SIZES. Raises a `store.StoreError`.
     """
-    names = ("outcome", "bounces", "periods", *((COMPUTED,) if spec.fills_in else ()))
+    names = ["outcome", "bounces", "periods"]
+    names += [COMPUTED] * spec.fills_in + ["flight_error"] * spec.certifies
     grid = store.read_slice(url, names, complete=True)
-    drawn, sizes = _draw(spec, grid, contact is not None, cells, seed)
+    drawn, sizes = _draw(spec, grid, contact is not None, cells, seed, tolerance)
     mine = drawn[part::PARTS]
     rows: list[tuple[Any, ...]] = []
     for name in SETS:
@@ -107,28 +116,32 @@ def look(
 
 
 def _draw(
-    spec: SweepSpec, grid: dict[str, _Array], with_model: bool, cells: int, seed: int
-) -> tuple[list[_Drawn], dict[str, int]]:
-    """All cells to be looked at, and the sizes of what they are drawn from."""
+    spec: SweepSpec, grid: dict[str, _Array], with_model: bool, cells: int, seed: int, tolerance: float
+) -> tuple[list[_Drawn], dict[str, Any]]:
+    """All cells to be looked at, and SIZES of what they are drawn from."""
     random = np.random.default_rng(seed)
     outcome = grid["outcome"]
-    drawn = list(_sample(random, "numerics", cells, outcome.shape))
+    errors = grid.get("flight_error", np.full(outcome.shape, np.nan))
+    certified = errors <= tolerance
+    drawn = list(_sample(random, "numerics", cells, ~certified))
     if with_model:
-        drawn += _sample(random, "model", cells, outcome.shape)
+        drawn += _sample(random, "model", cells, np.ones_like(certified))
     drawn += _besides(random, grid)
     if spec.ramp_axis is None:
         drawn += _points(random, spec, cells // 2)
     lines = list(_thresholds(spec, outcome)) if spec.ramp_axis in (None, "gamma") else []
     chosen = random.permutation(len(lines))[: max(cells // 4, 1)]
     drawn += [_Drawn("threshold", int(i), index) for i in chosen for index in lines[i]]
-    return drawn, {"cells": outcome.size, "thresholds": len(lines)}
+    sizes = (outcome.size, len(lines), int(np.count_nonzero(certified)),
+             float(np.max(errors[certified], initial=0.0)))  # fmt: skip
+    return drawn, dict(zip(SIZES, sizes, strict=True))
 
 
-def _sample(random: np.random.Generator, name: str, cells: int, shape: tuple[int, ...]) -> Iterator[_Drawn]:
-    """A simple random sample without replacement."""
-    population = math.prod(shape)
-    chosen = random.choice(population, min(cells, population), replace=False)
-    for i, index in enumerate(np.stack(np.unravel_index(chosen, shape), axis=1).tolist()):
+def _sample(random: np.random.Generator, name: str, cells: int, of: NDArray[np.bool_]) -> Iterator[_Drawn]:
+    """A simple random sample without replacement of the cells of a mask."""
+    population = np.flatnonzero(of)
+    chosen = random.choice(population, min(cells, len(population)), replace=False)
+    for i, index in enumerate(np.stack(np.unravel_index(chosen, of.shape), axis=1).tolist()):
         yield _Drawn(name, i, tuple(index))
 
 
@@ -235,7 +248,7 @@ def reference(
 
 def reference_seconds(spec: SweepSpec) -> float:
     """Core-seconds of the reference of one cell, with its start and moved, by the table of contact models."""
-    return 2.0 * LONGER * sum(spec.window) * period_seconds(spec, alone=True)
+    return 2.0 * LONGER * mean_periods(spec) * period_seconds(spec, alone=True)
 
 
 def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:

@@ -158,15 +158,20 @@ def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
 
     alone: as in `period_seconds`.
     """
+    share = CONTACT_MODELS[spec.model.kind].certified if spec.certifies else 1.0
+    return share * period_seconds(spec, alone=alone) * mean_periods(spec)
+
+
+def mean_periods(spec: SweepSpec) -> float:
+    """Mean plate periods of the cells of a sweep, of certified ones as if they were computed to the end."""
     if spec.certifies:
         parts = zip((1.0, *GOING_ON_SHARES), [sum(spec.window), *_extensions(spec)], strict=False)
-        share = CONTACT_MODELS[spec.model.kind].certified
-        return share * period_seconds(spec, alone=alone) * sum(part * periods for part, periods in parts)
+        return sum(part * periods for part, periods in parts)
     followed = periods_followed(spec.observe)
     periods, share = sum(spec.window) + FOLLOWED_SHARE * followed, SETTLING_SHARE
     for added in _extensions(spec):
         periods, share = periods + share * (added + followed), share * STILL_SETTLING_SHARE
-    return period_seconds(spec, alone=alone) * periods
+    return periods
 
 
 def longest_cell_seconds(spec: SweepSpec) -> float:

@@ -10,6 +10,10 @@ from json_results import from_json
 from scripted import Held
 from served import computing, finished, service
 
+from service.views.audit import affordable
+from worker.analysis.intervals import bounds
+from worker.sweep import SweepSpec
+
 PLANE: dict[str, Any] = {
     "gamma": {"start": 0.8, "stop": 4, "num": 24}, "omega": {"start": 0.4, "stop": 1.0, "num": 16},
     "xi": 0.1, "model": {"kind": "rigid"},
@@ -66,6 +70,38 @@ def test_cells_of_a_ramp_are_computed_again_from_where_they_began(client: TestCl
     assert found.sel(question="threshold").sampled > 0
     assert found.sel(question="rest").changed == 0
     assert found.sel(question="area").sampled == 0
+
+
+def test_certified_cells_are_not_drawn_and_the_bounds_of_the_others_are_scaled(client: TestClient):
+    small = PLANE | {
+        "gamma": {"start": 0.8, "stop": 4, "num": 12},
+        "omega": {"start": 0.4, "stop": 1, "num": 8},
+    }
+    job = finished(client, small)
+    modes = from_json(client.get(f"{job}/modes", params={"color": "multiplier"}).content)
+    rest = int(modes.flight_error.isnull().sum())
+    found = audited(client, job, cells=rest - 5)
+    mode = found.sel(question="mode")
+    assert 5 < rest < found.cells == 96
+    assert mode.sampled == rest - 5
+    assert float(found.certified) == pytest.approx(1 - rest / 96)
+    assert found.outcomes.sel(outcome="periodic").sum() == 0
+    low, high = bounds(int(mode.changed), int(mode.changed + mode.undecided), rest - 5, rest)
+    assert (mode.low, mode.high) == pytest.approx((low * rest / 96, high * rest / 96))
+    assert "of the cells are certified" in found.attrs["sentence"]
+
+
+def test_certificates_looser_than_the_tolerance_do_not_count(client: TestClient):
+    job = finished(client, PLANE | {"gamma": [1.2, 1.6, 2.3], "omega": [0.5, 0.6]})
+    assert audited(client, job).certified > 0
+    found = audited(client, job, tolerance=1e-15)
+    assert found.certified == 0
+    assert found.sel(question="mode").sampled == found.cells
+
+
+def test_cells_that_may_settle_longer_make_an_audit_dearer():
+    brief, patient = (SweepSpec(**PLANE, until=until) for until in (1_000, 1_000_000))
+    assert affordable(patient, 10) < affordable(brief, 10)
 
 
 def test_an_audit_stays_with_its_job_and_describes_its_files(client: TestClient):
