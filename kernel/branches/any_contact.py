@@ -53,6 +53,11 @@ class CycleBranch(NamedTuple):
     multiplier: NDArray[np.complex128]  # (n, 2) the largest two
     stable: NDArray[np.bool_]  # (n,)
 
+    @property
+    def admissible(self) -> NDArray[np.uint8]:
+        """(n,) 0: every one is a cycle of the spring."""
+        return np.zeros(len(self.gamma), np.uint8)
+
 
 class Followed(NamedTuple):
     """A branch, its cycles and its events, all in order along it."""

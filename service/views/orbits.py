@@ -1,4 +1,4 @@
-"""Branches of cycles in closed form: of a spring, and of the words that cells of a sweep settled to.
+"""Branches of cycles: of a spring, in closed form or of any contact, and of words that cells settled to.
 
 Also what they share with curves: variables, parameters, and records made into variables. A branch or curve
 is a row along the first dimension, padded beyond its last point.
@@ -7,13 +7,14 @@ is a row along the first dimension, padded beyond its last point.
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from math import prod
-from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
 import xarray
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, ValidationError
 
+from kernel.branches.any_contact import CycleBranch
 from kernel.branches.energy import energy, word_energy
 from kernel.branches.events import Branch, Events, branch_and_events, flight_times, join_events
 from kernel.branches.words import WordBranch
@@ -30,11 +31,13 @@ from service.views.selection import (
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker import store
+from worker.analysis.cycles import CYCLE_SECONDS, Cycles, follow_cycles
 from worker.analysis.prediction import branch_seconds
 from worker.analysis.words import MAX_WORDS, POINTS, Skipped, Words, continue_words
 from worker.orbits.schema import ARRAYS
 from worker.orbits.specification import MAX_GRID, MAX_POINTS, Mode, check_modes, read_mode
-from worker.spec.errors import BrokenRuleError
+from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, Rigid, Soft
+from worker.spec.errors import BrokenRuleError, problems_of
 from worker.study import Array
 from worker.study.layout import COORDINATES
 from worker.sweep import SweepSpec
@@ -46,7 +49,7 @@ Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-
 GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
 WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
 
-Record = TypeVar("Record", Branch, Events)
+Record = TypeVar("Record", Branch, CycleBranch, Events)
 
 #: The contact of every closed form.
 MODEL: Final = "rigid, restitution 0"
@@ -82,6 +85,8 @@ ROWS: Final[Mapping[str, Array]] = _STORED | {
             "comment": f"0: a cycle of the spring; {MISSING_POINT}: no point",
         }),
         row("multipliers", ("branch", "point", *_PARTS), "<f8", "Floquet multipliers, the larger first"),
+        row("flights", ("branch", "point"), "<i4", "flights of the cycle; `flight_time` is the longest",
+            comment="0: no point"),
         *ENERGY,
         *_of_cycle("branch", "cycles"),
         row("points", ("branch",), "<i4", "points of the branch"),
@@ -147,9 +152,9 @@ def _field(record: Any, name: str) -> NDArray[Any]:
     return np.asarray(getattr(record, name))
 
 
-def of_branches(records: Sequence[Branch | WordBranch]) -> dict[str, xarray.Variable]:
-    """Mode and length of each branch."""
-    bounces = [len(x.word) if isinstance(x, WordBranch) else x.bounces for x in records]
+def of_branches(records: Sequence[Branch | CycleBranch | WordBranch]) -> dict[str, xarray.Variable]:
+    """Mode and length of each branch; the median where bounces change along it."""
+    bounces = [len(x.word) if isinstance(x, WordBranch) else int(np.median(x.bounces)) for x in records]
     lengths = {"bounces": bounces, "periods": [x.periods for x in records]}
     points = variable((), [len(x.gamma) for x in records], ROWS["points"])
     return {**columns("branch", lengths), "points": points}
@@ -159,11 +164,12 @@ def closed_form(
     data: Mapping[str, xarray.Variable],
     coords: Mapping[str, xarray.Variable],
     complete: bool = True,
+    model: str = MODEL,
     **attrs: Any,
 ) -> xarray.Dataset:
     """A result with the attributes of all of them."""
     part = xarray.Variable(("part",), np.array(["real", "imaginary"]))
-    return dataset(data, {**coords, "part": part}, {"model": MODEL, **attrs, "complete": complete})
+    return dataset(data, {**coords, "part": part}, {"model": model, **attrs, "complete": complete})
 
 
 def parse_modes(text: str) -> tuple[Mode, ...]:
@@ -207,6 +213,10 @@ def rows_of(record: Record, rows: slice | NDArray[np.bool_]) -> Record:
     return record._replace(**arrays)
 
 
+#: Branches of a mode on a contact with restitution, and core-seconds that one answer may take.
+_FAMILIES: Final = 3
+MAX_SECONDS: Final = 60.0
+
 #: Bytes of a point of a branch, with what is computed on the way to it.
 _PER_POINT: Final = 4_000
 
@@ -217,18 +227,65 @@ _OF_POINT: Final = (
 
 
 class OrbitsQuery(Query):
-    """A spring, and which of its branches to compute."""
+    """A spring, its contact, and which of its branches to compute."""
 
     omega: Omega
     xi: Xi
     modes: Modes = "1-1,1-2"
     gamma_max: GammaMax = 8.0
-    points: Annotated[int, Field(ge=10, le=MAX_POINTS, description="of each branch, at least")] = 400
+    points: Annotated[
+        int,
+        Field(ge=10, le=MAX_POINTS, description="of each branch, at least; of a `model`, at most, each way"),
+    ] = 400
     energy: WithEnergy = False
+    model: Annotated[
+        Literal["rigid", "soft"] | None,
+        Field(description="contact whose cycles are followed; default: the ideal plate in closed form"),
+    ] = None
+    restitution: Annotated[Number, Field(ge=0, lt=1)] | None = Field(None, description="of the model")
+    penetration: Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None = Field(
+        None, description="of a soft model, in plate amplitudes"
+    )
+    adhesive: Annotated[bool, Field(description="whether a soft model pulls before take-off")] = True
+
+
+#: The contacts whose cycles are followed, and their parameters.
+_CONTACTS: Final[Mapping[str, type[Rigid | Soft]]] = {"rigid": Rigid, "soft": Soft}
+_OF_CONTACT: Final = ("restitution", "penetration", "adhesive")
+
+
+@lru_cache(KEPT)  # as _seconds
+def _contact(query: OrbitsQuery) -> Rigid | Soft | None:
+    """The contact whose cycles are followed; None: the closed form. Raises InvalidRequest."""
+    given = query.model_dump(include=set(_OF_CONTACT), exclude_defaults=True)
+    if query.model is None:
+        if given:
+            raise InvalidRequest.of("model", f"is required with {', '.join(given)}: rigid or soft")
+        return None
+    if query.energy:
+        raise InvalidRequest.of("energy", "is of the closed form: leave out model")
+    fields = _CONTACTS[query.model]
+    try:
+        return fields(**given)
+    except ValidationError as error:
+        problems = problems_of(error, {"": tuple(fields.model_fields)})
+        raise InvalidRequest("; ".join(map(str, problems)), problems) from error
+
+
+def _name(contact: Rigid | Soft) -> str:
+    name = f"{contact.kind}, restitution {contact.restitution:g}"
+    if isinstance(contact, Rigid):
+        return name
+    return (
+        f"{name}, penetration {contact.penetration:g}, {'adhesive' if contact.adhesive else 'not adhesive'}"
+    )
 
 
 def orbit_parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
-    """The branch of each mode, if they take longer than AT_ONCE_SECONDS together."""
+    """The branches of each mode: of a contact, or those that take longer than AT_ONCE_SECONDS together."""
+    contact, top = _contact(query), query.gamma_max
+    if contact is not None:
+        return [(follow_cycles, contact, *spring, top, points) for *spring, points in _grids(query)]
     quick = _seconds(query) <= AT_ONCE_SECONDS
     return [] if quick else [(branch_and_events, *grid) for grid in _grids(query)]
 
@@ -244,31 +301,55 @@ def _grids(query: OrbitsQuery) -> tuple[tuple[float, float, int, int], ...]:
     return tuple((query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes))
 
 
-def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events]) -> xarray.Dataset:
+def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events] | Cycles) -> xarray.Dataset:
     """Branches of cycles of one bounce, and their events.
 
     Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
     `gamma_max` and comes back is several pieces.
+
+    With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
+    most once compiled. With rebound a branch may pass through numbers of `flights`; it ends at the event
+    `stick-vanishes` or `rest`, too.
     """
+    contact = _contact(query)
     parts = parts or tuple(_branch(*grid) for grid in _grids(query))
-    pieces = [piece for branch, _ in parts for piece in below(branch, query.gamma_max)]
+    branches: list[Any] = [
+        branch for part, _ in parts for branch in ((part,) if isinstance(part, Branch) else part)
+    ]
+    pieces = [piece for branch in branches for piece in below(branch, query.gamma_max)]
     data = padded(_OF_POINT, pieces)
+    if contact is not None:
+        data |= padded(("flights",), pieces)
     if query.energy:
         data |= padded(BALANCE, [energy(x.omega, x.xi, x.periods, x.flight_time) for x in pieces])
     data |= event_columns(join_events([rows_of(e, e.gamma <= query.gamma_max) for _, e in parts]))
     coords = of_branches(pieces)
     coords |= {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")}
-    return closed_form(data, coords, gamma_max=query.gamma_max)
+    model = MODEL if contact is None else _name(contact)
+    return closed_form(data, coords, model=model, gamma_max=query.gamma_max)
 
 
 _branch = lru_cache(KEPT)(branch_and_events)
 
 
 def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
-    """All points of the branches. Raises InvalidRequest for a branch that is too long, or not there."""
+    """All points of the branches.
+
+    Raises InvalidRequest for a branch that is too long, or not there, and above MAX_SECONDS.
+    """
     lengths = [grid_length(*grid) for grid in _grids(query)]
+    if _contact(query) is not None:
+        lengths = [2 * query.points] * _FAMILIES * len(lengths)
+        seconds = _seconds(query) + sum(lengths) * CYCLE_SECONDS
+        if seconds > MAX_SECONDS:
+            rule = (
+                f"their cycles take up to {seconds:.0f} core-seconds, the limit for one answer is "
+                f"{MAX_SECONDS:g}: ask for fewer modes or points"
+            )
+            raise InvalidRequest.of("modes", rule)
     sizes = {"branch": len(lengths), "point": max(lengths), "multiplier": 2, "part": 2}
-    return Estimate(sizes, memory=sum(lengths) * _PER_POINT, small=_seconds(query) <= SMALL_SECONDS)
+    small = _contact(query) is None and _seconds(query) <= SMALL_SECONDS
+    return Estimate(sizes, memory=sum(lengths) * _PER_POINT, small=small)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
@@ -277,12 +358,14 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     draw_branches(axes, result)
     axes.set_xlabel(AXES["gamma"])
     axes.set_ylabel(FLIGHT)
-    axes.set_title(", ".join(f"{SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi")))
+    title = ", ".join(f"{SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi"))
+    model = result.attrs["model"]
+    axes.set_title(title if model == MODEL else f"{title}: {model}")
 
 
 SPRING: Final = View(
     "orbits", "Branches of a spring", None, OrbitsQuery, compute_orbits, estimate_orbits,
-    variables=tuple(ROWS[name] for name in (*_OF_POINT, *BALANCE, *BRANCH)) + EVENTS,
+    variables=tuple(ROWS[name] for name in (*_OF_POINT, "flights", *BALANCE, *BRANCH)) + EVENTS,
     rows="gamma", printed=("event_gamma",), parts=orbit_parts, draw=draw,
 )  # fmt: skip
 

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from scripted import Held, wait_for
 from served import computing, get
 from served import service as begun
+from tables import for_each
 
 from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
@@ -48,7 +49,7 @@ def refused(service: TestClient, path: str, status: int, **query: Any) -> str:
 def test_branches_are_those_of_the_kernel(client: Client, monkeypatch: pytest.MonkeyPatch):
     answer = client.orbits(**SPRING, gamma_max=1e6, energy=True)
     assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
-        row.name for row in SPRINGS["orbits"].variables
+        row.name for row in SPRINGS["orbits"].variables if row.name != "flights"
     }
     events = []
     for i, periods in enumerate((1, 2)):
@@ -77,6 +78,45 @@ def test_long_branches_are_refused_before_they_are_computed(service: TestClient)
     assert "the limit is 2,000" in refused(service, "/v1/curves", 422, **query)
     query = {"omega": 0.01, "xi_start": 0.05, "xi_stop": 0.06, "modes": "1-1"}
     assert "the limit is 2,000" in refused(service, "/v1/curves", 422, **query)
+
+
+def test_cycles_of_a_contact_are_followed_by_the_workers(client: Client):
+    """The folds are those of tests/unit/kernel/branches/test_follow.py."""
+    answer = client.orbits(**SPRING, modes="1-1", gamma_max=1.2, model="soft", progress=False)
+    assert answer.attrs["model"] == "soft, restitution 0.01, penetration 0.001, adhesive"
+    assert answer.sizes["branch"] == 1
+    assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
+        row.name for row in SPRINGS["orbits"].variables if row.name not in orbits_view.BALANCE
+    }
+    folds = answer.event_gamma.values[answer.event_kind.values == "fold"]
+    assert sorted(folds) == pytest.approx([0.553241345562, 0.915986309968], abs=1e-9)
+    assert float(answer.gamma.max()) <= 1.2
+    # an impact may be followed by a hop too short to count
+    assert answer.branch_bounces.values.tolist() == [1]
+    assert set(answer.flights.values.ravel().tolist()) == {1, 2}
+    assert not answer.admissible.values.any()
+
+
+def test_a_branch_with_rebound_ends_where_it_no_longer_sticks(client: Client):
+    answer = client.orbits(
+        **SPRING, modes="1-1", gamma_max=1.6, model="rigid", restitution=0.5, progress=False
+    )
+    ends = answer.event_gamma.values[answer.event_kind.values == "stick-vanishes"]
+    assert ends == pytest.approx([1.4773308873], abs=1e-8)
+    assert answer.flights.values.min() < answer.flights.values.max()
+
+
+@for_each(("query", "rule"), [
+    ({"model": "ball"}, "model: should be 'rigid' or 'soft'"),
+    ({"model": "stepped"}, "model: should be 'rigid' or 'soft'"),
+    ({"restitution": 0.3}, "model: is required with restitution"),
+    ({"model": "rigid", "penetration": 0.01}, "penetration: is not a field here"),
+    ({"model": "soft", "restitution": 1}, "restitution: should be less than 1"),
+    ({"model": "soft", "energy": True}, "energy: is of the closed form"),
+    ({"model": "soft", "points": 1000, "modes": "1-1,1-2,1-3,1-4,1-5,1-6"}, "up to 72 core-seconds"),
+])  # fmt: skip
+def test_contacts_without_cycles_are_refused(service: TestClient, query: dict[str, Any], rule: str):
+    assert rule in refused(service, "/v1/orbits", 422, **SPRING, **query)
 
 
 def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.MonkeyPatch):
