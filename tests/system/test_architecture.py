@@ -115,7 +115,7 @@ def libraries_imported(*folders: str) -> set[str]:
 @pytest.mark.parametrize(
     ("folders", "extras"),
     [
-        (TOP_LEVEL, ["s3", "notebook", "parquet"]),
+        (TOP_LEVEL, ["s3", "notebook", "parquet", "proofs"]),
         (["tests", "docs"], ["test", "system", "lint"]),
         (["benchmarks"], ["bench", "test", "system"]),
     ],
@@ -127,6 +127,6 @@ def test_whatever_is_imported_is_asked_for(folders: Sequence[str], extras: Seque
         *(one for name in extras for one in PROJECT["optional-dependencies"][name]),
     ]
     asked_for = {canonicalize_name(Requirement(one).name) for one in wanted}
-    other_name = {"yaml": "pyyaml", "PIL": "pillow"}
+    other_name = {"yaml": "pyyaml", "PIL": "pillow", "flint": "python-flint"}
     imported = {canonicalize_name(other_name.get(name, name)) for name in libraries_imported(*folders)}
     assert imported - asked_for == set()

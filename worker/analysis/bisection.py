@@ -234,8 +234,10 @@ def _ramp_on(
             continue
         # An undecided cell starts no further cell: a smaller step may decide.
         if max(abs(step), advance) <= 0.5 * tolerance:
-            if outcome not in changed:
-                return math.nan, _BY_OUTCOME[outcome]
+            if outcome not in changed:  # as a cell at the threshold itself may be
+                further, _ = _run(spec, cell._replace(gamma=cell.gamma + step), start)
+                if further not in changed:
+                    return math.nan, _BY_OUTCOME[outcome]
             return (start.cell.gamma if down else cell.gamma), Status.FOUND
         step, advance = 0.5 * step, 0.0
     return math.nan, Status.NOT_REFINED
