@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from kernel.branches.cycles import Point
 
 #: Velocity of a hop from which on the rest of a chatter is enclosed, in g/omega per rad.
-_LAST_HOP: Final = 1e-14
+_LAST_HOP: Final = 1e-18
 #: Hops of one chatter at most: e = 0.95 takes a thousand.
 _MOST_HOPS: Final = 400
 
