@@ -1,13 +1,14 @@
 """Balls of numbers, matrices of them, and what is positive over a whole phase (docs/proofs.md).
 
 Needs the extra `proofs` (python-flint). Every number here is a ball, a midpoint with a radius: a comparison
-that is true holds for every number of the ball. What cannot be shown raises `NotProven`, which says nothing
-about the truth; `Disproven` is raised where the contrary holds for certain.
+that is true holds for every number of the ball. What cannot be shown raises `NotProvenError`, which says
+nothing about the truth; `DisprovenError` is raised where the contrary holds for certain.
 
 State (gap, gap', q, q', c, s, 1) with c + i s = Gamma exp(i phi), lengths in g/omega**2: every phase, landing
 and contact law is linear in it, so that a phase of t rad is the exponential of a matrix times t.
 """
 
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
@@ -20,6 +21,9 @@ Result = TypeVar("Result")
 
 #: Bits of the arithmetic, tried in turn.
 PRECISIONS: Final = (192, 384, 1024)
+
+#: FLINT has one precision for all threads of a process: their proofs wait for each other.
+_ONE_PROOF: Final = threading.Lock()
 
 #: Halvings of a phase until its conditions count as undecided.
 _DEPTH: Final = 40
@@ -39,7 +43,7 @@ class NotCoveredError(NotProvenError):
 
 @contextmanager
 def precision(bits: int) -> Iterator[None]:
-    """Compute with this many bits. FLINT has one precision a process: never in two threads at once."""
+    """Compute with this many bits."""
     before = ctx.prec
     ctx.prec = bits
     try:
@@ -51,7 +55,7 @@ def precision(bits: int) -> Iterator[None]:
 def with_enough_bits(prove: Callable[[], Result]) -> Result:
     """The result of `prove` at the first of PRECISIONS that suffices. Raises the last `NotProvenError`."""
     for bits in PRECISIONS:
-        with precision(bits):
+        with _ONE_PROOF, precision(bits):
             try:
                 return prove()
             except (DisprovenError, NotCoveredError):
@@ -73,6 +77,19 @@ def exact(number: float | str) -> arb:
 def matrix(rows: Sequence[Sequence[Any]]) -> arb_mat:
     """A matrix of balls from rows of numbers."""
     return arb_mat(len(rows), len(rows[0]), [arb(entry) for row in rows for entry in row])
+
+
+def flight_rows(b: arb, w: arb) -> list[list[Any]]:
+    """The rows of the motion in flight, y' = A y, for b = 2 xi/Omega and w = 1/Omega**2."""
+    return [
+        [0, 1, 0, 0, 0, 0, 0],
+        [0, 0, w, b, 1, 0, -1],
+        [0, 0, 0, 1, 0, 0, 0],
+        [0, 0, -2 * w, -2 * b, 0, 0, 0],
+        [0, 0, 0, 0, 0, -1, 0],
+        [0, 0, 0, 0, 1, 0, 0],
+        [0] * 7,
+    ]
 
 
 def column(values: Sequence[Any]) -> arb_mat:

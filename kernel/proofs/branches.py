@@ -5,7 +5,7 @@ so that Gamma(T), its derivatives and the tangent map are balls for a ball of T.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from flint import arb, arb_mat, ctx
 
@@ -18,6 +18,7 @@ from kernel.proofs.balls import (
     column,
     entries,
     exact,
+    flight_rows,
     flow,
     hull,
     matrix,
@@ -69,16 +70,7 @@ class ProvenBranch:
         omega, xi = (exact(number) for number in self._given)
         b, w = 2 * xi / omega, 1 / (omega * omega)
         self.whole = 2 * self._periods * arb.pi()
-        rows: list[list[Any]] = [
-            [0, 1, 0, 0, 0, 0, 0],
-            [0, 0, w, b, 1, 0, -1],
-            [0, 0, 0, 1, 0, 0, 0],
-            [0, 0, -2 * w, -2 * b, 0, 0, 0],
-            [0, 0, 0, 0, 0, -1, 0],
-            [0, 0, 0, 0, 1, 0, 0],
-            [0] * 7,
-        ]
-        self._fly = matrix(rows)
+        self._fly = matrix(flight_rows(b, w))
         self._stick = matrix(
             [[0, 1, 0, 0, 0], [-w, -b, 1, 0, -1], [0, 0, 0, -1, 0], [0, 0, 1, 0, 0], [0] * 5]
         )

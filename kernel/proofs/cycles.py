@@ -33,6 +33,7 @@ from kernel.proofs.balls import (
     contracts,
     entries,
     exact,
+    flight_rows,
     flow,
     identity,
     matrix,
@@ -52,6 +53,9 @@ _MOST_HOPS: Final = 400
 #: Newton's steps; how far it may leave the start.
 _STEPS: Final = 12
 _NEAR: Final = 1e-3
+
+#: Order of the gap's root where a flight on an ideal plate begins, by the segment before it.
+_TAKEOFF_ROOTS: Final = {"S": 3, "z": 2, "h": 1}
 
 GAP, GAP1, Q, Q1, COS, SIN, ONE = range(7)
 
@@ -159,15 +163,7 @@ class _Cycle:
 
     def _build(self, law: Law) -> None:
         b, w = self.b, self.w
-        flight: list[list[Any]] = [
-            [0, 1, 0, 0, 0, 0, 0],
-            [0, 0, w, b, 1, 0, -1],
-            [0, 0, 0, 1, 0, 0, 0],
-            [0, 0, -2 * w, -2 * b, 0, 0, 0],
-            [0, 0, 0, 0, 0, -1, 0],
-            [0, 0, 0, 0, 1, 0, 0],
-            [0] * 7,
-        ]
+        flight = flight_rows(b, w)
         self.up = matrix([[1, 0, 0, 0, 0, 0, 0]])
         if law.penetration is not None:
             kappa, beta = _contact_constants(law)
@@ -209,7 +205,9 @@ class _Cycle:
             return _Segment(self.flight, up, same, ((Condition(up, 1, True),),))
         if letter == "F":
             return _Segment(self.flight, up, same, ((Condition(up, 0, True), Condition(pull, 1, False)),))
-        order = {"S": 3, "z": 2, "h": 1}[before]
+        if before not in _TAKEOFF_ROOTS:
+            raise NotCoveredError(f"a flight after {before!r} in the word {word}")
+        order = _TAKEOFF_ROOTS[before]
         reset = self.hop if letter == "h" else self.stick
         return _Segment(self.flight, up, reset, ((Condition(up, order, True),),), chatters=letter == "c")
 

@@ -65,11 +65,11 @@ def test_the_closed_form_misses_no_fold_and_no_flip():
 
 def test_answers_of_the_rule_are_proven_as_upper_bounds():
     """Also of a word, zs at Omega = 1.26."""
-    for omega, xi in ((0.5, 0.045), (1.26, 0.05), (0.9, 0.1), (0.4, 0.06)):
+    for omega, xi in ((0.6, 0.05), (1.26, 0.05), (0.4, 0.06), (0.65, 0.06)):
         answer = thresholds(omega, xi)
-        if answer.fold is not None:
-            proof = prove_down(repr(omega), repr(xi), answer.fold)
-            assert 0.0 <= float(proof.at_most) - answer.down < 2e-9
+        assert answer.fold is not None
+        proof = prove_down(repr(omega), repr(xi), answer.fold)
+        assert -1e-14 < float(proof.at_most) - answer.down < 2e-9
 
 
 def test_no_flight_time_beside_a_fold_is_proven_to_be_one():
