@@ -13,7 +13,7 @@ from service.api import openapi, problems
 from service.api.capacity import Capacity
 from service.api.dependencies import Service, reject_repeated_parameters
 from service.api.middleware import CORS, Gate
-from service.api.monitoring import JobsCollector, Metrics, Readiness
+from service.api.monitoring import JobsCollector, Metrics
 from service.api.progress_stream import ProgressStream
 from service.api.routers import docs, health, jobs, page, results, views
 from service.api.schemas import problem_responses
@@ -104,9 +104,8 @@ async def _lifespan(
 def _service(
     settings: Settings, ledger: Ledger, executor: Executor, background: Background, metrics: Metrics
 ) -> Service:
-    readiness = Readiness(executor, ledger_fault=ledger.fault)
     manager = JobManager(ledger, executor, settings)
-    metrics.registry.register(JobsCollector(ledger, readiness, manager, executor))
+    metrics.registry.register(JobsCollector(ledger, manager))
     return Service(
         settings=settings,
         ledger=ledger,
@@ -129,6 +128,5 @@ def _service(
         background=background,
         listeners=asyncio.Semaphore(settings.max_listeners),
         progress_stream=ProgressStream(ledger, manager.compiling),
-        readiness=readiness,
         metrics=metrics,
     )

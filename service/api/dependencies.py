@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from fastapi import Depends, HTTPException, Request
 
 from service.api.capacity import FEW_CHUNKS, SMALL_ANSWER, SMALL_CHUNKS, Capacity, Cost
-from service.api.monitoring import Metrics, Readiness
+from service.api.monitoring import Metrics
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
 from service.errors import InvalidRequest, TooLarge, UnknownJob
@@ -37,7 +37,6 @@ class Service:
     background: Background
     listeners: asyncio.Semaphore
     progress_stream: ProgressStream
-    readiness: Readiness
     metrics: Metrics
 
     def audit_of(self, job: JobRecord) -> str | None:

@@ -1,9 +1,7 @@
-"""Monitoring for operators: readiness, and metrics for Prometheus."""
+"""Metrics for Prometheus."""
 
 import math
-import threading
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Final, TypeVar
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, generate_latest
@@ -20,40 +18,11 @@ from service.jobs.manager import JobManager
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobState
 from service.software import software
-from worker.executors.base import Executor
 
 Family = TypeVar("Family", CounterMetricFamily, GaugeMetricFamily)
 
 #: Methods with their own label; the rest share one, so that callers cannot create labels.
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "OPTIONS", "PUT", "PATCH"})
-
-
-class Readiness:
-    """Whether the ledger is usable, the scheduler answers and there are workers; thread-safe.
-
-    Caches the executor's answer for `max_age` seconds. `ledger_fault` says why the ledger is unusable.
-    """
-
-    def __init__(
-        self,
-        executor: Executor,
-        max_age: float = 1.0,
-        ledger_fault: Callable[[], str | None] = lambda: None,
-    ) -> None:
-        self._executor, self._max_age, self._ledger_fault = executor, max_age, ledger_fault
-        self._lock = threading.Lock()
-        self._checked = float("-inf")
-        self._fault: str | None = None
-
-    def fault(self) -> str | None:
-        """Why jobs are not accepted or computed; None if they are."""
-        if (fault := self._ledger_fault()) is not None:
-            return fault
-        with self._lock:
-            if time.monotonic() - self._checked > self._max_age:
-                self._fault = self._executor.state().fault
-                self._checked = time.monotonic()
-            return self._fault
 
 
 class Metrics:
@@ -86,30 +55,31 @@ class Metrics:
 
 
 class JobsCollector(Collector):
-    """Reads ledger, readiness, manager and executor whenever metrics are collected."""
+    """Reads ledger and manager whenever metrics are collected."""
 
-    def __init__(self, ledger: Ledger, readiness: Readiness, manager: JobManager, executor: Executor) -> None:
-        self._ledger, self._readiness, self._manager, self._executor = ledger, readiness, manager, executor
+    def __init__(self, ledger: Ledger, manager: JobManager) -> None:
+        self._ledger, self._manager = ledger, manager
 
     def collect(self) -> Iterator[Metric]:
         with self._ledger.reading() as ledger:
             jobs = [([state], ledger.count((state,))) for state in JobState]
             chunks, cells = ledger.totals()
-        tally = self._manager.supervisor.tally
+        supervisor = self._manager.supervisor
+        tally, cluster = supervisor.tally, supervisor.cluster
         yield _labelled(GaugeMetricFamily("bounce_jobs", "Jobs in the ledger.", labels=["state"]), jobs)
         for name, meaning, value in (
             ("bounce_chunks_done", "Chunks marked done, of jobs in the ledger.", chunks),
             ("bounce_cells_done", "Cells marked done, of jobs in the ledger.", cells),
-            ("bounce_ready", "Whether jobs are accepted and computed.", self._readiness.fault() is None),
+            ("bounce_ready", "Whether jobs are accepted and computed.", self._manager.fault() is None),
             (
                 "bounce_chunks_in_flight",
                 "Chunks that workers compute, or that wait for one.",
-                self._manager.supervisor.in_flight(),
+                supervisor.in_flight(),
             ),
             (
                 "bounce_core_seconds_remaining",
                 "Core-seconds that the unfinished jobs will take, by the cost table.",
-                self._manager.supervisor.remaining_seconds,
+                supervisor.remaining_seconds,
             ),
         ):
             yield GaugeMetricFamily(name, meaning, value)
@@ -128,7 +98,6 @@ class JobsCollector(Collector):
         ]
         meaning = "Seconds of workers for each chunk computed since the start."
         yield HistogramMetricFamily("bounce_chunk_duration_seconds", meaning, buckets, tally.seconds)
-        cluster = self._executor.state()
         numbers = {"computing": cluster.workers, "refused": len(cluster.refused), "planned": cluster.planned}
         meaning = "Workers that compute, are planned, or are refused."
         workers = GaugeMetricFamily("bounce_workers", meaning, labels=["state"])

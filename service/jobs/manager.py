@@ -63,6 +63,10 @@ class JobManager:
         """Stop computing; unfinished jobs continue at the next start."""
         self.supervisor.stop(STOP_SECONDS)
 
+    def fault(self) -> str | None:
+        """Why jobs are not accepted or computed, as of the last sync; None if they are."""
+        return self._ledger.fault() or self.supervisor.cluster.fault
+
     def notices(self) -> list[str]:
         """What an operator should know, although jobs are computed."""
         notices = []

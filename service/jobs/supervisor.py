@@ -24,7 +24,7 @@ from service.ledger.model import JobRecord, JobState, summary_of
 from service.ledger.transactions import Deletion, Unfinished
 from service.settings import Settings
 from worker import store
-from worker.executors.base import ClusterState, Executor
+from worker.executors.base import Executor
 from worker.store import ChunkCoords
 from worker.study import ChunkOptions, ChunkPaused, ChunkReport
 from worker.study.chunks import SLICE_SECONDS
@@ -93,7 +93,7 @@ class Supervisor:
             settings.window, settings.window_seconds, settings.active_jobs, SLICE_SECONDS
         )
         self.tally = ChunkCounts()
-        self.cluster = ClusterState(connected=True, workers=1)  # as the last sync found it
+        self.cluster = executor.state()  # as of the last sync
         self.remaining_seconds = 0.0  # core-seconds of unfinished jobs, by the cost table
         self.unknown_stores: Sequence[str] | None = None  # names; the ledger did not know them at the start
         self._inbox: SimpleQueue[Message] = SimpleQueue()

@@ -23,7 +23,7 @@ def get_liveness() -> Health:
 )
 def get_readiness(service: ServiceDep) -> ReadinessView:
     """The ledger can be used, the Dask scheduler answers and has workers: jobs are computed."""
-    if (fault := service.readiness.fault()) is not None:
+    if (fault := service.manager.fault()) is not None:
         raise HTTPException(503, fault)
     return ReadinessView(status="ok", notices=service.manager.notices())
 

@@ -21,7 +21,6 @@ from paths import CACHE, ROOT
 from scripted import Counting, costing, free_port, wait_for
 from served import Running, running
 
-from service.api.monitoring import Readiness
 from service.ledger.model import JobRecord, JobState
 from worker.executors.dask import Dask
 from worker.kernel_cache import use_cache
@@ -47,7 +46,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
 ):
     restarted, address = scheduler
     executor = Dask(address, timeout=60)
-    counting, readiness = Counting(executor), Readiness(executor)
+    counting = Counting(executor)
     try:
         wait_for(lambda: executor.workers() == 2, seconds=90)
         with running(tmp_path / "data", counting) as service:
@@ -66,7 +65,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
 
             restarted.process.send_signal(signal.SIGSTOP)
             frozen = time.monotonic()
-            wait_for(readiness.fault)
+            wait_for(service.manager.fault)
             noticed = time.monotonic() - frozen
             time.sleep(max(FREEZE - noticed, 0))
             repetition = NoRepetition(service, job, counting)
@@ -77,7 +76,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
             wait_for(lambda: executor.workers() == 2, status, 90)
             killed = time.monotonic()
             restarted.process.kill()
-            wait_for(readiness.fault)
+            wait_for(service.manager.fault)
             time.sleep(0.5)
             repetition = NoRepetition(service, job, counting)
             back = goes_on(killed)

@@ -18,7 +18,6 @@ from scripted import costing, wait_for
 from served import running
 from stores import marked
 
-from service.api.monitoring import Readiness
 from service.ledger.model import JobState
 from worker import store
 from worker.executors.base import ClusterLost, WorkerRefused
@@ -128,7 +127,6 @@ def test_a_worker_that_differs_is_refused_beside_one_that_computes(
     with Client(processes.address, timeout=60, set_as_default=False) as client:
         wait_for(lambda: client.scheduler_info()["workers"], processes.log, PATIENCE)
     executor = Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)
-    readiness = Readiness(executor, max_age=0.0)
     try:
         with running(tmp_path / "data", executor) as service:
             job = service.submit(costing(chunks=20, seconds=0.1))
@@ -138,14 +136,14 @@ def test_a_worker_that_differs_is_refused_beside_one_that_computes(
             assert f"on {socket.gethostname()}" in reason
             assert "tcp://127.0.0.1:" in reason
             assert executor.workers() == 0
-            assert readiness.fault() == "no workers yet; jobs wait until there are; workers refused: 1"
             wait_for(lambda: reason in (service.manager.supervisor.cluster.explanation or ""))
+            assert service.manager.fault() == "no workers yet; jobs wait until there are; workers refused: 1"
             assert service.job(job).chunks_done == 0
             processes.worker()
             ended = service.until(job, JobState.DONE, seconds=PATIENCE)
             assert ended.chunks_done == ended.chunks_total
             assert executor.workers() == 1
-            assert readiness.fault() is None
+            wait_for(lambda: service.manager.fault() is None)
     finally:
         executor.close()
 

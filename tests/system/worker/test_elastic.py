@@ -12,7 +12,6 @@ from paths import CACHE
 from scripted import costing, wait_for
 from served import running
 
-from service.api.monitoring import Readiness
 from service.ledger.model import JobState
 from worker.executors.base import ClusterLost
 from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
@@ -52,8 +51,8 @@ def test_an_adaptive_cluster_starts_without_workers_grows_and_shrinks(
     try:
         assert executor.state().connected
         assert executor.workers() == 0
-        assert Readiness(executor).fault() == "no workers yet (0 asked for); jobs wait until there are"
         with running(tmp_path, executor) as service:
+            assert service.manager.fault() == "no workers yet (0 asked for); jobs wait until there are"
             job = service.submit(costing(chunks=160, seconds=0.1))  # 16 core-seconds
             wait_for(lambda: executor.workers() == 3, seconds=PATIENCE)
             ended = service.until(job, JobState.DONE, seconds=PATIENCE)
@@ -84,11 +83,10 @@ def test_a_cluster_that_vanishes_is_made_again(tmp_path: Path, made: list[LocalC
         return made[-1]
 
     executor = Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)
-    readiness = Readiness(executor, max_age=0.0)
     faults = set()
 
     def again() -> bool:
-        faults.add(readiness.fault())
+        faults.add(executor.state().fault)
         return len(made) == 2 and executor.workers() == 1
 
     try:

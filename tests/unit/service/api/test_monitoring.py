@@ -9,7 +9,7 @@ import pytest
 from fastapi.testclient import TestClient
 from paths import ROOT
 from prometheus_client.parser import text_string_to_metric_families
-from scripted import Held, Scripted
+from scripted import Held, Scripted, wait_for
 from served import RAMP, finished, get, service
 from tables import for_each
 
@@ -79,7 +79,7 @@ def test_workers_are_counted_by_what_becomes_of_them(tmp_path: Path):
         counted = {labels["state"]: value for labels, value in samples(client)["bounce_workers"]}
         assert counted == {"computing": 3.0, "refused": 1.0, "planned": 5.0}
         cluster.planned = None
-        assert len(samples(client)["bounce_workers"]) == 2
+        wait_for(lambda: len(samples(client)["bounce_workers"]) == 2)
 
 
 def test_a_method_that_callers_make_up_is_no_label_of_its_own(tmp_path: Path):
