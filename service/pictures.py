@@ -17,6 +17,7 @@ from kernel.threshold import threshold
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.patches import Patch
 
 #: The colours of the project by their meaning, each on white and on a dark background; the page reads the
 #: same file. Pictures are on white.
@@ -51,6 +52,15 @@ MARGIN_CLASSES: Final = {
     f"{low:g} to {high:g}": colour
     for low, high, colour in zip((0.0, *MARGINS), MARGINS, PALETTE["margins"], strict=False)
 }
+
+#: Settings of matplotlib for files. Text is text in an SVG, and embedded as a font in a PDF.
+STYLE: Final[dict[Any, Any]] = {
+    "font.family": "STIXGeneral", "mathtext.fontset": "stix",
+    "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True,
+    "svg.hashsalt": "bouncing-spring", "svg.fonttype": "none", "pdf.fonttype": 42,
+}  # fmt: skip
+FONT: Final = "STIXGeneral"
+TEXT: Final[dict[str, Any]] = {"fontfamily": FONT, "math_fontfamily": "stix"}
 
 AXES: Final = {
     "gamma": r"plate acceleration over gravity $\Gamma$",
@@ -252,10 +262,15 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
             cmap=ListedColormap(["none"]), edgecolor="none", hatch=HATCH,
         )  # fmt: skip
         handles.append(Patch(facecolor="none", edgecolor="black", linewidth=0.4, hatch=HATCH, label=DIFFER))
-    ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
+    legend_beside(ax, handles)
     ax.set_xlabel(AXES["gamma"])
     ax.set_ylabel(AXES["omega"])
     ax.set_title(f"{SYMBOLS['xi']} = {modes.xi.item():g}, {counted}")
+
+
+def legend_beside(ax: "Axes", entries: "list[Patch]") -> None:
+    """A legend on the right of the axes."""
+    ax.legend(handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
 
 
 def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:

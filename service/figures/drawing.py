@@ -18,7 +18,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from service.pictures import DPI
 from service.software import software
-from service.views import style
+from service.views import encode
 
 #: Inches, and points. Printed in a column of 3.4 in, the smallest letters are 4.5 points high.
 WIDTH: Final = 6.8
@@ -121,7 +121,7 @@ class Drawing(NamedTuple):
     def encoded(self, format: str) -> bytes:
         """The bytes of a file, with the caption in its metadata; a palette makes a PNG a third as large."""
         origin = {"release": software().release, "caption": str(self.caption)}
-        content = style.encode((WIDTH, self.height), self.compose, format, origin)
+        content = encode.picture((WIDTH, self.height), self.compose, format, origin)
         if format != "png":
             return content
         image, described, file = Image.open(io.BytesIO(content)), PngInfo(), io.BytesIO()

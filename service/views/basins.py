@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from kernel.labels import label_codes
 from kernel.params import STATE_FIELDS, Outcome
-from service.pictures import ATTRACTORS, SYMBOLS, UNDECIDED
+from service.pictures import ATTRACTORS, SYMBOLS, UNDECIDED, legend_beside
 from service.views.selection import Stored, attractor_label, nearest_index, read_stored
-from service.views.style import legend_beside
 from service.views.variables import VARIABLES, coordinate, dataset, of_attractor, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.attractors import EXPONENT_WINDOW

@@ -2,15 +2,22 @@
 
 import csv
 import io
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 from math import prod
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import orjson
 import xarray
 from numpy.typing import NDArray
+
+from service.pictures import DPI, STYLE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Rows of a table converted at a time.
 ROWS: Final = 2**16
@@ -236,3 +243,42 @@ def _repeated(
     variable: Any = xarray.Variable(own, values)
     wide = variable.set_dims({dim: part.sizes[dim] for dim in (*dims, *extra)})
     return np.asarray(wide.values.reshape(prod(wide.shape[: len(dims)]), *wide.shape[len(dims) :]))
+
+
+#: Draws all pictures: matplotlib's settings belong to the process, its open font files to the thread.
+_THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")
+
+
+def picture(
+    size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Mapping[str, str]
+) -> bytes:
+    """The bytes of a picture that `draw` draws, the same for the same drawing; `size` is in inches.
+
+    `origin`: job, specification and versions by name, for the file's metadata.
+    """
+    return _THREAD.submit(_picture, size, draw, format, origin).result()
+
+
+def _picture(
+    size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Mapping[str, str]
+) -> bytes:
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=size, dpi=DPI, layout="constrained")
+        draw(figure)
+        file = io.BytesIO()
+        figure.savefig(file, format=format, metadata=_metadata(format, origin))
+    return file.getvalue()
+
+
+def _metadata(format: str, origin: Mapping[str, str]) -> dict[str, str | None]:
+    """The origin under the names that the format has for it, without the time of drawing."""
+    program = f"bouncing-spring {origin['release']}"
+    described = json.dumps(dict(origin), ensure_ascii=False)
+    if format == "png":
+        return {"Software": program, "Description": described}
+    if format == "svg":
+        return {"Creator": program, "Description": described, "Date": None}
+    return {"Creator": program, "Subject": described, "CreationDate": None}

@@ -18,9 +18,8 @@ from pydantic import Field
 
 from kernel.params import Outcome
 from service.errors import TooLarge
-from service.pictures import ATTRACTORS, OTHER_ATTRACTORS, PALETTE, SYMBOLS, UNDECIDED, edges
+from service.pictures import ATTRACTORS, OTHER_ATTRACTORS, PALETTE, SYMBOLS, UNDECIDED, edges, legend_beside
 from service.views.selection import Stored, attractor_label, nearest_index, read_stored
-from service.views.style import legend_beside
 from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.schema import MAX_FOLLOWED, OF_ATTRACTORS

@@ -8,17 +8,16 @@ import xarray
 from pydantic import Field
 
 from service.errors import InvalidRequest, TooLarge
-from service.pictures import ATTRACTORS
-from service.views.style import TEXT
+from service.pictures import ATTRACTORS, TEXT
 from service.views.variables import dataset, row, variable
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.audit import MAX_SECONDS, reference_seconds
 from worker.analysis.planning import FIRST, FRESH, MORE, Setting, Share, frontier, plan
-from worker.spec.efforts import EFFORTS
 from worker.study import Cost
 from worker.sweep import SweepSpec
 from worker.sweep.levels import WHOLE, cells, finest, level
 from worker.sweep.schema import bytes_per_cell
+from worker.sweep.specification import EFFORTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -23,7 +23,6 @@ from service.views import (
     modes,
     multistability,
     orbits,
-    style,
     threshold,
     trajectory,
 )
@@ -109,7 +108,7 @@ def encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str)
     result.attrs = {"Conventions": "CF-1.11", "title": view.summary, **about, **result.attrs}
     if view.draw is not None and format in PICTURES:
         origin = about if study is None else study.origin
-        return style.encode(view.size, partial(view.draw, result), format, origin)
+        return encode.picture(view.size, partial(view.draw, result), format, origin)
     rows = view.finer_rows if view.finer_rows in result else view.rows
     return encode.ENCODERS[format](result, rows)
 

@@ -14,8 +14,7 @@ import numpy as np
 import xarray
 
 from kernel.params import Outcome
-from service.pictures import ATTRACTORS
-from service.views.style import FONT, TEXT
+from service.pictures import ATTRACTORS, FONT, TEXT
 from service.views.variables import dataset, row, variable
 from service.views.view import Estimate, Query, View
 from worker.analysis.deviation import percentile

@@ -15,9 +15,8 @@ from service import presets
 from service.client import Client
 from service.figures import catalogue
 from service.figures.drawing import Caption, Verdict
-from service.pictures import DPI
+from service.pictures import DPI, STYLE
 from service.presets import FigurePreset
-from service.views.style import STYLE
 
 #: docs/model.md, section 5: the last Γ that bounces on the way down, by Ω.
 DESCENDING = {0.56: 0.743, 0.6: 0.554, 0.62: 0.508, 0.66: 0.6, 0.7: 0.671}
