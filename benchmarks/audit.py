@@ -28,13 +28,13 @@ from kernel.params import Outcome
 from service.local import computed
 from service.presets import FIGURES as PRESETS
 from service.views import audit
+from service.views.encode import picture
 from service.views.selection import Stored
-from service.views.style import encode
 from worker.analysis.audit import PARTS, SETS, SIZES, look
 from worker.analysis.model_selection import CELLS, Line, ModelChoice, chosen, compared, timed
-from worker.spec.efforts import EFFORTS
 from worker.sweep import SweepSpec
 from worker.sweep.schema import MODE_ARRAYS
+from worker.sweep.specification import EFFORTS
 
 #: Shares of cells made wrong for `coverage`, and for `power`.
 BANDS: Final = (0.0, 0.001, 0.01, 0.05, 0.2)
@@ -173,8 +173,8 @@ def power(side: int, draws: int, output: str) -> str:
             said = (answered(study, drawn(made, cells, random))["mode"] for _ in range(draws))
             seen[i, k] = np.mean([each.changed > 0 for each in said])
     if output:
-        picture = encode((6.0, 4.0), lambda figure: _draw_power(figure, seen), "png", {"release": "-"})
-        Path(output).write_bytes(picture)
+        drawn = picture((6.0, 4.0), lambda figure: _draw_power(figure, seen), "png", {"release": "-"})
+        Path(output).write_bytes(drawn)
     rows = [
         [f"{100 * share:g} %", *(f"{100 * x:.0f} %" for x in row)]
         for share, row in zip(PLANTED, seen, strict=True)

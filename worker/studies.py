@@ -18,8 +18,7 @@ from worker.spec import parsing
 from worker.spec.specification import Specification
 from worker.study import Chunk, ChunkReport, Study
 from worker.sweep import SweepSpec, plan, schema
-from worker.sweep.earlier import EarlierSweep
-from worker.sweep.specification import removed_from
+from worker.sweep.specification import EarlierSweep, removed_from
 
 SWEEP: Final = Study(SweepSpec.parse, plan.make_plan, schema.layout, plan.estimate, "worker.sweep.task")
 

@@ -21,7 +21,6 @@ from service.cli.options import (
 from service.cli.views import query_options
 from service.formats import EXPORTS, PICTURES, TABLES
 from service.result_methods import ResultMethods
-from worker.spec.efforts import EFFORTS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,7 +33,7 @@ _BUDGET: Final = "Compute the finest level that fits into this time: 90s, 5m, 1h
 _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
 _effort_option: Final = click.option(
-    "--effort", type=click.Choice([*EFFORTS]),
+    "--effort", metavar="draft|standard|thorough",
     help="Windows of the cells, in place of settle, observe and until.",
 )  # fmt: skip
 

@@ -14,9 +14,9 @@ from worker import store
 from worker.studies import run_task
 from worker.study import Array
 from worker.sweep import SweepSpec, schema
-from worker.sweep.earlier import EarlierSweep
 from worker.sweep.plan import make_plan
 from worker.sweep.schema import layout
+from worker.sweep.specification import EarlierSweep
 
 VERSION = "1"
 SPECS: dict[str, dict[str, Any]] = {

@@ -11,8 +11,8 @@ from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid
 from worker.spec.refine import Margin, Refine
 from worker.spec.specification import Document
 from worker.sweep import SweepSpec
-from worker.sweep.earlier import EarlierSweep
 from worker.sweep.protocols import Rest
+from worker.sweep.specification import EarlierSweep
 
 #: Minimum values of a window along an axis.
 FEWEST_VALUES: Final = 129

@@ -26,7 +26,6 @@ from worker.spec.contact_models import (
     Stepped,
     penetration_of,
 )
-from worker.spec.efforts import EFFORTS, Effort
 from worker.spec.errors import BrokenRuleError, describe, one_of
 from worker.spec.refine import Refinement
 from worker.spec.specification import JobId, Specification
@@ -52,6 +51,15 @@ REMOVED: Final[dict[str, tuple[object, str]]] = {
     "settle_early": (True, '"settle": "auto" ends a cell as soon as its cycle is certified'),
     "settle_tolerance": (0.0, '"settle": "auto" ends a cell as soon as its cycle is certified'),
     "settle_until": (None, '"until", with "settle": "auto", gives settling cells more plate periods'),
+}
+
+Effort = Literal["draft", "standard", "thorough"]
+
+#: The fields of each effort (docs/accuracy.md has what each shows wrong, and its cost).
+EFFORTS: Final[dict[str, dict[str, Any]]] = {
+    "draft": {"settle": "auto", "observe": 30, "until": 260},
+    "standard": {"settle": "auto", "observe": 100, "until": None},
+    "thorough": {"settle": "auto", "observe": 1000, "until": None},
 }
 
 #: Contact models that can start on a cycle of the spring.
@@ -302,6 +310,31 @@ class SweepSpec(Specification):
             | {"parent"}
             | {field for field, default in defaults.items() if getattr(self, field) in default}
         )
+
+
+class EarlierSweep(SweepSpec):
+    """A sweep of a release without certificates, with the fields of REMOVED and the id that it had."""
+
+    settle: Settle = 200
+    settle_tolerance: float = 0.0
+    settle_until: Periods | None = None
+    settle_early: bool = True
+
+    def today(self) -> SweepSpec:
+        """The sweep that computes it anew; where settling cells went on, with certificates."""
+        fields = {name: value for name, value in self.as_submitted().items() if name not in REMOVED}
+        if self.settle_until is not None:
+            goes_on = self.settle_until >= SETTLE + 2 * self.observe
+            fields |= {"settle": "auto", "until": self.settle_until if goes_on else None}
+        return SweepSpec.parse(fields)
+
+    def left_out(self) -> set[str]:
+        """Of the removed fields, those that were off or without effect."""
+        off = {name for name in ("settle_tolerance", "settle_until") if not getattr(self, name)}
+        had_effect = isinstance(self.protocol, Rest) and not self.exponents
+        if self.settle_early or not had_effect or getattr(self.model, "events", "located") == "plain":
+            off.add("settle_early")
+        return super().left_out() | off
 
 
 def removed_from(fields: Mapping[str, object]) -> list[str]:

@@ -8,7 +8,7 @@ from tables import for_each
 from worker.maps.window import FEWEST_VALUES, Window
 from worker.spec.errors import SpecInvalid
 from worker.sweep import SweepSpec
-from worker.sweep.earlier import EarlierSweep
+from worker.sweep.specification import EarlierSweep
 
 JOB = "0123456789abcdef" * 2
 MAP: dict[str, Any] = {

@@ -16,7 +16,7 @@ from worker.spec.errors import SpecInvalid, SpecUnreadable
 from worker.spec.specification import Label
 from worker.studies import from_stored
 from worker.sweep import SweepSpec
-from worker.sweep.earlier import EarlierSweep
+from worker.sweep.specification import EarlierSweep
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
