@@ -10,6 +10,8 @@ from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any
 
+from studies import spec_of
+
 from worker import store
 from worker.executors.base import ClusterState, Executor
 from worker.executors.inline import Inline
@@ -185,57 +187,25 @@ def free_port() -> int:
 
 def small(**changes: Any) -> SweepSpec:
     """A sweep of 2 x 3 x 10 cheap cells (xi, omega, gamma), with these fields changed."""
-    fields: dict[str, Any] = {
-        "gamma": {"start": 0.5, "stop": 5.0, "num": 10},
-        "omega": [0.5, 0.7, 1.0],
-        "xi": [0.05, 0.26],
-        "model": {"kind": "rigid"},
-        "settle": 20,
-        "observe": 20,
-        "keep": 8,
-    }
+    fields = spec_of((0.5, 5.0, 10), [0.5, 0.7, 1.0], [0.05, 0.26], window=(20, 20, 8))
     return SweepSpec(**(fields | changes))
 
 
 #: 2 x 46 cells along gamma, from rest through the mode (1, 1) and beyond; as JSON, to submit.
-TWO_LINES: dict[str, Any] = {
-    "gamma": {"start": 0.5, "stop": 5.0, "num": 46},
-    "omega": [0.5, 0.7],
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 20,
-    "observe": 20,
-    "keep": 8,
-}
+TWO_LINES = spec_of((0.5, 5.0, 46), [0.5, 0.7], 0.26, window=(20, 20, 8))
 
 
 def sweep(name: str = "", **changes: Any) -> SweepSpec:
     """A sweep of 60 cells at or near rest, in eight chunks whatever the cost table says."""
-    fields: dict[str, Any] = {
-        "name": name,
-        "gamma": {"start": 0.5, "stop": 1.2, "num": 60},
-        "omega": 0.5,
-        "xi": 0.26,
-        "model": {"kind": "soft"},
-        "exponents": 1,  # so cells are computed one by one, and not a vector of them at once
-        "settle": 1500,
-        "observe": 10,
-        "keep": 4,
-    }
+    # with exponents cells are computed one by one, and not a vector of them at once
+    fields = spec_of((0.5, 1.2, 60), 0.5, 0.26, name=name, exponents=1, window=(1500, 10, 4))
+    fields |= {"model": {"kind": "soft"}}
     return SweepSpec(**(fields | changes))
 
 
 def costing(name: str = "", chunks: int = 8, seconds: float = 0.06, **changes: Any) -> SweepSpec:
     """A sweep of `chunks` chunks of about `seconds` core-seconds each, by the cost table."""
     cell = 0.01
-    fields: dict[str, Any] = {
-        "name": name,
-        "gamma": {"start": 0.5, "stop": 1.2, "num": max(round(chunks * seconds / cell), 1)},
-        "omega": 0.5,
-        "xi": 0.26,
-        "model": {"kind": "rigid"},
-        "settle": round(cell / 0.4e-6),
-        "observe": 10,
-        "keep": 4,
-    }
+    cells, settle = max(round(chunks * seconds / cell), 1), round(cell / 0.4e-6)
+    fields = spec_of((0.5, 1.2, cells), 0.5, 0.26, name=name, window=(settle, 10, 4))
     return SweepSpec(**(fields | changes))

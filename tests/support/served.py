@@ -25,6 +25,7 @@ from fastapi.testclient import TestClient
 from json_results import from_json
 from paths import CACHE, ROOT
 from scripted import DEADLINE, Held, costing, free_port, sweep, wait_for
+from studies import spec_of
 
 from service.api import app as application
 from service.api.app import create_app
@@ -41,24 +42,10 @@ from worker.executors.inline import Inline
 from worker.sweep import SweepSpec
 
 #: Sweeps that several tests submit.
-FIGURE_2: dict[str, Any] = {
-    "name": "figure 2, coarse",
-    "gamma": {"start": 0.5, "stop": 6.0, "num": 111},
-    "omega": 0.5,
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-}
-RAMP: dict[str, Any] = {
-    "name": "up and down, Γ × Ω",
-    "gamma": {"start": 0.6, "stop": 1.6, "num": 11},
-    "omega": [0.5, 0.7],
-    "xi": [0.05, 0.26],
-    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
-    "model": {"kind": "rigid"},
-    "settle": 40,
-    "observe": 20,
-    "keep": 8,
-}
+FIGURE_2 = spec_of((0.5, 6.0, 111), 0.5, 0.26, name="figure 2, coarse")
+RAMP = spec_of(
+    (0.6, 1.6, 11), [0.5, 0.7], [0.05, 0.26], name="up and down, Γ × Ω", ramp="both", window=(40, 20, 8)
+)
 
 
 def settings_of(folder: Path, **settings: Any) -> Settings:

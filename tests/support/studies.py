@@ -1,26 +1,28 @@
-"""Studies other than plain sweeps, each of several chunks of some tenths of a second."""
+"""Specifications as JSON: of any study, and some of several chunks of some tenths of a second."""
 
 from typing import Any, Final
 
-_RIGID: Final = {"xi": 0.26, "model": {"kind": "rigid"}}
+_RANGE: Final = ("start", "stop", "num")
 
-BASINS: Final[dict[str, Any]] = _RIGID | {
-    "protocol": {"kind": "basin", "rows": 32, "columns": 48},
-    "gamma": {"start": 1.0, "stop": 4.0, "num": 12},
-    "omega": [0.5, 0.6],
-    "exponents": 1,
-}
-MULTISTABILITY: Final[dict[str, Any]] = _RIGID | {
-    "protocol": {"kind": "multistability"},
-    "gamma": {"start": 3.0, "stop": 4.0, "num": 12},
-    "omega": {"start": 0.4, "stop": 0.6, "num": 32},
-}
-ADAPTIVE: Final[dict[str, Any]] = _RIGID | {
-    "gamma": {"start": 0.4, "stop": 4.4, "num": 260},
-    "omega": {"start": 0.4, "stop": 1.0, "num": 260},
-    "settle": 600,
-    "observe": 60,
-    "keep": 8,
-    "refine": {"by": "mode"},
-}
+
+def spec_of(
+    gamma: Any, omega: Any, xi: Any, ramp: str = "", window: tuple[int, ...] = (), **fields: Any
+) -> dict[str, Any]:
+    """A study on the rigid plate.
+
+    Axes are numbers, lists, or (start, stop, num). `ramp`: along gamma up, down or both. `window`: settle,
+    observe, keep.
+    """
+    axes = {"gamma": gamma, "omega": omega, "xi": xi}
+    ranges = {name: dict(zip(_RANGE, x, strict=True)) for name, x in axes.items() if isinstance(x, tuple)}
+    protocol = {"protocol": {"kind": "ramp", "axis": "gamma", "direction": ramp}} if ramp else {}
+    times = dict(zip(("settle", "observe", "keep"), window, strict=False))
+    return axes | ranges | {"model": {"kind": "rigid"}} | protocol | times | fields
+
+
+BASINS: Final = spec_of(
+    (1.0, 4.0, 12), [0.5, 0.6], 0.26, protocol={"kind": "basin", "rows": 32, "columns": 48}, exponents=1
+)
+MULTISTABILITY: Final = spec_of((3.0, 4.0, 12), (0.4, 0.6, 32), 0.26, protocol={"kind": "multistability"})
+ADAPTIVE: Final = spec_of((0.4, 4.4, 260), (0.4, 1.0, 260), 0.26, window=(600, 60, 8), refine={"by": "mode"})
 STUDIES: Final = {"basins": BASINS, "multistability": MULTISTABILITY, "adaptive": ADAPTIVE}

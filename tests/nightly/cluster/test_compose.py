@@ -10,13 +10,13 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
 import xarray
 from containers import Stack, missing, stack_up
 from scripted import wait_for
+from studies import spec_of
 
 from service import local
 from service.client import Client
@@ -33,15 +33,7 @@ KILLED_AT = {"worker": 0.1, "scheduler": 0.3, "service": 0.6}
 PATIENCE = 600.0
 
 #: About 80 chunks of a core-second each.
-SWEEP: dict[str, Any] = {
-    "gamma": {"start": 1.0, "stop": 6.0, "num": 15_000},
-    "omega": 0.5,
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 25_000,
-    "observe": 100,
-    "keep": 16,
-}
+SWEEP = spec_of((1.0, 6.0, 15_000), 0.5, 0.26, window=(25_000, 100, 16))
 
 
 @pytest.fixture(scope="module")

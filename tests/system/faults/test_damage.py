@@ -17,7 +17,7 @@ from fastapi.testclient import TestClient
 from scripted import Scripted, wait_for
 from served import service
 from stores import files, store_in
-from studies import ADAPTIVE, BASINS
+from studies import ADAPTIVE, BASINS, spec_of
 
 from service.cli.doctor import verify
 from service.settings import Settings
@@ -33,15 +33,7 @@ TRIALS = int(os.environ.get("BOUNCE_TEST_TRIALS", "200"))
 HTTP_TRIALS = TRIALS // 10
 
 #: 48 cells in some ten chunks.
-SWEEP: dict[str, Any] = {
-    "gamma": {"start": 0.8, "stop": 5.0, "num": 12},
-    "omega": [0.5, 0.7],
-    "xi": [0.05, 0.26],
-    "model": {"kind": "rigid"},
-    "settle": 12_000,
-    "observe": 20,
-    "keep": 8,
-}
+SWEEP = spec_of((0.8, 5.0, 12), [0.5, 0.7], [0.05, 0.26], window=(12_000, 20, 8))
 RAMP = SWEEP | {"protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}}
 
 

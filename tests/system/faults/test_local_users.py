@@ -18,6 +18,7 @@ from distributed import LocalCluster
 from paths import CACHE, ROOT, SUPPORT
 from scripted import DEADLINE
 from served import serving
+from studies import spec_of
 
 from service.client import Client
 
@@ -26,14 +27,7 @@ pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become 
 #: A user without rights: nobody.
 OTHER = 65534
 
-SWEEP: dict[str, Any] = {
-    "gamma": {"start": 1.0, "stop": 2.0, "num": 20},
-    "omega": 0.5,
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 5,
-    "observe": 5,
-}
+SWEEP = spec_of((1.0, 2.0, 20), 0.5, 0.26, window=(5, 5))
 
 
 @pytest.fixture

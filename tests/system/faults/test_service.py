@@ -24,6 +24,7 @@ from paths import CACHE, ROOT
 from scripted import DEADLINE, wait_for
 from served import Serving, serving
 from stores import is_sound
+from studies import spec_of
 
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
@@ -49,15 +50,7 @@ KILLS = [
     for times in (1, 3)
 ]
 
-SWEEP: dict[str, Any] = {
-    "gamma": {"start": 2.0, "stop": 5.0, "num": 40},
-    "omega": 0.5,
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 10_000,
-    "observe": 20,
-    "keep": 8,
-}
+SWEEP = spec_of((2.0, 5.0, 40), 0.5, 0.26, window=(10_000, 20, 8))
 
 
 class Lives:

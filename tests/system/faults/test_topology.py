@@ -16,6 +16,7 @@ import pytest
 import yaml
 from paths import ROOT
 from scripted import free_port
+from studies import spec_of
 
 SERVICES: dict[str, dict] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
 
@@ -130,16 +131,7 @@ def topology(tmp_path: Path) -> Iterator[Topology]:
 def test_compose_topology_as_plain_processes_computes_a_job(topology: Topology):
     from service.client import Client
 
-    sweep = {
-        "name": "as deployed",
-        "gamma": GAMMA,
-        "omega": 0.5,
-        "xi": 0.26,
-        "model": {"kind": "rigid"},
-        "settle": 540,
-        "observe": 12,
-        "keep": 12,
-    }
+    sweep = spec_of(GAMMA, 0.5, 0.26, name="as deployed", window=(540, 12, 12))
     with Client(topology.url) as client:
         diagram = client.submit(sweep).wait(progress=False, timeout=PATIENCE).diagram()
 

@@ -8,20 +8,13 @@ import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
 from served import done
+from studies import spec_of
 
 pytestmark = needs_chromium
 
-MAP: dict[str, Any] = {
-    "name": "An adaptive map",
-    "gamma": {"start": 0.3, "stop": 4.2, "num": 257},
-    "omega": {"start": 0.28, "stop": 1.4, "num": 257},
-    "xi": 0.05,
-    "model": {"kind": "rigid"},
-    "settle": 40,
-    "observe": 20,
-    "keep": 8,
-    "refine": {"by": "mode"},
-}
+MAP = spec_of(
+    (0.3, 4.2, 257), (0.28, 1.4, 257), 0.05, name="An adaptive map", window=(40, 20, 8), refine={"by": "mode"}
+)
 
 
 def job_of(address: str, id: str) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from browser import (
 from click.testing import CliRunner
 from scripted import DEADLINE, Held, Scripted, free_port, wait_for
 from served import computing_at, done, service_at
+from studies import spec_of
 from toy_view import add_stored_variable
 
 from service.background import InThisProcess
@@ -32,17 +33,9 @@ from service.server import embedded
 pytestmark = needs_chromium
 
 #: Diagrams at nine frequencies and two dampings, thresholds up and down, computed in a second.
-LOOP: dict[str, Any] = {
-    "name": "Hysteresis",
-    "gamma": {"start": 0.3, "stop": 1.4, "num": 111},
-    "omega": {"start": 0.5, "stop": 0.9, "num": 9},
-    "xi": [0.05, 0.1],
-    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
-    "model": {"kind": "rigid"},
-    "settle": 120,
-    "observe": 30,
-    "keep": 24,
-}
+LOOP = spec_of(
+    (0.3, 1.4, 111), (0.5, 0.9, 9), [0.05, 0.1], name="Hysteresis", ramp="both", window=(120, 30, 24)
+)
 #: Far above what is measured even on a loaded machine; slower than this is a defect.
 SLOW_MS = 30_000
 

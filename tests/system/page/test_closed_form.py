@@ -8,6 +8,7 @@ import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
 from served import done
+from studies import spec_of
 
 from kernel.branches.starts import cycles_at
 from kernel.branches.thresholds import thresholds
@@ -16,17 +17,14 @@ from kernel.params import Cell
 pytestmark = needs_chromium
 
 #: A hysteresis loop with the frequencies of an S-shaped branch and of a tip.
-LOOP: dict[str, Any] = {
-    "name": "Hysteresis in closed form",
-    "gamma": {"start": 0.45, "stop": 1.1, "num": 66},
-    "omega": {"start": 0.5, "stop": 0.75, "num": 11},
-    "xi": 0.05,
-    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
-    "model": {"kind": "rigid"},
-    "settle": 120,
-    "observe": 30,
-    "keep": 24,
-}
+LOOP = spec_of(
+    (0.45, 1.1, 66),
+    (0.5, 0.75, 11),
+    0.05,
+    name="Hysteresis in closed form",
+    ramp="both",
+    window=(120, 30, 24),
+)
 
 #: Positions on the plot, in CSS pixels, of pixels in the colour of a property of the style sheet.
 PIXELS = """([selector, property]) => {

@@ -16,6 +16,7 @@ from disks import read_only
 from PIL import Image
 from scripted import Held
 from served import computing_at, service_at
+from studies import spec_of
 
 from kernel.params import KERNEL_VERSION
 from kernel.threshold import threshold
@@ -28,15 +29,7 @@ from worker.studies import from_json
 
 pytestmark = needs_chromium
 
-SMALL: dict[str, Any] = {
-    "gamma": {"start": 0.5, "stop": 3.0, "num": 26},
-    "omega": [0.5, 0.6],
-    "xi": 0.05,
-    "model": {"kind": "rigid"},
-    "settle": 40,
-    "observe": 12,
-    "keep": 8,
-}
+SMALL = spec_of((0.5, 3.0, 26), [0.5, 0.6], 0.05, window=(40, 12, 8))
 
 
 @pytest.fixture(scope="module")

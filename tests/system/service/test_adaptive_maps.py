@@ -7,20 +7,12 @@ import httpx2
 import numpy as np
 import pytest
 from served import computing_at
+from studies import spec_of
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.client.client import Client
 
-SPACE: dict[str, Any] = {
-    "name": "thresholds and modes",
-    "gamma": {"start": 0.4, "stop": 2.4, "num": 49},
-    "omega": {"start": 0.4, "stop": 1.0, "num": 41},
-    "xi": 0.05,
-    "model": {"kind": "rigid"},
-    "settle": 300,
-    "observe": 60,
-    "keep": 8,
-}
+SPACE = spec_of((0.4, 2.4, 49), (0.4, 1.0, 41), 0.05, name="thresholds and modes", window=(300, 60, 8))
 
 MAP: dict[str, Any] = {**SPACE, "refine": {"by": "mode", "coarsest": 8}}
 

@@ -13,6 +13,7 @@ import pytest
 from fastapi.testclient import TestClient
 from scripted import DEADLINE, Held, wait_for
 from served import computing, finished, listening, service
+from studies import spec_of
 
 from service.api.app import create_app
 from service.server.web_server import limited
@@ -21,14 +22,7 @@ from worker.executors.inline import Inline
 
 MAX_BODY = 20_000
 
-GOOD: dict[str, Any] = {
-    "gamma": {"start": 0.6, "stop": 1.4, "num": 9},
-    "omega": [0.5, 0.6],
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 20,
-    "observe": 20,
-}
+GOOD = spec_of((0.6, 1.4, 9), [0.5, 0.6], 0.26, window=(20, 20))
 
 
 class Body(NamedTuple):

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas
@@ -14,6 +14,7 @@ from json_results import from_json
 from pyarrow import parquet
 from scripted import Held, sweep, wait_for
 from served import computing_at, service_at
+from studies import spec_of
 
 from service.cli.main import main
 from service.client import BounceError, Client, Conflict, Job, NotFound
@@ -21,11 +22,7 @@ from service.client.display import summary
 
 TOKEN = "a-token-of-thirty-two-characters"
 
-PLANE: dict[str, Any] = {
-    "name": "a plane", "gamma": {"start": 0.6, "stop": 1.6, "num": 11}, "omega": [0.5, 0.7], "xi": 0.26,
-    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
-    "model": {"kind": "rigid"}, "settle": 40, "observe": 20, "keep": 8,
-}  # fmt: skip
+PLANE = spec_of((0.6, 1.6, 11), [0.5, 0.7], 0.26, name="a plane", ramp="both", window=(40, 20, 8))
 
 
 class Running(NamedTuple):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from scripted import Held
+from studies import spec_of
 
 from service.client import Client
 from service.errors import DataFolderBusy, NotStarted
@@ -30,14 +31,7 @@ def no_cluster():
     raise RuntimeError("the queue is closed")
 """
 
-SPEC = {
-    "gamma": {"start": 1.0, "stop": 2.0, "num": 6},
-    "omega": 0.5,
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 5,
-    "observe": 5,
-}
+SPEC = spec_of((1.0, 2.0, 6), 0.5, 0.26, window=(5, 5))
 
 
 @pytest.fixture

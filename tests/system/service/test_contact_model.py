@@ -1,11 +1,11 @@
 """What the architecture promises to whoever adds a contact model: its module and a row of the table."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 import toy_model
 from served import computing, finished, read
+from studies import spec_of
 
 from kernel.params import Outcome
 from worker.spec.contact_models import CONTACT_MODELS
@@ -23,10 +23,7 @@ def glued(monkeypatch: pytest.MonkeyPatch):
     SweepSpec.model_rebuild(force=True)
 
 
-GLUED: dict[str, Any] = {
-    "gamma": {"start": 1.0, "stop": 3.0, "num": 5}, "omega": 0.5, "xi": [0.1, 0.2],
-    "model": {"kind": "glued"}, "settle": 3, "observe": 2,
-}  # fmt: skip
+GLUED = spec_of((1.0, 3.0, 5), 0.5, [0.1, 0.2], model={"kind": "glued"}, window=(3, 2))
 
 
 def test_a_contact_model_is_its_module_and_a_row(tmp_path: Path, glued: None):

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.errors import FlakyStrategyDefinition
 from scripted import DEADLINE
 from served import computing_at, done, service_at
+from studies import spec_of
 
 from worker.executors.inline import Inline
 from worker.study import ChunkReport
@@ -41,11 +42,7 @@ from schemathesis.specs.openapi.checks import (
 TIMEOUT = 60
 CASES = int(os.environ.get("BOUNCE_FUZZ", "300"))
 
-DONE: dict[str, Any] = {
-    "gamma": {"start": 0.6, "stop": 1.4, "num": 9}, "omega": [0.5, 0.6], "xi": 0.26,
-    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
-    "model": {"kind": "rigid"}, "settle": 5, "observe": 5, "keep": 4,
-}  # fmt: skip
+DONE = spec_of((0.6, 1.4, 9), [0.5, 0.6], 0.26, ramp="both", window=(5, 5, 4))
 
 CHECKS = [
     not_a_server_error,

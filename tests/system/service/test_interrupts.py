@@ -12,6 +12,7 @@ import pytest
 from interrupted import Command
 from paths import CACHE, ROOT
 from scripted import DEADLINE
+from studies import spec_of
 
 from service.jobs.manager import JobManager
 from service.jobs.stores.opening import open_ledger
@@ -20,14 +21,7 @@ from worker.executors.inline import Inline
 from worker.sweep import SweepSpec
 
 #: Computes for minutes.
-LONG = {
-    "name": "long",
-    "gamma": {"start": 1.0, "stop": 6.0, "num": 20_000},
-    "omega": [0.5, 0.6],
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 20_000,
-}
+LONG = spec_of((1.0, 6.0, 20_000), [0.5, 0.6], 0.26, name="long", settle=20_000)
 
 RUN = ("run", "long.json", "-o", "long.zarr")
 

@@ -12,20 +12,12 @@ from typing import Any
 
 import pytest
 from stores import files
+from studies import spec_of
 
 from service import local
 from service.client.models import JobStatus
 
-SPEC = {
-    "name": "local",
-    "gamma": {"start": 0.6, "stop": 3.0, "num": 25},
-    "omega": [0.5, 0.6],
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 30,
-    "observe": 20,
-    "keep": 4,
-}
+SPEC = spec_of((0.6, 3.0, 25), [0.5, 0.6], 0.26, name="local", window=(30, 20, 4))
 
 #: Cells of which a chunk takes tenths of a second, and the whole some seconds.
 LONG = SPEC | {

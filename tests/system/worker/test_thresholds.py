@@ -1,11 +1,11 @@
 """Thresholds refined on workers."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
 from served import service_at
+from studies import spec_of
 
 from kernel.threshold import threshold
 from service.client import Client, Job
@@ -16,16 +16,7 @@ def ramp(direction: str) -> dict[str, str]:
     return {"kind": "ramp", "axis": "gamma", "direction": direction}
 
 
-SWEEP: dict[str, Any] = {
-    "gamma": {"start": 0.4, "stop": 1.2, "num": 81},
-    "omega": [0.6, 0.66],
-    "xi": [0.05, 0.2],
-    "protocol": ramp("both"),
-    "model": {"kind": "rigid"},
-    "settle": 100,
-    "observe": 20,
-    "keep": 4,
-}
+SWEEP = spec_of((0.4, 1.2, 81), [0.6, 0.66], [0.05, 0.2], protocol=ramp("both"), window=(100, 20, 4))
 
 
 @pytest.fixture(scope="module")

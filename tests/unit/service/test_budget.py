@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from studies import spec_of
 
 from service import local
 from service.budget import Answer, within
@@ -59,12 +60,7 @@ def test_a_budget_too_short_for_any_level_says_what_may_work():
 
 
 def test_a_run_within_a_budget_is_the_sweep_with_its_audit():
-    spec = {
-        "gamma": {"start": 0.8, "stop": 3, "num": 60},
-        "omega": 0.5,
-        "xi": 0.26,
-        "model": {"kind": "rigid"},
-    }
+    spec = spec_of((0.8, 3, 60), 0.5, 0.26)
     found = local.run(spec, budget=120.0, progress=False)
     assert found.sizes["gamma"] == 60
     assert "have another outcome or mode" in found.attrs["audit"]

@@ -11,7 +11,7 @@ import xarray
 from json_results import from_json
 from served import service
 from stores import store_in
-from studies import STUDIES
+from studies import STUDIES, spec_of
 
 from kernel.params import KERNEL_VERSION
 from service import local
@@ -23,16 +23,7 @@ from worker.executors.inline import Inline
 from worker.spec.errors import SpecError
 from worker.sweep import SweepSpec
 
-SPEC = {
-    "name": "local",
-    "gamma": {"start": 0.6, "stop": 3.0, "num": 25},
-    "omega": [0.5, 0.6],
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 30,
-    "observe": 20,
-    "keep": 4,
-}
+SPEC = spec_of((0.6, 3.0, 25), [0.5, 0.6], 0.26, name="local", window=(30, 20, 4))
 ORBITS = {
     "omega": {"start": 0.4, "stop": 1.2, "num": 12},
     "xi": [0.05, 0.1, 0.2],

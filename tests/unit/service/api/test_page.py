@@ -4,7 +4,6 @@ import graphlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from urllib.parse import urljoin
 
 import numpy as np
@@ -13,6 +12,7 @@ import xarray
 from fastapi.testclient import TestClient
 from scripted import Held
 from served import computing, finished, read, service
+from studies import spec_of
 from tables import for_each
 
 from kernel.params import Outcome
@@ -20,25 +20,8 @@ from service.api.routers import page
 
 SCRIPTS = page.FILES / "js"
 
-LINE: dict[str, Any] = {
-    "name": "Fig. 2, coarse",
-    "gamma": {"start": 1.0, "stop": 6.0, "num": 101},
-    "omega": [0.5, 0.6],
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 60,
-    "observe": 40,
-    "keep": 16,
-}
-RAMP: dict[str, Any] = {
-    "gamma": {"start": 0.4, "stop": 1.2, "num": 81},
-    "omega": 0.6,
-    "xi": 0.05,
-    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
-    "model": {"kind": "rigid"},
-    "settle": 120,
-    "observe": 30,
-}
+LINE = spec_of((1.0, 6.0, 101), [0.5, 0.6], 0.26, name="Fig. 2, coarse", window=(60, 40, 16))
+RAMP = spec_of((0.4, 1.2, 81), 0.6, 0.05, ramp="both", window=(120, 30))
 
 
 @pytest.fixture(scope="module")

@@ -12,18 +12,12 @@ import xarray as xr
 from fastapi.testclient import TestClient
 from scripted import Held, wait_for
 from served import computing, finished, get, read, service
+from studies import spec_of
 from tables import for_each
 
-SPACE: dict[str, Any] = {
-    "name": "thresholds and modes",
-    "gamma": {"start": 0.4, "stop": 2.4, "num": 49},
-    "omega": {"start": 0.4, "stop": 1.0, "num": 41},
-    "xi": 0.05,
-    "model": {"kind": "rigid"},
-    "until": 5_000,
-    "observe": 60,
-    "keep": 8,
-}
+SPACE = spec_of(
+    (0.4, 2.4, 49), (0.4, 1.0, 41), 0.05, name="thresholds and modes", until=5_000, observe=60, keep=8
+)
 MAP: dict[str, Any] = {**SPACE, "refine": {"by": "mode", "coarsest": 8}}
 VAST: dict[str, Any] = {
     **SPACE,

@@ -9,15 +9,13 @@ from fastapi.testclient import TestClient
 from json_results import from_json
 from scripted import Held
 from served import computing, finished, service
+from studies import spec_of
 
 from service.views.audit import affordable
 from worker.analysis.intervals import bounds
 from worker.sweep import SweepSpec
 
-PLANE: dict[str, Any] = {
-    "gamma": {"start": 0.8, "stop": 4, "num": 24}, "omega": {"start": 0.4, "stop": 1.0, "num": 16},
-    "xi": 0.1, "model": {"kind": "rigid"},
-}  # fmt: skip
+PLANE = spec_of((0.8, 4, 24), (0.4, 1.0, 16), 0.1)
 RAMP = PLANE | {
     "omega": [0.5, 0.6], "xi": 0.05, "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
 }  # fmt: skip

@@ -1,11 +1,12 @@
 """Labels and exponents in every answer, and how many cells were still settling."""
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 import pytest
 from fastapi.testclient import TestClient
 from served import computing, finished, get, read
+from studies import spec_of
 
 from kernel.labels import LABELS
 from service.cli.output import job_report
@@ -13,16 +14,7 @@ from service.client.display import settling_note
 from service.client.models import JobStatus
 
 #: At Omega = 1, xi = 0.05: a cell at rest, a (1, 2) mode, a torus, chaos (docs/model.md).
-SWEEP: Final[dict[str, Any]] = {
-    "gamma": [0.1, 3.0, 3.8, 4.6],
-    "omega": [0.9, 1.0],
-    "xi": 0.05,
-    "model": {"kind": "rigid"},
-    "settle": 300,
-    "observe": 300,
-    "keep": 16,
-    "exponents": 2,
-}
+SWEEP: Final = spec_of([0.1, 3.0, 3.8, 4.6], [0.9, 1.0], 0.05, window=(300, 300, 16), exponents=2)
 EXPECTED: Final = ["at_rest", "periodic", "quasi-periodic", "chaotic"]
 
 
@@ -52,15 +44,7 @@ def test_a_diagram_tells_quasi_periodic_from_chaotic_cells(client: TestClient, j
 
 
 #: Slow settling next to the resonance, and a window too short for it.
-SHORT: Final[dict[str, Any]] = {
-    "gamma": {"start": 0.6, "stop": 1.5, "num": 46},
-    "omega": 1.0,
-    "xi": 0.01,
-    "model": {"kind": "rigid"},
-    "settle": 20,
-    "observe": 60,
-    "keep": 4,
-}
+SHORT: Final = spec_of((0.6, 1.5, 46), 1.0, 0.01, window=(20, 60, 4))
 
 
 def test_a_job_says_how_many_cells_were_settling(client: TestClient):

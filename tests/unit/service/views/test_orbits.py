@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from scripted import Held, wait_for
 from served import computing, get
 from served import service as begun
+from studies import spec_of
 from tables import for_each
 
 from kernel.branches.energy import energy
@@ -135,10 +136,7 @@ def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.Mon
 
 # Words continued from the cells of a sweep
 
-FIGURE_2: dict[str, Any] = {
-    "gamma": [1.5, 1.8, 2.2, 2.3, 2.4, 2.52], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
-    "settle": 400, "observe": 100,
-}  # fmt: skip
+FIGURE_2 = spec_of([1.5, 1.8, 2.2, 2.3, 2.4, 2.52], 0.5, 0.26, window=(400, 100))
 
 
 def _job_orbits(client: Client, spec: dict[str, Any], **query: Any) -> Any:
@@ -190,11 +188,7 @@ def test_the_orbits_of_a_job_name_the_grid(service: TestClient, client: Client):
 
 # Predictions beside the thresholds of a sweep
 
-RAMP: dict[str, Any] = {
-    "gamma": {"start": 0.5, "stop": 0.9, "num": 101}, "omega": [0.6, 0.9], "xi": 0.05,
-    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}, "model": {"kind": "rigid"},
-    "settle": 60, "observe": 20, "keep": 4,
-}  # fmt: skip
+RAMP = spec_of((0.5, 0.9, 101), [0.6, 0.9], 0.05, ramp="both", window=(60, 20, 4))
 
 
 def test_thresholds_of_a_sweep_stand_beside_the_predictions(client: Client):

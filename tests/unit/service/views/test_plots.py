@@ -1,7 +1,6 @@
 """A job's results as plots: what is drawn by default, and hatches."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,15 +8,12 @@ from fastapi.testclient import TestClient
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from served import computing
+from studies import spec_of
 
 from service.client import BounceError, Client, Job
 from service.pictures import AXES, DIFFER, FLIGHT, HATCH
 
-RAMP: dict[str, Any] = {
-    "gamma": {"start": 0.5, "stop": 1.5, "num": 21}, "omega": [0.6, 0.9, 1.2], "xi": 0.05,
-    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}, "model": {"kind": "rigid"},
-    "settle": 60, "observe": 20, "keep": 4,
-}  # fmt: skip
+RAMP = spec_of((0.5, 1.5, 21), [0.6, 0.9, 1.2], 0.05, ramp="both", window=(60, 20, 4))
 
 
 @pytest.fixture(scope="module")

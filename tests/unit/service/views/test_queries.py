@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray
 from scripted import small as spec
+from studies import spec_of
 from tables import for_each
 
 from kernel.params import Outcome
@@ -175,11 +176,7 @@ def test_a_refusal_names_the_thinning_that_fits(sweep: Stored, max_points: int, 
 
 
 #: Around the fold of Omega = 0.6 and, at larger Gamma, the flights that leap on the way up.
-BOTH_WAYS: dict[str, Any] = {
-    "gamma": {"start": 0.5, "stop": 1.2, "num": 15}, "omega": [0.58, 0.6, 0.62], "xi": 0.05, "settle": 60,
-    "observe": 20, "keep": 6, "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
-    "model": {"kind": "rigid"}, "exponents": 0,
-}  # fmt: skip
+BOTH_WAYS = spec_of((0.5, 1.2, 15), [0.58, 0.6, 0.62], 0.05, window=(60, 20, 6), ramp="both", exponents=0)
 
 
 @pytest.fixture(scope="module")

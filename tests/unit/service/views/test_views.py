@@ -15,6 +15,7 @@ from fastapi.testclient import TestClient
 from json_results import from_json
 from pyarrow import parquet
 from served import computing
+from studies import spec_of
 
 from service.cli import views as commands
 from service.client import Client, Job, UnexpectedAnswer
@@ -22,11 +23,7 @@ from service.client.dataset import from_binary
 from service.views import client_methods
 from service.views.registry import VIEWS
 
-SPEC: dict[str, Any] = {
-    "gamma": {"start": 0.8, "stop": 2.6, "num": 5}, "omega": [0.5, 0.6], "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 60, "observe": 20,
-}  # fmt: skip
+SPEC = spec_of((0.8, 2.6, 5), [0.5, 0.6], 0.26, window=(60, 20))
 TOY = toy_view.VIEW.name
 
 

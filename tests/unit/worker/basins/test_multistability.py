@@ -8,6 +8,7 @@ import numpy as np
 import paths
 import pytest
 import xarray
+from studies import spec_of
 
 from kernel.branches.events import Kind, fold_events
 from kernel.params import Outcome
@@ -21,10 +22,7 @@ MULTISTABILITY = STUDIES["multistability"]
 
 GOLDEN = json.loads((paths.GOLDEN / "multistability.json").read_text())
 
-SPEC: dict[str, Any] = {
-    "gamma": [3.4, 3.6, 3.8], "omega": [0.5, 0.52], "xi": 0.26, "model": {"kind": "rigid"},
-    "protocol": {"kind": "multistability"}, "settle": 300, "observe": 60,
-}  # fmt: skip
+SPEC = spec_of([3.4, 3.6, 3.8], [0.5, 0.52], 0.26, protocol={"kind": "multistability"}, window=(300, 60))
 
 
 def multistability(**fields: Any) -> MultistabilitySpec:

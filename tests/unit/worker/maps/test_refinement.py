@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from studies import spec_of
 from tables import for_each
 
 from kernel.params import Outcome
@@ -21,14 +22,7 @@ from worker.sweep import SweepSpec, schema
 from worker.sweep.schema import MODE_ARRAYS
 
 #: A plane with the threshold, modes, chaos and tongues; rows and columns that no number of blocks fits.
-SPACE: dict[str, Any] = {
-    "omega": {"start": 0.35, "stop": 1.0, "num": 45},
-    "gamma": {"start": 0.4, "stop": 3.4, "num": 52},
-    "xi": 0.05,
-    "model": {"kind": "rigid"},
-    "observe": 40,
-    "keep": 8,
-}
+SPACE = spec_of((0.4, 3.4, 52), (0.35, 1.0, 45), 0.05, observe=40, keep=8)
 #: Tiles of it, in place of the default ones, which are larger than the plane.
 TILE = (1, 17, 17)
 
