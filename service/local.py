@@ -378,8 +378,8 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
 def _compiling() -> str:
     from kernel.numerics.cache import compilations
 
-    kernel = next((compilation.kernel for compilation in compilations()), "the last one")
-    return f"compiling kernel 1 of 1, {kernel}; later runs find it in the cache"
+    kernel = next((compilation.kernel for compilation in compilations()), "the last kernel")
+    return f"compiling {kernel}; later runs find it in the cache"
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:

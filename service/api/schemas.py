@@ -139,8 +139,6 @@ class CompilingView(BaseModel):
     model_config = ConfigDict(from_attributes=True)
 
     kernel: str = Field(description="its function and the contact model")
-    number: int = Field(description="of the kernels that the job needs, from 1")
-    of: int
     seconds: float = Field(description="so far")
 
 

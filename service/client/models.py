@@ -112,8 +112,7 @@ class JobStatus:
         facts = self.view.get("compiling")
         if not facts:
             return ""
-        seconds = round(facts["seconds"])
-        return f"compiling kernel {facts['number']} of {facts['of']}, {facts['kernel']}, {seconds} s"
+        return f"compiling {facts['kernel']}, {round(facts['seconds'])} s"
 
     @property
     def pinned(self) -> bool:

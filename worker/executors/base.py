@@ -75,8 +75,6 @@ class Compiling:
     """A kernel that a worker compiles before the first chunk of a job, or loads."""
 
     kernel: str  # its function and the contact model, as "walk of rigid"
-    number: int  # of the kernels that the job needs, from 1
-    of: int
     seconds: float  # so far
 
 

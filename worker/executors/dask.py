@@ -155,7 +155,7 @@ class Dask:
         if time.monotonic() - heard > COMPILING_SECONDS:
             self._compiling.pop(store_url, None)
             return None
-        return Compiling(kernel, 1, 1, max(time.time() - began, 0.0))
+        return Compiling(kernel, max(time.time() - began, 0.0))
 
     def ask_for(self, seconds: float, tasks: int) -> None:
         self._connection.ask_for(seconds, tasks)

@@ -55,7 +55,7 @@ class Inline:
     def compiling(self, store_url: str) -> Compiling | None:
         """The kernel that this process compiles, for any job."""
         under_way = compilations()
-        return Compiling(under_way[0].kernel, 1, 1, time.time() - under_way[0].began) if under_way else None
+        return Compiling(under_way[0].kernel, time.time() - under_way[0].began) if under_way else None
 
     def ask_for(self, seconds: float, tasks: int) -> None: ...
 

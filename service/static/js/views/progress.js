@@ -42,8 +42,7 @@ export class JobSummary {
   }
 }
 
-const compilation = ({ kernel, number, of, seconds }) =>
-  `compiling kernel ${number} of ${of}, ${kernel}, ${duration(seconds)}`;
+const compilation = ({ kernel, seconds }) => `compiling ${kernel}, ${duration(seconds)}`;
 
 function amount(state, { cells_done: done, cells_total: total, cells_computed: computed, cells_needed: needed, percent, eta_seconds: eta }) {
   const isAdaptive = (computed ?? null) !== null;
