@@ -1,9 +1,13 @@
 """Extras of the package without which some tests are skipped: why, and programs that they bring."""
 
+import re
 import sys
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from paths import ROOT
 
 #: What only extras bring, by the names under which it is imported.
 EXTRAS = ("pyarrow", "obstore", "aiohttp", "IPython")
@@ -24,3 +28,12 @@ def program(name: str, reason: str) -> str:
     if not path.exists():
         pytest.skip(reason)
     return str(path)
+
+
+def locked() -> dict[str, list[Requirement]]:
+    """The pins of the lock file by library; a library can have several, for different Pythons."""
+    lock, pins = (ROOT / "requirements.lock").read_text(), dict[str, list[Requirement]]()
+    for line in re.findall(r"^([a-z0-9][^\\\n]*==[^\\\n]*)", lock, re.MULTILINE):
+        pin = Requirement(line)
+        pins.setdefault(canonicalize_name(pin.name), []).append(pin)
+    return pins

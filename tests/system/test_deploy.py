@@ -8,28 +8,16 @@ import sys
 import tomllib
 from pathlib import Path
 
-from extras import LINT, program
+from extras import LINT, locked, program
 from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
 from paths import ROOT
 
 from kernel.params import KERNEL_VERSION
-
-LOCK = (ROOT / "requirements.lock").read_text()
 
 
 def tool(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [program(name, LINT), *arguments]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
-
-
-def locked() -> dict[str, list[Requirement]]:
-    """The pins of the lock file by library; a library can have several, for different Pythons."""
-    pins: dict[str, list[Requirement]] = {}
-    for line in re.findall(r"^([a-z0-9][^\\\n]*==[^\\\n]*)", LOCK, re.MULTILINE):
-        pin = Requirement(line)
-        pins.setdefault(canonicalize_name(pin.name), []).append(pin)
-    return pins
 
 
 def test_compose_file_is_valid():

@@ -6,6 +6,7 @@ import tomllib
 import pytest
 import yaml
 from documents import DOCUMENTS, blocks
+from extras import locked
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from paths import ROOT
@@ -20,15 +21,6 @@ LOCK = (ROOT / "requirements.lock").read_text()
 def instructions(name: str) -> list[str]:
     """The arguments of each instruction `name` of the Dockerfile."""
     return re.findall(rf"^\s*{name}\s+(.*)$", DOCKERFILE, re.MULTILINE)
-
-
-def locked() -> dict[str, list[Requirement]]:
-    """The pins of the lock file by library; a library can have several, for different Pythons."""
-    pins: dict[str, list[Requirement]] = {}
-    for line in re.findall(r"^([a-z0-9][^\\\n]*==[^\\\n]*)", LOCK, re.MULTILINE):
-        pin = Requirement(line)
-        pins.setdefault(canonicalize_name(pin.name), []).append(pin)
-    return pins
 
 
 def test_topology_is_a_scheduler_two_workers_and_the_service_that_the_image_runs():

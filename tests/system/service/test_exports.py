@@ -1,38 +1,14 @@
-"""Stores over HTTP, and files under the eyes of another program."""
+"""Stores over HTTP, on a real connection."""
 
-import shutil
-import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from http.client import HTTPConnection
 from pathlib import Path
-from typing import Any
 
 import httpx2
 import pytest
 import xarray
-from fastapi.testclient import TestClient
 from scripted import DEADLINE
-from served import RAMP, computing, computing_at, finished
-
-#: A checker of the CF conventions: `pip install compliance-checker`.
-CHECKER = shutil.which("compliance-checker")
-
-
-class Done:
-    """A finished job, the client that made it, and its store as xarray reads it from the disk."""
-
-    def __init__(self, client: TestClient, folder: Path, spec: Mapping[str, Any] = RAMP) -> None:
-        self.client = client
-        self.here = finished(client, dict(spec))
-        (url,) = folder.rglob("*.zarr")
-        self.store = xarray.open_zarr(url, chunks=None).load()
-
-
-@pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
-    folder = tmp_path_factory.mktemp("data")
-    with computing(folder, turn_seconds=0.01) as client:
-        yield Done(client, folder)
+from served import RAMP, computing_at, finished
 
 
 def test_the_store_opens_over_http_with_plain_xarray(tmp_path: Path):
@@ -96,13 +72,3 @@ def test_only_the_stores_own_keys_lead_anywhere(wire: tuple[str, str, str]):
         status, content = on_the_wire(host, f"{here}/zarr/{key}")
         assert status == expected, key
         assert b"SQLite" not in content
-
-
-@pytest.mark.skipif(CHECKER is None, reason="needs compliance-checker, which brings its tables")
-def test_netcdf_follows_the_cf_conventions(done: Done, tmp_path: Path):
-    (tmp_path / "sweep.nc").write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
-    command = [str(CHECKER), "--test=cf:1.11", "--criteria=strict", "sweep.nc"]
-    report = subprocess.run(
-        command, cwd=tmp_path, capture_output=True, text=True, timeout=DEADLINE, check=False
-    )
-    assert "All tests passed!" in report.stdout, report.stdout

@@ -2,6 +2,8 @@
 
 import io
 import json
+import shutil
+import subprocess
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ import pytest
 import xarray
 from fastapi.testclient import TestClient
 from pyarrow import parquet
-from scripted import Held
+from scripted import DEADLINE, Held
 from served import RAMP, computing, finished, get, service
 from tables import for_each
 
@@ -24,6 +26,9 @@ from service.views import exports
 from service.views.selection import Stored
 from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
+
+#: A checker of the CF conventions: `pip install compliance-checker`.
+CHECKER = shutil.which("compliance-checker")
 
 
 class Done:
@@ -63,6 +68,16 @@ def test_netcdf_holds_what_the_store_holds(done: Done, tmp_path: Path):
         )
         assert dataset.direction_code.attrs["flag_values"].dtype == np.uint8
         assert {name: dataset.attrs[name] for name in done.store.attrs} == done.store.attrs
+
+
+@pytest.mark.skipif(CHECKER is None, reason="needs compliance-checker, which brings its tables")
+def test_netcdf_follows_the_cf_conventions(done: Done, tmp_path: Path):
+    (tmp_path / "sweep.nc").write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
+    command = [str(CHECKER), "--test=cf:1.11", "--criteria=strict", "sweep.nc"]
+    report = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=DEADLINE, check=False
+    )
+    assert "All tests passed!" in report.stdout, report.stdout
 
 
 def test_a_file_tells_what_computed_it_alike_in_every_format(done: Done, tmp_path: Path):
