@@ -134,16 +134,6 @@ def test_a_full_queue_sends_retry_after(tmp_path: Any):
         assert int(answer.headers["Retry-After"]) > 0
 
 
-def test_a_response_too_large_names_the_thinning_that_fits(tmp_path: Any):
-    with computing(tmp_path, max_points=100) as client:
-        here = finished(client, GOOD)
-        answer = client.get(f"{here}/diagram?omega=0.5")
-        check_refusal(answer, 413, "gamma 9 × flight 64")
-        assert "every=9 fits" in answer.json()["detail"]
-        for more in ("every=9", "format=png"):
-            assert client.get(f"{here}/diagram?omega=0.5&{more}").status_code == 200
-
-
 def test_a_compressed_body_is_refused(client: TestClient):
     headers = {"Content-Type": "application/json", "Content-Encoding": "gzip"}
     answer = client.post("/v1/jobs", content=gzip.compress(json.dumps(GOOD).encode()), headers=headers)

@@ -65,13 +65,6 @@ def test_a_complete_store_is_returned_and_not_computed_again(tmp_path: Path):
     assert again.attrs["job"] == SweepSpec.parse(SPEC).job_id(KERNEL_VERSION)
 
 
-def test_progress_is_reported_to_a_function():
-    seen: list[tuple[str, float]] = []
-    local.run(SPEC, progress=lambda job: seen.append((job.state, job.progress.percent)))
-    assert seen[-1] == ("done", 100.0)
-    assert [percent for _, percent in seen] == sorted(percent for _, percent in seen)
-
-
 @pytest.mark.parametrize("format", ["nc", "parquet", "json", "png"])
 def test_a_sweep_is_written_as_a_file(tmp_path: Path, format: str):
     output = tmp_path / f"sweep.{format}"

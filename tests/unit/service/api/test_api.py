@@ -1,17 +1,12 @@
 """The HTTP API, from the submission of a sweep to every format of its diagram."""
 
-import csv
-import io
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from paths import GOLDEN
 from scripted import Held, sweep, wait_for
 from served import FIGURE_2, computing, finished, get, read, service
 
@@ -47,13 +42,6 @@ def test_a_submission_is_accepted_and_returns_the_jobs_location(tmp_path: Path):
         assert view["spec"]["gamma"] == {"start": 0.5, "stop": 6.0, "num": 111, "spacing": "linear"}
 
 
-def test_the_same_sweep_however_it_is_written_is_the_same_job(client: TestClient, figure_2: str):
-    same = {**FIGURE_2, "name": "", "omega": [0.5], "observe": 100.0, "protocol": {"kind": "rest"}}
-    answer = client.post("/v1/jobs", json=same)
-    assert (answer.status_code, answer.headers["Location"]) == (200, figure_2)
-    assert answer.json()["name"] == "figure 2, coarse"
-
-
 def test_an_unchanged_job_answers_304(client: TestClient, figure_2: str):
     tag = client.get(figure_2).headers["ETag"]
     for candidates in (tag, f'"other", {tag}', tag.removeprefix("W/"), "*"):
@@ -62,36 +50,7 @@ def test_an_unchanged_job_answers_304(client: TestClient, figure_2: str):
     assert client.get(figure_2, headers={"If-None-Match": '"other"'}).status_code == 200
 
 
-def test_cancel_and_resume(tmp_path: Path):
-    held = Held()
-    with service(tmp_path, held) as client:
-        spec = sweep().as_submitted()
-        here = client.post("/v1/jobs", json=spec).headers["Location"]
-        wait_for(lambda: held.held() == 4)
-        assert client.post(f"{here}/cancel").status_code == 202
-        wait_for(held.told_to_stop)
-        held.let_go_until(lambda: client.get(here).json()["state"] == "cancelled")
-        assert client.post(f"{here}/cancel").status_code == 202  # twice is once
-        assert client.post("/v1/jobs", json=spec).status_code == 202
-        held.let_go_until(lambda: client.get(here).json()["state"] == "done")
-        refused = client.post(f"{here}/cancel")
-        assert (refused.status_code, refused.json()["status"]) == (409, 409)
-
-
 # Diagrams
-
-
-@pytest.mark.parametrize("name", ["rigid", "soft"])
-def test_diagrams_contain_the_reference_flights(client: TestClient, name: str):
-    tolerance = {"rigid": 1e-9, "soft": 1e-8}[name]
-    for cell in json.loads((GOLDEN / f"{name}.json").read_text()):
-        model = {key: cell[key] for key in ("restitution", "penetration", "adhesive") if key in cell}
-        point = {axis: cell[axis] for axis in ("gamma", "omega", "xi")}
-        here = finished(client, {**point, "model": {"kind": name, **model}, "settle": 500, "observe": 40})
-        flights = read(client, f"{here}/diagram", min_flight=0).flight_time[0].dropna("flight").values
-        assert sorted(flights[-len(cell["flights"]) :]) == pytest.approx(cell["flights"], abs=tolerance), (
-            point
-        )
 
 
 def test_results_before_the_job_is_done_are_incomplete(tmp_path: Path):
@@ -113,22 +72,6 @@ def test_results_before_the_job_is_done_are_incomplete(tmp_path: Path):
         assert not nothing.attrs["complete"]
         assert not nothing.outcome.any()
         assert np.isnan(read(client, f"{queued}/threshold").up).all()
-
-
-@pytest.mark.parametrize(
-    ("format", "media_type"), [("csv", "text/csv"), ("png", "image/png"), ("svg", "image/svg+xml")]
-)
-def test_formats_of_a_diagram(client: TestClient, figure_2: str, format: str, media_type: str):
-    answer = client.get(f"{figure_2}/diagram", params={"format": format})
-    assert answer.status_code == 200
-    assert answer.headers["Content-Type"].partition(";")[0] == media_type
-    assert answer.headers["Bounce-Complete"] == "true"
-    if format == "csv":
-        assert len(list(csv.reader(io.StringIO(answer.text)))) > 1000
-    elif format == "png":
-        assert answer.content.startswith(PNG)
-    else:
-        assert ElementTree.fromstring(answer.text).tag.endswith("svg")
 
 
 @pytest.mark.parametrize("path", ["modes", "threshold", "trajectory?gamma=2", "/v1/orbits?omega=0.6&xi=0.1"])

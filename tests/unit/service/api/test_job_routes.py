@@ -5,34 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scripted import Held, sweep, wait_for
-from served import FIGURE_2, computing, finished, get, service
+from scripted import Held, sweep
+from served import computing, finished, get, service
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
 
 
 # Idempotency keys
-
-
-def test_a_request_repeated_under_its_key_changes_nothing(tmp_path: Path):
-    with service(tmp_path, Held()) as client:
-        first = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "a-1"})
-        here = first.headers["Location"]
-        client.post(f"{here}/cancel")
-        wait_for(lambda: get(client, here)["state"] in ("cancelled", "running"))
-        headers = {"Idempotency-Key": "a-1", "Content-Type": "application/json"}
-        again = client.post("/v1/jobs", content=json.dumps(SWEEP, indent=4).encode(), headers=headers)
-        assert (first.status_code, again.status_code) == (202, 200)
-        assert again.json()["id"] == first.json()["id"]
-
-
-def test_a_key_for_another_body_is_refused(tmp_path: Path):
-    with service(tmp_path, Held()) as client:
-        client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
-        answer = client.post("/v1/jobs", json={**SWEEP, "xi": 0.3}, headers={"Idempotency-Key": "k"})
-        assert answer.status_code == 409
-        assert "another specification" in answer.json()["detail"]
-        assert get(client, "/v1/jobs")["total"] == 1
 
 
 def test_a_key_must_be_ascii_without_spaces(tmp_path: Path):
@@ -45,18 +24,6 @@ def test_a_key_must_be_ascii_without_spaces(tmp_path: Path):
 
 
 # Estimates
-
-
-def test_validate_only_accepts_nothing_and_estimates_the_cost(tmp_path: Path):
-    with service(tmp_path, Held()) as client:
-        answer = client.post("/v1/jobs?validate_only=true", json=FIGURE_2)
-        assert answer.status_code == 200
-        cost = answer.json()
-        assert (cost["cells"], cost["basis"], cost["workers"]) == (111, "table", 2)
-        assert cost["bytes"] == 111 * (64 * 16 + 13 + 24)
-        assert cost["chunks"] >= 1
-        assert cost["core_seconds"] > 0
-        assert get(client, "/v1/jobs")["total"] == 0
 
 
 def test_the_estimate_uses_the_measured_speed_of_earlier_jobs(tmp_path: Path):
@@ -122,36 +89,7 @@ def test_results_of_a_done_job_answer_304(tmp_path: Path):
 # Resume, delete
 
 
-def test_deleting_a_job_removes_its_results(tmp_path: Path):
-    with computing(tmp_path) as client:
-        here = finished(client, SWEEP)
-        assert list((tmp_path / "stores").glob("*.zarr"))
-        answer = client.delete(here)
-        assert (answer.status_code, answer.content) == (204, b"")
-        wait_for(lambda: not list((tmp_path / "stores").glob("*.zarr")))
-        for path in (here, f"{here}/diagram", f"{here}/zarr/zarr.json", f"{here}/events"):
-            assert client.get(path).status_code == 404
-        assert client.delete(here).status_code == 404
-        assert finished(client, SWEEP) == here  # and it can be submitted again
-
-
 # Events
-
-
-def events(text: str) -> list[tuple[str, dict[str, Any]]]:
-    blocks = [block.split("\n") for block in text.strip().split("\n\n") if not block.startswith(":")]
-    return [
-        (block[0].removeprefix("event: "), json.loads(block[1].removeprefix("data: "))) for block in blocks
-    ]
-
-
-def test_a_finished_job_sends_one_event(tmp_path: Path):
-    with computing(tmp_path) as client:
-        here = finished(client, SWEEP)
-        answer = client.get(f"{here}/events")
-        assert answer.headers["Content-Type"].startswith("text/event-stream")
-        ((name, view),) = events(answer.text)
-        assert (name, view["state"], view["spec"]) == ("end", "done", None)
 
 
 # Metrics

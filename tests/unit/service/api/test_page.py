@@ -154,15 +154,6 @@ def test_a_window_of_a_diagram_and_of_a_mode_map_has_the_cells_inside(client: Te
     xarray.testing.assert_equal(modes, read(client, f"{line}/modes").sel(gamma=slice(1.5, 2.04), omega=[0.6]))
 
 
-def test_a_window_has_more_cells_than_fit_the_whole_line(tmp_path: Path):
-    with computing(tmp_path, max_points=60) as client:
-        job_url = finished(client, LINE)
-        refused = client.get(f"{job_url}/modes")
-        assert (refused.status_code, "every=2 fits" in refused.json()["detail"]) == (413, True)
-        assert read(client, f"{job_url}/modes", every=2).sizes == {"omega": 1, "gamma": 51}
-        assert read(client, f"{job_url}/modes", gamma_start=1.0, gamma_stop=2.0).sizes["gamma"] == 21
-
-
 # The trajectory of a cell
 
 

@@ -194,23 +194,6 @@ def test_a_failed_job_says_why(tmp_path: Path):
 # Results
 
 
-def test_a_diagram_is_a_dataset(job: Job):
-    diagram = job.diagram(omega=0.52)
-    assert dict(diagram.sizes) == {"gamma": 46, "flight": 8}
-    assert diagram.flight_time.dims == diagram.takeoff_phase.dims == ("gamma", "flight")
-    assert {name: diagram[name].dtype.str for name in ("flights", "outcome", "bounces", "periods")} == {
-        "flights": "<i4", "outcome": "|u1", "bounces": "<i4", "periods": "<i4",
-    }  # fmt: skip
-    assert float(diagram.omega) == 0.5  # the grid's value, not the one requested
-    assert float(diagram.xi) == 0.26
-    assert str(diagram.direction.values) == "rest"
-    assert diagram.attrs["complete"] == 1
-    assert diagram.attrs["job"] == job.id
-    cell = diagram.sel(gamma=1.5)
-    assert (int(cell.bounces), int(cell.periods)) == (1, 1)
-    assert cell.flight_time.values == pytest.approx(4.855013427295, abs=1e-6)
-
-
 def test_every_variable_has_attributes_and_can_be_stored(job: Job, tmp_path: Path):
     for dataset in (job.diagram(omega=0.5), job.threshold()):
         assert dataset.attrs["Conventions"].startswith("CF-")

@@ -17,7 +17,6 @@ import psutil
 import pytest
 from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
 from served import Running, running
-from stores import is_sound
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, KeyReused, QueueFull
@@ -31,21 +30,6 @@ from worker.executors.inline import Inline
 from worker.spec.errors import SpecTooLarge
 from worker.study import Chunk, ChunkReport
 from worker.sweep import SweepSpec
-from worker.sweep.plan import make_plan
-from worker.sweep.schema import layout
-
-
-def test_done_means_written(tmp_path: Path, inline: Inline):
-    spec = sweep()
-    with running(tmp_path, inline) as service:
-        job = service.until(service.submit(spec), JobState.DONE)
-        assert np.all(service.outcomes(job) != Outcome.MISSING)
-        with service.ledger.reading() as ledger:
-            rows = ledger._sql.execute("SELECT cells FROM chunks ORDER BY chunk").fetchall()
-    plan = make_plan(spec, chunk_shape=job.chunk_shape)
-    assert [row["cells"] for row in rows] == [chunk.cells for chunk in plan]
-    url = service.settings.store_of(job.store)
-    assert all(is_sound(url, layout(spec, plan.chunk_shape), chunk) for chunk in plan)
 
 
 def test_many_at_once_submitting_the_same_sweep_make_one_job(tmp_path: Path, inline: Inline):

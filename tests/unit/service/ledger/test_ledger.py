@@ -1,7 +1,6 @@
 """The ledger keeps whole transactions only, survives kills, and serves one process at a time."""
 
 import sqlite3
-import threading
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -47,23 +46,6 @@ def test_a_transaction_is_all_or_nothing(ledger: Ledger):
     with ledger.writing() as writing:  # and the next one works
         writing.mark_done(job, reports(1))
     assert current(ledger).chunks_done == 1
-
-
-def test_threads_do_not_lose_each_others_marks(ledger: Ledger):
-    job = accept(ledger, chunks=200)
-
-    def mark(first: int) -> None:
-        for chunk in range(first, 200, 8):
-            with ledger.writing() as writing:
-                writing.mark_done(job, reports(chunk))
-
-    threads = [threading.Thread(target=mark, args=(first,)) for first in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert current(ledger).chunks_done == 200
-    assert ledger.done_mask(job).all()
 
 
 def test_a_closed_ledger_is_not_opened_again(tmp_path: Path):

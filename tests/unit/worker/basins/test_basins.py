@@ -19,7 +19,7 @@ from kernel.params import STATE_FIELDS, Line, Outcome
 from worker import store, work
 from worker.basins.attractors import Attractor, Found, Request, find
 from worker.basins.schema import MAX_ATTRACTORS, basin_arrays, basin_sizes
-from worker.basins.specification import UNTIL, BasinSpec
+from worker.basins.specification import BasinSpec
 from worker.basins.starts import starts_of
 from worker.basins.task import _fill_in, entropies, run_chunk
 from worker.spec.errors import SpecError
@@ -248,13 +248,6 @@ def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided()
     assert record["attractor"].ravel().tolist() == shown.tolist()
     assert int(record["attractor_count"][0, 0, 0]) == MAX_ATTRACTORS + 2
     assert float(record["undecided"][0, 0, 0]) == np.mean(shown == 0)
-
-
-def test_a_start_may_take_ten_windows_unless_it_is_told_how_long():
-    spec = basin(settle=400, observe=50, exponents=2, keep=7, micro_flight=0.02)
-    assert spec.until == UNTIL * 450 == 4500
-    told = basin(settle=400, observe=50, settle_until=900)
-    assert told.until == 900
 
 
 @pytest.mark.parametrize("kind", ["soft", "ball", "stepped"])

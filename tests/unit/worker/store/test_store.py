@@ -17,7 +17,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tables import for_each
 
-from kernel.params import STATE_FIELDS
 from worker import store
 from worker.store import backend, reader
 from worker.store import store as stored
@@ -59,23 +58,6 @@ def record_of(spec: SweepSpec, chunk: Chunk, seed: int = 0) -> dict[str, np.ndar
 
 def files(url: str) -> dict[str, bytes]:
     return {str(path.relative_to(url)): path.read_bytes() for path in Path(url).rglob("*") if path.is_file()}
-
-
-def test_opens_with_plain_xarray(url, spec):
-    with xr.open_zarr(url) as dataset:
-        assert dict(dataset.sizes) == {
-            "direction": 2, "xi": 2, "omega": 3, "gamma": 10, "flight": 8, "state": len(STATE_FIELDS)
-        }  # fmt: skip
-        assert dataset["direction"].values.tolist() == ["up", "down"]
-        for axis in ("gamma", "omega", "xi"):
-            assert dataset[axis].values.tolist() == spec.axis_values(axis).tolist()
-            assert dataset[axis].attrs["long_name"]
-        assert dataset["flight_time"].dims == ("direction", "xi", "omega", "gamma", "flight")
-        for name, dtype in (("flights", "i4"), ("outcome", "u1")):
-            assert dataset[name].dims == ("direction", "xi", "omega", "gamma")
-            assert dataset[name].dtype == np.dtype(dtype)
-        assert dataset["flight_time"].attrs["units"] == "rad"
-        assert dataset["end_state"].attrs["fields"].split() == list(STATE_FIELDS)
 
 
 def test_a_reader_without_text_finds_directions_as_numbers(url, spec):

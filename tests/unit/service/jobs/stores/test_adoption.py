@@ -16,7 +16,7 @@ from stores import files, store_in
 from kernel.params import Outcome
 from service.errors import NotAdoptable
 from service.jobs.stores import adoption
-from service.jobs.stores.opening import has_stores, open_ledger
+from service.jobs.stores.opening import open_ledger
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
@@ -209,13 +209,3 @@ def test_a_sweep_whose_store_is_unknown_gets_another(tmp_path: Path):
     assert adopt(tmp_path, job_id).store == f"3-{job_id}.zarr"
     forget(tmp_path)
     assert adopt(tmp_path, f"2-{job_id}").store == f"2-{job_id}.zarr"
-
-
-@pytest.mark.parametrize(
-    ("name", "there"),
-    [("notes.txt", False), (f"{'a' * 32}.zarr", True)],
-)
-def test_whether_there_are_stores_beside_a_ledger(tmp_path: Path, name: str | None, there: bool):
-    if name is not None:
-        (tmp_path / "stores" / name).mkdir(parents=True)
-    assert has_stores(Settings(data=tmp_path)) is there
