@@ -197,9 +197,6 @@ class Stack(Remote):
         os.kill(pid, signal.SIGKILL)
         return pid
 
-    def execute(self, container: str, *command: str) -> subprocess.CompletedProcess[str]:
-        return self.engine.attempt("podman", "exec", container, *command)
-
     def log(self) -> str:
         """The state of all containers, and the ends of their logs."""
         logs = [["podman", "logs", "--tail", "25", name] for name in self.containers()]
