@@ -25,6 +25,7 @@ from fastapi.testclient import TestClient
 from json_results import from_json
 from paths import CACHE, ROOT
 from scripted import DEADLINE, Held, costing, free_port, sweep, wait_for
+from stores import files
 from studies import spec_of
 
 from service.api import app as application
@@ -105,8 +106,7 @@ class Running:
 
     def stored(self, job: JobRecord) -> dict[str, bytes]:
         """The contents of the files of a job's store, by their names in it."""
-        url = Path(self.settings.store_of(job.store))
-        return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+        return files(self.settings.store_of(job.store))
 
 
 @contextmanager

@@ -103,9 +103,6 @@ def test_status_for_people_and_for_programs(url: str, job: str):
     assert json.loads(bounce("list", "--state", "failed", "--json", url=url).stdout) == []
 
 
-# Thresholds
-
-
 # Diagrams
 
 

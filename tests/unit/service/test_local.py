@@ -10,7 +10,7 @@ import pytest
 import xarray
 from json_results import from_json
 from served import service
-from stores import store_in
+from stores import files, store_in
 from studies import STUDIES, spec_of
 
 from kernel.params import KERNEL_VERSION
@@ -30,12 +30,6 @@ ORBITS = {
     "protocol": {"kind": "orbits"},
     "points": 40,
 }
-
-
-def files(store: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(store)): path.read_bytes() for path in sorted(store.rglob("*")) if path.is_file()
-    }
 
 
 def test_a_run_stores_the_bytes_of_a_service_whatever_the_number_of_threads(tmp_path: Path):
@@ -126,9 +120,6 @@ def test_of_studies_that_are_no_sweeps_the_files_are_checked_before_computing(tm
     local.run_to_file(basins, tmp_path / "a.nc", "nc", progress=False)
     with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
         np.testing.assert_array_equal(dataset.attractor, local.run(basins, progress=False).attractor)
-
-
-# Cancelled
 
 
 def test_two_processes_do_not_compute_the_same_store(tmp_path: Path):

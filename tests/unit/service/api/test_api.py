@@ -1,22 +1,15 @@
 """The HTTP API, from the submission of a sweep to every format of its diagram."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
-from served import FIGURE_2, computing, finished, get, read, service
+from served import FIGURE_2, finished, get, read, service
 
 PNG = b"\x89PNG\r\n\x1a\n"
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
 
 
 @pytest.fixture(scope="module")

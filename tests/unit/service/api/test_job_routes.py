@@ -1,4 +1,4 @@
-"""Endpoints of jobs: idempotency keys, estimates, lists, links, ETags, resume, delete, events, metrics."""
+"""Endpoints of jobs: idempotency keys, estimates, links, ETags."""
 
 import json
 from pathlib import Path
@@ -84,12 +84,3 @@ def test_results_of_a_done_job_answer_304(tmp_path: Path):
         finished(client, SWEEP)
         for part, tag in tags.items():  # accepted again, perhaps with another name
             assert client.get(f"{here}/{part}").headers["ETag"] != tag, part
-
-
-# Resume, delete
-
-
-# Events
-
-
-# Metrics

@@ -2,7 +2,6 @@
 
 import graphlib
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urljoin
 
@@ -11,7 +10,7 @@ import pytest
 import xarray
 from fastapi.testclient import TestClient
 from scripted import Held
-from served import computing, finished, read, service
+from served import finished, read, service
 from studies import spec_of
 from tables import for_each
 
@@ -22,12 +21,6 @@ SCRIPTS = page.FILES / "js"
 
 LINE = spec_of((1.0, 6.0, 101), [0.5, 0.6], 0.26, name="Fig. 2, coarse", window=(60, 40, 16))
 RAMP = spec_of((0.4, 1.2, 81), 0.6, 0.05, ramp="both", window=(120, 30))
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
 
 
 @pytest.fixture(scope="module")

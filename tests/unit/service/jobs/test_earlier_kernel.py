@@ -16,6 +16,7 @@ from earlier_kernel import IDS, earlier_folder
 from fastapi.testclient import TestClient
 from scripted import Held, Scripted, wait_for
 from served import get, read, service
+from stores import files
 
 from kernel.params import KERNEL_VERSION
 from service.jobs.stores.adoption import adopt
@@ -36,10 +37,6 @@ def folder(tmp_path: Path) -> Path:
 
 def store_of(folder: Path, name: str) -> Path:
     return folder / "stores" / f"{IDS[name]}.zarr"
-
-
-def files(url: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
 
 
 def spec_of(folder: Path, name: str) -> SweepSpec:

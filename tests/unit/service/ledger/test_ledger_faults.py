@@ -14,7 +14,7 @@ import pytest
 from fastapi.testclient import TestClient
 from scripted import Held, Scripted, sweep, wait_for
 from served import FIGURE_2, finished, get, running, service
-from stores import marked
+from stores import files, marked
 
 from service.cli.doctor import examine
 from service.errors import LedgerUnavailable, LedgerUnusable
@@ -51,10 +51,6 @@ def overwrite_page(path: Path, number: int) -> None:
     with path.open("r+b") as file:
         file.seek(number * PAGE)
         file.write(os.urandom(PAGE))
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 # At the start

@@ -1,7 +1,6 @@
 """Adaptive maps through the service: answers, windows, estimates, files, repair."""
 
 import tracemalloc
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 import xarray as xr
 from fastapi.testclient import TestClient
 from scripted import Held, wait_for
-from served import computing, finished, get, read, service
+from served import finished, get, read, service
 from studies import spec_of
 from tables import for_each
 
@@ -26,12 +25,6 @@ VAST: dict[str, Any] = {
     "keep": 64,
     "refine": {"by": "mode"},
 }
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
 
 
 @pytest.fixture(scope="module")

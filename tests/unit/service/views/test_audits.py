@@ -1,6 +1,5 @@
 """Audits and plans through the service: damage is found, what is computed once stays with the job."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -8,7 +7,7 @@ import xarray
 from fastapi.testclient import TestClient
 from json_results import from_json
 from scripted import Held
-from served import computing, finished, service
+from served import finished, service
 from studies import spec_of
 
 from service.views.audit import affordable
@@ -33,12 +32,6 @@ def waited(client: TestClient, method: str, path: str, **request: Any) -> Any:
             assert answer.status_code == 200, answer.text
             return answer
     raise AssertionError("no answer")
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
 
 
 def test_an_audit_finds_cells_that_had_no_time_to_settle(client: TestClient):

@@ -1,17 +1,15 @@
 """Basins as a job: over HTTP, in the client, as a picture."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray
-from fastapi.testclient import TestClient
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from served import computing, get, occupied
+from served import get, occupied
 
 from service.client import BadRequest, Client, Job
 from service.pictures import ATTRACTORS, UNDECIDED
@@ -26,19 +24,8 @@ FLIGHTS = [4.631301, 3.374643]
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
-
-
-@pytest.fixture(scope="module")
-def client(service: TestClient) -> Client:
-    return Client("http://localhost", http=service)
-
-
-@pytest.fixture(scope="module")
-def job(client: Client) -> Job:
-    return client.submit(SPEC).wait(progress=False)
+def job(python_client: Client) -> Job:
+    return python_client.submit(SPEC).wait(progress=False)
 
 
 @pytest.fixture(scope="module")
@@ -72,12 +59,12 @@ def test_a_cell_that_is_not_computed_yet_is_not_complete(tmp_path: Path):
         assert answer["data_vars"]["undecided"]["data"] is None
 
 
-def test_what_is_refused(client: Client, job: Job):
+def test_what_is_refused(python_client: Client, job: Job):
     with pytest.raises(BadRequest, match="gamma: is required"):
         job.basins()
     with pytest.raises(BadRequest, match="gamma: must be within"):
         job.basins(5.0)
-    sweep = client.submit({"gamma": 1.2, "omega": 0.5, "xi": 0.26, "settle": 1, "observe": 1})
+    sweep = python_client.submit({"gamma": 1.2, "omega": 0.5, "xi": 0.26, "settle": 1, "observe": 1})
     with pytest.raises(BadRequest, match="job_id: has no basins: the protocol of this job is rest"):
         sweep.wait(progress=False).basins()
 

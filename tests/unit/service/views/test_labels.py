@@ -1,11 +1,10 @@
 """Labels and exponents in every answer, and how many cells were still settling."""
 
-from collections.abc import Iterator
 from typing import Final
 
 import pytest
 from fastapi.testclient import TestClient
-from served import computing, finished, get, read
+from served import finished, get, read
 from studies import spec_of
 
 from kernel.labels import LABELS
@@ -16,12 +15,6 @@ from service.client.models import JobStatus
 #: At Omega = 1, xi = 0.05: a cell at rest, a (1, 2) mode, a torus, chaos (docs/model.md).
 SWEEP: Final = spec_of([0.1, 3.0, 3.8, 4.6], [0.9, 1.0], 0.05, window=(300, 300, 16), exponents=2)
 EXPECTED: Final = ["at_rest", "periodic", "quasi-periodic", "chaotic"]
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
 
 
 @pytest.fixture(scope="module")

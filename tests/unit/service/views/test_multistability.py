@@ -1,7 +1,6 @@
 """Multistability as a job: attractors matched over a plane, over HTTP, in the client and as pictures."""
 
 import itertools
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
-from served import computing
 
 from kernel.params import Outcome
 from service.client import BadRequest, Client, Job
@@ -31,19 +29,8 @@ MODES = [["aperiodic", "(3,4)", "(3,4)", "(4,4)", "(2,2)"], ["(1,2)"] * 5]
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
-
-
-@pytest.fixture(scope="module")
-def client(service: TestClient) -> Client:
-    return Client("http://localhost", http=service)
-
-
-@pytest.fixture(scope="module")
-def job(client: Client) -> Job:
-    return client.submit(SPEC).wait(progress=False)
+def job(python_client: Client) -> Job:
+    return python_client.submit(SPEC).wait(progress=False)
 
 
 def test_one_attractor_has_one_id_in_all_cells(job: Job):
@@ -58,7 +45,7 @@ def test_one_attractor_has_one_id_in_all_cells(job: Job):
     assert sorted(labels) == sorted(MODES)
 
 
-def test_what_is_refused(service: TestClient, job: Job):
+def test_what_is_refused(client: TestClient, job: Job):
     with pytest.raises(BadRequest, match="xi: must be within"):
         job.multistability(0.5)
     with pytest.raises(BadRequest, match="omega: must be within"):
@@ -67,7 +54,7 @@ def test_what_is_refused(service: TestClient, job: Job):
         job.basins()
     with pytest.raises(BadRequest, match="attractor: is required: the protocol is multistability"):
         job.trajectory(3.6, 0.5)
-    answer = service.get(f"/v1/jobs/{job.id}/threshold")
+    answer = client.get(f"/v1/jobs/{job.id}/threshold")
     assert answer.status_code == 422
     assert "has no threshold: the protocol of this job is multistability" in answer.json()["detail"]
 

@@ -1,7 +1,6 @@
 """Closed-form answers over HTTP and in the client, against the kernel's functions and known numbers."""
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import xarray
 from fastapi.testclient import TestClient
 from matplotlib.figure import Figure
 from scripted import Held, wait_for
-from served import computing, get
+from served import get
 from served import service as begun
 from studies import spec_of
 from tables import for_each
@@ -30,25 +29,14 @@ FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
 
 
-@pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
-
-
-@pytest.fixture
-def client(service: TestClient) -> Client:
-    return Client("http://localhost", http=service)
-
-
-def refused(service: TestClient, path: str, status: int, **query: Any) -> str:
-    answer = service.get(path, params=query)
+def refused(client: TestClient, path: str, status: int, **query: Any) -> str:
+    answer = client.get(path, params=query)
     assert answer.status_code == status, answer.text
     return str(answer.json()["detail"])
 
 
-def test_branches_are_those_of_the_kernel(client: Client, monkeypatch: pytest.MonkeyPatch):
-    answer = client.orbits(**SPRING, gamma_max=1e6, energy=True)
+def test_branches_are_those_of_the_kernel(python_client: Client, monkeypatch: pytest.MonkeyPatch):
+    answer = python_client.orbits(**SPRING, gamma_max=1e6, energy=True)
     assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
         row.name for row in SPRINGS["orbits"].variables if row.name != "flights"
     }
@@ -69,21 +57,21 @@ def test_branches_are_those_of_the_kernel(client: Client, monkeypatch: pytest.Mo
     folds = answer.event_gamma[(answer.event_kind == "fold") & (answer.event_periods == 1)]
     assert float(folds.min()) == pytest.approx(FOLD_060, abs=1e-9)
     monkeypatch.setattr(orbits_view, "AT_ONCE_SECONDS", 0.0)  # by the workers
-    again = client.orbits(**SPRING, gamma_max=1e6, energy=True, progress=False)
+    again = python_client.orbits(**SPRING, gamma_max=1e6, energy=True, progress=False)
     xarray.testing.assert_identical(again, answer)
 
 
-def test_long_branches_are_refused_before_they_are_computed(service: TestClient):
-    assert "the limit is 2,000" in refused(service, "/v1/orbits", 422, omega=0.01, xi=0.05)
+def test_long_branches_are_refused_before_they_are_computed(client: TestClient):
+    assert "the limit is 2,000" in refused(client, "/v1/orbits", 422, omega=0.01, xi=0.05)
     query = {"xi": 0.05, "omega_start": 0.01, "omega_stop": 0.5, "modes": "1-1"}
-    assert "the limit is 2,000" in refused(service, "/v1/curves", 422, **query)
+    assert "the limit is 2,000" in refused(client, "/v1/curves", 422, **query)
     query = {"omega": 0.01, "xi_start": 0.05, "xi_stop": 0.06, "modes": "1-1"}
-    assert "the limit is 2,000" in refused(service, "/v1/curves", 422, **query)
+    assert "the limit is 2,000" in refused(client, "/v1/curves", 422, **query)
 
 
-def test_cycles_of_a_contact_are_followed_by_the_workers(client: Client):
+def test_cycles_of_a_contact_are_followed_by_the_workers(python_client: Client):
     """The folds are those of tests/unit/kernel/branches/test_follow.py."""
-    answer = client.orbits(**SPRING, modes="1-1", gamma_max=1.2, model="soft", progress=False)
+    answer = python_client.orbits(**SPRING, modes="1-1", gamma_max=1.2, model="soft", progress=False)
     assert answer.attrs["model"] == "soft, restitution 0.01, penetration 0.001, adhesive"
     assert answer.sizes["branch"] == 1
     assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
@@ -98,8 +86,8 @@ def test_cycles_of_a_contact_are_followed_by_the_workers(client: Client):
     assert not answer.admissible.values.any()
 
 
-def test_a_branch_with_rebound_ends_where_it_no_longer_sticks(client: Client):
-    answer = client.orbits(
+def test_a_branch_with_rebound_ends_where_it_no_longer_sticks(python_client: Client):
+    answer = python_client.orbits(
         **SPRING, modes="1-1", gamma_max=1.6, model="rigid", restitution=0.5, progress=False
     )
     ends = answer.event_gamma.values[answer.event_kind.values == "stick-vanishes"]
@@ -116,22 +104,22 @@ def test_a_branch_with_rebound_ends_where_it_no_longer_sticks(client: Client):
     ({"model": "soft", "energy": True}, "energy: is of the closed form"),
     ({"model": "soft", "points": 1000, "modes": "1-1,1-2,1-3,1-4,1-5,1-6"}, "up to 72 core-seconds"),
 ])  # fmt: skip
-def test_contacts_without_cycles_are_refused(service: TestClient, query: dict[str, Any], rule: str):
-    assert rule in refused(service, "/v1/orbits", 422, **SPRING, **query)
+def test_contacts_without_cycles_are_refused(client: TestClient, query: dict[str, Any], rule: str):
+    assert rule in refused(client, "/v1/orbits", 422, **SPRING, **query)
 
 
-def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.MonkeyPatch):
+def test_curves_are_held_to_a_limit(client: TestClient, monkeypatch: pytest.MonkeyPatch):
     """By their estimate before they are computed, by their points while they are."""
     query = {"xi": 0.05, "omega_start": 0.1, "omega_stop": 0.12, "modes": "1-1,1-2"}
     monkeypatch.setattr(curves_view, "MAX_SECONDS", 10.0)
-    rule = refused(service, "/v1/curves", 422, **query)
+    rule = refused(client, "/v1/curves", 422, **query)
     assert rule.startswith("modes: their curves from omega 0.1 on take about 24 core-seconds, the limit for")
     assert rule.endswith("is 10: ask for the first 1, or take a larger omega")
     monkeypatch.setattr("kernel.branches.curves._ALL_POINTS", 100)
     # Another spring than those of other tests, whose curves are kept.
     query = {"xi": 0.051, "omega_start": 0.6, "omega_stop": 0.68, "modes": "1-1", "kinds": "fold"}
-    wait_for(lambda: service.get("/v1/curves", params=query).status_code != 202)
-    assert "omega_stop: the curves up to 0.68 have more" in refused(service, "/v1/curves", 422, **query)
+    wait_for(lambda: client.get("/v1/curves", params=query).status_code != 202)
+    assert "omega_stop: the curves up to 0.68 have more" in refused(client, "/v1/curves", 422, **query)
 
 
 # Words continued from the cells of a sweep
@@ -139,13 +127,13 @@ def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.Mon
 FIGURE_2 = spec_of([1.5, 1.8, 2.2, 2.3, 2.4, 2.52], 0.5, 0.26, window=(400, 100))
 
 
-def _job_orbits(client: Client, spec: dict[str, Any], **query: Any) -> Any:
-    job = client.submit(spec).wait(progress=False)
+def _job_orbits(python_client: Client, spec: dict[str, Any], **query: Any) -> Any:
+    job = python_client.submit(spec).wait(progress=False)
     return job, job.orbits(progress=False, **query)
 
 
-def test_words_are_continued_from_settled_cells(client: Client):
-    job, found = _job_orbits(client, FIGURE_2, energy=True)
+def test_words_are_continued_from_settled_cells(python_client: Client):
+    job, found = _job_orbits(python_client, FIGURE_2, energy=True)
     assert found.sizes["skipped"] == 0  # every cell lies on a branch that was followed
     assert sorted(found.word.values.tolist()) == ["s", "ss", "ssss"]
     double = found.isel(branch=found.word.values.tolist().index("ss"))
@@ -169,19 +157,19 @@ def test_words_are_continued_from_settled_cells(client: Client):
     assert np.isnan(double.flight_time.values[:, 2:]).all()
 
 
-def test_cells_without_words_are_told(client: Client):
+def test_cells_without_words_are_told(python_client: Client):
     short = FIGURE_2 | {"gamma": 2.3, "keep": 3}
-    _, found = _job_orbits(client, short)
+    _, found = _job_orbits(python_client, short)
     assert found.sizes["branch"] == 0
     assert found.skipped_gamma.values.tolist() == [2.3]
     assert "do not show two rounds" in str(found.skipped_reason.values[0])
 
 
-def test_the_orbits_of_a_job_name_the_grid(service: TestClient, client: Client):
-    job = client.submit(FIGURE_2 | {"omega": [0.5, 0.51], "gamma": 1.5}).wait(progress=False)
+def test_the_orbits_of_a_job_name_the_grid(client: TestClient, python_client: Client):
+    job = python_client.submit(FIGURE_2 | {"omega": [0.5, 0.51], "gamma": 1.5}).wait(progress=False)
     here = f"/v1/jobs/{job.id}/orbits"
-    assert "omega: is required: the sweep has 2 values" in refused(service, here, 422)
-    assert "direction: must be 'rest'" in refused(service, here, 422, omega=0.5, direction="up")
+    assert "omega: is required: the sweep has 2 values" in refused(client, here, 422)
+    assert "direction: must be 'rest'" in refused(client, here, 422, omega=0.5, direction="up")
     found = job.orbits(0.507, progress=False)
     assert (float(found.omega), found.attrs["complete"]) == (0.51, 1)
 
@@ -191,8 +179,8 @@ def test_the_orbits_of_a_job_name_the_grid(service: TestClient, client: Client):
 RAMP = spec_of((0.5, 0.9, 101), [0.6, 0.9], 0.05, ramp="both", window=(60, 20, 4))
 
 
-def test_thresholds_of_a_sweep_stand_beside_the_predictions(client: Client):
-    job = client.submit(RAMP).wait(progress=False)
+def test_thresholds_of_a_sweep_stand_beside_the_predictions(python_client: Client):
+    job = python_client.submit(RAMP).wait(progress=False)
     found = job.threshold()
     assert float(found.predicted_down[0]) == pytest.approx(FOLD_060, abs=1e-9)
     assert float(found.predicted_jump[0]) == pytest.approx(JUMP_060, abs=1e-6)
@@ -205,15 +193,15 @@ def test_thresholds_of_a_sweep_stand_beside_the_predictions(client: Client):
         assert (str(difference) == "") == (agrees or not np.isfinite(down - predicted))
 
 
-def test_a_damping_that_was_not_searched_is_said_to_be(client: Client):
+def test_a_damping_that_was_not_searched_is_said_to_be(python_client: Client):
     """In the answer of a spring, and in the picture and the answer of a sweep, with words too."""
-    spring = client.threshold(0.52, 0.02)
+    spring = python_client.threshold(0.52, 0.02)
     assert spring.cause.item() == "not searched"
     assert np.isnan([spring.down, spring.lifetime, spring.impact]).all()
     assert "from xi = 0.04 on" in spring.reason.item()
     assert "Eq. 25, Gamma = 0.843762" in spring.reason.item()
     weak = RAMP | {"gamma": [0.7, 0.9], "omega": [0.3191, 0.52], "xi": 0.02}
-    job = client.submit(weak).wait(progress=False)
+    job = python_client.submit(weak).wait(progress=False)
     for predict in ("some", "all", "words"):
         found = job.threshold(predict=predict, progress=False)
         assert found.cause.values.tolist() == ["not searched"] * 2
@@ -224,14 +212,14 @@ def test_a_damping_that_was_not_searched_is_said_to_be(client: Client):
 
 
 def test_words_of_a_sweeps_cells_answer_where_the_branches_do_not(
-    client: Client, monkeypatch: pytest.MonkeyPatch
+    python_client: Client, monkeypatch: pytest.MonkeyPatch
 ):
     """As if no branch were searched: the cells are on the cycle that ends at the fold of zs (2,2)."""
     monkeypatch.setattr("worker.analysis.prediction.MAX_GRID", 100)
     monkeypatch.setattr("kernel.branches.thresholds.PERIODS", 1)
     on_the_cycle = RAMP["protocol"] | {"direction": "down", "start": {"periods": 2}}
     few = {"gamma": [2.3, 2.305], "omega": 1.26, "protocol": on_the_cycle, "settle": 400, "keep": 16}
-    job = client.submit(RAMP | few).wait(progress=False)
+    job = python_client.submit(RAMP | few).wait(progress=False)
     assert job.threshold(predict="all", progress=False).cause.item() == "unresolved"
     found = job.threshold(predict="words", progress=False)
     assert found.cause.item() == "fold of word zs (2,2)"
@@ -239,22 +227,22 @@ def test_words_of_a_sweeps_cells_answer_where_the_branches_do_not(
 
 
 def test_every_omega_is_predicted_when_asked_for(
-    service: TestClient, client: Client, monkeypatch: pytest.MonkeyPatch
+    client: TestClient, python_client: Client, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(threshold, "MAX_PREDICTED", 20)
     many = RAMP | {"gamma": [0.5, 0.6], "omega": {"start": 0.6, "stop": 0.65, "num": 21}}
-    job = client.submit(many).wait(progress=False)
+    job = python_client.submit(many).wait(progress=False)
     some, all_ = job.threshold(), job.threshold(predict="all", progress=False)
     assert set(some.cause.values.tolist()) == {"not predicted: ask for all above 20 values of omega"}
     assert np.isfinite(all_.predicted_down.values).all()
     assert float(all_.predicted_down[0]) == pytest.approx(FOLD_060, abs=1e-9)
     assert set(job.threshold(predict="none").cause.values.tolist()) == {"not predicted"}
     where = f"/v1/jobs/{job.id}/threshold"
-    assert "should be 'none', 'some', 'all' or 'words'" in refused(service, where, 422, predict="every")
+    assert "should be 'none', 'some', 'all' or 'words'" in refused(client, where, 422, predict="every")
     words = many | {"omega": {"start": 0.6, "stop": 0.65, "num": 401}}
-    large = client.submit(words).wait(progress=False)
+    large = python_client.submit(words).wait(progress=False)
     where = f"/v1/jobs/{large.id}/threshold"
-    assert "enough for 400 values" in refused(service, where, 422, predict="words")
+    assert "enough for 400 values" in refused(client, where, 422, predict="words")
 
 
 def test_closed_forms_that_take_long_are_left_to_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -1,13 +1,9 @@
 """A job's results as plots: what is drawn by default, and hatches."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from served import computing
 from studies import spec_of
 
 from service.client import BounceError, Client, Job
@@ -17,15 +13,8 @@ RAMP = spec_of((0.5, 1.5, 21), [0.6, 0.9, 1.2], 0.05, ramp="both", window=(60, 2
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    with computing(tmp_path_factory.mktemp("data")) as http:
-        assert isinstance(http, TestClient)
-        yield Client("http://localhost", http=http)
-
-
-@pytest.fixture(scope="module")
-def job(client: Client) -> Job:
-    return client.submit(RAMP).wait(progress=False)
+def job(python_client: Client) -> Job:
+    return python_client.submit(RAMP).wait(progress=False)
 
 
 @pytest.fixture
@@ -33,15 +22,15 @@ def ax() -> Axes:
     return Figure().subplots()
 
 
-def test_what_is_drawn_by_default(job: Job, client: Client):
+def test_what_is_drawn_by_default(job: Job, python_client: Client):
     assert job.plot().get_ylabel() == AXES["omega"]
-    two = client.submit(RAMP | {"omega": [0.6, 0.7]}).wait(progress=False)
+    two = python_client.submit(RAMP | {"omega": [0.6, 0.7]}).wait(progress=False)
     assert two.plot().get_ylabel() == AXES["omega"]
-    one = client.submit(RAMP | {"omega": 0.6, "gamma": 1.4, "protocol": {"kind": "rest"}})
+    one = python_client.submit(RAMP | {"omega": 0.6, "gamma": 1.4, "protocol": {"kind": "rest"}})
     assert one.wait(progress=False).plot().get_xlabel() == AXES["gamma"]
-    single = client.submit(RAMP | {"omega": 0.6}).wait(progress=False)
+    single = python_client.submit(RAMP | {"omega": 0.6}).wait(progress=False)
     assert single.plot(direction="down").get_ylabel() == "flight time (rad)"
-    over_omega = client.submit(
+    over_omega = python_client.submit(
         RAMP | {"gamma": 1.4, "protocol": {"kind": "rest"}, "omega": [0.6, 0.7, 0.8]}
     ).wait(progress=False)
     assert over_omega.plot().get_xlabel() == AXES["omega"]
@@ -53,7 +42,7 @@ def test_what_is_drawn_by_default(job: Job, client: Client):
     with pytest.raises(BounceError, match="kind: must be one of diagram, modes, threshold"):
         job.plot("pie")  # type: ignore[arg-type]
     with pytest.raises(BounceError, match="are drawn in a diagram"):
-        job.plot("modes", branches=client.orbits(0.6, 0.05, "1-1"))
+        job.plot("modes", branches=python_client.orbits(0.6, 0.05, "1-1"))
 
 
 def test_a_map_is_hatched_where_up_and_down_differ(job: Job, ax: Axes):

@@ -6,13 +6,12 @@ finished job, so that every case takes the way from the store to the answer. Wha
 tested in tests/unit/worker/analysis/test_thresholds.py.
 """
 
-from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from served import computing, finished, get
+from served import finished, get
 from stores import store_in
 from tables import for_each
 
@@ -121,12 +120,6 @@ def test_the_worker_reads_the_grid(case: Case):
             found = on_grid(row, down, bool(never))
             value = gamma[found.bouncing] if found.status is Status.FOUND else None
             assert (value, found.status) == expected
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
 
 
 #: Of folds at Γ = 0.553245, and of Eq. 25 at 0.869608.

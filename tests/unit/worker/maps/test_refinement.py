@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stores import files
 from studies import spec_of
 from tables import for_each
 
@@ -43,10 +44,6 @@ def compute(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) ->
 def plane(spec: SweepSpec, url: Path) -> dict[str, np.ndarray]:
     stored = store.read_slice(str(url), [array.name for array in schema.arrays(spec)], complete=True)
     return {name: array[0, 0] for name, array in stored.items()}
-
-
-def files(url: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ import xarray as xr
 import zarr
 from hypothesis import given
 from hypothesis import strategies as st
+from stores import files
 from tables import for_each
 
 from worker import store
@@ -54,10 +55,6 @@ def record_of(spec: SweepSpec, chunk: Chunk, seed: int = 0) -> dict[str, np.ndar
         return random.integers(1, 5, shape).astype(array.dtype)
 
     return {array.name: some(array) for array in schema.arrays(spec)}
-
-
-def files(url: str) -> dict[str, bytes]:
-    return {str(path.relative_to(url)): path.read_bytes() for path in Path(url).rglob("*") if path.is_file()}
 
 
 def test_a_reader_without_text_finds_directions_as_numbers(url, spec):
