@@ -1,21 +1,28 @@
-"""A job prepared to run or to be read: its specification parsed and its plan made once; a study's cost."""
+"""A job prepared to run or to be read: specification parsed, model chosen, plan made once; a study's cost."""
 
 import json
+import logging
 import threading
-from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
 from kernel.params import KERNEL_VERSION
+from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, NewJob
 from service.settings import Settings
 from worker import store
-from worker.analysis.model_selection import ModelChoice, resolved
+from worker.analysis.model_selection import ModelChoice, choose, resolved
+from worker.executors.base import Executor, ExecutorError, WorkerDied
 from worker.spec.errors import SpecError
 from worker.studies import from_stored, study_of
 from worker.study import Chunk, Cost, Layout, Plan, Study
+from worker.sweep.specification import is_open
+
+log = logging.getLogger(__name__)
 
 #: Prepared jobs kept, the last used, and the maximum characters of their specifications together.
 MAX_JOBS: Final = 128
@@ -23,6 +30,9 @@ MAX_SPEC_CHARS: Final = 8_000_000
 
 #: Minimum core-seconds that measure a contact model: in less, starting up dominates.
 MIN_SECONDS: Final = 0.05
+
+#: Workers that may die while choosing one model before the job fails.
+MAX_DEATHS: Final = 3
 
 
 @dataclass(frozen=True)
@@ -185,3 +195,45 @@ def _kind(spec: Any) -> tuple[type, str | None]:
 def choice_of(job: JobRecord) -> ModelChoice | None:
     """The model chosen for a job; None if it names its model, and until the choice is made."""
     return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
+
+
+class ModelChoices:
+    """Has workers choose the models of `auto` sweeps, before a job's first chunk.
+
+    Calls `on_chosen` after each choice. Used by the supervisor's thread.
+    """
+
+    def __init__(
+        self, ledger: Ledger, executor: Executor, preparer: JobPreparer, on_chosen: Callable[[], None]
+    ) -> None:
+        self._ledger, self._executor, self._preparer = ledger, executor, preparer
+        self._on_chosen = on_chosen
+        self._choosing: dict[str, Future[ModelChoice]] = {}  # by job id
+        self._deaths: Counter[str] = Counter()  # of workers, by job id
+
+    def __len__(self) -> int:
+        return len(self._choosing)
+
+    def chosen(self, job: JobRecord) -> JobRecord | None:
+        """The job with its model; None until a worker has chosen it. Raises ExecutorError."""
+        submitted = self._preparer.prepare(job).submitted
+        if job.choice is not None or not is_open(submitted):
+            return job
+        try:
+            if job.id not in self._choosing:
+                self._choosing[job.id] = self._executor.call(choose, submitted)
+                self._choosing[job.id].add_done_callback(lambda _: self._on_chosen())
+            if not self._choosing[job.id].done():
+                return None
+            choice = self._choosing.pop(job.id).result()
+        except (ExecutorError, CancelledError) as error:  # the next sync tries again
+            log.warning("job %s: choosing its model failed: %s", job.id, error)
+            self._deaths[job.id] += isinstance(error, WorkerDied)
+            if self._deaths[job.id] < MAX_DEATHS:
+                return None
+            del self._deaths[job.id]
+            raise
+        plan = self._preparer.plan(resolved(submitted, choice))  # chunks for the cost of the chosen model
+        with self._ledger.writing() as ledger:
+            ledger.choose(job, choice.model_dump_json(), plan.chunk_shape, len(plan))
+            return ledger.find(job.id)

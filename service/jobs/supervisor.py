@@ -11,8 +11,7 @@ from queue import Empty, SimpleQueue
 from typing import Final, NamedTuple, cast
 
 from service.errors import LedgerUnavailable
-from service.jobs.model_choices import ModelChoices
-from service.jobs.prepare import JobPreparer
+from service.jobs.prepare import JobPreparer, ModelChoices
 from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy
 from service.jobs.run import ChunkCounts, JobRun, text_of
 from service.jobs.schedule import Schedule, Waiting
