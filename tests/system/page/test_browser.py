@@ -153,6 +153,24 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         assert page.locator("[aria-invalid=true]").count() == 0
 
 
+def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new?figure=2") as page:
+        page.get_by_label("number of values").first.fill("120")
+        page.get_by_label("contact model").select_option("rigid")
+        page.get_by_text("What does a time buy?").click()
+        page.get_by_label("Time", exact=True).fill("soon")
+        page.get_by_role("button", name="Compare settings").click()
+        page.get_by_text("The time must be such as 90s, 5m or 1h.").wait_for()
+        page.get_by_label("Time", exact=True).fill("5m")
+        page.get_by_role("button", name="Compare settings").click()
+        page.locator("tr.recommended").wait_for(timeout=120_000)
+        coarsest = page.locator("tbody tr").last
+        cells = coarsest.locator("td").nth(1).inner_text()
+        assert 1 <= int(cells) < 120
+        coarsest.get_by_role("button", name="Use draft").click()
+        page.locator(".cost").filter(has_text=f"{cells} cells").wait_for()
+
+
 def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any, address: str):
     """The form needs no change for a new model: it is described by the API's schema."""
 

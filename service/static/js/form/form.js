@@ -7,6 +7,7 @@ import { bytes, count, duration, plural } from "../lib/format.js";
 import { Snippets } from "../lib/snippets.js";
 import { loadPresets, loadSchema } from "./catalogue.js";
 import { axisField, modelField, protocolField, refineField, schemaField } from "./fields.js";
+import { Plan } from "./plan.js";
 import { showProblems } from "./problems.js";
 
 const ESTIMATE_DELAY_MS = 220;
@@ -55,6 +56,7 @@ export class SweepForm {
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button", disabled: true }, "Compute");
     this.snippets = new Snippets();
+    this.plan = new Plan(() => this.#read(), (spec) => this.#use(spec));
     this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) },
       elements(rows), h("fieldset", { className: "plain" }, h("legend", {}, "Recording"), elements(recorded)),
       this.problem,
@@ -62,6 +64,7 @@ export class SweepForm {
     this.container.replaceChildren(
       h("p", { className: "preset" }, h("label", { for: "preset" }, "Start from "), this.preset),
       this.form,
+      this.plan.element,
       h("details", {}, h("summary", {}, "Copy as Python, TOML, curl or JSON"), this.snippets.element));
     this.#fill({});
   }
@@ -109,7 +112,16 @@ export class SweepForm {
     return Object.fromEntries(Object.entries(this.fields).map(([name, field]) => [name, field.read()]).filter(([, value]) => value !== null));
   }
 
+  /** Fill the form with a setting of the plan. */
+  #use(spec) {
+    Object.keys(this.fields).forEach((name) => this.edited.add(name));
+    for (const [name, field] of Object.entries(this.fields)) field.write(spec[name]);
+    this.#onChange();
+    this.button.focus();
+  }
+
   #onChange() {
+    this.plan.clear();
     this.snippets.show(this.#read());
     this.estimate();
   }

@@ -101,7 +101,7 @@ async function whenComputed(path, options = {}) {
 }
 
 const ARRAY_TYPES = {
-  float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array,
+  float64: Float64Array, float32: Float32Array, int64: BigInt64Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array,
 };
 
 /**
