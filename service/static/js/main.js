@@ -34,7 +34,7 @@ function showAddress() {
   }
   if (shown !== null) {
     scrollTo(0, 0);
-    root.querySelector("h1")?.focus({ preventScroll: true });
+    document.querySelector("h1")?.focus({ preventScroll: true });
   }
   shown = wanted;
 }

@@ -46,7 +46,8 @@ export class Plot {
   draw() {
     const width = this.element.clientWidth;
     if (!width) return;
-    const height = Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, innerHeight * MAX_VIEWPORT_SHARE)));
+    const isGiven = getComputedStyle(this.element).getPropertyValue("--plot-height");
+    const height = isGiven ? this.element.clientHeight : Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, innerHeight * MAX_VIEWPORT_SHARE)));
     const ctx = resizedContext(this.canvas, width, height);
     const content = this.content();
     this.box = content && boxOf(ctx, content, width, height, theme(), pixelRatio());

@@ -26,7 +26,7 @@ export class Basin extends PlaneView {
     this.entropies = h("p", { className: "note" });
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, AXES)),
-      label: "Plane of starts", hint: HINT, ratio: 0.6, below: [this.legend, this.entropies],
+      label: "Plane of starts", hint: HINT, ratio: 0.6, shown: [this.legend, this.entropies],
     });
   }
 

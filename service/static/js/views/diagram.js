@@ -32,8 +32,9 @@ export class Diagram extends PlotView {
     this.closedForm = this.sources.length === 1 && hasCycles(this.job) && branchesOver(this);
     this.caption = h("input", { type: "checkbox", checked: true });
     this.controls = h("div", {});
+    this.options = h("div", {});
     this.#buildControls();
-    this.build(root, { controls: this.controls, label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    this.build(root, { controls: this.controls, shown: [this.options], label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
     if (this.sources.length === 1) root.lastChild.append(h("label", { className: "option" }, this.caption, " with a caption"));
   }
 
@@ -56,9 +57,10 @@ export class Diagram extends PlotView {
     };
     this.controls.replaceChildren(h("div", { className: "controls" },
       this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), along, setAxis, { "aria-label": "Axis of the diagram" }),
-      sliders(this, AXES.filter((axis) => axis !== along)), directions,
-      this.sources.length === 1 && !this.isFollower && minFlightInput(this.job),
-      this.closedForm && along === "gamma" && this.closedForm.element));
+      sliders(this, AXES.filter((axis) => axis !== along))));
+    this.options.replaceChildren(h("div", { className: "controls" }, directions,
+      this.closedForm && along === "gamma" && this.closedForm.element,
+      this.sources.length === 1 && !this.isFollower && minFlightInput(this.job)));
   }
 
   #directionBoxes() {

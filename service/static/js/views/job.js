@@ -32,13 +32,15 @@ export class JobView {
     });
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
+    this.controls = h("div", { className: "view-controls" });
     this.problem = problemLine();
     this.panel = h("section", { className: "panel" });
     this.aside = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
+    this.bar = document.getElementById("bar");
+    this.bar.replaceChildren(this.heading, this.summary.progress, h("a", { href: link(["new"], { from: this.id }) }, "Duplicate"), this.summary.actions);
     root.replaceChildren(
-      h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
-      h("header", { className: "job" }, this.heading, this.summary.about, this.summary.progress, this.summary.actions, this.summary.notice, this.settling),
-      this.problem.element, this.tabs, h("div", { className: "columns" }, this.panel, this.aside));
+      h("header", { className: "job" }, this.summary.about, this.summary.notice, this.settling),
+      this.problem.element, h("div", { className: "views" }, this.tabs, this.controls), this.panel, this.aside);
     this.trajectory = new TrajectoryPanel(this.aside, { onClose: () => this.#closeTrajectory() });
     this.#poll(true);
   }
@@ -58,6 +60,7 @@ export class JobView {
   close() {
     clearTimeout(this.timer);
     this.closed = true;
+    this.bar.replaceChildren();
     this.view?.close();
     this.trajectory.hide();
   }
@@ -129,9 +132,10 @@ export class JobView {
         onclick: (event) => { event.currentTarget.href = target(tab, currentQuery()); }, // sliders may have moved since
       }, title)));
     this.view?.close();
+    this.controls.replaceChildren();
     this.problem.show(this.#failure());
     const [, View] = tabs[current];
-    this.view = new View(this.panel, { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell });
+    this.view = new View(this.panel, { sources: [sourceOf(this.job)], bar: this.controls, onSelect: (cell) => this.#select(cell), selected: () => this.cell });
   }
 
   /** The views of this kind of study. */
@@ -144,8 +148,7 @@ export class JobView {
   #select(cell) {
     setQuery(cellQuery(cell));
     this.#showSelectedCell();
-    // On narrow screens the trajectory is below the plot.
-    if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" });
+    if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" }); // below the plot
   }
 
   #showSelectedCell() {

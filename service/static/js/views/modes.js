@@ -36,12 +36,12 @@ export class Modes extends PlaneView {
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, ["xi"]),
         this.isTwoWay && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
-        certifies(this.job.spec) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color })),
+        certifies(this.job.spec) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color }))),
+      label: `Mode map of ${titleOf(this.job)}`, hint: HINT, ratio: 0.6,
+      shown: [this.legend, this.note, h("div", { className: "controls" },
         this.isTwoWay && h("label", { className: "option" }, this.showsHysteresis, " Hatch where up and down differ"),
-        !this.isAdaptive && !this.isFollower && minFlightInput(this.job),
         this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
-        this.refineButton),
-      label: `Mode map of ${titleOf(this.job)}`, hint: HINT, ratio: 0.6, below: [this.note, this.legend],
+        !this.isAdaptive && !this.isFollower && minFlightInput(this.job), this.refineButton)],
     });
   }
 

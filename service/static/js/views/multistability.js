@@ -26,7 +26,7 @@ class AttractorView extends PlaneView {
     this.events = h("ul", { className: "events note", "aria-label": "Births, deaths and changes of mode" });
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, axes), controls),
-      below: [this.legend, this.shares, this.events], ...options,
+      shown: [this.legend, this.shares, this.events], ...options,
     });
   }
 

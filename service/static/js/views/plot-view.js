@@ -2,7 +2,7 @@
 
 import { currentQuery, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestDataset } from "../lib/api.js";
-import { announce, h, latest, problemLine } from "../lib/dom.js";
+import { announce, copyButton, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
 import { AXES, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
 import { onThemeChange } from "../plot/colours.js";
@@ -56,8 +56,8 @@ export class PlotView {
    * Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `onPoint(view, x, y)`
    * is told where the pointer is, `extent()` is the window of all data, and titles begin with `prefix`.
    */
-  constructor({ sources, grid = sources[0].grid, isFollower = false, prefix = "", onSelect, selected = () => null, onPoint = () => {}, extent = () => this.whole() }) {
-    Object.assign(this, { sources, grid, isFollower, prefix, onSelect, selected, onPoint, extent, source: sources[0], directions: sources[0].directions });
+  constructor({ sources, bar = null, grid = sources[0].grid, isFollower = false, prefix = "", onSelect, selected = () => null, onPoint = () => {}, extent = () => this.whole() }) {
+    Object.assign(this, { sources, bar, grid, isFollower, prefix, onSelect, selected, onPoint, extent, source: sources[0], directions: sources[0].directions });
   }
 
   get job() {
@@ -80,15 +80,17 @@ export class PlotView {
     return this.window ?? this.extent();
   }
 
-  /** Build the view and start loading; `below` is placed between plot and readout. */
-  build(root, { controls, label, hint, ratio, below = [] }) {
+  /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes. */
+  build(root, { controls, label, hint, ratio, shown = [] }) {
     this.hint = hint;
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
     const figure = h("figure", {});
     const zoom = (window) => setQuery(windowQuery(window));
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
-    root.replaceChildren(controls, this.problem.element, figure, ...below, this.readout, this.unzoom, this.#downloads());
+    this.bar?.replaceChildren(controls);
+    const column = [...shown, this.readout, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom), this.#downloads()];
+    root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null), ratio });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),

@@ -26,8 +26,8 @@ export class Thresholds extends PlotView {
   constructor(root, view) {
     super(view);
     this.closedForm = hasCycles(this.job) && this.grid.omega.length > 1 && foldsOver(this);
-    const controls = h("div", { className: "controls" }, sliders(this, ["xi"]), this.closedForm?.element);
-    this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT });
+    const controls = h("div", { className: "controls" }, sliders(this, ["xi"]));
+    this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT, shown: this.closedForm ? [this.closedForm.element] : [] });
   }
 
   filePath() {
