@@ -95,7 +95,7 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
         screenshot(page, "form")
         page.get_by_role("button", name="Compute").click()
         page.wait_for_url(re.compile("#/job/"))
-        bar = page.locator("header.job .bar")
+        bar = page.locator("#bar .bar")
         seen: list[float] = []
         released = 0  # the number of values of the bar for which a chunk was released
 
@@ -238,7 +238,7 @@ def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_pat
         assert error.is_visible()
         page.get_by_role("button", name="Resume").click()
         error.wait_for(state="hidden")
-        page.locator("header.job [data-state=done]").wait_for()
+        page.locator("#bar [data-state=done]").wait_for()
 
 
 def test_an_unknown_sweep_is_reported(browser: Any, address: str):
@@ -253,8 +253,8 @@ def test_a_name_is_shown_as_it_was_typed(browser: Any, address: str):
         page.locator(".jobs li h3", has_text="near the fold").wait_for()
         assert page.locator(".jobs li h3", has_text="near the fold").inner_text() == name
         page.goto(view(address, job))
-        page.locator("header.job h1", has_text="near the fold").wait_for()
-        assert page.locator("header.job h1").inner_text() == name
+        page.locator("#bar h1", has_text="near the fold").wait_for()
+        assert page.locator("#bar h1").inner_text() == name
 
 
 @pytest.mark.parametrize("asked", ["2", "1e300"])
@@ -309,6 +309,48 @@ def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: 
         page.get_by_label("Axis of the diagram").select_option("omega")
         wait_shown(page, along="omega")
         page.locator(".slider").first.filter(has_text="Γ =").wait_for()
+
+
+def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05), viewport={"width": 1280, "height": 800}) as page:
+        wait_shown(page, omega=0.6)
+        plot = page.locator(".panel .plot")
+        box = plot.bounding_box()
+        assert box["y"] < 140 and box["width"] > 900 and box["height"] > 600
+        assert box["y"] + box["height"] < 800  # all of it is seen
+        plot.click(position={"x": box["width"] / 2, "y": 100})
+        page.locator(".trajectory .readout", has_text="plate periods").wait_for()
+        assert plot.bounding_box() == box
+        for figure in page.locator(".trajectory .plot").all():
+            drawn = figure.bounding_box()
+            assert drawn["y"] + drawn["height"] < 800
+        screenshot(page, "diagram-with-a-cell", whole=False)
+
+
+def test_the_wheel_zooms_both_axes_and_back_undoes_it(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, omega=0.6)
+        whole = page.url
+        page.locator(".panel .plot").hover(position={"x": 400, "y": 300})
+        page.mouse.wheel(0, -400)
+        page.wait_for_url(re.compile("x0=.*y1="))
+        before = picture(page)
+        page.mouse.wheel(0, -400)
+        wait_for(lambda: picture(page) != before)
+        page.go_back()
+        page.wait_for_url(whole)
+        wait_shown(page, omega=0.6)
+
+
+def test_a_click_on_the_legend_hides_a_mode(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
+        wait_shown(page, xi=0.05)
+        shown = picture(page)
+        page.locator(".legend").get_by_role("button", name="at rest").click()
+        wait_for(lambda: picture(page) != shown)
+        page.wait_for_url(re.compile("hide="))
+        page.locator(".legend").get_by_role("button", name="at rest").click()
+        wait_for(lambda: picture(page) == shown)
 
 
 def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop: str):
@@ -483,9 +525,9 @@ def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
     window = {"model": {"kind": "rigid"}, "settle": 20, "observe": 60, "keep": 4}
     job = done(address, short | window)
     with opened(browser, view(address, job, "modes")) as page:
-        page.locator(".notice", has_text="of 46 cells were still settling after 80 plate periods").wait_for()
+        page.locator(".notice", has_text="still settling after 80 plate periods").wait_for()
         page.locator(".legend", has_text="still settling").wait_for()
-        page.get_by_role("link", name="New sweep with more time").click()
+        page.get_by_role("link", name="give more time").click()
         page.locator("[data-field='until']").wait_for()
 
 

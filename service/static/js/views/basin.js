@@ -9,7 +9,7 @@ import { rgba32 } from "../plot/drawing.js";
 import { PlaneView, legendEntry } from "./cells.js";
 import { sliders } from "./controls.js";
 
-const HINT = "Point at a start to read it, press to see it move, drag to zoom.";
+const HINT = "Point at a start to read it, press to see it move, drag or turn the wheel to zoom.";
 const AXES_OF = { // of the planes of starts: across and along, in a plot and in the readout
   drop: [["phase of the plate when let go (rad)", "phase"], ["height above the plate / A", "height"]],
   contact: [["velocity of the elongation × Ω / A", "velocity × Ω"], ["elongation beyond the static one / A", "elongation"]],

@@ -5,19 +5,21 @@ import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
 import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, certificateOf, clampIndex, exponentOf, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
-import { branchColour, directionColour, theme } from "../plot/colours.js";
+import { branchColour, directionColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { circle, disc, polygon, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn } from "../plot/flights.js";
 import { extent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
+import { ClassLegend } from "./cells.js";
 import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 import { titleOf } from "./progress.js";
 
 const MAX_FLIGHTS = 400_000; // of a line that are requested at once; of a longer one, every n-th cell
-const HINT = "Point at a cell to read it, press to show its trajectory, drag to zoom.";
+const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom.";
 const MAX_CIRCLES = 200;
 const MAX_LISTED = 6; // flights listed one by one
+const STRIP = 8; // px, of the modes of a line
 const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell are not listed
 
 /** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles, {branch, point}. */
@@ -33,8 +35,9 @@ export class Diagram extends PlotView {
     this.caption = h("input", { type: "checkbox", checked: true });
     this.controls = h("div", {});
     this.options = h("div", {});
+    this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.#buildControls();
-    this.build(root, { controls: this.controls, shown: [this.options], label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    this.build(root, { controls: this.controls, shown: this.sources.length > 1 ? [this.options] : [this.options, this.legend.element], label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
     if (this.sources.length === 1) root.lastChild.append(h("label", { className: "option" }, this.caption, " with a caption"));
   }
 
@@ -44,8 +47,17 @@ export class Diagram extends PlotView {
 
   /** The axis of the diagram: of the address, or the one with most values. */
   get along() {
+    if (this.isBeside) return "gamma";
     const { along } = currentQuery();
     return this.axes.includes(along) ? along : AXES.reduce((longest, axis) => (this.grid[axis].length > this.grid[longest].length ? axis : longest));
+  }
+
+  /** Beside a map, its window along Γ. */
+  get window() {
+    const window = super.window;
+    if (!this.isBeside || !window) return window;
+    const { y0, y1 } = this.whole();
+    return { ...window, y0, y1 };
   }
 
   #buildControls() {
@@ -106,7 +118,14 @@ export class Diagram extends PlotView {
   read(results) {
     this.lines = results.flatMap((result) => linesOf(this.sources.find(({ job }) => job.id === result.attrs.job), result));
     this.isThinned ||= this.lines.some(({ every }) => every > 1);
+    this.classes = modeClasses(joined(this.lines));
+    this.lines.reduce((first, line) => first + (line.classes = this.classes.ofCell.subarray(first, first + line.values.length)).length, 0);
     this.closedForm?.update?.();
+  }
+
+  /** The modes of the strips. */
+  showLegend() {
+    if (this.sources.length === 1) this.legend.show(this.classes, theme().dark);
   }
 
   shown() {
@@ -121,7 +140,7 @@ export class Diagram extends PlotView {
     const values = this.sources.map(({ grid }) => grid[this.along]);
     const flights = Math.max(...this.lines.map((line) => line.highest), 0) || TWO_PI;
     const [x0, x1] = extent(Math.min(...values.map(([first]) => first)), Math.max(...values.map((list) => list.at(-1))));
-    return { x0, x1, y0: 0, y1: 1.06 * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
+    return { x0, x1, y0: 0, y1: 1.09 * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
   }
 
   content() {
@@ -136,11 +155,19 @@ export class Diagram extends PlotView {
       message: emptyMessage(lines),
       layers: [
         (ctx, box) => along === "gamma" && fixed && this.sources.length === 1 && drawThreshold(ctx, box, fixed),
-        (ctx, box) => drawFlights(ctx, box, lines, (line) => this.#colour(line, box.theme)),
+        (ctx, box) => drawFlights(ctx, box, this.#visibleLines(), (line) => this.#colour(line, box.theme)),
         (ctx, box) => cycles && drawBranches(ctx, box, cycles),
+        (ctx, box) => this.sources.length === 1 && drawStrips(ctx, box, lines, this.legend.hidden),
       ],
       cursor: (ctx, box) => this.#drawCursor(ctx, box),
     };
+  }
+
+  /** The lines without the flights of hidden modes. */
+  #visibleLines() {
+    const { hidden } = this.legend;
+    if (!hidden.size || this.sources.length > 1) return this.lines;
+    return this.lines.map((line) => ({ ...line, flight_time: line.flight_time.map((time, i) => (hidden.has(line.classes[Math.floor(i / line.keep)]) ? NaN : time)) }));
   }
 
   /** The fixed values, which of the cells are shown, how many were computed; of compared sweeps, the sweep. */
@@ -241,6 +268,23 @@ function linesOf(source, result) {
   return partsOf(result, "direction").map((variables) => {
     const highest = variables.flight_time.reduce((most, time) => (time > most ? time : most), 0);
     return { ...variables, source, along, fixed, every, highest, values: result[along].data, keep: result.dims.flight };
+  });
+}
+
+/** The modes of all lines, one after another. */
+function joined(lines) {
+  const values = (name) => lines.flatMap((line) => Array.from(line[name] ?? line.outcome));
+  return Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, values(name)]));
+}
+
+/** A strip for each line at the top: the colour of each cell's mode. */
+function drawStrips(ctx, box, lines, hidden) {
+  lines.forEach(({ values, classes }, i) => {
+    for (let x = Math.ceil(box.left); x < box.left + box.width; x++) {
+      const id = classes[nearestIndex(values, box.x.value(x + 0.5))];
+      ctx.fillStyle = hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark);
+      ctx.fillRect(x, box.top + 1 + i * (STRIP + 1), 1, STRIP);
+    }
   });
 }
 

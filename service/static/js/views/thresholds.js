@@ -12,7 +12,7 @@ import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
 const DASH = [7, 4];
-const HINT = "Point at a frequency to read it, press to show a trajectory, drag to zoom.";
+const HINT = "Point at a frequency to read it, press to show a trajectory, drag or turn the wheel to zoom.";
 const BESIDE = 4; // px from the frequency: both directions may lie beyond the same edge
 const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a triangle points: 1 down
 const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell that decides
