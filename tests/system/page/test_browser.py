@@ -196,7 +196,7 @@ def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any
         assert page.get_by_label("bounciness").get_attribute("placeholder") == "0.25"
         page.get_by_label("bounciness").fill("0.5")
         page.locator(".error", has_text="toy").wait_for()
-        page.locator("details summary").first.click()
+        page.get_by_text("Copy as Python").click()
         page.get_by_label("Language").select_option("JSON")
         specification = json.loads(page.locator("details pre").text_content())
         expected = {"kind": "toy", "bounciness": 0.5}
@@ -312,11 +312,15 @@ def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: 
 
 
 def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, omega=0.6, xi=0.05), viewport={"width": 1280, "height": 800}) as page:
+    with opened(
+        browser, view(address, loop, omega=0.6, xi=0.05), viewport={"width": 1280, "height": 800}
+    ) as page:
         wait_shown(page, omega=0.6)
         plot = page.locator(".panel .plot")
         box = plot.bounding_box()
-        assert box["y"] < 140 and box["width"] > 900 and box["height"] > 600
+        assert box["y"] < 140
+        assert box["width"] > 900
+        assert box["height"] > 600
         assert box["y"] + box["height"] < 800  # all of it is seen
         plot.click(position={"x": box["width"] / 2, "y": 100})
         page.locator(".trajectory .readout", has_text="plate periods").wait_for()
@@ -474,6 +478,26 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
         page.get_by_label("Hatch where up and down differ").uncheck()
         wait_for(lambda: picture(page) != hatched)
         assert page.get_by_text("Hysteresis: going up").count() == 0
+
+
+def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(
+    browser: Any, address: str, loop: str
+):
+    with opened(
+        browser, view(address, loop, "modes", xi=0.05), viewport={"width": 1920, "height": 1080}
+    ) as page:
+        wait_shown(page, xi=0.05)
+        plot = page.locator(".panel .plot")
+        box = plot.bounding_box()
+        shown = set()
+        for part in (0.2, 0.8):
+            plot.hover(position={"x": box["width"] / 2, "y": part * box["height"]})
+            page.wait_for_function(
+                "seen => !seen.includes(document.querySelector('.beside .plot').dataset.shown)",
+                arg=[*shown, None],
+            )
+            shown.add(page.locator(".beside .plot").get_attribute("data-shown"))
+        screenshot(page, "map-and-diagram", whole=False)
 
 
 def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, address: str):

@@ -37,7 +37,7 @@ export class JobView {
     this.controls = h("div", { className: "view-controls" });
     this.problem = problemLine();
     this.panel = h("section", { className: "panel" });
-    this.second = h("section", { className: "panel second", hidden: true });
+    this.second = h("section", { className: "beside", hidden: true });
     this.aside = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
     this.bar = document.getElementById("bar");
     this.bar.replaceChildren(this.heading, this.summary.progress, h("a", { href: link(["new"], { from: this.id }) }, "Duplicate"), this.summary.actions);
