@@ -171,6 +171,25 @@ def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, ad
         page.locator(".cost").filter(has_text=f"{cells} cells").wait_for()
 
 
+def test_any_study_is_submitted_as_a_pasted_specification(browser: Any, address: str):
+    orbits = {"name": "pasted", "protocol": {"kind": "orbits"}, "omega": [0.61], "xi": 0.05, "points": 20}
+    with opened(browser, f"{address}/#/new", expected=("422",)) as page:
+        page.get_by_text("Paste or drop a specification").click()
+        text = page.get_by_label("Specification as JSON")
+        text.fill("gamma = 1")
+        page.get_by_text("This is not JSON.").wait_for()
+        text.fill(json.dumps(orbits | {"points": "many"}))
+        page.locator(".problem", has_text="points").wait_for()
+        text.fill(json.dumps(orbits))
+        page.locator("details .note", has_text="1 cell in").wait_for()
+        page.get_by_role("button", name="Compute this specification").click()
+        page.locator("#bar h1", has_text="pasted").wait_for()
+        page.get_by_role("link", name="Duplicate").click()
+        page.wait_for_function(
+            "name => JSON.parse(document.querySelector('textarea').value || '{}').name === name", arg="pasted"
+        )
+
+
 def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any, address: str):
     """The form needs no change for a new model: it is described by the API's schema."""
 
