@@ -154,7 +154,7 @@ export class Diagram extends PlotView {
       y: { label: "flight time φ (rad)", low: y0, high: y1, periods: true },
       message: emptyMessage(lines),
       layers: [
-        (ctx, box) => along === "gamma" && fixed && this.sources.length === 1 && drawThreshold(ctx, box, fixed),
+        (ctx, box) => along === "gamma" && fixed && this.sources.length === 1 && drawThreshold(ctx, box, fixed, lines.length * (STRIP + 1)),
         (ctx, box) => drawFlights(ctx, box, this.#visibleLines(), (line) => this.#colour(line, box.theme)),
         (ctx, box) => cycles && drawBranches(ctx, box, cycles),
         (ctx, box) => this.sources.length === 1 && drawStrips(ctx, box, lines, this.legend.hidden),
@@ -297,8 +297,8 @@ function emptyMessage(lines) {
   return allAre(OUTCOME.atRest) ? "The spring stays on the plate" : "No flights to show";
 }
 
-/** The threshold of Eq. 25, labelled Γ_th, where it lies in the box. */
-export function drawThreshold(ctx, box, { omega, xi }) {
+/** The threshold of Eq. 25, labelled Γ_th `below` px further down, where it lies in the box. */
+export function drawThreshold(ctx, box, { omega, xi }, below = 0) {
   const x = box.x.pixel(threshold(omega, xi));
   if (!(x >= box.left && x <= box.left + box.width)) return;
   verticalLine(ctx, box, x, box.theme.threshold, 1.2, [5, 4]);
@@ -307,9 +307,9 @@ export function drawThreshold(ctx, box, { omega, xi }) {
   ctx.textAlign = "left";
   ctx.textBaseline = "alphabetic";
   ctx.font = `italic 15px ${box.theme.serif}`;
-  ctx.fillText("Γ", fitsRight ? x + 5 : x - 26, box.top + 22);
+  ctx.fillText("Γ", fitsRight ? x + 5 : x - 26, box.top + below + 22);
   ctx.font = `11px ${box.theme.serif}`;
-  ctx.fillText("th", fitsRight ? x + 16 : x - 15, box.top + 26);
+  ctx.fillText("th", fitsRight ? x + 16 : x - 15, box.top + below + 26);
 }
 
 /** A triangle on the axis at the cell whose trajectory is shown. */
