@@ -16,6 +16,8 @@ from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 
 #: Share of a budget for the first level by the table of costs, and for the audit of the answer.
 FIRST, AUDIT = 0.05, 0.1
+#: Part of the cells that the first level has at most, unless all fit: finer ones can then differ by little.
+FIRST_PART: Final = 1 / 12
 #: Seconds below which no audit begins: its kernel may have to compile, which nothing interrupts.
 LEAST_AUDIT: Final = 5.0
 #: The next level begins if this many times its expected time is left.
@@ -64,7 +66,9 @@ def within(
     began, answer = clock(), Answer()
     reserved = AUDIT * budget
     per_cell = runner.seconds(spec) / cells(spec, WHOLE)
-    steps: Steps | None = finest(spec, FIRST * budget / per_cell) or coarsest(spec)
+    whole, affordable = cells(spec, WHOLE), FIRST * budget / per_cell
+    most = affordable if affordable >= whole else min(affordable, FIRST_PART * whole)
+    steps: Steps | None = finest(spec, most) or coarsest(spec)
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
         show(f"{cells(spec, steps):,} cells{_thinning(steps)}, {left:.0f} s left")
