@@ -103,7 +103,11 @@ def sample(
         here, under_way = here.after(p), False
     takeoff, flight_time = np.array(flights, np.float64).reshape(-1, 2).T
     cosines = np.array([sincos(time)[1] for time in times])
-    return Trajectory(times, cosines, *points, in_flight, takeoff, flight_time, filled == len(times))
+    gaps, elongations, velocities, forces = points
+    return Trajectory(
+        times, cosines, gaps, elongations, velocities, forces, in_flight, takeoff, flight_time,
+        filled == len(times),
+    )  # fmt: skip
 
 
 def _sampled(spring: Any, here: _Point, time: float, budget: int) -> tuple[float, float, float, float]:

@@ -81,8 +81,9 @@ def within(
         left = budget - (clock() - began) - reserved
         steps = finest(spec, _affordable(answer.levels, left / MARGIN), steps)
     if not answer.levels:
-        rule = f"{budget:g} s are too short for {cells(spec, coarsest(spec)):,} of its cells"
-        raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * budget:g}s may work")])
+        took = clock() - began
+        rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
+        raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * max(budget, took):.3g}s may work")])
     left = budget - (clock() - began)
     if left >= LEAST_AUDIT:
         show(f"audit of the last level, {left:.0f} s left")
