@@ -18,6 +18,8 @@ from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 FIRST, AUDIT = 0.05, 0.1
 #: Part of the cells that the first level has at most, unless all fit: finer ones can then differ by little.
 FIRST_PART: Final = 1 / 12
+#: Share for what follows: stopping workers, moving the result.
+END: Final = 0.02
 #: Seconds below which no audit begins: its kernel may have to compile, which nothing interrupts.
 LEAST_AUDIT: Final = 5.0
 #: The next level begins if this many times its expected time is left.
@@ -64,6 +66,7 @@ def within(
 ) -> Answer:
     """Compute the finest level that fits into `budget` seconds. Raises SpecInvalid if none does."""
     began, answer = clock(), Answer()
+    budget *= 1.0 - END
     reserved = AUDIT * budget
     per_cell = runner.seconds(spec) / cells(spec, WHOLE)
     whole, affordable = cells(spec, WHOLE), FIRST * budget / per_cell
