@@ -376,6 +376,15 @@ def test_a_click_on_the_legend_hides_a_mode(browser: Any, address: str, loop: st
         wait_for(lambda: picture(page) == shown)
 
 
+def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
+    axes = {"gamma": {"start": 1.5, "stop": 4, "num": 26}, "omega": 0.5, "xi": 0.26}
+    job = done(address, {**axes, "model": {"kind": "rigid"}, "exponents": 1, "settle": 20, "observe": 40})
+    with opened(browser, view(address, job)) as page:
+        below = page.get_by_role("application", name="Largest Lyapunov exponent")
+        below.wait_for()
+        wait_for(lambda: colours(page, ".plot + .plot canvas") > 2)
+
+
 def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop: str):
     with opened(browser, view(address, loop, omega=0.6, xi=0.05, show="down")) as page:
         wait_shown(page, omega=0.6)

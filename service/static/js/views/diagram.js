@@ -6,8 +6,9 @@ import { h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
 import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, certificateOf, clampIndex, exponentOf, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
 import { branchColour, directionColour, modeClasses, modeColour, theme } from "../plot/colours.js";
-import { circle, disc, polygon, verticalLine } from "../plot/drawing.js";
+import { circle, disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn } from "../plot/flights.js";
+import { Plot } from "../plot/plot.js";
 import { extent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
 import { ClassLegend } from "./cells.js";
@@ -38,7 +39,36 @@ export class Diagram extends PlotView {
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.#buildControls();
     this.build(root, { controls: this.controls, shown: this.sources.length > 1 ? [this.options] : [this.options, this.legend.element], label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    if (this.job.spec.exponents && this.sources.length === 1) this.#buildExponents();
     if (this.sources.length === 1) root.lastChild.append(h("label", { className: "option" }, this.caption, " with a caption"));
+  }
+
+  /** The largest Lyapunov exponent on the axis of the diagram, below it. */
+  #buildExponents() {
+    this.exponents = new Plot(this.plot.element.parentElement, { label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null), minHeight: 110 });
+    this.plot.element.addEventListener("drawn", () => this.exponents.draw());
+  }
+
+  #exponents() {
+    const { left, width, x } = this.plot.box;
+    const points = this.lines.map((line) => Array.from(line.values, (value, cell) => [value, line.lyapunov[(cell * line.lyapunov.length) / line.values.length]]).filter(([, exponent]) => Number.isFinite(exponent)));
+    const values = points.flat().map(([, exponent]) => exponent);
+    const [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
+    const margin = 0.08 * (high - low) || 0.1;
+    return {
+      margins: [left, this.plot.element.clientWidth - left - width],
+      x: { label: "", low: x.low, high: x.high, log: x.log },
+      y: { label: "λ₁", low: low - margin, high: high + margin },
+      layers: [
+        (ctx, box) => polyline(ctx, box.theme.border, 1, [[box.left, box.y.pixel(0)], [box.left + box.width, box.y.pixel(0)]]),
+        (ctx, box) => points.forEach((line, i) => line.forEach(([value, exponent]) => disc(ctx, this.#colour(this.lines[i], box.theme), box.x.pixel(value), box.y.pixel(exponent), 1.4))),
+      ],
+    };
+  }
+
+  close() {
+    super.close();
+    this.exponents?.close();
   }
 
   get name() {
