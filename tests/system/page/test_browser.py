@@ -330,6 +330,31 @@ def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: 
         page.locator(".slider").first.filter(has_text="Γ =").wait_for()
 
 
+def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str, loop: str, tmp_path: Path):
+    file = tmp_path / "shared.html"
+    assert CliRunner().invoke(main, ["share", loop, "-o", str(file), "--url", address]).exit_code == 0
+    shown = f"{file.as_uri()}#/job/{loop}/diagram?xi=0.05"
+    with opened(browser, shown, offline=True, viewport={"width": 1280, "height": 800}) as page:
+        wait_shown(page, xi=0.05)
+        screenshot(page, "shared", whole=False)
+        page.get_by_label("down", exact=True).uncheck()
+        page.get_by_label("Value of Ω").fill("0.6")
+        page.keyboard.press("Enter")
+        wait_shown(page, omega=0.6)
+        assert colours(page) > 2
+        page.get_by_role("link", name="Mode map").click()
+        page.locator(".legend", has_text="(1, 1)").wait_for()
+        page.get_by_role("link", name="Thresholds").click()
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        page.locator(".panel .readout", has_text="ramp down: 0.").wait_for()
+        page.get_by_role("link", name="Details").click()
+        page.get_by_text("Kernel version").wait_for()
+    with opened(browser, file.as_uri(), offline=True, java_script_enabled=False) as page:
+        assert page.locator("img[alt='Bifurcation diagram']").bounding_box()["width"] > 300
+        page.locator("th", has_text="kernel_version").wait_for()
+
+
 def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: str, loop: str):
     with opened(
         browser, view(address, loop, omega=0.6, xi=0.05), viewport={"width": 1280, "height": 800}

@@ -55,5 +55,5 @@ export function minFlightInput(job) {
     if (value !== "" && flight >= 0) setQuery({ min: flight === job.spec.micro_flight ? null : flight });
   };
   return h("label", { className: "option", title }, "Count flights above ",
-    h("input", { type: "number", min: 0, step: "any", value: minFlightOf(job), required: true, onchange }), " rad");
+    h("input", { type: "number", min: 0, step: "any", value: minFlightOf(job), required: true, "data-service": true, onchange }), " rad");
 }

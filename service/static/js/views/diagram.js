@@ -40,7 +40,7 @@ export class Diagram extends PlotView {
     this.#buildControls();
     this.build(root, { controls: this.controls, shown: this.sources.length > 1 ? [this.options] : [this.options, this.legend.element], label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
     if (this.job.spec.exponents && this.sources.length === 1) this.#buildExponents();
-    if (this.sources.length === 1) root.lastChild.append(h("label", { className: "option" }, this.caption, " with a caption"));
+    if (this.sources.length === 1) root.lastChild.append(h("label", { className: "option", "data-service": true }, this.caption, " with a caption"));
   }
 
   /** The largest Lyapunov exponent on the axis of the diagram, below it. */
@@ -98,7 +98,7 @@ export class Diagram extends PlotView {
       this.#buildControls();
     };
     this.controls.replaceChildren(h("div", { className: "controls" },
-      this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), along, setAxis, { "aria-label": "Axis of the diagram" }),
+      this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), along, setAxis, { "aria-label": "Axis of the diagram", "data-service": true }),
       sliders(this, AXES.filter((axis) => axis !== along))));
     this.options.replaceChildren(h("div", { className: "controls" }, directions,
       this.closedForm && along === "gamma" && this.closedForm.element,
@@ -146,7 +146,10 @@ export class Diagram extends PlotView {
   }
 
   read(results) {
-    this.lines = results.flatMap((result) => linesOf(this.sources.find(({ job }) => job.id === result.attrs.job), result));
+    this.lines = results.flatMap((result) => {
+      const source = this.sources.find(({ job }) => job.id === result.attrs.job);
+      return linesOf(source, result).filter(({ direction }) => this.#shownOf(source).includes(direction));
+    });
     this.isThinned ||= this.lines.some(({ every }) => every > 1);
     this.classes = modeClasses(joined(this.lines));
     this.lines.reduce((first, line) => first + (line.classes = this.classes.ofCell.subarray(first, first + line.values.length)).length, 0);

@@ -1,7 +1,7 @@
 // One sweep: its progress, a tab each for diagram, mode map, thresholds and details, and a selected cell's trajectory.
 
 import { addressValue, cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
-import { requestJson } from "../lib/api.js";
+import { requestJson, shared } from "../lib/api.js";
 import { announce, h, problemLine } from "../lib/dom.js";
 import { AXES, isSweep, nearestIndex } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
@@ -109,7 +109,7 @@ export class JobView {
     const { job } = this;
     document.title = `${titleOf(job)} · Bouncing spring`;
     this.summary.show(job);
-    const unsettled = settling(job);
+    const unsettled = shared ? [shared.note].filter(Boolean) : settling(job);
     this.settling.hidden = !unsettled.length;
     this.settling.replaceChildren(...unsettled);
     this.problem.show(this.#failure());
@@ -171,6 +171,7 @@ export class JobView {
 
   /** The address holds the selected cell, and its axis values for the sliders of the other tabs. */
   #select(cell) {
+    if (shared) return; // nothing computes its motion
     setQuery(cellQuery(cell));
     this.#showSelectedCell();
     if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" }); // below the plot

@@ -28,7 +28,7 @@ export class Modes extends PlaneView {
     this.showsHysteresis = h("input", { type: "checkbox", checked: true, onchange: () => this.load() });
     this.showsComputed = h("input", { type: "checkbox", onchange: () => this.plot.draw() });
     this.refineButton = this.job.spec.protocol.kind === "rest" && h("button", {
-      type: "button", className: "quiet", onclick: () => this.#refineWindow(),
+      type: "button", className: "quiet", "data-service": true, onclick: () => this.#refineWindow(),
       title: "Start an adaptive sweep of the visible window, on a grid four times as fine",
     }, "Refine this window");
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
@@ -36,7 +36,7 @@ export class Modes extends PlaneView {
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, ["xi"]),
         this.isTwoWay && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
-        certifies(this.job.spec) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color }))),
+        certifies(this.job.spec) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color }), { "data-service": true })),
       label: `Mode map of ${titleOf(this.job)}`, hint: HINT, ratio: 0.6,
       shown: [this.legend.element, this.note, h("div", { className: "controls" },
         this.isTwoWay && h("label", { className: "option" }, this.showsHysteresis, " Hatch where up and down differ"),

@@ -1,7 +1,7 @@
 // The frame of every plot of results: it loads, follows the address, points, zooms, and downloads.
 
 import { currentQuery, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
-import { isHandledElsewhere, requestDataset } from "../lib/api.js";
+import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
 import { announce, copyButton, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
 import { AXES, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
@@ -215,14 +215,14 @@ export class PlotView {
   /** Pictures and tables of the service; what the service does not draw, as it is seen here. */
   #downloads() {
     const isSingle = this.sources.length === 1;
-    const isDrawn = this.isDrawn && isSingle;
+    const isDrawn = this.isDrawn && isSingle && !shared;
     const formats = [...(isDrawn ? PICTURES : []), ["CSV", "csv"]];
     const files = this.sources.flatMap((source) => resultFiles(source.job, () => this.name,
       formats.map(([label, format]) => [isSingle ? label : `${label} of ${source.number}`, format]), () => this.filePath(source)));
     return downloads([
       ...(isDrawn ? [] : [["PNG", () => fileName(this.job, this.name, "png"), () => this.plot.png(this.colours)]]),
-      ...files,
-      ...(isSingle && isSweep(this.job.spec) ? wholeSweep(this.job, [["NetCDF", "nc"]]) : []),
+      ...(shared ? [] : files),
+      ...(isSingle && !shared && isSweep(this.job.spec) ? wholeSweep(this.job, [["NetCDF", "nc"], ["a page to share", "html"]]) : []),
     ]);
   }
 }
