@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from service.cli import BEGAN
 from service.cli.options import (
+    BEGAN,
     DURATION,
     format_option,
     json_option,
