@@ -27,6 +27,7 @@ class Trajectory(NamedTuple):
     plate: NDArray[np.float64]  # (n,) cos(phase), plate amplitudes
     gap: NDArray[np.float64]  # (n,) lower mass above the plate
     elongation: NDArray[np.float64]  # (n,) spring length less its rest length
+    velocity: NDArray[np.float64]  # (n,) of the elongation, plate amplitudes per rad
     force: NDArray[np.float64]  # (n,) of the plate on the lower mass, in m A omega**2
     in_flight: NDArray[np.bool_]  # (n,)
     takeoff: NDArray[np.float64]  # (m,) phase of the plate, rad, with whole periods as in `phase`
@@ -83,7 +84,7 @@ def sample(
     under_way = (
         here.in_flight and state is not None and state[1] != 0.0
     )  # a flight from before is not counted
-    points = np.full((3, len(times)), np.nan)
+    points = np.full((4, len(times)), np.nan)
     in_flight = np.zeros(len(times), np.bool_)
     flights: list[tuple[float, float]] = []
     filled, budget = 0, BUDGET * periods
@@ -102,14 +103,15 @@ def sample(
         here, under_way = here.after(p), False
     takeoff, flight_time = np.array(flights, np.float64).reshape(-1, 2).T
     cosines = np.array([sincos(time)[1] for time in times])
-    gaps, elongations, forces = points
+    gaps, elongations, velocities, forces = points
     return Trajectory(
-        times, cosines, gaps, elongations, forces, in_flight, takeoff, flight_time, filled == len(times)
+        times, cosines, gaps, elongations, velocities, forces, in_flight, takeoff, flight_time,
+        filled == len(times),
     )  # fmt: skip
 
 
-def _sampled(spring: Any, here: _Point, time: float, budget: int) -> tuple[float, float, float]:
-    """Gap, elongation and force at `time` within the phase that begins `here`."""
+def _sampled(spring: Any, here: _Point, time: float, budget: int) -> tuple[float, float, float, float]:
+    """Gap, elongation, its velocity, and force at `time` within the phase that begins `here`."""
     state = here.until(spring, time, budget).state if time > here.at else here.state
     force = 0.0 if here.in_flight else contact_force(spring, plate_phase(time), state)
-    return state.gap, state.q, force
+    return state.gap, state.q, state.q1, force

@@ -16,6 +16,10 @@ from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 
 #: Share of a budget for the first level by the table of costs, and for the audit of the answer.
 FIRST, AUDIT = 0.05, 0.1
+#: Part of the cells that the first level has at most, unless all fit: finer ones can then differ by little.
+FIRST_PART: Final = 1 / 12
+#: Share for what follows: stopping workers, moving the result.
+END: Final = 0.02
 #: Seconds below which no audit begins: its kernel may have to compile, which nothing interrupts.
 LEAST_AUDIT: Final = 5.0
 #: The next level begins if this many times its expected time is left.
@@ -62,9 +66,12 @@ def within(
 ) -> Answer:
     """Compute the finest level that fits into `budget` seconds. Raises SpecInvalid if none does."""
     began, answer = clock(), Answer()
+    budget *= 1.0 - END
     reserved = AUDIT * budget
     per_cell = runner.seconds(spec) / cells(spec, WHOLE)
-    steps: Steps | None = finest(spec, FIRST * budget / per_cell) or coarsest(spec)
+    whole, affordable = cells(spec, WHOLE), FIRST * budget / per_cell
+    most = affordable if affordable >= whole else min(affordable, FIRST_PART * whole)
+    steps: Steps | None = finest(spec, most) or coarsest(spec)
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
         show(f"{cells(spec, steps):,} cells{_thinning(steps)}, {left:.0f} s left")
@@ -77,8 +84,9 @@ def within(
         left = budget - (clock() - began) - reserved
         steps = finest(spec, _affordable(answer.levels, left / MARGIN), steps)
     if not answer.levels:
-        rule = f"{budget:g} s are too short for {cells(spec, coarsest(spec)):,} of its cells"
-        raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * budget:g}s may work")])
+        took = clock() - began
+        rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
+        raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * max(budget, took):.3g}s may work")])
     left = budget - (clock() - began)
     if left >= LEAST_AUDIT:
         show(f"audit of the last level, {left:.0f} s left")

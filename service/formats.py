@@ -11,8 +11,8 @@ PictureFormat = Literal["png", "svg", "pdf"]
 
 #: A result as a Dataset, and its table.
 DatasetFormat = Literal["json", "bin", "nc", "csv", "parquet"]
-#: A whole sweep in one file.
-ExportFormat = Literal["nc", "parquet"]
+#: A whole study in one file; html: a sweep as a page that needs no service.
+ExportFormat = Literal["nc", "parquet", "html"]
 #: What a row of an exported table is: a cell, or an attractor of one; or each of their flights.
 ExportLayout = Literal["cells", "flights"]
 
@@ -33,4 +33,5 @@ MEDIA_TYPES: Final[Mapping[str, str]] = {
     "bin": "application/octet-stream",
     "nc": "application/x-netcdf",
     "parquet": "application/vnd.apache.parquet",
+    "html": "text/html",
 }

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from service.cli.options import (
+    BEGAN,
     DURATION,
     format_option,
     json_option,
@@ -110,7 +111,7 @@ def run(
     format = output_format(output, _RUN_FORMATS, format)
     specification = _specification(spec, effort)
     if budget is not None:
-        budget = max(budget - time.process_time(), 1.0)  # the imports of this process count
+        budget = max(budget - (time.monotonic() - BEGAN), 1.0)  # the imports of this process count
     try:
         if format == "zarr":
             local.run(specification, output, workers=workers, budget=budget)

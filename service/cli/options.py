@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import time
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -16,6 +17,9 @@ from service.tokens import data_folder, find_service
 
 if TYPE_CHECKING:
     from service.client import Client
+
+#: When this process began to import: the budget of a command counts from here.
+BEGAN: Final = time.monotonic()
 
 DEFAULT_URL: Final = "http://127.0.0.1:8000"  # the client's, which takes long to import
 

@@ -161,20 +161,30 @@ def _without(prefixes: tuple[str, ...], name: str) -> str:
 
 @click.command()
 @click.option("-o", "--output", type=click.Path(dir_okay=False), required=True,
-              help="File to write, .nc or .parquet.")  # fmt: skip
+              help="File to write, .nc, .parquet or .html.")  # fmt: skip
 @click.option(
     "--layout", type=click.Choice(get_args(ExportLayout)), default="cells", show_default=True,
     help="What a row of Parquet is: a cell with lists of its flights, or each flight.",
 )  # fmt: skip
 @with_job
 def export(job: "Job", output: str, layout: ExportLayout) -> None:
-    """Write all results of a job to one file, NetCDF or Parquet.
+    """Write all results of a job to one file, NetCDF, Parquet or a page.
 
     NetCDF (.nc) contains the arrays of the store, Parquet (.parquet) one row per cell, or with --layout
-    flights one row per flight.
+    flights one row per flight. A page (.html) shows a sweep in any browser, without service and network.
     """
     output_format(output, EXPORTS)
     job.export(Path(output), layout=layout)
+    _warn_unless_done(job, "cells are missing")
+
+
+@click.command()
+@click.option("-o", "--output", type=click.Path(dir_okay=False), required=True, help="File to write, .html.")
+@with_job
+def share(job: "Job", output: str) -> None:
+    """Write a sweep as a page that opens in any browser, without service and network."""
+    output_format(output, ("html",))
+    job.share(Path(output))
     _warn_unless_done(job, "cells are missing")
 
 
@@ -228,6 +238,7 @@ def trajectory(
 COMMANDS: Final = (
     *map(command, dict.fromkeys([*ResultMethods.RESULTS, *SpringMethods.RESULTS])),
     export,
+    share,
     trajectory,
 )
 

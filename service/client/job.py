@@ -226,7 +226,9 @@ class Job(ResultReader, ResultMethods, JobStatus):
         return self
 
     def export(self, path: str | PathLike[str], *, layout: ExportLayout = "cells") -> Path:
-        """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.
+        """Write the whole sweep to a file, .nc (NetCDF), .parquet or .html (a page), and return its path.
+
+        The page shows diagrams, map and thresholds in any browser, without service and network.
 
         `layout`: what a row of Parquet is, a cell with lists of its flights, or with "flights" each flight.
         The file is written completely or not at all. Raises TooLarge, Busy, BadRequest for another layout,
@@ -240,6 +242,10 @@ class Job(ResultReader, ResultMethods, JobStatus):
         query = {"format": format, "layout": None if layout == "cells" else layout}
         self._transport.download(self._path("export"), query, target)
         return target
+
+    def share(self, path: str | PathLike[str]) -> Path:
+        """Write the sweep as a page (.html) for others, and return its path. Raises as `export`."""
+        return self.export(path)
 
     def open(self, chunks: Any = None, direct: bool | None = None) -> "xarray.Dataset":
         """The whole store as a lazy Dataset, read over the client's connection. Raises StoreUnreachable.

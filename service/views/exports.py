@@ -27,6 +27,7 @@ from service.errors import InvalidRequest, NoSpace, NotInstalled, TooLarge
 from service.formats import ExportFormat, ExportLayout
 from service.jobs.prepare import PreparedJob
 from service.ledger.model import JobRecord
+from service.views import shared
 from service.views.encode import record_batch, tables
 from service.views.selection import LABEL, Stored, labelled, read_stored
 from worker.studies import study_of
@@ -102,7 +103,9 @@ def check(
     Raises NotInstalled for Parquet without its library, TooLarge for a study of more than `max_bytes`.
     """
     arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
-    for array in arrays:
+    if format == "html" and not isinstance(spec, SweepSpec):
+        raise InvalidRequest.of("format", f"html is for sweeps; this study is of kind {spec.protocol.kind}")
+    for array in arrays if format != "html" else ():
         if np.dtype(array.dtype).kind == "c":
             rule = f"{array.name} of this study is complex, and no such file holds that: open its store"
             raise InvalidRequest.of("format", rule)
@@ -113,7 +116,7 @@ def check(
     if format == "parquet" and find_spec("pyarrow") is None:
         raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
     size = study_of(spec).estimate(spec, plan).bytes
-    if size > max_bytes:
+    if size > max_bytes and format != "html":  # whose flights are thinned
         raise TooLarge(
             f"the sweep holds {size:,} bytes; the limit for one file is {max_bytes:,}: "
             "open the store itself, which has no such limit"
@@ -144,6 +147,9 @@ def pieces(file: IO[bytes]) -> Iterator[bytes]:
 def write(export: Export, path: Path) -> None:
     """Write the study's file. Raises NoSpace, another OSError, a `store.StoreError`."""
     try:
+        if export.format == "html":
+            path.write_text(shared.page(export.study, export.attributes))
+            return
         (_write_netcdf if export.format == "nc" else _write_parquet)(
             export, _blocks(export, path.parent), path
         )

@@ -174,6 +174,7 @@ _ROWS: Final = {
         row("plate", ("phase",), "<f8", "plate", _LENGTH),
         row("z1", ("phase",), "<f8", "upper mass", _LENGTH),
         row("z2", ("phase",), "<f8", "lower mass", _LENGTH),
+        row("velocity", ("phase",), "<f8", "velocity of the spring's elongation", "A omega"),
         row("force", ("phase",), "<f8", "force of the plate on the lower mass", "m A ω²"),
         row("in_flight", ("phase",), "?", "whether the spring is off the plate"),
         row("takeoff", ("flight",), "<f8", "phase of the plate at take-off, as `phase`", "rad"),
@@ -247,7 +248,8 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
     length = float(penetration_of(spec.model, gamma, omega)[0]) / DEPTH_OVER_LENGTH
     z2 = path.plate + path.gap
     values |= {
-        "plate": path.plate, "z1": z2 + length + path.elongation, "z2": z2, "force": path.force,
+        "plate": path.plate, "z1": z2 + length + path.elongation, "z2": z2, "velocity": path.velocity,
+        "force": path.force,
         "in_flight": path.in_flight, "takeoff": path.takeoff, "takeoff_phase": path.takeoff % TWO_PI,
         "flight_time": path.flight_time, **_energies(spec, path),
     }  # fmt: skip

@@ -1,8 +1,8 @@
 // Shows the page that belongs to the address.
 
 import { SweepForm } from "./form/form.js";
-import { takeToken } from "./lib/api.js";
-import { currentAddress, discardPending } from "./lib/address.js";
+import { shared, takeToken } from "./lib/api.js";
+import { currentAddress, discardPending, replace } from "./lib/address.js";
 import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
 import { Compare } from "./explore/compare.js";
@@ -34,7 +34,7 @@ function showAddress() {
   }
   if (shown !== null) {
     scrollTo(0, 0);
-    root.querySelector("h1")?.focus({ preventScroll: true });
+    document.querySelector("h1")?.focus({ preventScroll: true });
   }
   shown = wanted;
 }
@@ -60,4 +60,5 @@ addEventListener("hashchange", () => {
 document.addEventListener("visibilitychange", () => document.hidden || page.refresh(false)); // sweeps may have changed meanwhile
 watchConnection(() => page.refresh());
 takeToken();
+if (shared && currentAddress().path[1] !== shared.job.id) replace(["job", shared.job.id]);
 showAddress();

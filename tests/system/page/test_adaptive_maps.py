@@ -72,7 +72,7 @@ def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: A
         page.wait_for_url(re.compile("x0="))
         page.get_by_role("button", name="Refine this window").click()
         page.wait_for_url(lambda url: "#/job/" in url and parent not in url)
-        page.locator("header.job", has_text="Window of An adaptive map").wait_for()
+        page.locator("#bar", has_text="Window of An adaptive map").wait_for()
         child = page.evaluate("location.href").split("/job/")[1][:32]
         wait_for(lambda: job_of(address, child)["state"] == "done")
         spec = job_of(address, child)["spec"]
@@ -82,4 +82,4 @@ def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: A
         page.locator(".panel .note", has_text="Adaptive map").wait_for()
         screenshot(page, "modes-window")
         page.get_by_role("link", name="window of another sweep").click()
-        page.locator("header.job h1", has_text=re.compile("^An adaptive map$")).wait_for()
+        page.locator("#bar h1", has_text=re.compile("^An adaptive map$")).wait_for()

@@ -88,7 +88,7 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
         screenshot(page, "form")
         page.get_by_role("button", name="Compute").click()
         page.wait_for_url(re.compile("#/job/"))
-        bar = page.locator("header.job .bar")
+        bar = page.locator("#bar .bar")
         seen: list[float] = []
         released = 0  # the number of values of the bar for which a chunk was released
 
@@ -146,6 +146,43 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         assert page.locator("[aria-invalid=true]").count() == 0
 
 
+def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new?figure=2") as page:
+        page.get_by_label("number of values").first.fill("120")
+        page.get_by_label("contact model").select_option("rigid")
+        page.get_by_text("What does a time buy?").click()
+        page.get_by_label("Time", exact=True).fill("soon")
+        page.get_by_role("button", name="Compare settings").click()
+        page.get_by_text("The time must be such as 90s, 5m or 1h.").wait_for()
+        page.get_by_label("Time", exact=True).fill("5m")
+        page.get_by_role("button", name="Compare settings").click()
+        page.locator("tr.recommended").wait_for(timeout=120_000)
+        coarsest = page.locator("tbody tr").last
+        cells = coarsest.locator("td").nth(1).inner_text()
+        assert 1 <= int(cells) < 120
+        coarsest.get_by_role("button", name="Use draft").click()
+        page.locator(".cost").filter(has_text=f"{cells} cells").wait_for()
+
+
+def test_any_study_is_submitted_as_a_pasted_specification(browser: Any, address: str):
+    orbits = {"name": "pasted", "protocol": {"kind": "orbits"}, "omega": [0.61], "xi": 0.05, "points": 20}
+    with opened(browser, f"{address}/#/new", expected=("422",)) as page:
+        page.get_by_text("Paste or drop a specification").click()
+        text = page.get_by_label("Specification as JSON")
+        text.fill("gamma = 1")
+        page.get_by_text("This is not JSON.").wait_for()
+        text.fill(json.dumps(orbits | {"points": "many"}))
+        page.locator(".problem", has_text="points").wait_for()
+        text.fill(json.dumps(orbits))
+        page.locator("details .note", has_text="1 cell in").wait_for()
+        page.get_by_role("button", name="Compute this specification").click()
+        page.locator("#bar h1", has_text="pasted").wait_for()
+        page.get_by_role("link", name="Duplicate").click()
+        page.wait_for_function(
+            "name => JSON.parse(document.querySelector('textarea').value || '{}').name === name", arg="pasted"
+        )
+
+
 def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any, address: str):
     """The form needs no change for a new model: it is described by the API's schema."""
 
@@ -171,7 +208,7 @@ def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any
         assert page.get_by_label("bounciness").get_attribute("placeholder") == "0.25"
         page.get_by_label("bounciness").fill("0.5")
         page.locator(".error", has_text="toy").wait_for()
-        page.locator("details summary").first.click()
+        page.get_by_text("Copy as Python").click()
         page.get_by_label("Language").select_option("JSON")
         specification = json.loads(page.locator("details pre").text_content())
         expected = {"kind": "toy", "bounciness": 0.5}
@@ -213,7 +250,7 @@ def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_pat
         assert error.is_visible()
         page.get_by_role("button", name="Resume").click()
         error.wait_for(state="hidden")
-        page.locator("header.job [data-state=done]").wait_for()
+        page.locator("#bar [data-state=done]").wait_for()
 
 
 def test_an_unknown_sweep_is_reported(browser: Any, address: str):
@@ -228,8 +265,8 @@ def test_a_name_is_shown_as_it_was_typed(browser: Any, address: str):
         page.locator(".jobs li h3", has_text="near the fold").wait_for()
         assert page.locator(".jobs li h3", has_text="near the fold").inner_text() == name
         page.goto(view(address, job))
-        page.locator("header.job h1", has_text="near the fold").wait_for()
-        assert page.locator("header.job h1").inner_text() == name
+        page.locator("#bar h1", has_text="near the fold").wait_for()
+        assert page.locator("#bar h1").inner_text() == name
 
 
 @pytest.mark.parametrize("asked", ["2", "1e300"])
@@ -284,6 +321,86 @@ def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: 
         page.get_by_label("Axis of the diagram").select_option("omega")
         wait_shown(page, along="omega")
         page.locator(".slider").first.filter(has_text="Γ =").wait_for()
+
+
+def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str, loop: str, tmp_path: Path):
+    file = tmp_path / "shared.html"
+    assert CliRunner().invoke(main, ["share", loop, "-o", str(file), "--url", address]).exit_code == 0
+    shown = f"{file.as_uri()}#/job/{loop}/diagram?xi=0.05"
+    with opened(browser, shown, offline=True, viewport={"width": 1280, "height": 800}) as page:
+        wait_shown(page, xi=0.05)
+        screenshot(page, "shared", whole=False)
+        page.get_by_label("down", exact=True).uncheck()
+        page.get_by_label("Value of Ω").fill("0.6")
+        page.keyboard.press("Enter")
+        wait_shown(page, omega=0.6)
+        assert colours(page) > 2
+        page.get_by_role("link", name="Mode map").click()
+        page.locator(".legend", has_text="(1, 1)").wait_for()
+        page.get_by_role("link", name="Thresholds").click()
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        page.locator(".panel .readout", has_text="ramp down: 0.").wait_for()
+        page.get_by_role("link", name="Details").click()
+        page.get_by_text("Kernel version").wait_for()
+    with opened(browser, file.as_uri(), offline=True, java_script_enabled=False) as page:
+        assert page.locator("img[alt='Bifurcation diagram']").bounding_box()["width"] > 300
+        page.locator("th", has_text="kernel_version").wait_for()
+
+
+def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: str, loop: str):
+    with opened(
+        browser, view(address, loop, omega=0.6, xi=0.05), viewport={"width": 1280, "height": 800}
+    ) as page:
+        wait_shown(page, omega=0.6)
+        plot = page.locator(".panel .plot")
+        box = plot.bounding_box()
+        assert box["y"] < 140
+        assert box["width"] > 900
+        assert box["height"] > 600
+        assert box["y"] + box["height"] < 800  # all of it is seen
+        plot.click(position={"x": box["width"] / 2, "y": 100})
+        page.locator(".trajectory .readout", has_text="plate periods").wait_for()
+        assert plot.bounding_box() == box
+        for figure in page.locator(".trajectory .plot").all():
+            drawn = figure.bounding_box()
+            assert drawn["y"] + drawn["height"] < 800
+        screenshot(page, "diagram-with-a-cell", whole=False)
+
+
+def test_the_wheel_zooms_both_axes_and_back_undoes_it(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, omega=0.6)
+        whole = page.url
+        page.locator(".panel .plot").hover(position={"x": 400, "y": 300})
+        page.mouse.wheel(0, -400)
+        page.wait_for_url(re.compile("x0=.*y1="))
+        before = picture(page)
+        page.mouse.wheel(0, -400)
+        wait_for(lambda: picture(page) != before)
+        page.go_back()
+        page.wait_for_url(whole)
+        wait_shown(page, omega=0.6)
+
+
+def test_a_click_on_the_legend_hides_a_mode(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
+        wait_shown(page, xi=0.05)
+        shown = picture(page)
+        page.locator(".legend").get_by_role("button", name="at rest").click()
+        wait_for(lambda: picture(page) != shown)
+        page.wait_for_url(re.compile("hide="))
+        page.locator(".legend").get_by_role("button", name="at rest").click()
+        wait_for(lambda: picture(page) == shown)
+
+
+def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
+    axes = {"gamma": {"start": 1.5, "stop": 4, "num": 26}, "omega": 0.5, "xi": 0.26}
+    job = done(address, {**axes, "model": {"kind": "rigid"}, "exponents": 1, "settle": 20, "observe": 40})
+    with opened(browser, view(address, job)) as page:
+        below = page.get_by_role("application", name="Largest Lyapunov exponent")
+        below.wait_for()
+        wait_for(lambda: colours(page, ".plot + .plot canvas") > 2)
 
 
 def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop: str):
@@ -409,6 +526,26 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
         assert page.get_by_text("Hysteresis: going up").count() == 0
 
 
+def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(
+    browser: Any, address: str, loop: str
+):
+    with opened(
+        browser, view(address, loop, "modes", xi=0.05), viewport={"width": 1920, "height": 1080}
+    ) as page:
+        wait_shown(page, xi=0.05)
+        plot = page.locator(".panel .plot")
+        box = plot.bounding_box()
+        shown = set()
+        for part in (0.2, 0.8):
+            plot.hover(position={"x": box["width"] / 2, "y": part * box["height"]})
+            page.wait_for_function(
+                "seen => !seen.includes(document.querySelector('.beside .plot').dataset.shown)",
+                arg=[*shown, None],
+            )
+            shown.add(page.locator(".beside .plot").get_attribute("data-shown"))
+        screenshot(page, "map-and-diagram", whole=False)
+
+
 def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, address: str):
     axes = {"gamma": {"start": 1.0, "stop": 2.4, "num": 57}, "omega": {"start": 0.45, "stop": 0.6, "num": 16}}
     job = done(address, {**axes, "name": "Margins", "xi": 0.26, "model": {"kind": "rigid"}})
@@ -458,9 +595,9 @@ def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
     window = {"model": {"kind": "rigid"}, "settle": 20, "observe": 60, "keep": 4}
     job = done(address, short | window)
     with opened(browser, view(address, job, "modes")) as page:
-        page.locator(".notice", has_text="of 46 cells were still settling after 80 plate periods").wait_for()
+        page.locator(".notice", has_text="still settling after 80 plate periods").wait_for()
         page.locator(".legend", has_text="still settling").wait_for()
-        page.get_by_role("link", name="New sweep with more time").click()
+        page.get_by_role("link", name="give more time").click()
         page.locator("[data-field='until']").wait_for()
 
 

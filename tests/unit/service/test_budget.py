@@ -55,7 +55,9 @@ def test_a_budget_is_never_missed_and_mostly_used(cell, start, guess, budget):
 
 def test_a_budget_too_short_for_any_level_says_what_may_work():
     runner = Simulated(cell=1.0, start=0.0, guess=1.0)
-    with pytest.raises(SpecInvalid, match=r"1 s are too short for 48 of its cells; 2s may work"):
+    with pytest.raises(
+        SpecInvalid, match=r"was over before the first level of 48 cells was complete; 2s may work"
+    ):
         within(SPEC, 1.0, runner, clock=runner.clock)
 
 

@@ -28,7 +28,7 @@ class Cycles extends PlotView {
     super({ sources: [SPRING], onSelect: ({ gamma }) => setQuery({ gamma }) });
     this.motion = motion;
     this.words = h("p", { className: "readout closed", role: "status" });
-    this.build(root, { controls: sliders(this, AXES), label: "Flight times of the cycles over Γ", hint: HINT, ratio: 0.62, below: [this.words] });
+    this.build(root, { controls: sliders(this, AXES), label: "Flight times of the cycles over Γ", hint: HINT, ratio: 0.62, shown: [this.words] });
     queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.closing.signal });
     this.describeThresholds();
   }

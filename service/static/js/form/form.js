@@ -3,10 +3,13 @@
 import { currentQuery, link, navigate, replace, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestJson } from "../lib/api.js";
 import { announce, debounced, h } from "../lib/dom.js";
-import { bytes, count, duration, plural } from "../lib/format.js";
+import { costText } from "../lib/format.js";
+import { isSweep } from "../lib/physics.js";
 import { Snippets } from "../lib/snippets.js";
 import { loadPresets, loadSchema } from "./catalogue.js";
 import { axisField, modelField, protocolField, refineField, schemaField } from "./fields.js";
+import { PastedSpecification } from "./pasted.js";
+import { Plan } from "./plan.js";
 import { showProblems } from "./problems.js";
 
 const ESTIMATE_DELAY_MS = 220;
@@ -19,10 +22,11 @@ export class SweepForm {
     document.title = "New sweep · Bouncing spring";
     this.container = h("div", {}, h("p", { className: "note" }, "Loading the form …"));
     this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.pasted = new PastedSpecification((job) => navigate(["job", job.id]));
     root.replaceChildren(
       h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
       h("h1", { tabindex: "-1" }, "New sweep"),
-      this.container, this.problem);
+      this.container, this.problem, this.pasted.element);
     this.estimate = debounced(ESTIMATE_DELAY_MS, () => this.#estimate());
     this.#load();
   }
@@ -40,6 +44,7 @@ export class SweepForm {
   close() {
     this.closed = true;
     this.estimate.cancel();
+    this.pasted.close();
     this.estimating?.abort();
   }
 
@@ -55,6 +60,7 @@ export class SweepForm {
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button", disabled: true }, "Compute");
     this.snippets = new Snippets();
+    this.plan = new Plan(() => this.#read(), (spec) => this.#use(spec));
     this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) },
       elements(rows), h("fieldset", { className: "plain" }, h("legend", {}, "Recording"), elements(recorded)),
       this.problem,
@@ -62,6 +68,7 @@ export class SweepForm {
     this.container.replaceChildren(
       h("p", { className: "preset" }, h("label", { for: "preset" }, "Start from "), this.preset),
       this.form,
+      this.plan.element,
       h("details", {}, h("summary", {}, "Copy as Python, TOML, curl or JSON"), this.snippets.element));
     this.#fill({});
   }
@@ -83,7 +90,8 @@ export class SweepForm {
       this.preset.replaceChildren(h("option", { value: "" }, "default values"), ...presets.map(({ label, title, sweeps }) =>
         h("optgroup", { label: `${label}: ${title}` }, sweeps.map(({ key, text }) => h("option", { value: key, selected: key === figure }, text)))));
       this.isLoaded = true;
-      this.#fill((job || presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec ?? springOf(omega, xi));
+      if (job && !isSweep(job.spec)) this.pasted.write(job.spec);
+      this.#fill((job && isSweep(job.spec) ? job : presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec ?? springOf(omega, xi));
     } catch (error) {
       if (isOutdated()) return;
       this.isLoaded = error.status === 404; // the sweep is gone: the form has the default values
@@ -109,7 +117,16 @@ export class SweepForm {
     return Object.fromEntries(Object.entries(this.fields).map(([name, field]) => [name, field.read()]).filter(([, value]) => value !== null));
   }
 
+  /** Fill the form with a setting of the plan. */
+  #use(spec) {
+    Object.keys(this.fields).forEach((name) => this.edited.add(name));
+    for (const [name, field] of Object.entries(this.fields)) field.write(spec[name]);
+    this.#onChange();
+    this.button.focus();
+  }
+
   #onChange() {
+    this.plan.clear();
     this.snippets.show(this.#read());
     this.estimate();
   }
@@ -121,13 +138,7 @@ export class SweepForm {
     try {
       const cost = await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: this.#read(), signal: this.estimating.signal });
       showProblems(this.form, this.problem, null);
-      const atOnce = Math.max(Math.min(cost.workers, cost.chunks), 1);
-      const where = cost.workers ? plural(cost.workers, "worker") : "one core";
-      const first = cost.basis === "measured" ? "" : ", once its kernel is compiled";
-      const [least, most] = cost.computed_cells ?? [];
-      const computed = most === undefined ? "" : `, about ${count(least)} to ${count(most)} of them computed,`;
-      const seconds = most === undefined ? "" : `${duration(Math.max(cost.least_core_seconds / atOnce, 1))} to `;
-      this.cost.textContent = `${plural(cost.cells, "cell")}${computed} in ${plural(cost.chunks, "chunk")} · about ${seconds}${duration(Math.max(cost.core_seconds / atOnce, 1))} on ${where}${first} · up to ${bytes(cost.bytes)}`;
+      this.cost.textContent = costText(cost);
       this.button.disabled = false;
     } catch (error) {
       this.#showError(error);

@@ -27,8 +27,12 @@ let pending = null;
 /** Dispatches "change" after every setQuery(). */
 export const queryChanges = new EventTarget();
 
-/** Change query parameters without a new history entry; null removes one. */
-export function setQuery(changes) {
+/** Change query parameters; null removes one. With `isStep`, the browser's Back returns to the state before. */
+export function setQuery(changes, isStep = false) {
+  if (isStep) {
+    if (pending) history.replaceState(null, "", link(pending.path, pending.query));
+    history.pushState(null, "", location.href);
+  }
   pending ??= currentAddress();
   const entries = Object.entries({ ...pending.query, ...changes }).filter(([, value]) => value !== null && value !== undefined);
   pending.query = Object.fromEntries(entries.map(([name, value]) => [name, String(value)])); // as read from the address

@@ -28,6 +28,15 @@ export function problemLine() {
   return { element, show };
 }
 
+/** A button that copies what `text()` returns. */
+export const copyButton = (text) => h("button", {
+  type: "button", className: "quiet",
+  onclick: async () => {
+    await navigator.clipboard?.writeText(text()).catch(() => {});
+    announce("Copied.");
+  },
+}, "Copy");
+
 /** Announce `text` to screen readers. */
 export function announce(text) {
   document.getElementById("status").textContent = text;

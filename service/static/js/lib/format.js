@@ -9,7 +9,7 @@ export function number(value, digits = 5) {
 }
 
 /** A part of 1 in percent. */
-export const share = (part) => `${part > 0 && part < 0.001 ? "<0.1" : number(100 * part, 3)} %`;
+export const share = (part, digits = 3) => `${part > 0 && part < 0.001 ? "<0.1" : number(100 * part, digits)} %`;
 
 export const count = (value) => value.toLocaleString("en");
 
@@ -41,3 +41,14 @@ export function ago(time) {
 
 /** A time of the service in the reader's time zone, to the second. */
 export const time = (text) => new Date(text).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "medium" });
+
+/** What a study would cost: "551 cells in 3 chunks · about 1 s on 2 workers · up to 585 kB", of the service's estimate. */
+export function costText(cost) {
+  const atOnce = Math.max(Math.min(cost.workers, cost.chunks), 1);
+  const where = cost.workers ? plural(cost.workers, "worker") : "one core";
+  const first = cost.basis === "measured" ? "" : ", once its kernel is compiled";
+  const [least, most] = cost.computed_cells ?? [];
+  const computed = most === undefined ? "" : `, about ${count(least)} to ${count(most)} of them computed,`;
+  const seconds = most === undefined ? "" : `${duration(Math.max(cost.least_core_seconds / atOnce, 1))} to `;
+  return `${plural(cost.cells, "cell")}${computed} in ${plural(cost.chunks, "chunk")} · about ${seconds}${duration(Math.max(cost.core_seconds / atOnce, 1))} on ${where}${first} · up to ${bytes(cost.bytes)}`;
+}

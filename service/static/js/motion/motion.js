@@ -97,7 +97,7 @@ async function request(path, options) {
   const list = (name) => Array.from(found[name].data);
   const named = (names, value) => Object.fromEntries(names.map((name) => [name, value(name)]));
   return {
-    ...attrs, ...named(["plate", "z1", "z2", "in_flight"], list), ...named(["gamma", "omega", "xi"], (name) => found[name].data),
+    ...attrs, ...named(["plate", "z1", "z2", "velocity", "in_flight"], list), ...named(["gamma", "omega", "xi"], (name) => found[name].data),
     phase: list("phase").map((value, i, [first]) => value - first), flights: list("flight_time"),
     cycle: found.cycle_multipliers && named(["bounces", "periods", "flight_time", "stable", "multipliers"], (name) => found[`cycle_${name}`].data),
   };

@@ -59,8 +59,11 @@ export class TrajectoryPanel {
     const portraits = h("div", {});
     this.motion = new Motion({ portraits });
     this.root.replaceChildren(
-      h("header", {}, this.title, this.about, h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close")),
-      this.motion.element, this.values, this.proof, this.files, portraits);
+      h("div", { className: "facts" },
+        h("header", {}, this.title, this.about),
+        this.proof, this.files, this.values),
+      this.motion.element, portraits,
+      h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close"));
   }
 
   /** A button that has the cell's cycle proven, and the answer in its place. */

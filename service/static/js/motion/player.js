@@ -170,7 +170,7 @@ function contentOf(heights, currentPhase) {
   const periods = phase.map((value) => value / TWO_PI);
   const points = (box, values) => values.map((value, i) => [box.x.pixel(periods[i]), box.y.pixel(value)]).filter(([, y]) => Number.isFinite(y));
   return {
-    x: { label: "time (plate periods)", low: 0, high: periods[periods.length - 1] },
+    x: { label: "plate periods", low: 0, high: periods[periods.length - 1] },
     y: { label: "height / A", low: heights.low, high: heights.high },
     layers: [
       (ctx, box) => {

@@ -22,7 +22,7 @@ export class Portraits {
     this.mapNote = h("p", { className: "note" });
     this.element = h("div", { className: "portraits" },
       h("div", {}, h("h3", {}, "Return map"), map, this.mapNote),
-      h("div", {}, h("h3", {}, "Phase portrait"), portrait, h("p", { className: "note" }, "Line: the spring over the plate periods shown. Dots: the Poincaré section, once per plate period.")));
+      h("div", {}, h("h3", {}, "Phase portrait"), portrait, h("p", { className: "note" }, "Dots: once per plate period (Poincaré section).")));
     root.append(this.element);
     this.map = new Plot(map, { label: "Return map: each flight time over the one before", content: () => this.flights && returnMap(this.flights), ratio: 0.9, minHeight: 240 });
     this.portrait = new Plot(portrait, { label: "Phase portrait: velocity of the spring’s elongation over its elongation", content: () => this.trajectory && phasePortrait(this.trajectory), ratio: 0.9, minHeight: 240 });
@@ -63,7 +63,7 @@ function returnMap(flights) {
   const [low, high] = flights.length ? widened(Math.min(...flights) - missing, Math.max(...flights) + missing) : [0, TWO_PI];
   const axis = (label) => ({ label, low, high });
   return {
-    x: axis("flight time φₙ (rad)"), y: axis("next flight time φₙ₊₁ (rad)"),
+    x: axis("flight φₙ (rad)"), y: axis("next φₙ₊₁ (rad)"),
     message: points.length ? null : "No two flights in a row",
     layers: [
       (ctx, box) => polyline(ctx, box.theme.border, 1, pixels(box, [[low, low], [high, high]])),
@@ -72,26 +72,27 @@ function returnMap(flights) {
   };
 }
 
-/** The elongation of the spring and its velocity, in plate amplitudes, and once per plate period a dot. */
-function phasePortrait({ phase, z1, z2, rest_length: rest }) {
-  const elongation = z1.map((value, i) => value - z2[i] - rest);
-  const step = phase[1] - phase[0];
-  const points = phase.map((_, i) => [elongation[i], (elongation[i + 1] - elongation[i - 1]) / (2 * step)]);
-  const known = points.filter(([, velocity]) => Number.isFinite(velocity));
-  const section = points.filter(([, velocity], i) => Number.isFinite(velocity) && i % Math.round(TWO_PI / step) === 0);
+/** The elongation of the spring and its velocity, interrupted where an impact changes it, and once per plate period a dot. */
+function phasePortrait({ phase, z1, z2, velocity, in_flight: flies, rest_length: rest }) {
+  const points = phase.map((_, i) => [z1[i] - z2[i] - rest, velocity[i]]);
+  const isKnown = (point) => point.every(Number.isFinite);
+  const known = points.filter(isKnown);
+  const line = points.flatMap((point, i) => (flies[i - 1] && !flies[i] ? [null, point] : [point])).map((point) => point && (isKnown(point) ? point : null));
+  const perPeriod = Math.round(TWO_PI / (phase[1] - phase[0]));
+  const section = points.filter((point, i) => isKnown(point) && i % perPeriod === 0);
   const range = (k) => (known.length ? widened(Math.min(...known.map((point) => point[k])), Math.max(...known.map((point) => point[k]))) : [-1, 1]);
   const [[x0, x1], [y0, y1]] = [range(0), range(1)];
   return {
     x: { label: "elongation / A", low: x0, high: x1 }, y: { label: "velocity / (Aω)", low: y0, high: y1 },
     message: known.length ? null : "A ball has no spring",
     layers: [
-      (ctx, box) => polyline(ctx, box.theme["upper-mass"], 1.4, pixels(box, known)),
+      (ctx, box) => polyline(ctx, box.theme["upper-mass"], 1.4, pixels(box, line)),
       (ctx, box) => pixels(box, section).forEach(([x, y]) => disc(ctx, box.theme.cursor, x, y, 3.4)),
     ],
   };
 }
 
-const pixels = (box, points) => points.map(([x, y]) => [box.x.pixel(x), box.y.pixel(y)]);
+const pixels = (box, points) => points.map((point) => point && [box.x.pixel(point[0]), box.y.pixel(point[1])]);
 
 function widened(low, high) {
   const [a, b] = extent(low, high);

@@ -15,7 +15,7 @@ export function boxOf(ctx, content, width, height, theme, ratio) {
   const narrow = width < NARROW;
   const headings = headingsOf(ctx, content, width, theme);
   const [top, bottom] = [12 + HEADING_HEIGHT * ((headings.at(-1)?.line ?? -1) + 1), 46];
-  const [left, right] = [leftMargin(ctx, content.y, height - top - bottom, theme, narrow), content.y.periods ? 34 : 22];
+  const [left, right] = content.margins ?? [leftMargin(ctx, content.y, height - top - bottom, theme, narrow), content.y.periods ? 34 : 22];
   return {
     left, top, width: width - left - right, height: height - top - bottom, theme, narrow, headings, ratio,
     x: scale(content.x.low, content.x.high, left, width - right, content.x.log),

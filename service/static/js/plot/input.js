@@ -3,16 +3,19 @@
 import { polyline } from "./drawing.js";
 
 const DRAG_PX = 6; // shorter movements are clicks
-const LARGE_STEP = 10; // cells per arrow key with Shift
+const LARGE_STEP = 10; // cells per arrow key with Shift, or PageUp and PageDown
+const WHEEL = 0.0016; // logarithm of the zoom per pixel of the wheel
 
 /**
  * Calls these handlers, with positions in axis values: hover(x, y), leave(), select(x, y), selectCurrent(),
- * step(right, up), zoom({x0, x1, y0, y1} or null for everything), magnify(factor of the window's width).
+ * step(right, up), zoom({x0, x1, y0, y1} or null for everything), scale([factors of width and height], [x, y] that stays),
+ * pan(from, to).
  */
 export function listenToInput(plot, handlers) {
   const { element } = plot;
   let dragStart = null;
   let dragEnd = null;
+  let isPan = false; // a drag with Shift moves the window
 
   const position = (event) => {
     const bounds = element.getBoundingClientRect();
@@ -31,7 +34,11 @@ export function listenToInput(plot, handlers) {
   });
   listen("pointermove", (event) => {
     const point = position(event);
-    if (dragStart && Math.hypot(point[0] - dragStart[0], point[1] - dragStart[1]) > DRAG_PX) {
+    if (dragStart && event.shiftKey) {
+      if (dragEnd) handlers.pan(values(dragEnd), values(point));
+      dragEnd = point;
+      isPan = true;
+    } else if (dragStart && Math.hypot(point[0] - dragStart[0], point[1] - dragStart[1]) > DRAG_PX) {
       dragEnd = point;
       element.setPointerCapture(event.pointerId);
       plot.drawCursor();
@@ -39,7 +46,8 @@ export function listenToInput(plot, handlers) {
     } else if (isInside(point, plot.box)) handlers.hover(...values(point));
   });
   listen("pointerup", (event) => {
-    if (dragStart && dragEnd) handlers.zoom(selectedWindow(plot, dragStart, dragEnd));
+    if (isPan) isPan = false;
+    else if (dragStart && dragEnd) handlers.zoom(selectedWindow(plot, dragStart, dragEnd));
     else if (dragStart && isInside(position(event), plot.box)) handlers.select(...values(position(event)));
     dragStart = dragEnd = null;
   });
@@ -49,6 +57,15 @@ export function listenToInput(plot, handlers) {
   });
   listen("pointerleave", () => dragStart || handlers.leave());
   listen("dblclick", () => handlers.zoom(null));
+  // Beside the frame the wheel zooms the axis that it is over.
+  element.addEventListener("wheel", (event) => {
+    if (!plot.box) return;
+    event.preventDefault();
+    const { left, top, width, height } = plot.box;
+    const [x, y] = position(event);
+    const factor = Math.exp(WHEEL * event.deltaY * (event.deltaMode ? 16 : 1) * (event.ctrlKey ? 6 : 1)); // a pinch has Ctrl
+    handlers.scale([x < left ? 1 : factor, y > top + height ? 1 : factor], values([Math.min(Math.max(x, left), left + width), Math.min(Math.max(y, top), top + height)]));
+  }, { passive: false });
 
   const keys = {
     ArrowLeft: (cells) => handlers.step(-cells, 0),
@@ -57,9 +74,14 @@ export function listenToInput(plot, handlers) {
     ArrowDown: (cells) => handlers.step(0, -cells),
     Enter: () => handlers.selectCurrent(),
     " ": () => handlers.selectCurrent(),
-    "+": () => handlers.magnify(0.5),
-    "=": () => handlers.magnify(0.5),
-    "-": () => handlers.magnify(2),
+    Home: () => handlers.step(-Infinity, 0),
+    End: () => handlers.step(Infinity, 0),
+    PageUp: () => handlers.step(0, LARGE_STEP),
+    PageDown: () => handlers.step(0, -LARGE_STEP),
+    Escape: () => handlers.leave(),
+    "+": () => handlers.scale([0.5, 1]),
+    "=": () => handlers.scale([0.5, 1]),
+    "-": () => handlers.scale([2, 1]),
     0: () => handlers.zoom(null),
   };
   listen("keydown", (event) => {
@@ -86,10 +108,24 @@ function drawSelection(plot, from, to) {
   polyline(plot.cursor.getContext("2d"), theme.cursor, 1.5, corners, [4, 3]);
 }
 
-/** `window` made `factor` times as wide about `centre`, within `whole`; null if that is all of it. */
-export function magnified(window, whole, factor, centre = (window.x0 + window.x1) / 2) {
-  const half = ((window.x1 - window.x0) / 2) * factor;
-  const x0 = Math.max(whole.x0, centre - half);
-  const x1 = Math.min(whole.x1, centre + half);
-  return x0 <= whole.x0 && x1 >= whole.x1 ? null : { ...window, x0, x1 };
+/** `window` with its sides `factors` times as long about `point`, within `whole`; null if that is all of it. */
+export function scaled({ box }, window, whole, factors, point) {
+  const side = (axis, [low, high], [least, most], factor, centre = axis.value((axis.pixel(low) + axis.pixel(high)) / 2)) => {
+    const end = (value) => axis.value(axis.pixel(centre) + factor * (axis.pixel(value) - axis.pixel(centre)));
+    return [Math.max(least, end(low)), Math.min(most, end(high))];
+  };
+  const [x0, x1] = side(box.x, [window.x0, window.x1], [whole.x0, whole.x1], factors[0], point?.[0]);
+  const [y0, y1] = side(box.y, [window.y0, window.y1], [whole.y0, whole.y1], factors[1], point?.[1]);
+  return x0 <= whole.x0 && x1 >= whole.x1 && y0 <= whole.y0 && y1 >= whole.y1 ? null : { x0, x1, y0, y1 };
+}
+
+/** `window` moved so that what was at `from` is at `to`, within `whole`. */
+export function panned({ box }, window, whole, from, to) {
+  const side = (axis, [low, high], [least, most], before, after) => {
+    const moved = (value) => axis.value(axis.pixel(value) + axis.pixel(before) - axis.pixel(after));
+    return moved(low) >= least && moved(high) <= most ? [moved(low), moved(high)] : [low, high];
+  };
+  const [x0, x1] = side(box.x, [window.x0, window.x1], [whole.x0, whole.x1], from[0], to[0]);
+  const [y0, y1] = side(box.y, [window.y0, window.y1], [whole.y0, whole.y1], from[1], to[1]);
+  return { x0, x1, y0, y1 };
 }

@@ -12,6 +12,7 @@ const MAX_VIEWPORT_SHARE = 0.6; // of the viewport's height
  *   x: {label, low, high, log}, y: {label, low, high, log, periods (mark whole plate periods)},
  *   layers: [(ctx, box) => …], cursor: (ctx, box) => …,
  *   title, message (shown in the middle of an empty plot),
+ *   margins: [left, right], in px, where they are those of another plot,
  *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide], …].
  * Dispatches "drawn" on its element after each drawing.
  */
@@ -46,7 +47,8 @@ export class Plot {
   draw() {
     const width = this.element.clientWidth;
     if (!width) return;
-    const height = Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, innerHeight * MAX_VIEWPORT_SHARE)));
+    const isGiven = getComputedStyle(this.element).getPropertyValue("--plot-height");
+    const height = isGiven ? this.element.clientHeight : Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, innerHeight * MAX_VIEWPORT_SHARE)));
     const ctx = resizedContext(this.canvas, width, height);
     const content = this.content();
     this.box = content && boxOf(ctx, content, width, height, theme(), pixelRatio());

@@ -9,7 +9,7 @@ import { rgba32 } from "../plot/drawing.js";
 import { PlaneView, legendEntry } from "./cells.js";
 import { sliders } from "./controls.js";
 
-const HINT = "Point at a start to read it, press to see it move, drag to zoom.";
+const HINT = "Point at a start to read it, press to see it move, drag or turn the wheel to zoom.";
 const AXES_OF = { // of the planes of starts: across and along, in a plot and in the readout
   drop: [["phase of the plate when let go (rad)", "phase"], ["height above the plate / A", "height"]],
   contact: [["velocity of the elongation × Ω / A", "velocity × Ω"], ["elongation beyond the static one / A", "elongation"]],
@@ -26,7 +26,7 @@ export class Basin extends PlaneView {
     this.entropies = h("p", { className: "note" });
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, AXES)),
-      label: "Plane of starts", hint: HINT, ratio: 0.6, below: [this.legend, this.entropies],
+      label: "Plane of starts", hint: HINT, ratio: 0.6, shown: [this.legend, this.entropies],
     });
   }
 

@@ -1,7 +1,10 @@
 // Cells on a rectangular plane: drawing them, pointing at one, stepping from one to the next, their legend.
 
+import { currentQuery, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
+import { share } from "../lib/format.js";
 import { clampIndex, nearestIndex } from "../lib/physics.js";
+import { modeColour } from "../plot/colours.js";
 import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
 import { PlotView } from "./plot-view.js";
@@ -69,6 +72,35 @@ function drawRing(ctx, { x, y, theme }, column, row, radius) {
 /** Hatched cells in a plot's legend. */
 export function hatchSymbol(ctx, x, y, theme) {
   for (const left of [x, x + 8, x + 16]) polyline(ctx, theme.text, 1.6, [[left, y + 6], [left + 8, y - 6]]);
+}
+
+/** A legend of classes of cells (see modeClasses), as buttons that hide a class; the address holds those hidden. */
+export class ClassLegend {
+  constructor(view, label) {
+    this.view = view;
+    this.element = h("ul", { className: "legend", "aria-label": label });
+  }
+
+  get hidden() {
+    return new Set((currentQuery().hide ?? "").split(",").filter(Boolean).map(Number));
+  }
+
+  /** The names and colours of the classes that are shown. */
+  show({ present, ofCell }, dark) {
+    const { hidden } = this;
+    this.element.replaceChildren(...present.map(({ id, name, cells }) => legendEntry(modeColour(id, dark), h("button", {
+      type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => this.#toggle(id),
+    }, name), " ", h("small", {}, share(cells / ofCell.length, 2)))));
+    return present.filter(({ id }) => !hidden.has(id)).map(({ id, name }) => [name, modeColour(id, dark)]);
+  }
+
+  #toggle(id) {
+    const { hidden } = this;
+    if (!hidden.delete(id)) hidden.add(id);
+    setQuery({ hide: [...hidden].join() || null });
+    this.view.showLegend();
+    this.view.draw();
+  }
 }
 
 /** An entry of a legend: a colour and what it stands for. */

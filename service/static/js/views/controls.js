@@ -15,7 +15,14 @@ export function sliders(view, axes) {
 function slider({ grid, closing }, axis) {
   const values = grid[axis];
   const id = `slider-${axis}`;
-  const output = h("output", { for: id });
+  const typed = h("input", {
+    type: "text", inputmode: "decimal", size: 5, "aria-label": `Value of ${SYMBOL[axis]}`,
+    onchange: () => {
+      const value = Number(typed.value.replace("−", "-"));
+      if (typed.value.trim() && Number.isFinite(value)) setQuery({ [axis]: addressValue(values[nearestIndex(values, value)]) });
+      else show();
+    },
+  });
   const input = h("input", {
     id, type: "range", min: 0, max: values.length - 1, step: 1, title: meaningOf(axis),
     oninput: () => setQuery({ [axis]: addressValue(values[input.valueAsNumber]) }),
@@ -23,12 +30,12 @@ function slider({ grid, closing }, axis) {
   const show = () => {
     const value = initialValue(values, currentQuery()[axis]);
     input.value = String(nearestIndex(values, value));
-    output.textContent = number(value);
+    typed.value = number(value);
     input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${number(value)}`);
   };
   show();
   queryChanges.addEventListener("change", show, { signal: closing.signal });
-  return h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), output, input);
+  return h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), typed, input);
 }
 
 /** A choice among `options`, [[value, text], …], with a label. */
@@ -48,5 +55,5 @@ export function minFlightInput(job) {
     if (value !== "" && flight >= 0) setQuery({ min: flight === job.spec.micro_flight ? null : flight });
   };
   return h("label", { className: "option", title }, "Count flights above ",
-    h("input", { type: "number", min: 0, step: "any", value: minFlightOf(job), required: true, onchange }), " rad");
+    h("input", { type: "number", min: 0, step: "any", value: minFlightOf(job), required: true, "data-service": true, onchange }), " rad");
 }

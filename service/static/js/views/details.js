@@ -2,7 +2,7 @@
 // selected, and access from elsewhere.
 
 import { link } from "../lib/address.js";
-import { requestJson } from "../lib/api.js";
+import { requestJson, shared } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { downloads, wholeSweep } from "../lib/downloads.js";
 import { count, duration, number, plural, time } from "../lib/format.js";
@@ -31,14 +31,16 @@ export class Details {
         h("table", {}, h("tbody", {}, origin(job, this.software).map(([title, text]) => h("tr", {}, h("th", { scope: "row" }, title), h("td", {}, text)))))),
       h("h2", {}, "Specification"),
       this.snippets.element,
-      isSweep(job.spec) && h("p", {}, h("a", { href: link(["new"], { from: job.id }) }, "New sweep from this specification")),
+      isSweep(job.spec) && h("p", { "data-service": true }, h("a", { href: link(["new"], { from: job.id }) }, "New sweep from this specification")),
       job.failures?.length > 0 && failures(job.failures),
       job.choice && selection(job.choice),
-      isSweep(job.spec) && job.state === "done" && this.audit.element,
-      h("h2", {}, "Results"),
-      h("p", {}, "As an xarray dataset, loaded as needed:"),
-      h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`),
-      isSweep(job.spec) && downloads(wholeSweep(job, [["NetCDF", "nc"], ["Parquet", "parquet"]])),
+      isSweep(job.spec) && job.state === "done" && !shared && this.audit.element,
+      !shared && [
+        h("h2", {}, "Results"),
+        h("p", {}, "As an xarray dataset, loaded as needed:"),
+        h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`),
+        isSweep(job.spec) && downloads(wholeSweep(job, [["NetCDF", "nc"], ["Parquet", "parquet"], ["a page to share", "html"]])),
+      ],
     ));
   }
 }
@@ -52,7 +54,7 @@ function origin(job, software) {
   return [
     ["Job", h("code", {}, job.id)],
     job.owner && ["Submitted by", job.owner],
-    ["Submitted", time(job.created)],
+    job.created && ["Submitted", time(job.created)],
     job.started && ["Started", time(job.started)],
     job.finished && ["Finished", `${time(job.finished)}${seconds === null ? "" : `, after ${duration(seconds)}`}`],
     ["Computed", `${cells} in ${count(progress.chunks_done)} of ${plural(progress.chunks_total, "chunk")}`],

@@ -5,19 +5,22 @@ import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
 import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, certificateOf, clampIndex, exponentOf, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
-import { branchColour, directionColour, theme } from "../plot/colours.js";
-import { circle, disc, polygon, verticalLine } from "../plot/drawing.js";
+import { branchColour, directionColour, modeClasses, modeColour, theme } from "../plot/colours.js";
+import { circle, disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn } from "../plot/flights.js";
+import { Plot } from "../plot/plot.js";
 import { extent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
+import { ClassLegend } from "./cells.js";
 import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 import { titleOf } from "./progress.js";
 
 const MAX_FLIGHTS = 400_000; // of a line that are requested at once; of a longer one, every n-th cell
-const HINT = "Point at a cell to read it, press to show its trajectory, drag to zoom.";
+const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom.";
 const MAX_CIRCLES = 200;
 const MAX_LISTED = 6; // flights listed one by one
+const STRIP = 8; // px, of the modes of a line
 const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell are not listed
 
 /** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles, {branch, point}. */
@@ -32,9 +35,40 @@ export class Diagram extends PlotView {
     this.closedForm = this.sources.length === 1 && hasCycles(this.job) && branchesOver(this);
     this.caption = h("input", { type: "checkbox", checked: true });
     this.controls = h("div", {});
+    this.options = h("div", {});
+    this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.#buildControls();
-    this.build(root, { controls: this.controls, label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
-    if (this.sources.length === 1) root.lastChild.append(h("label", { className: "option" }, this.caption, " with a caption"));
+    this.build(root, { controls: this.controls, shown: this.sources.length > 1 ? [this.options] : [this.options, this.legend.element], label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    if (this.job.spec.exponents && this.sources.length === 1) this.#buildExponents();
+    if (this.sources.length === 1) root.lastChild.append(h("label", { className: "option", "data-service": true }, this.caption, " with a caption"));
+  }
+
+  /** The largest Lyapunov exponent on the axis of the diagram, below it. */
+  #buildExponents() {
+    this.exponents = new Plot(this.plot.element.parentElement, { label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null), minHeight: 110 });
+    this.plot.element.addEventListener("drawn", () => this.exponents.draw());
+  }
+
+  #exponents() {
+    const { left, width, x } = this.plot.box;
+    const points = this.lines.map((line) => Array.from(line.values, (value, cell) => [value, line.lyapunov[(cell * line.lyapunov.length) / line.values.length]]).filter(([, exponent]) => Number.isFinite(exponent)));
+    const values = points.flat().map(([, exponent]) => exponent);
+    const [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
+    const margin = 0.08 * (high - low) || 0.1;
+    return {
+      margins: [left, this.plot.element.clientWidth - left - width],
+      x: { label: "", low: x.low, high: x.high, log: x.log },
+      y: { label: "λ₁", low: low - margin, high: high + margin },
+      layers: [
+        (ctx, box) => polyline(ctx, box.theme.border, 1, [[box.left, box.y.pixel(0)], [box.left + box.width, box.y.pixel(0)]]),
+        (ctx, box) => points.forEach((line, i) => line.forEach(([value, exponent]) => disc(ctx, this.#colour(this.lines[i], box.theme), box.x.pixel(value), box.y.pixel(exponent), 1.4))),
+      ],
+    };
+  }
+
+  close() {
+    super.close();
+    this.exponents?.close();
   }
 
   get name() {
@@ -43,8 +77,17 @@ export class Diagram extends PlotView {
 
   /** The axis of the diagram: of the address, or the one with most values. */
   get along() {
+    if (this.isBeside) return "gamma";
     const { along } = currentQuery();
     return this.axes.includes(along) ? along : AXES.reduce((longest, axis) => (this.grid[axis].length > this.grid[longest].length ? axis : longest));
+  }
+
+  /** Beside a map, its window along Γ. */
+  get window() {
+    const window = super.window;
+    if (!this.isBeside || !window) return window;
+    const { y0, y1 } = this.whole();
+    return { ...window, y0, y1 };
   }
 
   #buildControls() {
@@ -55,10 +98,11 @@ export class Diagram extends PlotView {
       this.#buildControls();
     };
     this.controls.replaceChildren(h("div", { className: "controls" },
-      this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), along, setAxis, { "aria-label": "Axis of the diagram" }),
-      sliders(this, AXES.filter((axis) => axis !== along)), directions,
-      this.sources.length === 1 && !this.isFollower && minFlightInput(this.job),
-      this.closedForm && along === "gamma" && this.closedForm.element));
+      this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), along, setAxis, { "aria-label": "Axis of the diagram", "data-service": true }),
+      sliders(this, AXES.filter((axis) => axis !== along))));
+    this.options.replaceChildren(h("div", { className: "controls" }, directions,
+      this.closedForm && along === "gamma" && this.closedForm.element,
+      this.sources.length === 1 && !this.isFollower && minFlightInput(this.job)));
   }
 
   #directionBoxes() {
@@ -102,9 +146,19 @@ export class Diagram extends PlotView {
   }
 
   read(results) {
-    this.lines = results.flatMap((result) => linesOf(this.sources.find(({ job }) => job.id === result.attrs.job), result));
+    this.lines = results.flatMap((result) => {
+      const source = this.sources.find(({ job }) => job.id === result.attrs.job);
+      return linesOf(source, result).filter(({ direction }) => this.#shownOf(source).includes(direction));
+    });
     this.isThinned ||= this.lines.some(({ every }) => every > 1);
+    this.classes = modeClasses(joined(this.lines));
+    this.lines.reduce((first, line) => first + (line.classes = this.classes.ofCell.subarray(first, first + line.values.length)).length, 0);
     this.closedForm?.update?.();
+  }
+
+  /** The modes of the strips. */
+  showLegend() {
+    if (this.sources.length === 1) this.legend.show(this.classes, theme().dark);
   }
 
   shown() {
@@ -119,7 +173,7 @@ export class Diagram extends PlotView {
     const values = this.sources.map(({ grid }) => grid[this.along]);
     const flights = Math.max(...this.lines.map((line) => line.highest), 0) || TWO_PI;
     const [x0, x1] = extent(Math.min(...values.map(([first]) => first)), Math.max(...values.map((list) => list.at(-1))));
-    return { x0, x1, y0: 0, y1: 1.06 * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
+    return { x0, x1, y0: 0, y1: 1.09 * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
   }
 
   content() {
@@ -133,12 +187,20 @@ export class Diagram extends PlotView {
       y: { label: "flight time φ (rad)", low: y0, high: y1, periods: true },
       message: emptyMessage(lines),
       layers: [
-        (ctx, box) => along === "gamma" && fixed && this.sources.length === 1 && drawThreshold(ctx, box, fixed),
-        (ctx, box) => drawFlights(ctx, box, lines, (line) => this.#colour(line, box.theme)),
+        (ctx, box) => along === "gamma" && fixed && this.sources.length === 1 && drawThreshold(ctx, box, fixed, lines.length * (STRIP + 1)),
+        (ctx, box) => drawFlights(ctx, box, this.#visibleLines(), (line) => this.#colour(line, box.theme)),
         (ctx, box) => cycles && drawBranches(ctx, box, cycles),
+        (ctx, box) => this.sources.length === 1 && drawStrips(ctx, box, lines, this.legend.hidden),
       ],
       cursor: (ctx, box) => this.#drawCursor(ctx, box),
     };
+  }
+
+  /** The lines without the flights of hidden modes. */
+  #visibleLines() {
+    const { hidden } = this.legend;
+    if (!hidden.size || this.sources.length > 1) return this.lines;
+    return this.lines.map((line) => ({ ...line, flight_time: line.flight_time.map((time, i) => (hidden.has(line.classes[Math.floor(i / line.keep)]) ? NaN : time)) }));
   }
 
   /** The fixed values, which of the cells are shown, how many were computed; of compared sweeps, the sweep. */
@@ -242,6 +304,23 @@ function linesOf(source, result) {
   });
 }
 
+/** The modes of all lines, one after another. */
+function joined(lines) {
+  const values = (name) => lines.flatMap((line) => Array.from(line[name] ?? line.outcome));
+  return Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, values(name)]));
+}
+
+/** A strip for each line at the top: the colour of each cell's mode. */
+function drawStrips(ctx, box, lines, hidden) {
+  lines.forEach(({ values, classes }, i) => {
+    for (let x = Math.ceil(box.left); x < box.left + box.width; x++) {
+      const id = classes[nearestIndex(values, box.x.value(x + 0.5))];
+      ctx.fillStyle = hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark);
+      ctx.fillRect(x, box.top + 1 + i * (STRIP + 1), 1, STRIP);
+    }
+  });
+}
+
 /** Why a diagram is empty; null if it is not. */
 function emptyMessage(lines) {
   if (!lines.length) return "No ramp direction is selected";
@@ -251,8 +330,8 @@ function emptyMessage(lines) {
   return allAre(OUTCOME.atRest) ? "The spring stays on the plate" : "No flights to show";
 }
 
-/** The threshold of Eq. 25, labelled Γ_th, where it lies in the box. */
-export function drawThreshold(ctx, box, { omega, xi }) {
+/** The threshold of Eq. 25, labelled Γ_th `below` px further down, where it lies in the box. */
+export function drawThreshold(ctx, box, { omega, xi }, below = 0) {
   const x = box.x.pixel(threshold(omega, xi));
   if (!(x >= box.left && x <= box.left + box.width)) return;
   verticalLine(ctx, box, x, box.theme.threshold, 1.2, [5, 4]);
@@ -261,9 +340,9 @@ export function drawThreshold(ctx, box, { omega, xi }) {
   ctx.textAlign = "left";
   ctx.textBaseline = "alphabetic";
   ctx.font = `italic 15px ${box.theme.serif}`;
-  ctx.fillText("Γ", fitsRight ? x + 5 : x - 26, box.top + 22);
+  ctx.fillText("Γ", fitsRight ? x + 5 : x - 26, box.top + below + 22);
   ctx.font = `11px ${box.theme.serif}`;
-  ctx.fillText("th", fitsRight ? x + 16 : x - 15, box.top + 26);
+  ctx.fillText("th", fitsRight ? x + 16 : x - 15, box.top + below + 26);
 }
 
 /** A triangle on the axis at the cell whose trajectory is shown. */

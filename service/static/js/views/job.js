@@ -1,9 +1,9 @@
 // One sweep: its progress, a tab each for diagram, mode map, thresholds and details, and a selected cell's trajectory.
 
-import { cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
-import { requestJson } from "../lib/api.js";
+import { addressValue, cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
+import { requestJson, shared } from "../lib/api.js";
 import { announce, h, problemLine } from "../lib/dom.js";
-import { AXES, isSweep } from "../lib/physics.js";
+import { AXES, isSweep, nearestIndex } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
 import { Details } from "./details.js";
@@ -19,7 +19,9 @@ const STUDY_TABS = { // by the kind of study; others have their details alone
   basin: { __proto__: null, basin: ["Basins", Basin], details: TABS.details },
   multistability: { __proto__: null, attractors: ["Diagram", AttractorDiagram], map: ["Map", AttractorMap], details: TABS.details },
 };
-const SHARED = [...AXES, "cell", "min"]; // query parameters that all tabs understand
+const SHARED = [...AXES, "cell", "min", "hide"]; // query parameters that all tabs understand
+const MAPPED_FROM = 8; // values of Ω: a sweep of as many opens on its map
+const WIDE = matchMedia("(min-width: 100rem)"); // beside the map there is room for a diagram
 const POLL_MS = 1000;
 const ERROR_POLL_MS = 3000;
 
@@ -32,13 +34,16 @@ export class JobView {
     });
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
+    this.controls = h("div", { className: "view-controls" });
     this.problem = problemLine();
     this.panel = h("section", { className: "panel" });
+    this.second = h("section", { className: "beside", hidden: true });
     this.aside = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
+    this.bar = document.getElementById("bar");
+    this.bar.replaceChildren(this.heading, this.summary.progress, h("a", { href: link(["new"], { from: this.id }) }, "Duplicate"), this.summary.actions);
     root.replaceChildren(
-      h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
-      h("header", { className: "job" }, this.heading, this.summary.about, this.summary.progress, this.summary.actions, this.summary.notice, this.settling),
-      this.problem.element, this.tabs, h("div", { className: "columns" }, this.panel, this.aside));
+      h("header", { className: "job" }, this.summary.about, this.summary.notice, this.settling),
+      this.problem.element, h("div", { className: "views" }, this.tabs, this.controls), h("div", { className: "panels" }, this.panel, this.second), this.aside);
     this.trajectory = new TrajectoryPanel(this.aside, { onClose: () => this.#closeTrajectory() });
     this.#poll(true);
   }
@@ -58,7 +63,9 @@ export class JobView {
   close() {
     clearTimeout(this.timer);
     this.closed = true;
+    this.bar.replaceChildren();
     this.view?.close();
+    this.beside?.close();
     this.trajectory.hide();
   }
 
@@ -77,7 +84,7 @@ export class JobView {
     this.job = job;
     this.#describe();
     if (isFirst) this.show();
-    else if (hasChanged || redraw) this.view?.update(job);
+    else if (hasChanged || redraw) [this.view, this.beside].forEach((view) => view?.update(job));
     if (redraw && !isFirst) this.#showSelectedCell(); // its request may have failed
     if (UNFINISHED.has(job.state)) this.#pollAfter(POLL_MS);
   }
@@ -102,7 +109,7 @@ export class JobView {
     const { job } = this;
     document.title = `${titleOf(job)} · Bouncing spring`;
     this.summary.show(job);
-    const unsettled = settling(job);
+    const unsettled = shared ? [shared.note].filter(Boolean) : settling(job);
     this.settling.hidden = !unsettled.length;
     this.settling.replaceChildren(...unsettled);
     this.problem.show(this.#failure());
@@ -129,23 +136,45 @@ export class JobView {
         onclick: (event) => { event.currentTarget.href = target(tab, currentQuery()); }, // sliders may have moved since
       }, title)));
     this.view?.close();
+    this.controls.replaceChildren();
     this.problem.show(this.#failure());
     const [, View] = tabs[current];
-    this.view = new View(this.panel, { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell });
+    const shared = { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell };
+    this.#showBeside(current === "modes" && WIDE.matches, shared);
+    this.view = new View(this.panel, { ...shared, bar: this.controls, onPoint: (view, gamma, omega) => this.#pointBeside(view, gamma, omega) });
+  }
+
+  /** Beside a map on a wide screen, the diagram at the Ω under the pointer. */
+  #showBeside(isShown, shared) {
+    this.beside?.close();
+    this.second.hidden = !isShown;
+    this.beside = isShown ? new Diagram(this.second, { ...shared, isBeside: true, isFollower: true }) : null;
+  }
+
+  #pointBeside(view, gamma, omega) {
+    if (!this.beside || gamma === undefined) return;
+    setQuery({ omega: addressValue(view.rows[nearestIndex(view.rows, omega)]) });
+    this.beside.follow(gamma, 0);
   }
 
   /** The views of this kind of study. */
   #tabs() {
     const { spec } = this.job;
+    const { grid } = sourceOf(this.job);
+    if (isSweep(spec) && Math.min(grid.gamma.length, grid.omega.length) < 2) { // no plane
+      const { modes, ...tabs } = TABS;
+      return tabs;
+    }
+    if (isSweep(spec) && grid.omega.length >= MAPPED_FROM) return { __proto__: null, modes: TABS.modes, ...TABS };
     return isSweep(spec) ? TABS : (STUDY_TABS[spec.protocol.kind] ?? { __proto__: null, details: TABS.details });
   }
 
   /** The address holds the selected cell, and its axis values for the sliders of the other tabs. */
   #select(cell) {
+    if (shared) return; // nothing computes its motion
     setQuery(cellQuery(cell));
     this.#showSelectedCell();
-    // On narrow screens the trajectory is below the plot.
-    if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" });
+    if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" }); // below the plot
   }
 
   #showSelectedCell() {
@@ -154,7 +183,7 @@ export class JobView {
     this.cell = parts.length === 4 && [gamma, omega, xi].every(Number.isFinite) ? { gamma, omega, xi, direction: parts[3] } : null;
     if (this.cell) this.trajectory.show(this.job, this.cell);
     else this.trajectory.hide();
-    this.view.plot?.redraw();
+    [this.view, this.beside].forEach((view) => view?.plot?.redraw());
   }
 
   #closeTrajectory() {

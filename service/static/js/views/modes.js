@@ -7,12 +7,12 @@ import { number, plural } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, axisLabel, certificateOf, certifies, exponentOf, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, theme } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
-import { PlaneView, hatchSymbol, legendEntry, windowOf } from "./cells.js";
+import { ClassLegend, PlaneView, hatchSymbol, windowOf } from "./cells.js";
 import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { titleOf } from "./progress.js";
 
 const MAX_CELLS = 1_000_000; // requested at once; of a larger map, every n-th along both axes
-const HINT = "Point at a cell to read it, press to show its trajectory, drag to zoom. Modes are (bounces, plate periods).";
+const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom. Modes are (bounces, plate periods).";
 const DASH = [7, 4];
 const HATCH = 9; // px between the lines over cells whose directions differ; each is two lines, of text and of surface
 const HATCH_LINE = 1.6; // px, of either
@@ -28,20 +28,20 @@ export class Modes extends PlaneView {
     this.showsHysteresis = h("input", { type: "checkbox", checked: true, onchange: () => this.load() });
     this.showsComputed = h("input", { type: "checkbox", onchange: () => this.plot.draw() });
     this.refineButton = this.job.spec.protocol.kind === "rest" && h("button", {
-      type: "button", className: "quiet", onclick: () => this.#refineWindow(),
+      type: "button", className: "quiet", "data-service": true, onclick: () => this.#refineWindow(),
       title: "Start an adaptive sweep of the visible window, on a grid four times as fine",
     }, "Refine this window");
-    this.legend = h("ul", { className: "legend", "aria-label": "Modes: (bounces, plate periods)" });
+    this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.note = h("p", { className: "note", role: "status" });
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, ["xi"]),
         this.isTwoWay && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
-        certifies(this.job.spec) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color })),
+        certifies(this.job.spec) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color }), { "data-service": true })),
+      label: `Mode map of ${titleOf(this.job)}`, hint: HINT, ratio: 0.6,
+      shown: [this.legend.element, this.note, h("div", { className: "controls" },
         this.isTwoWay && h("label", { className: "option" }, this.showsHysteresis, " Hatch where up and down differ"),
-        !this.isAdaptive && !this.isFollower && minFlightInput(this.job),
         this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
-        this.refineButton),
-      label: `Mode map of ${titleOf(this.job)}`, hint: HINT, ratio: 0.6, below: [this.note, this.legend],
+        !this.isAdaptive && !this.isFollower && minFlightInput(this.job), this.refineButton)],
     });
   }
 
@@ -105,12 +105,7 @@ export class Modes extends PlaneView {
 
   /** The colours of the modes, and which cells are left out. */
   showLegend() {
-    const total = this.classes.ofCell.length;
-    this.colours = this.classes.present.map(({ id, name }) => [name, modeColour(id, theme().dark)]);
-    this.legend.replaceChildren(...this.classes.present.map(({ cells }, i) => {
-      const [name, colour] = this.colours[i];
-      return legendEntry(colour, name, " ", h("small", {}, percentage(cells / total)));
-    }));
+    this.colours = this.legend.show(this.classes, theme().dark);
     const { every, computed_share: share } = this.attrs;
     const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";
     this.note.textContent = thinned + (this.isAdaptive
@@ -157,7 +152,8 @@ export class Modes extends PlaneView {
   #drawModes(ctx, box) {
     const { computed, hysteresis } = this.cells;
     const colours = new Uint32Array(256);
-    for (const { id } of this.classes.present) colours[id] = rgba32(modeColour(id, box.theme.dark));
+    const { hidden } = this.legend;
+    for (const { id } of this.classes.present) colours[id] = rgba32(hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark));
     const hatch = [rgba32(box.theme.text), rgba32(box.theme.surface)];
     const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
     this.drawCells(ctx, box, (row, column, x, y) => {

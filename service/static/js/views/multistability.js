@@ -26,7 +26,7 @@ class AttractorView extends PlaneView {
     this.events = h("ul", { className: "events note", "aria-label": "Births, deaths and changes of mode" });
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, axes), controls),
-      below: [this.legend, this.shares, this.events], ...options,
+      shown: [this.legend, this.shares, this.events], ...options,
     });
   }
 
@@ -75,7 +75,7 @@ export class AttractorDiagram extends AttractorView {
   constructor(root, view) {
     super(root, view, {
       axes: ["omega", "xi"], label: "Diagram of all attractors",
-      hint: "Point at a flight to read its attractor, press to see it move, drag to zoom. Lines mark births and deaths.",
+      hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
     });
   }
 
@@ -193,7 +193,7 @@ export class AttractorMap extends AttractorView {
     super(root, view, {
       axes: ["xi"], label: "Map of attractors", ratio: 0.6,
       controls: h("label", { className: "option" }, hatches, " Hatch cells with several attractors"),
-      hint: "Point at a cell to read its attractors, press to see the first one move, drag to zoom.",
+      hint: "Point at a cell to read its attractors, press to see the first one move, drag or turn the wheel to zoom.",
     });
     this.hatches = hatches;
   }

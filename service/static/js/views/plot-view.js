@@ -1,16 +1,17 @@
 // The frame of every plot of results: it loads, follows the address, points, zooms, and downloads.
 
 import { currentQuery, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
-import { isHandledElsewhere, requestDataset } from "../lib/api.js";
-import { announce, h, latest, problemLine } from "../lib/dom.js";
+import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
+import { announce, copyButton, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
 import { AXES, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
 import { onThemeChange } from "../plot/colours.js";
-import { listenToInput, magnified } from "../plot/input.js";
+import { listenToInput, panned, scaled } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
 
 const RETRY_MS = 3000; // after 503: results that were damaged are computed again
-const KEYS = "Arrow keys step through cells, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
+const KEYS = "Arrow keys step through cells, Home and End go to the ends, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
+const GESTURE_MS = 700; // between two turns of the wheel
 const PICTURES = [["PNG", "png"], ["SVG", "svg"], ["PDF", "pdf"]];
 
 /** What a view shows of a job; `number` is its place among compared ones. */
@@ -53,11 +54,12 @@ export class PlotView {
   closing = new AbortController();
 
   /**
+   * `bar`: where the controls are shown, if not above the plot; `isBeside`: beside a map, whose window it has along Γ.
    * Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `onPoint(view, x, y)`
    * is told where the pointer is, `extent()` is the window of all data, and titles begin with `prefix`.
    */
-  constructor({ sources, grid = sources[0].grid, isFollower = false, prefix = "", onSelect, selected = () => null, onPoint = () => {}, extent = () => this.whole() }) {
-    Object.assign(this, { sources, grid, isFollower, prefix, onSelect, selected, onPoint, extent, source: sources[0], directions: sources[0].directions });
+  constructor({ sources, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, prefix = "", onSelect, selected = () => null, onPoint = () => {}, extent = () => this.whole() }) {
+    Object.assign(this, { sources, bar, isBeside, grid, isFollower, prefix, onSelect, selected, onPoint, extent, source: sources[0], directions: sources[0].directions });
   }
 
   get job() {
@@ -80,15 +82,17 @@ export class PlotView {
     return this.window ?? this.extent();
   }
 
-  /** Build the view and start loading; `below` is placed between plot and readout. */
-  build(root, { controls, label, hint, ratio, below = [] }) {
+  /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes. */
+  build(root, { controls, label, hint, ratio, shown = [] }) {
     this.hint = hint;
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
     const figure = h("figure", {});
-    const zoom = (window) => setQuery(windowQuery(window));
+    const zoom = (window, isStep = true) => this.isBeside || setQuery(windowQuery(window), isStep);
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
-    root.replaceChildren(controls, this.problem.element, figure, ...below, this.readout, this.unzoom, this.#downloads());
+    this.bar?.replaceChildren(controls);
+    const column = [...shown, this.readout, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom), this.#downloads()];
+    root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null), ratio });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),
@@ -97,13 +101,21 @@ export class PlotView {
       selectCurrent: () => this.#select(this.current),
       step: (right, up) => this.#step(right, up),
       zoom,
-      magnify: (factor) => zoom(magnified(this.visible(), this.extent(), factor, this.current ? this.at(this.current)[0] : undefined)),
+      scale: (factors, point = this.current && this.at(this.current)) => zoom(scaled(this.plot, this.visible(), this.extent(), factors, point), this.#isNewGesture()),
+      pan: (from, to) => this.window && zoom(panned(this.plot, this.visible(), this.extent(), from, to), this.#isNewGesture()),
     });
     this.load = latest((signal) => this.#load(signal));
     const { signal } = this.closing;
     queryChanges.addEventListener("change", () => this.#follow(), { signal });
     onThemeChange(() => this.isLoaded && this.showLegend(), signal);
     this.load();
+  }
+
+  /** Whether the last turn of the wheel is long ago: Back undoes a gesture, not its parts. */
+  #isNewGesture() {
+    const before = this.gesture ?? -Infinity;
+    this.gesture = performance.now();
+    return this.gesture - before > GESTURE_MS;
   }
 
   close() {
@@ -203,14 +215,14 @@ export class PlotView {
   /** Pictures and tables of the service; what the service does not draw, as it is seen here. */
   #downloads() {
     const isSingle = this.sources.length === 1;
-    const isDrawn = this.isDrawn && isSingle;
+    const isDrawn = this.isDrawn && isSingle && !shared;
     const formats = [...(isDrawn ? PICTURES : []), ["CSV", "csv"]];
     const files = this.sources.flatMap((source) => resultFiles(source.job, () => this.name,
       formats.map(([label, format]) => [isSingle ? label : `${label} of ${source.number}`, format]), () => this.filePath(source)));
     return downloads([
       ...(isDrawn ? [] : [["PNG", () => fileName(this.job, this.name, "png"), () => this.plot.png(this.colours)]]),
-      ...files,
-      ...(isSingle && isSweep(this.job.spec) ? wholeSweep(this.job, [["NetCDF", "nc"]]) : []),
+      ...(shared ? [] : files),
+      ...(isSingle && !shared && isSweep(this.job.spec) ? wholeSweep(this.job, [["NetCDF", "nc"], ["a page to share", "html"]]) : []),
     ]);
   }
 }

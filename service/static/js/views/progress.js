@@ -74,8 +74,8 @@ export function settling({ id, progress, spec }) {
   const { cells_settling: cells } = progress;
   if (!cells || !spec) return [];
   const taken = spec.settle === "auto" ? (spec.until ?? 5000) : (spec.settle_until ?? spec.settle + spec.observe);
-  return [`${count(cells)} of ${plural(progress.cells_done, "cell")} were still settling after ${count(taken)} plate periods. `,
-    h("a", { href: link(["new"], { from: id }) }, "New sweep with more time"), spec.settle === "auto" ? ": set “until”." : ": set “settle” to auto."];
+  return [`${plural(cells, "cell")} still settling after ${count(taken)} plate periods: `,
+    h("a", { href: link(["new"], { from: id }), title: spec.settle === "auto" ? "set “until”" : "set “settle” to auto" }, "give more time")];
 }
 
 function axisText(axis) {

@@ -12,7 +12,7 @@ import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
 const DASH = [7, 4];
-const HINT = "Point at a frequency to read it, press to show a trajectory, drag to zoom.";
+const HINT = "Point at a frequency to read it, press to show a trajectory, drag or turn the wheel to zoom.";
 const BESIDE = 4; // px from the frequency: both directions may lie beyond the same edge
 const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a triangle points: 1 down
 const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell that decides
@@ -26,8 +26,8 @@ export class Thresholds extends PlotView {
   constructor(root, view) {
     super(view);
     this.closedForm = hasCycles(this.job) && this.grid.omega.length > 1 && foldsOver(this);
-    const controls = h("div", { className: "controls" }, sliders(this, ["xi"]), this.closedForm?.element);
-    this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT });
+    const controls = h("div", { className: "controls" }, sliders(this, ["xi"]));
+    this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT, shown: this.closedForm ? [this.closedForm.element] : [] });
   }
 
   filePath() {

@@ -136,6 +136,7 @@ def test_the_motion_obeys_newton(model: Model):
     assert np.count_nonzero(quiet) > 4000
     np.testing.assert_allclose(z2_2[quiet], (spring - 1 / 2.3 + force)[quiet], atol=0.05)
     np.testing.assert_allclose(q_2[quiet], (-2 * spring - force)[quiet], atol=0.05)
+    np.testing.assert_allclose(path.velocity[1:-1][quiet], q_1[quiet], atol=1e-5)
 
 
 UNDAMPED: dict[str, Any] = {"kind": "soft", "restitution": 1, "penetration": 1e-8}

@@ -1,0 +1,65 @@
+// What a time buys: efforts and grids of the form's sweep, with the share of the plane that each would show wrong.
+
+import { partsOf, query, requestDataset } from "../lib/api.js";
+import { announce, h, problemLine } from "../lib/dom.js";
+import { bytes, count, duration, share } from "../lib/format.js";
+
+const SECONDS = { s: 1, m: 60, h: 3600 };
+
+/** A time as seconds: "90", "90s", "5m" or "1h"; null if empty. Throws an Error for another text. */
+function seconds(text) {
+  if (!text.trim()) return null;
+  const [, value, unit = "s"] = /^\s*(\d+(?:\.\d+)?)\s*(s|m|h)?(?:in)?\s*$/.exec(text) ?? [];
+  if (!(value > 0)) throw new Error("The time must be such as 90s, 5m or 1h.");
+  return value * SECONDS[unit];
+}
+
+/** Compares settings of the sweep that `read()` returns; `use(spec)` takes one of them. */
+export class Plan {
+  constructor(read, use) {
+    [this.read, this.use] = [read, use];
+    this.budget = h("input", { type: "text", size: "6", placeholder: "5m", oninput: (event) => event.stopPropagation(), onchange: (event) => event.stopPropagation() });
+    this.button = h("button", { type: "button", onclick: () => this.#compare() }, "Compare settings");
+    this.problem = problemLine();
+    this.table = h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": "Settings", hidden: true });
+    this.element = h("details", {}, h("summary", {}, "What does a time buy?"),
+      h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and so that they can be trusted. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points."),
+      h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), this.button), this.problem.element, this.table);
+  }
+
+  /** Drop a table that was of another specification. */
+  clear() {
+    this.comparing?.abort();
+    this.table.hidden = true;
+    this.problem.show(null);
+  }
+
+  async #compare() {
+    this.clear();
+    this.comparing = new AbortController();
+    const { signal } = this.comparing;
+    [this.button.disabled, this.button.textContent] = [true, "Comparing …"];
+    try {
+      const plan = await requestDataset(`/v1/plans?${query({ budget: seconds(this.budget.value) })}`, { method: "POST", body: this.read(), signal, waits: true });
+      const rows = partsOf(plan, "setting");
+      this.table.replaceChildren(this.#rows(rows));
+      this.table.hidden = false;
+      const { effort, grid, high } = rows.find(({ recommended }) => recommended);
+      announce(`Recommended: ${effort}, ${grid} cells, at most ${share(high)} wrong.`);
+    } catch (error) {
+      this.problem.show(error);
+    } finally {
+      [this.button.disabled, this.button.textContent] = [false, "Compare settings"];
+    }
+  }
+
+  #rows(rows) {
+    const titles = ["effort", "ξ × Ω × Γ", "cells", "time", "wrong", "at most", "size", ""];
+    return h("table", {},
+      h("thead", {}, h("tr", {}, titles.map((title) => h("th", { scope: "col" }, title)))),
+      h("tbody", {}, rows.map((row) => h("tr", { className: row.recommended ? "recommended" : undefined },
+        h("th", { scope: "row" }, row.effort, Boolean(row.recommended) && h("small", {}, " recommended")),
+        [row.grid, count(row.cells), duration(row.seconds), share(row.share), share(row.high), bytes(Number(row.bytes))].map((text) => h("td", {}, text)),
+        h("td", {}, h("button", { type: "button", className: "quiet", "aria-label": `Use ${row.effort}, ${row.grid}`, onclick: () => this.use(JSON.parse(row.spec)) }, "Use"))))));
+  }
+}

@@ -1,0 +1,168 @@
+"""A sweep as one HTML file: the page with the answers it asks for, opened without a service or a network.
+
+The page's modules are `data:` addresses of an import map, which browsers also accept in a file.
+"""
+
+import gzip
+import html
+import json
+import posixpath
+import re
+from base64 import b64encode
+from collections.abc import Iterator, Mapping
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import xarray
+
+from service.software import software
+from service.views import diagram, modes, style, threshold
+from service.views.encode import ENCODERS
+from service.views.selection import Stored
+from worker.sweep import AXES, SweepSpec
+
+FILES: Final = Path(__file__).parents[1] / "static"
+#: Bytes of compressed flights: of more, every second line is left out, again and again.
+MOST_BYTES: Final = 6_000_000
+#: Lines that are tried, flights of a line and cells of a map: of more, every n-th is taken.
+MOST_LINES, MOST_FLIGHTS, MOST_CELLS = 400, 60_000, 250_000
+
+_IMPORT: Final = re.compile(r'(from |import )"(\.{1,2}/[^"]+)"(?: with \{[^}]*\})?')
+_OUTSIDE: Final = re.compile(r"\s*<(?:link|script)[^>]*>(?:</script>)?")
+
+
+def page(study: Stored[SweepSpec], attributes: Mapping[str, Any]) -> str:
+    """The file of a sweep with these attributes, see `exports.attributes_of`.
+
+    Where scripts do not run it shows the diagram of the first line, the attributes and the specification.
+    """
+    lines, left_out = _lines(study)
+    spec = study.spec
+    job = {
+        "id": study.job, "name": spec.name, "state": "done", "spec": spec.as_submitted(), "error": None,
+        "kernel_version": study.kernel_version, "notice": None, "choice": None, "core_seconds": None,
+        "created": None, "progress": _progress(spec),
+    }  # fmt: skip
+    answers = {"diagram": lines, "modes": _maps(study), "threshold": _thresholds(study)}
+    note = ". ".join(filter(None, [study.audit, left_out]))
+    shared = json.dumps({"job": job, "answers": answers, "note": note}).replace("</", "<\\/")
+    imports = json.dumps({"imports": dict(_modules())})
+    head = "".join(f"<style>{(FILES / name).read_text()}</style>" for name in ("style.css", "views.css"))
+    scripts = (
+        f'<script type="application/json" id="shared">{shared}</script>'
+        f'<script type="importmap">{imports}</script>'
+        '<script type="module">import "bounce/js/main.js";</script>'
+    )
+    text = _OUTSIDE.sub("", (FILES / "index.html").read_text())
+    text = text.replace("static/icon.svg", _address((FILES / "icon.svg").read_bytes(), "image/svg+xml"))
+    text = text.replace("</head>", f"{head}</head>")
+    text = re.sub("<noscript>.*?</noscript>", lambda _: _still(study, attributes, note), text)
+    return text.replace("</body>", f"{scripts}</body>")
+
+
+def _modules() -> Iterator[tuple[str, str]]:
+    """The page's modules by their names in the import map, with imports by these names."""
+    for path in sorted((FILES / "js").rglob("*.js")):
+        name = path.relative_to(FILES).as_posix()
+
+        def renamed(found: re.Match[str], folder: str = posixpath.dirname(name)) -> str:
+            return f'{found[1]}"bounce/{posixpath.normpath(posixpath.join(folder, found[2]))}"'
+
+        text = _IMPORT.sub(renamed, path.read_text())
+        yield f"bounce/{name}", _address(text.encode(), "text/javascript")
+    palette = f"export default {(FILES / 'palette.json').read_text()}"
+    yield "bounce/palette.json", _address(palette.encode(), "text/javascript")
+
+
+def _address(content: bytes, media_type: str) -> str:
+    return f"data:{media_type};base64,{b64encode(content).decode()}"
+
+
+def _answer(result: xarray.Dataset, study: Stored[SweepSpec], **about: Any) -> dict[str, Any]:
+    """An answer as the page reads it, compressed, with what it is about."""
+    result.attrs = {**study.attributes, **result.attrs}
+    content = ENCODERS["bin"](result, "")
+    return {**about, "data": b64encode(gzip.compress(content, 6, mtime=0)).decode()}
+
+
+def _lines(study: Stored[SweepSpec]) -> tuple[list[dict[str, Any]], str]:
+    """The diagrams along the longest axis, and a sentence on what is left out of them."""
+    spec = study.spec
+    along, places = _places(spec)
+    every = -(-len(spec.axis_values(along)) * spec.keep // MOST_FLIGHTS)
+    step = -(-len(places) // MOST_LINES)
+    lines = []
+    for place in places[::step]:
+        query = diagram.DiagramQuery.model_validate({"along": along, "every": every, **place})
+        lines.append(_answer(diagram.compute(study, query), study, **place))
+    while len(lines) > 1 and sum(len(line["data"]) for line in lines) > MOST_BYTES:
+        lines, step = lines[::2], 2 * step
+    thinned = [
+        f"1 of {step} lines" if step > 1 else "",
+        f"1 of {every} cells of a line" if every > 1 else "",
+    ]
+    said = " and ".join(filter(None, thinned))
+    return lines, f"Diagrams: {said}" if said else ""
+
+
+def _places(spec: SweepSpec) -> tuple[str, list[dict[str, float]]]:
+    """The longest axis, and the places of its lines on the others."""
+    along = max(("gamma", "omega", "xi"), key=lambda axis: len(spec.axis_values(axis)))
+    others = [axis for axis in AXES if axis != along]
+    values = product(*(spec.axis_values(axis).tolist() for axis in others))
+    return along, [dict(zip(others, each, strict=True)) for each in values]
+
+
+def _maps(study: Stored[SweepSpec]) -> list[dict[str, Any]]:
+    """The mode maps of every xi and direction, where the sweep has a plane."""
+    spec = study.spec
+    directions, _, omega, gamma = spec.shape
+    if min(omega, gamma) < 2:
+        return []
+    every = max(1, int((omega * gamma / MOST_CELLS) ** 0.5 + 0.999))
+    found = []
+    for value, direction in product(spec.axis_values("xi")[:MOST_LINES], spec.directions):
+        query = modes.ModesQuery(xi=float(value), direction=direction, every=every, hysteresis=directions > 1)
+        found.append(_answer(modes.compute(study, query), study, xi=float(value), direction=direction))
+    return found
+
+
+def _thresholds(study: Stored[SweepSpec]) -> list[dict[str, Any]]:
+    """The thresholds of every xi, as on the grid."""
+    values = study.spec.axis_values("xi")[:MOST_LINES]
+    queries = [(float(xi), threshold.ThresholdQuery(xi=float(xi), predict="none")) for xi in values]
+    return [_answer(threshold.compute(study, query), study, xi=xi) for xi, query in queries]
+
+
+def _progress(spec: SweepSpec) -> dict[str, Any]:
+    directions, *axes = spec.shape
+    cells = directions * axes[0] * axes[1] * axes[2]
+    return {
+        "cells_done": cells, "cells_total": cells, "chunks_done": 1, "chunks_total": 1, "percent": 100,
+        "eta_seconds": None, "cells_settling": 0, "cells_computed": None, "cells_needed": None,
+    }  # fmt: skip
+
+
+def _still(study: Stored[SweepSpec], attributes: Mapping[str, Any], note: str) -> str:
+    """What a reader without scripts sees: a picture and a table."""
+    along, places = _places(study.spec)
+    every = -(-len(study.spec.axis_values(along)) * study.spec.keep // MOST_FLIGHTS)
+    place = places[len(places) // 2]
+    query = diagram.DiagramQuery.model_validate({"along": along, "every": every, **place})
+    result = diagram.compute(study, query)
+    picture = style.encode(
+        diagram.VIEW.size, lambda figure: diagram.VIEW.draw and diagram.VIEW.draw(result, figure), "png",
+        {**study.origin, "Software": f"bouncing-spring {software().release}"},
+    )  # fmt: skip
+    rows = {"note": note, **attributes}
+    cells = "".join(
+        f"<tr><th scope=row>{html.escape(name)}</th><td>{html.escape(str(value))}</td></tr>"
+        for name, value in rows.items() if value
+    )  # fmt: skip
+    source = _address(picture, "image/png")
+    name = html.escape(study.spec.name or "A sweep of the bouncing spring")
+    return (
+        f"<h1>{name}</h1><img alt='Bifurcation diagram' style='max-width: 100%' src='{source}'>"
+        f"<table>{cells}</table>"
+    )
