@@ -16,10 +16,10 @@ from typing import Any, Final
 
 import xarray
 
-from service.software import software
-from service.views import diagram, modes, style, threshold
-from service.views.encode import ENCODERS
+from service.views import diagram, modes, threshold
+from service.views.registry import encoded
 from service.views.selection import Stored
+from service.views.view import View
 from worker.sweep import AXES, SweepSpec
 
 FILES: Final = Path(__file__).parents[1] / "static"
@@ -79,10 +79,9 @@ def _address(content: bytes, media_type: str) -> str:
     return f"data:{media_type};base64,{b64encode(content).decode()}"
 
 
-def _answer(result: xarray.Dataset, study: Stored[SweepSpec], **about: Any) -> dict[str, Any]:
+def _answer(view: View, study: Stored[SweepSpec], result: xarray.Dataset, **about: Any) -> dict[str, Any]:
     """An answer as the page reads it, compressed, with what it is about."""
-    result.attrs = {**study.attributes, **result.attrs}
-    content = ENCODERS["bin"](result, "")
+    content = encoded(view, study, result, "bin")
     return {**about, "data": b64encode(gzip.compress(content, 6, mtime=0)).decode()}
 
 
@@ -95,7 +94,7 @@ def _lines(study: Stored[SweepSpec]) -> tuple[list[dict[str, Any]], str]:
     lines = []
     for place in places[::step]:
         query = diagram.DiagramQuery.model_validate({"along": along, "every": every, **place})
-        lines.append(_answer(diagram.compute(study, query), study, **place))
+        lines.append(_answer(diagram.VIEW, study, diagram.compute(study, query), **place))
     while len(lines) > 1 and sum(len(line["data"]) for line in lines) > MOST_BYTES:
         lines, step = lines[::2], 2 * step
     thinned = [
@@ -124,7 +123,8 @@ def _maps(study: Stored[SweepSpec]) -> list[dict[str, Any]]:
     found = []
     for value, direction in product(spec.axis_values("xi")[:MOST_LINES], spec.directions):
         query = modes.ModesQuery(xi=float(value), direction=direction, every=every, hysteresis=directions > 1)
-        found.append(_answer(modes.compute(study, query), study, xi=float(value), direction=direction))
+        result = modes.compute(study, query)
+        found.append(_answer(modes.VIEW, study, result, xi=float(value), direction=direction))
     return found
 
 
@@ -132,7 +132,7 @@ def _thresholds(study: Stored[SweepSpec]) -> list[dict[str, Any]]:
     """The thresholds of every xi, as on the grid."""
     values = study.spec.axis_values("xi")[:MOST_LINES]
     queries = [(float(xi), threshold.ThresholdQuery(xi=float(xi), predict="none")) for xi in values]
-    return [_answer(threshold.compute(study, query), study, xi=xi) for xi, query in queries]
+    return [_answer(threshold.VIEW, study, threshold.compute(study, query), xi=xi) for xi, query in queries]
 
 
 def _progress(spec: SweepSpec) -> dict[str, Any]:
@@ -150,11 +150,7 @@ def _still(study: Stored[SweepSpec], attributes: Mapping[str, Any], note: str) -
     every = -(-len(study.spec.axis_values(along)) * study.spec.keep // MOST_FLIGHTS)
     place = places[len(places) // 2]
     query = diagram.DiagramQuery.model_validate({"along": along, "every": every, **place})
-    result = diagram.compute(study, query)
-    picture = style.encode(
-        diagram.VIEW.size, lambda figure: diagram.VIEW.draw and diagram.VIEW.draw(result, figure), "png",
-        {**study.origin, "Software": f"bouncing-spring {software().release}"},
-    )  # fmt: skip
+    picture = encoded(diagram.VIEW, study, diagram.compute(study, query), "png")
     rows = {"note": note, **attributes}
     cells = "".join(
         f"<tr><th scope=row>{html.escape(name)}</th><td>{html.escape(str(value))}</td></tr>"
