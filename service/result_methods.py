@@ -297,6 +297,7 @@ class SpringMethods(Methods):
         gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
         points: Annotated[int, "of each branch, at least; of a `model`, at most, each way"] = 400,
         energy: Annotated[bool, "the energy balance of every point as well"] = False,
+        prove: Annotated[bool, "whether all folds and flips were counted, with a proof"] = False,
         model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
@@ -307,7 +308,8 @@ class SpringMethods(Methods):
         """Branches of cycles of one bounce, and their events.
 
         Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
-        `gamma_max` and comes back is several pieces.
+        `gamma_max` and comes back is several pieces. With `prove`, `event_complete` says whether all folds, or
+        all flips, of a branch are listed, by a count that holds for certain (docs/proofs.md).
 
         With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
         most once compiled. With rebound a branch may pass through numbers of `flights`; it ends at the event
@@ -319,10 +321,11 @@ class SpringMethods(Methods):
         `plate_contact` (m A² ω²), `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force`
         (m A ω), `impulse` (m A ω), `weight` (m A ω), `branch_bounces`, `branch_periods`, `points`,
         `event_kind`, `event_gamma`, `event_omega`, `event_xi`, `event_bounces`, `event_periods`,
-        `event_flight_time` (rad), `event_admissible`, `event_multipliers`. Waits up to `timeout` seconds for
-        the workers, and shows `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
+        `event_flight_time` (rad), `event_admissible`, `event_multipliers`, `event_complete`. Waits up to
+        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
+        TooLarge naming what fits.
         """
-        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, energy=energy, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
+        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, energy=energy, prove=prove, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
 
     def curves(
         self,

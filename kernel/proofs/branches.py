@@ -1,279 +1,160 @@
-"""Proofs about the branch of cycles (1,k) on an ideal plate with e = 0: folds, flips, Gamma_down.
+"""Proofs on an ideal plate with e = 0: folds and flips of the cycles (1,k), upper bounds of Gamma_down.
 
-A cycle of flight time T solves four linear equations in u = (q0, v0, c, s) at take-off (docs/hysteresis.md),
-so that Gamma(T), its derivatives and the tangent map are balls for a ball of T.
+The tangent map of a cycle (1,k) depends on its flight time T alone, and Jury's conditions of it have no poles
+on [0, 2 pi k]: their zeros can be counted. A fold is a simple zero of 1 - tr + det, by the implicit function
+theorem: the equations of a cycle with T given are regular, and Gamma is stationary along them just where
+those with Gamma given are singular.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import Final
 
-from flint import arb, arb_mat, ctx
+from flint import arb, arb_mat, arb_series, ctx
 
-from kernel.proofs.balls import (
-    Condition,
-    NotProvenError,
-    above,
-    around,
-    check_positive,
-    column,
-    entries,
-    exact,
-    flight_rows,
-    flow,
-    hull,
-    matrix,
-    opposite,
-    with_enough_bits,
-)
+from kernel.branches.descent import Fold
+from kernel.branches.words import Word
+from kernel.proofs.balls import NotProvenError, flow, with_enough_bits
+from kernel.proofs.cycles import START, STEPS, Cycles, Guess, Law, Proven, amplitude
 
-#: Newton's steps to a zero, and how far it may leave the start.
-_STEPS = 12
-_NEAR = 1e-3
-
+#: How far an event may lie from its guess, rad.
+_NEAR: Final = 1e-9
 #: Flight times beside a fold over which stability is shown in one ball: at most, and at least.
-_WIDEST = 1e-4
-_NARROWEST = 1e-12
-
+_WIDEST: Final = 1e-3
+_NARROWEST: Final = 1e-12
+#: How far from the fold of a longer word stability is shown, tried in turn.
+_ASIDE: Final = (1e-6, -1e-6, 1e-5, -1e-5, 1e-4, -1e-4)
 #: The narrowest stretch that is divided in the search for all zeros.
-_SHORTEST = 1e-9
+_SHORTEST: Final = 1e-9
 
-#: Of the tangent map's trace and determinant: 1 - tr + det is zero at folds, 1 + tr + det at flips.
-FOLDS, FLIPS = 0, 1
-
-
-class ProvenEvent(NamedTuple):
-    """Exactly one fold or flip lies in these balls."""
-
-    flight_time: arb  # rad
-    gamma: arb
+#: Jury's conditions: 1 - tr + det is zero at folds, 1 + tr + det at flips, 1 - det at tori.
+FOLDS, FLIPS, TORI = range(3)
 
 
-class ProvenDown(NamedTuple):
-    """For every Gamma from `above` to `below`, both included, a stable admissible cycle (1,k) exists."""
+def prove_event(which: int, omega: float | str, xi: float | str, periods: int, flight_time: float) -> Proven:
+    """The fold or flip of (1, periods) beside a flight time. Raises `NotProvenError`."""
 
-    fold: ProvenEvent
-    above: arb  # just above the fold's Gamma: bouncing persists here at most
-    below: arb
+    def prove() -> Proven:
+        branch = _Branch(omega, xi, periods)
+        t = branch.zero(which, arb(flight_time, _NEAR))
+        return Proven("exactly one event lies here", amplitude(branch.box(t)), [t])
+
+    return with_enough_bits(prove)
 
 
-class ProvenBranch:
-    """The branch (1, periods) of a spring. Numbers as in `balls.exact`.
+def all_events(which: int, omega: float | str, xi: float | str, periods: int) -> list[arb]:
+    """Flight times, a ball each, of every fold or flip of (1, periods), in order. Raises `NotProvenError`.
 
-    Each method raises `NotProvenError`.
+    Zeros of a Jury condition on [0, 2 pi k]: flips beside poles of Gamma count too.
     """
+    return with_enough_bits(lambda: _Branch(omega, xi, periods).zeros(which))
 
-    def __init__(self, omega: float | str, xi: float | str, periods: int = 1) -> None:
-        self._given, self._periods = (omega, xi), periods
 
-    def _prepare(self) -> None:
-        """The matrices at the present precision."""
-        omega, xi = (exact(number) for number in self._given)
-        b, w = 2 * xi / omega, 1 / (omega * omega)
-        self.whole = 2 * self._periods * arb.pi()
-        self._fly = matrix(flight_rows(b, w))
-        self._stick = matrix(
-            [[0, 1, 0, 0, 0], [-w, -b, 1, 0, -1], [0, 0, 0, -1, 0], [0, 0, 1, 0, 0], [0] * 5]
-        )
-        self._gap = matrix([[1, 0, 0, 0, 0, 0, 0]])
-        self._force_in_flight = matrix([[0, 0, -w, -b, -1, 0, 1]])
-        self._force = matrix([[-w, -b, -1, 0, 1]])
-        unknown = [[int(i == j) for j in range(4)] for i in range(4)]
-        self._unknowns = matrix([[0] * 4, [0] * 4, *unknown, [0] * 4])
-        self._constant = matrix([[0]] * 6 + [[1]])
-        # a landing: of states, and of variations at fixed phase
-        kept = [[int(i == j) for j in range(7)] for i in (4, 5, 6)]
-        self._land = matrix([[0, 0, 1, 0, 0, 0, 0], [0, 1, 0, 1, 0, 0, 0], *kept])
-        self._land_varied = matrix([[1, 0, 1, 0, 0, 0, 0], [-b, 1, 0, 1, 0, 0, 0], *([0] * 7 for _ in kept)])
-        self._spring_stuck = matrix([[1, 0, 0, 0, 0], [0, 1, 0, 0, 0]])
-        self._spring = matrix([[0, 0, 1, 0, 0, 0, 0], [0, 0, 0, 1, 0, 0, 0]])
-
-    def fold(self, flight_time: float) -> ProvenEvent:
-        """The fold beside a flight time, where dGamma/dT has a simple zero."""
-        return self._event(flight_time, lambda t: self._square(t)[1:])
-
-    def flip(self, flight_time: float) -> ProvenEvent:
-        """The flip beside a flight time, where a multiplier passes -1."""
-
-        def at(t: arb) -> tuple[arb, arb]:
-            value, slope = self._jury(t)
-            return value[FLIPS], slope[FLIPS]
-
-        return self._event(flight_time, at)
-
-    def _event(self, flight_time: float, function: Callable[[arb], tuple[arb, arb]]) -> ProvenEvent:
-        def prove() -> ProvenEvent:
-            self._prepare()
-            t = _simple_zero(function, flight_time)
-            return ProvenEvent(t, self._gamma(t))
-
-        return with_enough_bits(prove)
-
-    def down(self, flight_time: float) -> ProvenDown:
-        """That Gamma_down lies at most just above the fold beside a flight time."""
-
-        def prove() -> ProvenDown:
-            self._prepare()
-            t = _simple_zero(lambda x: self._square(x)[1:], flight_time)
-            if not self._square(t)[2] > 0:
-                raise NotProvenError("the fold is no minimum of Gamma")
-            side = 1 if self._jury(t)[1][FOLDS] > 0 else -1
-            reach, why = _WIDEST, NotProvenError("nothing was tried")
-            while reach > _NARROWEST:
-                try:
-                    low, high = self._stable_beside(t, side, reach)
-                    return ProvenDown(ProvenEvent(t, self._gamma(t)), low, high)
-                except NotProvenError as failed:
-                    why, reach = failed, 0.25 * reach
-            raise why
-
-        return with_enough_bits(prove)
-
-    def _stable_beside(self, fold: arb, side: int, reach: float) -> tuple[arb, arb]:
-        """The Gamma between which all cycles beside a fold are stable and admissible."""
-        near, far = fold.mid() + side * 2 * fold.rad(), fold.mid() + side * arb(reach)
-        beside = hull(fold.mid() - side * fold.rad(), far)
-        value, slope = self._jury(beside)
-        if not (self._square(beside)[2] > 0 and self._square(near)[1] * side > 0):
-            raise NotProvenError("Gamma may not grow away from the fold")
-        if not (slope[FOLDS] * side > 0 and self._jury(near)[0][FOLDS] > 0):
-            raise NotProvenError("1 - tr + det may not grow away from the fold")
-        if not (value[1] > 0 and value[2] > 0):
-            raise NotProvenError("the other multiplier may not be inside the unit circle")
-        self._check_admissible(beside)
-        return self._gamma(near).upper(), self._gamma(far).lower()
-
-    def events(self, which: int) -> list[arb]:
-        """Every zero of 1 - tr + det (FOLDS) or 1 + tr + det (FLIPS) on [0, 2 pi k], a ball each.
-
-        Folds are among the zeros of the first by the implicit function theorem, so that the list is complete;
-        flips beside poles of Gamma count too. In rad, in order.
-        """
-
-        def prove() -> list[arb]:
-            self._prepare()
-            stretches, zeros = [(0.0, above(self.whole))], list[arb]()
-            while stretches:
-                low, high = stretches.pop()
-                if self._no_zero(which, low, high):
-                    continue
-                t = hull(low, high)
-                if self._jury(t)[1][which] != 0:
-                    ends = [self._jury(arb(end))[0][which] for end in (low, high)]
-                    if opposite(*ends):
-                        zeros.append(t)
-                        continue
-                    if all(end > 0 for end in ends) or all(end < 0 for end in ends):
-                        continue
-                if high - low < _SHORTEST:
-                    raise NotProvenError(f"a zero that may be double, near {low:.9g} rad")
-                middle = 0.5 * (low + high)
-                stretches += [(middle, high), (low, middle)]
-            return zeros
-
-        return with_enough_bits(prove)
-
-    def _no_zero(self, which: int, low: float, high: float) -> bool:
-        t = hull(low, high)
-        value, slope = (terms[which] for terms in self._jury(t))
-        return bool(value != 0) or bool(self._jury(t.mid())[0][which] + slope * (t - t.mid()) != 0)
-
-    # What follows is of a ball of T.
-
-    def _flows(self, t: arb) -> tuple[list[arb_mat], list[arb_mat]]:
-        """The flows of flight and contact, with two derivatives by T each."""
-        fly, stick = flow(self._fly, t), flow(self._stick, self.whole - t)
-        return (
-            [fly, self._fly * fly, self._fly * (self._fly * fly)],
-            [stick, -1 * (self._stick * stick), self._stick * (self._stick * stick)],
-        )
-
-    def _orbit(self, t: arb, derivatives: int = 2) -> list[list[arb]]:
-        """u = (q0, v0, c, s) of the cycle of flight time T and its derivatives by T."""
-        fly, stick = self._flows(t)
-        landed = [self._land * motion for motion in fly]
-        whole = [
-            stick[0] * landed[0],
-            stick[1] * landed[0] + stick[0] * landed[1],
-            stick[2] * landed[0] + 2 * (stick[1] * landed[1]) + stick[0] * landed[2],
-        ]
-        equations, right = [], []
-        for order in range(derivatives + 1):
-            force = self._force_in_flight if order == 0 else 0 * self._force_in_flight
-            back = self._spring_stuck * whole[order]
-            back = back - self._spring if order == 0 else back
-            rows = matrix([*force.tolist(), *(self._gap * fly[order]).tolist(), *back.tolist()])
-            equations.append(rows * self._unknowns)
-            right.append(-1 * (rows * self._constant))
+def prove_down(omega: float | str, xi: float | str, fold: Fold) -> Proven:
+    """That stable cycles exist just above a fold, from `gamma` on. Raises `NotProvenError`."""
+    if fold.cycle.letters == "s":
+        return with_enough_bits(lambda: _Branch(omega, xi, fold.periods).down(fold.flight_time))
+    why = NotProvenError()
+    for step in _ASIDE:
         try:
-            u = [equations[0].solve(right[0])]
-            if derivatives > 0:
-                u.append(equations[0].solve(right[1] - equations[1] * u[0]))
-            if derivatives > 1:
-                u.append(equations[0].solve(right[2] - 2 * (equations[1] * u[1]) - equations[2] * u[0]))
-        except ZeroDivisionError:
-            raise NotProvenError("the equations of a cycle may be singular") from None
-        return [entries(x) for x in u]
-
-    def _square(self, t: arb) -> tuple[arb, arb, arb]:
-        """Gamma**2/2 and two derivatives by T."""
-        (_, _, c, s), (_, _, c1, s1), (_, _, c2, s2) = self._orbit(t)
-        return (c * c + s * s) / 2, c * c1 + s * s1, c1 * c1 + c * c2 + s1 * s1 + s * s2
-
-    def _gamma(self, t: arb) -> arb:
-        """Gamma, by the mean value form."""
-        _, _, c, s = self._orbit(t.mid(), 0)[0]
-        middle = (c * c + s * s).sqrt()
-        if t.is_exact():
-            return middle
-        (_, _, c, s), (_, _, c1, s1) = self._orbit(t, 1)
-        return middle + (c * c1 + s * s1) / (c * c + s * s).sqrt() * (t - t.mid())
-
-    def _jury(self, t: arb) -> tuple[list[arb], list[arb]]:
-        """1 - tr + det, 1 + tr + det and 1 - det of the tangent map, and their derivatives by T."""
-        fly, stick = self._flows(t)
-        inner = [self._land_varied * (motion * self._spring.transpose()) for motion in fly]
-        m = self._spring_stuck * (stick[0] * inner[0])
-        d = self._spring_stuck * (stick[1] * inner[0] + stick[0] * inner[1])
-        det = m.det()
-        det1 = d[0, 0] * m[1, 1] + m[0, 0] * d[1, 1] - d[0, 1] * m[1, 0] - m[0, 1] * d[1, 0]
-        trace, trace1 = m.trace(), d.trace()
-        return [1 - trace + det, 1 + trace + det, 1 - det], [det1 - trace1, det1 + trace1, -det1]
-
-    def _check_admissible(self, t: arb) -> None:
-        """Prove gap > 0 in flight and n > 0 in contact of every cycle with a flight time in the ball."""
-        if not (t > 0 and t < self.whole):
-            raise NotProvenError("the flight time may leave the plate's periods")
-        takeoff, landing = self._ends(t)
-        check_positive(self._fly, [Condition(self._gap, 3, True)], takeoff, t)
-        check_positive(self._stick, [Condition(self._force, 0, True)], landing, self.whole - t)
-
-    def _ends(self, t: arb) -> tuple[arb_mat, arb_mat]:
-        """The states at take-off (in flight) and after landing (in contact), by the mean value form."""
-        middle = t.mid()
-        u, (wide, slope) = self._orbit(middle, 0)[0], self._orbit(t, 1)
-        fly = self._flows(t)[0][0]
-        start, moved = (self._unknowns * column(x) + self._constant for x in (u, wide))
-        along = self._unknowns * column(slope)
-        land = self._land * (flow(self._fly, middle) * start)
-        by_t = self._land * (self._fly * (fly * moved) + fly * along)
-        return start + along * (t - middle), land + by_t * (t - middle)
+            return with_enough_bits(partial(_beside, omega, xi, fold, step))
+        except NotProvenError as error:
+            why = error
+    raise why
 
 
-def _simple_zero(function: Callable[[arb], tuple[arb, arb]], start: float) -> arb:
-    """A small ball with exactly one zero, beside a start. function(T) -> (f, f')."""
-    x = arb(start)
-    for _ in range(_STEPS):
-        f, f1 = function(x)
-        step = f.mid() / f1.mid()
-        x = (x - step).mid()
-        if abs(step) < arb(2) ** (-ctx.prec // 2) + f.rad() / f1.mid().abs_lower():
-            break
-    else:
-        raise NotProvenError("Newton's method did not converge")
-    if not abs(x - arb(start)) < _NEAR:
-        raise NotProvenError("Newton's method left the start")
-    f, f1 = function(x)
-    ball = around(x, (2 * f / f1).abs_upper() + arb(2) ** (-ctx.prec // 3))
-    if not (opposite(function(ball.lower())[0], function(ball.upper())[0]) and function(ball)[1] != 0):
-        raise NotProvenError("no simple zero")
-    return ball
+def _beside(omega: float | str, xi: float | str, fold: Fold, step: float) -> Proven:
+    """That the cycle of a word is stable whose first flight differs by a step from that at the fold."""
+    cycles = Cycles(Law(), omega, xi, guess_of_word(fold.cycle))
+    says = f"a stable cycle of the word {fold.cycle.letters} exists at down_at_most"
+    return cycles.stable(cycles.box(arb(fold.flight_time) + step, by_flight=True), says)
+
+
+def guess_of_word(word: Word) -> Guess:
+    """A cycle of `kernel.branches.words`."""
+    letters = ("S" + word.letters.replace("s", "sS"))[:-1]
+    return Guess(letters, word.periods, [0.0, *word.unknowns[: START - 1 + len(letters)].tolist()])
+
+
+class _Branch:
+    """The branch (1, periods), at the present precision."""
+
+    def __init__(self, omega: float | str, xi: float | str, periods: int) -> None:
+        self._periods, self._whole = periods, 2 * periods * arb.pi()
+        self._cycles = Cycles(Law(), omega, xi, Guess("Ss", periods, [0] * (START + 2)))
+        fly, stick, b = self._cycles.flight, self._cycles.contact, self._cycles.b
+        # a landing, of variations at fixed phase
+        land = arb_mat([[0] * 7, [0] * 7, [1, 0, 1, *[0] * 4], [-b, 1, 0, 1, 0, 0, 0], *[[0] * 7] * 3])
+        self._land, self._land_by_t = land, land * fly - stick * land
+        self._of = arb_mat([[0, 0, 1, *[0] * 4], [0, 0, 0, 1, 0, 0, 0]])
+
+    def box(self, t: arb) -> list[arb]:
+        """The cycles with flight times in a ball. With T given their equations are linear: any guess does."""
+        self._cycles.guess[START:] = [self._whole.mid() - t.mid(), t.mid()]
+        return self._cycles.box(t, by_flight=True)
+
+    def down(self, flight_time: float) -> Proven:
+        """Stable cycles at every Gamma from just above a fold."""
+        fold, reach = self.zero(FOLDS, arb(flight_time, _NEAR)), _WIDEST
+        side = 1 if self._jury(fold)[FOLDS][1] > 0 else -1
+        near = fold.mid() + side * arb(2) ** (-ctx.prec // 3)
+        while True:
+            try:
+                low, high = self._stable_between(near, fold.mid() + side * arb(reach), side)
+                break
+            except NotProvenError:
+                reach *= 0.25
+                if reach < _NARROWEST:
+                    raise
+        what = f"a stable cycle (1,{self._periods}) exists"
+        return Proven(f"{what} for every Gamma from down_at_most to {float(high):.9g}", low, [fold])
+
+    def _stable_between(self, near: arb, far: arb, side: int) -> tuple[arb, arb]:
+        """The Gamma between which cycles of all flight times between are stable and admissible."""
+        beside = near.union(far)
+        folds, flips, tori = self._jury(beside)
+        if not (self._jury(near)[FOLDS][0] > 0 and folds[1] * side > 0):
+            raise NotProvenError("1 - tr + det may not grow away from the fold")
+        if not (flips[0] > 0 and tori[0] > 0):
+            raise NotProvenError("the other multiplier may not be inside the unit circle")
+        self._cycles.check_admissible(self.box(beside))
+        low, high = amplitude(self.box(near)).upper(), amplitude(self.box(far)).lower()
+        if not low < high:
+            raise NotProvenError("the fold is no minimum of Gamma")
+        return low, high
+
+    def zero(self, which: int, t: arb) -> arb:
+        """The only zero of a condition in a ball, as sharp as the precision allows (interval Newton)."""
+        if not t.contains(self._newton(which, t)):
+            raise NotProvenError("no simple zero is near")
+        for _ in range(STEPS):
+            t = self._newton(which, t)
+        return t
+
+    def _newton(self, which: int, t: arb) -> arb:
+        """Where zeros in a ball lie, if any. If that is inside the ball, there is exactly one."""
+        return t.mid() - self._jury(t.mid())[which][0] / self._jury(t)[which][1]
+
+    def zeros(self, which: int) -> list[arb]:
+        """A ball for every zero of a condition on [0, 2 pi k], in order."""
+        stretches, zeros = [arb(0).union(self._whole)], list[arb]()
+        while stretches:
+            t = stretches.pop()
+            value, slope = self._jury(t)[which]
+            if value != 0 or self._jury(t.mid())[which][0] + slope * (t - t.mid()) != 0:
+                continue
+            if slope != 0 and t.contains(self._newton(which, t)):
+                zeros.append(self.zero(which, t))
+            elif t.rad() < _SHORTEST:
+                raise NotProvenError(f"a zero that may be double, near {float(t):.9g} rad")
+            else:
+                stretches += [t.mid().union(t.upper()), t.lower().union(t.mid())]
+        return zeros
+
+    def _jury(self, t: arb) -> list[tuple[arb, arb]]:
+        """Jury's conditions of the tangent map of (q, q'), and their derivatives by T."""
+        before = flow(self._cycles.flight, t) * self._of.transpose()
+        after = self._of * flow(self._cycles.contact, self._whole - t)
+        maps = after * self._land * before, after * self._land_by_t * before
+        a, b, c, d = (arb_series(list(pair)) for pair in zip(*(x.entries() for x in maps), strict=True))
+        trace, det = a + d, a * d - b * c
+        return [(condition[0], condition[1]) for condition in (1 - trace + det, 1 + trace + det, 1 - det)]

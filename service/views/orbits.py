@@ -21,6 +21,7 @@ from kernel.branches.words import WordBranch
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import AXES, FLIGHT, SYMBOLS, draw_branches
+from service.views import proofs
 from service.views.selection import (
     MAX_READ,
     GridValue,
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
 GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
 WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
+WithProof = Annotated[bool, Field(description="whether all folds and flips were counted, with a proof")]
 
 Record = TypeVar("Record", Branch, CycleBranch, Events)
 
@@ -98,6 +100,7 @@ ROWS: Final[Mapping[str, Array]] = _STORED | {
         *(Array(f"event_{axis}", ("event",), "<f8", 0, _AXES[axis]) for axis in ("gamma", "omega", "xi")),
         row("event_multipliers", ("event", *_PARTS), "<f8", "Floquet multipliers"),
         row("event_branch", ("event",), "<i4", "index of the branch that the event is on"),
+        row("event_complete", ("event",), "?", "whether all of its kind were counted, with proof"),
         Array("skipped_gamma", ("skipped",), "<f8", 0, _AXES["gamma"]),
         *_of_cycle("skipped", "cell from which no branch was followed"),
         row("skipped_reason", ("skipped",), "U", "why no branch was followed from the cell"),
@@ -217,6 +220,9 @@ def rows_of(record: Record, rows: slice | NDArray[np.bool_]) -> Record:
 _FAMILIES: Final = 3
 MAX_SECONDS: Final = 60.0
 
+#: Core-seconds in which the folds and flips of a branch are counted, by its periods/omega.
+COUNT_SECONDS: Final = 0.3
+
 #: Bytes of a point of a branch, with what is computed on the way to it.
 _PER_POINT: Final = 4_000
 
@@ -238,6 +244,7 @@ class OrbitsQuery(Query):
         Field(ge=10, le=MAX_POINTS, description="of each branch, at least; of a `model`, at most, each way"),
     ] = 400
     energy: WithEnergy = False
+    prove: WithProof = False
     model: Annotated[
         Literal["rigid", "soft"] | None,
         Field(description="contact whose cycles are followed; default: the ideal plate in closed form"),
@@ -262,8 +269,9 @@ def _contact(query: OrbitsQuery) -> Rigid | Soft | None:
         if given:
             raise InvalidRequest.of("model", f"is required with {', '.join(given)}: rigid or soft")
         return None
-    if query.energy:
-        raise InvalidRequest.of("energy", "is of the closed form: leave out model")
+    for name in ("energy", "prove"):
+        if getattr(query, name):
+            raise InvalidRequest.of(name, "is of the closed form: leave out model")
     fields = _CONTACTS[query.model]
     try:
         return fields(**given)
@@ -305,7 +313,8 @@ def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events
     """Branches of cycles of one bounce, and their events.
 
     Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
-    `gamma_max` and comes back is several pieces.
+    `gamma_max` and comes back is several pieces. With `prove`, `event_complete` says whether all folds, or
+    all flips, of a branch are listed, by a count that holds for certain (docs/proofs.md).
 
     With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
     most once compiled. With rebound a branch may pass through numbers of `flights`; it ends at the event
@@ -323,6 +332,9 @@ def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events
     if query.energy:
         data |= padded(BALANCE, [energy(x.omega, x.xi, x.periods, x.flight_time) for x in pieces])
     data |= event_columns(join_events([rows_of(e, e.gamma <= query.gamma_max) for _, e in parts]))
+    if query.prove:
+        complete = [proofs.of_events(e)[e.gamma <= query.gamma_max] for _, e in parts]
+        data |= columns("event", {"complete": np.concatenate(complete)})
     coords = of_branches(pieces)
     coords |= {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")}
     model = MODEL if contact is None else _name(contact)
@@ -348,8 +360,9 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
             )
             raise InvalidRequest.of("modes", rule)
     sizes = {"branch": len(lengths), "point": max(lengths), "multiplier": 2, "part": 2}
-    small = _contact(query) is None and _seconds(query) <= SMALL_SECONDS
-    return Estimate(sizes, memory=sum(lengths) * _PER_POINT, small=small)
+    small = _contact(query) is None and _seconds(query) <= SMALL_SECONDS and not query.prove
+    seconds = sum(COUNT_SECONDS * periods / omega for omega, _, periods, _ in _grids(query) if query.prove)
+    return Estimate(sizes, memory=sum(lengths) * _PER_POINT, seconds=seconds, small=small)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
@@ -365,7 +378,9 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
 
 SPRING: Final = View(
     "orbits", "Branches of a spring", None, OrbitsQuery, compute_orbits, estimate_orbits,
-    variables=tuple(ROWS[name] for name in (*_OF_POINT, "flights", *BALANCE, *BRANCH)) + EVENTS,
+    variables=(
+        *(ROWS[name] for name in (*_OF_POINT, "flights", *BALANCE, *BRANCH)), *EVENTS, ROWS["event_complete"],
+    ),
     rows="gamma", printed=("event_gamma",), parts=orbit_parts, draw=draw,
 )  # fmt: skip
 

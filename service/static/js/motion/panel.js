@@ -55,7 +55,7 @@ export class TrajectoryPanel {
     this.title = h("h2", { tabindex: "-1" });
     this.values = h("details", { hidden: true });
     this.files = h("div", {});
-    this.proof = h("p", { hidden: true, role: "status" });
+    this.proof = h("div", { hidden: true, role: "status" });
     const portraits = h("div", {});
     this.motion = new Motion({ portraits });
     this.root.replaceChildren(
@@ -72,9 +72,10 @@ export class TrajectoryPanel {
       this.proof.textContent = "Proving …";
       try {
         const { proof, proof_says: says, proven_flight_times: times } = await requestDataset(`${path}&prove=true`, { signal, waits: true });
-        const flights = times.data.flat();
-        const lines = flights.filter((_, i) => i % 2 === 0).map((low, i) => `${low} to ${flights[2 * i + 1]} rad`);
-        this.proof.replaceChildren(h("strong", {}, proof.data), `: ${says.data}.`, ...(lines.length ? [` Flights: ${lines.slice(0, MAX_LISTED).join("; ")}.`] : []));
+        const ends = times.data.flat();
+        const flights = ends.filter((_, i) => i % 2 === 0).map((low, i) => h("li", {}, `${low} to ${ends[2 * i + 1]} rad`));
+        const about = flights.length > MAX_LISTED ? ` The first ${MAX_LISTED} of ${flights.length} flights:` : flights.length ? " Flights:" : "";
+        this.proof.replaceChildren(h("strong", {}, proof.data), `: ${says.data}.${about}`, h("ul", {}, flights.slice(0, MAX_LISTED)));
       } catch (error) {
         if (!signal.aborted) this.proof.textContent = error.message;
       }

@@ -1,15 +1,19 @@
 """Folds, flips and upper bounds of Gamma_down on an ideal plate, against the closed form in doubles."""
 
+import json
+
 import numpy as np
 import pytest
+from paths import GOLDEN
 
 pytest.importorskip("flint", reason="needs the extra proofs")
 
 from kernel.branches.events import Kind, branch_and_events
 from kernel.branches.thresholds import thresholds
 from kernel.proofs.balls import NotProvenError, bounds
-from kernel.proofs.branches import FLIPS, FOLDS, ProvenBranch
-from kernel.proofs.thresholds import prove_down
+from kernel.proofs.branches import FLIPS, FOLDS, all_events, prove_down, prove_event
+
+REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 
 #: Omega at xi = 0.05, and Gamma at the lowest fold of (1,1) to 18 digits.
 LOWEST = {
@@ -19,60 +23,60 @@ LOWEST = {
     "0.66": "0.596879494373674877",
     "0.70": "0.669279136329714241",
 }
+WHICH = {Kind.FOLD: FOLDS, Kind.FLIP: FLIPS}
 
 
 def random_springs(n):
     random = np.random.default_rng(11)
     for _ in range(n):
-        yield (
-            round(random.uniform(0.26, 1.3), 4),
-            round(random.uniform(0.04, 0.3), 4),
-            int(random.choice([1, 2])),
-        )
+        omega, xi = round(random.uniform(0.26, 1.3), 4), round(random.uniform(0.04, 0.3), 4)
+        yield omega, xi, int(random.choice([1, 2]))
 
 
 @pytest.mark.parametrize("omega", LOWEST)
-def test_bouncing_persists_just_above_the_fold(omega):
-    _, events = branch_and_events(float(omega), 0.05, 1)
-    fold = events.flight_time[events.kind == Kind.FOLD][np.argmin(events.gamma[events.kind == Kind.FOLD])]
-    down = ProvenBranch(omega, "0.05").down(float(fold))
-    low, high = bounds(down.above, 18)
-    assert low <= LOWEST[omega] <= high
-    assert down.below > down.above
+def test_bouncing_persists_from_just_above_the_fold(omega):
+    proof = prove_down(omega, "0.05", thresholds(float(omega), 0.05).fold)
+    assert LOWEST[omega] in bounds(proof.gamma)
+    assert float(proof.says.split()[-1]) > float(bounds(proof.gamma)[1])
 
 
-def test_folds_and_flips_of_the_closed_form_are_proven_where_it_says():
-    for omega, xi, periods in random_springs(12):
+def test_golden_folds_and_flips_are_proven():
+    for case in REFERENCE["special_points"]:
+        for point in case["points"]:
+            if point["kind"] in WHICH:
+                which, spring = WHICH[point["kind"]], (repr(case["omega"]), repr(case["xi"]), case["mode"][1])
+                line = branch_and_events(case["omega"], case["xi"], case["mode"][1])[1]
+                nearest = line.flight_time[np.argmin(abs(line.flight_time - point["flight_time"]))]
+                proof = prove_event(which, *spring, float(nearest))
+                for name, ball in (("flight_time", proof.flight_times[0]), ("gamma", proof.gamma)):
+                    assert abs(ball - point[name]) < 1e-7, f"{name}: {point[name]} is not {bounds(ball)}"
+
+
+def test_folds_and_flips_of_the_closed_form_are_proven_and_none_is_missing():
+    for omega, xi, periods in random_springs(6):
         _, events = branch_and_events(omega, xi, periods)
-        branch = ProvenBranch(repr(omega), repr(xi), periods)
-        for kind, prove in ((Kind.FOLD, branch.fold), (Kind.FLIP, branch.flip)):
-            for i in np.flatnonzero((events.kind == kind) & (events.gamma < 20.0))[:2]:
-                event = prove(float(events.flight_time[i]))
-                assert abs(float(event.flight_time) - events.flight_time[i]) < 1e-13
-                assert abs(float(event.gamma) / events.gamma[i] - 1.0) < 1e-13
-
-
-def test_the_closed_form_misses_no_fold_and_no_flip():
-    for omega, xi, _ in random_springs(3):
-        _, events = branch_and_events(omega, xi, 1)
-        branch = ProvenBranch(repr(omega), repr(xi))
-        for which, kind in ((FOLDS, Kind.FOLD), (FLIPS, Kind.FLIP)):
-            times = sorted(events.flight_time[events.kind == kind])
-            stretches = sorted(branch.events(which), key=float)
-            assert len(stretches) == len(times)
-            assert all(ball.contains(time) for ball, time in zip(stretches, times, strict=True))
+        for kind, which in WHICH.items():
+            chosen = np.flatnonzero(events.kind == kind)
+            for i in chosen[:2]:
+                proof = prove_event(which, repr(omega), repr(xi), periods, float(events.flight_time[i]))
+                assert float(proof.flight_times[0]) == pytest.approx(events.flight_time[i], abs=1e-13)
+                assert float(proof.gamma) == pytest.approx(events.gamma[i], rel=1e-13)
+            counted = all_events(which, repr(omega), repr(xi), periods)
+            assert list(map(float, counted)) == pytest.approx(sorted(events.flight_time[chosen]), abs=1e-12)
 
 
 def test_answers_of_the_rule_are_proven_as_upper_bounds():
-    """Also of a word, zs at Omega = 1.26."""
-    for omega, xi in ((0.6, 0.05), (1.26, 0.05), (0.4, 0.06), (0.65, 0.06)):
+    """Also of a word, zs at Omega = 1.26, and at the reference's thresholds."""
+    springs = [(case["omega"], case["xi"], case["gamma_down"]) for case in REFERENCE["threshold_down"]]
+    for omega, xi, expected in (*springs, *((omega, 0.05, None) for omega in (0.4, 0.65, 1.26))):
         answer = thresholds(omega, xi)
-        assert answer.fold is not None
         proof = prove_down(repr(omega), repr(xi), answer.fold)
-        assert -1e-14 < float(proof.at_most) - answer.down < 2e-9
+        assert -1e-14 < float(proof.gamma) - answer.down < 1e-11, (
+            f"{answer.down} is not {bounds(proof.gamma)}"
+        )
+        assert expected is None or abs(proof.gamma - expected) < 1e-11, f"{expected}: {bounds(proof.gamma)}"
 
 
 def test_no_flight_time_beside_a_fold_is_proven_to_be_one():
-    branch = ProvenBranch("0.6", "0.05")
     with pytest.raises(NotProvenError):
-        branch.fold(3.0)
+        prove_event(FOLDS, "0.6", "0.05", 1, 3.0)

@@ -1,0 +1,93 @@
+"""Proofs over HTTP and in the client: on demand, and nothing of them without."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+from served import computing
+
+from service.client import Client
+from service.views import proofs
+
+pytest.importorskip("flint", reason="needs the extra proofs")
+
+SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
+
+#: Answers without proofs, then the modules that only proofs need.
+WITHOUT = """
+import sys
+from service.views.registry import SPRINGS
+for view in ("threshold", "orbits"):
+    SPRINGS[view].compute(None, SPRINGS[view].query(omega=0.6, xi=0.05))
+print([name for name in sys.modules if name.startswith(("flint", "kernel.proofs"))])
+"""
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with computing(tmp_path_factory.mktemp("data")) as client:
+        yield client
+
+
+@pytest.fixture
+def client(service: TestClient) -> Client:
+    return Client("http://localhost", http=service)
+
+
+def test_a_threshold_has_a_proven_bound_and_says_what_was_taken(client: Client):
+    answer = client.threshold(**SPRING, prove=True)
+    assert (answer.proof, answer.down_at_most) == ("proven", "0.553244593224092932")
+    low, high = map(float, answer.proven_flight_time.values)
+    assert low <= high < low + 1e-14
+    assert abs(low - 4.18293) < 1e-4
+    assert "omega = 0.6 and xi = 0.05 are these decimals" in str(answer.proof_says.values)
+
+
+def test_a_proven_threshold_takes_less_than_a_third_of_a_second_when_warm(client: Client):
+    client.threshold(**SPRING, prove=True)
+    seconds = []
+    for omega in (0.56, 0.62, 0.66, 0.7):
+        began = time.perf_counter()
+        assert client.threshold(omega=omega, xi=0.05, prove=True).proof == "proven"
+        seconds.append(time.perf_counter() - began)
+    assert min(seconds) < 0.3
+
+
+def test_events_say_whether_all_of_their_kind_were_counted(client: Client):
+    answer = client.orbits(**SPRING, modes="1-1,1-2", prove=True)
+    counted = {kind: set() for kind in ("fold", "flip", "graze-flight")}
+    for kind, complete in zip(answer.event_kind.values, answer.event_complete.values, strict=True):
+        counted.setdefault(str(kind), set()).add(bool(complete))
+    assert counted.pop("fold") == counted.pop("flip") == {True}
+    assert set.union(*counted.values()) == {False}
+    assert "event_complete" not in client.orbits(**SPRING)
+
+
+def test_a_cell_that_settled_is_proven_and_one_at_rest_says_why_not(client: Client):
+    cell = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "prove": True}
+    answer = client.trajectory(cell)
+    assert answer.proof == "proven"
+    assert float(answer.proven_flight_times[0, 0]) <= 4.855013427295 + 1e-9
+    at_rest = client.trajectory(cell | {"settle": 0})
+    assert at_rest.proof == "not proven"
+    assert "settle" in str(at_rest.proof_says.values)
+    assert client.trajectory(cell | {"model": {"kind": "ball"}}).proof == "not covered"
+
+
+def test_without_the_extra_one_sentence_says_what_to_install(
+    client: Client, service: TestClient, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(proofs, "find_spec", lambda name: None)
+    cell = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "prove": True}
+    answer = service.post("/v1/trajectories", json=cell)
+    assert answer.status_code == 501
+    assert 'pip install "bouncing-spring[proofs]"' in answer.json()["detail"]
+
+
+def test_nothing_of_proofs_is_imported_without_them():
+    result = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
