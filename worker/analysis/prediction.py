@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from kernel.branches.events import POINTS, flight_times
-from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, thresholds
+from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
 from kernel.threshold import threshold
 from worker.analysis.words import lowest_words
@@ -53,6 +53,15 @@ def _why_not(omega: float, xi: float) -> str | None:
     return None
 
 
+def decides(omega: float, xi: float) -> bool:
+    """Whether `predict` needs the closed form alone, and nothing compiled."""
+    try:
+        with np.errstate(all="ignore"):
+            return _why_not(omega, xi) is not None or closed_form(omega, xi).decides
+    except KernelInputError:
+        return True
+
+
 def predict(omega: float, xi: float) -> Thresholds:
     """As `thresholds`, omega > 0 and xi >= 0; `unresolved` also where the branches are not searched."""
     reason = _why_not(omega, xi)
@@ -82,7 +91,7 @@ def predict_from_cells(
         if answer.cause == UNRESOLVED and math.isfinite(answer.gamma_th):
             words, bouncing = lowest_words(spec, url, direction, xi, omega, complete)
             if words:
-                answer = _thresholds(at_omega, at_xi, words=words, bouncing=bouncing)
+                answer = _thresholds(at_omega, at_xi, cycles=words, bouncing=bouncing)
         answers.append(answer)
     return answers
 

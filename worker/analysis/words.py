@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 
 from kernel.branches.continuation import events as events_of
 from kernel.branches.continuation import follow
+from kernel.branches.cycles import Point
+from kernel.branches.descent import ideal_plate, solved
 from kernel.branches.events import Events, rows_of
+from kernel.branches.folds import Cycle
 from kernel.branches.words import Word, WordBranch, from_flights
 from kernel.params import KernelInputError, Outcome
 from worker import store
@@ -109,19 +112,28 @@ def continue_words(
 
 def lowest_words(
     spec: SweepSpec, url: str, direction: int, xi: int, omega: int, complete: bool
-) -> tuple[list[Word], float]:
-    """Words of settled cells at these indices, up to LOWEST, and the lowest Gamma that bounces.
+) -> tuple[list[Point], float]:
+    """Cycles of settled cells at these indices, up to LOWEST, and the lowest Gamma that bounces.
 
-    Uses the cells of lowest Gamma and omits those that lead to no word. Gamma is infinite if no
+    Uses the cells of lowest Gamma and omits those that lead to no cycle. Gamma is infinite if no
     cell bounces. Raises a `store.StoreError`.
     """
     arrays = _read_line(spec, url, (direction, xi, omega), complete)
-    words: list[Word] = []
+    words: list[Point] = []
     for cycle in islice(_cycles(spec, arrays, (xi, omega), []), LOWEST):
         with suppress(KernelInputError):
-            words.append(cycle.word())
+            if (point := _point(cycle.word())) is not None:
+                words.append(point)
     bouncing = spec.axis_values("gamma")[np.isin(arrays["outcome"], BOUNCING)]
     return words, float(bouncing.min()) if len(bouncing) else math.inf
+
+
+def _point(word: Word) -> Point | None:
+    """The cycle of a word at its Gamma."""
+    letters = "".join("S" * (word.letters[n - 1] == "s") + word.letters[n] for n in range(len(word.letters)))
+    guess = Cycle(letters, word.periods, np.append(0.0, word.unknowns))
+    point = solved(ideal_plate(), word.omega, word.xi, guess)
+    return point.cycles.at(point.x, word.gamma)
 
 
 def _read_line(
