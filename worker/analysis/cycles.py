@@ -1,15 +1,29 @@
-"""Branches of a spring's cycles on the contact of a specification."""
+"""Branches of a spring's cycles on the contact of a specification: of a spring, and of a sweep's cells."""
 
-from typing import Final, NamedTuple
+import math
+from itertools import groupby, pairwise
+from operator import itemgetter
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kernel.branches.any_contact import CycleBranch, branches, event_record, record
-from kernel.branches.events import Events
-from kernel.branches.follow import RANGE
+from kernel.branches.any_contact import CycleBranch, Followed, branches, event_record, record
+from kernel.branches.cycles import FLIGHTS, Point, cycle_from
+from kernel.branches.events import Events, Kind
+from kernel.branches.follow import RANGE, Event, ahead, follow
+from kernel.branches.follow import End as EndOfBranch
+from kernel.branches.segments import START
+from kernel.branches.thresholds import EQ_25
+from kernel.params import Cell, Outcome
+from worker import store
+from worker.analysis.bisection import BOUNCING
 from worker.spec.contact_models import Contact
 from worker.sweep import SweepSpec
+from worker.sweep.task import run_cells
 from worker.work import plate_of
+
+Floats = NDArray[np.float64]
 
 #: Flights that count are longer, rad.
 MICRO_FLIGHT: Final[float] = SweepSpec.model_fields["micro_flight"].default
@@ -17,24 +31,276 @@ MICRO_FLIGHT: Final[float] = SweepSpec.model_fields["micro_flight"].default
 #: Core-seconds of a cycle on its way, most of all of those with many hops.
 CYCLE_SECONDS: Final = 2e-3
 
+#: Branches followed per line of cells, plate periods of their cycles, and points per branch and direction.
+MAX_BRANCHES: Final = 12
+MAX_PERIODS: Final = 16
+
+#: Settled cells of lowest Gamma in a line whose cycles are followed to their ends.
+LOWEST: Final = 3
+POINTS: Final = 400
+
+#: Two cycles at one Gamma are one if their flights are this close, rad; numbers of hops differ by less.
+_SAME: Final = 1e-5
+#: Where a doubled branch begins, the flights of both halves are this close, rad, of those longer than a hop.
+_EVEN: Final = 1e-3
+_HOP: Final = 1e-2
+#: No point of a branch is further from the next.
+_STEP: Final = 0.2
+
+#: Step along a branch beside a fold.
+_ASIDE: Final = 1e-3
+
+#: A cycle's branch may rise by this part of Gamma before it falls, and events at which a stable one ends.
+_RISES: Final = 1e-4
+_LAST: Final = (Kind.FLIP, Kind.NEIMARK_SACKER, *EndOfBranch)
+
+
+class Skipped(NamedTuple):
+    """A settled cell from which no branch was followed."""
+
+    gamma: float
+    bounces: int
+    periods: int
+    reason: str
+
 
 class Cycles(NamedTuple):
-    """The branches from the cycles (1, periods), and the events on all of them."""
+    """Branches, and the events on each of them."""
 
     branches: tuple[CycleBranch, ...]
-    events: Events
+    events: tuple[Events, ...]
+    skipped: tuple[Skipped, ...] = ()
 
 
 def follow_cycles(
     contact: Contact, omega: float, xi: float, periods: int, gamma_max: float, points: int
 ) -> Cycles:
-    """The branches up to `gamma_max`, at most `points` each way; runs on workers, which compile for it.
+    """The branches from the cycles (1, periods) up to `gamma_max`, at most `points` each way.
 
-    Raises KernelInputError.
+    Runs on workers, which compile for it. Raises KernelInputError.
     """
     plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
-    followed = branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max), points=points)
-    events = [event for line in followed for event in line.events]
+    return _cycles(branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max), points=points))
+
+
+def _cycles(lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: Any = ()) -> Cycles:
     return Cycles(
-        tuple(record(line.points, MICRO_FLIGHT) for line in followed), event_record(events, MICRO_FLIGHT)
+        tuple(record(line.points, micro_flight) for line in lines),
+        tuple(event_record(line.events, micro_flight) for line in lines),
+        tuple(skipped),
     )
+
+
+def follow_cells(
+    spec: SweepSpec, url: str, direction: int, xi: int, omega: int, gamma_max: float, complete: bool
+) -> Cycles:
+    """The branches of the cycles that the cells along gamma at these indices of the grid settled to.
+
+    Of flights that count, each cycle has all, the longest first. A cell whose cycle lies on an earlier branch
+    is not followed again; the shortest cycles are followed first. Raises a `store.StoreError`.
+    """
+    lines: list[Followed] = []
+    skipped: list[Skipped] = []
+    cells = settled_cells(spec, url, (direction, xi, omega), complete)
+    for settled in sorted(cells, key=lambda settled: settled.periods):
+        if settled.cell.gamma > gamma_max:
+            continue
+        if settled.periods > MAX_PERIODS:
+            skipped.append(settled.skipped(f"cycles of up to {MAX_PERIODS} plate periods are followed"))
+            continue
+        seed = settled.cycle(spec)
+        if seed is None:
+            skipped.append(settled.skipped("no cycle was found beside its state"))
+        elif any(_lies_on(seed, line) for line in lines):
+            continue
+        elif len(lines) == MAX_BRANCHES:
+            skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
+        else:
+            lines.append(_branch(seed, gamma_max))
+    found = _cycles(lines, spec.micro_flight, skipped)
+    flights = [_longest_first(line.points, spec.micro_flight) for line in lines]
+    return found._replace(
+        branches=tuple(x._replace(flight_time=t) for x, t in zip(found.branches, flights, strict=True))
+    )
+
+
+class Settled(NamedTuple):
+    """A periodic cell of a sweep."""
+
+    cell: Cell
+    bounces: int
+    periods: int
+    state: Floats | None  # (6,) at its end; None: it began at rest, and nothing of it is stored
+
+    def cycle(self, spec: SweepSpec) -> Point | None:
+        """Its cycle, or None if none is near its state; a cell from rest is computed again."""
+        gamma, omega, xi = (np.full(1, value) for value in self.cell)
+        state = run_cells(spec, gamma, omega, xi, None).end_state[0] if self.state is None else self.state
+        return cycle_from(plate_of(spec.model, gamma, omega, xi), self.cell, self.periods, state)
+
+    def skipped(self, reason: str) -> Skipped:
+        return Skipped(float(self.cell.gamma), self.bounces, self.periods, reason)
+
+
+def settled_cells(spec: SweepSpec, url: str, line: tuple[int, int, int], complete: bool) -> list[Settled]:
+    """The periodic cells along gamma at indices (direction, xi, omega). Raises a `store.StoreError`."""
+    names = ["flights", "bounces", "periods", "outcome", *(["end_state"] if spec.ramp_axis else [])]
+    direction, xi, omega = line
+    arrays = store.read_slice(url, names, direction=direction, xi=xi, omega=omega, complete=complete)
+    spring = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
+    gamma = spec.axis_values("gamma").tolist()
+    # a cell that is filled in from another has no flights
+    return [
+        Settled(
+            Cell(gamma[i], *spring), int(arrays["bounces"][i]), int(arrays["periods"][i]),
+            arrays["end_state"][i] if spec.ramp_axis else None,
+        )
+        for i in np.flatnonzero((arrays["outcome"] == Outcome.PERIODIC) & (arrays["flights"] > 0))
+    ]  # fmt: skip
+
+
+def lowest_cells(
+    spec: SweepSpec, url: str, line: tuple[int, int, int], complete: bool
+) -> tuple[list[Settled], float]:
+    """The periodic cells of lowest Gamma, up to LOWEST, and the lowest Gamma that bounces.
+
+    Of a line at indices (direction, xi, omega); Gamma is infinite if no cell bounces. Raises a
+    `store.StoreError`.
+    """
+    direction, xi, omega = line
+    outcome = store.read_slice(url, ["outcome"], direction=direction, xi=xi, omega=omega, complete=complete)
+    bouncing = spec.axis_values("gamma")[np.isin(outcome["outcome"], BOUNCING)]
+    cells = settled_cells(spec, url, line, complete)[:LOWEST]
+    return cells, float(bouncing.min()) if len(bouncing) else math.inf
+
+
+def _branch(seed: Point, gamma_max: float) -> Followed:
+    """The whole branch through a cycle, each way up to where it becomes a shorter one gone through twice."""
+    span = RANGE[0], gamma_max
+    up, after = _up_to_shorter(*follow(seed, 1.0, points=POINTS, span=span))
+    if len(up) > 1 and up[-1] is up[0]:
+        return Followed(up, after)
+    down, before = _up_to_shorter(*follow(seed, -1.0, points=POINTS, span=span))
+    return Followed([*down[:0:-1], *up], [*before[::-1], *after])
+
+
+def _up_to_shorter(points: list[Point], events: list[Event]) -> tuple[list[Point], list[Event]]:
+    """What comes before the flip at which a doubled branch began: beyond, its halves change places."""
+    for k, event in enumerate(events):
+        if event.turns and _is_doubled(event.point):
+            turns = (i for i, (a, b) in enumerate(pairwise(points)) if a.rising * b.rising < 0.0)
+            start = event.point.x[:START]
+            last = next((i for i in turns if np.abs(points[i].x[:START] - start).max() < _STEP), len(points))
+            return points[: last + 1], events[:k]
+    return points, events
+
+
+def _is_doubled(point: Point) -> bool:
+    """Whether a cycle is one of half its plate periods, gone through twice."""
+    flights = [time for time in _flights(point) if time > _HOP]
+    half, odd = divmod(len(flights), 2)
+    halves = zip(flights[:half], flights[half:], strict=False)
+    return not odd and point.cycles.periods % 2 == 0 and all(abs(a - b) < _EVEN for a, b in halves)
+
+
+def _lies_on(point: Point, line: Followed) -> bool:
+    """Whether a branch passes through a cycle, wherever that begins."""
+    if line.points[0].cycles.periods != point.cycles.periods:
+        return False
+    away = np.array([other.parameter for other in line.points]) - point.parameter
+    for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
+        a, b = line.points[i : i + 2]
+        part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
+        near = [(a, a.x + part * (b.x - a.x))] if len(a.x) == len(b.x) else [(a, a.x), (b, b.x)]
+        others = (guess.cycles.at(x, point.parameter) for guess, x in near)
+        if any(other is not None and _alike(other, point) for other in others):
+            return True
+    return False
+
+
+def _alike(a: Point, b: Point) -> bool:
+    """Whether the flights of two cycles are the same, but for the shortest of more hops."""
+    pairs = zip(*(sorted(_flights(point), reverse=True) for point in (a, b)), strict=False)
+    return all(abs(x - y) < _SAME for x, y in pairs)
+
+
+def _flights(point: Point) -> list[float]:
+    """Of a cycle, rad, in order."""
+    return [t for t, x in zip(point.times.tolist(), point.letters, strict=True) if x in FLIGHTS]
+
+
+def _longest_first(points: list[Point], micro_flight: float) -> Floats:
+    """(n, flights) of each cycle those that count, at least one, rad; NaN beyond."""
+    flights = [sorted(_flights(point), reverse=True) for point in points]
+    times = [[t for t in each if t > micro_flight] or each[:1] for each in flights]
+    table = np.full((len(points), max(map(len, times))), np.nan)
+    for row, each in zip(table, times, strict=True):
+        row[: len(each)] = each
+    return table
+
+
+class End(NamedTuple):
+    """Where a stable cycle ends on the way down."""
+
+    gamma: float
+    cause: str  # "fold (1,1)" and the like, "Eq. 25" where its flights vanish; empty where it is not known
+    reason: str = ""  # why it is not known
+
+
+def end_below(point: Point, micro_flight: float = MICRO_FLIGHT) -> End:
+    """Where a stable cycle ends on the way down."""
+    _, events = follow(point, -1.0, points=POINTS, span=(0.0, (1.0 + _RISES) * point.parameter))
+    last = next((event for event in events if event.turns or event.kind in _LAST), None)
+    name = _mode(point if last is None else last.point, micro_flight)
+    if last is None:
+        return End(point.parameter, "", f"{name} was followed from Gamma = {point.parameter:.6f} to no end")
+    gamma = last.point.parameter
+    if last.kind is Kind.FOLD and not _is_doubled(last.point):
+        return End(gamma, f"fold {name}")
+    if last.kind is EndOfBranch.REST:
+        return End(gamma, EQ_25)
+    return End(gamma, "", f"{name} ends at a {last.kind} at Gamma = {gamma:.6f}")
+
+
+def ends_on(branch: Followed, below: float) -> list[End]:
+    """Where the stable cycles on a branch end on the way down, of those with Gamma below a value.
+
+    Also the folds at which the branch turns back with no stable cycle on either side: a torus may live there.
+    """
+    stable = [bool(np.abs(point.multipliers()[0]) < 1.0) for point in branch.points]
+    ends = []
+    for holds, run in groupby(zip(stable, branch.points, strict=True), key=itemgetter(0)):
+        lowest = min((point for _, point in run), key=lambda point: point.parameter)
+        if holds and lowest.parameter < below:
+            ends.append(end_below(lowest))
+    for event in branch.events:
+        gamma = event.point.parameter
+        if event.kind is Kind.FOLD and gamma < below and _is_unstable_minimum(event.point):
+            name = f"the fold of {_mode(event.point, MICRO_FLIGHT)} at Gamma = {gamma:.6f}"
+            ends.append(End(gamma, "", f"{name} is unstable on both sides: a torus may live near it"))
+    return ends
+
+
+def _is_unstable_minimum(fold: Point) -> bool:
+    """Whether Gamma rises on both sides of a fold, with a multiplier outside the unit circle."""
+    mu = fold.multipliers()
+    others = np.delete(mu, np.argmin(np.abs(mu - 1.0)))
+    sides = [ahead(fold, step) for step in (-_ASIDE, _ASIDE)]
+    return bool(np.abs(others[0]) > 1.0) and all(
+        side is not None and side.parameter > fold.parameter for side in sides
+    )
+
+
+def jump_of(branch: Followed) -> float:
+    """Gamma of the fold at which the stable cycles that begin at rest end on the way up; NaN if elsewhere."""
+    kinds = [event.kind for event in branch.events]
+    if EndOfBranch.REST not in kinds:
+        return math.nan
+    events = branch.events if kinds[0] is EndOfBranch.REST else branch.events[::-1]
+    after = next((event for event in events[1:] if event.turns or event.kind in _LAST), None)
+    return after.point.parameter if after is not None and after.kind is Kind.FOLD else math.nan
+
+
+def _mode(point: Point, micro_flight: float) -> str:
+    bounces = sum(time > micro_flight for time in _flights(point))
+    return f"({max(bounces, 1)},{point.cycles.periods})"
