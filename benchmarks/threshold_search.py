@@ -40,8 +40,7 @@ class Found(NamedTuple):
     gamma: float
     bounces: int  # of its mode; 0: aperiodic
     periods: int
-    takeoff_phase: np.ndarray  # (bounces,) rad, of one round
-    flight_time: np.ndarray  # (bounces,) rad
+    state: np.ndarray  # (6,) as STATE_FIELDS, settled
 
 
 def starts(rng: np.random.Generator, gamma: float, omega: float, count: int) -> np.ndarray:
@@ -85,12 +84,7 @@ def search(
     if not len(left):
         return None
     i = int(left[np.argmin(gamma[kept][left])])
-    bounces, stored = int(line.bounces[i]), min(int(line.flights[i]), line.flight_time.shape[1])
-    round_ = slice(stored - bounces, stored)
-    return Found(
-        float(gamma[kept][i]), bounces, int(line.periods[i]), line.takeoff_phase[i, round_],
-        line.flight_time[i, round_],
-    )  # fmt: skip
+    return Found(float(gamma[kept][i]), int(line.bounces[i]), int(line.periods[i]), line.end_state[i])
 
 
 def springs(

@@ -123,6 +123,11 @@ class Point(NamedTuple):
         found = np.linalg.eigvals(whole).astype(np.complex128)
         return np.asarray(found[np.argsort(-np.abs(found))])
 
+    @property
+    def stable(self) -> bool:
+        """Whether all multipliers lie inside the unit circle."""
+        return bool(np.abs(self.multipliers()[0]) < 1.0)
+
     def tests(self) -> Floats:
         """What changes sign at a fold, a flip and a Neimark-Sacker point."""
         mu = self.multipliers()

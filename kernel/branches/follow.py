@@ -77,19 +77,25 @@ class _Stretch(NamedTuple):
     step: float = 0.0
 
 
-def follow(
-    point: Point, way: float, *, points: int = POINTS, span: tuple[float, float] = RANGE
-) -> tuple[list[Point], list[Event]]:
-    """The branch from a cycle on, the parameter first rising (way > 0) or falling, and its events in order.
+def _never(_: Point) -> bool:
+    return False
 
-    Ends where the parameter leaves `span`, at rest, where a stick vanishes, where it does not get on, at the
-    first cycle if it comes back to it, or after so many points.
+
+def follow(
+    point: Point, way: float, *, points: int = POINTS, span: tuple[float, float] = RANGE,
+    until: Callable[[Point], bool] = _never,
+) -> tuple[list[Point], list[Event]]:  # fmt: skip
+    """The branch from a cycle on, and its events in order.
+
+    way: of the parameter, first rising (> 0), falling, or as the cycle's tangent says (0). Ends where the
+    parameter leaves `span`, with the first cycle that is `until`, at rest, where a stick vanishes, where it
+    does not get on, at the first cycle if it comes back to it, or after so many points.
     """
-    origin = point = point if point.rising * way > 0.0 else point._replace(tangent=-point.tangent)
+    origin = point = point if point.rising * way >= 0.0 else point._replace(tangent=-point.tangent)
     line: list[Point] = []
     events: list[Event] = []
     for _ in range(SIGNATURES):
-        stretch = _walk(point, points - len(line), span, origin)
+        stretch = _walk(point, points - len(line), span, origin, until)
         line += stretch.points
         events += _events_along(stretch.points)
         last = line[-1]
@@ -112,14 +118,16 @@ def follow(
     return line, events
 
 
-def _walk(first: Point, points: int, span: tuple[float, float], origin: Point) -> _Stretch:
+def _walk(
+    first: Point, points: int, span: tuple[float, float], origin: Point, until: Callable[[Point], bool]
+) -> _Stretch:
     """Cycles from `first` on, towards its tangent, for as long as their signature is the spring's.
 
     origin: the first of the branch, with which a closed one ends.
     """
     line, step, bend = [first], _FIRST, np.zeros(len(first.x))
     smallest = _SMALLEST_SOFT if "C" in first.letters else _SMALLEST
-    while len(line) < points and span[0] <= line[-1].parameter <= span[1]:
+    while len(line) < points and span[0] <= line[-1].parameter <= span[1] and not until(line[-1]):
         last = line[-1]
         if _shortest_stick(last) < _LAST_STICK:
             break

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from flint import arb
 
-from kernel.branches.descent import Fold
-from kernel.branches.words import Word
+from kernel.branches.folds import Cycle, Fold
 from kernel.proofs.balls import NotProvenError
 from kernel.proofs.branches import ProvenBranch
 from kernel.proofs.cycles import Guess, Law, jacobian, prove_cycle
@@ -28,7 +27,7 @@ class ProvenThreshold(NamedTuple):
 
 def prove_down(omega: float | str, xi: float | str, fold: Fold) -> ProvenThreshold:
     """That a stable cycle exists just above a fold, on the ideal plate. Raises `NotProvenError`."""
-    if fold.cycle.letters == "s":
+    if fold.cycle.letters == "Ss":
         down = ProvenBranch(omega, xi, fold.periods).down(fold.flight_time)
         says = (
             f"for every Gamma from down_at_most to {float(down.below.lower()):.9g} a stable cycle "
@@ -36,7 +35,7 @@ def prove_down(omega: float | str, xi: float | str, fold: Fold) -> ProvenThresho
         )
         return ProvenThreshold(down.above, down.fold.flight_time, says)
     gamma = fold.gamma + _ABOVE
-    guess, law = guess_of_word(fold.cycle), Law()
+    guess, law = guess_of_cycle(fold.cycle), Law()
     across = np.linalg.svd(jacobian(law, fold.gamma, omega, xi, guess))[2][-1]
     why = NotProvenError("nothing was tried")
     for step in _STEPS:
@@ -44,20 +43,17 @@ def prove_down(omega: float | str, xi: float | str, fold: Fold) -> ProvenThresho
             try:
                 beside = _moved(guess, side * step * math.sqrt(_ABOVE) * across)
                 cycle = prove_cycle(law, gamma, omega, xi, beside)
-                says = f"at Gamma = down_at_most a stable cycle of the word {fold.cycle.letters} exists"
+                says = f"at Gamma = down_at_most a stable cycle of the word {fold.cycle.word} exists"
                 return ProvenThreshold(arb(gamma), cycle.flight_times[0], says)
             except NotProvenError as failed:
                 why = failed
     raise why
 
 
-def guess_of_word(word: Word) -> Guess:
-    """A cycle of `kernel.branches.words`."""
-    letters = "".join(
-        ("S" if word.letters[n - 1] == "s" else "") + letter for n, letter in enumerate(word.letters)
-    )
-    q, q1, c, s, *durations = word.unknowns.tolist()
-    return Guess(letters, word.periods, 0.0, q, q1, math.atan2(s, c), durations[: len(letters)])
+def guess_of_cycle(cycle: Cycle) -> Guess:
+    """A cycle of `kernel.branches`."""
+    gap1, q, q1, c, s, *durations = cycle.unknowns.tolist()
+    return Guess(cycle.letters, cycle.periods, gap1, q, q1, math.atan2(s, c), durations)
 
 
 def _moved(guess: Guess, by: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Guess:

@@ -9,7 +9,7 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import Field
 
-from kernel.branches.descent import Fold, lifetime
+from kernel.branches.folds import Fold, lifetime
 from kernel.branches.thresholds import EQ_25, Thresholds
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
@@ -20,7 +20,14 @@ from service.views.selection import MAX_READ, ROUNDING, Stored, check_kernel, ne
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker.analysis.bisection import TYPICAL_CELLS, Refined, Status, by_bisection, endless_rest, on_grid
-from worker.analysis.prediction import is_ideal, predict, predict_each, predict_from_cells, prediction_seconds
+from worker.analysis.prediction import (
+    decides,
+    is_ideal,
+    predict,
+    predict_each,
+    predict_from_cells,
+    prediction_seconds,
+)
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
@@ -76,7 +83,8 @@ def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xa
     }  # fmt: skip
     if thresholds.fold is not None:
         data |= {"lifetime": lifetime(thresholds.fold, query.delta), "delta": query.delta}
-        data |= {name: values[0] for name, values in thresholds.fold.energy._asdict().items()}
+        if thresholds.fold.energy is not None:
+            data |= {name: values[0] for name, values in thresholds.fold.energy._asdict().items()}
     if query.prove:
         data |= proofs.of_threshold(query.omega, query.xi, thresholds.fold)
     rows = [row for row in _OF_SPRING if query.prove or row not in proofs.OF_THRESHOLD]
@@ -88,8 +96,8 @@ def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xa
 
 
 def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
-    """The prediction, if it takes long."""
-    if prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS:
+    """The prediction, if it takes long or follows cycles."""
+    if prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS and decides(query.omega, query.xi):
         return ()
     return [(predict, query.omega, query.xi)]
 
@@ -234,7 +242,8 @@ def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
             raise InvalidRequest.of("tolerance", rule)
     brief = bool(_left_out(spec, xi, query.predict)) or (
         query.predict == "some" and omegas <= MAX_BRIEF and _seconds(spec, xi, 0.0)[-1] <= BRIEF_SECONDS
-    )
+        and all(decides(value, xi) for value in spec.axis_values("omega").tolist())
+    )  # fmt: skip
     return Estimate(
         {"omega": omegas}, reads=("omega", "gamma"), small=brief and query.tolerance is None,
         memory=omegas * _PER_OMEGA + min(omegas * gammas, MAX_READ),
@@ -319,8 +328,9 @@ def _refined(data: dict[str, NDArray[Any]], refined: Sequence[Refined]) -> dict[
 
 def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
     """Why nothing is predicted; empty if every omega is. Raises InvalidRequest as `estimate`."""
-    if predict == "cells":
-        orbits.contact_of(spec)
+    if predict == "cells" and not is_ideal(spec.model):
+        rule = f"cells are of a rigid contact with restitution 0; the sweep's is {spec.model.kind}"
+        raise InvalidRequest.of("predict", rule)
     if predict == "none":
         return "not predicted"
     omegas = len(spec.axis_values("omega"))

@@ -1,8 +1,7 @@
 """Branches of a spring's cycles on the contact of a specification: of a spring, and of a sweep's cells."""
 
 import math
-from itertools import groupby, pairwise
-from operator import itemgetter
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -10,11 +9,9 @@ from numpy.typing import NDArray
 
 from kernel.branches.any_contact import CycleBranch, Followed, branches, event_record, record
 from kernel.branches.cycles import FLIGHTS, Point, cycle_from
-from kernel.branches.events import Events, Kind
-from kernel.branches.follow import RANGE, Event, ahead, follow
-from kernel.branches.follow import End as EndOfBranch
+from kernel.branches.events import Events
+from kernel.branches.follow import RANGE, Event, follow
 from kernel.branches.segments import START
-from kernel.branches.thresholds import EQ_25
 from kernel.params import Cell, Outcome
 from worker import store
 from worker.analysis.bisection import BOUNCING
@@ -46,13 +43,6 @@ _EVEN: Final = 1e-3
 _HOP: Final = 1e-2
 #: No point of a branch is further from the next.
 _STEP: Final = 0.2
-
-#: Step along a branch beside a fold.
-_ASIDE: Final = 1e-3
-
-#: A cycle's branch may rise by this part of Gamma before it falls, and events at which a stable one ends.
-_RISES: Final = 1e-4
-_LAST: Final = (Kind.FLIP, Kind.NEIMARK_SACKER, *EndOfBranch)
 
 
 class Skipped(NamedTuple):
@@ -237,70 +227,3 @@ def _longest_first(points: list[Point], micro_flight: float) -> Floats:
     for row, each in zip(table, times, strict=True):
         row[: len(each)] = each
     return table
-
-
-class End(NamedTuple):
-    """Where a stable cycle ends on the way down."""
-
-    gamma: float
-    cause: str  # "fold (1,1)" and the like, "Eq. 25" where its flights vanish; empty where it is not known
-    reason: str = ""  # why it is not known
-
-
-def end_below(point: Point, micro_flight: float = MICRO_FLIGHT) -> End:
-    """Where a stable cycle ends on the way down."""
-    _, events = follow(point, -1.0, points=POINTS, span=(0.0, (1.0 + _RISES) * point.parameter))
-    last = next((event for event in events if event.turns or event.kind in _LAST), None)
-    name = _mode(point if last is None else last.point, micro_flight)
-    if last is None:
-        return End(point.parameter, "", f"{name} was followed from Gamma = {point.parameter:.6f} to no end")
-    gamma = last.point.parameter
-    if last.kind is Kind.FOLD and not _is_doubled(last.point):
-        return End(gamma, f"fold {name}")
-    if last.kind is EndOfBranch.REST:
-        return End(gamma, EQ_25)
-    return End(gamma, "", f"{name} ends at a {last.kind} at Gamma = {gamma:.6f}")
-
-
-def ends_on(branch: Followed, below: float) -> list[End]:
-    """Where the stable cycles on a branch end on the way down, of those with Gamma below a value.
-
-    Also the folds at which the branch turns back with no stable cycle on either side: a torus may live there.
-    """
-    stable = [bool(np.abs(point.multipliers()[0]) < 1.0) for point in branch.points]
-    ends = []
-    for holds, run in groupby(zip(stable, branch.points, strict=True), key=itemgetter(0)):
-        lowest = min((point for _, point in run), key=lambda point: point.parameter)
-        if holds and lowest.parameter < below:
-            ends.append(end_below(lowest))
-    for event in branch.events:
-        gamma = event.point.parameter
-        if event.kind is Kind.FOLD and gamma < below and _is_unstable_minimum(event.point):
-            name = f"the fold of {_mode(event.point, MICRO_FLIGHT)} at Gamma = {gamma:.6f}"
-            ends.append(End(gamma, "", f"{name} is unstable on both sides: a torus may live near it"))
-    return ends
-
-
-def _is_unstable_minimum(fold: Point) -> bool:
-    """Whether Gamma rises on both sides of a fold, with a multiplier outside the unit circle."""
-    mu = fold.multipliers()
-    others = np.delete(mu, np.argmin(np.abs(mu - 1.0)))
-    sides = [ahead(fold, step) for step in (-_ASIDE, _ASIDE)]
-    return bool(np.abs(others[0]) > 1.0) and all(
-        side is not None and side.parameter > fold.parameter for side in sides
-    )
-
-
-def jump_of(branch: Followed) -> float:
-    """Gamma of the fold at which the stable cycles that begin at rest end on the way up; NaN if elsewhere."""
-    kinds = [event.kind for event in branch.events]
-    if EndOfBranch.REST not in kinds:
-        return math.nan
-    events = branch.events if kinds[0] is EndOfBranch.REST else branch.events[::-1]
-    after = next((event for event in events[1:] if event.turns or event.kind in _LAST), None)
-    return after.point.parameter if after is not None and after.kind is Kind.FOLD else math.nan
-
-
-def _mode(point: Point, micro_flight: float) -> str:
-    bounces = sum(time > micro_flight for time in _flights(point))
-    return f"({max(bounces, 1)},{point.cycles.periods})"
