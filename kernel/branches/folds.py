@@ -11,6 +11,9 @@ from kernel.branches.events import Events, Kind
 from kernel.branches.roots import Floats
 from kernel.branches.spring import Spring
 
+#: Flights of cycles with rebound count for their names if they are longer, rad.
+MICRO_FLIGHT: Final = 0.05
+
 #: Step of derivatives at a fold, relative to T. Its square is their relative error.
 _DIFFERENCE: Final = 1e-4
 
@@ -24,15 +27,16 @@ class Cycle(NamedTuple):
 
     @property
     def word(self) -> str:
-        """The letters of its flights: as cycles of an ideal plate without restitution are named."""
-        return self.letters.replace("S", "")
+        """The letters of its flights, on an ideal plate without restitution; empty for other contacts."""
+        return self.letters.replace("S", "") if set(self.letters) <= set("Ssz") else ""
 
     @property
     def name(self) -> str:
         """As sentences about it spell it."""
-        if self.letters == "Ss":
-            return f"(1,{self.periods})"
-        return f"{self.word} ({len(self.word)},{self.periods})"
+        times = self.unknowns[-len(self.letters) :]
+        flights = [t for t, letter in zip(times, self.letters, strict=True) if letter not in "SC"]
+        bounces = len(self.word) or max(sum(t > MICRO_FLIGHT for t in flights), 1)
+        return f"{self.word if bounces > 1 else ''} ({bounces},{self.periods})".strip()
 
 
 class Fold(NamedTuple):
@@ -60,7 +64,7 @@ class Fold(NamedTuple):
     @property
     def name(self) -> str:
         """As `cause` spells it."""
-        return f"fold {'' if self.cycle.letters == 'Ss' else 'of word '}{self.cycle.name}"
+        return f"fold {'of word ' if len(self.cycle.word) > 1 else ''}{self.cycle.name}"
 
 
 def lifetime(fold: Fold, below: float) -> float:

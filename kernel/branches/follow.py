@@ -20,7 +20,7 @@ from kernel.branches.roots import Floats
 from kernel.branches.segments import START
 
 #: Steps along a branch: the first, the largest, the smallest; the tangent turns by at most this, rad.
-_FIRST, _LARGEST, _SMALLEST = 1e-3, 0.1, 1e-10
+_FIRST, LARGEST, _SMALLEST = 1e-3, 0.1, 1e-10
 _TURN: Final = 0.25
 #: Of a soft contact smaller steps hide a segment that is lost or born.
 _SMALLEST_SOFT: Final = 1e-8
@@ -153,7 +153,7 @@ def _walk(
         if len(point.x) == len(last.x):
             bend = (point.tangent - last.tangent) / step
             bend -= (bend @ point.tangent) * point.tangent
-        step = min(step * (1.5 if angle < 0.5 * _TURN else 1.0), _LARGEST)
+        step = min(step * (1.5 if angle < 0.5 * _TURN else 1.0), LARGEST)
     return _Stretch(line)
 
 

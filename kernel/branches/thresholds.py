@@ -30,6 +30,7 @@ from kernel.threshold import threshold
 
 if TYPE_CHECKING:
     from kernel.branches.cycles import Point
+    from kernel.branches.descent import Descent
 
 #: Branches (1,1) to (1,k) are looked at.
 PERIODS: Final = 6
@@ -64,7 +65,12 @@ def thresholds(
     omega: float, xi: float, cycles: Sequence["Point"] = (), bouncing: float = math.inf
 ) -> Thresholds:
     """The thresholds as of `conjecture`, `not searched` below SEARCHED_XI. Raises KernelInputError."""
-    answer = conjecture(omega, xi, cycles, bouncing)
+    return where_searched(conjecture(omega, xi, cycles, bouncing))
+
+
+def where_searched(answer: Thresholds) -> Thresholds:
+    """An answer, `not searched` below SEARCHED_XI."""
+    xi = answer.xi
     if xi >= SEARCHED_XI:
         return answer
     says = answer.reason or f"Gamma = {answer.down:.6f}"
@@ -86,8 +92,8 @@ def conjecture(
     a fold. Raises KernelInputError.
     """
     rule = closed_form(omega, xi)
-    gamma_th, jump, folds, undecided = rule.gamma_th, rule.jump, list(rule.folds), list(rule.undecided)
-    reasons: list[tuple[float, str]] = []
+    gamma_th, folds, undecided = rule.gamma_th, list(rule.folds), list(rule.undecided)
+    ends: list[Descent] = []
     if cycles or not rule.decides:
         from kernel.branches import descent  # noqa: PLC0415 - imports numba
 
@@ -98,25 +104,39 @@ def conjecture(
         ends = [descent.descend(known(cycle.within)) for cycle in last]
         for cycle, end in zip(last, ends, strict=True):
             undecided = [fold for fold in undecided if end.fold is None or not cycle.leads_to(fold)]
-        ends += [end for end in map(descent.descend, cycles) if end.gamma < gamma_th]
-        folds += [end.fold for end in ends if end.fold is not None]
-        reasons = [(end.gamma, end.reason) for end in ends if end.reason]
-    down = _lowest(folds, gamma_th)
-    reasons += [(fold.gamma, _why(fold)) for fold in undecided]
+        ends += map(descent.descend, cycles)
+    undecided_yet = Thresholds(omega, xi, gamma_th, rule.jump, math.nan, UNRESOLVED, "", None)
+    return lowest_end(undecided_yet, folds, undecided, ends, bouncing)
+
+
+def lowest_end(
+    answer: Thresholds, folds: Sequence[Fold], undecided: Sequence[Fold], ends: Sequence["Descent"],
+    bouncing: float = math.inf,
+) -> Thresholds:  # fmt: skip
+    """An answer with the lowest Gamma at which a cycle ends, unless something below it does not decide.
+
+    folds: at which stable cycles end. undecided: other minima. ends: of cycles that were followed. bouncing:
+    the lowest Gamma at which a simulation bounces.
+    """
+    folds = [*folds, *(end.fold for end in ends if end.fold is not None)]
+    down = _lowest(folds, answer.gamma_th)
+    reasons = [end.reason for end in ends if end.reason and end.gamma < down]
+    reasons += [_why(fold) for fold in undecided if fold.gamma < down]
     if bouncing < down:
-        reasons.append((bouncing, f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed"))
-    if below := [reason for gamma, reason in reasons if gamma < down]:
-        text = "; ".join(dict.fromkeys(below))
-        return Thresholds(omega, xi, gamma_th, jump, math.nan, UNRESOLVED, text, None)
-    if not folds:
-        return Thresholds(omega, xi, gamma_th, jump, gamma_th, EQ_25, "", None)
-    fold = min(folds, key=lambda fold: fold.gamma)
-    return Thresholds(omega, xi, gamma_th, jump, down, fold.name, "", fold)
+        reasons.append(f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed")
+    if reasons:
+        return answer._replace(reason="; ".join(dict.fromkeys(reasons)))
+    fold = min((fold for fold in folds if fold.gamma < answer.gamma_th), key=_gamma, default=None)
+    return answer._replace(down=down, cause=EQ_25 if fold is None else fold.name, fold=fold)
+
+
+def _gamma(fold: Fold) -> float:
+    return fold.gamma
 
 
 def _lowest(folds: Sequence[Fold], below: float) -> float:
     """The Gamma of the lowest; `below` if there is none."""
-    return min((fold.gamma for fold in folds), default=below)
+    return min((below, *(fold.gamma for fold in folds)))
 
 
 class ClosedForm(NamedTuple):
@@ -171,7 +191,7 @@ def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> 
 
 def _why(fold: Fold) -> str:
     """Why a fold below the answer does not decide."""
-    name = f"the fold of (1,{fold.periods}) at Gamma = {fold.gamma:.6f}"
+    name = f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.6f}"
     if fold.admissible:
         return f"{name} is not admissible: the branch goes on as another word"
     return f"{name} is unstable on both sides: a torus may live near it"
