@@ -92,7 +92,7 @@ class ResultMethods(Methods):
         self,
         xi: float | None = None,
         tolerance: Annotated[float | None, "in Γ: refine the thresholds beyond the grid, from the sweep's stored states"] = None,
-        predict: Annotated[Literal["none", "some", "all", "words"], "thresholds in closed form: of no Ω, of up to 200, of all by the workers, or of all with words continued from the sweep's cells where it is unresolved"] = "some",
+        predict: Annotated[Literal["none", "some", "all", "cells"], "thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from cycles of the sweep's cells, on an ideal plate where the closed form is unresolved"] = "some",
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -127,26 +127,25 @@ class ResultMethods(Methods):
         xi: float | None = None,
         direction: Annotated[str | None, "rest, up or down; default: the first direction of the sweep"] = None,
         gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
-        energy: Annotated[bool, "the energy balance of every point as well"] = False,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
-        """Branches of the cycles that cells along Γ settled to.
+        """Branches of the cycles that cells along Γ settled to, on their own contact.
 
-        Stable and unstable ones, with their events, of the rigid contact without restitution: cells of another
-        contact are a guess from which its cycles are looked for. A worker follows a branch in some tenths of a
-        second. `skipped` are the periodic cells from which no branch was followed.
+        Stable and unstable ones, with their events. Workers follow them, some seconds at most once compiled;
+        `flight_time` has all flights of a cycle that count, the longest first. `skipped` are the periodic cells
+        from which no branch was followed.
 
-        Returns a Dataset with the attribute `complete` and the variables `gamma`, `multipliers`, `stable`,
-        `admissible`, `flight_time` (rad), `takeoff_phase` (rad), `impact_velocity` (plate amplitudes per
-        rad), `plate_contact` (m A² ω²), `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²),
-        `force` (m A ω), `impulse` (m A ω), `weight` (m A ω), `branch_bounces`, `branch_periods`, `points`,
-        `word`, `event_kind`, `event_gamma`, `event_omega`, `event_xi`, `event_bounces`, `event_periods`,
-        `event_flight_time` (rad), `event_admissible`, `event_multipliers`, `event_branch`, `skipped_gamma`,
-        `skipped_bounces`, `skipped_periods`, `skipped_reason`. Waits up to `timeout` seconds for the workers,
-        and shows `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
+        Returns a Dataset with the attribute `complete` and the variables `gamma`, `takeoff_phase` (rad),
+        `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per rad), `impact_velocity`
+        (plate amplitudes per rad), `multipliers`, `stable`, `admissible`, `flights`, `flight_time` (rad),
+        `branch_bounces`, `branch_periods`, `points`, `event_kind`, `event_gamma`, `event_omega`, `event_xi`,
+        `event_bounces`, `event_periods`, `event_flight_time` (rad), `event_admissible`, `event_multipliers`,
+        `event_branch`, `skipped_gamma`, `skipped_bounces`, `skipped_periods`, `skipped_reason`. Waits up to
+        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
+        TooLarge naming what fits.
         """
-        return self.result("orbits", omega=omega, xi=xi, direction=direction, gamma_max=gamma_max, energy=energy, timeout=timeout, progress=progress)
+        return self.result("orbits", omega=omega, xi=xi, direction=direction, gamma_max=gamma_max, timeout=timeout, progress=progress)
 
     def basins(
         self,

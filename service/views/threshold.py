@@ -10,18 +10,24 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.branches.folds import Fold, lifetime
-from kernel.branches.thresholds import Thresholds
+from kernel.branches.thresholds import EQ_25, Thresholds
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
 from service.pictures import draw_thresholds
-from service.views import proofs
+from service.views import orbits, proofs
 from service.views.selection import MAX_READ, ROUNDING, Stored, check_kernel, nearest_index, read_direction
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker.analysis.bisection import TYPICAL_CELLS, Refined, Status, by_bisection, endless_rest, on_grid
-from worker.analysis.prediction import decides, predict, predict_each, predict_from_cells, prediction_seconds
-from worker.spec.contact_models import Rigid
+from worker.analysis.prediction import (
+    decides,
+    is_ideal,
+    predict,
+    predict_each,
+    predict_from_cells,
+    prediction_seconds,
+)
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
@@ -114,8 +120,8 @@ BLOCK: Final = 16
 #: Values of omega predicted unless all are asked for.
 MAX_PREDICTED: Final = 200
 
-#: Core-seconds that following the words of one omega takes, typically, of three cells.
-WORDS_SECONDS: Final = 0.48
+#: Core-seconds that following the cycles of one omega takes, typically, of three cells.
+CELLS_SECONDS: Final = 0.48
 
 #: Values of omega, and core-seconds, of predictions that are computed with a small read.
 MAX_BRIEF: Final = 4
@@ -154,8 +160,8 @@ class ThresholdQuery(Query):
     )
     predict: Predict = Field(
         "some",
-        description="thresholds in closed form: of no Ω, of up to 200, of all by the workers, or of all with "
-        "words continued from the sweep's cells where it is unresolved",
+        description="thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from "
+        "cycles of the sweep's cells, on an ideal plate where the closed form is unresolved",
     )
 
 
@@ -200,10 +206,11 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     analytic = threshold(omega, xi)
     data["analytic"] = np.where(np.isfinite(analytic), analytic, np.nan)
     contact = f"{CONTACT}: the contact of the sweep"
-    if not _is_ideal(spec):
+    if not is_ideal(spec.model):
         contact = f"{CONTACT}: not the contact of the sweep, which is {spec.model.kind}"
-    if query.predict == "words" and study.chunks_done:
-        contact += "; words continued from its cells: others may reach lower"
+    if query.predict == "cells" and study.chunks_done:
+        own = orbits.name_of(orbits.contact_of(spec))
+        contact = f"{own}: cycles continued from the sweep's cells; others may reach lower"
     attrs: dict[str, Any] = {"prediction": contact, "model": spec.model.kind, "complete": complete}
     if query.tolerance is not None:
         attrs["tolerance"] = query.tolerance
@@ -217,8 +224,8 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
 def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
     """Every omega, the outcomes of the plane, and what is computed.
 
-    Raises InvalidRequest for a sweep ramped along another axis than gamma, for words of another contact than
-    the closed form's, and for more computing than one answer may take.
+    Raises InvalidRequest for a sweep ramped along another axis than gamma, for cycles of a contact without
+    any, and for more computing than one answer may take.
     """
     if spec.ramp_axis not in (None, "gamma"):
         rule = f"is {spec.ramp_axis}; thresholds in gamma need a sweep from rest or ramped along gamma"
@@ -251,20 +258,20 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
     spec, nearest = study.spec, nearest_index(study.spec, "xi", query.xi)
     omega = spec.axis_values("omega").tolist()
     calls: list[Call] = []
-    if query.tolerance is not None:
+    if query.tolerance is not None or query.predict == "cells":
         check_kernel(study.kernel_version)
     if query.tolerance is not None and study.chunks_done:
         blocks = (tuple(range(low, min(low + BLOCK, len(omega)))) for low in range(0, len(omega), BLOCK))
         calls += [(by_bisection, spec, study.url, nearest.index, block, query.tolerance) for block in blocks]
     if _left_out(spec, nearest.value, query.predict):
         return calls
-    words = query.predict == "words" and study.chunks_done > 0  # before the first chunk there are none
-    seconds = _seconds(spec, nearest.value, WORDS_SECONDS if words else 0.0)
+    cells = query.predict == "cells" and study.chunks_done > 0  # before the first chunk there are none
+    seconds = _seconds(spec, nearest.value, CELLS_SECONDS if cells else 0.0)
     if query.predict == "some" and seconds[-1] <= AT_ONCE_SECONDS:
         return calls
     call = (seconds // CALL_SECONDS).astype(int)
     for block in (tuple(np.flatnonzero(call == number).tolist()) for number in np.unique(call)):
-        if words:
+        if cells:
             calls.append((predict_from_cells, spec, study.url, nearest.index, block, study.complete))
         else:
             calls.append((predict_each, tuple(omega[i] for i in block), nearest.value))
@@ -321,15 +328,15 @@ def _refined(data: dict[str, NDArray[Any]], refined: Sequence[Refined]) -> dict[
 
 def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
     """Why nothing is predicted; empty if every omega is. Raises InvalidRequest as `estimate`."""
-    if predict == "words" and not _is_ideal(spec):
-        rule = f"words are of rigid cells with restitution 0; the sweep's contact is {spec.model.kind}"
+    if predict == "cells" and not is_ideal(spec.model):
+        rule = f"cells are of a rigid contact with restitution 0; the sweep's is {spec.model.kind}"
         raise InvalidRequest.of("predict", rule)
     if predict == "none":
         return "not predicted"
     omegas = len(spec.axis_values("omega"))
     if predict == "some" and omegas > MAX_PREDICTED:
         return f"not predicted: ask for all above {MAX_PREDICTED} values of omega"
-    seconds = _seconds(spec, xi, WORDS_SECONDS if predict == "words" else 0.0)
+    seconds = _seconds(spec, xi, CELLS_SECONDS if predict == "cells" else 0.0)
     if seconds[-1] <= MAX_PREDICTION_SECONDS:
         return ""
     rule = (
@@ -343,14 +350,9 @@ def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
 
 
 @lru_cache(64)  # one answer takes it several times
-def _seconds(spec: SweepSpec, xi: float, words: float) -> NDArray[np.float64]:
-    """Core-seconds of the predictions up to each omega, with `words` for the words of each."""
-    return np.cumsum([words + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
-
-
-def _is_ideal(spec: SweepSpec) -> bool:
-    """Whether a sweep's contact is that of the closed form."""
-    return isinstance(spec.model, Rigid) and spec.model.restitution == 0.0
+def _seconds(spec: SweepSpec, xi: float, cells: float) -> NDArray[np.float64]:
+    """Core-seconds of the predictions up to each omega, with `cells` for the cycles of each."""
+    return np.cumsum([cells + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
 
 
 def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction: Thresholds) -> str:
@@ -369,7 +371,7 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
         return ""
     if above < 0.0:
         return _below(prediction.fold, -above, sum(spec.window))
-    if prediction.fold is not None:
+    if prediction.cause != EQ_25:
         return (
             f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the "
             "spring; take smaller ones, or start on the cycle"

@@ -9,9 +9,10 @@ from kernel.branches.events import POINTS, flight_times
 from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
 from kernel.threshold import threshold
-from worker.analysis.words import lowest_words
+from worker.analysis.cycles import lowest_cells
 from worker.orbits.plan import SECONDS
 from worker.orbits.specification import MAX_GRID
+from worker.spec.contact_models import Contact, Rigid
 from worker.sweep import SweepSpec
 
 #: Core-seconds of one prediction, of one branch beside those of its grid, and of a branch that grazes along
@@ -73,13 +74,18 @@ def predict_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
     return [predict(value, xi) for value in omega]
 
 
+def is_ideal(contact: Contact) -> bool:
+    """Whether a contact is that of the closed form."""
+    return isinstance(contact, Rigid) and contact.restitution == 0.0
+
+
 def predict_from_cells(
     spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], complete: bool
 ) -> list[Thresholds]:
-    """`predict` at these indices, with words of the sweep's cells where it is unresolved; runs on workers.
+    """`predict` at these indices, with cycles of the sweep's cells where it is unresolved; runs on workers.
 
-    The words are those of the settled cells of lowest Gamma, on the way down if the sweep goes down. The end
-    of the lowest word is the answer, unless a cell bounces below it or a lower fold stays open. Raises a
+    The cells are those of lowest Gamma that settled, on the way down if the sweep goes down. The lowest end
+    of a cycle is the answer, unless a cell bounces below it or a lower fold stays open. Raises a
     `store.StoreError`.
     """
     direction = spec.directions.index("down") if "down" in spec.directions else 0
@@ -89,9 +95,10 @@ def predict_from_cells(
         at_omega = float(spec.axis_values("omega")[omega])
         answer = predict(at_omega, at_xi)
         if answer.cause == UNRESOLVED and math.isfinite(answer.gamma_th):
-            words, bouncing = lowest_words(spec, url, direction, xi, omega, complete)
-            if words:
-                answer = _thresholds(at_omega, at_xi, cycles=words, bouncing=bouncing)
+            settled, bouncing = lowest_cells(spec, url, (direction, xi, omega), complete)
+            cycles = [cycle for cell in settled if (cycle := cell.cycle(spec)) is not None]
+            if cycles:
+                answer = _thresholds(at_omega, at_xi, cycles=cycles, bouncing=bouncing)
         answers.append(answer)
     return answers
 
