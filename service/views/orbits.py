@@ -35,7 +35,7 @@ from worker.analysis.cycles import (
     CYCLE_SECONDS,
     MAX_BRANCHES,
     POINTS,
-    Cycles,
+    FollowedCycles,
     Skipped,
     follow_cells,
     follow_cycles,
@@ -310,7 +310,9 @@ def _grids(query: OrbitsQuery) -> tuple[tuple[float, float, int, int], ...]:
     return tuple((query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes))
 
 
-def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events] | Cycles) -> xarray.Dataset:
+def compute_orbits(
+    study: None, query: OrbitsQuery, *parts: tuple[Branch, Events] | FollowedCycles
+) -> xarray.Dataset:
     """Branches of cycles of one bounce, and their events.
 
     Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
@@ -325,8 +327,8 @@ def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events
     branches: list[Any] = []
     events: list[Events] = []
     for part in parts:
-        branches += part.branches if isinstance(part, Cycles) else part[:1]
-        events += part.events if isinstance(part, Cycles) else part[1:]
+        branches += part.branches if isinstance(part, FollowedCycles) else part[:1]
+        events += part.events if isinstance(part, FollowedCycles) else part[1:]
     pieces = [piece for branch in branches for piece in below(branch, query.gamma_max)]
     data = padded(_OF_POINT, pieces)
     if plate is not None:
@@ -387,7 +389,7 @@ SPRING: Final = View(
 #: Bytes of an answer.
 _MEMORY: Final = 16 * 2**20
 #: Of a line without a computed cell.
-_NONE: Final = Cycles((), ())
+_NONE: Final = FollowedCycles((), ())
 
 _OF_CELLS: Final = (*(name for name in _OF_POINT if name != "flight_time"), "flights")
 
@@ -439,7 +441,9 @@ def cell_parts(study: Stored[SweepSpec], query: CellsQuery) -> Sequence[Call]:
     return [(follow_cells, study.spec, study.url, *indices, query.gamma_max, study.complete)]
 
 
-def compute_cells(study: Stored[SweepSpec], query: CellsQuery, cycles: Cycles = _NONE) -> xarray.Dataset:
+def compute_cells(
+    study: Stored[SweepSpec], query: CellsQuery, cycles: FollowedCycles = _NONE
+) -> xarray.Dataset:
     """Branches of the cycles that cells along Γ settled to, on their own contact.
 
     Stable and unstable ones, with their events. Workers follow them, some seconds at most once compiled;

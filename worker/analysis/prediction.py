@@ -9,6 +9,7 @@ import numpy as np
 from kernel.branches.contact_thresholds import thresholds_of
 from kernel.branches.cycles import Point
 from kernel.branches.events import POINTS, flight_times
+from kernel.branches.folds import Fold, lifetime
 from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
 from kernel.threshold import threshold
@@ -102,9 +103,17 @@ def predict_from_cells(
             settled, bouncing = lowest_cells(spec, url, (direction, xi, omega), complete)
             cycles = [cycle for cell in settled if (cycle := cell.cycle(spec)) is not None]
             if cycles or not is_ideal(spec.model):
-                answer = of_contact(spec.model, at_omega, at_xi, cycles, bouncing)
+                answer = of_contact(spec.model, at_omega, at_xi, cycles)
+                below = answer.down - bouncing
+                if below > 0.0 and not _is_ghost(answer.fold, below, sum(spec.window)):
+                    answer = of_contact(spec.model, at_omega, at_xi, cycles, bouncing)
         answers.append(answer)
     return answers
+
+
+def _is_ghost(fold: Fold | None, below: float, window: int) -> bool:
+    """Whether bouncing lives on so far below a fold for longer than a window of plate periods."""
+    return fold is not None and lifetime(fold, below) > window
 
 
 def of_contact(

@@ -133,6 +133,21 @@ def test_contacts_without_cycles_are_refused(service: TestClient, query: dict[st
     assert rule in refused(service, "/v1/orbits", 422, **SPRING, **query)
 
 
+def test_curves_of_a_contact_pass_through_its_own_folds_and_flips(client: Client):
+    """At Omega = 0.6 and 0.66, those of issue 45."""
+    answer = client.curves(
+        xi=0.05, omega_start=0.57, omega_stop=0.66, modes="1-1", model="soft", progress=False
+    )
+    assert answer.curve_kind.values.tolist() == ["fold", "fold", "flip"]
+    middle, end = (int(np.argmin(np.abs(answer.omega.values[0] - value))) for value in (0.6, 0.66))
+    expected = [
+        [0.915986309968, 0.809085730714],
+        [0.553241345562, 0.596890103655],
+        [0.724382078263, 2.373172758743],
+    ]
+    assert answer.gamma.values[:, [middle, end]] == pytest.approx(np.array(expected), abs=1e-9)
+
+
 def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.MonkeyPatch):
     """By their estimate before they are computed, by their points while they are."""
     query = {"xi": 0.05, "omega_start": 0.1, "omega_stop": 0.12, "modes": "1-1,1-2"}
