@@ -262,7 +262,9 @@ def follow_curves(
         plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
         for line in branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max)):
             for event in line.events:
-                if event.kind in kinds and not any(_crosses(curve, event, along, value) for curve in curves):
+                if event.kind not in kinds or _is_doubled(event.point):
+                    continue
+                if not any(_crosses(curve, event, along, value) for curve in curves):
                     step = (span[1] - span[0]) / STEPS
                     down, up = (list(_along(event, along, way * step, span)) for way in (-1.0, 1.0))
                     curves.append([*down[::-1], event, *up])
