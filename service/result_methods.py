@@ -267,12 +267,17 @@ class SpringMethods(Methods):
         xi: float,
         delta: Annotated[float, "Γ below `down` with a lifetime"] = 1e-06,
         prove: Annotated[bool, "an upper bound of `down` with a proof"] = False,
+        model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
+        restitution: Annotated[float | None, "of the model"] = None,
+        penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
+        adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
         """Where one spring begins and ceases to bounce.
 
-        In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which bouncing
+        In closed form, of the rigid contact without restitution; with a `model`, by workers that follow the
+        contact's own cycles, a second at most once compiled. `down` is the lowest Γ at which bouncing
         persists, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
         `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
         is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
@@ -281,12 +286,13 @@ class SpringMethods(Methods):
         With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
 
         Returns a Dataset with the attribute `complete` and the variables `threshold`, `jump`, `down`,
-        `cause`, `reason`, `lifetime` (plate periods), `delta`, `plate_contact` (m A² ω²), `plate_impact` (m
-        A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force` (m A ω), `impulse` (m A ω), `weight` (m A ω),
-        `proof`, `proof_says`, `down_at_most`, `proven_flight_time` (rad). Waits up to `timeout` seconds for
-        the workers, and shows `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
+        `cause`, `status`, `reason`, `lifetime` (plate periods), `delta`, `plate_contact` (m A² ω²),
+        `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force` (m A ω), `impulse` (m A ω),
+        `weight` (m A ω), `proof`, `proof_says`, `down_at_most`, `proven_flight_time` (rad). Waits up to
+        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
+        TooLarge naming what fits.
         """
-        return self.result("threshold", omega=omega, xi=xi, delta=delta, prove=prove, timeout=timeout, progress=progress)
+        return self.result("threshold", omega=omega, xi=xi, delta=delta, prove=prove, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
 
     def orbits(
         self,
@@ -334,6 +340,10 @@ class SpringMethods(Methods):
         modes: Annotated[str, "bounces-periods, as 1-1,1-2; cycles of one bounce"] = "1-1,1-2",
         kinds: Annotated[str | None, "such as fold,flip; default: all"] = None,
         gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
+        model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
+        restitution: Annotated[float | None, "of the model"] = None,
+        penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
+        adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -341,6 +351,8 @@ class SpringMethods(Methods):
 
         Over a range of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
         fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
+        With a `model`, the folds and flips of its own cycles, which end at cusps and where the segments of a
+        cycle change.
 
         Returns a Dataset with the attribute `complete` and the variables `omega`, `xi`, `gamma`,
         `flight_time` (rad), `admissible`, `curve_kind`, `curve_bounces`, `curve_periods`, `event_kind`,
@@ -348,4 +360,4 @@ class SpringMethods(Methods):
         `event_admissible`, `event_multipliers`. Waits up to `timeout` seconds for the workers, and shows
         `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
-        return self.result("curves", omega=omega, xi=xi, omega_start=omega_start, omega_stop=omega_stop, xi_start=xi_start, xi_stop=xi_stop, modes=modes, kinds=kinds, gamma_max=gamma_max, timeout=timeout, progress=progress)
+        return self.result("curves", omega=omega, xi=xi, omega_start=omega_start, omega_stop=omega_stop, xi_start=xi_start, xi_stop=xi_stop, modes=modes, kinds=kinds, gamma_max=gamma_max, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)

@@ -35,7 +35,7 @@ from worker.analysis.cycles import (
     CYCLE_SECONDS,
     MAX_BRANCHES,
     POINTS,
-    Cycles,
+    FollowedCycles,
     Skipped,
     follow_cells,
     follow_cycles,
@@ -232,6 +232,23 @@ _OF_POINT: Final = (
 )  # fmt: skip
 
 
+#: The contacts whose cycles are followed, and their parameters.
+_CONTACTS: Final[Mapping[str, type[Rigid | Soft]]] = {"rigid": Rigid, "soft": Soft}
+_OF_CONTACT: Final = ("restitution", "penetration", "adhesive")
+
+
+Kind = Annotated[
+    Literal["rigid", "soft"] | None,
+    Field(description="contact whose cycles are followed; default: the ideal plate in closed form"),
+]
+Restitution = Annotated[Annotated[Number, Field(ge=0, lt=1)] | None, Field(description="of the model")]
+Penetration = Annotated[
+    Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None,
+    Field(description="of a soft model, in plate amplitudes"),
+]
+Adhesive = Annotated[bool, Field(description="whether a soft model pulls before take-off")]
+
+
 class OrbitsQuery(Query):
     """A spring, its contact, and which of its branches to compute."""
 
@@ -244,33 +261,20 @@ class OrbitsQuery(Query):
         Field(ge=10, le=MAX_POINTS, description="of each branch, at least; of a `model`, at most, each way"),
     ] = 400
     energy: WithEnergy = False
-    model: Annotated[
-        Literal["rigid", "soft"] | None,
-        Field(description="contact whose cycles are followed; default: the ideal plate in closed form"),
-    ] = None
-    restitution: Annotated[Number, Field(ge=0, lt=1)] | None = Field(None, description="of the model")
-    penetration: Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None = Field(
-        None, description="of a soft model, in plate amplitudes"
-    )
-    adhesive: Annotated[bool, Field(description="whether a soft model pulls before take-off")] = True
+    model: Kind = None
+    restitution: Restitution = None
+    penetration: Penetration = None
+    adhesive: Adhesive = True
 
 
-#: The contacts whose cycles are followed, and their parameters.
-_CONTACTS: Final[Mapping[str, type[Rigid | Soft]]] = {"rigid": Rigid, "soft": Soft}
-_OF_CONTACT: Final = ("restitution", "penetration", "adhesive")
-
-
-@lru_cache(KEPT)  # as _seconds
-def _contact(query: OrbitsQuery) -> Rigid | Soft | None:
+def contact(query: Query) -> Rigid | Soft | None:
     """The contact whose cycles are followed; None: the closed form. Raises InvalidRequest."""
-    given = query.model_dump(include=set(_OF_CONTACT), exclude_defaults=True)
-    if query.model is None:
+    given = query.model_dump(include={"model", *_OF_CONTACT}, exclude_defaults=True)
+    if "model" not in given:
         if given:
             raise InvalidRequest.of("model", f"is required with {', '.join(given)}: rigid or soft")
         return None
-    if query.energy:
-        raise InvalidRequest.of("energy", "is of the closed form: leave out model")
-    fields = _CONTACTS[query.model]
+    fields = _CONTACTS[given.pop("model")]
     try:
         return fields(**given)
     except ValidationError as error:
@@ -278,21 +282,19 @@ def _contact(query: OrbitsQuery) -> Rigid | Soft | None:
         raise InvalidRequest("; ".join(map(str, problems)), problems) from error
 
 
-def name_of(contact: Rigid | Soft) -> str:
+def name_of(plate: Rigid | Soft) -> str:
     """A contact and its parameters."""
-    name = f"{contact.kind}, restitution {contact.restitution:g}"
-    if isinstance(contact, Rigid):
+    name = f"{plate.kind}, restitution {plate.restitution:g}"
+    if isinstance(plate, Rigid):
         return name
-    return (
-        f"{name}, penetration {contact.penetration:g}, {'adhesive' if contact.adhesive else 'not adhesive'}"
-    )
+    return f"{name}, penetration {plate.penetration:g}, {'adhesive' if plate.adhesive else 'not adhesive'}"
 
 
 def orbit_parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
     """The branches of each mode: of a contact, or those that take longer than AT_ONCE_SECONDS together."""
-    contact, top = _contact(query), query.gamma_max
-    if contact is not None:
-        return [(follow_cycles, contact, *spring, top, points) for *spring, points in _grids(query)]
+    plate, top = contact(query), query.gamma_max
+    if plate is not None:
+        return [(follow_cycles, plate, *spring, top, points) for *spring, points in _grids(query)]
     quick = _seconds(query) <= AT_ONCE_SECONDS
     return [] if quick else [(branch_and_events, *grid) for grid in _grids(query)]
 
@@ -308,7 +310,9 @@ def _grids(query: OrbitsQuery) -> tuple[tuple[float, float, int, int], ...]:
     return tuple((query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes))
 
 
-def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events] | Cycles) -> xarray.Dataset:
+def compute_orbits(
+    study: None, query: OrbitsQuery, *parts: tuple[Branch, Events] | FollowedCycles
+) -> xarray.Dataset:
     """Branches of cycles of one bounce, and their events.
 
     Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
@@ -318,23 +322,23 @@ def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events
     most once compiled. With rebound a branch may pass through numbers of `flights`; it ends at the event
     `stick-vanishes` or `rest`, too.
     """
-    contact = _contact(query)
+    plate = contact(query)
     parts = parts or tuple(_branch(*grid) for grid in _grids(query))
     branches: list[Any] = []
     events: list[Events] = []
     for part in parts:
-        branches += part.branches if isinstance(part, Cycles) else part[:1]
-        events += part.events if isinstance(part, Cycles) else part[1:]
+        branches += part.branches if isinstance(part, FollowedCycles) else part[:1]
+        events += part.events if isinstance(part, FollowedCycles) else part[1:]
     pieces = [piece for branch in branches for piece in below(branch, query.gamma_max)]
     data = padded(_OF_POINT, pieces)
-    if contact is not None:
+    if plate is not None:
         data |= padded(("flights",), pieces)
     if query.energy:
         data |= padded(BALANCE, [energy(x.omega, x.xi, x.periods, x.flight_time) for x in pieces])
     data |= event_columns(join_events([rows_of(e, e.gamma <= query.gamma_max) for e in events]))
     coords = of_branches(pieces)
     coords |= {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")}
-    model = MODEL if contact is None else name_of(contact)
+    model = MODEL if plate is None else name_of(plate)
     return closed_form(data, coords, model=model, gamma_max=query.gamma_max)
 
 
@@ -347,7 +351,10 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
     Raises InvalidRequest for a branch that is too long, or not there, and above MAX_SECONDS.
     """
     lengths = [grid_length(*grid) for grid in _grids(query)]
-    if _contact(query) is not None:
+    plate = contact(query)
+    if plate is not None and query.energy:
+        raise InvalidRequest.of("energy", "is of the closed form: leave out model")
+    if plate is not None:
         lengths = [2 * query.points] * _FAMILIES * len(lengths)
         seconds = _seconds(query) + sum(lengths) * CYCLE_SECONDS
         if seconds > MAX_SECONDS:
@@ -357,7 +364,7 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
             )
             raise InvalidRequest.of("modes", rule)
     sizes = {"branch": len(lengths), "point": max(lengths), "multiplier": 2, "part": 2}
-    small = _contact(query) is None and _seconds(query) <= SMALL_SECONDS
+    small = plate is None and _seconds(query) <= SMALL_SECONDS
     return Estimate(sizes, memory=sum(lengths) * _PER_POINT, small=small)
 
 
@@ -382,7 +389,7 @@ SPRING: Final = View(
 #: Bytes of an answer.
 _MEMORY: Final = 16 * 2**20
 #: Of a line without a computed cell.
-_NONE: Final = Cycles((), ())
+_NONE: Final = FollowedCycles((), ())
 
 _OF_CELLS: Final = (*(name for name in _OF_POINT if name != "flight_time"), "flights")
 
@@ -434,7 +441,9 @@ def cell_parts(study: Stored[SweepSpec], query: CellsQuery) -> Sequence[Call]:
     return [(follow_cells, study.spec, study.url, *indices, query.gamma_max, study.complete)]
 
 
-def compute_cells(study: Stored[SweepSpec], query: CellsQuery, cycles: Cycles = _NONE) -> xarray.Dataset:
+def compute_cells(
+    study: Stored[SweepSpec], query: CellsQuery, cycles: FollowedCycles = _NONE
+) -> xarray.Dataset:
     """Branches of the cycles that cells along Γ settled to, on their own contact.
 
     Stable and unstable ones, with their events. Workers follow them, some seconds at most once compiled;

@@ -23,11 +23,13 @@ from worker.analysis.bisection import TYPICAL_CELLS, Refined, Status, by_bisecti
 from worker.analysis.prediction import (
     decides,
     is_ideal,
+    of_contact,
     predict,
     predict_each,
     predict_from_cells,
     prediction_seconds,
 )
+from worker.spec.contact_models import Contact
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
@@ -43,6 +45,7 @@ _OF_SPRING: Final = (
     row("jump", (), "<f8", "Γ of the fold at which flights leap on the way up"),
     row("down", (), "<f8", "lowest Γ at which bouncing persists", comment="NaN: not decided"),
     row("cause", (), "U", "what ends bouncing at down"),
+    row("status", (), "U", "how down was found: closed form, continued, or unresolved"),
     row("reason", (), "U", "why down is not decided"),
     row("lifetime", (), "<f8", "life of bouncing at Γ = down - delta", "plate periods"),
     row("delta", (), "<f8", "Γ below down"),
@@ -52,12 +55,16 @@ _OF_SPRING: Final = (
 
 
 class SpringQuery(Query):
-    """A spring, and how far below the fold it bounces."""
+    """A spring, its contact, and how far below the fold it bounces."""
 
     omega: Omega
     xi: Xi
     delta: Annotated[Number, Field(ge=1e-15, le=0.1, description="Γ below `down` with a lifetime")] = 1e-6
     prove: Annotated[bool, Field(description="an upper bound of `down` with a proof")] = False
+    model: orbits.Kind = None
+    restitution: orbits.Restitution = None
+    penetration: orbits.Penetration = None
+    adhesive: orbits.Adhesive = True
 
 
 #: The thresholds of one spring; `unresolved` or `not searched` where the rule does not decide.
@@ -67,7 +74,8 @@ predicted: Final = lru_cache(KEPT)(predict)
 def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xarray.Dataset:
     """Where one spring begins and ceases to bounce.
 
-    In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which bouncing
+    In closed form, of the rigid contact without restitution; with a `model`, by workers that follow the
+    contact's own cycles, a second at most once compiled. `down` is the lowest Γ at which bouncing
     persists, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
     `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
     is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
@@ -75,11 +83,12 @@ def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xa
 
     With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
     """
+    contact = orbits.contact(query)
     thresholds = computed[0] if computed else predicted(query.omega, query.xi)
     data: dict[str, Any] = {
         "threshold": thresholds.gamma_th if np.isfinite(thresholds.gamma_th) else np.nan,
         "jump": thresholds.jump, "down": thresholds.down,
-        "cause": thresholds.cause, "reason": thresholds.reason,
+        "cause": thresholds.cause, "reason": thresholds.reason, "status": _status(contact, thresholds),
     }  # fmt: skip
     if thresholds.fold is not None:
         data |= {"lifetime": lifetime(thresholds.fold, query.delta), "delta": query.delta}
@@ -91,20 +100,34 @@ def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xa
     return dataset(
         {row.name: variable((), data.get(row.name, np.nan), row) for row in rows},
         {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")},
-        {"model": CONTACT, "complete": True},
+        {"model": CONTACT if contact is None else orbits.name_of(contact), "complete": True},
     )
+
+
+def _status(contact: Contact | None, thresholds: Thresholds) -> str:
+    """By which way `down` was found."""
+    if not np.isfinite(thresholds.down):
+        return "unresolved"
+    fold = thresholds.fold
+    return "closed form" if contact is None and (fold is None or fold.cycle.word == "s") else "continued"
 
 
 def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
     """The prediction, if it takes long or follows cycles."""
+    contact = orbits.contact(query)
+    if contact is not None:
+        return [(of_contact, contact, query.omega, query.xi)]
     if prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS and decides(query.omega, query.xi):
         return ()
     return [(predict, query.omega, query.xi)]
 
 
 def estimate_spring(spec: None, query: SpringQuery) -> Estimate:
-    """One number of each variable."""
-    brief = prediction_seconds(query.omega, query.xi) <= SMALL_SECONDS
+    """One number of each variable. Raises InvalidRequest."""
+    contact = orbits.contact(query)
+    if contact is not None and query.prove:
+        raise InvalidRequest.of("prove", "is of the closed form: leave out model")
+    brief = contact is None and prediction_seconds(query.omega, query.xi) <= SMALL_SECONDS
     return Estimate({}, small=brief and not query.prove)  # proofs have a precision of the whole process
 
 
@@ -328,9 +351,8 @@ def _refined(data: dict[str, NDArray[Any]], refined: Sequence[Refined]) -> dict[
 
 def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
     """Why nothing is predicted; empty if every omega is. Raises InvalidRequest as `estimate`."""
-    if predict == "cells" and not is_ideal(spec.model):
-        rule = f"cells are of a rigid contact with restitution 0; the sweep's is {spec.model.kind}"
-        raise InvalidRequest.of("predict", rule)
+    if predict == "cells":
+        orbits.contact_of(spec)
     if predict == "none":
         return "not predicted"
     omegas = len(spec.axis_values("omega"))

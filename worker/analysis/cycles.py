@@ -1,6 +1,7 @@
-"""Branches of a spring's cycles on the contact of a specification: of a spring, and of a sweep's cells."""
+"""Branches of a spring's cycles on the contact of a specification, and curves of their events."""
 
 import math
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -8,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.branches.any_contact import CycleBranch, Followed, branches, event_record, record
-from kernel.branches.cycles import FLIGHTS, Point, cycle_from
-from kernel.branches.events import Events
-from kernel.branches.follow import RANGE, Event, follow
+from kernel.branches.curves import Curves, Parameter
+from kernel.branches.cycles import FLIGHTS, Cycles, Point, confirmed, cycle_from
+from kernel.branches.events import Events, Kind, join_events
+from kernel.branches.follow import RANGE, Event, ahead, follow
 from kernel.branches.segments import START
 from kernel.params import Cell, Outcome
 from worker import store
@@ -44,6 +46,21 @@ _HOP: Final = 1e-2
 #: No point of a branch is further from the next.
 _STEP: Final = 0.2
 
+#: Kinds of curves of a contact, the multiplier of each, and how close one is to it.
+CONTACT_CURVES: Final = (Kind.FOLD, Kind.FLIP)
+_MULTIPLIER: Final = (1.0, -1.0)
+_AT: Final = 1e-4
+#: Values at which curves are looked for, steps of a curve, and the part of a step after which it ends.
+SECTIONS: Final = 5
+STEPS: Final = 60
+#: Core-seconds of the curves of a mode, at most.
+CURVES_SECONDS: Final = 6.0
+_LEAST_STEP: Final = 0.05
+#: The secant rule: its first step along a branch, the last, and how many.
+_SECANT, _LOCATED, _SECANTS = 1e-4, 1e-11, 12
+#: A curve passes through an event that is closer, in Gamma and rad.
+_NEAR_CURVE: Final = 1e-2
+
 
 class Skipped(NamedTuple):
     """A settled cell from which no branch was followed."""
@@ -54,7 +71,7 @@ class Skipped(NamedTuple):
     reason: str
 
 
-class Cycles(NamedTuple):
+class FollowedCycles(NamedTuple):
     """Branches, and the events on each of them."""
 
     branches: tuple[CycleBranch, ...]
@@ -64,7 +81,7 @@ class Cycles(NamedTuple):
 
 def follow_cycles(
     contact: Contact, omega: float, xi: float, periods: int, gamma_max: float, points: int
-) -> Cycles:
+) -> FollowedCycles:
     """The branches from the cycles (1, periods) up to `gamma_max`, at most `points` each way.
 
     Runs on workers, which compile for it. Raises KernelInputError.
@@ -73,8 +90,8 @@ def follow_cycles(
     return _cycles(branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max), points=points))
 
 
-def _cycles(lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: Any = ()) -> Cycles:
-    return Cycles(
+def _cycles(lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: Any = ()) -> FollowedCycles:
+    return FollowedCycles(
         tuple(record(line.points, micro_flight) for line in lines),
         tuple(event_record(line.events, micro_flight) for line in lines),
         tuple(skipped),
@@ -83,7 +100,7 @@ def _cycles(lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: 
 
 def follow_cells(
     spec: SweepSpec, url: str, direction: int, xi: int, omega: int, gamma_max: float, complete: bool
-) -> Cycles:
+) -> FollowedCycles:
     """The branches of the cycles that the cells along gamma at these indices of the grid settled to.
 
     Of flights that count, each cycle has all, the longest first. A cell whose cycle lies on an earlier branch
@@ -227,3 +244,94 @@ def _longest_first(points: list[Point], micro_flight: float) -> Floats:
     for row, each in zip(table, times, strict=True):
         row[: len(each)] = each
     return table
+
+
+def follow_curves(
+    contact: Contact, along: Parameter, fixed: float, span: tuple[float, float], periods: int,
+    kinds: tuple[Kind, ...], gamma_max: float,
+) -> Curves:  # fmt: skip
+    """Curves of the events on a contact's branches over `along`, the other parameter being `fixed`.
+
+    An event on a branch along Gamma is followed both ways in small steps, until it is none of the spring's.
+    Finds every curve that crosses one of SECTIONS evenly spaced values; cusps end curves. Raises
+    KernelInputError.
+    """
+    curves: list[list[Event]] = []
+    for value in np.linspace(*span, SECTIONS).tolist():
+        omega, xi = (value, fixed) if along is Parameter.OMEGA else (fixed, value)
+        plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
+        for line in branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max)):
+            for event in line.events:
+                if event.kind not in kinds or _is_doubled(event.point):
+                    continue
+                if not any(_crosses(curve, event, along, value) for curve in curves):
+                    step = (span[1] - span[0]) / STEPS
+                    down, up = (list(_along(event, along, way * step, span)) for way in (-1.0, 1.0))
+                    curves.append([*down[::-1], event, *up])
+    return Curves(tuple(event_record(curve, MICRO_FLIGHT) for curve in curves), join_events([]))
+
+
+def _along(event: Event, along: Parameter, step: float, span: tuple[float, float]) -> Iterator[Event]:
+    """The same event at further values of a parameter, `step` apart, less where it would be lost."""
+    which = CONTACT_CURVES.index(event.kind)
+    smallest = abs(step) * _LEAST_STEP
+    before = last = event.point
+    while abs(step) > smallest:
+        value = _value(last, along) + step
+        if not span[0] - 1e-12 <= value <= span[1] + 1e-12:
+            return
+        gone = _value(last, along) - _value(before, along)
+        ahead_of = (
+            last.x + step / gone * (last.x - before.x) if gone and last.letters == before.letters else last.x
+        )
+        point = _event_at(_beside(last.cycles, along, value), ahead_of, last.tangent, which)
+        if point is None:
+            step *= 0.5
+            continue
+        yield Event(event.kind, point)
+        before, last = last, point
+
+
+def _event_at(cycles: Cycles, x: Floats, tangent: Floats, which: int) -> Point | None:
+    """The zero of a test on a branch near x (m,), by the secant rule, if the spring has that cycle."""
+    node = cycles.newton(x, tangent)
+    if node is None:
+        return None
+    a, b = 0.0, _SECANT
+    value_a, point = node.tests()[which], ahead(node, b)
+    for _ in range(_SECANTS):
+        if point is None:
+            return None
+        value = point.tests()[which]
+        if abs(value - value_a) == 0.0 or abs(b - a) < _LOCATED:
+            break
+        a, value_a, b = b, value, b - value * (b - a) / (value - value_a)
+        if not abs(b) < _STEP:
+            return None
+        point = ahead(node, b)
+    if point is None or not np.abs(point.multipliers() - _MULTIPLIER[which]).min() < _AT:
+        return None
+    point, broken = confirmed(point)
+    return point if broken is None else None
+
+
+def _beside(cycles: Cycles, along: Parameter, value: float) -> Cycles:
+    return cycles._replace(omega=value) if along is Parameter.OMEGA else cycles._replace(xi=value)
+
+
+def _value(point: Point, along: Parameter) -> float:
+    return float(getattr(point.cycles, along))
+
+
+def _crosses(curve: list[Event], event: Event, along: Parameter, value: float) -> bool:
+    """Whether a curve passes through an event at a value of its parameter."""
+    if curve[0].kind is not event.kind:
+        return False
+    away = np.round([_value(other.point, along) - value for other in curve], 12)
+    for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
+        part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
+        a, b = (np.array([curve[j].point.parameter, max(_flights(curve[j].point))]) for j in (i, i + 1))
+        here = np.array([event.point.parameter, max(_flights(event.point))])
+        if np.abs(a + part * (b - a) - here).max() < _NEAR_CURVE:
+            return True
+    return False

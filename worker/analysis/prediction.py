@@ -1,11 +1,15 @@
 """Thresholds in closed form, of the rigid plate without restitution, for comparison with a sweep."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from kernel.branches.contact_thresholds import thresholds_of
+from kernel.branches.cycles import Point
 from kernel.branches.events import POINTS, flight_times
+from kernel.branches.folds import Fold, lifetime
 from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
 from kernel.threshold import threshold
@@ -14,6 +18,7 @@ from worker.orbits.plan import SECONDS
 from worker.orbits.specification import MAX_GRID
 from worker.spec.contact_models import Contact, Rigid
 from worker.sweep import SweepSpec
+from worker.work import plate_of
 
 #: Core-seconds of one prediction, of one branch beside those of its grid, and of a branch that grazes along
 #: its whole length by rounding: each graze is followed to its end.
@@ -82,11 +87,11 @@ def is_ideal(contact: Contact) -> bool:
 def predict_from_cells(
     spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], complete: bool
 ) -> list[Thresholds]:
-    """`predict` at these indices, with cycles of the sweep's cells where it is unresolved; runs on workers.
+    """The thresholds of the sweep's contact at these indices, with cycles of its cells; runs on workers.
 
-    The cells are those of lowest Gamma that settled, on the way down if the sweep goes down. The lowest end
-    of a cycle is the answer, unless a cell bounces below it or a lower fold stays open. Raises a
-    `store.StoreError`.
+    Of an ideal plate, cells count only where `predict` leaves them unresolved. They are those of lowest Gamma
+    that settled, on the way down if the sweep goes down. The lowest end of a cycle is the answer, unless a
+    cell bounces below it or a lower fold stays open. Raises a `store.StoreError`.
     """
     direction = spec.directions.index("down") if "down" in spec.directions else 0
     at_xi = float(spec.axis_values("xi")[xi])
@@ -94,13 +99,34 @@ def predict_from_cells(
     for omega in omegas:
         at_omega = float(spec.axis_values("omega")[omega])
         answer = predict(at_omega, at_xi)
-        if answer.cause == UNRESOLVED and math.isfinite(answer.gamma_th):
+        if math.isfinite(answer.gamma_th) and (answer.cause == UNRESOLVED or not is_ideal(spec.model)):
             settled, bouncing = lowest_cells(spec, url, (direction, xi, omega), complete)
             cycles = [cycle for cell in settled if (cycle := cell.cycle(spec)) is not None]
-            if cycles:
-                answer = _thresholds(at_omega, at_xi, cycles=cycles, bouncing=bouncing)
+            if cycles or not is_ideal(spec.model):
+                answer = of_contact(spec.model, at_omega, at_xi, cycles)
+                below = answer.down - bouncing
+                if below > 0.0 and not _is_ghost(answer.fold, below, sum(spec.window)):
+                    answer = of_contact(spec.model, at_omega, at_xi, cycles, bouncing)
         answers.append(answer)
     return answers
+
+
+def _is_ghost(fold: Fold | None, below: float, window: int) -> bool:
+    """Whether bouncing lives on so far below a fold for longer than a window of plate periods."""
+    return fold is not None and lifetime(fold, below) > window
+
+
+def of_contact(
+    contact: Contact, omega: float, xi: float, cycles: Sequence[Point] = (), bouncing: float = math.inf
+) -> Thresholds:
+    """The thresholds of a contact, by cycles that workers follow; as of `kernel.branches.thresholds`."""
+    if is_ideal(contact):
+        return _thresholds(omega, xi, cycles=cycles, bouncing=bouncing)
+    plate = plate_of(contact, np.ones(1), np.full(1, omega), np.full(1, xi))
+    try:
+        return thresholds_of(plate, omega, xi, cycles, bouncing)
+    except KernelInputError as error:
+        return _undecided(omega, xi, str(error))
 
 
 def _thresholds(omega: float, xi: float, **known: Any) -> Thresholds:
