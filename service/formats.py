@@ -16,9 +16,9 @@ ExportFormat = Literal["nc", "parquet", "html"]
 #: What a row of an exported table is: a cell, or an attractor of one; or each of their flights.
 ExportLayout = Literal["cells", "flights"]
 
-#: Which thresholds of a sweep are predicted: none, those of up to 200 values of omega, all, or all with words
-#: of the sweep's cells where the closed form is unresolved.
-Predict = Literal["none", "some", "all", "words"]
+#: Which thresholds of a sweep are predicted: none, those of up to 200 values of omega, or all; or all from
+#: cycles of the sweep's cells.
+Predict = Literal["none", "some", "all", "cells"]
 
 TABLES: Final[tuple[str, ...]] = get_args(TableFormat)
 PICTURES: Final[tuple[str, ...]] = get_args(PictureFormat)

@@ -92,7 +92,7 @@ class ResultMethods(Methods):
         self,
         xi: float | None = None,
         tolerance: Annotated[float | None, "in Γ: refine the thresholds beyond the grid, from the sweep's stored states"] = None,
-        predict: Annotated[Literal["none", "some", "all", "words"], "thresholds in closed form: of no Ω, of up to 200, of all by the workers, or of all with words continued from the sweep's cells where it is unresolved"] = "some",
+        predict: Annotated[Literal["none", "some", "all", "cells"], "thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from cycles of the sweep's cells, on an ideal plate where the closed form is unresolved"] = "some",
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -127,26 +127,25 @@ class ResultMethods(Methods):
         xi: float | None = None,
         direction: Annotated[str | None, "rest, up or down; default: the first direction of the sweep"] = None,
         gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
-        energy: Annotated[bool, "the energy balance of every point as well"] = False,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
-        """Branches of the cycles that cells along Γ settled to.
+        """Branches of the cycles that cells along Γ settled to, on their own contact.
 
-        Stable and unstable ones, with their events, of the rigid contact without restitution: cells of another
-        contact are a guess from which its cycles are looked for. A worker follows a branch in some tenths of a
-        second. `skipped` are the periodic cells from which no branch was followed.
+        Stable and unstable ones, with their events. Workers follow them, some seconds at most once compiled;
+        `flight_time` has all flights of a cycle that count, the longest first. `skipped` are the periodic cells
+        from which no branch was followed.
 
-        Returns a Dataset with the attribute `complete` and the variables `gamma`, `multipliers`, `stable`,
-        `admissible`, `flight_time` (rad), `takeoff_phase` (rad), `impact_velocity` (plate amplitudes per
-        rad), `plate_contact` (m A² ω²), `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²),
-        `force` (m A ω), `impulse` (m A ω), `weight` (m A ω), `branch_bounces`, `branch_periods`, `points`,
-        `word`, `event_kind`, `event_gamma`, `event_omega`, `event_xi`, `event_bounces`, `event_periods`,
-        `event_flight_time` (rad), `event_admissible`, `event_multipliers`, `event_branch`, `skipped_gamma`,
-        `skipped_bounces`, `skipped_periods`, `skipped_reason`. Waits up to `timeout` seconds for the workers,
-        and shows `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
+        Returns a Dataset with the attribute `complete` and the variables `gamma`, `takeoff_phase` (rad),
+        `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per rad), `impact_velocity`
+        (plate amplitudes per rad), `multipliers`, `stable`, `admissible`, `flights`, `flight_time` (rad),
+        `branch_bounces`, `branch_periods`, `points`, `event_kind`, `event_gamma`, `event_omega`, `event_xi`,
+        `event_bounces`, `event_periods`, `event_flight_time` (rad), `event_admissible`, `event_multipliers`,
+        `event_branch`, `skipped_gamma`, `skipped_bounces`, `skipped_periods`, `skipped_reason`. Waits up to
+        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
+        TooLarge naming what fits.
         """
-        return self.result("orbits", omega=omega, xi=xi, direction=direction, gamma_max=gamma_max, energy=energy, timeout=timeout, progress=progress)
+        return self.result("orbits", omega=omega, xi=xi, direction=direction, gamma_max=gamma_max, timeout=timeout, progress=progress)
 
     def basins(
         self,
@@ -268,12 +267,17 @@ class SpringMethods(Methods):
         xi: float,
         delta: Annotated[float, "Γ below `down` with a lifetime"] = 1e-06,
         prove: Annotated[bool, "an upper bound of `down` with a proof"] = False,
+        model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
+        restitution: Annotated[float | None, "of the model"] = None,
+        penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
+        adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
         """Where one spring begins and ceases to bounce.
 
-        In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which bouncing
+        In closed form, of the rigid contact without restitution; with a `model`, by workers that follow the
+        contact's own cycles, a second at most once compiled. `down` is the lowest Γ at which bouncing
         persists, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
         `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
         is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
@@ -282,12 +286,13 @@ class SpringMethods(Methods):
         With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
 
         Returns a Dataset with the attribute `complete` and the variables `threshold`, `jump`, `down`,
-        `cause`, `reason`, `lifetime` (plate periods), `delta`, `plate_contact` (m A² ω²), `plate_impact` (m
-        A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force` (m A ω), `impulse` (m A ω), `weight` (m A ω),
-        `proof`, `proof_says`, `down_at_most`, `proven_flight_time` (rad). Waits up to `timeout` seconds for
-        the workers, and shows `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
+        `cause`, `status`, `reason`, `lifetime` (plate periods), `delta`, `plate_contact` (m A² ω²),
+        `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force` (m A ω), `impulse` (m A ω),
+        `weight` (m A ω), `proof`, `proof_says`, `down_at_most`, `proven_flight_time` (rad). Waits up to
+        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
+        TooLarge naming what fits.
         """
-        return self.result("threshold", omega=omega, xi=xi, delta=delta, prove=prove, timeout=timeout, progress=progress)
+        return self.result("threshold", omega=omega, xi=xi, delta=delta, prove=prove, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
 
     def orbits(
         self,
@@ -312,8 +317,8 @@ class SpringMethods(Methods):
         all flips, of a branch are listed, by a count that holds for certain (docs/proofs.md).
 
         With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
-        most once compiled. With rebound a branch may pass through numbers of `flights`; it ends at the event
-        `stick-vanishes` or `rest`, too.
+        most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
+        event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `flight_time` (rad),
         `takeoff_phase` (rad), `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per
@@ -338,6 +343,10 @@ class SpringMethods(Methods):
         modes: Annotated[str, "bounces-periods, as 1-1,1-2; cycles of one bounce"] = "1-1,1-2",
         kinds: Annotated[str | None, "such as fold,flip; default: all"] = None,
         gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
+        model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
+        restitution: Annotated[float | None, "of the model"] = None,
+        penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
+        adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -345,6 +354,8 @@ class SpringMethods(Methods):
 
         Over a range of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
         fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
+        With a `model`, the folds and flips of its own cycles, which end at cusps and where the segments of a
+        cycle change.
 
         Returns a Dataset with the attribute `complete` and the variables `omega`, `xi`, `gamma`,
         `flight_time` (rad), `admissible`, `curve_kind`, `curve_bounces`, `curve_periods`, `event_kind`,
@@ -352,4 +363,4 @@ class SpringMethods(Methods):
         `event_admissible`, `event_multipliers`. Waits up to `timeout` seconds for the workers, and shows
         `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
-        return self.result("curves", omega=omega, xi=xi, omega_start=omega_start, omega_stop=omega_stop, xi_start=xi_start, xi_stop=xi_stop, modes=modes, kinds=kinds, gamma_max=gamma_max, timeout=timeout, progress=progress)
+        return self.result("curves", omega=omega, xi=xi, omega_start=omega_start, omega_stop=omega_stop, xi_start=xi_start, xi_stop=xi_stop, modes=modes, kinds=kinds, gamma_max=gamma_max, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)

@@ -5,7 +5,7 @@ goes through once from the same state: Newton's method finds its own cycle besid
 one mode lie on more than one branch: beside those that stick, families of a few hops that never do.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kernel.branches.cycles import FLIGHTS, Point, confirmed, cycle_from
 from kernel.branches.events import Events, branch, check_spring, join_events
-from kernel.branches.follow import POINTS, RANGE, Event, ahead, follow
+from kernel.branches.follow import LARGEST, POINTS, RANGE, Event, ahead, follow
 from kernel.branches.roots import Floats
 from kernel.branches.segments import START
 from kernel.branches.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
@@ -78,8 +78,7 @@ def branches(
     check_spring(omega, xi, periods)
     if not plate.restitution[0] < 1.0:
         raise KernelInputError("restitution", "must be < 1")
-    inside = (seed for seed in seeds(plate, omega, xi, periods) if span[0] <= seed.parameter <= span[1])
-    return _all_through(inside, span, points)
+    return all_through(seeds(plate, omega, xi, periods), span, points)
 
 
 def branches_at(
@@ -97,14 +96,14 @@ def branches_at(
         for line in lines
         for point in passing(line, gamma)
     )
-    return _all_through(cycles, span, points)
+    return all_through(cycles, span, points)
 
 
-def _all_through(seeds: Iterator[Point], span: tuple[float, float], points: int) -> list[Followed]:
-    """The branches through cycles, each once."""
+def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int = POINTS) -> list[Followed]:
+    """The branches through those of the cycles whose parameter lies in `span`, each once."""
     followed: list[Followed] = []
-    for seed in seeds:
-        if not any(lies_on(seed, each) for each in followed):
+    for seed in cycles:
+        if span[0] <= seed.parameter <= span[1] and not any(lies_on(seed, each) for each in followed):
             followed.append(both_ways(seed, span, points))
     return followed
 
@@ -133,19 +132,19 @@ def seeds(plate: Any, omega: float, xi: float, periods: int) -> Iterator[Point]:
     near_rest = branch(omega, xi, periods, np.array(_SHORT_FLIGHTS))
     for gamma, t in zip(near_rest.gamma, near_rest.flight_time, strict=True):
         if RANGE[0] < gamma < RANGE[1]:
-            point = _beside(plate, start_on_cycle(Cell(float(gamma), omega, xi), periods, float(t)), periods)
+            point = beside(plate, start_on_cycle(Cell(float(gamma), omega, xi), periods, float(t)), periods)
             if point is not None:
                 yield point
                 break
     for low, high in stable_ranges(omega, xi, periods):
         for share in _SHARES if high - low > _NARROWEST else ():
             cell = Cell(low + share * (high - low), omega, xi)
-            point = _beside(plate, start_on_stable_cycle(cell, periods), periods)
+            point = beside(plate, start_on_stable_cycle(cell, periods), periods)
             if point is not None:
                 yield point
 
 
-def _beside(plate: Any, start: CycleStart | None, periods: int) -> Point | None:
+def beside(plate: Any, start: CycleStart | None, periods: int) -> Point | None:
     """The contact's own cycle, if it has one there and not one of fewer periods gone through again."""
     if start is None:
         return None
@@ -174,6 +173,8 @@ def lies_on(point: Point, line: Followed) -> bool:
 
     alike = [other for other in line.points if other.letters == point.letters]
     near = min(alike or line.points, key=away)
+    if away(near) > 2.0 * LARGEST:
+        return False
     if alike:
         other = ahead(near, float(near.tangent @ (point.x - near.x)))
     else:

@@ -33,8 +33,8 @@ _CLOSES: Final = 1e-6
 #: Rounding may hide a landing at less than this gap' (g/omega), or a take-off to a shorter flight, rad.
 _SOFT_LANDING: Final = 1e-5
 _SHORT_FLIGHT: Final = 1e-2
-#: Rounds that are simulated to read a cycle.
-_ROUNDS: Final = 3.2
+#: Rounds that are simulated to read a cycle: up to two before it begins, its own, and a segment of one more.
+_ROUNDS: Final = 4.2
 #: Segments of a cycle at most, and phases of the kernel in a plate period.
 _LONGEST: Final = 300
 MOST: Final = 4000
@@ -122,6 +122,11 @@ class Point(NamedTuple):
             return np.full(4, np.inf, np.complex128)
         found = np.linalg.eigvals(whole).astype(np.complex128)
         return np.asarray(found[np.argsort(-np.abs(found))])
+
+    @property
+    def stable(self) -> bool:
+        """Whether all multipliers lie inside the unit circle."""
+        return bool(np.abs(self.multipliers()[0]) < 1.0)
 
     def tests(self) -> Floats:
         """What changes sign at a fold, a flip and a Neimark-Sacker point."""

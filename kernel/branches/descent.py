@@ -1,210 +1,118 @@
-"""Where a stable cycle ends on the way down, followed through the words that it becomes.
+"""Where a stable cycle of any contact ends on the way down, followed through the cycles that it becomes.
 
-A cycle that loses a landing's force or splits a contact goes on as another word, one that flips as the same
-word gone through twice. It ends at a fold of the last of them, or the theory of branches does not decide: at
-a torus, at a flight that grazes, or where the next word is not stable or leads up again.
+It goes on where its segments change, and at a flip as the cycle of twice the period. It ends at a fold, or
+the theory of branches does not decide: at a torus, where numbers of hops accumulate, or where what it becomes
+is not stable or leads up again.
 """
 
-import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.branches.closed_form import floquet, gamma_slope
-from kernel.branches.continuation import GAMMA, Point, Turn, folds_along, newton, start, turns_along, walk
-from kernel.branches.energy import Energy, energy, word_energy
-from kernel.branches.events import Events, Kind
-from kernel.branches.spring import Spring, spring
-from kernel.branches.words import (
-    Word,
-    doubled,
-    from_branch,
-    go_round,
-    pieces,
-    record,
-    with_contact,
-    with_hop,
-    with_split_contact,
-    without,
-)
-from kernel.params import KernelInputError
+from kernel.branches.changes import doubled
+from kernel.branches.cycles import FLIGHTS, Cycles, Point
+from kernel.branches.energy import cycle_energy
+from kernel.branches.events import Kind
+from kernel.branches.folds import Cycle, Fold
+from kernel.branches.follow import End, Event, ahead, follow
+from kernel.branches.segments import START
+from kernel.models import rigid
 
-#: Words that a cycle is followed through, and flights of a word, at most: doublings crowd together.
-WORDS: Final = 6
-FLIGHTS: Final = 8
+#: A cycle is followed through this many flips: doublings crowd together.
+_FLIPS: Final = 4
 
-#: Orbits of one word on the way down.
+#: Cycles between two flips, on the way down.
 _POINTS: Final = 200
 
-#: A branch may rise by this part of Gamma, next to where its word begins.
+#: A branch may rise by this part of Gamma, next to where its signature begins.
 _RISES: Final = 1e-4
 
-#: Steps of derivatives at a fold: relative to T, and along the branch of a word. Their squares are the
-#: relative errors.
-_DIFFERENCE: Final = 1e-4
+#: Step of derivatives along a branch. Its square is their relative error.
 _ASIDE: Final = 1e-3
 
-
-class Fold(NamedTuple):
-    """A minimum of Gamma along a branch. Primes are derivatives by T, or along the branch of a word."""
-
-    cycle: Word  # the orbit that turns
-    flight_time: float  # rad, of the first flight
-    gamma: float
-    other_multiplier: float  # the one that is not 1
-    curvature: float  # Gamma'' > 0
-    slope: float  # of the multiplier that is 1
-    admissible: int  # 0, or the bits of a Reason
-    energy: Energy  # of the cycle
-
-    @property
-    def periods(self) -> int:
-        """Plate periods of the cycle."""
-        return self.cycle.periods
-
-    @property
-    def holds(self) -> bool:
-        """Whether a stable cycle of the spring ends here."""
-        return not self.admissible and abs(self.other_multiplier) < 1.0
-
-    @property
-    def name(self) -> str:
-        """As `cause` spells it."""
-        letters = self.cycle.letters
-        if letters == "s":
-            return f"fold (1,{self.periods})"
-        return f"fold of word {letters} ({len(letters)},{self.periods})"
+#: Events at which a stable cycle ceases to be one.
+_LAST: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, *End)
 
 
-class End(NamedTuple):
+class Descent(NamedTuple):
     """Where a stable cycle ends on the way down."""
 
     gamma: float
-    fold: Fold | None  # None where its only flight vanishes, at Eq. 25, and where it is not known
+    fold: Fold | None  # None where its flights vanish, at rest, and where it is not known
     reason: str  # why it is not known, or empty
 
 
-def lifetime(fold: Fold, below: float) -> float:
-    """Plate periods that bouncing lives at Gamma = fold.gamma - below, below > 0: the ghost of the fold.
+def ideal_plate() -> Any:
+    """The plate of the closed form."""
+    return rigid.plate(restitution=np.zeros(1))
 
-    Near a fold the slow coordinate x (a flight time) moves by lambda' x per cycle to lowest order in x, and
-    delta below it by -delta lambda'/Gamma'' + lambda' x**2/2 with |lambda'| = |d lambda/dT|, which it crosses
-    in N = (pi/|lambda'|) sqrt(2 Gamma''/delta) cycles. The law holds for delta -> 0, and for any coordinate
-    along the branch.
+
+def solved(plate: Any, omega: float, xi: float, cycle: Cycle) -> Point:
+    """A cycle that is known, with the equations that it solves."""
+    return Cycles(plate, omega, xi, cycle.letters, cycle.periods).on_branch(cycle.unknowns)
+
+
+def descend(point: Point) -> Descent:
+    """Follow a stable cycle down to its end."""
+    way = -1.0
+    for _ in range(_FLIPS + 1):
+        gamma, name = point.parameter, _cycle(point).name
+        if not point.stable:
+            return Descent(gamma, None, f"{name} is not stable at Gamma = {gamma:.6f}")
+        span = (0.0, gamma * (1.0 + _RISES))
+        line, events = follow(point, way, points=_POINTS, span=span, until=_is_unstable)
+        last = next((event for event in events if event.kind in _LAST), None)
+        if last is None:
+            gamma, name = line[-1].parameter, _cycle(line[-1]).name
+            leads = "leads up" if line[-1].stable else "is not stable"
+            return Descent(gamma, None, f"{name} {leads} from Gamma = {gamma:.6f}")
+        gamma, name = last.point.parameter, _cycle(last.point).name
+        if last.kind is Kind.FOLD:
+            return Descent(gamma, fold_of(last), "")
+        if last.kind is End.REST:
+            return Descent(gamma, None, "")
+        after = doubled(last.point) if last.kind is Kind.FLIP else None
+        if after is None:
+            return Descent(gamma, None, f"{name} ends at a {last.kind} at Gamma = {gamma:.6f}")
+        point, way = after, 0.0
+    return Descent(gamma, None, f"a cascade of flips at Gamma = {gamma:.6f}")
+
+
+def _is_unstable(point: Point) -> bool:
+    return not point.stable
+
+
+def folds_of_twice(flip: Point, below: float) -> list[Fold]:
+    """The folds at which stable cycles of twice the period end, on the branch that begins at a flip.
+
+    It is followed as far as it stays below a Gamma, its unstable parts too.
     """
-    cycles = math.pi / abs(fold.slope) * math.sqrt(2.0 * fold.curvature / below)
-    return cycles * fold.periods
-
-
-def minima(k: Spring, events: Events, below: float) -> list[Fold]:
-    """The folds of a (1,k) branch below a Gamma that are minima of it."""
-    folds = []
-    for i in np.flatnonzero((events.kind == Kind.FOLD) & (events.gamma < below)):
-        t, n = float(events.flight_time[i]), int(events.periods[i])
-        step = _DIFFERENCE * t
-        before, after = gamma_slope(k, n, np.array([t - step, t + step]))
-        curvature = float(after - before) / (2.0 * step)
-        if not curvature > 0.0:
-            continue
-        f = floquet(k, n, np.array([t]))
-        other = float(f.det[0])  # the product of both
-        slope = float((f.trace1[0] - f.det1[0]) / (1.0 - other))
-        omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
-        balance = energy(omega, xi, n, np.array([t]))
-        cycle = from_branch(omega, xi, n, t)
-        folds.append(
-            Fold(
-                cycle, t, float(events.gamma[i]), other, curvature, slope, int(events.admissible[i]), balance
-            )
-        )
-    return folds
-
-
-def descend(word: Word) -> End:
-    """Follow a stable cycle down to its end. Raises KernelInputError if the word is not one."""
-    gamma = word.gamma
-    for _ in range(WORDS):
-        name = f"{word.letters} ({len(word.letters)},{word.periods})"
-        try:
-            first = start(word)
-        except KernelInputError:
-            return End(gamma, None, f"no orbit of the word {name} was found at Gamma = {gamma:.6f}")
-        gamma = first.gamma
-        if word.direction is None and _slope(first) > 0.0:
-            first = first._replace(tangent=-first.tangent)
-        if not first.is_stable:
-            return End(gamma, None, f"the word {name} is not stable at Gamma = {gamma:.6f}")
-        line, end = walk(word, first, _POINTS, (GAMMA[0], gamma * (1.0 + _RISES)), stable_only=True)
-        turn = next(turns_along(word, line), end)
-        if turn is None:
-            return End(line[-1].gamma, None, f"the word {name} leads up from Gamma = {gamma:.6f}")
-        gamma = turn.word.gamma
-        if turn.kind is Kind.FOLD:
-            return End(gamma, _fold(turn), "")
-        if turn.time == 0.0 and turn.word.letters == "s":
-            return End(gamma, None, "")  # the only flight vanishes: Eq. 25
-        following = _next(turn)
-        if following is None:
-            return End(gamma, None, f"{name} ends at a {turn.kind} at Gamma = {gamma:.6f}")
-        word = following
-        if len(word.letters) > FLIGHTS:
-            break
-    return End(gamma, None, f"a cascade of words at Gamma = {gamma:.6f}")
-
-
-def lowest_cycles(word: Word, below: float) -> list[Fold]:
-    """The folds on the branch of a word at which stable cycles end, as far as it stays below a Gamma.
-
-    The branch is followed from the word's direction, its unstable parts too.
-    """
-    try:
-        first = start(word)
-    except KernelInputError:
+    first = doubled(flip)
+    if first is None:
         return []
-    line, _ = walk(word, first, _POINTS, (GAMMA[0], below))
-    folds = [_fold(turn) for turn in folds_along(word, line, below)]
+    _, events = follow(first, 0.0, points=_POINTS, span=(0.0, below))
+    folds = [fold_of(event) for event in events if event.kind is Kind.FOLD]
     return [fold for fold in folds if fold.curvature > 0.0 and fold.holds]
 
 
-def _next(turn: Turn) -> Word | None:
-    """The word that a cycle becomes, or None if it is not known."""
-    if turn.kind is Kind.FLIP:
-        return doubled(turn.word)
-    if turn.time == 0.0:  # a time has shrunk to nothing
-        try:
-            return without(turn.word, turn.piece)
-        except KernelInputError:
-            return None
-    if turn.kind is Kind.IMMEDIATE_TAKEOFF:
-        part = pieces(turn.word.letters)[turn.piece]
-        if part.flies:
-            return with_contact(turn.word, turn.piece)
-        return with_hop(turn.word, (part.letter - 1) % len(turn.word.letters))
-    if turn.kind is Kind.GRAZE_CONTACT and turn.time > 0.0:
-        return with_split_contact(turn.word, turn.piece, turn.time)
-    return None
-
-
-def _slope(point: Point) -> float:
-    """dGamma along the branch, times Gamma."""
-    return float(point.u[2] * point.tangent[2] + point.u[3] * point.tangent[3])
-
-
-def _fold(turn: Turn) -> Fold:
-    """The record of a word's fold."""
-    word = turn.word
-    k, here = spring(word.omega, word.xi), record(word, word.unknowns[None])
-    slope = go_round(k, word.letters, word.periods, word.unknowns[:, None]).slope[..., 0]
-    along = np.linalg.svd(slope)[2][-1]
-    gamma, other = float(here.gamma[0]), float(np.real(np.prod(here.multiplier[0])))
-    sides = [newton(k, word, word.unknowns + step * along, along) for step in (-_ASIDE, _ASIDE)]
-    curvature = by_step = math.nan
+def fold_of(event: Event) -> Fold:
+    """The record of a fold."""
+    point = event.point
+    mu = point.multipliers()
+    mu = np.delete(mu, np.argmin(np.abs(mu - 1.0)))  # largest first
+    curvature = slope = np.nan
+    sides = [ahead(point, step) for step in (-_ASIDE, _ASIDE)]
     if sides[0] is not None and sides[1] is not None:
-        curvature = (sides[0].gamma + sides[1].gamma - 2.0 * gamma) / _ASIDE**2
-        # 1 - tr + det = (1 - mu)(1 - other)
-        low, high = (side.tests[0] for side in sides if side is not None)
-        by_step = float((low - high) / (2.0 * _ASIDE * (1.0 - other)))
+        curvature = (sides[0].parameter + sides[1].parameter - 2.0 * point.parameter) / _ASIDE**2
+        # the product of 1 - mu is zero here with its own factor
+        low, high = (np.prod(1.0 - side.multipliers()) for side in sides if side is not None)
+        slope = float(np.real((low - high) / (2.0 * _ASIDE * np.prod(1.0 - mu))))
+    flight_time = next(t for t, x in zip(point.times, point.letters, strict=True) if x in FLIGHTS)
+    balance = cycle_energy(point) if set(point.letters) <= set("Ssz") else None
     return Fold(
-        word, float(here.flight_time[0, 0]), gamma, other, curvature, by_step,
-        int(here.admissible[0]), word_energy(here),
-    )  # fmt: skip
+        _cycle(point), float(flight_time), point.parameter, float(mu[0].real), curvature, slope, 0, balance
+    )
+
+
+def _cycle(point: Point) -> Cycle:
+    return Cycle(point.letters, point.cycles.periods, point.x[: START + len(point.letters)])

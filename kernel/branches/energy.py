@@ -6,14 +6,16 @@ impact without restitution W**2/2. The gravity of two masses over 2 pi k rad is 
 back: integral of n + (-W) = 4 pi k/Gamma.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.closed_form import TWO_PI
+from kernel.branches.closed_form import TWO_PI, orbit
 from kernel.branches.spring import Array, Spring, spring, stuck
-from kernel.branches.words import WordBranch, go_round, one_flight, pieces
+
+if TYPE_CHECKING:
+    from kernel.branches.cycles import Point
 
 
 class Energy(NamedTuple):
@@ -35,26 +37,27 @@ def energy(omega: float, xi: float, periods: int, flight_time: NDArray[np.float6
     contact its integral of q'**2 is that of a free and a driven motion, each in closed form.
     """
     k = spring(omega, xi)
-    return _energy(k, "s", periods, one_flight(k, periods, flight_time))
+    x = orbit(k, periods, flight_time)
+    sin, cos = np.sin(flight_time), np.cos(flight_time)
+    takeoff = _At(x.q0, x.v0, x.c, x.s)
+    landing = _At(x.q_land, x.v_land, x.c * cos - x.s * sin, x.c * sin + x.s * cos)
+    span = TWO_PI * periods - flight_time
+    parts = [_contact(k, landing, takeoff, span), _flight(k, takeoff, landing, x.impact)]
+    return _total(parts, np.hypot(x.c, x.s), periods)
 
 
-def word_energy(line: WordBranch) -> Energy:
-    """Of the n cycles of a word."""
-    return _energy(spring(line.omega, line.xi), line.word, line.periods, line.unknowns.T)
-
-
-def _energy(k: Spring, letters: str, periods: int, unknowns: Array) -> Energy:
-    u = np.ascontiguousarray(unknowns)
-    cycle = go_round(k, letters, periods, u)
-    states = [_At(*(y[0] for y in x)) for x in cycle.starts]
-    impacts = iter(cycle.impacts)
+def cycle_energy(point: "Point") -> Energy:
+    """Of one cycle of several flights on an ideal plate without restitution."""
+    _, omega, xi = point.cell
+    k = spring(omega, xi)
+    states = [_At(*np.reshape(row[2:6], (4, 1))) for row in point.round.starts]
     parts = []
-    for piece, begin, end in zip(pieces(letters), states, [*states[1:], states[0]], strict=True):
-        if piece.flies:
-            parts.append(_flight(k, begin, end, next(impacts)))
+    for i, (letter, span) in enumerate(zip(point.letters, point.times, strict=True)):
+        if letter == "S":
+            parts.append(_contact(k, states[i], states[i + 1], np.array([span])))
         else:
-            parts.append(_contact(k, begin, end, u[piece.place]))
-    return _total(parts, np.hypot(u[2], u[3]), periods)
+            parts.append(_flight(k, states[i], states[i + 1], point.round.rates[i : i + 1]))
+    return _total(parts, np.array([point.parameter]), point.cycles.periods)
 
 
 class _At(NamedTuple):

@@ -7,25 +7,30 @@ exists above it. If the last attractor below it is a (1,k) cycle it ends at a fo
 
 The rule is a conjecture: attractors that no (1,k) branch leads to may reach lower. It answers only at
 dampings where a search found none. A stable cycle that ends below the answer otherwise than at a fold is
-followed through the words that it becomes, and at a flip below Gamma_th the branch of the doubled word to its
-own folds. Where a branch turns below the answer at a fold that is unstable on both sides (a torus lives near
-it) or not admissible (it goes on as another word), the answer is `unresolved`.
+followed through the cycles that it becomes, and at a flip below Gamma_th the branch of twice the period to
+its own folds (`kernel.branches.descent`, compiled; the rest is numpy alone). Where a branch turns below the
+answer at a fold that is unstable on both sides (a torus lives near it) or not admissible (it goes on as
+another word), the answer is `unresolved`.
 """
 
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.branches.closed_form import floquet, orbit, stable
-from kernel.branches.descent import End, Fold, descend, lowest_cycles, minima
 from kernel.branches.events import Branch, Events, Kind, branch, branch_and_events, flight_times, fold_events
+from kernel.branches.folds import Cycle, Fold, minima, one_flight
 from kernel.branches.roots import Ints
 from kernel.branches.spring import Spring, spring
-from kernel.branches.words import Word, doubled, from_branch, with_hop
 from kernel.threshold import threshold
+
+if TYPE_CHECKING:
+    from kernel.branches.cycles import Point
+    from kernel.branches.descent import Descent
 
 #: Branches (1,1) to (1,k) are looked at.
 PERIODS: Final = 6
@@ -56,9 +61,16 @@ class Thresholds(NamedTuple):
     fold: Fold | None  # at `down`
 
 
-def thresholds(omega: float, xi: float, words: Sequence[Word] = (), bouncing: float = math.inf) -> Thresholds:
+def thresholds(
+    omega: float, xi: float, cycles: Sequence["Point"] = (), bouncing: float = math.inf
+) -> Thresholds:
     """The thresholds as of `conjecture`, `not searched` below SEARCHED_XI. Raises KernelInputError."""
-    answer = conjecture(omega, xi, words, bouncing)
+    return where_searched(conjecture(omega, xi, cycles, bouncing))
+
+
+def where_searched(answer: Thresholds) -> Thresholds:
+    """An answer, `not searched` below SEARCHED_XI."""
+    xi = answer.xi
     if xi >= SEARCHED_XI:
         return answer
     says = answer.reason or f"Gamma = {answer.down:.6f}"
@@ -69,65 +81,104 @@ def thresholds(omega: float, xi: float, words: Sequence[Word] = (), bouncing: fl
     return answer._replace(down=math.nan, cause=NOT_SEARCHED, reason=reason, fold=None)
 
 
-def conjecture(omega: float, xi: float, words: Sequence[Word] = (), bouncing: float = math.inf) -> Thresholds:
+def conjecture(
+    omega: float, xi: float, cycles: Sequence["Point"] = (), bouncing: float = math.inf
+) -> Thresholds:
     """The thresholds by the rule at any damping, from the branches (1,1) to (1, PERIODS).
 
-    words: stable cycles of settled cells of this spring, as `words.from_flights` gives them; each is followed
-    down, too. bouncing: the lowest Gamma at which a simulation bounces; below the answer it contradicts it.
-    Folds below the answer that are not admissible or not stable leave it unresolved, with words too: these
-    do not show what lives near such a fold. Raises KernelInputError.
+    cycles: stable ones of settled cells of this spring; each is followed down, too. bouncing: the lowest
+    Gamma at which a simulation bounces; below the answer it contradicts it. Folds below the answer that are
+    not admissible or not stable leave it unresolved, with cycles too: these do not show what lives near such
+    a fold. Raises KernelInputError.
     """
-    gamma_th = float(threshold(omega, xi))
-    jump, folds, undecided, ends = _known(omega, xi, gamma_th)
-    ends += [end for end in map(descend, words) if end.gamma < gamma_th]
-    folds += [end.fold for end in ends if end.fold is not None]
-    lowest = min(folds, key=lambda fold: fold.gamma, default=None)
-    down = gamma_th if lowest is None else lowest.gamma
+    rule = closed_form(omega, xi)
+    gamma_th, folds, undecided = rule.gamma_th, list(rule.folds), list(rule.undecided)
+    ends: list[Descent] = []
+    if cycles or not rule.decides:
+        from kernel.branches import descent  # noqa: PLC0415 - imports numba
+
+        known = partial(descent.solved, descent.ideal_plate(), omega, xi)
+        folds += [fold for flip in rule.flips for fold in descent.folds_of_twice(known(flip), gamma_th)]
+        lowest = _lowest(folds, gamma_th)
+        last = [cycle for cycle in rule.last if cycle.gamma < lowest]
+        ends = [descent.descend(known(cycle.within)) for cycle in last]
+        for cycle, end in zip(last, ends, strict=True):
+            undecided = [fold for fold in undecided if end.fold is None or not cycle.leads_to(fold)]
+        ends += map(descent.descend, cycles)
+    undecided_yet = Thresholds(omega, xi, gamma_th, rule.jump, math.nan, UNRESOLVED, "", None)
+    return lowest_end(undecided_yet, folds, undecided, ends, bouncing)
+
+
+def lowest_end(
+    answer: Thresholds, folds: Sequence[Fold], undecided: Sequence[Fold], ends: Sequence["Descent"],
+    bouncing: float = math.inf,
+) -> Thresholds:  # fmt: skip
+    """An answer with the lowest Gamma at which a cycle ends, unless something below it does not decide.
+
+    folds: at which stable cycles end. undecided: other minima. ends: of cycles that were followed. bouncing:
+    the lowest Gamma at which a simulation bounces.
+    """
+    folds = [*folds, *(end.fold for end in ends if end.fold is not None)]
+    down = _lowest(folds, answer.gamma_th)
     reasons = [end.reason for end in ends if end.reason and end.gamma < down]
     reasons += [_why(fold) for fold in undecided if fold.gamma < down]
     if bouncing < down:
         reasons.append(f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed")
     if reasons:
-        text = "; ".join(dict.fromkeys(reasons))
-        return Thresholds(omega, xi, gamma_th, jump, math.nan, UNRESOLVED, text, None)
-    if lowest is None:
-        return Thresholds(omega, xi, gamma_th, jump, gamma_th, EQ_25, "", None)
-    return Thresholds(omega, xi, gamma_th, jump, down, lowest.name, "", lowest)
+        return answer._replace(reason="; ".join(dict.fromkeys(reasons)))
+    fold = min((fold for fold in folds if fold.gamma < answer.gamma_th), key=_gamma, default=None)
+    return answer._replace(down=down, cause=EQ_25 if fold is None else fold.name, fold=fold)
 
 
-def _known(omega: float, xi: float, below: float) -> tuple[float, list[Fold], list[Fold], list[End]]:
-    """What the branches (1,1) to (1, PERIODS) show below a Gamma.
+def _gamma(fold: Fold) -> float:
+    return fold.gamma
 
-    The jump, the folds at which stable cycles end, those that do not decide, and where stable cycles end
-    otherwise, followed as far as it may matter.
-    """
-    k = spring(omega, xi)
+
+def _lowest(folds: Sequence[Fold], below: float) -> float:
+    """The Gamma of the lowest; `below` if there is none."""
+    return min((below, *(fold.gamma for fold in folds)))
+
+
+class ClosedForm(NamedTuple):
+    """What the branches (1,1) to (1, PERIODS) show below Gamma_th."""
+
+    gamma_th: float
+    jump: float  # NaN if there is none
+    folds: list[Fold]  # at which stable cycles end
+    undecided: list[Fold]  # the other minima
+    last: "list[_LastCycle]"  # where stable cycles end otherwise
+    flips: list[Cycle]  # that are not among these
+
+    @property
+    def decides(self) -> bool:
+        """Whether no cycle has to be followed further."""
+        lowest = _lowest(self.folds, self.gamma_th)
+        return not self.flips and all(cycle.gamma >= lowest for cycle in self.last)
+
+
+@lru_cache(maxsize=64)
+def closed_form(omega: float, xi: float) -> ClosedForm:
+    """The part of the rule that needs nothing compiled. Raises KernelInputError."""
+    k, gamma_th = spring(omega, xi), float(threshold(omega, xi))
     jump = math.nan
     folds: list[Fold] = []
     cycles: list[_LastCycle] = []
-    flips: list[Word] = []
+    flips: list[Cycle] = []
     for n in range(1, PERIODS + 1):
-        if n > 1 and not _reaches(k, omega, xi, n, below):
-            folds += minima(k, fold_events(omega, xi, n, below), below)
+        if n > 1 and not _reaches(k, omega, xi, n, gamma_th):
+            folds += minima(k, fold_events(omega, xi, n, gamma_th), gamma_th)
             continue
         line, events = branch_and_events(omega, xi, n)
-        folds += minima(k, events, below)
-        last = _last_cycles(line, events, below)
+        folds += minima(k, events, gamma_th)
+        last = _last_cycles(k, line, events, gamma_th)
         cycles += last
-        here = (events.kind == Kind.FLIP) & (events.gamma < below) & (events.admissible == 0)
+        here = (events.kind == Kind.FLIP) & (events.gamma < gamma_th) & (events.admissible == 0)
         followed = [cycle.flight_time for cycle in last]
-        flips += [from_branch(omega, xi, n, float(t)) for t in events.flight_time[here] if t not in followed]
+        flips += [one_flight(k, n, float(t)) for t in events.flight_time[here] if t not in followed]
         if n == 1:
             jump = _jump(line, events)
     holding = [fold for fold in folds if fold.holds]
-    undecided = [fold for fold in folds if not fold.holds]
-    holding += [fold for flip in flips for fold in lowest_cycles(doubled(flip), below)]
-    lowest = min((fold.gamma for fold in holding), default=below)
-    cycles = [cycle for cycle in cycles if cycle.gamma < lowest]
-    ends = [_follow(omega, xi, cycle) for cycle in cycles]
-    decided = [cycle for cycle, end in zip(cycles, ends, strict=True) if end.fold is not None]
-    undecided = [fold for fold in undecided if not any(cycle.leads_to(fold) for cycle in decided)]
-    return jump, holding, undecided, ends
+    return ClosedForm(gamma_th, jump, holding, [fold for fold in folds if not fold.holds], cycles, flips)
 
 
 def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> bool:
@@ -140,7 +191,7 @@ def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> 
 
 def _why(fold: Fold) -> str:
     """Why a fold below the answer does not decide."""
-    name = f"the fold of (1,{fold.periods}) at Gamma = {fold.gamma:.6f}"
+    name = f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.6f}"
     if fold.admissible:
         return f"{name} is not admissible: the branch goes on as another word"
     return f"{name} is unstable on both sides: a torus may live near it"
@@ -149,20 +200,20 @@ def _why(fold: Fold) -> str:
 class _LastCycle(NamedTuple):
     """Where stable cycles of a branch end on the way down, otherwise than at a fold."""
 
-    kind: Kind
     gamma: float
-    periods: int
     flight_time: float  # rad
-    within: float  # rad, of a stable cycle beside it
+    within: Cycle  # a stable one beside it
     beyond: tuple[float, float]  # rad, between which the orbits that follow are not admissible
 
     def leads_to(self, fold: Fold) -> bool:
         """Whether a fold that is not admissible lies beyond."""
         low, high = self.beyond
-        return fold.periods == self.periods and bool(fold.admissible) and low <= fold.flight_time <= high
+        return (
+            fold.periods == self.within.periods and bool(fold.admissible) and low <= fold.flight_time <= high
+        )
 
 
-def _last_cycles(line: Branch, events: Events, below: float) -> list[_LastCycle]:
+def _last_cycles(k: Spring, line: Branch, events: Events, below: float) -> list[_LastCycle]:
     """Those below a Gamma."""
     lives = line.stable & (line.admissible == 0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lives, [False]])))
@@ -177,13 +228,10 @@ def _last_cycles(line: Branch, events: Events, below: float) -> list[_LastCycle]
                 continue
             after = line.flight_time[_stretch(line.admissible != 0, outside, outside - inside)]
             beyond = (float(after.min()), float(after.max())) if len(after) else (math.inf, math.inf)
+            within = one_flight(k, line.periods, float(line.flight_time[inside]))
             for i in np.flatnonzero(here & (events.gamma < below)):
-                cycles.append(
-                    _LastCycle(
-                        Kind(str(events.kind[i])), float(events.gamma[i]), line.periods,
-                        float(events.flight_time[i]), float(line.flight_time[inside]), beyond,
-                    )
-                )  # fmt: skip
+                gamma, t = float(events.gamma[i]), float(events.flight_time[i])
+                cycles.append(_LastCycle(gamma, t, within, beyond))
     return cycles
 
 
@@ -191,18 +239,6 @@ def _stretch(inside: NDArray[np.bool_], start: int, direction: int) -> Ints:
     """The indices from a start on, in a direction, as long as they are inside."""
     side = np.arange(start, len(inside) if direction > 0 else -1, direction)
     return side[: int(np.argmin(np.append(inside[side], False)))]
-
-
-def _follow(omega: float, xi: float, end: _LastCycle) -> End:
-    """What becomes of it."""
-    word = from_branch(omega, xi, end.periods, end.flight_time)
-    if end.kind is Kind.IMMEDIATE_TAKEOFF:
-        return descend(with_hop(word, 0))
-    if end.kind is Kind.FLIP:
-        return descend(doubled(word))
-    if end.kind is Kind.GRAZE_CONTACT:
-        return descend(from_branch(omega, xi, end.periods, end.within))
-    return End(end.gamma, None, f"(1,{end.periods}) ends at a {end.kind} at Gamma = {end.gamma:.6f}")
 
 
 def _jump(line: Branch, events: Events) -> float:

@@ -11,8 +11,7 @@ from typing import Final
 
 from flint import arb, arb_mat, arb_series, ctx
 
-from kernel.branches.descent import Fold
-from kernel.branches.words import Word
+from kernel.branches.folds import Cycle, Fold
 from kernel.proofs.balls import NotProvenError, flow, with_enough_bits
 from kernel.proofs.cycles import START, STEPS, Cycles, Guess, Law, Proven, amplitude
 
@@ -51,7 +50,7 @@ def all_events(which: int, omega: float | str, xi: float | str, periods: int) ->
 
 def prove_down(omega: float | str, xi: float | str, fold: Fold) -> Proven:
     """That stable cycles exist just above a fold, from `gamma` on. Raises `NotProvenError`."""
-    if fold.cycle.letters == "s":
+    if fold.cycle.letters == "Ss":
         return with_enough_bits(lambda: _Branch(omega, xi, fold.periods).down(fold.flight_time))
     why = NotProvenError()
     for step in _ASIDE:
@@ -64,15 +63,14 @@ def prove_down(omega: float | str, xi: float | str, fold: Fold) -> Proven:
 
 def _beside(omega: float | str, xi: float | str, fold: Fold, step: float) -> Proven:
     """That the cycle of a word is stable whose first flight differs by a step from that at the fold."""
-    cycles = Cycles(Law(), omega, xi, guess_of_word(fold.cycle))
-    says = f"a stable cycle of the word {fold.cycle.letters} exists at down_at_most"
+    cycles = Cycles(Law(), omega, xi, guess_of_cycle(fold.cycle))
+    says = f"a stable cycle of the word {fold.cycle.word} exists at down_at_most"
     return cycles.stable(cycles.box(arb(fold.flight_time) + step, by_flight=True), says)
 
 
-def guess_of_word(word: Word) -> Guess:
-    """A cycle of `kernel.branches.words`."""
-    letters = ("S" + word.letters.replace("s", "sS"))[:-1]
-    return Guess(letters, word.periods, [0.0, *word.unknowns[: START - 1 + len(letters)].tolist()])
+def guess_of_cycle(cycle: Cycle) -> Guess:
+    """A cycle of `kernel.branches`."""
+    return Guess(cycle.letters, cycle.periods, cycle.unknowns.tolist())
 
 
 class _Branch:

@@ -64,6 +64,6 @@ def _drawing(number: int, client: Client, jobs: Sequence[Job]) -> "Drawing":
     draw: Mapping[int, Callable[..., Drawing]] = {
         1: schematics.figure_1, 2: partial(flights.figure_2, client), 3: flights.figure_3,
         4: flights.figure_4, 5: onsets.figure_5, 6: onsets.figure_6, 7: flights.figure_7,
-        8: flights.figure_8, 9: onsets.figure_9,
+        8: flights.figure_8, 9: partial(onsets.figure_9, client),
     }  # fmt: skip
     return draw[number](*jobs)

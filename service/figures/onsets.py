@@ -1,6 +1,7 @@
 """Figs. 5, 6 and 9: the bouncing threshold by Eq. 25 and as computed, with Γ increased and decreased."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -10,10 +11,10 @@ from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 
 from kernel.threshold import threshold
-from service.client import Job
+from service.client import Client, Job
 from service.figures.drawing import Caption, Claim, Drawing, compared, left_open, percent
 from service.pictures import ATTRACTORS, LINES, SYMBOLS
-from service.presets import DAMPINGS, GAMMAS, OMEGAS, XI
+from service.presets import DAMPINGS, GAMMAS, OMEGAS, SOFT, XI
 
 #: Line style and marker of each damping.
 LINE_STYLES: Final[Any] = (("-", "o"), ((0, (5, 1.5)), "s"), ((0, (1, 1)), "^"), ("-.", "D"))
@@ -173,15 +174,31 @@ STEPS_APART: Final = 3
 SLOW: Final = 0.5
 
 
-def figure_9(job: Job, lower: Job) -> Drawing:
-    """Up and down, with Eq. 25."""
+#: Where folds of the paper's own contact are drawn, in pieces that are followed apart, and plate periods.
+FOLDS_OVER: Final = tuple(np.linspace(0.2, 1.4, 7).tolist())
+FOLD_MODES: Final = "1-1,1-2"
+
+
+def figure_9(client: Client, job: Job, lower: Job) -> Drawing:
+    """Up and down, with Eq. 25 and the folds of the contact that the paper computed with."""
     loop, from_lower = job.threshold(xi=XI), lower.threshold(xi=XI)
+    contact = {name: value for name, value in SOFT.items() if name != "kind"}
+    folds = [
+        client.curves(
+            xi=XI, omega_start=low, omega_stop=high, modes=FOLD_MODES, kinds="fold", gamma_max=HYSTERESIS_TOP,
+            model=SOFT["kind"], **contact,
+        )
+        for low, high in pairwise(FOLDS_OVER)
+    ]  # fmt: skip
 
     def draw(area: SubFigure) -> None:
         axes = area.subplots()
         axes.plot(loop.omega, loop.up, color=LINES["up"], linewidth=3, label=r"$\Gamma$ increased")
         down: Any = {"markersize": 2, "linewidth": 0.8, "label": r"$\Gamma$ decreased"}
         axes.plot(loop.omega, loop.down, "s-", color=LINES["down"], **down)
+        for fold in folds:
+            axes.plot(fold.omega.values.T, fold.gamma.values.T, color=LINES["branch"], linewidth=0.7)
+        axes.plot([], [], color=LINES["branch"], linewidth=0.7, label="folds, soft contact")
         onset: Any = {"linewidth": 0.9, "label": "Eq. 25"}
         axes.plot(OMEGA_GRID, threshold(OMEGA_GRID, XI), "--", color=LINES["threshold"], **onset)
         axes.legend(loc="upper left", frameon=False)
@@ -213,8 +230,9 @@ def _hysteresis_caption(loop: xarray.Dataset, lower: xarray.Dataset, spec: Mappi
     step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
     shows = (
         "Threshold at ξ = 0.05 with Γ increased (blue: lowest Γ that bounces) and decreased (red: last Γ "
-        f"that bounces) in steps of {step:.2g}, each until its cycle is certified, on an ideal plate; "
-        f"dashed, Eq. 25. Its maximum, {highest:.1f} at Ω = {peak:.3f}, lies outside the frame."
+        f"that bounces) in steps of {step:.2g}, each until its cycle is certified, on an ideal plate; thin, "
+        "folds of cycles of one bounce on the paper's soft contact; dashed, Eq. 25. Its maximum, "
+        f"{highest:.1f} at Ω = {peak:.3f}, lies outside the frame."
     )
     worst, gain = max_relative_difference(loop), 1.0 - (loop.down / loop.up).values
     most, lows = int(np.nanargmax(gain)), minima(loop.down.values, MIN_DEPTH)

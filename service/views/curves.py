@@ -1,4 +1,4 @@
-"""Curves of the events of a spring's cycles over one of its parameters, in closed form."""
+"""Curves of the events of a spring's cycles over one of its parameters, in closed form or followed."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Final
@@ -15,6 +15,7 @@ from service.views import orbits
 from service.views.orbits import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Omega, Query, View, Xi
+from worker.analysis.cycles import CONTACT_CURVES, CURVES_SECONDS, follow_curves
 from worker.spec.errors import one_of
 
 if TYPE_CHECKING:
@@ -44,6 +45,10 @@ class CurvesQuery(Query):
     modes: orbits.Modes = "1-1,1-2"
     kinds: Annotated[str | None, Field(max_length=200, description="such as fold,flip; default: all")] = None
     gamma_max: orbits.GammaMax = 8.0
+    model: orbits.Kind = None
+    restitution: orbits.Restitution = None
+    penetration: orbits.Penetration = None
+    adhesive: orbits.Adhesive = True
 
 
 def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:
@@ -63,21 +68,28 @@ def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:
     return along, fixed, (low, high)
 
 
-def _kinds(text: str | None) -> tuple[Kind, ...]:
+def _kinds(query: CurvesQuery) -> tuple[Kind, ...]:
     """Kinds of curves, written as `fold,flip`. Raises InvalidRequest."""
-    if text is None:
-        return CURVES
-    names = [name.strip() for name in text.split(",")]
-    unknown = [name for name in names if name not in CURVES]
+    known = CURVES if query.model is None else CONTACT_CURVES
+    if query.kinds is None:
+        return known
+    names = [name.strip() for name in query.kinds.split(",")]
+    unknown = [name for name in names if name not in known]
     if unknown:
-        raise InvalidRequest.of("kinds", f"must be among {one_of(CURVES)}, not {unknown[0][:40]!a}")
-    return tuple(kind for kind in CURVES if kind in names)
+        raise InvalidRequest.of("kinds", f"must be among {one_of(known)}, not {unknown[0][:40]!a}")
+    return tuple(kind for kind in known if kind in names)
 
 
 def parts(study: None, query: CurvesQuery) -> Sequence[Call]:
     """The curves of each mode."""
     along, fixed, span = _plane(query)
-    kinds = _kinds(query.kinds)
+    kinds, contact = _kinds(query), orbits.contact(query)
+    if contact is not None:
+        top = query.gamma_max
+        return [
+            (follow_curves, contact, along, fixed, span, mode.periods, kinds, top)
+            for mode in parse_modes(query.modes)
+        ]
     return [(curves, along, fixed, *span, mode.periods, kinds) for mode in parse_modes(query.modes)]
 
 
@@ -86,6 +98,8 @@ def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
 
     Over a range of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
     fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
+    With a `model`, the folds and flips of its own cycles, which end at cusps and where the segments of a
+    cycle change.
     """
     along, fixed, _ = _plane(query)
     top = query.gamma_max
@@ -96,20 +110,24 @@ def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
     coords = columns("curve", {name: [getattr(piece, name)[0] for piece in pieces] for name in names})
     other = "xi" if along is Parameter.OMEGA else "omega"
     coords |= {other: coordinate(other, fixed)}
-    return orbits.closed_form(data, coords, along=str(along), gamma_max=top)
+    contact = orbits.contact(query)
+    model = orbits.MODEL if contact is None else orbits.name_of(contact)
+    return orbits.closed_form(data, coords, model=model, along=str(along), gamma_max=top)
 
 
 def estimate(spec: None, query: CurvesQuery) -> Estimate:
     """An estimate. Raises InvalidRequest for a query without a plane, and above MAX_SECONDS."""
     along, fixed, span = _plane(query)
-    _kinds(query.kinds)
+    _kinds(query)
+    contact = orbits.contact(query)
     modes = parse_modes(query.modes)
     springs = [(value, fixed) if along is Parameter.OMEGA else (fixed, value) for value in span]
     for _, periods in modes:
         for spring in springs:
             grid_length(*spring, periods)
     omega, xi = springs[0]
-    seconds = np.cumsum([_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes])
+    each = [_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes]
+    seconds = np.cumsum(each if contact is None else [CURVES_SECONDS] * len(modes))
     if seconds[-1] > MAX_SECONDS:
         fitting = int(np.searchsorted(seconds, MAX_SECONDS, "right"))
         rule = (

@@ -1,4 +1,4 @@
-"""Branches of cycles: of a spring, in closed form or of any contact, and of words that cells settled to.
+"""Branches of cycles: of a spring, in closed form or of any contact, and of those that cells settled to.
 
 Also what they share with curves: variables, parameters, and records made into variables. A branch or curve
 is a row along the first dimension, padded beyond its last point.
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from kernel.branches.any_contact import CycleBranch
-from kernel.branches.energy import energy, word_energy
+from kernel.branches.energy import energy
 from kernel.branches.events import Branch, Events, branch_and_events, flight_times, join_events
-from kernel.branches.words import WordBranch
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import AXES, FLIGHT, SYMBOLS, draw_branches
@@ -26,15 +25,23 @@ from service.views.selection import (
     MAX_READ,
     GridValue,
     Stored,
+    check_kernel,
     directions_of,
     nearest_index,
 )
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker import store
-from worker.analysis.cycles import CYCLE_SECONDS, Cycles, follow_cycles
+from worker.analysis.cycles import (
+    CYCLE_SECONDS,
+    MAX_BRANCHES,
+    POINTS,
+    FollowedCycles,
+    Skipped,
+    follow_cells,
+    follow_cycles,
+)
 from worker.analysis.prediction import branch_seconds
-from worker.analysis.words import MAX_WORDS, POINTS, Skipped, Words, continue_words
 from worker.orbits.schema import ARRAYS
 from worker.orbits.specification import MAX_GRID, MAX_POINTS, Mode, check_modes, read_mode
 from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, Rigid, Soft
@@ -92,7 +99,6 @@ ROWS: Final[Mapping[str, Array]] = _STORED | {
         *ENERGY,
         *_of_cycle("branch", "cycles"),
         row("points", ("branch",), "<i4", "points of the branch"),
-        row("word", ("branch",), "U", "landings of the cycle: s sticks, z takes off again at once"),
         row("curve_kind", ("curve",), "U", "kind of event"),
         *_of_cycle("curve", "cycles"),
         *(Array(axis, ("curve", "point"), "<f8", 0, _AXES[axis]) for axis in ("omega", "xi")),
@@ -155,9 +161,9 @@ def _field(record: Any, name: str) -> NDArray[Any]:
     return np.asarray(getattr(record, name))
 
 
-def of_branches(records: Sequence[Branch | CycleBranch | WordBranch]) -> dict[str, xarray.Variable]:
+def of_branches(records: Sequence[Branch | CycleBranch]) -> dict[str, xarray.Variable]:
     """Mode and length of each branch; the median where bounces change along it."""
-    bounces = [len(x.word) if isinstance(x, WordBranch) else int(np.median(x.bounces)) for x in records]
+    bounces = [int(np.median(x.bounces)) for x in records]
     lengths = {"bounces": bounces, "periods": [x.periods for x in records]}
     points = variable((), [len(x.gamma) for x in records], ROWS["points"])
     return {**columns("branch", lengths), "points": points}
@@ -232,6 +238,23 @@ _OF_POINT: Final = (
 )  # fmt: skip
 
 
+#: The contacts whose cycles are followed, and their parameters.
+_CONTACTS: Final[Mapping[str, type[Rigid | Soft]]] = {"rigid": Rigid, "soft": Soft}
+_OF_CONTACT: Final = ("restitution", "penetration", "adhesive")
+
+
+Kind = Annotated[
+    Literal["rigid", "soft"] | None,
+    Field(description="contact whose cycles are followed; default: the ideal plate in closed form"),
+]
+Restitution = Annotated[Annotated[Number, Field(ge=0, lt=1)] | None, Field(description="of the model")]
+Penetration = Annotated[
+    Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None,
+    Field(description="of a soft model, in plate amplitudes"),
+]
+Adhesive = Annotated[bool, Field(description="whether a soft model pulls before take-off")]
+
+
 class OrbitsQuery(Query):
     """A spring, its contact, and which of its branches to compute."""
 
@@ -245,34 +268,20 @@ class OrbitsQuery(Query):
     ] = 400
     energy: WithEnergy = False
     prove: WithProof = False
-    model: Annotated[
-        Literal["rigid", "soft"] | None,
-        Field(description="contact whose cycles are followed; default: the ideal plate in closed form"),
-    ] = None
-    restitution: Annotated[Number, Field(ge=0, lt=1)] | None = Field(None, description="of the model")
-    penetration: Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None = Field(
-        None, description="of a soft model, in plate amplitudes"
-    )
-    adhesive: Annotated[bool, Field(description="whether a soft model pulls before take-off")] = True
+    model: Kind = None
+    restitution: Restitution = None
+    penetration: Penetration = None
+    adhesive: Adhesive = True
 
 
-#: The contacts whose cycles are followed, and their parameters.
-_CONTACTS: Final[Mapping[str, type[Rigid | Soft]]] = {"rigid": Rigid, "soft": Soft}
-_OF_CONTACT: Final = ("restitution", "penetration", "adhesive")
-
-
-@lru_cache(KEPT)  # as _seconds
-def _contact(query: OrbitsQuery) -> Rigid | Soft | None:
+def contact(query: Query) -> Rigid | Soft | None:
     """The contact whose cycles are followed; None: the closed form. Raises InvalidRequest."""
-    given = query.model_dump(include=set(_OF_CONTACT), exclude_defaults=True)
-    if query.model is None:
+    given = query.model_dump(include={"model", *_OF_CONTACT}, exclude_defaults=True)
+    if "model" not in given:
         if given:
             raise InvalidRequest.of("model", f"is required with {', '.join(given)}: rigid or soft")
         return None
-    for name in ("energy", "prove"):
-        if getattr(query, name):
-            raise InvalidRequest.of(name, "is of the closed form: leave out model")
-    fields = _CONTACTS[query.model]
+    fields = _CONTACTS[given.pop("model")]
     try:
         return fields(**given)
     except ValidationError as error:
@@ -280,20 +289,19 @@ def _contact(query: OrbitsQuery) -> Rigid | Soft | None:
         raise InvalidRequest("; ".join(map(str, problems)), problems) from error
 
 
-def _name(contact: Rigid | Soft) -> str:
-    name = f"{contact.kind}, restitution {contact.restitution:g}"
-    if isinstance(contact, Rigid):
+def name_of(plate: Rigid | Soft) -> str:
+    """A contact and its parameters."""
+    name = f"{plate.kind}, restitution {plate.restitution:g}"
+    if isinstance(plate, Rigid):
         return name
-    return (
-        f"{name}, penetration {contact.penetration:g}, {'adhesive' if contact.adhesive else 'not adhesive'}"
-    )
+    return f"{name}, penetration {plate.penetration:g}, {'adhesive' if plate.adhesive else 'not adhesive'}"
 
 
 def orbit_parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
     """The branches of each mode: of a contact, or those that take longer than AT_ONCE_SECONDS together."""
-    contact, top = _contact(query), query.gamma_max
-    if contact is not None:
-        return [(follow_cycles, contact, *spring, top, points) for *spring, points in _grids(query)]
+    plate, top = contact(query), query.gamma_max
+    if plate is not None:
+        return [(follow_cycles, plate, *spring, top, points) for *spring, points in _grids(query)]
     quick = _seconds(query) <= AT_ONCE_SECONDS
     return [] if quick else [(branch_and_events, *grid) for grid in _grids(query)]
 
@@ -309,7 +317,9 @@ def _grids(query: OrbitsQuery) -> tuple[tuple[float, float, int, int], ...]:
     return tuple((query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes))
 
 
-def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events] | Cycles) -> xarray.Dataset:
+def compute_orbits(
+    study: None, query: OrbitsQuery, *parts: tuple[Branch, Events] | FollowedCycles
+) -> xarray.Dataset:
     """Branches of cycles of one bounce, and their events.
 
     Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
@@ -317,27 +327,29 @@ def compute_orbits(study: None, query: OrbitsQuery, *parts: tuple[Branch, Events
     all flips, of a branch are listed, by a count that holds for certain (docs/proofs.md).
 
     With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
-    most once compiled. With rebound a branch may pass through numbers of `flights`; it ends at the event
-    `stick-vanishes` or `rest`, too.
+    most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
+    event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for.
     """
-    contact = _contact(query)
+    plate = contact(query)
     parts = parts or tuple(_branch(*grid) for grid in _grids(query))
-    branches: list[Any] = [
-        branch for part, _ in parts for branch in ((part,) if isinstance(part, Branch) else part)
-    ]
+    branches: list[Any] = []
+    events: list[Events] = []
+    for part in parts:
+        branches += part.branches if isinstance(part, FollowedCycles) else part[:1]
+        events += part.events if isinstance(part, FollowedCycles) else part[1:]
     pieces = [piece for branch in branches for piece in below(branch, query.gamma_max)]
     data = padded(_OF_POINT, pieces)
-    if contact is not None:
+    if plate is not None:
         data |= padded(("flights",), pieces)
     if query.energy:
         data |= padded(BALANCE, [energy(x.omega, x.xi, x.periods, x.flight_time) for x in pieces])
-    data |= event_columns(join_events([rows_of(e, e.gamma <= query.gamma_max) for _, e in parts]))
+    data |= event_columns(join_events([rows_of(e, e.gamma <= query.gamma_max) for e in events]))
     if query.prove:
-        complete = [proofs.of_events(e)[e.gamma <= query.gamma_max] for _, e in parts]
+        complete = [proofs.of_events(e)[e.gamma <= query.gamma_max] for e in events]
         data |= columns("event", {"complete": np.concatenate(complete)})
     coords = of_branches(pieces)
     coords |= {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")}
-    model = MODEL if contact is None else _name(contact)
+    model = MODEL if plate is None else name_of(plate)
     return closed_form(data, coords, model=model, gamma_max=query.gamma_max)
 
 
@@ -350,7 +362,11 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
     Raises InvalidRequest for a branch that is too long, or not there, and above MAX_SECONDS.
     """
     lengths = [grid_length(*grid) for grid in _grids(query)]
-    if _contact(query) is not None:
+    plate = contact(query)
+    for name in ("energy", "prove") if plate is not None else ():
+        if getattr(query, name):
+            raise InvalidRequest.of(name, "is of the closed form: leave out model")
+    if plate is not None:
         lengths = [2 * query.points] * _FAMILIES * len(lengths)
         seconds = _seconds(query) + sum(lengths) * CYCLE_SECONDS
         if seconds > MAX_SECONDS:
@@ -360,7 +376,7 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
             )
             raise InvalidRequest.of("modes", rule)
     sizes = {"branch": len(lengths), "point": max(lengths), "multiplier": 2, "part": 2}
-    small = _contact(query) is None and _seconds(query) <= SMALL_SECONDS and not query.prove
+    small = plate is None and _seconds(query) <= SMALL_SECONDS and not query.prove
     seconds = sum(COUNT_SECONDS * periods / omega for omega, _, periods, _ in _grids(query) if query.prove)
     return Estimate(sizes, memory=sum(lengths) * _PER_POINT, seconds=seconds, small=small)
 
@@ -388,13 +404,12 @@ SPRING: Final = View(
 #: Bytes of an answer.
 _MEMORY: Final = 16 * 2**20
 #: Of a line without a computed cell.
-_NONE: Final = Words((), (), ())
+_NONE: Final = FollowedCycles((), ())
 
-_OF_WORD: Final = ("gamma", "multipliers", "stable", "admissible")
-_OF_FLIGHT: Final = ("flight_time", "takeoff_phase", "impact_velocity")
+_OF_CELLS: Final = (*(name for name in _OF_POINT if name != "flight_time"), "flights")
 
 
-class WordsQuery(Query):
+class CellsQuery(Query):
     """The spring of the sweep nearest to the given values, and the direction whose cells are continued."""
 
     omega: Number | None = None
@@ -403,17 +418,33 @@ class WordsQuery(Query):
         str | None, Field(description="rest, up or down; default: the first direction of the sweep")
     ] = None
     gamma_max: GammaMax = 8.0
-    energy: WithEnergy = False
 
 
-def _line(spec: SweepSpec, query: WordsQuery) -> tuple[str, dict[str, GridValue]]:
+def contact_of(spec: SweepSpec) -> Rigid | Soft:
+    """The contact of a sweep whose cycles are followed. Raises InvalidRequest."""
+    rule = "cycles are followed of rigid and soft contacts"
+    if not isinstance(spec.model, Rigid | Soft):
+        raise InvalidRequest.of("model", f"{rule}; the sweep's is {spec.model.kind}")
+    if isinstance(spec.model, Soft) and spec.model.rest_length is not None:
+        raise InvalidRequest.of(
+            "model", f"{rule} of one penetration; with a rest_length every cell has its own"
+        )
+    return spec.model
+
+
+def _line(spec: SweepSpec, query: CellsQuery) -> tuple[str, dict[str, GridValue]]:
     """Direction and spring of the cells. Raises InvalidRequest."""
+    contact_of(spec)
     spring = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in ("omega", "xi")}
     return directions_of(spec, query.direction)[0], spring
 
 
-def word_parts(study: Stored[SweepSpec], query: WordsQuery) -> Sequence[Call]:
-    """The branches of one line, unless nothing is stored yet."""
+def cell_parts(study: Stored[SweepSpec], query: CellsQuery) -> Sequence[Call]:
+    """The branches of one line, unless nothing is stored yet.
+
+    Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue.
+    """
+    check_kernel(study.kernel_version)
     try:
         store.stored_forms(study.url, study.forms)  # raises for a store laid out otherwise
     except store.StoreMissing as error:
@@ -422,45 +453,44 @@ def word_parts(study: Stored[SweepSpec], query: WordsQuery) -> Sequence[Call]:
         return []
     direction, spring = _line(study.spec, query)
     indices = (study.spec.directions.index(direction), spring["xi"].index, spring["omega"].index)
-    return [(continue_words, study.spec, study.url, *indices, query.gamma_max, study.complete)]
+    return [(follow_cells, study.spec, study.url, *indices, query.gamma_max, study.complete)]
 
 
-def compute_words(study: Stored[SweepSpec], query: WordsQuery, words: Words = _NONE) -> xarray.Dataset:
-    """Branches of the cycles that cells along Γ settled to.
+def compute_cells(
+    study: Stored[SweepSpec], query: CellsQuery, cycles: FollowedCycles = _NONE
+) -> xarray.Dataset:
+    """Branches of the cycles that cells along Γ settled to, on their own contact.
 
-    Stable and unstable ones, with their events, of the rigid contact without restitution: cells of another
-    contact are a guess from which its cycles are looked for. A worker follows a branch in some tenths of a
-    second. `skipped` are the periodic cells from which no branch was followed.
+    Stable and unstable ones, with their events. Workers follow them, some seconds at most once compiled;
+    `flight_time` has all flights of a cycle that count, the longest first. `skipped` are the periodic cells
+    from which no branch was followed.
     """
     direction, spring = _line(study.spec, query)
-    data = padded(_OF_WORD, words.branches) | padded(
-        _OF_FLIGHT, words.branches, ("branch", "point", "flight")
-    )
-    if query.energy:
-        data |= padded(BALANCE, [word_energy(branch) for branch in words.branches])
-    data |= event_columns(join_events(words.events))
-    on = np.repeat(np.arange(len(words.events)), [len(events.gamma) for events in words.events])
+    data = padded(_OF_CELLS, cycles.branches)
+    data |= padded(("flight_time",), cycles.branches, ("branch", "point", "flight"))
+    data |= event_columns(join_events(cycles.events))
+    on = np.repeat(np.arange(len(cycles.events)), [len(events.gamma) for events in cycles.events])
     data |= columns("event", {"branch": on})
-    data |= columns("skipped", {name: [getattr(x, name) for x in words.skipped] for name in Skipped._fields})
-    coords = of_branches(words.branches)
-    coords |= {"word": variable((), [branch.word for branch in words.branches], ROWS["word"])}
+    data |= columns("skipped", {name: [getattr(x, name) for x in cycles.skipped] for name in Skipped._fields})
+    coords = of_branches(cycles.branches)
     coords |= {axis: coordinate(axis, point.value) for axis, point in spring.items()}
     coords |= {"direction": coordinate("direction", direction)}
-    return closed_form(data, coords, study.complete, gamma_max=query.gamma_max)
+    model = name_of(contact_of(study.spec))
+    return closed_form(data, coords, study.complete, model, gamma_max=query.gamma_max)
 
 
-def estimate_words(spec: SweepSpec, query: WordsQuery) -> Estimate:
+def estimate_cells(spec: SweepSpec, query: CellsQuery) -> Estimate:
     """The points of as many branches as are followed. Raises InvalidRequest for a line that is not there."""
     _line(spec, query)
-    sizes = {"branch": MAX_WORDS, "point": 2 * POINTS, "multiplier": 2, "part": 2}
+    sizes = {"branch": MAX_BRANCHES, "point": 2 * POINTS, "multiplier": 2, "part": 2}
     return Estimate(sizes, memory=_MEMORY, small=False)
 
 
 VIEW: Final = View(
-    "orbits", "Branches of a sweep's cycles", SweepSpec, WordsQuery, compute_words, estimate_words,
+    "orbits", "Branches of a sweep's cycles", SweepSpec, CellsQuery, compute_cells, estimate_cells,
     variables=(
-        *(ROWS[name] for name in (*_OF_WORD, *_OF_FLIGHT, *BALANCE, *BRANCH, "word")),
+        *(ROWS[name] for name in (*_OF_CELLS, "flight_time", *BRANCH)),
         *EVENTS, ROWS["event_branch"], *(ROWS[f"skipped_{name}"] for name in Skipped._fields),
     ),
-    rows="flight_time", printed=("event_gamma", "skipped_gamma"), parts=word_parts, draw=draw,
+    rows="flight_time", printed=("event_gamma", "skipped_gamma"), parts=cell_parts, draw=draw,
 )  # fmt: skip

@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.descent import Fold
 from kernel.branches.events import Events, Kind
+from kernel.branches.folds import Fold
 from kernel.cell import SHORTEST_FLIGHT
 from kernel.params import Cell
 from service.errors import NotInstalled

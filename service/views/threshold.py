@@ -9,19 +9,27 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import Field
 
-from kernel.branches.descent import Fold, lifetime
-from kernel.branches.thresholds import Thresholds
+from kernel.branches.folds import Fold, lifetime
+from kernel.branches.thresholds import EQ_25, Thresholds
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
 from service.pictures import draw_thresholds
-from service.views import proofs
+from service.views import orbits, proofs
 from service.views.selection import MAX_READ, ROUNDING, Stored, check_kernel, nearest_index, read_direction
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker.analysis.bisection import TYPICAL_CELLS, Refined, Status, by_bisection, endless_rest, on_grid
-from worker.analysis.prediction import predict, predict_each, predict_from_cells, prediction_seconds
-from worker.spec.contact_models import Rigid
+from worker.analysis.prediction import (
+    decides,
+    is_ideal,
+    of_contact,
+    predict,
+    predict_each,
+    predict_from_cells,
+    prediction_seconds,
+)
+from worker.spec.contact_models import Contact
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
@@ -37,6 +45,7 @@ _OF_SPRING: Final = (
     row("jump", (), "<f8", "Γ of the fold at which flights leap on the way up"),
     row("down", (), "<f8", "lowest Γ at which bouncing persists", comment="NaN: not decided"),
     row("cause", (), "U", "what ends bouncing at down"),
+    row("status", (), "U", "how down was found: closed form, continued, or unresolved"),
     row("reason", (), "U", "why down is not decided"),
     row("lifetime", (), "<f8", "life of bouncing at Γ = down - delta", "plate periods"),
     row("delta", (), "<f8", "Γ below down"),
@@ -46,12 +55,16 @@ _OF_SPRING: Final = (
 
 
 class SpringQuery(Query):
-    """A spring, and how far below the fold it bounces."""
+    """A spring, its contact, and how far below the fold it bounces."""
 
     omega: Omega
     xi: Xi
     delta: Annotated[Number, Field(ge=1e-15, le=0.1, description="Γ below `down` with a lifetime")] = 1e-6
     prove: Annotated[bool, Field(description="an upper bound of `down` with a proof")] = False
+    model: orbits.Kind = None
+    restitution: orbits.Restitution = None
+    penetration: orbits.Penetration = None
+    adhesive: orbits.Adhesive = True
 
 
 #: The thresholds of one spring; `unresolved` or `not searched` where the rule does not decide.
@@ -61,7 +74,8 @@ predicted: Final = lru_cache(KEPT)(predict)
 def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xarray.Dataset:
     """Where one spring begins and ceases to bounce.
 
-    In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which bouncing
+    In closed form, of the rigid contact without restitution; with a `model`, by workers that follow the
+    contact's own cycles, a second at most once compiled. `down` is the lowest Γ at which bouncing
     persists, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
     `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
     is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
@@ -69,35 +83,51 @@ def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xa
 
     With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
     """
+    contact = orbits.contact(query)
     thresholds = computed[0] if computed else predicted(query.omega, query.xi)
     data: dict[str, Any] = {
         "threshold": thresholds.gamma_th if np.isfinite(thresholds.gamma_th) else np.nan,
         "jump": thresholds.jump, "down": thresholds.down,
-        "cause": thresholds.cause, "reason": thresholds.reason,
+        "cause": thresholds.cause, "reason": thresholds.reason, "status": _status(contact, thresholds),
     }  # fmt: skip
     if thresholds.fold is not None:
         data |= {"lifetime": lifetime(thresholds.fold, query.delta), "delta": query.delta}
-        data |= {name: values[0] for name, values in thresholds.fold.energy._asdict().items()}
+        if thresholds.fold.energy is not None:
+            data |= {name: values[0] for name, values in thresholds.fold.energy._asdict().items()}
     if query.prove:
         data |= proofs.of_threshold(query.omega, query.xi, thresholds.fold)
     rows = [row for row in _OF_SPRING if query.prove or row not in proofs.OF_THRESHOLD]
     return dataset(
         {row.name: variable((), data.get(row.name, np.nan), row) for row in rows},
         {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")},
-        {"model": CONTACT, "complete": True},
+        {"model": CONTACT if contact is None else orbits.name_of(contact), "complete": True},
     )
 
 
+def _status(contact: Contact | None, thresholds: Thresholds) -> str:
+    """By which way `down` was found."""
+    if not np.isfinite(thresholds.down):
+        return "unresolved"
+    fold = thresholds.fold
+    return "closed form" if contact is None and (fold is None or fold.cycle.word == "s") else "continued"
+
+
 def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
-    """The prediction, if it takes long."""
-    if prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS:
+    """The prediction, if it takes long or follows cycles."""
+    contact = orbits.contact(query)
+    if contact is not None:
+        return [(of_contact, contact, query.omega, query.xi)]
+    if prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS and decides(query.omega, query.xi):
         return ()
     return [(predict, query.omega, query.xi)]
 
 
 def estimate_spring(spec: None, query: SpringQuery) -> Estimate:
-    """One number of each variable."""
-    brief = prediction_seconds(query.omega, query.xi) <= SMALL_SECONDS
+    """One number of each variable. Raises InvalidRequest."""
+    contact = orbits.contact(query)
+    if contact is not None and query.prove:
+        raise InvalidRequest.of("prove", "is of the closed form: leave out model")
+    brief = contact is None and prediction_seconds(query.omega, query.xi) <= SMALL_SECONDS
     return Estimate({}, small=brief and not query.prove)  # proofs have a precision of the whole process
 
 
@@ -113,8 +143,8 @@ BLOCK: Final = 16
 #: Values of omega predicted unless all are asked for.
 MAX_PREDICTED: Final = 200
 
-#: Core-seconds that following the words of one omega takes, typically, of three cells.
-WORDS_SECONDS: Final = 0.48
+#: Core-seconds that following the cycles of one omega takes, typically, of three cells.
+CELLS_SECONDS: Final = 0.48
 
 #: Values of omega, and core-seconds, of predictions that are computed with a small read.
 MAX_BRIEF: Final = 4
@@ -153,8 +183,8 @@ class ThresholdQuery(Query):
     )
     predict: Predict = Field(
         "some",
-        description="thresholds in closed form: of no Ω, of up to 200, of all by the workers, or of all with "
-        "words continued from the sweep's cells where it is unresolved",
+        description="thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from "
+        "cycles of the sweep's cells, on an ideal plate where the closed form is unresolved",
     )
 
 
@@ -199,10 +229,11 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     analytic = threshold(omega, xi)
     data["analytic"] = np.where(np.isfinite(analytic), analytic, np.nan)
     contact = f"{CONTACT}: the contact of the sweep"
-    if not _is_ideal(spec):
+    if not is_ideal(spec.model):
         contact = f"{CONTACT}: not the contact of the sweep, which is {spec.model.kind}"
-    if query.predict == "words" and study.chunks_done:
-        contact += "; words continued from its cells: others may reach lower"
+    if query.predict == "cells" and study.chunks_done:
+        own = orbits.name_of(orbits.contact_of(spec))
+        contact = f"{own}: cycles continued from the sweep's cells; others may reach lower"
     attrs: dict[str, Any] = {"prediction": contact, "model": spec.model.kind, "complete": complete}
     if query.tolerance is not None:
         attrs["tolerance"] = query.tolerance
@@ -216,8 +247,8 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
 def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
     """Every omega, the outcomes of the plane, and what is computed.
 
-    Raises InvalidRequest for a sweep ramped along another axis than gamma, for words of another contact than
-    the closed form's, and for more computing than one answer may take.
+    Raises InvalidRequest for a sweep ramped along another axis than gamma, for cycles of a contact without
+    any, and for more computing than one answer may take.
     """
     if spec.ramp_axis not in (None, "gamma"):
         rule = f"is {spec.ramp_axis}; thresholds in gamma need a sweep from rest or ramped along gamma"
@@ -234,7 +265,8 @@ def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
             raise InvalidRequest.of("tolerance", rule)
     brief = bool(_left_out(spec, xi, query.predict)) or (
         query.predict == "some" and omegas <= MAX_BRIEF and _seconds(spec, xi, 0.0)[-1] <= BRIEF_SECONDS
-    )
+        and all(decides(value, xi) for value in spec.axis_values("omega").tolist())
+    )  # fmt: skip
     return Estimate(
         {"omega": omegas}, reads=("omega", "gamma"), small=brief and query.tolerance is None,
         memory=omegas * _PER_OMEGA + min(omegas * gammas, MAX_READ),
@@ -249,20 +281,20 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
     spec, nearest = study.spec, nearest_index(study.spec, "xi", query.xi)
     omega = spec.axis_values("omega").tolist()
     calls: list[Call] = []
-    if query.tolerance is not None:
+    if query.tolerance is not None or query.predict == "cells":
         check_kernel(study.kernel_version)
     if query.tolerance is not None and study.chunks_done:
         blocks = (tuple(range(low, min(low + BLOCK, len(omega)))) for low in range(0, len(omega), BLOCK))
         calls += [(by_bisection, spec, study.url, nearest.index, block, query.tolerance) for block in blocks]
     if _left_out(spec, nearest.value, query.predict):
         return calls
-    words = query.predict == "words" and study.chunks_done > 0  # before the first chunk there are none
-    seconds = _seconds(spec, nearest.value, WORDS_SECONDS if words else 0.0)
+    cells = query.predict == "cells" and study.chunks_done > 0  # before the first chunk there are none
+    seconds = _seconds(spec, nearest.value, CELLS_SECONDS if cells else 0.0)
     if query.predict == "some" and seconds[-1] <= AT_ONCE_SECONDS:
         return calls
     call = (seconds // CALL_SECONDS).astype(int)
     for block in (tuple(np.flatnonzero(call == number).tolist()) for number in np.unique(call)):
-        if words:
+        if cells:
             calls.append((predict_from_cells, spec, study.url, nearest.index, block, study.complete))
         else:
             calls.append((predict_each, tuple(omega[i] for i in block), nearest.value))
@@ -319,15 +351,14 @@ def _refined(data: dict[str, NDArray[Any]], refined: Sequence[Refined]) -> dict[
 
 def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
     """Why nothing is predicted; empty if every omega is. Raises InvalidRequest as `estimate`."""
-    if predict == "words" and not _is_ideal(spec):
-        rule = f"words are of rigid cells with restitution 0; the sweep's contact is {spec.model.kind}"
-        raise InvalidRequest.of("predict", rule)
+    if predict == "cells":
+        orbits.contact_of(spec)
     if predict == "none":
         return "not predicted"
     omegas = len(spec.axis_values("omega"))
     if predict == "some" and omegas > MAX_PREDICTED:
         return f"not predicted: ask for all above {MAX_PREDICTED} values of omega"
-    seconds = _seconds(spec, xi, WORDS_SECONDS if predict == "words" else 0.0)
+    seconds = _seconds(spec, xi, CELLS_SECONDS if predict == "cells" else 0.0)
     if seconds[-1] <= MAX_PREDICTION_SECONDS:
         return ""
     rule = (
@@ -341,14 +372,9 @@ def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
 
 
 @lru_cache(64)  # one answer takes it several times
-def _seconds(spec: SweepSpec, xi: float, words: float) -> NDArray[np.float64]:
-    """Core-seconds of the predictions up to each omega, with `words` for the words of each."""
-    return np.cumsum([words + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
-
-
-def _is_ideal(spec: SweepSpec) -> bool:
-    """Whether a sweep's contact is that of the closed form."""
-    return isinstance(spec.model, Rigid) and spec.model.restitution == 0.0
+def _seconds(spec: SweepSpec, xi: float, cells: float) -> NDArray[np.float64]:
+    """Core-seconds of the predictions up to each omega, with `cells` for the cycles of each."""
+    return np.cumsum([cells + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
 
 
 def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction: Thresholds) -> str:
@@ -367,7 +393,7 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
         return ""
     if above < 0.0:
         return _below(prediction.fold, -above, sum(spec.window))
-    if prediction.fold is not None:
+    if prediction.cause != EQ_25:
         return (
             f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the "
             "spring; take smaller ones, or start on the cycle"

@@ -24,11 +24,12 @@ from tips import end_of_hysteresis, soft_landing, tip
 from benchmarks.contacts import end_of_bouncing, shift_text
 from benchmarks.threshold_search import search
 from kernel.branches.curves import Parameter, curves
-from kernel.branches.descent import descend, lifetime
+from kernel.branches.cycles import cycle_from
+from kernel.branches.descent import descend, ideal_plate
 from kernel.branches.events import Kind, branch_and_events, fold_events
+from kernel.branches.folds import lifetime
 from kernel.branches.starts import start_on_cycle, start_on_stable_cycle
 from kernel.branches.thresholds import SEARCHED_XI, Thresholds, conjecture, thresholds
-from kernel.branches.words import from_flights
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
 from service.presets import FIGURES
@@ -115,8 +116,9 @@ def searched() -> Texts:
         rule = at(omega, xi)
         found = search(np.random.default_rng(1), omega, xi, rule.down, starts)
         assert found is not None
-        cycle = (found.takeoff_phase, found.flight_time, found.periods)
-        fold = descend(from_flights(omega, xi, found.gamma, *cycle)).fold
+        cycle = cycle_from(ideal_plate(), Cell(found.gamma, omega, xi), found.periods, found.state)
+        assert cycle is not None
+        fold = descend(cycle).fold
         assert fold is not None
         says = f"{rule.cause} | {rule.down:.6f} | ({found.bounces}, {found.periods})"
         rows.append(f"| {omega:g} | {xi:g} | {says} | {fold.gamma:.6f} |")

@@ -1,15 +1,28 @@
-"""Branches of a spring's cycles on the contact of a specification."""
+"""Branches of a spring's cycles on the contact of a specification, and curves of their events."""
 
-from typing import Final, NamedTuple
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kernel.branches.any_contact import CycleBranch, branches, event_record, record
-from kernel.branches.events import Events
-from kernel.branches.follow import RANGE
+from kernel.branches.any_contact import CycleBranch, Followed, branches, event_record, record
+from kernel.branches.curves import Curves, Parameter
+from kernel.branches.cycles import FLIGHTS, Cycles, Point, confirmed, cycle_from
+from kernel.branches.events import Events, Kind, join_events
+from kernel.branches.follow import RANGE, Event, ahead, follow
+from kernel.branches.segments import START
+from kernel.params import Cell, Outcome
+from worker import store
+from worker.analysis.bisection import BOUNCING
 from worker.spec.contact_models import Contact
 from worker.sweep import SweepSpec
+from worker.sweep.task import run_cells
 from worker.work import plate_of
+
+Floats = NDArray[np.float64]
 
 #: Flights that count are longer, rad.
 MICRO_FLIGHT: Final[float] = SweepSpec.model_fields["micro_flight"].default
@@ -17,24 +30,308 @@ MICRO_FLIGHT: Final[float] = SweepSpec.model_fields["micro_flight"].default
 #: Core-seconds of a cycle on its way, most of all of those with many hops.
 CYCLE_SECONDS: Final = 2e-3
 
+#: Branches followed per line of cells, plate periods of their cycles, and points per branch and direction.
+MAX_BRANCHES: Final = 12
+MAX_PERIODS: Final = 16
 
-class Cycles(NamedTuple):
-    """The branches from the cycles (1, periods), and the events on all of them."""
+#: Settled cells of lowest Gamma in a line whose cycles are followed to their ends.
+LOWEST: Final = 3
+POINTS: Final = 400
+
+#: Two cycles at one Gamma are one if their flights are this close, rad; numbers of hops differ by less.
+_SAME: Final = 1e-5
+#: Where a doubled branch begins, the flights of both halves are this close, rad, of those longer than a hop.
+_EVEN: Final = 1e-3
+_HOP: Final = 1e-2
+#: No point of a branch is further from the next.
+_STEP: Final = 0.2
+
+#: Kinds of curves of a contact, the multiplier of each, and how close one is to it.
+CONTACT_CURVES: Final = (Kind.FOLD, Kind.FLIP)
+_MULTIPLIER: Final = (1.0, -1.0)
+_AT: Final = 1e-4
+#: Values at which curves are looked for, steps of a curve, and the part of a step after which it ends.
+SECTIONS: Final = 5
+STEPS: Final = 60
+#: Core-seconds of the curves of a mode, at most.
+CURVES_SECONDS: Final = 6.0
+_LEAST_STEP: Final = 0.05
+#: The secant rule: its first step along a branch, the last, and how many.
+_SECANT, _LOCATED, _SECANTS = 1e-4, 1e-11, 12
+#: A curve passes through an event that is closer, in Gamma and rad.
+_NEAR_CURVE: Final = 1e-2
+
+
+class Skipped(NamedTuple):
+    """A settled cell from which no branch was followed."""
+
+    gamma: float
+    bounces: int
+    periods: int
+    reason: str
+
+
+class FollowedCycles(NamedTuple):
+    """Branches, and the events on each of them."""
 
     branches: tuple[CycleBranch, ...]
-    events: Events
+    events: tuple[Events, ...]
+    skipped: tuple[Skipped, ...] = ()
 
 
 def follow_cycles(
     contact: Contact, omega: float, xi: float, periods: int, gamma_max: float, points: int
-) -> Cycles:
-    """The branches up to `gamma_max`, at most `points` each way; runs on workers, which compile for it.
+) -> FollowedCycles:
+    """The branches from the cycles (1, periods) up to `gamma_max`, at most `points` each way.
 
-    Raises KernelInputError.
+    Runs on workers, which compile for it. Raises KernelInputError.
     """
     plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
-    followed = branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max), points=points)
-    events = [event for line in followed for event in line.events]
-    return Cycles(
-        tuple(record(line.points, MICRO_FLIGHT) for line in followed), event_record(events, MICRO_FLIGHT)
+    return _cycles(branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max), points=points))
+
+
+def _cycles(lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: Any = ()) -> FollowedCycles:
+    return FollowedCycles(
+        tuple(record(line.points, micro_flight) for line in lines),
+        tuple(event_record(line.events, micro_flight) for line in lines),
+        tuple(skipped),
     )
+
+
+def follow_cells(
+    spec: SweepSpec, url: str, direction: int, xi: int, omega: int, gamma_max: float, complete: bool
+) -> FollowedCycles:
+    """The branches of the cycles that the cells along gamma at these indices of the grid settled to.
+
+    Of flights that count, each cycle has all, the longest first. A cell whose cycle lies on an earlier branch
+    is not followed again; the shortest cycles are followed first. Raises a `store.StoreError`.
+    """
+    lines: list[Followed] = []
+    skipped: list[Skipped] = []
+    cells = settled_cells(spec, url, (direction, xi, omega), complete)
+    for settled in sorted(cells, key=lambda settled: settled.periods):
+        if settled.cell.gamma > gamma_max:
+            continue
+        if settled.periods > MAX_PERIODS:
+            skipped.append(settled.skipped(f"cycles of up to {MAX_PERIODS} plate periods are followed"))
+            continue
+        seed = settled.cycle(spec)
+        if seed is None:
+            skipped.append(settled.skipped("no cycle was found beside its state"))
+        elif any(_lies_on(seed, line) for line in lines):
+            continue
+        elif len(lines) == MAX_BRANCHES:
+            skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
+        else:
+            lines.append(_branch(seed, gamma_max))
+    found = _cycles(lines, spec.micro_flight, skipped)
+    flights = [_longest_first(line.points, spec.micro_flight) for line in lines]
+    return found._replace(
+        branches=tuple(x._replace(flight_time=t) for x, t in zip(found.branches, flights, strict=True))
+    )
+
+
+class Settled(NamedTuple):
+    """A periodic cell of a sweep."""
+
+    cell: Cell
+    bounces: int
+    periods: int
+    state: Floats | None  # (6,) at its end; None: it began at rest, and nothing of it is stored
+
+    def cycle(self, spec: SweepSpec) -> Point | None:
+        """Its cycle, or None if none is near its state; a cell from rest is computed again."""
+        gamma, omega, xi = (np.full(1, value) for value in self.cell)
+        state = run_cells(spec, gamma, omega, xi, None).end_state[0] if self.state is None else self.state
+        return cycle_from(plate_of(spec.model, gamma, omega, xi), self.cell, self.periods, state)
+
+    def skipped(self, reason: str) -> Skipped:
+        return Skipped(float(self.cell.gamma), self.bounces, self.periods, reason)
+
+
+def settled_cells(spec: SweepSpec, url: str, line: tuple[int, int, int], complete: bool) -> list[Settled]:
+    """The periodic cells along gamma at indices (direction, xi, omega). Raises a `store.StoreError`."""
+    names = ["flights", "bounces", "periods", "outcome", *(["end_state"] if spec.ramp_axis else [])]
+    direction, xi, omega = line
+    arrays = store.read_slice(url, names, direction=direction, xi=xi, omega=omega, complete=complete)
+    spring = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
+    gamma = spec.axis_values("gamma").tolist()
+    # a cell that is filled in from another has no flights
+    return [
+        Settled(
+            Cell(gamma[i], *spring), int(arrays["bounces"][i]), int(arrays["periods"][i]),
+            arrays["end_state"][i] if spec.ramp_axis else None,
+        )
+        for i in np.flatnonzero((arrays["outcome"] == Outcome.PERIODIC) & (arrays["flights"] > 0))
+    ]  # fmt: skip
+
+
+def lowest_cells(
+    spec: SweepSpec, url: str, line: tuple[int, int, int], complete: bool
+) -> tuple[list[Settled], float]:
+    """The periodic cells of lowest Gamma, up to LOWEST, and the lowest Gamma that bounces.
+
+    Of a line at indices (direction, xi, omega); Gamma is infinite if no cell bounces. Raises a
+    `store.StoreError`.
+    """
+    direction, xi, omega = line
+    outcome = store.read_slice(url, ["outcome"], direction=direction, xi=xi, omega=omega, complete=complete)
+    bouncing = spec.axis_values("gamma")[np.isin(outcome["outcome"], BOUNCING)]
+    cells = settled_cells(spec, url, line, complete)[:LOWEST]
+    return cells, float(bouncing.min()) if len(bouncing) else math.inf
+
+
+def _branch(seed: Point, gamma_max: float) -> Followed:
+    """The whole branch through a cycle, each way up to where it becomes a shorter one gone through twice."""
+    span = RANGE[0], gamma_max
+    up, after = _up_to_shorter(*follow(seed, 1.0, points=POINTS, span=span))
+    if len(up) > 1 and up[-1] is up[0]:
+        return Followed(up, after)
+    down, before = _up_to_shorter(*follow(seed, -1.0, points=POINTS, span=span))
+    return Followed([*down[:0:-1], *up], [*before[::-1], *after])
+
+
+def _up_to_shorter(points: list[Point], events: list[Event]) -> tuple[list[Point], list[Event]]:
+    """What comes before the flip at which a doubled branch began: beyond, its halves change places."""
+    for k, event in enumerate(events):
+        if event.turns and _is_doubled(event.point):
+            turns = (i for i, (a, b) in enumerate(pairwise(points)) if a.rising * b.rising < 0.0)
+            start = event.point.x[:START]
+            last = next((i for i in turns if np.abs(points[i].x[:START] - start).max() < _STEP), len(points))
+            return points[: last + 1], events[:k]
+    return points, events
+
+
+def _is_doubled(point: Point) -> bool:
+    """Whether a cycle is one of half its plate periods, gone through twice."""
+    flights = [time for time in _flights(point) if time > _HOP]
+    half, odd = divmod(len(flights), 2)
+    halves = zip(flights[:half], flights[half:], strict=False)
+    return not odd and point.cycles.periods % 2 == 0 and all(abs(a - b) < _EVEN for a, b in halves)
+
+
+def _lies_on(point: Point, line: Followed) -> bool:
+    """Whether a branch passes through a cycle, wherever that begins."""
+    if line.points[0].cycles.periods != point.cycles.periods:
+        return False
+    away = np.array([other.parameter for other in line.points]) - point.parameter
+    for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
+        a, b = line.points[i : i + 2]
+        part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
+        near = [(a, a.x + part * (b.x - a.x))] if len(a.x) == len(b.x) else [(a, a.x), (b, b.x)]
+        others = (guess.cycles.at(x, point.parameter) for guess, x in near)
+        if any(other is not None and _alike(other, point) for other in others):
+            return True
+    return False
+
+
+def _alike(a: Point, b: Point) -> bool:
+    """Whether the flights of two cycles are the same, but for the shortest of more hops."""
+    pairs = zip(*(sorted(_flights(point), reverse=True) for point in (a, b)), strict=False)
+    return all(abs(x - y) < _SAME for x, y in pairs)
+
+
+def _flights(point: Point) -> list[float]:
+    """Of a cycle, rad, in order."""
+    return [t for t, x in zip(point.times.tolist(), point.letters, strict=True) if x in FLIGHTS]
+
+
+def _longest_first(points: list[Point], micro_flight: float) -> Floats:
+    """(n, flights) of each cycle those that count, at least one, rad; NaN beyond."""
+    flights = [sorted(_flights(point), reverse=True) for point in points]
+    times = [[t for t in each if t > micro_flight] or each[:1] for each in flights]
+    table = np.full((len(points), max(map(len, times))), np.nan)
+    for row, each in zip(table, times, strict=True):
+        row[: len(each)] = each
+    return table
+
+
+def follow_curves(
+    contact: Contact, along: Parameter, fixed: float, span: tuple[float, float], periods: int,
+    kinds: tuple[Kind, ...], gamma_max: float,
+) -> Curves:  # fmt: skip
+    """Curves of the events on a contact's branches over `along`, the other parameter being `fixed`.
+
+    An event on a branch along Gamma is followed both ways in small steps, until it is none of the spring's.
+    Finds every curve that crosses one of SECTIONS evenly spaced values; cusps end curves. Raises
+    KernelInputError.
+    """
+    curves: list[list[Event]] = []
+    for value in np.linspace(*span, SECTIONS).tolist():
+        omega, xi = (value, fixed) if along is Parameter.OMEGA else (fixed, value)
+        plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
+        for line in branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max)):
+            for event in line.events:
+                if event.kind not in kinds or _is_doubled(event.point):
+                    continue
+                if not any(_crosses(curve, event, along, value) for curve in curves):
+                    step = (span[1] - span[0]) / STEPS
+                    down, up = (list(_along(event, along, way * step, span)) for way in (-1.0, 1.0))
+                    curves.append([*down[::-1], event, *up])
+    return Curves(tuple(event_record(curve, MICRO_FLIGHT) for curve in curves), join_events([]))
+
+
+def _along(event: Event, along: Parameter, step: float, span: tuple[float, float]) -> Iterator[Event]:
+    """The same event at further values of a parameter, `step` apart, less where it would be lost."""
+    which = CONTACT_CURVES.index(event.kind)
+    smallest = abs(step) * _LEAST_STEP
+    before = last = event.point
+    while abs(step) > smallest:
+        value = _value(last, along) + step
+        if not span[0] - 1e-12 <= value <= span[1] + 1e-12:
+            return
+        gone = _value(last, along) - _value(before, along)
+        ahead_of = (
+            last.x + step / gone * (last.x - before.x) if gone and last.letters == before.letters else last.x
+        )
+        point = _event_at(_beside(last.cycles, along, value), ahead_of, last.tangent, which)
+        if point is None:
+            step *= 0.5
+            continue
+        yield Event(event.kind, point)
+        before, last = last, point
+
+
+def _event_at(cycles: Cycles, x: Floats, tangent: Floats, which: int) -> Point | None:
+    """The zero of a test on a branch near x (m,), by the secant rule, if the spring has that cycle."""
+    node = cycles.newton(x, tangent)
+    if node is None:
+        return None
+    a, b = 0.0, _SECANT
+    value_a, point = node.tests()[which], ahead(node, b)
+    for _ in range(_SECANTS):
+        if point is None:
+            return None
+        value = point.tests()[which]
+        if abs(value - value_a) == 0.0 or abs(b - a) < _LOCATED:
+            break
+        a, value_a, b = b, value, b - value * (b - a) / (value - value_a)
+        if not abs(b) < _STEP:
+            return None
+        point = ahead(node, b)
+    if point is None or not np.abs(point.multipliers() - _MULTIPLIER[which]).min() < _AT:
+        return None
+    point, broken = confirmed(point)
+    return point if broken is None else None
+
+
+def _beside(cycles: Cycles, along: Parameter, value: float) -> Cycles:
+    return cycles._replace(omega=value) if along is Parameter.OMEGA else cycles._replace(xi=value)
+
+
+def _value(point: Point, along: Parameter) -> float:
+    return float(getattr(point.cycles, along))
+
+
+def _crosses(curve: list[Event], event: Event, along: Parameter, value: float) -> bool:
+    """Whether a curve passes through an event at a value of its parameter."""
+    if curve[0].kind is not event.kind:
+        return False
+    away = np.round([_value(other.point, along) - value for other in curve], 12)
+    for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
+        part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
+        a, b = (np.array([curve[j].point.parameter, max(_flights(curve[j].point))]) for j in (i, i + 1))
+        here = np.array([event.point.parameter, max(_flights(event.point))])
+        if np.abs(a + part * (b - a) - here).max() < _NEAR_CURVE:
+            return True
+    return False

@@ -1,18 +1,24 @@
 """Thresholds in closed form, of the rigid plate without restitution, for comparison with a sweep."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from kernel.branches.contact_thresholds import thresholds_of
+from kernel.branches.cycles import Point
 from kernel.branches.events import POINTS, flight_times
-from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, thresholds
+from kernel.branches.folds import Fold, lifetime
+from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
 from kernel.threshold import threshold
-from worker.analysis.words import lowest_words
+from worker.analysis.cycles import lowest_cells
 from worker.orbits.plan import SECONDS
 from worker.orbits.specification import MAX_GRID
+from worker.spec.contact_models import Contact, Rigid
 from worker.sweep import SweepSpec
+from worker.work import plate_of
 
 #: Core-seconds of one prediction, of one branch beside those of its grid, and of a branch that grazes along
 #: its whole length by rounding: each graze is followed to its end.
@@ -53,6 +59,15 @@ def _why_not(omega: float, xi: float) -> str | None:
     return None
 
 
+def decides(omega: float, xi: float) -> bool:
+    """Whether `predict` needs the closed form alone, and nothing compiled."""
+    try:
+        with np.errstate(all="ignore"):
+            return _why_not(omega, xi) is not None or closed_form(omega, xi).decides
+    except KernelInputError:
+        return True
+
+
 def predict(omega: float, xi: float) -> Thresholds:
     """As `thresholds`, omega > 0 and xi >= 0; `unresolved` also where the branches are not searched."""
     reason = _why_not(omega, xi)
@@ -64,14 +79,19 @@ def predict_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
     return [predict(value, xi) for value in omega]
 
 
+def is_ideal(contact: Contact) -> bool:
+    """Whether a contact is that of the closed form."""
+    return isinstance(contact, Rigid) and contact.restitution == 0.0
+
+
 def predict_from_cells(
     spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], complete: bool
 ) -> list[Thresholds]:
-    """`predict` at these indices, with words of the sweep's cells where it is unresolved; runs on workers.
+    """The thresholds of the sweep's contact at these indices, with cycles of its cells; runs on workers.
 
-    The words are those of the settled cells of lowest Gamma, on the way down if the sweep goes down. The end
-    of the lowest word is the answer, unless a cell bounces below it or a lower fold stays open. Raises a
-    `store.StoreError`.
+    Of an ideal plate, cells count only where `predict` leaves them unresolved. They are those of lowest Gamma
+    that settled, on the way down if the sweep goes down. The lowest end of a cycle is the answer, unless a
+    cell bounces below it or a lower fold stays open. Raises a `store.StoreError`.
     """
     direction = spec.directions.index("down") if "down" in spec.directions else 0
     at_xi = float(spec.axis_values("xi")[xi])
@@ -79,12 +99,34 @@ def predict_from_cells(
     for omega in omegas:
         at_omega = float(spec.axis_values("omega")[omega])
         answer = predict(at_omega, at_xi)
-        if answer.cause == UNRESOLVED and math.isfinite(answer.gamma_th):
-            words, bouncing = lowest_words(spec, url, direction, xi, omega, complete)
-            if words:
-                answer = _thresholds(at_omega, at_xi, words=words, bouncing=bouncing)
+        if math.isfinite(answer.gamma_th) and (answer.cause == UNRESOLVED or not is_ideal(spec.model)):
+            settled, bouncing = lowest_cells(spec, url, (direction, xi, omega), complete)
+            cycles = [cycle for cell in settled if (cycle := cell.cycle(spec)) is not None]
+            if cycles or not is_ideal(spec.model):
+                answer = of_contact(spec.model, at_omega, at_xi, cycles)
+                below = answer.down - bouncing
+                if below > 0.0 and not _is_ghost(answer.fold, below, sum(spec.window)):
+                    answer = of_contact(spec.model, at_omega, at_xi, cycles, bouncing)
         answers.append(answer)
     return answers
+
+
+def _is_ghost(fold: Fold | None, below: float, window: int) -> bool:
+    """Whether bouncing lives on so far below a fold for longer than a window of plate periods."""
+    return fold is not None and lifetime(fold, below) > window
+
+
+def of_contact(
+    contact: Contact, omega: float, xi: float, cycles: Sequence[Point] = (), bouncing: float = math.inf
+) -> Thresholds:
+    """The thresholds of a contact, by cycles that workers follow; as of `kernel.branches.thresholds`."""
+    if is_ideal(contact):
+        return _thresholds(omega, xi, cycles=cycles, bouncing=bouncing)
+    plate = plate_of(contact, np.ones(1), np.full(1, omega), np.full(1, xi))
+    try:
+        return thresholds_of(plate, omega, xi, cycles, bouncing)
+    except KernelInputError as error:
+        return _undecided(omega, xi, str(error))
 
 
 def _thresholds(omega: float, xi: float, **known: Any) -> Thresholds:

@@ -9,9 +9,13 @@ from paths import GOLDEN
 from tables import for_each
 
 from benchmarks.threshold_search import search, searched
-from kernel.branches.descent import descend, lifetime
+from kernel.branches.cycles import cycle_from
+from kernel.branches.descent import descend, ideal_plate
+from kernel.branches.folds import lifetime
+from kernel.branches.follow import follow
+from kernel.branches.starts import start_on_stable_cycle
 from kernel.branches.thresholds import EQ_25, NOT_SEARCHED, SEARCHED_XI, UNRESOLVED, conjecture, thresholds
-from kernel.branches.words import from_flights
+from kernel.params import Cell
 from kernel.threshold import threshold
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
@@ -84,17 +88,20 @@ def test_a_doubled_cycle_reaches_below_the_fold():
     assert found.down < expected["fold of (1,1)"]
 
 
-def test_words_of_settled_cells():
+def cycle_at(gamma, omega, xi, periods, state):
+    return cycle_from(ideal_plate(), Cell(gamma, omega, xi), periods, state)
+
+
+def test_cycles_of_settled_cells():
     """With the cycle of a settled cell the answer at Omega = 1.26 is the same; a lower cell contradicts."""
     reference = REFERENCE["immediate_takeoff"]
-    word = from_flights(
-        1.26, 0.05, reference["gamma"], np.array(reference["takeoff_phase"]),
-        np.array(reference["flight_time"]), 2,
-    )  # fmt: skip
-    found = thresholds(1.26, 0.05, words=[word], bouncing=reference["gamma"])
+    start = start_on_stable_cycle(Cell(2.4, 1.26, 0.05), 2).start
+    line, _ = follow(cycle_at(*start.cell, 2, start.state), -1.0)
+    cycle = next(point for point in line if "z" in point.letters)
+    found = thresholds(1.26, 0.05, cycles=[cycle], bouncing=reference["gamma"])
     assert found.cause == "fold of word zs (2,2)"
     assert found.down == pytest.approx(reference["fold"], abs=1e-9)
-    lower = thresholds(1.26, 0.05, words=[word], bouncing=2.2)
+    lower = thresholds(1.26, 0.05, cycles=[cycle], bouncing=2.2)
     assert lower.cause == UNRESOLVED
     assert "2.200000" in lower.reason
 
@@ -110,12 +117,12 @@ def test_a_damping_that_was_not_searched_decides_nothing(omega: float, xi: float
     assert rule.cause == EQ_25
     lower = search(np.random.default_rng(1), omega, xi, rule.down)
     assert lower.gamma < 0.95 * rule.down
-    word = from_flights(omega, xi, lower.gamma, lower.takeoff_phase, lower.flight_time, lower.periods)
-    assert descend(word).gamma == pytest.approx(fold, abs=1e-9)
+    cycle = cycle_at(lower.gamma, omega, xi, lower.periods, lower.state)
+    assert descend(cycle).gamma == pytest.approx(fold, abs=1e-9)
     assert (found.cause, found.fold) == (NOT_SEARCHED, None)
     assert math.isnan(found.down)
     assert f"Eq. 25, Gamma = {rule.down:.6f}" in found.reason
-    assert thresholds(omega, xi, words=[]).cause == NOT_SEARCHED
+    assert thresholds(omega, xi).cause == NOT_SEARCHED
     assert thresholds(omega, SEARCHED_XI).cause != NOT_SEARCHED
     assert thresholds(omega, math.nextafter(SEARCHED_XI, 0.0)).cause == NOT_SEARCHED
 

@@ -10,13 +10,14 @@ pytest.importorskip("flint", reason="needs the extra proofs")
 
 from kernel.branches.cycles import cycle_from
 from kernel.branches.events import branch, flight_times
-from kernel.branches.words import from_branch
+from kernel.branches.folds import one_flight
+from kernel.branches.spring import spring
 from kernel.line import run_line
 from kernel.models.rigid import plate as rigid
 from kernel.models.soft import plate as soft
 from kernel.params import Cell, Outcome
 from kernel.proofs.balls import DisprovenError, NotProvenError, bounds
-from kernel.proofs.branches import guess_of_word
+from kernel.proofs.branches import guess_of_cycle
 from kernel.proofs.cycles import Law, guess_of, prove_cycle
 
 LAWS = [
@@ -65,7 +66,7 @@ def test_cells_that_settled_are_proven_to_lie_on_stable_cycles(law):
 
 
 def on_branch(gamma, omega, xi, periods, time):
-    return prove_cycle(Law(), gamma, omega, xi, guess_of_word(from_branch(omega, xi, periods, time)))
+    return prove_cycle(Law(), gamma, omega, xi, guess_of_cycle(one_flight(spring(omega, xi), periods, time)))
 
 
 def test_golden_verdicts_are_proven():
@@ -96,8 +97,8 @@ def test_only_stable_admissible_cycles_of_a_branch_are_proven():
 def just_above_the_fold():
     line = branch(CELL.omega, CELL.xi, 1, np.linspace(4.17, 4.22, 20001))
     i = np.argmin(np.where(line.stable, np.abs(line.gamma - CELL.gamma), np.inf))
-    return float(line.gamma[i]), guess_of_word(
-        from_branch(CELL.omega, CELL.xi, 1, float(line.flight_time[i]))
+    return float(line.gamma[i]), guess_of_cycle(
+        one_flight(spring(CELL.omega, CELL.xi), 1, float(line.flight_time[i]))
     )
 
 

@@ -72,7 +72,7 @@ QUERIES: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("rest", "diagram", {}),
     ("rest", "diagram", {"every": 3, "min_flight": 4.5}),
     ("rest", "diagram", {"format": "csv"}),
-    ("rest", "orbits", {"gamma_max": 3.0, "energy": True}),
+    ("rest", "orbits", {"gamma_max": 3.0}),
     ("rest", "diagram", {"start": 1.0, "stop": 2.0}),
     ("rest", "diagram", {"start": 1.0, "stop": 2.0, "every": 2, "format": "csv"}),
     ("rest", "trajectory", {"gamma": 1.5, "periods": 2, "samples": 12}),

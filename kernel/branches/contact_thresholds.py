@@ -1,0 +1,113 @@
+"""The thresholds of any contact, from the branches of its cycles that reach below where rest ends.
+
+The rule is that of `kernel.branches.thresholds`. The branches are those that cycles of the closed form lead
+to; families that are not connected with them are missed, so that the lowest end is an upper bound. Where the
+closed form has a fold that does not decide, and no branch has one there, the answer is `unresolved`.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import chain, groupby
+from typing import Any, Final
+
+from kernel.branches.any_contact import Followed, all_through, beside, seeds
+from kernel.branches.cycles import Point
+from kernel.branches.descent import Descent, descend, fold_of, folds_of_twice
+from kernel.branches.events import Kind
+from kernel.branches.folds import Fold
+from kernel.branches.follow import End
+from kernel.branches.starts import start_on_cycle
+from kernel.branches.thresholds import (
+    PERIODS,
+    UNRESOLVED,
+    Thresholds,
+    closed_form,
+    lowest_end,
+    where_searched,
+)
+from kernel.interface import prepare
+from kernel.params import Cell
+
+#: Branches are followed up to this many times the Gamma at which rest ends: past folds where flights leap.
+_REACH: Final = 1.5
+
+#: Above a fold of the closed form, relative, a cycle of the contact is looked for.
+_ABOVE: Final = (1e-3, 1e-2)
+#: A fold of a contact that is closer to one of the closed form, relative, is that one.
+_NEAR: Final = 0.01
+
+
+def thresholds_of(
+    plate: Any, omega: float, xi: float, cycles: Sequence[Point] = (), bouncing: float = math.inf
+) -> Thresholds:
+    """The thresholds of a plate of one cell, restitution < 1; `not searched` below SEARCHED_XI.
+
+    cycles, bouncing: as of `thresholds.conjecture`. Raises KernelInputError.
+    """
+    gamma_th = rest_ends(plate, omega, xi)
+    answer = Thresholds(omega, xi, gamma_th, math.nan, math.nan, UNRESOLVED, "", None)
+    if not math.isfinite(gamma_th):
+        return answer._replace(reason="a spring at rest bounces at no Gamma")
+    folds: list[Fold] = []
+    ends: list[Descent] = [descend(cycle) for cycle in cycles]
+    undecided: list[Fold] = []
+    ideal = closed_form(omega, xi)
+    span = (0.0, _REACH * gamma_th)
+    for periods in range(1, PERIODS + 1):
+        known = [fold for fold in (*ideal.folds, *ideal.undecided) if fold.periods == periods]
+        if periods > 1 and not known:
+            continue
+        lines = all_through(chain(seeds(plate, omega, xi, periods), _above(plate, omega, xi, known)), span)
+        if periods == 1 and lines:
+            answer = answer._replace(jump=_jump(lines[0]))
+        below = [event for line in lines for event in line.events if event.point.parameter < gamma_th]
+        minima = [fold for fold in (fold_of(x) for x in below if x.kind is Kind.FOLD) if fold.curvature > 0.0]
+        undecided += [fold for fold in minima if not fold.holds]
+        undecided += [x for x in known if not (x.holds or any(_alike(x, fold) for fold in minima))]
+        flips = (event.point for event in below if event.kind is Kind.FLIP)
+        folds += [fold for flip in flips for fold in folds_of_twice(flip, gamma_th)]
+        lowest = (point for line in lines for point in _lowest_stable(line))
+        ends += [descend(point) for point in lowest if point.parameter < gamma_th]
+    return where_searched(lowest_end(answer, folds, undecided, ends, bouncing))
+
+
+def rest_ends(plate: Any, omega: float, xi: float) -> float:
+    """Gamma at which a spring at rest first loses contact; Eq. 25 for an ideal plate.
+
+    What holds it is as 1/Gamma, what drives it as the plate: `margin` is their difference.
+    """
+    one, two = (prepare(plate, 0, gamma, omega, xi).margin for gamma in (1.0, 2.0))
+    drive = one - 2.0 * two
+    return 2.0 * (one - two) / drive if drive > 0.0 else math.inf
+
+
+def _above(plate: Any, omega: float, xi: float, folds: Sequence[Fold]) -> Iterator[Point]:
+    """Cycles of a contact above folds of the closed form."""
+    for fold in folds:
+        for above in _ABOVE:
+            cell = Cell(fold.gamma * (1.0 + above), omega, xi)
+            start = start_on_cycle(cell, fold.periods, fold.flight_time)
+            point = beside(plate, start, fold.periods)
+            if point is not None:
+                yield point
+                break
+
+
+def _alike(a: Fold, b: Fold) -> bool:
+    return abs(a.gamma - b.gamma) < _NEAR * a.gamma
+
+
+def _lowest_stable(line: Followed) -> Iterator[Point]:
+    """The lowest cycle of each stable stretch of a branch."""
+    for stable, stretch in groupby(line.points, key=lambda point: point.stable):
+        if stable:
+            yield min(stretch, key=lambda point: point.parameter)
+
+
+def _jump(line: Followed) -> float:
+    """The fold that ends the cycles that begin at rest; NaN if they end otherwise."""
+    events = line.events if line.events and line.events[0].kind is End.REST else line.events[::-1]
+    if not events or events[0].kind is not End.REST:
+        return math.nan
+    last = next((event for event in events[1:] if event.turns or event.kind in (Kind.FLIP, *End)), None)
+    return last.point.parameter if last is not None and last.kind is Kind.FOLD else math.nan

@@ -1,0 +1,110 @@
+"""Folds at which stable cycles end on the way down, and the ghost that bouncing leaves below one."""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from kernel.branches.closed_form import TWO_PI, floquet, gamma_slope, orbit
+from kernel.branches.energy import Energy, energy
+from kernel.branches.events import Events, Kind
+from kernel.branches.roots import Floats
+from kernel.branches.spring import Spring
+
+#: Flights of cycles with rebound count for their names if they are longer, rad.
+MICRO_FLIGHT: Final = 0.05
+
+#: Step of derivatives at a fold, relative to T. Its square is their relative error.
+_DIFFERENCE: Final = 1e-4
+
+
+class Cycle(NamedTuple):
+    """A cycle by its segments, without the functions that solve it: see `kernel.branches.segments`."""
+
+    letters: str
+    periods: int
+    unknowns: Floats  # (m,) gap', q, q', c, s at the start, and the durations
+
+    @property
+    def word(self) -> str:
+        """The letters of its flights, on an ideal plate without restitution; empty for other contacts."""
+        return self.letters.replace("S", "") if set(self.letters) <= set("Ssz") else ""
+
+    @property
+    def name(self) -> str:
+        """As sentences about it spell it."""
+        times = self.unknowns[-len(self.letters) :]
+        flights = [t for t, letter in zip(times, self.letters, strict=True) if letter not in "SC"]
+        bounces = len(self.word) or max(sum(t > MICRO_FLIGHT for t in flights), 1)
+        return f"{self.word if bounces > 1 else ''} ({bounces},{self.periods})".strip()
+
+
+class Fold(NamedTuple):
+    """A minimum of Gamma along a branch. Primes are derivatives by T, or along the branch."""
+
+    cycle: Cycle  # that turns
+    flight_time: float  # rad, of the first flight
+    gamma: float
+    other_multiplier: float  # the largest that is not 1
+    curvature: float  # Gamma'' > 0
+    slope: float  # of the multiplier that is 1
+    admissible: int  # 0, or the bits of a Reason
+    energy: Energy | None  # of the cycle, on an ideal plate without restitution
+
+    @property
+    def periods(self) -> int:
+        """Plate periods of the cycle."""
+        return self.cycle.periods
+
+    @property
+    def holds(self) -> bool:
+        """Whether a stable cycle of the spring ends here."""
+        return not self.admissible and abs(self.other_multiplier) < 1.0
+
+    @property
+    def name(self) -> str:
+        """As `cause` spells it."""
+        return f"fold {'of word ' if len(self.cycle.word) > 1 else ''}{self.cycle.name}"
+
+
+def lifetime(fold: Fold, below: float) -> float:
+    """Plate periods that bouncing lives at Gamma = fold.gamma - below, below > 0: the ghost of the fold.
+
+    Near a fold the slow coordinate x (a flight time) moves by lambda' x per cycle to lowest order in x, and
+    delta below it by -delta lambda'/Gamma'' + lambda' x**2/2 with |lambda'| = |d lambda/dT|, which it crosses
+    in N = (pi/|lambda'|) sqrt(2 Gamma''/delta) cycles. The law holds for delta -> 0, and for any coordinate
+    along the branch.
+    """
+    cycles = math.pi / abs(fold.slope) * math.sqrt(2.0 * fold.curvature / below)
+    return cycles * fold.periods
+
+
+def minima(k: Spring, events: Events, below: float) -> list[Fold]:
+    """The folds of a (1,k) branch below a Gamma that are minima of it."""
+    folds = []
+    for i in np.flatnonzero((events.kind == Kind.FOLD) & (events.gamma < below)):
+        t, n = float(events.flight_time[i]), int(events.periods[i])
+        step = _DIFFERENCE * t
+        before, after = gamma_slope(k, n, np.array([t - step, t + step]))
+        curvature = float(after - before) / (2.0 * step)
+        if not curvature > 0.0:
+            continue
+        f = floquet(k, n, np.array([t]))
+        other = float(f.det[0])  # the product of both
+        slope = float((f.trace1[0] - f.det1[0]) / (1.0 - other))
+        balance = energy(float(np.real(k.omega)), float(np.real(k.xi)), n, np.array([t]))
+        folds.append(
+            Fold(
+                one_flight(k, n, t), t, float(events.gamma[i]), other, curvature, slope,
+                int(events.admissible[i]), balance,
+            )
+        )  # fmt: skip
+    return folds
+
+
+def one_flight(k: Spring, periods: int, flight_time: float) -> Cycle:
+    """The cycle of one flight of flight_time rad in `periods` plate periods."""
+    x = orbit(k, periods, np.array([flight_time]))
+    landing = (x.c[0] + 1j * x.s[0]) * np.exp(1j * flight_time)
+    start = [0.0, x.q_land[0], x.v_land[0], landing.real, landing.imag]
+    return Cycle("Ss", periods, np.array([*start, TWO_PI * periods - flight_time, flight_time]))

@@ -1,0 +1,57 @@
+"""Thresholds of any contact against folds known by other means, and against the rule in closed form."""
+
+import math
+
+import pytest
+from contacts import rigid, soft
+
+from kernel.branches.contact_thresholds import rest_ends, thresholds_of
+from kernel.branches.thresholds import EQ_25, NOT_SEARCHED, UNRESOLVED, thresholds
+from kernel.threshold import threshold
+
+#: Contact, Omega, xi, Gamma_down, where flights leap; as in `test_follow`.
+TABLE = [
+    (soft(), 0.60, 0.05, 0.553241345562, 0.915986309968),
+    (soft(), 0.70, 0.05, 0.669278722617, 0.752498081518),
+    (soft(penetration=1e-2), 0.60, 0.05, 0.552918762421, 0.915742981450),
+    (soft(adhesive=False), 0.60, 0.05, 0.553238870182, 0.915985867041),
+    (rigid(0.3), 0.62, 0.05, 0.516259290719, 0.869786519752),
+    (rigid(0.5), 0.66, 0.05, 0.695395334976, 0.805215730572),
+    (rigid(0.9), 0.60, 0.05, 0.393179810088, math.nan),  # of three hops, never stuck
+]
+
+
+@pytest.mark.parametrize(("plate", "omega", "xi", "down", "jump"), TABLE)
+def test_bouncing_ends_at_the_lowest_fold(plate, omega, xi, down, jump):
+    answer = thresholds_of(plate, omega, xi)
+    assert answer.cause.startswith("fold")
+    assert answer.down == pytest.approx(down, abs=1e-9)
+    assert answer.fold.gamma == answer.down
+    assert answer.jump == pytest.approx(jump, abs=1e-9, nan_ok=True)
+
+
+def test_bouncing_ends_with_rest_where_no_fold_is_below():
+    answer = thresholds_of(soft(), 0.5, 0.26)
+    assert answer.cause == EQ_25
+    assert answer.down == answer.gamma_th == rest_ends(soft(), 0.5, 0.26)
+
+
+@pytest.mark.parametrize("omega", [0.35, 0.4, 0.46, 0.47, 0.6, 0.75, 1.26, 1.28])
+def test_an_ideal_plate_has_the_thresholds_of_the_closed_form(omega):
+    known, answer = thresholds(omega, 0.05), thresholds_of(rigid(0.0), omega, 0.05)
+    assert answer.cause == known.cause
+    assert answer.down == pytest.approx(known.down, abs=1e-12, nan_ok=True)
+    assert (answer.reason != "") == (known.cause == UNRESOLVED)
+
+
+def test_rest_on_an_ideal_plate_ends_at_eq_25():
+    """On a soft one where its static depth is driven to zero: for depths that vanish, the same."""
+    expected = threshold(0.6, 0.05)
+    assert rest_ends(rigid(0.4), 0.6, 0.05) == pytest.approx(expected, rel=1e-13)
+    assert rest_ends(soft(penetration=1e-5), 0.6, 0.05) == pytest.approx(expected, rel=1e-8)
+    assert rest_ends(soft(penetration=0.1), 0.6, 0.05) != pytest.approx(expected, rel=1e-3)
+
+
+def test_a_damping_that_was_not_searched_decides_nothing():
+    answer = thresholds_of(soft(), 0.6, 0.03)
+    assert (answer.cause, answer.fold) == (NOT_SEARCHED, None)
