@@ -67,6 +67,18 @@ READ, COUNTED, LONGER, BOUNCES, PERIODS = range(5)
 CERTIFIED: Final = 4
 
 
+class Attempt(NamedTuple):
+    """Room for an attempt."""
+
+    cycle: Flights  # two turns of it
+    vectors: Any  # (4, 4) the variations of a turn
+    none: Any  # (0, 4) where none are carried along
+    y: Any  # (4,) the cycle's state at the section
+    first: Any  # (4,) where the trajectory is after a turn
+    step: Any  # (4,) of Newton's method
+    turn: Any  # (4, 4) the derivative of a turn
+
+
 class Search(NamedTuple):
     """Where the cells in some lanes are searched for cycles."""
 
@@ -75,7 +87,7 @@ class Search(NamedTuple):
     period: Any
     failed: Any  # (lanes, LONGEST + 1) rad, differences at which candidates last failed; 0: the one under way
     counts: Any  # (lanes, 5) int64, see READ
-    cycle: Flights  # room for an attempt
+    attempt: Attempt
 
 
 def allocate_search(lanes: int, flights: Flights) -> Search:
@@ -83,7 +95,9 @@ def allocate_search(lanes: int, flights: Flights) -> Search:
     n, size = lanes * SEARCHED, 2 * flights.size
     cycle = Flights(np.empty(size), np.empty(size), np.empty(size, np.int64), size, 0)
     failed, counts = np.full((lanes, LONGEST + 1), np.inf), np.zeros((lanes, 5), np.int64)
-    return Search(np.empty(n), np.empty(n), np.empty(n, np.int64), failed, counts, cycle)
+    vectors, none, turn = np.zeros((4, 4)), np.zeros((0, 4)), np.zeros((4, 4))
+    attempt = Attempt(cycle, vectors, none, np.zeros(4), np.zeros(4), np.zeros(4), turn)
+    return Search(np.empty(n), np.empty(n), np.empty(n, np.int64), failed, counts, attempt)
 
 
 @jit
@@ -93,7 +107,7 @@ def begin_search(search: Search, k: int) -> None:
     search.counts[k] = 0
 
 
-@allocating
+@jit
 def certified(
     cell: Any, run: Progress, i: int, k: int, window: Window, line: Line, flights: Flights, search: Search
 ) -> Progress:
@@ -101,12 +115,10 @@ def certified(
 
     Then the record of the i-th cell is written.
     """
-    periods = search.counts[k, PERIODS]
-    start = _section(cell, run, k, periods, window, flights, search)
-    if start.ending == ROOT:
-        y, first = np.empty(4), np.empty(4)
-        if _newton(cell, start, periods, window, search, y, first):
-            run = _accept(cell, run, start, periods, window, search, y, first, i, line)
+    periods, attempt = search.counts[k, PERIODS], search.attempt
+    begins, start = _section(cell, run, k, periods, window, flights, attempt)
+    if begins and _newton(cell, start, periods, window, attempt):
+        run = _accept(cell, run, start, periods, window, attempt, i, line)
     if run.ending != CERTIFIED:
         search.failed[k, search.counts[k, BOUNCES]] = search.failed[k, 0]
     return run
@@ -155,27 +167,24 @@ def _searched(k: int, n: int) -> int:
 def _candidate(k: int, search: Search) -> tuple[int, int, float]:
     """Flights and plate periods of the shortest cycle to try, and how far it repeats, rad. 0: none."""
     n, failed = search.counts[k, COUNTED], search.failed[k]
-    chosen, chosen_periods, difference = 0, 0, 0.0
+    j, chosen, chosen_periods, difference = _searched(k, n - 1), 0, 0, 0.0
     for bounces in range(1, min(LONGEST if n % RARELY == 0 else SHORT, n // 3) + 1):
-        periods, newest = _last_turn(k, n, bounces, search)
+        i = _searched(k, n - 1 - bounces)
+        newest = abs(search.time[j] - search.time[i])
+        if newest <= LEFT:
+            shift = search.phase[j] - search.phase[i]
+            turn = round(shift * (1.0 / TWO_PI))  # phases either side of the turn of a period are neighbours
+            newest = max(newest, abs(shift - TWO_PI * turn))
         if newest > LEFT:
             failed[bounces] = math.inf
+            continue
+        periods = search.period[j] - search.period[i] + int(turn)
         if chosen == 0 and periods >= 1 and newest <= min(NEAR, NEARER * failed[bounces]):
             last = _difference(k, n, bounces, bounces, periods, search)
             repeats = last <= min(NEAR, NEARER * failed[bounces])
             if repeats and _approaches(k, n, bounces, periods, last, search):
                 chosen, chosen_periods, difference = bounces, periods, last
     return chosen, chosen_periods, difference
-
-
-@jit
-def _last_turn(k: int, n: int, bounces: int, search: Search) -> tuple[int, float]:
-    """Plate periods from the flight `bounces` before the n-th to that, and their difference, rad."""
-    j, i = _searched(k, n - 1), _searched(k, n - 1 - bounces)
-    shift = search.phase[j] - search.phase[i]
-    turn = round(shift * (1.0 / TWO_PI))  # phases either side of the turn of a period are neighbours
-    difference = max(abs(search.time[j] - search.time[i]), abs(shift - TWO_PI * turn))
-    return search.period[j] - search.period[i] + int(turn), difference
 
 
 @jit
@@ -211,11 +220,11 @@ def _approaches(k: int, n: int, bounces: int, periods: int, last: float, search:
 
 @jit
 def _section(
-    cell: Any, run: Progress, k: int, periods: int, window: Window, flights: Flights, search: Search
-) -> Progress:
+    cell: Any, run: Progress, k: int, periods: int, window: Window, flights: Flights, attempt: Attempt
+) -> tuple[bool, Progress]:
     """The run on to the middle of the next long contact or flight: at least half of the longest of a turn.
 
-    It ends otherwise if there is none within two turns.
+    Whether there is one within two turns comes first.
     """
     least = 0.5 * _longest(run, k, periods, flights)
     run = changed(run, recorded=0, opened=0, budget=BUDGET * periods, settle=0, end=FAR)
@@ -227,12 +236,16 @@ def _section(
             half = 0.5 * p.tau
             p = phase_of(cell, phi, run, half)
             turns = math.floor((run.phase + half) * (1.0 / TWO_PI))
-            return changed(
-                run, phase=run.phase + half - TWO_PI * turns, period=run.period + turns, state=p.state,
-                takeoff_period=-1, recorded=0,
-            )  # fmt: skip
-        run = record(run, p, window, search.cycle, 0)
-    return changed(run, ending=HORIZON)
+            phase, period = run.phase + half - TWO_PI * turns, run.period + turns
+            return True, _moved(run, phase, period, run.in_flight, p.state, ROOT)
+        run = record(run, p, window, attempt.cycle, 0)
+    return False, run
+
+
+@jit
+def _moved(run: Progress, phase: float, period: int, in_flight: bool, state: State, ending: int) -> Progress:
+    """The run in another state."""
+    return changed(run, phase=phase, period=period, in_flight=in_flight, state=state, ending=ending)
 
 
 @jit
@@ -278,7 +291,21 @@ def _cover(
 @jit
 def _from(start: Progress, y: Any) -> Progress:
     """The run that begins at the section `start` with the state y (4,)."""
-    return changed(start, state=State(y[0], y[1], y[2], y[3]))
+    return changed(start, state=State(y[0], y[1], y[2], y[3]), takeoff_period=-1, recorded=0)
+
+
+@jit
+def _turn(
+    cell: Any, start: Progress, periods: int, window: Window, attempt: Attempt
+) -> tuple[bool, Progress, Phase]:
+    """Follow a turn of `periods` plate periods from the state `attempt.y`, and its derivative `attempt.turn`.
+
+    Returns whether it ends in the phase that it begins in, and the values of `_cover`.
+    """
+    set_identity(attempt.vectors)
+    run, p = _cover(cell, _from(start, attempt.y), TWO_PI * periods, window, attempt.vectors, attempt.cycle)
+    transpose(attempt.vectors, attempt.turn)
+    return p.ending == HORIZON and run.in_flight == start.in_flight, run, p
 
 
 @jit
@@ -287,30 +314,27 @@ def _set_state(y: Any, state: State) -> None:
     y[0], y[1], y[2], y[3] = state
 
 
-@allocating
-def _newton(
-    cell: Any, start: Progress, periods: int, window: Window, search: Search, y: Any, first: Any
-) -> bool:
+@jit
+def _newton(cell: Any, start: Progress, periods: int, window: Window, attempt: Attempt) -> bool:
     """Whether Newton's method finds a cycle of `periods` plate periods from the section `start`.
 
-    Writes its state there to y (4,), and to `first` (4,) where the trajectory is after a turn.
+    Writes `attempt.y` and `attempt.first`.
     """
-    vectors, matrix, step, end = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty(4)
+    y, step, turn = attempt.y, attempt.step, attempt.turn
     _set_state(y, start.state)
     scale, before = 1.0 + largest(y), 0.0
     for count in range(STEPS):
-        set_identity(vectors)
-        run, p = _cover(cell, _from(start, y), TWO_PI * periods, window, vectors, search.cycle)
-        if p.ending != HORIZON or run.in_flight != start.in_flight:
+        closes, _, p = _turn(cell, start, periods, window, attempt)
+        if not closes:
             return False
-        _set_state(end, p.state)
         if count == 0:
-            _set_state(first, p.state)
+            _set_state(attempt.first, p.state)
+        _set_state(step, p.state)
         for i in range(4):
-            step[i] = end[i] - y[i]
+            step[i] -= y[i]
             for j in range(4):
-                matrix[i, j] = (1.0 if i == j else 0.0) - vectors[j, i]
-        solve(matrix, step)
+                turn[i, j] = (1.0 if i == j else 0.0) - turn[i, j]
+        solve(turn, step)
         size = largest(step)
         if not size <= 0.5 * scale or (count >= 2 and size > 2.0 * before):
             return False
@@ -327,73 +351,86 @@ def _newton(
 # --- the cycle ------------------------------------------------------------------------------------------
 
 
-@allocating
+@jit
 def _accept(
-    cell: Any, run: Progress, start: Progress, periods: int, window: Window, search: Search, y: Any,
-    first: Any, i: int, line: Line,
+    cell: Any, run: Progress, start: Progress, periods: int, window: Window, attempt: Attempt, i: int,
+    line: Line,
 ) -> Progress:  # fmt: skip
-    """The run on the cycle through y (4,) at the section `start`, if it is certified; else `run`.
+    """The run on the cycle through `attempt.y` at the section `start`, if it is certified; else `run`.
 
     It then ends where the cycle passes the window's end, at phase zero. Writes the record of the i-th cell.
-    y is overwritten.
     """
-    vectors, none, cycle = np.empty((4, 4)), np.empty((0, 4)), search.cycle
-    set_identity(vectors)
-    turn, p = _cover(cell, _from(start, y), TWO_PI * periods, window, vectors, cycle)
-    if p.ending != HORIZON or turn.in_flight != start.in_flight:
-        return run
-    over_turn, over_cycle = np.empty((4, 4)), np.empty((4, 4))
-    transpose(vectors, over_turn)
+    cycle = attempt.cycle
     end = start.period + periods + 1
     end += (window.settle + window.observe - end) % periods
-    last, p_end = _cover(cell, turn, TWO_PI * (end - turn.period) - turn.phase, window, none, cycle)
-    if p_end.ending != HORIZON:
-        return run
-    left = TWO_PI * (start.period + 2 * periods - last.period) + start.phase - last.phase
-    after, _ = _cover(cell, last, left, window, none, cycle)
-    after = _whole(cell, after, periods, window, cycle)
-    total = after.recorded
-    if after.ending != ROOT or total == 0 or total % 2 != 0 or total > cycle.size:
-        return run
+    total, last = _two_turns(cell, run, start, periods, end, window, attempt)
     repeats = _repeats(cycle, total, total // 2, periods)
-    if not repeats <= SAME:
+    if total == 0 or not repeats <= SAME:
+        return run
+    modulus, angle = leading_eigenvalue(attempt.turn)
+    if not (modulus < 1.0 and _contracts(attempt, modulus, start.state)):
         return run
     parts = _parts(cycle, total, periods, max(SAME, 10.0 * repeats))
+    flights, part = total // 2 // parts, periods // parts
     if parts > 1:
-        set_identity(vectors)
-        turn, p = _cover(cell, _from(start, y), TWO_PI * (periods // parts), window, vectors, cycle)
-        if p.ending != HORIZON:
+        closes, _, _ = _turn(cell, start, part, window, attempt)
+        modulus, angle = leading_eigenvalue(attempt.turn)
+        if not closes:
             return run
-    transpose(vectors, over_cycle)
-    modulus, angle = leading_eigenvalue(over_cycle)
-    if not modulus < 1.0 - MARGIN or not _contracts(over_turn, start.state, first, y):
+    repeats = _repeats(cycle, total, flights, part)
+    growth = _growth(cell, start, periods, total, window, attempt)
+    if not (modulus < 1.0 - MARGIN and growth < math.inf):
         return run
-    repeats = _repeats(cycle, total, total // 2 // parts, periods // parts)
-    for j in range(4):
-        y[j] *= 1.0 + SHIFT
-    beside, _ = _cover(cell, _from(start, y), TWO_PI * periods, window, none, cycle)
-    beside = _whole(cell, beside, periods, window, cycle)
-    if beside.recorded != total // 2:  # a flight begins or ends within rounding
-        return run
-    growth = _repeats(cycle, total, total // 2, periods) / SHIFT
     line.flight_error[i] = (repeats + FLOOR * max(1.0, growth / GROWTH)) / (1.0 - modulus)
-    flights, periods = total // 2 // parts, periods // parts
     line.multiplier[i], line.multiplier_angle[i] = modulus, angle
-    line.outcome[i], line.periods[i] = PERIODIC, periods
+    line.outcome[i], line.periods[i] = PERIODIC, part
     line.bounces[i] = _counting(cycle, total, flights, window.micro_flight)
-    _write_flights(cycle, total, flights, periods, end, window.observe, line, i)
-    ended = changed(
-        run, phase=0.0, period=run.end, in_flight=p_end.in_flight, state=p_end.state, ending=CERTIFIED
-    )
-    store_state(ended, line.end_state[i])
-    return ended
+    _write_flights(cycle, total, flights, part, end, window.observe, line, i)
+    store_state(last, line.end_state[i])
+    return last
 
 
 @jit
-def _whole(cell: Any, run: Progress, periods: int, window: Window, cycle: Flights) -> Progress:
-    """The run on to the end of a phase that the section of a cycle of `periods` plate periods cuts off."""
+def _two_turns(
+    cell: Any, run: Progress, start: Progress, periods: int, end: int, window: Window, attempt: Attempt
+) -> tuple[int, Progress]:
+    """Follow two turns of the cycle through `attempt.y`: flights of both, 0 if they are not as many in each.
+
+    The derivative of the first is `attempt.turn`. Also returns `run`, ended in the cycle's state at the plate
+    period `end`, in the second turn.
+    """
+    closes, turn, _ = _turn(cell, start, periods, window, attempt)
+    if not closes:
+        return 0, run
+    left = TWO_PI * (end - turn.period) - turn.phase
+    last, p = _cover(cell, turn, left, window, attempt.none, attempt.cycle)
+    if p.ending != HORIZON:
+        return 0, run
+    left = TWO_PI * (start.period + 2 * periods - last.period) + start.phase - last.phase
+    total = _recorded(cell, last, left, periods, window, attempt)
+    ended = _moved(run, 0.0, run.end, p.in_flight, p.state, CERTIFIED)
+    return total if total % 2 == 0 and total <= attempt.cycle.size else 0, ended
+
+
+@jit
+def _recorded(cell: Any, run: Progress, left: float, periods: int, window: Window, attempt: Attempt) -> int:
+    """Follow a run for `left` rad and to the end of the phase that is cut off there: flights recorded."""
+    run, _ = _cover(cell, run, left, window, attempt.none, attempt.cycle)
     p = phase_of(cell, plate_phase(run.phase), run, TWO_PI * (periods + 1))
-    return record(run, p, window, cycle, 0)
+    run = record(run, p, window, attempt.cycle, 0)
+    return run.recorded if run.ending == ROOT else 0
+
+
+@jit
+def _growth(cell: Any, start: Progress, periods: int, total: int, window: Window, attempt: Attempt) -> float:
+    """How much more than the section's state the flights of a turn, half of `total`, change relatively.
+
+    inf if a flight begins or ends within rounding. Overwrites `attempt.y`.
+    """
+    for j in range(4):
+        attempt.y[j] *= 1.0 + SHIFT
+    flights = _recorded(cell, _from(start, attempt.y), TWO_PI * periods, periods, window, attempt)
+    return _repeats(attempt.cycle, total, flights, periods) / SHIFT if 2 * flights == total else math.inf
 
 
 @jit
@@ -419,13 +456,12 @@ def _parts(cycle: Flights, total: int, periods: int, same: float) -> int:
 
 
 @allocating
-def _contracts(turn: Any, state: State, first: Any, y: Any) -> bool:
-    """Whether a turn, of derivative `turn` on the cycle at y (4,), contracts at the distance of a state.
+def _contracts(attempt: Attempt, modulus: float, state: State) -> bool:
+    """Whether a turn, whose derivative has this leading eigenvalue, contracts at the distance of a state.
 
-    Its end `first` (4,) must differ by less than DEFECT of the contraction from what the derivative says.
+    Its end `attempt.first` must differ by less than DEFECT of the contraction from what the derivative says.
     """
-    modulus, _ = leading_eigenvalue(turn)
-    r = 0.5 * (1.0 + modulus)
+    turn, first, y, r = attempt.turn, attempt.first, attempt.y, 0.5 * (1.0 + modulus)
     norm, image, before, rest = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(4)
     contracting_norm(turn, r, norm)
     _set_state(before, state)

@@ -75,7 +75,7 @@ def flight(  # type: ignore[empty-body]
     """The flight that begins with this state, to after its landing or to the horizon."""
 
 
-@inlined
+@jit
 def phase_of(cell: Any, phi: PlatePhase, run: Any, horizon: float) -> Phase:
     """The contact or flight that follows a run (`cell.Progress`), to its end or to the horizon."""
     p: Phase

@@ -117,6 +117,7 @@ class _EntryLibrary(_InnerLibrary):
     def _optimize_final_module(self) -> None:
         """Optimise twice: what is inlined in the first round is simple enough for vectors in the second."""
         module, codegen = self._final_module, self._codegen
+        _shorten(module, codegen._tm)
         cheap, builder = codegen._module_pass_manager(
             loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
         )
@@ -145,6 +146,18 @@ class _EntryLibrary(_InnerLibrary):
             library._optimize_final_module()
         library._finalize_final_module()
         return library
+
+
+def _shorten(module: Any, machine: Any) -> None:
+    """Simplify each function, to a fifth of its length as lowered, before others have copies of it."""
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
+    passes = llvm.create_new_function_pass_manager()
+    passes.add_sroa_pass()
+    passes.add_simplify_cfg_pass()
+    passes.add_instruction_combine_pass()
+    for function in module.functions:
+        if not function.is_declaration:
+            passes.run(function, builder)
 
 
 def _called(library: CodeLibrary) -> list[CodeLibrary]:

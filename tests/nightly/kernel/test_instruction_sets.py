@@ -1,5 +1,6 @@
 """The same bytes whatever vector instructions the processor has: AVX-512, AVX2, those of every x86-64."""
 
+import itertools
 import json
 import os
 import subprocess
@@ -11,7 +12,7 @@ import pytest
 from kernel_runs import digest
 
 from kernel.line import run_line
-from kernel.models import rigid, soft
+from kernel.models import ball, rigid, soft
 from kernel.params import LANES
 
 ROOT = Path(__file__).parents[3]  # not from `paths`: this file is run by itself, too
@@ -26,23 +27,24 @@ CONTACTS = {
     "nonadhesive": lambda n: soft.plate(
         restitution=np.full(n, 0.3), penetration=np.full(n, 1e-5), adhesive=False
     ),
+    "ball": lambda n: ball.plate(restitution=np.full(n, 0.3)),
 }
 
 
 def digests() -> dict[str, str]:
-    """Of random cells from rest, and as lines of a ramp of one, of half and of all lanes."""
+    """Of random cells from rest, and as lines of a ramp of one, of half, of all lanes; certified or not."""
     random, length, found = np.random.default_rng(5), 5, {}
     for lines in (1, LANES // 2, 2 * LANES + 1):
         gamma = np.tile(np.linspace(0.5, 5, length), lines)
         omega, xi = random.uniform(0.2, 2, lines), 10 ** random.uniform(-2, 0.3, lines)
         cells = gamma, np.repeat(omega, length), np.repeat(xi, length)
         for name, plate in CONTACTS.items():
-            for carry in (False, True):
+            for carry, certify in itertools.product((False, True), repeat=2):
                 done = run_line(
                     *cells, plate=plate(len(gamma)), carry=carry, start=[None] * lines if carry else None,
-                    settle=20, observe=20, keep=16,
+                    settle=20, observe=20, keep=16, certify=certify,
                 )  # fmt: skip
-                found[f"{name}, {lines} lines, {'ramp' if carry else 'rest'}"] = digest(done)
+                found[f"{name}, {lines} lines, carry {carry}, certify {certify}"] = digest(done)
     return found
 
 
