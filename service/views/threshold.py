@@ -28,8 +28,9 @@ from worker.analysis.prediction import (
     predict_each,
     predict_from_cells,
     prediction_seconds,
+    search_below,
 )
-from worker.spec.contact_models import Contact
+from worker.spec.contact_models import Contact, Rigid
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
@@ -45,8 +46,9 @@ _OF_SPRING: Final = (
     row("jump", (), "<f8", "Γ of the fold at which flights leap on the way up"),
     row("down", (), "<f8", "lowest Γ at which bouncing persists", comment="NaN: not decided"),
     row("cause", (), "U", "what ends bouncing at down"),
-    row("status", (), "U", "how down was found: closed form, continued, or unresolved"),
+    row("status", (), "U", "how down was found: closed form, continued, searched, or unresolved"),
     row("reason", (), "U", "why down is not decided"),
+    row("missed", (), "<f8", "share of all starts of a basin that a search sees with 95 %"),
     row("lifetime", (), "<f8", "life of bouncing at Γ = down - delta", "plate periods"),
     row("delta", (), "<f8", "Γ below down"),
     *ENERGY,
@@ -61,6 +63,7 @@ class SpringQuery(Query):
     xi: Xi
     delta: Annotated[Number, Field(ge=1e-15, le=0.1, description="Γ below `down` with a lifetime")] = 1e-6
     prove: Annotated[bool, Field(description="an upper bound of `down` with a proof")] = False
+    search: Annotated[bool, Field(description="search for what bounces below, by workers")] = False
     model: orbits.Kind = None
     restitution: orbits.Restitution = None
     penetration: orbits.Penetration = None
@@ -71,7 +74,7 @@ class SpringQuery(Query):
 predicted: Final = lru_cache(KEPT)(predict)
 
 
-def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xarray.Dataset:
+def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Dataset:
     """Where one spring begins and ceases to bounce.
 
     In closed form, of the rigid contact without restitution; with a `model`, by workers that follow the
@@ -81,16 +84,25 @@ def compute_spring(study: None, query: SpringQuery, *computed: Thresholds) -> xa
     is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
     fold. A worker computes what takes longer than a second.
 
+    With `search`, for half a minute, workers follow what survives of many starts down to its end: an upper
+    bound at any damping, with the share of starts, `missed`, that a basin must have to be seen with 95 %.
+
     With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
     """
     contact = orbits.contact(query)
-    thresholds = computed[0] if computed else predicted(query.omega, query.xi)
+    *before, found = computed if query.search else (*computed, None)
+    thresholds = before[0] if before else predicted(query.omega, query.xi)
     data: dict[str, Any] = {
         "threshold": thresholds.gamma_th if np.isfinite(thresholds.gamma_th) else np.nan,
         "jump": thresholds.jump, "down": thresholds.down,
         "cause": thresholds.cause, "reason": thresholds.reason, "status": _status(contact, thresholds),
     }  # fmt: skip
-    if thresholds.fold is not None:
+    if found is not None:
+        data["missed"] = found.missed
+    if found is not None and not found.gamma > thresholds.down:
+        gamma, what = (found.gamma, found.what) if np.isfinite(found.gamma) else (thresholds.gamma_th, EQ_25)
+        data |= {"down": gamma, "cause": what, "status": "searched", "reason": ""}
+    elif thresholds.fold is not None:
         data |= {"lifetime": lifetime(thresholds.fold, query.delta), "delta": query.delta}
         if thresholds.fold.energy is not None:
             data |= {name: values[0] for name, values in thresholds.fold.energy._asdict().items()}
@@ -115,8 +127,11 @@ def _status(contact: Contact | None, thresholds: Thresholds) -> str:
 def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
     """The prediction, if it takes long or follows cycles."""
     contact = orbits.contact(query)
+    searched = [(search_below, contact or Rigid(), query.omega, query.xi)] if query.search else []
     if contact is not None:
-        return [(of_contact, contact, query.omega, query.xi)]
+        return [(of_contact, contact, query.omega, query.xi), *searched]
+    if query.search:
+        return [(predict, query.omega, query.xi), *searched]
     if prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS and decides(query.omega, query.xi):
         return ()
     return [(predict, query.omega, query.xi)]
@@ -125,8 +140,8 @@ def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
 def estimate_spring(spec: None, query: SpringQuery) -> Estimate:
     """One number of each variable. Raises InvalidRequest."""
     contact = orbits.contact(query)
-    if contact is not None and query.prove:
-        raise InvalidRequest.of("prove", "is of the closed form: leave out model")
+    if query.prove and (contact is not None or query.search):
+        raise InvalidRequest.of("prove", "is of the closed form: leave out model and search")
     brief = contact is None and prediction_seconds(query.omega, query.xi) <= SMALL_SECONDS
     return Estimate({}, small=brief and not query.prove)  # proofs have a precision of the whole process
 

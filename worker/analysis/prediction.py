@@ -12,6 +12,7 @@ from kernel.branches.events import POINTS, flight_times
 from kernel.branches.folds import Fold, lifetime
 from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
+from kernel.search import Searched, search
 from kernel.threshold import threshold
 from worker.analysis.cycles import lowest_cells
 from worker.orbits.plan import SECONDS
@@ -82,6 +83,12 @@ def predict_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
 def is_ideal(contact: Contact) -> bool:
     """Whether a contact is that of the closed form."""
     return isinstance(contact, Rigid) and contact.restitution == 0.0
+
+
+def search_below(contact: Contact, omega: float, xi: float) -> Searched:
+    """The lowest end of bouncing that a search finds; runs on workers. Raises KernelInputError."""
+    ones = np.ones(1)
+    return search(plate_of(contact, ones, omega * ones, xi * ones), omega, xi)
 
 
 def predict_from_cells(
