@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.measuring import options, table
-from kernel.branches.closed_form import TWO_PI
 from kernel.branches.thresholds import NOT_SEARCHED, Thresholds, conjecture, thresholds
 from kernel.params import Line, Outcome
+from kernel.search import random_starts
 from tests.support.plates import Model, run_line
 
 #: Plate periods before a start is looked at, and those for which what bounces then is followed.
@@ -43,22 +43,6 @@ class Found(NamedTuple):
     state: np.ndarray  # (6,) as STATE_FIELDS, settled
 
 
-def starts(rng: np.random.Generator, gamma: float, omega: float, count: int) -> np.ndarray:
-    """States (count, 6): half in flight, half in contact at phase 0, as far from rest as long hops go."""
-    states = np.zeros((count, 6))
-    half, size, speed = count // 2, omega * omega / gamma, omega / gamma
-    turn, far = rng.uniform(0.0, TWO_PI, count), rng.exponential(1.5, count)
-    states[:, 4] = -size + size * far * np.cos(turn)
-    states[:, 5] = speed * far * np.sin(turn)
-    states[:half, 0] = rng.uniform(0.0, TWO_PI, half)
-    states[:half, 1] = 1.0
-    fall = rng.uniform(0.0, 2.0 * TWO_PI, half)  # rad that a fall from the height takes
-    states[:half, 2] = 0.5 * fall * fall / gamma
-    states[:half, 3] = np.sin(states[:half, 0]) + rng.normal(0.0, 2.0, half) / gamma
-    states[:half, 4] += size
-    return states
-
-
 def run(gamma: np.ndarray, omega: float, xi: float, states: np.ndarray, settle: int) -> Line:
     """Cells of `rigid` from states of their own."""
     one = np.ones(len(gamma))
@@ -74,7 +58,7 @@ def search(
     """The lowest of the Gammas below one at which a start bounces for ever."""
     each = below * (1.0 - np.geomspace(*BELOW, gammas))
     gamma = np.repeat(each, count)
-    line = run(gamma, omega, xi, np.concatenate([starts(rng, g, omega, count) for g in each]), SETTLE)
+    line = run(gamma, omega, xi, np.concatenate([random_starts(rng, g, omega, count) for g in each]), SETTLE)
     bouncing = np.flatnonzero(line.outcome != Outcome.AT_REST)
     kept = np.concatenate([np.empty(0, np.intp), *(bouncing[gamma[bouncing] == g][:MOST] for g in each)])
     if not len(kept):

@@ -315,8 +315,8 @@ class SpringMethods(Methods):
         `gamma_max` and comes back is several pieces.
 
         With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
-        most once compiled. With rebound a branch may pass through numbers of `flights`; it ends at the event
-        `stick-vanishes` or `rest`, too.
+        most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
+        event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `flight_time` (rad),
         `takeoff_phase` (rad), `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per

@@ -33,8 +33,8 @@ _CLOSES: Final = 1e-6
 #: Rounding may hide a landing at less than this gap' (g/omega), or a take-off to a shorter flight, rad.
 _SOFT_LANDING: Final = 1e-5
 _SHORT_FLIGHT: Final = 1e-2
-#: Rounds that are simulated to read a cycle.
-_ROUNDS: Final = 3.2
+#: Rounds that are simulated to read a cycle: up to two before it begins, its own, and a segment of one more.
+_ROUNDS: Final = 4.2
 #: Segments of a cycle at most, and phases of the kernel in a plate period.
 _LONGEST: Final = 300
 MOST: Final = 4000

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from kernel.branches.closed_form import TWO_PI, orbit
 from kernel.branches.spring import Array, Spring, spring, stuck
-from kernel.branches.words import WordBranch, go_round, pieces
 
 if TYPE_CHECKING:
     from kernel.branches.cycles import Point
@@ -59,25 +58,6 @@ def cycle_energy(point: "Point") -> Energy:
         else:
             parts.append(_flight(k, states[i], states[i + 1], point.round.rates[i : i + 1]))
     return _total(parts, np.array([point.parameter]), point.cycles.periods)
-
-
-def word_energy(line: WordBranch) -> Energy:
-    """Of the n cycles of a word."""
-    return _energy(spring(line.omega, line.xi), line.word, line.periods, line.unknowns.T)
-
-
-def _energy(k: Spring, letters: str, periods: int, unknowns: Array) -> Energy:
-    u = np.ascontiguousarray(unknowns)
-    cycle = go_round(k, letters, periods, u)
-    states = [_At(*(y[0] for y in x)) for x in cycle.starts]
-    impacts = iter(cycle.impacts)
-    parts = []
-    for piece, begin, end in zip(pieces(letters), states, [*states[1:], states[0]], strict=True):
-        if piece.flies:
-            parts.append(_flight(k, begin, end, next(impacts)))
-        else:
-            parts.append(_contact(k, begin, end, u[piece.place]))
-    return _total(parts, np.hypot(u[2], u[3]), periods)
 
 
 class _At(NamedTuple):

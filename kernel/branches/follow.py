@@ -57,6 +57,8 @@ class End(StrEnum):
 
     STICK_VANISHES = "stick-vanishes"  # the mass ceases to stick; beyond, numbers of hops accumulate
     REST = "rest"  # its flights vanish
+    UNKNOWN_CHANGE = "unknown-change"  # its segments change, and no cycle with others is found
+    CUT_OFF = "cut-off"  # it goes on, beyond the points or signatures that were asked for
 
 
 class Event(NamedTuple):
@@ -88,46 +90,54 @@ def follow(
     """The branch from a cycle on, and its events in order.
 
     way: of the parameter, first rising (> 0), falling, or as the cycle's tangent says (0). Ends where the
-    parameter leaves `span`, with the first cycle that is `until`, at rest, where a stick vanishes, where it
-    does not get on, at the first cycle if it comes back to it, or after so many points.
+    parameter leaves `span`, with the first cycle that is `until`, at the first cycle if it comes back to it,
+    or else with an event whose kind is an `End`.
     """
     origin = point = point if point.rising * way >= 0.0 else point._replace(tangent=-point.tangent)
     line: list[Point] = []
     events: list[Event] = []
+
+    def leaves(cycle: Point) -> bool:
+        return not span[0] <= cycle.parameter <= span[1] or until(cycle)
+
     for _ in range(SIGNATURES):
-        stretch = _walk(point, points - len(line), span, origin, until)
+        stretch = _walk(point, points - len(line), leaves, origin)
         line += stretch.points
         events += _events_along(stretch.points)
-        last = line[-1]
-        if max(t for t, letter in zip(last.times, last.letters, strict=True) if letter in FLIGHTS) < _REST:
-            events.append(Event(End.REST, last))
-            break
-        if _shortest_stick(last) < _LITTLE_STICK:
-            events.append(Event(End.STICK_VANISHES, last))
-            break
-        if stretch.broken is None:
-            break
-        change = _change(stretch)
-        if change is None:
-            break
-        point = change.point
-        if change.event is not None:
+        last, change = line[-1], None
+        end = _end(last)
+        if end is None and stretch.broken is not None:
+            change = _change(stretch)
+            end = End.UNKNOWN_CHANGE if change is None else None
+        if change is not None and change.event is not None:
             events.append(change.event)
-        if len(line) >= points:
-            break
-    return line, events
+        closed = last is origin and len(line) > 1
+        if end is None and len(line) >= points and not (leaves(last) or closed):
+            end = End.CUT_OFF
+        if end is not None:
+            events.append(Event(end, last))
+        if end is not None or change is None:
+            return line, events
+        point = change.point
+    return line, [*events, Event(End.CUT_OFF, line[-1])]
 
 
-def _walk(
-    first: Point, points: int, span: tuple[float, float], origin: Point, until: Callable[[Point], bool]
-) -> _Stretch:
+def _end(last: Point) -> End | None:
+    """The end that the last cycle is beside."""
+    if max(t for t, letter in zip(last.times, last.letters, strict=True) if letter in FLIGHTS) < _REST:
+        return End.REST
+    return End.STICK_VANISHES if _shortest_stick(last) < _LITTLE_STICK else None
+
+
+def _walk(first: Point, points: int, leaves: Callable[[Point], bool], origin: Point) -> _Stretch:
     """Cycles from `first` on, towards its tangent, for as long as their signature is the spring's.
 
-    origin: the first of the branch, with which a closed one ends.
+    leaves: whether a cycle is the last that is asked for. origin: the first of the branch, with which a
+    closed one ends.
     """
     line, step, bend = [first], _FIRST, np.zeros(len(first.x))
     smallest = _SMALLEST_SOFT if "C" in first.letters else _SMALLEST
-    while len(line) < points and span[0] <= line[-1].parameter <= span[1] and not until(line[-1]):
+    while len(line) < points and not leaves(line[-1]):
         last = line[-1]
         if _shortest_stick(last) < _LAST_STICK:
             break

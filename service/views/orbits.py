@@ -319,8 +319,8 @@ def compute_orbits(
     `gamma_max` and comes back is several pieces.
 
     With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
-    most once compiled. With rebound a branch may pass through numbers of `flights`; it ends at the event
-    `stick-vanishes` or `rest`, too.
+    most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
+    event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for.
     """
     plate = contact(query)
     parts = parts or tuple(_branch(*grid) for grid in _grids(query))

@@ -37,6 +37,28 @@ def test_a_doubled_cycle_doubles_again(plate, flip):
     assert gammas(events, Kind.FLIP) == pytest.approx([flip], abs=1e-9)
 
 
+def test_four_flights_double_and_lose_one():
+    """The (4,4) of Fig. 2, from the first flip of (2,2): its own flips, and where a flight vanishes."""
+    expected = next(w for w in REFERENCE["words"] if w["mode"] == [4, 4])
+    (first,) = (
+        e for e in branches(rigid(0.0), 0.5, 0.26, 1, span=(0.5, 3.0))[0].events if e.kind is Kind.FLIP
+    )
+    _, events = follow(doubled(first.point), 1.0, span=(1.0, 2.6))
+    (second,) = (event for event in events if event.kind is Kind.FLIP)
+    _, events = follow(doubled(second.point), 1.0, span=(1.0, 4.0))
+    assert gammas(events, Kind.FLIP)[: len(expected["flip"])] == pytest.approx(expected["flip"], abs=1e-9)
+    assert min(np.abs(np.array(gammas(events, Kind.GRAZE_CONTACT)) - expected["flight_vanishes"])) < 1e-6
+
+
+def test_a_torus_out_of_a_landing_that_takes_off_at_once():
+    expected = REFERENCE["immediate_takeoff"]["neimark_sacker"]["gamma"]
+    followed = branches(rigid(0.0), 1.28, 0.05, 2, span=(2.0, 3.0))
+    tori = [e.point for each in followed for e in each.events if e.kind is Kind.NEIMARK_SACKER]
+    torus = min(tori, key=lambda point: abs(point.parameter - expected))
+    assert torus.parameter == pytest.approx(expected, abs=1e-9)
+    assert np.sort(np.abs(torus.multipliers()))[-2:] == pytest.approx([1.0, 1.0], abs=1e-9)
+
+
 def test_a_landing_that_takes_off_at_once():
     """The (2,2) with a "z" that (1,2) becomes at Omega = 1.26 where it lands with n = 0, and its fold."""
     expected = REFERENCE["immediate_takeoff"]

@@ -35,6 +35,13 @@ def test_every_periodic_cell_leads_to_its_cycle(plate):
         assert np.nanmin(np.abs(line.flight_time[i] - longest)) < 1e-6
 
 
+def test_a_cycle_of_one_hop_is_read():
+    """A flight of a whole plate period that is never stuck."""
+    line = run(4.4119, 0.78278, 0.14213, Model.RIGID, settle=3000, observe=40, restitution=0.7)
+    point = cycle_from(rigid(0.7), Cell(4.4119, 0.78278, 0.14213), 1, line.end_state[0])
+    assert (point.letters, point.times[0]) == ("h", pytest.approx(2.0 * np.pi, abs=1e-12))
+
+
 @pytest.mark.parametrize("plate", [rigid(0.3), rigid(0.7), rigid(0.9), soft()])
 def test_multipliers_do_not_depend_on_where_the_cycle_begins(plate):
     """A second section of the same cycle, where its map is another product of the same motions."""

@@ -83,3 +83,10 @@ def test_turns_along_the_other_parameters(plate, omega, along, span, turn):
     assert all(point.cell[0] == pytest.approx(0.6, abs=1e-13) for point in first.points)
     if along == "omega":  # it is closed
         assert first.points[-1] is first.points[0]
+
+
+def test_a_branch_that_goes_on_beyond_its_points_says_so():
+    followed, whole = (branches(soft(), 0.60, 0.05, 1, points=points)[0] for points in (30, 300))
+    assert {event.kind for event in followed.events if event.kind in set(End)} == {End.CUT_OFF, End.REST}
+    assert {event.kind for event in whole.events if event.kind in set(End)} == {End.REST}
+    assert len(whole.points) > len(followed.points)
