@@ -7,9 +7,10 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from kernel.branches.any_contact import CycleBranch
 from kernel.branches.energy import energy
-from kernel.branches.events import branch
-from kernel.branches.starts import CycleStart, start_on_cycle, start_on_stable_cycle
+from kernel.branches.events import Branch, branch
+from kernel.branches.starts import start_on_cycle, start_on_stable_cycle
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
@@ -25,6 +26,7 @@ from service.views.selection import (
 )
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
+from worker.analysis.cycles import cycle_near
 from worker.basins.specification import MAX_HEIGHT, BasinSpec, MultistabilitySpec
 from worker.basins.starts import contact_states, drop_states
 from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Strict, kind_of
@@ -67,10 +69,11 @@ def _kind(value: object) -> object:
 
 
 class CyclePoint(OnCycle):
-    """A cycle of the closed form to start on.
+    """A cycle to start on.
 
-    `flight_time`, rad: of the cell's cycles the one whose flight takes nearest to it, unstable ones too.
-    Null: the stable one with the longest flight.
+    `flight_time`, rad: of the cell's cycles the one whose flight takes nearest to it, unstable ones too; of a
+    soft contact or one with restitution, its own. Null: the stable one of the closed form with the longest
+    flight.
     """
 
     kind: Annotated[Literal["cycle"], BeforeValidator(_kind)] = "cycle"
@@ -224,10 +227,9 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
     gamma, omega, xi = (np.array([value]) for value in cell)
     values: dict[str, Any] = {}
     if isinstance(spec.start, CyclePoint):
-        start, cycle = _on_cycle(cell, spec.start)
-        state = start.state
+        state, cycle = _on_cycle(spec.model, cell, spec.start)
         values = {
-            "cycle_bounces": cycle.bounces, "cycle_periods": cycle.periods,
+            "cycle_bounces": np.ravel(cycle.bounces)[0], "cycle_periods": cycle.periods,
             "cycle_flight_time": cycle.flight_time[0], "cycle_stable": cycle.stable[0],
             "cycle_multipliers": [[mu.real, mu.imag] for mu in cycle.multiplier[0]],
             "cycle_admissible": cycle.admissible[0],
@@ -367,10 +369,19 @@ def _direction(spec: SweepSpec, query: TrajectoryQuery) -> int:
     return spec.directions.index(directions_of(spec, query.direction)[0])
 
 
-def _on_cycle(cell: Cell, point: CyclePoint) -> CycleStart:
-    """The start on a cycle. Raises InvalidRequest."""
+def _on_cycle(
+    model: Contact, cell: Cell, point: CyclePoint
+) -> tuple[NDArray[np.float64], Branch | CycleBranch]:
+    """The state on a cycle: on the contact's own with a flight time, else on one of the closed form.
+
+    Raises InvalidRequest.
+    """
     periods, time = point.periods, point.flight_time
     try:
+        if time is not None and _has_own_cycles(model):
+            own = cycle_near(model, cell, periods, time)
+            if own is not None:
+                return own[1], own[0]
         start = start_on_stable_cycle(cell, periods) if time is None else start_on_cycle(cell, periods, time)
     except KernelInputError as error:
         raise InvalidRequest.of(error.argument, error.rule) from error
@@ -378,7 +389,14 @@ def _on_cycle(cell: Cell, point: CyclePoint) -> CycleStart:
         where = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
         rule = f"there is no cycle (1, {periods}) at {where}" if time is not None else no_cycle(cell, periods)
         raise InvalidRequest.of("start", rule)
-    return start
+    return start.start.state, start.cycle
+
+
+def _has_own_cycles(model: Contact) -> bool:
+    """Whether a contact's cycles are followed, and not known in closed form."""
+    if isinstance(model, Soft):
+        return model.rest_length is None and model.restitution < 1.0
+    return isinstance(model, Rigid) and 0.0 < model.restitution < 1.0
 
 
 def _check_ended(field: str, outcome: int) -> None:

@@ -21,7 +21,6 @@ from PIL import Image
 from plates import Model, run_line
 from tips import end_of_hysteresis, soft_landing, tip
 
-from benchmarks.contacts import end_of_bouncing, shift_text
 from benchmarks.threshold_search import search
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.cycles import cycle_from
@@ -33,6 +32,8 @@ from kernel.branches.thresholds import SEARCHED_XI, Thresholds, conjecture, thre
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
 from service.presets import FIGURES
+from worker.analysis.prediction import of_contact
+from worker.spec.contact_models import Rigid, Soft
 
 TEXT = (ROOT / "docs" / "hysteresis.md").read_text()
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", TEXT, re.MULTILINE | re.DOTALL))
@@ -41,10 +42,14 @@ TABLE_OMEGAS = (0.56, 0.60, 0.62, 0.66, 0.70)
 
 #: What the text chooses rather than computes: dampings and frequencies.
 CHOSEN = {"0.01", "0.02", "0.05", "0.1", "0.2", "0.46", "0.26", "0.82", "1.24", "1.26", "1.28", "0.5"}
+CHOSEN |= {"0.001", "0.3", "0.6"}
 CHOSEN |= {f"{omega:.2f}" for omega in TABLE_OMEGAS}
 
-#: The measured rows of other contacts.
-LONG_ROWS = re.findall(r"^\| 0\.\d\d \| 0\.000 \|.*$", SECTIONS["Other contacts"], re.MULTILINE)
+#: The contacts of the columns of "Other contacts".
+CONTACTS = (
+    *(Soft(penetration=depth) for depth in (0.001, 0.1)),
+    *(Rigid(restitution=e) for e in (0.3, 0.5)),
+)
 
 #: The measured rows of searches.
 SEARCHED_ROWS = re.findall(r"^\| 0\.\d+ to .*$", SECTIONS["How far the rule was searched"], re.MULTILINE)
@@ -239,9 +244,12 @@ def end_of_torus() -> float:
 
 
 def other_contacts() -> Texts:
-    """The row of one frequency; `test_other_contacts` computes the others."""
-    moved = [end_of_bouncing(0.60, contact, 1e-4) - at(0.60).down for contact in ("e = 0.1", "e = 0.5")]
-    return [f"| {shift_text(moved[0], 3)} | {shift_text(moved[1], 3)} |", *LONG_ROWS]
+    downs = [[of_contact(contact, omega, XI).down for contact in CONTACTS] for omega in TABLE_OMEGAS]
+    assert downs[-1][-2:] == pytest.approx([at(0.70).gamma_th] * 2, abs=1e-12)
+    return [
+        f"| {omega:.2f} | {' | '.join(f'{down:.6f}' for down in row)} |"
+        for omega, row in zip(TABLE_OMEGAS, downs, strict=True)
+    ]
 
 
 def not_known() -> Texts:

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.any_contact import CycleBranch, Followed, branches, event_record, record
+from kernel.branches.any_contact import CycleBranch, Followed, branches, event_record, passing, record
 from kernel.branches.curves import Curves, Parameter
 from kernel.branches.cycles import FLIGHTS, Cycles, Point, confirmed, cycle_from
 from kernel.branches.events import Events, Kind, join_events
@@ -129,6 +129,25 @@ def follow_cells(
     return found._replace(
         branches=tuple(x._replace(flight_time=t) for x, t in zip(found.branches, flights, strict=True))
     )
+
+
+def cycle_near(
+    contact: Contact, cell: Cell, periods: int, flight_time: float
+) -> tuple[CycleBranch, Floats] | None:
+    """Of the cycles of a contact at a cell the one whose longest flight takes nearest to flight_time, rad.
+
+    As a branch of one point, with the state (6,) at its beginning; None if there is none on the branches of
+    `follow_cycles`. Raises KernelInputError.
+    """
+    plate = plate_of(contact, *(np.full(1, value) for value in cell))
+    span = RANGE[0], max(RANGE[1], cell.gamma)
+    lines = branches(plate, float(cell.omega), float(cell.xi), periods, span=span)
+    points = [point for line in lines for point in passing(line, float(cell.gamma))]
+    if not points:
+        return None
+    point = min(points, key=lambda point: abs(max(_flights(point)) - flight_time))
+    in_flight = float(point.letters[0] in FLIGHTS)
+    return record([point], MICRO_FLIGHT), np.array([point.phase, in_flight, 0.0, *point.x[:3] / cell.gamma])
 
 
 class Settled(NamedTuple):

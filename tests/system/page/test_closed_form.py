@@ -102,6 +102,40 @@ def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, a
             again.locator(".trajectory .readout", has_text="On the cycle (1, 1), unstable").wait_for()
 
 
+def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str):
+    """An unstable cycle that is pressed moves on the sweep's contact."""
+    soft = done(address, LOOP | {"name": "Soft", "omega": [0.55, 0.6, 0.65], "model": {"kind": "soft"}})
+    where = f"{address}/#/job/{soft}/diagram?omega=0.6&xi=0.05&branches=1"
+    with opened(browser, where, expected=READBACK) as page:
+        wait_shown(page, omega=0.6)
+        wait_for(lambda: len(branch_pixels(page)) > 200)
+        screenshot(page, "soft-branches")
+        texts = {readout_at(page, at): at for at in branch_pixels(page)[::60]}
+        at = next(at for text, at in texts.items() if "unstable" in text and "(1, 1)" in text)
+        box = page.locator(PLOT).first.bounding_box()
+        page.mouse.click(box["x"] + at[0], box["y"] + at[1])
+        page.locator(".trajectory .readout", has_text="On the cycle (").wait_for()
+        assert "on a cycle of this contact" in page.locator(".trajectory header .note").inner_text()
+        screenshot(page, "soft-cycle")
+        page.emulate_media(color_scheme="dark")
+        screenshot(page, "soft-cycle-dark")
+    with opened(browser, f"{address}/#/job/{soft}/thresholds?xi=0.05&folds=1", expected=READBACK) as page:
+        wait_shown(page, xi=0.05, folds=True)
+        assert len(branch_pixels(page)) > 200
+        screenshot(page, "soft-folds")
+
+
+def test_a_contact_is_explored(browser: Any, address: str):
+    with opened(browser, f"{address}/#/explore?omega=0.6&xi=0.05&gamma=0.9", expected=READBACK) as page:
+        page.get_by_label("Contact").select_option("soft")
+        said = page.locator(
+            ".readout.closed", has_text="Bouncing does not persist below Γ = 0.5532 (fold (1,1))"
+        )
+        said.wait_for()
+        assert "contact=soft" in page.evaluate("location.href")
+        screenshot(page, "explore-soft")
+
+
 def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
     with opened(browser, f"{address}/#/job/{loop}/thresholds?xi=0.05", expected=READBACK) as page:
         wait_shown(page, xi=0.05, folds=False)

@@ -1,14 +1,14 @@
-// One spring, explored without a sweep: Γ, Ω and ξ by sliders; thresholds and cycles in closed form, motion, return map.
+// One spring, explored without a sweep: Γ, Ω and ξ by sliders, its contact; thresholds and cycles, motion, return map.
 
 import { currentQuery, link, queryChanges, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, axisLabel, clampIndex, isClose, nearestIndex, threshold } from "../lib/physics.js";
+import { AXES, axisLabel, clampIndex, contactQuery, isClose, nearestIndex, threshold } from "../lib/physics.js";
 import { disc, verticalLine } from "../plot/drawing.js";
 import { MAPPED, Motion, PLAYED } from "../motion/motion.js";
 import { branchLegend, branchesPath, drawBranches, readBranches } from "../views/closed-form.js";
-import { sliders } from "../views/controls.js";
+import { choice, sliders } from "../views/controls.js";
 import { drawThreshold } from "../views/diagram.js";
 import { PlotView } from "../views/plot-view.js";
 
@@ -18,7 +18,15 @@ const START = { gamma: 2.3, omega: 0.5, xi: 0.26 }; // Fig. 2b
 const MAX_GAMMA = GRID.gamma.at(-1);
 const MAX_FLIGHT = 6.6 * Math.PI; // rad, of the plot: cycles of up to three plate periods
 const SPRING = { job: { name: "spring", spec: { protocol: { kind: "spring" } } }, number: 1, directions: [], grid: GRID };
-const HINT = "Cycles of one bounce on an ideal plate, in closed form; dots: the flights of the motion shown. Choose a Γ by pointing.";
+const HINT = "Cycles of one bounce; dots: the flights of the motion shown. Choose a Γ by pointing.";
+const CONTACTS = {
+  ideal: { kind: "rigid" },
+  rebound: { kind: "rigid", restitution: 0.3 },
+  soft: { kind: "soft", restitution: 0.01, penetration: 0.001, adhesive: true },
+};
+const CONTACT_NAMES = [["ideal", "an ideal plate, in closed form"], ["rebound", "rigid, restitution 0.3"], ["soft", "soft, 0.001 amplitudes deep"]];
+const contactName = () => (currentQuery().contact in CONTACTS ? currentQuery().contact : "ideal");
+const contactOf = () => CONTACTS[contactName()];
 
 /** The cycles of the spring over Γ. Cells are values of Γ. */
 class Cycles extends PlotView {
@@ -28,17 +36,19 @@ class Cycles extends PlotView {
     super({ sources: [SPRING], onSelect: ({ gamma }) => setQuery({ gamma }) });
     this.motion = motion;
     this.words = h("p", { className: "readout closed", role: "status" });
-    this.build(root, { controls: sliders(this, AXES), label: "Flight times of the cycles over Γ", hint: HINT, ratio: 0.62, shown: [this.words] });
+    const contact = choice("Contact", CONTACT_NAMES, contactName(), (name) => setQuery({ contact: name === "ideal" ? null : name }));
+    const controls = h("div", { className: "controls" }, sliders(this, AXES), contact);
+    this.build(root, { controls, label: "Flight times of the cycles over Γ", hint: HINT, ratio: 0.62, shown: [this.words] });
     queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.closing.signal });
     this.describeThresholds();
   }
 
   paths() {
-    return [this.filePath(), `/v1/threshold?${query({ omega: this.place.omega, xi: this.place.xi })}`];
+    return [this.filePath(), `/v1/threshold?${query({ omega: this.place.omega, xi: this.place.xi, ...contactQuery(contactOf()) })}`];
   }
 
   filePath() {
-    return branchesPath(this.place, MAX_GAMMA);
+    return branchesPath(this.place, MAX_GAMMA, contactOf());
   }
 
   read([branches, thresholds]) {
@@ -115,7 +125,7 @@ export class Explore {
     document.title = "Explore · Bouncing spring";
     setQuery({ ...START, ...currentQuery() });
     this.sweep = h("a", {}, "New sweep around this spring");
-    const [diagram, portraits] = [h("section", { className: "panel", "aria-label": "Cycles in closed form" }), h("section", { "aria-label": "Return map and phase portrait" })];
+    const [diagram, portraits] = [h("section", { className: "panel", "aria-label": "Cycles" }), h("section", { "aria-label": "Return map and phase portrait" })];
     this.motion = new Motion({ portraits });
     root.replaceChildren(
       h("h1", { tabindex: "-1" }, "Explore a spring"),
@@ -142,11 +152,13 @@ export class Explore {
 
   async #load() {
     const { place } = this.view;
-    const request = (length) => ["/v1/trajectories", { method: "POST", body: { ...place, model: { kind: "rigid" }, ...length } }];
+    const request = (length) => ["/v1/trajectories", { method: "POST", body: { ...place, model: contactOf(), ...length } }];
     this.sweep.href = link(["new"], place);
-    if (JSON.stringify(place) === this.loaded || !(await this.motion.load(...request(PLAYED)))) return;
-    this.loaded = JSON.stringify(place);
+    const shown = () => JSON.stringify([this.view.place, contactName()]);
+    const asked = shown();
+    if (asked === this.loaded || !(await this.motion.load(...request(PLAYED)))) return;
+    this.loaded = asked;
     this.view.plot.redraw();
-    if (this.loaded === JSON.stringify(this.view.place)) await this.motion.loadMap(...request(MAPPED)); // else moved on meanwhile
+    if (this.loaded === shown()) await this.motion.loadMap(...request(MAPPED)); // else moved on meanwhile
   }
 }

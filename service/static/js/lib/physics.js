@@ -122,6 +122,14 @@ export function startOf(name) {
 /** Contact models whose cells move as a spring: the closed form is that of `rigid` without restitution. */
 export const hasCycles = ({ spec }) => ["rigid", "soft", "stepped"].includes(spec.model.kind);
 
+/** The contact whose cycles are followed, as a query has it; empty: those of an ideal plate, in closed form. */
+export function contactQuery({ kind, restitution, penetration, adhesive }) {
+  if (kind === "rigid" && restitution > 0 && restitution < 1) return { model: kind, restitution };
+  return kind === "soft" && penetration && restitution < 1 ? { model: kind, restitution, penetration, adhesive } : {};
+}
+
+export const hasOwnCycles = ({ spec }) => "model" in contactQuery(spec.model);
+
 /** "cycle (1, 1), unstable · flight time 3.9 rad · multipliers 2.1, 0.3"; `multipliers`: real and imaginary part of two. */
 export function cycleText({ bounces, periods, stable, flight_time: time, multipliers: [re, im, otherRe] }) {
   const text = im ? `${number(re, 4)} ± ${number(Math.abs(im), 4)} i` : `${number(re, 4)}, ${number(otherRe, 4)}`;

@@ -4,7 +4,7 @@ import { query, requestBlob, requestDataset } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { downloads, fileName } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
-import { SYMBOL, startOf } from "../lib/physics.js";
+import { SYMBOL, hasOwnCycles, startOf } from "../lib/physics.js";
 import { MAPPED, Motion, PLAYED, STARTED } from "./motion.js";
 
 const MAX_LISTED = 8; // numbers of a variable
@@ -28,7 +28,7 @@ export class TrajectoryPanel {
     const start = startOf(cell.direction);
     const values = Object.entries(SYMBOL).map(([axis, symbol]) => `${symbol} = ${number(cell[axis])}`);
     this.title.textContent = `Trajectory of ${{ cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }[start?.kind] ?? "a cell"}`;
-    this.about.textContent = `${values.join(", ")}, ${startText(cell.direction)}`;
+    this.about.textContent = `${values.join(", ")}, ${startText(cell.direction, job)}`;
     this.values.hidden = true;
     this.proof.hidden = true;
     const [path, options] = addressOf(job, cell);
@@ -112,11 +112,11 @@ export class TrajectoryPanel {
   }
 }
 
-/** The path and options of a request for the motion of a cell as the sweep left it, or of a start; of a cycle, on an ideal plate. */
+/** The path and options of a request for the motion of a cell as the sweep left it, or of a start; of a cycle, on the contact that has it. */
 function addressOf(job, { direction, ...cell }) {
   const start = startOf(direction);
   if (start && start.kind !== "attractor") {
-    const spring = start.kind === "cycle" ? { model: { kind: "rigid" }, ...PLAYED } : { model: job.spec.model, ...STARTED };
+    const spring = start.kind === "cycle" ? { model: hasOwnCycles(job) ? job.spec.model : { kind: "rigid" }, ...PLAYED } : { model: job.spec.model, ...STARTED };
     return ["/v1/trajectories", { method: "POST", body: { ...cell, start, ...spring } }];
   }
   const parameters = start ? { attractor: start.number, ...STARTED } : { direction, ...PLAYED };
@@ -133,9 +133,9 @@ function valueText({ data, attrs: { units = "1", flag_values: codes, flag_meanin
   return `${texts.slice(0, MAX_LISTED).join(", ")}${texts.length > MAX_LISTED ? " …" : ""}${units === "1" || !texts.length ? "" : ` ${units}`}` || "–";
 }
 
-function startText(direction) {
+function startText(direction, job) {
   const start = startOf(direction);
-  if (start?.kind === "cycle") return "on a cycle in closed form";
+  if (start?.kind === "cycle") return hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form";
   if (start?.kind === "drop") return `let go ${number(start.height)} above the plate at phase ${number(start.phase)}`;
   if (start?.kind === "attractor") return `on attractor ${start.number} of the cell`;
   if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;

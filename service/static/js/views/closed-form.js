@@ -1,10 +1,10 @@
-// Cycles in closed form over the diagram: branches, solid where stable and dashed where not, and their events.
+// Cycles over the diagram: branches, solid where stable and dashed where not, and their events; in closed form, or of a contact.
 
 import { currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, partsOf, query, requestDataset } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { SYMBOL, cycleText } from "../lib/physics.js";
+import { SYMBOL, contactQuery, cycleText, hasOwnCycles } from "../lib/physics.js";
 import { circle, disc, polyline } from "../plot/drawing.js";
 
 const MODES = "1-1,1-2,1-3";
@@ -24,7 +24,7 @@ const EVENTS = {
   "bogdanov-takens": "Bogdanov–Takens",
 };
 
-/** What the closed form adds to a plot: a check box with a note beside it, and its data, null where they are not shown. */
+/** What cycles add to a plot: a check box with a note beside it, and its data, null where they are not shown. */
 class ClosedForm {
   data = null;
 
@@ -33,7 +33,7 @@ class ClosedForm {
     Object.assign(this, { view, parameter, path, read });
     this.input = h("input", { type: "checkbox", onchange: () => setQuery({ [parameter]: this.input.checked ? 1 : null }) });
     this.note = h("span", { className: "note", role: "status" });
-    const title = "In closed form, on an ideal plate without restitution; unstable cycles too";
+    const title = `${hasOwnCycles(view.job) ? "Of the sweep's own contact, followed by workers" : "In closed form, on an ideal plate without restitution"}; unstable cycles too`;
     this.element = h("span", { className: "closed-form" }, h("label", { className: "direction branch", title }, this.input, ` ${label}`), " ", this.note);
     this.load = latest((signal) => this.#load(signal));
     queryChanges.addEventListener("change", () => this.update(), { signal: view.closing.signal });
@@ -66,19 +66,19 @@ class ClosedForm {
 
 const unprefixed = (part) => Object.fromEntries(Object.entries(part).map(([name, value]) => [name.replace(/^(event|branch)_/, ""), value]));
 
-/** The address of the branches and events of a spring up to `gammaMax`, and what is drawn of them. */
-export const branchesPath = ({ omega, xi }, gammaMax) => `/v1/orbits?${query({ omega, xi, modes: MODES, gamma_max: gammaMax, points: POINTS })}`;
+/** The address of the branches and events of a spring up to `gammaMax` on the contact `model`, and what is drawn of them. */
+export const branchesPath = ({ omega, xi }, gammaMax, model) => `/v1/orbits?${query({ omega, xi, modes: MODES, gamma_max: gammaMax, points: POINTS, ...contactQuery(model) })}`;
 export const readBranches = (result) => ({ branches: partsOf(result, "branch").map(unprefixed), events: partsOf(result, "event").map(unprefixed) });
 
 /** The branches over a diagram along Γ. */
 export const branchesOver = (view) => new ClosedForm(view, "Branches", "branches",
-  () => (view.along === "gamma" ? branchesPath(view.place, BEYOND * view.grid.gamma.at(-1)) : null), readBranches);
+  () => (view.along === "gamma" ? branchesPath(view.place, BEYOND * view.grid.gamma.at(-1), view.job.spec.model) : null), readBranches);
 
 /** The curves of folds over Ω, and the points at which they meet. */
 export function foldsOver(view) {
   const { omega, gamma } = view.grid;
   const fixed = { omega_start: omega[0], omega_stop: omega.at(-1), modes: FOLD_MODES, kinds: "fold", gamma_max: gamma.at(-1) };
-  return new ClosedForm(view, "Folds", "folds", () => `/v1/curves?${query({ xi: view.place.xi, ...fixed })}`,
+  return new ClosedForm(view, "Folds", "folds", () => `/v1/curves?${query({ xi: view.place.xi, ...fixed, ...contactQuery(view.job.spec.model) })}`,
     (result) => ({ curves: partsOf(result, "curve"), points: partsOf(result, "event").map(unprefixed) }));
 }
 
@@ -113,7 +113,7 @@ function runsOf({ periods, gamma, flight_time: time, stable, admissible }, event
   for (let i = 0; i < gamma.length; i++) {
     const isSame = run && !admissible[i] && run.stable === stable[i];
     const between = isSame || i === 0 ? [] : events.filter((event) => event.periods === periods && event.admissible === 0
-      && event.flight_time > time[i - 1] && event.flight_time < time[i]);
+      && (event.flight_time - time[i - 1]) * (event.flight_time - time[i]) < 0);
     if (!isSame) {
       if (between.length) run?.points.push(between[0]);
       run = null;
