@@ -66,7 +66,7 @@ def within(
 ) -> Answer:
     """Compute the finest level that fits into `budget` seconds. Raises SpecInvalid if none does."""
     began, answer = clock(), Answer()
-    budget *= 1.0 - END
+    asked, budget = budget, budget * (1.0 - END)
     reserved = AUDIT * budget
     per_cell = runner.seconds(spec) / cells(spec, WHOLE)
     whole, affordable = cells(spec, WHOLE), FIRST * budget / per_cell
@@ -86,7 +86,7 @@ def within(
     if not answer.levels:
         took = clock() - began
         rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
-        raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * max(budget, took):.3g}s may work")])
+        raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * max(asked, took):.3g}s may work")])
     left = budget - (clock() - began)
     if left >= LEAST_AUDIT:
         show(f"audit of the last level, {left:.0f} s left")

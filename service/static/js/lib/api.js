@@ -56,7 +56,7 @@ export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } 
 
 /** The answer of a shared file: that at the nearest values. */
 function sharedAnswer(path) {
-  const { pathname, searchParams } = new URL(path, "http://file");
+  const { pathname, searchParams } = new URL(path, "file:///");
   const [, , , id, name] = pathname.split("/");
   if (id === shared.job.id && !name) return Response.json(shared.job);
   const away = (answer) => ["gamma", "omega", "xi"].reduce((sum, axis) => sum + Math.abs((answer[axis] ?? 0) - (axis in answer ? Number(searchParams.get(axis)) : 0)), 0);
