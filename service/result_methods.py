@@ -130,9 +130,10 @@ class ResultMethods(Methods):
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
-        """Branches of the cycles that cells along Γ settled to, on their own contact.
+        """Branches of the cycles that cells settled to.
 
-        Stable and unstable ones, with their events. Workers follow them, some seconds at most once compiled;
+        Those along Γ, on their own contact, stable and unstable, with their events. Workers follow them, some
+        seconds at most once compiled;
         `flight_time` has all flights of a cycle that count, the longest first. `skipped` are the periodic cells
         from which no branch was followed.
 

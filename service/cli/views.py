@@ -168,7 +168,7 @@ def _without(prefixes: tuple[str, ...], name: str) -> str:
 )  # fmt: skip
 @with_job
 def export(job: "Job", output: str, layout: ExportLayout) -> None:
-    """Write all results of a job to one file, NetCDF, Parquet or a page.
+    """Write all results of a job to one file.
 
     NetCDF (.nc) contains the arrays of the store, Parquet (.parquet) one row per cell, or with --layout
     flights one row per flight. A page (.html) shows a sweep in any browser, without service and network.
@@ -182,7 +182,7 @@ def export(job: "Job", output: str, layout: ExportLayout) -> None:
 @click.option("-o", "--output", type=click.Path(dir_okay=False), required=True, help="File to write, .html.")
 @with_job
 def share(job: "Job", output: str) -> None:
-    """Write a sweep as a page that opens in any browser, without service and network."""
+    """Write a sweep as a page that needs no service."""
     output_format(output, ("html",))
     job.share(Path(output))
     _warn_unless_done(job, "cells are missing")

@@ -30,6 +30,8 @@ from kernel.branches.folds import lifetime
 from kernel.branches.starts import start_on_cycle, start_on_stable_cycle
 from kernel.branches.thresholds import SEARCHED_XI, Thresholds, conjecture, thresholds
 from kernel.params import Cell, Outcome, Start
+from kernel.proofs.balls import bounds
+from kernel.proofs.branches import FOLDS, prove_event
 from kernel.threshold import threshold
 from service.presets import FIGURES
 from worker.analysis.prediction import of_contact
@@ -98,6 +100,11 @@ def where_bouncing_ends() -> Texts:
         words = sum(n for cause, n in causes.items() if cause.startswith("fold of word"))
         rows.append(f"| {xi:g} | {known[0]} | {words} | {known[1]} | {known[2]} |")
         assert causes.total() == sum(known) + words
+    for omega in ("0.56", "0.60", "0.62", "0.66", "0.70"):
+        fold = at(float(omega)).fold
+        assert fold is not None
+        low, high = bounds(prove_event(FOLDS, omega, str(XI), 1, fold.flight_time).gamma)
+        rows.append(f"| {omega} | {low} | {high} |")
     assert at(1.24).cause == "fold (1,2)"
     assert at(1.26).cause == "fold of word zs (2,2)"
     picture = Image.open(ROOT / "docs" / "figures" / "figure-hysteresis.png")

@@ -132,7 +132,7 @@ def test_a_contact_is_explored(browser: Any, address: str):
             ".readout.closed", has_text="Bouncing does not persist below Γ = 0.5532 (fold (1,1))"
         )
         said.wait_for()
-        assert "contact=soft" in page.evaluate("location.href")
+        page.wait_for_url(re.compile("contact=soft"))
         screenshot(page, "explore-soft")
 
 

@@ -26,8 +26,8 @@ BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
     "adopt", "audit", "backup", "basins", "cancel", "completion", "curves", "delete", "diagram", "doctor",
     "export", "figure", "follow", "list", "metrics", "modes", "multistability", "open", "orbits", "plan",
-    "restore", "resume", "run", "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
-    "watch",
+    "restore", "resume", "run", "serve", "share", "status", "submit", "threshold", "tradeoff", "trajectory",
+    "wait", "watch",
 ]  # fmt: skip
 
 SPEC = {**TWO_LINES, "name": "two ω"}

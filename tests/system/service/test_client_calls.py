@@ -224,11 +224,11 @@ def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):
 
 
 def test_orbits_of_a_job_are_printed_and_written(running: Running, tmp_path: Path):
-    words = ("orbits", running.job.id, "--omega", "0.5", "--direction", "up")
+    asked = ("orbits", running.job.id, "--omega", "0.5", "--direction", "up")
     found = running.job.orbits(0.5, direction="up", progress=False)
-    lines = output_of(running, *words).splitlines()
+    lines = output_of(running, *asked).splitlines()
     assert len(lines) == 7 + found.sizes["event"] + found.sizes["skipped"]
-    assert bounce(running, *words, "-o", str(tmp_path / "words.csv")).exit_code == 0
-    frame = pandas.read_csv(tmp_path / "words.csv")
+    assert bounce(running, *asked, "-o", str(tmp_path / "cycles.csv")).exit_code == 0
+    frame = pandas.read_csv(tmp_path / "cycles.csv")
     assert len(frame) == int(found.flight_time.count()) > 0
-    assert {"word", "flight", "gamma"} <= set(frame.columns)
+    assert {"flight", "gamma"} <= set(frame.columns)
