@@ -133,9 +133,8 @@ class ResultMethods(Methods):
         """Branches of the cycles that cells settled to.
 
         Those along Γ, on their own contact, stable and unstable, with their events. Workers follow them, some
-        seconds at most once compiled;
-        `flight_time` has all flights of a cycle that count, the longest first. `skipped` are the periodic cells
-        from which no branch was followed.
+        seconds at most once compiled; `flight_time` has all flights of a cycle that count, the longest first.
+        `skipped` are the periodic cells from which no branch was followed.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `takeoff_phase` (rad),
         `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per rad), `impact_velocity`

@@ -462,9 +462,8 @@ def compute_cells(
     """Branches of the cycles that cells settled to.
 
     Those along Γ, on their own contact, stable and unstable, with their events. Workers follow them, some
-    seconds at most once compiled;
-    `flight_time` has all flights of a cycle that count, the longest first. `skipped` are the periodic cells
-    from which no branch was followed.
+    seconds at most once compiled; `flight_time` has all flights of a cycle that count, the longest first.
+    `skipped` are the periodic cells from which no branch was followed.
     """
     direction, spring = _line(study.spec, query)
     data = padded(_OF_CELLS, cycles.branches)
