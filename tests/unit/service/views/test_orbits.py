@@ -17,6 +17,7 @@ from tables import for_each
 
 from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
+from kernel.branches.thresholds import closed_form
 from service.client import Client
 from service.pictures import draw_thresholds
 from service.views import curves as curves_view
@@ -273,6 +274,10 @@ def test_cycles_of_a_sweeps_cells_answer_where_the_branches_do_not(
     """As if no branch were searched: the cells are on the cycle that ends at the fold of zs (2,2)."""
     monkeypatch.setattr("worker.analysis.prediction.MAX_GRID", 100)
     monkeypatch.setattr("kernel.branches.thresholds.PERIODS", 1)
+    for module in ("kernel.branches.thresholds", "worker.analysis.prediction"):
+        monkeypatch.setattr(
+            f"{module}.closed_form", closed_form.__wrapped__
+        )  # or others would see its answer
     on_the_cycle = RAMP["protocol"] | {"direction": "down", "start": {"periods": 2}}
     few = {"gamma": [2.3, 2.305], "omega": 1.26, "protocol": on_the_cycle, "settle": 400, "keep": 16}
     job = python_client.submit(RAMP | few).wait(progress=False)
