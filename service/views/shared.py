@@ -25,8 +25,8 @@ from worker.sweep import AXES, SweepSpec
 FILES: Final = Path(__file__).parents[1] / "static"
 #: Bytes of compressed flights: of more, every second line is left out, again and again.
 MOST_BYTES: Final = 6_000_000
-#: Lines that are tried, flights of a line and cells of a map: of more, every n-th is taken.
-MOST_LINES, MOST_FLIGHTS, MOST_CELLS = 400, 60_000, 250_000
+#: Lines, flights of a line and of all, cells of a map: of more, every n-th is taken.
+MOST_LINES, MOST_FLIGHTS, MOST_IN_ALL, MOST_CELLS = 400, 60_000, 4_000_000, 250_000
 
 _IMPORT: Final = re.compile(r'(from |import )"(\.{1,2}/[^"]+)"(?: with \{[^}]*\})?')
 _OUTSIDE: Final = re.compile(r"\s*<(?:link|script)[^>]*>(?:</script>)?")
@@ -45,7 +45,8 @@ def page(study: Stored[SweepSpec], attributes: Mapping[str, Any]) -> str:
         "created": None, "progress": _progress(spec),
     }  # fmt: skip
     answers = {"diagram": lines, "modes": _maps(study), "threshold": _thresholds(study)}
-    note = ". ".join(filter(None, [study.audit, left_out]))
+    missing = "" if study.complete else "The sweep was not complete: cells are missing"
+    note = ". ".join(filter(None, [missing, study.audit, left_out]))
     shared = json.dumps({"job": job, "answers": answers, "note": note}).replace("</", "<\\/")
     imports = json.dumps({"imports": dict(_modules())})
     head = "".join(f"<style>{(FILES / name).read_text()}</style>" for name in ("style.css", "views.css"))
@@ -90,7 +91,8 @@ def _lines(study: Stored[SweepSpec]) -> tuple[list[dict[str, Any]], str]:
     spec = study.spec
     along, places = _places(spec)
     every = -(-len(spec.axis_values(along)) * spec.keep // MOST_FLIGHTS)
-    step = -(-len(places) // MOST_LINES)
+    flights = spec.shape[0] * spec.keep * -(-len(spec.axis_values(along)) // every)
+    step = -(-len(places) // min(MOST_LINES, max(MOST_IN_ALL // flights, 1)))
     lines = []
     for place in places[::step]:
         query = diagram.DiagramQuery.model_validate({"along": along, "every": every, **place})
