@@ -250,6 +250,14 @@ def test_thresholds_of_a_sweep_stand_beside_the_predictions(python_client: Clien
         assert (str(difference) == "") == (agrees or not np.isfinite(down - predicted))
 
 
+def test_a_search_finds_what_bounces_below_the_rule(python_client: Client):
+    """A (2,2) below all folds of the rule, as of issue 45."""
+    answer = python_client.threshold(0.5395, 0.032, search=True, progress=False)
+    assert (answer.status.item(), answer.cause.item()) == ("searched", "fold of word ss (2,2)")
+    assert float(answer.down) == pytest.approx(0.8051293821, abs=1e-9)
+    assert 0.0 < float(answer.missed) < 0.01
+
+
 def test_a_damping_that_was_not_searched_is_said_to_be(python_client: Client):
     """In the answer of a spring, and in the picture and the answer of a sweep, with cells too."""
     spring = python_client.threshold(0.52, 0.02)
