@@ -24,8 +24,8 @@ import numpy as np
 
 from benchmarks.measuring import describe, options, seconds, short, table
 from benchmarks.serving import TIMEOUT, Serving
-from kernel.branches.events import branch_and_events
-from kernel.branches.thresholds import thresholds
+from kernel.cycles.events import branch_and_events
+from kernel.cycles.thresholds import thresholds
 from tests.support.plates import Model, run_line
 
 OMEGA = np.linspace(0.26, 1.6, 20)

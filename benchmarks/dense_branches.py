@@ -3,7 +3,7 @@
     python -m benchmarks.dense_branches [--cells 40] [--seed 1] [--no-grazes]
 
 Of (1,1) and (1,2) at random springs, Omega from 0.25 to 2.5 and xi from 0.01 to 3, and of (1,3) at some, the
-events of `kernel.branches` beside those that `tests/support/dense_branches.py` finds by sign changes on
+events of `kernel.cycles` beside those that `tests/support/dense_branches.py` finds by sign changes on
 20,000 points, from matrix exponentials alone. Missed, invented, and admissibility that differs; the largest
 difference in T is the grid's own.
 
@@ -16,7 +16,7 @@ are those of minima less deep than 1e-8. They take some ten seconds a branch.
 import numpy as np
 
 from benchmarks.measuring import options, table
-from kernel.branches.events import Events, branch_and_events
+from kernel.cycles.events import Events, branch_and_events
 from tests.support import dense_branches
 
 KINDS = ("fold", "flip", "neimark-sacker")

@@ -4,7 +4,7 @@
         [--starts 80] [--gammas 34]
 
 For each of `springs` springs, Omega and xi log-uniform: many starts at each of many Gammas below what the
-rule of `kernel.branches.thresholds` says, from 1e-3 of it on, of the rigid contact without restitution. What
+rule of `kernel.cycles.thresholds` says, from 1e-3 of it on, of the rigid contact without restitution. What
 bounces after SETTLE plate periods is followed for FOLLOWED more, long against the ghost of a fold. Prints
 what bounces even then, with its Gamma over the rule's and its mode, (0,0) if aperiodic, and a table by what
 the rule says and whether `thresholds` answers it.
@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.measuring import options, table
-from kernel.branches.thresholds import NOT_SEARCHED, Thresholds, conjecture, thresholds
+from kernel.cycles.thresholds import NOT_SEARCHED, Thresholds, conjecture, thresholds
 from kernel.params import Line, Outcome
 from kernel.search import random_starts
 from tests.support.plates import Model, run_line

@@ -9,11 +9,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.branches.contact_thresholds import rest_ends
-from kernel.branches.cycles import Point, cycle_from
-from kernel.branches.descent import Descent, descend
-from kernel.branches.roots import Floats
-from kernel.branches.starts import cycles_at, start_on_cycle
+from kernel.cycles.contact_thresholds import rest_ends
+from kernel.cycles.cycles import Point, cycle_from
+from kernel.cycles.descent import Descent, descend
+from kernel.cycles.roots import Floats
+from kernel.cycles.starts import cycles_at, start_on_cycle
 from kernel.line import run_line
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, Line, Outcome, Start

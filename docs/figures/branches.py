@@ -8,7 +8,7 @@ from pathlib import Path
 import xarray
 from matplotlib.figure import Figure
 
-from kernel.branches.events import Kind, branch_and_events
+from kernel.cycles.events import Kind, branch_and_events
 from kernel.threshold import threshold
 from service.local import run
 from service.pictures import draw_branches, draw_diagram

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from tips import Tip, deepest, end_of_hysteresis, tip
 
-from kernel.branches.curves import Parameter, curves
-from kernel.branches.events import Kind
+from kernel.cycles.curves import Parameter, curves
+from kernel.cycles.events import Kind
 from kernel.threshold import threshold
 
 XI = 0.05

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from tips import soft_landing
 
-from kernel.branches.thresholds import Thresholds, thresholds
+from kernel.cycles.thresholds import Thresholds, thresholds
 from kernel.threshold import threshold
 
 XI = 0.05

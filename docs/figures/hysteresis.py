@@ -11,8 +11,8 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from kernel.branches.starts import start_on_stable_cycle
-from kernel.branches.thresholds import UNRESOLVED, thresholds
+from kernel.cycles.starts import start_on_stable_cycle
+from kernel.cycles.thresholds import UNRESOLVED, thresholds
 from kernel.params import Cell, Outcome
 from kernel.threshold import threshold
 from service.local import run

@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from kernel.branches.closed_form import orbit
-from kernel.branches.roots import Floats
-from kernel.branches.spring import STEP, spring
+from kernel.cycles.closed_form import orbit
+from kernel.cycles.roots import Floats
+from kernel.cycles.spring import STEP, spring
 
 #: Newton steps at most, and the last step's size, relative.
 _NEWTON: Final = 40

@@ -11,7 +11,7 @@ from typing import Final
 
 from flint import arb, arb_mat, arb_series, ctx
 
-from kernel.branches.folds import Cycle, Fold
+from kernel.cycles.folds import Cycle, Fold
 from kernel.proofs.balls import NotProvenError, flow, with_enough_bits
 from kernel.proofs.cycles import START, STEPS, Cycles, Guess, Law, Proven, amplitude
 
@@ -69,7 +69,7 @@ def _beside(omega: float | str, xi: float | str, fold: Fold, step: float) -> Pro
 
 
 def guess_of_cycle(cycle: Cycle) -> Guess:
-    """A cycle of `kernel.branches`."""
+    """A cycle of `kernel.cycles`."""
     return Guess(cycle.letters, cycle.periods, cycle.unknowns.tolist())
 
 

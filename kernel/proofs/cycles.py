@@ -2,7 +2,7 @@
 
 State (gap, gap', q, q', c, s, 1) with c + i s = Gamma exp(i phi), lengths in g/omega**2: every phase, landing
 and contact law is linear in it, so that a phase of t rad is the exponential of a matrix times t. Words and
-unknowns are those of `kernel.branches.segments`: (gap', q, q', c, s) where the first segment begins, and the
+unknowns are those of `kernel.cycles.segments`: (gap', q, q', c, s) where the first segment begins, and the
 duration of each. The events, the return after the periods, and Gamma or the first flight's duration are as
 many equations. Krawczyk's operator maps a box into its inside: then exactly one solution lies in it.
 """
@@ -24,7 +24,7 @@ from kernel.proofs.balls import (
 from kernel.restitution import scalar_damping_ratio
 
 if TYPE_CHECKING:
-    from kernel.branches.cycles import Point
+    from kernel.cycles.cycles import Point
 
 #: Hops of one chatter at most.
 _MOST_HOPS: Final = 400
@@ -63,7 +63,7 @@ class Proven(NamedTuple):
 
 
 def guess_of(point: "Point") -> Guess:
-    """A cycle of `kernel.branches.cycles`, begun where the mass sticks after a chatter, if it does."""
+    """A cycle of `kernel.cycles.cycles`, begun where the mass sticks after a chatter, if it does."""
     point = point.begun((point.letters.find("c") + 1) % len(point.letters))
     return Guess(point.letters, point.cycles.periods, point.x[: START + len(point.letters)].tolist())
 

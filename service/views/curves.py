@@ -7,8 +7,8 @@ import numpy as np
 import xarray
 from pydantic import Field
 
-from kernel.branches.curves import CURVES, Curves, Parameter, curves
-from kernel.branches.events import Kind, join_events
+from kernel.cycles.curves import CURVES, Curves, Parameter, curves
+from kernel.cycles.events import Kind, join_events
 from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS, AXES, SYMBOLS
 from service.views import orbits

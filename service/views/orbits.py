@@ -14,9 +14,9 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from kernel.branches.any_contact import CycleBranch
-from kernel.branches.energy import energy
-from kernel.branches.events import Branch, Events, branch_and_events, flight_times, join_events
+from kernel.cycles.any_contact import CycleBranch
+from kernel.cycles.energy import energy
+from kernel.cycles.events import Branch, Events, branch_and_events, flight_times, join_events
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import AXES, FLIGHT, SYMBOLS, draw_branches

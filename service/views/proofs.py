@@ -7,9 +7,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.events import Events, Kind
-from kernel.branches.folds import Fold
 from kernel.cell import SHORTEST_FLIGHT
+from kernel.cycles.events import Events, Kind
+from kernel.cycles.folds import Fold
 from kernel.params import Cell
 from service.errors import NotInstalled
 from service.views.variables import row
@@ -77,7 +77,7 @@ def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dic
     """What is proven of the cycle near a state (6,), the cell's numbers as decimals. Raises NotInstalled."""
 
     def prove() -> dict[str, Any]:
-        from kernel.branches.cycles import cycle_from
+        from kernel.cycles.cycles import cycle_from
         from kernel.proofs import balls, cycles
 
         if isinstance(model, Rigid):

@@ -9,8 +9,8 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import Field
 
-from kernel.branches.folds import Fold, lifetime
-from kernel.branches.thresholds import EQ_25, Thresholds
+from kernel.cycles.folds import Fold, lifetime
+from kernel.cycles.thresholds import EQ_25, Thresholds
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict

@@ -7,10 +7,10 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from kernel.branches.any_contact import CycleBranch
-from kernel.branches.energy import energy
-from kernel.branches.events import Branch, branch
-from kernel.branches.starts import start_on_cycle, start_on_stable_cycle
+from kernel.cycles.any_contact import CycleBranch
+from kernel.cycles.energy import energy
+from kernel.cycles.events import Branch, branch
+from kernel.cycles.starts import start_on_cycle, start_on_stable_cycle
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample

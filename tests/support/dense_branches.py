@@ -1,4 +1,4 @@
-"""Branches (1,k) on a dense grid of T by products of matrix exponentials; nothing of `kernel.branches`.
+"""Branches (1,k) on a dense grid of T by products of matrix exponentials; nothing of `kernel.cycles`.
 
 The state is (q, v, gap, gap', c, s, 1) with c + i s = Gamma e^{i phi} and lengths in g/omega**2. Flight and
 contact are linear in it, so the flow over the grid's j steps is the j-th power of that over one.

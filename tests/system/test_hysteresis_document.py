@@ -22,13 +22,13 @@ from plates import Model, run_line
 from tips import end_of_hysteresis, soft_landing, tip
 
 from benchmarks.threshold_search import search
-from kernel.branches.curves import Parameter, curves
-from kernel.branches.cycles import cycle_from
-from kernel.branches.descent import descend, ideal_plate
-from kernel.branches.events import Kind, branch_and_events, fold_events
-from kernel.branches.folds import lifetime
-from kernel.branches.starts import start_on_cycle, start_on_stable_cycle
-from kernel.branches.thresholds import SEARCHED_XI, Thresholds, conjecture, thresholds
+from kernel.cycles.curves import Parameter, curves
+from kernel.cycles.cycles import cycle_from
+from kernel.cycles.descent import descend, ideal_plate
+from kernel.cycles.events import Kind, branch_and_events, fold_events
+from kernel.cycles.folds import lifetime
+from kernel.cycles.starts import start_on_cycle, start_on_stable_cycle
+from kernel.cycles.thresholds import SEARCHED_XI, Thresholds, conjecture, thresholds
 from kernel.params import Cell, Outcome, Start
 from kernel.proofs.balls import bounds
 from kernel.proofs.branches import FOLDS, prove_event

@@ -40,7 +40,7 @@ ALLOWED = {
 #: What a specification is made of: light, so that clients can hold one.
 SPECIFICATION = {
     "worker.spec", "kernel.params", "kernel.portable_math", "kernel.restitution", "kernel.step_limits",
-    "kernel.branches", "kernel.stopping",
+    "kernel.cycles", "kernel.stopping",
 }  # fmt: skip
 
 #: Of the project's own modules, all that these may reach.

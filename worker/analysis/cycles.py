@@ -8,12 +8,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.any_contact import CycleBranch, Followed, branches, event_record, passing, record
-from kernel.branches.curves import Curves, Parameter
-from kernel.branches.cycles import FLIGHTS, Cycles, Point, confirmed, cycle_from
-from kernel.branches.events import Events, Kind, join_events
-from kernel.branches.follow import RANGE, Event, ahead, follow
-from kernel.branches.segments import START
+from kernel.cycles.any_contact import CycleBranch, Followed, branches, event_record, passing, record
+from kernel.cycles.curves import Curves, Parameter
+from kernel.cycles.cycles import FLIGHTS, Cycles, Point, confirmed, cycle_from
+from kernel.cycles.events import Events, Kind, join_events
+from kernel.cycles.follow import RANGE, Event, ahead, follow
+from kernel.cycles.segments import START
 from kernel.params import Cell, Outcome
 from worker import store
 from worker.analysis.bisection import BOUNCING

@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from kernel.branches.contact_thresholds import thresholds_of
-from kernel.branches.cycles import Point
-from kernel.branches.events import POINTS, flight_times
-from kernel.branches.folds import Fold, lifetime
-from kernel.branches.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
+from kernel.cycles.contact_thresholds import thresholds_of
+from kernel.cycles.cycles import Point
+from kernel.cycles.events import POINTS, flight_times
+from kernel.cycles.folds import Fold, lifetime
+from kernel.cycles.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
 from kernel.search import Searched, search
 from kernel.threshold import threshold
@@ -126,7 +126,7 @@ def _is_ghost(fold: Fold | None, below: float, window: int) -> bool:
 def of_contact(
     contact: Contact, omega: float, xi: float, cycles: Sequence[Point] = (), bouncing: float = math.inf
 ) -> Thresholds:
-    """The thresholds of a contact, by cycles that workers follow; as of `kernel.branches.thresholds`."""
+    """The thresholds of a contact, by cycles that workers follow; as of `kernel.cycles.thresholds`."""
     if is_ideal(contact):
         return _thresholds(omega, xi, cycles=cycles, bouncing=bouncing)
     plate = plate_of(contact, np.ones(1), np.full(1, omega), np.full(1, xi))

@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from kernel.branches.events import POINTS as GRID
+from kernel.cycles.events import POINTS as GRID
 from worker.orbits.schema import ARRAYS, sizes
 from worker.orbits.specification import OrbitsSpec, grid_points
 from worker.study.chunks import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even

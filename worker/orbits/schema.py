@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from kernel.branches.events import Kind
+from kernel.cycles.events import Kind
 from worker.orbits.specification import DIMS, OrbitsSpec
 from worker.study.layout import Array, Layout, array, grid_layout, whether_computed
 

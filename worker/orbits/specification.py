@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from kernel.branches.events import POINTS as GRID
+from kernel.cycles.events import POINTS as GRID
 from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, Strict, within
 from worker.spec.errors import BrokenRuleError, describe
 from worker.spec.specification import Specification
@@ -69,7 +69,7 @@ def check_modes(modes: Sequence[Mode]) -> None:
 def grid_points(omega: NDArray[np.float64], periods: int, points: int) -> NDArray[np.float64]:
     """Approximate number of flight times of a branch at each omega (n,), for an undamped spring.
 
-    See `kernel.branches.events.flight_times`; fewer with damping, except near both ends.
+    See `kernel.cycles.events.flight_times`; fewer with damping, except near both ends.
     """
     rate = 1.0 + (1.0 + math.sqrt(2.0)) / omega
     return np.maximum(2.0 * math.pi * periods * rate / 0.2, points)

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.events import POINTS as GRID
-from kernel.branches.events import Branch, Events, Kind, branch_and_events
+from kernel.cycles.events import POINTS as GRID
+from kernel.cycles.events import Branch, Events, Kind, branch_and_events
 from kernel.params import KernelInputError, Outcome
 from worker.orbits.schema import ARRAYS, KINDS, sizes
 from worker.orbits.specification import DIMS, OrbitsSpec

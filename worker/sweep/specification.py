@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from kernel.branches.starts import stable_ranges, start_on_stable_cycle
+from kernel.cycles.starts import stable_ranges, start_on_stable_cycle
 from kernel.params import MAX_EXPONENTS, Cell, KernelInputError, Start
 from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, within
 from worker.spec.contact_models import (

@@ -5,7 +5,7 @@ import math
 from paths import ROOT
 
 from benchmarks.threshold_search import Searched, searched
-from kernel.branches.thresholds import NOT_SEARCHED, SEARCHED_XI
+from kernel.cycles.thresholds import NOT_SEARCHED, SEARCHED_XI
 
 TEXT = (ROOT / "docs" / "hysteresis.md").read_text()
 OMEGA = (0.05, 10.0)

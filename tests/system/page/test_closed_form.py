@@ -10,8 +10,8 @@ from scripted import DEADLINE, wait_for
 from served import done
 from studies import spec_of
 
-from kernel.branches.starts import cycles_at
-from kernel.branches.thresholds import thresholds
+from kernel.cycles.starts import cycles_at
+from kernel.cycles.thresholds import thresholds
 from kernel.params import Cell
 
 pytestmark = needs_chromium

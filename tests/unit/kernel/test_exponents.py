@@ -10,7 +10,7 @@ from paths import GOLDEN
 from tables import for_each
 
 from kernel import interface
-from kernel.branches.starts import cycles_at, start_on_cycle
+from kernel.cycles.starts import cycles_at, start_on_cycle
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, exponent_resolution, label_codes
 from kernel.models import rigid
 from kernel.models.contact_law import contact_constants

@@ -8,8 +8,8 @@ from paths import GOLDEN
 
 pytest.importorskip("flint", reason="needs the extra proofs")
 
-from kernel.branches.events import Kind, branch_and_events
-from kernel.branches.thresholds import thresholds
+from kernel.cycles.events import Kind, branch_and_events
+from kernel.cycles.thresholds import thresholds
 from kernel.proofs.balls import NotProvenError, bounds
 from kernel.proofs.branches import FLIPS, FOLDS, all_events, prove_down, prove_event
 

@@ -8,10 +8,10 @@ from paths import GOLDEN
 
 pytest.importorskip("flint", reason="needs the extra proofs")
 
-from kernel.branches.cycles import cycle_from
-from kernel.branches.events import branch, flight_times
-from kernel.branches.folds import one_flight
-from kernel.branches.spring import spring
+from kernel.cycles.cycles import cycle_from
+from kernel.cycles.events import branch, flight_times
+from kernel.cycles.folds import one_flight
+from kernel.cycles.spring import spring
 from kernel.line import run_line
 from kernel.models.rigid import plate as rigid
 from kernel.models.soft import plate as soft

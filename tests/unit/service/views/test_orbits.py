@@ -15,9 +15,9 @@ from served import get
 from served import service as begun
 from tables import for_each
 
-from kernel.branches.energy import energy
-from kernel.branches.events import branch_and_events
-from kernel.branches.thresholds import closed_form
+from kernel.cycles.energy import energy
+from kernel.cycles.events import branch_and_events
+from kernel.cycles.thresholds import closed_form
 from service.client import Client
 from service.pictures import draw_thresholds
 from service.views import curves as curves_view
@@ -70,7 +70,7 @@ def test_long_branches_are_refused_before_they_are_computed(client: TestClient):
 
 
 def test_cycles_of_a_contact_are_followed_by_the_workers(python_client: Client):
-    """The folds are those of tests/unit/kernel/branches/test_follow.py."""
+    """The folds are those of tests/unit/kernel/cycles/test_follow.py."""
     answer = python_client.orbits(**SPRING, modes="1-1", gamma_max=1.2, model="soft", progress=False)
     assert answer.attrs["model"] == "soft, restitution 0.01, penetration 0.001, adhesive"
     assert answer.sizes["branch"] == 1
@@ -148,7 +148,7 @@ def test_curves_are_held_to_a_limit(client: TestClient, monkeypatch: pytest.Monk
     rule = refused(client, "/v1/curves", 422, **query)
     assert rule.startswith("modes: their curves from omega 0.1 on take about 24 core-seconds, the limit for")
     assert rule.endswith("is 10: ask for the first 1, or take a larger omega")
-    monkeypatch.setattr("kernel.branches.curves._ALL_POINTS", 100)
+    monkeypatch.setattr("kernel.cycles.curves._ALL_POINTS", 100)
     # Another spring than those of other tests, whose curves are kept.
     query = {"xi": 0.051, "omega_start": 0.6, "omega_stop": 0.68, "modes": "1-1", "kinds": "fold"}
     wait_for(lambda: client.get("/v1/curves", params=query).status_code != 202)
@@ -281,8 +281,8 @@ def test_cycles_of_a_sweeps_cells_answer_where_the_branches_do_not(
 ):
     """As if no branch were searched: the cells are on the cycle that ends at the fold of zs (2,2)."""
     monkeypatch.setattr("worker.analysis.prediction.MAX_GRID", 100)
-    monkeypatch.setattr("kernel.branches.thresholds.PERIODS", 1)
-    for module in ("kernel.branches.thresholds", "worker.analysis.prediction"):
+    monkeypatch.setattr("kernel.cycles.thresholds.PERIODS", 1)
+    for module in ("kernel.cycles.thresholds", "worker.analysis.prediction"):
         monkeypatch.setattr(
             f"{module}.closed_form", closed_form.__wrapped__
         )  # or others would see its answer

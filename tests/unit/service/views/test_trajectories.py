@@ -14,7 +14,7 @@ from scripted import Held
 from served import service
 from tables import for_each
 
-from kernel.branches.starts import cycles_at
+from kernel.cycles.starts import cycles_at
 from kernel.params import Cell
 from kernel.trajectory import Trajectory
 

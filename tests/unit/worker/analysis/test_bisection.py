@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import worker.analysis.bisection
-from kernel.branches.thresholds import thresholds as fold_at
+from kernel.cycles.thresholds import thresholds as fold_at
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from worker import store

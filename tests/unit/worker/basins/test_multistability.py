@@ -10,7 +10,7 @@ import pytest
 import xarray
 from studies import spec_of
 
-from kernel.branches.events import Kind, fold_events
+from kernel.cycles.events import Kind, fold_events
 from kernel.params import Outcome
 from worker import store
 from worker.basins.multistability import run_chunk

@@ -9,7 +9,7 @@ import pytest
 import xarray
 from tables import for_each
 
-from kernel.branches.events import Kind, branch_and_events
+from kernel.cycles.events import Kind, branch_and_events
 from kernel.params import Outcome
 from worker import store, studies
 from worker.orbits.specification import OrbitsSpec

@@ -8,8 +8,8 @@ import pytest
 from kernel_runs import Model, run_line
 from stores import files
 
-from kernel.branches.starts import cycles_at
-from kernel.branches.thresholds import thresholds
+from kernel.cycles.starts import cycles_at
+from kernel.cycles.thresholds import thresholds
 from kernel.params import STATE_FIELDS, Cell, Outcome
 from worker import store, work
 from worker.study import ChunkCancelled, ChunkOptions, ChunkPaused, ChunkReport, Plan, PredecessorMissing

@@ -5,11 +5,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from kernel.branches.closed_form import TWO_PI, floquet, gamma_slope, orbit
-from kernel.branches.energy import Energy, energy
-from kernel.branches.events import Events, Kind
-from kernel.branches.roots import Floats
-from kernel.branches.spring import Spring
+from kernel.cycles.closed_form import TWO_PI, floquet, gamma_slope, orbit
+from kernel.cycles.energy import Energy, energy
+from kernel.cycles.events import Events, Kind
+from kernel.cycles.roots import Floats
+from kernel.cycles.spring import Spring
 
 #: Flights of cycles with rebound count for their names if they are longer, rad.
 MICRO_FLIGHT: Final = 0.05
@@ -19,7 +19,7 @@ _DIFFERENCE: Final = 1e-4
 
 
 class Cycle(NamedTuple):
-    """A cycle by its segments, without the functions that solve it: see `kernel.branches.segments`."""
+    """A cycle by its segments, without the functions that solve it: see `kernel.cycles.segments`."""
 
     letters: str
     periods: int

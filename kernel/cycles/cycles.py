@@ -7,8 +7,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.roots import Floats
-from kernel.branches.segments import START, Round, go_round, newton_step, simulated
+from kernel.cycles.roots import Floats
+from kernel.cycles.segments import START, Round, go_round, newton_step, simulated
 from kernel.interface import State
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
@@ -141,7 +141,7 @@ class Cycles(NamedTuple):
     plate: Any  # of one cell
     omega: float
     xi: float
-    letters: str  # see `kernel.branches.segments`
+    letters: str  # see `kernel.cycles.segments`
     periods: int
     along: str = "gamma"
     gamma: float = math.nan  # where it is not the parameter

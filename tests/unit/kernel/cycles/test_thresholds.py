@@ -9,12 +9,12 @@ from paths import GOLDEN
 from tables import for_each
 
 from benchmarks.threshold_search import search, searched
-from kernel.branches.cycles import cycle_from
-from kernel.branches.descent import descend, ideal_plate
-from kernel.branches.folds import lifetime
-from kernel.branches.follow import follow
-from kernel.branches.starts import start_on_stable_cycle
-from kernel.branches.thresholds import EQ_25, NOT_SEARCHED, SEARCHED_XI, UNRESOLVED, conjecture, thresholds
+from kernel.cycles.cycles import cycle_from
+from kernel.cycles.descent import descend, ideal_plate
+from kernel.cycles.folds import lifetime
+from kernel.cycles.follow import follow
+from kernel.cycles.starts import start_on_stable_cycle
+from kernel.cycles.thresholds import EQ_25, NOT_SEARCHED, SEARCHED_XI, UNRESOLVED, conjecture, thresholds
 from kernel.params import Cell
 from kernel.threshold import threshold
 

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.admissibility import (
+from kernel.cycles.admissibility import (
     Check,
     Condition,
     Samples,
@@ -17,9 +17,9 @@ from kernel.branches.admissibility import (
     force_slope,
     samples,
 )
-from kernel.branches.closed_form import TWO_PI, Orbit, floquet, multipliers, orbit, stable
-from kernel.branches.roots import Floats, Ints, Roots, roots
-from kernel.branches.spring import STEP, Spring, spring
+from kernel.cycles.closed_form import TWO_PI, Orbit, floquet, multipliers, orbit, stable
+from kernel.cycles.roots import Floats, Ints, Roots, roots
+from kernel.cycles.spring import STEP, Spring, spring
 from kernel.params import KernelInputError
 
 #: Points of a branch unless more are needed.

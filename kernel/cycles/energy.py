@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.closed_form import TWO_PI, orbit
-from kernel.branches.spring import Array, Spring, spring, stuck
+from kernel.cycles.closed_form import TWO_PI, orbit
+from kernel.cycles.spring import Array, Spring, spring, stuck
 
 if TYPE_CHECKING:
-    from kernel.branches.cycles import Point
+    from kernel.cycles.cycles import Point
 
 
 class Energy(NamedTuple):

@@ -2,7 +2,7 @@
 
 Newton's method with exact derivatives finds the cycle on each plane across the tangent, and every event is
 the zero of one function on such a plane, so that a fold is as well-conditioned as any other point. Where the
-spring's cycle gets other segments, the branch goes on with them (`kernel.branches.changes`).
+spring's cycle gets other segments, the branch goes on with them (`kernel.cycles.changes`).
 """
 
 import math
@@ -13,11 +13,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from kernel.branches.changes import Margin, next_cycle, over_small_segment
-from kernel.branches.cycles import FLIGHTS, Broken, Point, confirmed
-from kernel.branches.events import Kind
-from kernel.branches.roots import Floats
-from kernel.branches.segments import START
+from kernel.cycles.changes import Margin, next_cycle, over_small_segment
+from kernel.cycles.cycles import FLIGHTS, Broken, Point, confirmed
+from kernel.cycles.events import Kind
+from kernel.cycles.roots import Floats
+from kernel.cycles.segments import START
 
 #: Steps along a branch: the first, the largest, the smallest; the tangent turns by at most this, rad.
 _FIRST, LARGEST, _SMALLEST = 1e-3, 0.1, 1e-10

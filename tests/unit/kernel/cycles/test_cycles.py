@@ -6,8 +6,8 @@ from contacts import rigid, soft
 from kernel_runs import run
 from plates import Model
 
-from kernel.branches.any_contact import branches, longest_flight
-from kernel.branches.cycles import LANDINGS, confirmed, cycle_from
+from kernel.cycles.any_contact import branches, longest_flight
+from kernel.cycles.cycles import LANDINGS, confirmed, cycle_from
 from kernel.params import Cell, Outcome
 
 CONTACTS = [rigid(0.0), rigid(0.3), soft(), soft(penetration=1e-2), soft(adhesive=False)]

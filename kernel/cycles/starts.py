@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kernel.branches.closed_form import TWO_PI, orbit
-from kernel.branches.events import Branch, branch, check_spring, flight_times, rows_of
-from kernel.branches.roots import Floats, Ints, roots
-from kernel.branches.spring import STEP, Spring, flight, spring, stuck
+from kernel.cycles.closed_form import TWO_PI, orbit
+from kernel.cycles.events import Branch, branch, check_spring, flight_times, rows_of
+from kernel.cycles.roots import Floats, Ints, roots
+from kernel.cycles.spring import STEP, Spring, flight, spring, stuck
 from kernel.params import STATE_FIELDS, Cell, KernelInputError, Start
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from kernel_runs import TWO_PI, run
 
-from kernel.branches.events import branch
-from kernel.branches.starts import cycles_at, start_on_cycle, start_on_stable_cycle
-from kernel.branches.thresholds import thresholds
+from kernel.cycles.events import branch
+from kernel.cycles.starts import cycles_at, start_on_cycle, start_on_stable_cycle
+from kernel.cycles.thresholds import thresholds
 from kernel.params import STATE_FIELDS, Cell
 
 

@@ -9,13 +9,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.branches.changes import doubled
-from kernel.branches.cycles import FLIGHTS, Cycles, Point
-from kernel.branches.energy import cycle_energy
-from kernel.branches.events import Kind
-from kernel.branches.folds import Cycle, Fold
-from kernel.branches.follow import End, Event, ahead, follow
-from kernel.branches.segments import START
+from kernel.cycles.changes import doubled
+from kernel.cycles.cycles import FLIGHTS, Cycles, Point
+from kernel.cycles.energy import cycle_energy
+from kernel.cycles.events import Kind
+from kernel.cycles.folds import Cycle, Fold
+from kernel.cycles.follow import End, Event, ahead, follow
+from kernel.cycles.segments import START
 from kernel.models import rigid
 
 #: A cycle is followed through this many flips: doublings crowd together.

@@ -1,6 +1,6 @@
 """The thresholds of any contact, from the branches of its cycles that reach below where rest ends.
 
-The rule is that of `kernel.branches.thresholds`. The branches are those that cycles of the closed form lead
+The rule is that of `kernel.cycles.thresholds`. The branches are those that cycles of the closed form lead
 to; families that are not connected with them are missed, so that the lowest end is an upper bound. Where the
 closed form has a fold that does not decide, and no branch has one there, the answer is `unresolved`.
 """
@@ -10,14 +10,14 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, groupby
 from typing import Any, Final
 
-from kernel.branches.any_contact import Followed, all_through, beside, seeds
-from kernel.branches.cycles import Point
-from kernel.branches.descent import Descent, descend, fold_of, folds_of_twice
-from kernel.branches.events import Kind
-from kernel.branches.folds import Fold
-from kernel.branches.follow import End
-from kernel.branches.starts import start_on_cycle
-from kernel.branches.thresholds import (
+from kernel.cycles.any_contact import Followed, all_through, beside, seeds
+from kernel.cycles.cycles import Point
+from kernel.cycles.descent import Descent, descend, fold_of, folds_of_twice
+from kernel.cycles.events import Kind
+from kernel.cycles.folds import Fold
+from kernel.cycles.follow import End
+from kernel.cycles.starts import start_on_cycle
+from kernel.cycles.thresholds import (
     PERIODS,
     UNRESOLVED,
     Thresholds,

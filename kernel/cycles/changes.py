@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from kernel.branches.cycles import (
+from kernel.cycles.cycles import (
     LANDINGS,
     Broken,
     Cycles,
@@ -15,9 +15,9 @@ from kernel.branches.cycles import (
     end_of_round,
     kernels_round,
 )
-from kernel.branches.events import Kind
-from kernel.branches.roots import Floats
-from kernel.branches.segments import START, lowest, simulated
+from kernel.cycles.events import Kind
+from kernel.cycles.roots import Floats
+from kernel.cycles.segments import START, lowest, simulated
 from kernel.interface import State
 from kernel.numerics.elementary import TWO_PI
 

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.spring import STEP, Array, Spring, flight, free, stuck
+from kernel.cycles.spring import STEP, Array, Spring, flight, free, stuck
 
 TWO_PI: Final = 2.0 * math.pi
 

@@ -8,7 +8,7 @@ exists above it. If the last attractor below it is a (1,k) cycle it ends at a fo
 The rule is a conjecture: attractors that no (1,k) branch leads to may reach lower. It answers only at
 dampings where a search found none. A stable cycle that ends below the answer otherwise than at a fold is
 followed through the cycles that it becomes, and at a flip below Gamma_th the branch of twice the period to
-its own folds (`kernel.branches.descent`, compiled; the rest is numpy alone). Where a branch turns below the
+its own folds (`kernel.cycles.descent`, compiled; the rest is numpy alone). Where a branch turns below the
 answer at a fold that is unstable on both sides (a torus lives near it) or not admissible (it goes on as
 another word), the answer is `unresolved`.
 """
@@ -21,16 +21,16 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.closed_form import floquet, orbit, stable
-from kernel.branches.events import Branch, Events, Kind, branch, branch_and_events, flight_times, fold_events
-from kernel.branches.folds import Cycle, Fold, minima, one_flight
-from kernel.branches.roots import Ints
-from kernel.branches.spring import Spring, spring
+from kernel.cycles.closed_form import floquet, orbit, stable
+from kernel.cycles.events import Branch, Events, Kind, branch, branch_and_events, flight_times, fold_events
+from kernel.cycles.folds import Cycle, Fold, minima, one_flight
+from kernel.cycles.roots import Ints
+from kernel.cycles.spring import Spring, spring
 from kernel.threshold import threshold
 
 if TYPE_CHECKING:
-    from kernel.branches.cycles import Point
-    from kernel.branches.descent import Descent
+    from kernel.cycles.cycles import Point
+    from kernel.cycles.descent import Descent
 
 #: Branches (1,1) to (1,k) are looked at.
 PERIODS: Final = 6
@@ -95,7 +95,7 @@ def conjecture(
     gamma_th, folds, undecided = rule.gamma_th, list(rule.folds), list(rule.undecided)
     ends: list[Descent] = []
     if cycles or not rule.decides:
-        from kernel.branches import descent  # noqa: PLC0415 - imports numba
+        from kernel.cycles import descent  # noqa: PLC0415 - imports numba
 
         known = partial(descent.solved, descent.ideal_plate(), omega, xi)
         folds += [fold for flip in rule.flips for fold in descent.folds_of_twice(known(flip), gamma_th)]

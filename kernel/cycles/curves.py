@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from kernel.branches.admissibility import check, combination, force_at_landing, force_slope, samples
-from kernel.branches.closed_form import TWO_PI, Orbit, floquet, orbit
-from kernel.branches.events import (
+from kernel.cycles.admissibility import check, combination, force_at_landing, force_slope, samples
+from kernel.cycles.closed_form import TWO_PI, Orbit, floquet, orbit
+from kernel.cycles.events import (
     EDGES,
     GRAZES,
     Events,
@@ -27,8 +27,8 @@ from kernel.branches.events import (
     join_events,
     sample_times,
 )
-from kernel.branches.roots import Floats
-from kernel.branches.spring import STEP, Array, Spring, spring
+from kernel.cycles.roots import Floats
+from kernel.cycles.spring import STEP, Array, Spring, spring
 from kernel.params import KernelInputError
 
 #: Kinds that are followed.

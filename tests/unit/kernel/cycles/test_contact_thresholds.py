@@ -5,8 +5,8 @@ import math
 import pytest
 from contacts import rigid, soft
 
-from kernel.branches.contact_thresholds import rest_ends, thresholds_of
-from kernel.branches.thresholds import EQ_25, NOT_SEARCHED, UNRESOLVED, thresholds
+from kernel.cycles.contact_thresholds import rest_ends, thresholds_of
+from kernel.cycles.thresholds import EQ_25, NOT_SEARCHED, UNRESOLVED, thresholds
 from kernel.threshold import threshold
 
 #: Contact, Omega, xi, Gamma_down, where flights leap; as in `test_follow`.

@@ -12,12 +12,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.cycles import FLIGHTS, Point, confirmed, cycle_from
-from kernel.branches.events import Events, branch, check_spring, join_events
-from kernel.branches.follow import LARGEST, POINTS, RANGE, Event, ahead, follow
-from kernel.branches.roots import Floats
-from kernel.branches.segments import START
-from kernel.branches.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
+from kernel.cycles.cycles import FLIGHTS, Point, confirmed, cycle_from
+from kernel.cycles.events import Events, branch, check_spring, join_events
+from kernel.cycles.follow import LARGEST, POINTS, RANGE, Event, ahead, follow
+from kernel.cycles.roots import Floats
+from kernel.cycles.segments import START
+from kernel.cycles.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, KernelInputError
 

@@ -10,9 +10,9 @@ from contacts import rigid, soft
 from kernel_runs import run
 from plates import Model
 
-from kernel.branches.any_contact import branches
-from kernel.branches.cycles import kernels_round
-from kernel.branches.events import Kind
+from kernel.cycles.any_contact import branches
+from kernel.cycles.cycles import kernels_round
+from kernel.cycles.events import Kind
 from kernel.params import Cell, Start
 
 #: Of the differences, and of the gap on either side of a fold.

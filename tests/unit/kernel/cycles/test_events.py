@@ -10,8 +10,8 @@ from hypothesis import given, strategies
 from kernel_runs import examples
 from paths import GOLDEN
 
-from kernel.branches.curves import Parameter, curves
-from kernel.branches.events import Kind, branch, branch_and_events
+from kernel.cycles.curves import Parameter, curves
+from kernel.cycles.events import Kind, branch, branch_and_events
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 

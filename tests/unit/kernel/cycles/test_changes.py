@@ -7,10 +7,10 @@ import pytest
 from contacts import rigid, soft
 from paths import GOLDEN
 
-from kernel.branches.any_contact import branches
-from kernel.branches.changes import doubled
-from kernel.branches.events import Kind, branch_and_events
-from kernel.branches.follow import follow
+from kernel.cycles.any_contact import branches
+from kernel.cycles.changes import doubled
+from kernel.cycles.events import Kind, branch_and_events
+from kernel.cycles.follow import follow
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 

@@ -9,11 +9,11 @@ from kernel_runs import run
 from paths import GOLDEN
 from tables import for_each
 
-from kernel.branches.admissibility import Reason
-from kernel.branches.closed_form import floquet, gamma_slope, orbit
-from kernel.branches.energy import energy
-from kernel.branches.events import Branch, branch, branch_and_events, flight_times
-from kernel.branches.spring import spring
+from kernel.cycles.admissibility import Reason
+from kernel.cycles.closed_form import floquet, gamma_slope, orbit
+from kernel.cycles.energy import energy
+from kernel.cycles.events import Branch, branch, branch_and_events, flight_times
+from kernel.cycles.spring import spring
 from kernel.params import Cell, KernelInputError, Start
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())

@@ -11,9 +11,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.closed_form import TWO_PI, Orbit
-from kernel.branches.roots import Floats, Ints, cubic_extremum
-from kernel.branches.spring import Array, Spring, flight, stuck
+from kernel.cycles.closed_form import TWO_PI, Orbit
+from kernel.cycles.roots import Floats, Ints, cubic_extremum
+from kernel.cycles.spring import Array, Spring, flight, stuck
 
 #: (spring, times) -> a function and its two derivatives, as combinations (4, ...).
 Terms = Callable[[Spring, Array], tuple[Array, Array, Array]]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from contacts import rigid, soft
 
-from kernel.branches.any_contact import branches
-from kernel.branches.cycles import kernels_round
-from kernel.branches.segments import go_round
+from kernel.cycles.any_contact import branches
+from kernel.cycles.cycles import kernels_round
+from kernel.cycles.segments import go_round
 
 STATE = [0.3, -0.9, 0.2, 0.4, 0.5]
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from contacts import rigid, soft
 
-from kernel.branches.any_contact import branches, branches_at
-from kernel.branches.events import Kind
-from kernel.branches.follow import End
+from kernel.cycles.any_contact import branches, branches_at
+from kernel.cycles.events import Kind
+from kernel.cycles.follow import End
 from kernel.params import Cell
 
 FOLD, FLIP, TORUS, STICK = Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, End.STICK_VANISHES
