@@ -192,7 +192,7 @@ def read_stored(
 
 def _fill_values(spec: Any, names: Sequence[str], indices: Indices) -> dict[str, NDArray[Any]]:
     """What the named arrays hold before any cell is computed."""
-    layout, values = study_of(spec).variables(spec, (1, 1, 1)), {}
+    layout, values = study_of(spec).variables(spec, (1,) * len(spec.AXES)), {}
     for array in layout.arrays:
         if array.name in names:
             lengths = zip(array.dims, layout.shape(array), strict=True)

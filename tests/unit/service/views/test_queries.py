@@ -17,7 +17,7 @@ from service.views import selection
 from service.views.modes import OTHER_FLIGHTS, Hysteresis
 from service.views.registry import VIEWS, admit
 from service.views.selection import Stored
-from worker import store
+from worker import store, studies
 from worker.store import backend
 from worker.sweep import SweepSpec, schema
 from worker.sweep.plan import make_plan
@@ -33,6 +33,17 @@ def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Stored
     for chunk in plan[:chunks]:
         run_chunk(spec, chunk, url)
     return Stored(spec, url)
+
+
+@for_each("kind", ("rest", "basin", "multistability", "orbits"))
+def test_a_study_that_has_not_begun_is_read_as_fill_values(kind: str, tmp_path: Path):
+    gamma = {} if kind == "orbits" else {"gamma": [1.0, 2.0], "model": {"kind": "rigid"}}
+    spec = studies.parse(gamma | {"omega": [0.5, 0.6, 0.7], "xi": 0.1, "protocol": {"kind": kind}})
+    layout = studies.study_of(spec).variables(spec, (1,) * len(spec.AXES))
+    arrays = selection.read_stored(Stored(spec, str(tmp_path / "none.zarr")), layout.names, {})
+    assert {name: array.shape for name, array in arrays.items()} == {
+        each.name: layout.shape(each) for each in layout.arrays
+    }
 
 
 @pytest.fixture(scope="module")
