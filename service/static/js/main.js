@@ -1,8 +1,9 @@
 // Shows the page that belongs to the address.
 
 import { SweepForm } from "./form/form.js";
+import { dropped } from "./form/pasted.js";
 import { shared, takeToken } from "./lib/api.js";
-import { currentAddress, discardPending, replace } from "./lib/address.js";
+import { currentAddress, discardPending, navigate, replace } from "./lib/address.js";
 import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
 import { Compare } from "./explore/compare.js";
@@ -56,6 +57,17 @@ document.querySelector(".skip").addEventListener("click", (event) => {
 addEventListener("hashchange", () => {
   takeToken();
   showAddress();
+});
+// A specification that is dropped as a file is for the form.
+addEventListener("dragover", (event) => event.dataTransfer.types.includes("Files") && event.preventDefault());
+addEventListener("drop", async (event) => {
+  const [file] = event.dataTransfer.files;
+  if (!file || shared) return;
+  event.preventDefault();
+  const text = await file.text();
+  if (page.pasted) return page.pasted.write(text);
+  dropped.text = text;
+  navigate(["new"]);
 });
 document.addEventListener("visibilitychange", () => document.hidden || page.refresh(false)); // sweeps may have changed meanwhile
 watchConnection(() => page.refresh());

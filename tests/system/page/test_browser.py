@@ -82,7 +82,8 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
         page.locator("[data-field='gamma.num']").fill("120")
         page.get_by_label("contact model").select_option("rigid")
         efforts = page.locator("select[data-field=effort] option").all_inner_texts()
-        assert efforts == ["", "draft", "standard", "thorough"]
+        assert efforts == ["as recorded", "draft", "standard", "thorough"]
+        page.locator("summary", has_text="Recording").click()
         page.locator("[data-field=settle]").fill("20000")
         cost.filter(has_text=re.compile(r"120 cells in \d+ chunks · about .+ on 2 workers")).wait_for()
         screenshot(page, "form")
@@ -164,23 +165,77 @@ def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, ad
         page.locator(".cost").filter(has_text=f"{cells} cells").wait_for()
 
 
-def test_any_study_is_submitted_as_a_pasted_specification(browser: Any, address: str):
-    orbits = {"name": "pasted", "protocol": {"kind": "orbits"}, "omega": [0.61], "xi": 0.05, "points": 20}
+#: Kinds of study as the form names them, what is typed into which field, and what is then submitted.
+STUDIES = (
+    ("Sweep", {"gamma.num": "5"}, {"protocol": {"kind": "rest"}}),
+    ("Ramp", {"gamma.num": "5"}, {"protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}}),
+    ("Adaptive", {"gamma.num": "16", "omega.num": "16", "refine.coarsest": "8"}, {"refine": {"by": "mode"}}),
+    ("Lyapunov", {"gamma.num": "4", "settle": "20", "observe": "20"}, {"exponents": 1}),
+    ("Basins", {"protocol.rows": "4", "protocol.columns": "4"}, {"protocol": {"kind": "basin", "rows": 4}}),
+    ("Multistability", {"gamma.num": "2"}, {"protocol": {"kind": "multistability"}}),
+    ("Cycles", {"modes": "1-1", "points": "20"}, {"modes": ["1-1"], "points": 20}),
+)
+
+
+@pytest.mark.parametrize(("title", "typed", "expected"), STUDIES, ids=[title for title, *_ in STUDIES])
+def test_any_study_is_submitted_by_the_keyboard_alone(
+    browser: Any, address: str, title: str, typed: dict[str, str], expected: dict[str, Any]
+):
+    def tab_to(selector: str) -> None:
+        for _ in range(60):
+            page.keyboard.press("Tab")
+            if page.evaluate("selector => document.activeElement.matches(selector)", selector):
+                return
+        raise AssertionError(f"{selector} is not reached")
+
     with opened(browser, f"{address}/#/new", expected=("422",)) as page:
-        page.get_by_text("Paste or drop a specification").click()
-        text = page.get_by_label("Specification as JSON")
-        text.fill("gamma = 1")
+        page.locator(".cost", has_text="cells in").wait_for()
+        tab_to(".preset label:first-child select")
+        page.keyboard.type(title)
+        tab_to("[data-field=name]")
+        page.keyboard.type(f"{title} typed")
+        for field, value in typed.items():
+            if field in ("settle", "points"):
+                tab_to("summary:has(small)")
+                page.keyboard.press("Enter")
+            tab_to(f"[data-field='{field}']")
+            page.keyboard.press("Control+A")
+            page.keyboard.type(value)
+        page.locator("button.button:enabled", has_text="Compute").wait_for()
+        tab_to("button.button")
+        page.keyboard.press("Enter")
+        page.locator("#bar h1", has_text=f"{title} typed").wait_for()
+        (job,) = re.findall("/job/([0-9a-f]+)", page.url)
+        page.locator("#bar").get_by_role("link", name="Duplicate").click()
+        page.locator(".cost", has_text="chunk").wait_for()
+        assert page.get_by_label("Study").locator(":checked").inner_text().startswith(title)
+        page.get_by_text("Copy as Python").click()
+        page.get_by_label("Language").select_option("JSON")
+        again = json.loads(page.locator("details pre").text_content())
+    submitted = httpx2.get(f"{address}/v1/jobs/{job}", timeout=DEADLINE).json()["spec"]
+    for name, value in expected.items():
+        assert submitted[name] == value or submitted[name].items() >= value.items()
+    for name, value in again.items():
+        assert submitted[name] == value or submitted[name].items() >= value.items()
+
+
+def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
+    orbits = {"name": "dropped", "protocol": {"kind": "orbits"}, "omega": [0.61], "xi": 0.05, "points": 20}
+    drop = """text => {
+        const files = new DataTransfer();
+        files.items.add(new File([text], "spec.json"));
+        dispatchEvent(new DragEvent("drop", { dataTransfer: files, cancelable: true }));
+    }"""
+    with opened(browser, address, expected=("422",)) as page:
+        page.get_by_role("heading", name="Sweeps").wait_for()
+        page.evaluate(drop, "gamma = 1")
         page.get_by_text("This is not JSON.").wait_for()
-        text.fill(json.dumps(orbits | {"points": "many"}))
+        page.get_by_label("Specification as JSON").fill(json.dumps(orbits | {"points": "many"}))
         page.locator(".problem", has_text="points").wait_for()
-        text.fill(json.dumps(orbits))
-        page.locator("details .note", has_text="1 cell in").wait_for()
-        page.get_by_role("button", name="Compute this specification").click()
-        page.locator("#bar h1", has_text="pasted").wait_for()
-        page.get_by_role("link", name="Duplicate").click()
-        page.wait_for_function(
-            "name => JSON.parse(document.querySelector('textarea').value || '{}').name === name", arg="pasted"
-        )
+        page.evaluate(drop, json.dumps(orbits))
+        page.locator(".cost", has_text="1 cell in").wait_for()
+        page.get_by_role("button", name="Compute").click()
+        page.locator("#bar h1", has_text="dropped").wait_for()
 
 
 def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any, address: str):
@@ -762,7 +817,7 @@ def test_the_page_takes_the_token_of_the_opened_address(
         with opened(browser, opened_by[0]) as page:
             page.get_by_text("No sweeps yet").wait_for()
             assert page.url == f"{address}/#/"
-            page.get_by_role("navigation").get_by_role("link", name="New sweep").click()
+            page.get_by_role("navigation").get_by_role("link", name="New", exact=True).click()
             page.locator(".cost", has_text="cells in").wait_for()
             page.reload()  # the tab keeps it
             page.locator(".cost", has_text="cells in").wait_for()

@@ -1,4 +1,4 @@
-// What a new sweep can be made of: contact models and defaults from the API's schema, and presets to start from.
+// What a new study can be made of: kinds, fields and contact models from the API's schema, and presets to start from.
 
 import { requestJson } from "../lib/api.js";
 
@@ -17,25 +17,56 @@ function cachedRequest(path) {
 const loadOpenApi = cachedRequest("/openapi.json");
 const loadFigures = cachedRequest("/v1/figures");
 
+/** Kinds of study in their order, and the fields that a form begins with where the API's example is not meant for it. */
+const SWEEP = { gamma: { start: 0.5, stop: 6, num: 551 }, omega: 0.5, xi: 0.26 };
+const PLANE = { gamma: { start: 0.1, stop: 5, num: 197 }, omega: { start: 0.3, stop: 1.7, num: 141 }, xi: 0.05, model: { kind: "rigid" } };
+const KINDS = {
+  rest: ["Sweep: every cell from rest", SWEEP],
+  ramp: ["Ramp: each cell from the one before", { ...SWEEP, protocol: { axis: "gamma", direction: "both" } }],
+  map: ["Adaptive map: dense only where it changes", { ...PLANE, refine: { by: "mode" } }],
+  exponents: ["Lyapunov exponents, every cell from rest", { ...SWEEP, exponents: 1 }],
+  basin: ["Basins: where each start of a cell leads"],
+  multistability: ["Multistability: all attractors of a grid"],
+  orbits: ["Cycles in closed form, stable and unstable"],
+};
+/** Fields that a kind does not have, though its specification can. */
+const WITHOUT = { rest: ["refine", "exponents"], ramp: ["refine"], map: ["exponents"], exponents: ["refine"] };
+
+/** The kind of a specification. */
+export function kindOf({ protocol: { kind = "rest" } = {}, refine, exponents }) {
+  return kind !== "rest" ? kind : refine ? "map" : exponents ? "exponents" : "rest";
+}
+
 /**
- * The form's view of a specification: {fields: {settle: {title, about, default, type, choices (of an enum)}, …},
- * models: [{kind, about, fields}, …]}.
+ * The studies that the API declares: {kind: {title, begin, fields, parts, models}, …}. `fields` are {settle: {title,
+ * about, default, type, choices (of an enum), parts (of an object, its fields)}, …}, `parts` those of the protocol,
+ * `models` [{kind, about, fields}, …], `begin` the specification that a form begins with.
  *
- * Fields and contact models are those of the API's schema: a new one appears in the form without any change to the
- * page. TEXTS in fields.js can give it a symbol and unit; without, its title and description in the schema are shown.
+ * A new field, contact model or kind of study appears in the form without any change to the page. TEXTS in fields.js can
+ * give it a symbol and unit; without, its title and description in the schema are shown.
  */
-export async function loadSchema() {
+export async function loadStudies() {
   const { schemas } = (await loadOpenApi()).components;
   const resolve = (schema) => (schema.$ref ? schemas[schema.$ref.split("/").pop()] : schema);
-  const fieldsOf = (properties) => Object.fromEntries(Object.entries(properties).map(([name, schema]) => {
+  const alternatives = (schema) => (schema.oneOf ?? schema.anyOf ?? [schema]).map(resolve);
+  const fieldsOf = (properties) => Object.fromEntries(Object.entries(properties).filter(([, schema]) => !("const" in schema)).map(([name, schema]) => {
     const { type, enum: choices, title = name, description = "", default: own, "x-default": shown } = { ...resolve(schema), ...schema };
     const optional = schema.anyOf?.find((each) => each.enum)?.enum; // a choice that may be left open
-    return [name, { title: title.toLowerCase(), about: description.replace(/\.$/, ""), default: own ?? shown ?? null, type, choices: choices ?? (optional && ["", ...optional]) }];
+    const parts = alternatives(schema).find((each) => each.properties)?.properties;
+    return [name, { title: title.toLowerCase(), about: description.replace(/\.$/, ""), default: own ?? shown ?? null, type, choices: choices ?? (optional && ["", ...optional]), parts: parts && fieldsOf(parts) }];
   }));
-  const { properties } = schemas.SweepSpec;
-  const models = (properties.model.oneOf ?? properties.model.anyOf).map(resolve).map(({ description = "", properties: { kind, ...own } }) =>
-    ({ kind: kind.const, about: firstClause(description), fields: fieldsOf(own) }));
-  return { fields: fieldsOf(properties), models };
+  const found = Object.values(schemas).filter(({ properties }) => properties?.protocol && properties.xi).flatMap(({ properties, description, examples = [{}] }) => {
+    const { protocol, parent, ...own } = properties;
+    const fields = fieldsOf(own);
+    const models = own.model && alternatives(own.model).map((model) => ({ kind: model.properties.kind.const, about: firstClause(model.description ?? ""), fields: fieldsOf(model.properties) }));
+    return alternatives(protocol).flatMap(({ properties: parts }) => (parts.kind.const === "rest" ? ["rest", "map", "exponents"] : [parts.kind.const]).map((kind) => {
+      const [title = firstClause(description), begin = examples[0]] = KINDS[kind] ?? [];
+      const kept = Object.entries(fields).filter(([name]) => !WITHOUT[kind]?.includes(name));
+      return [kind, { title, begin, fields: Object.fromEntries(kept), parts: fieldsOf(parts), models }];
+    }));
+  });
+  const order = (kind) => (Object.keys(KINDS).indexOf(kind) + 100) % 100;
+  return Object.fromEntries(found.sort(([a], [b]) => order(a) - order(b)));
 }
 
 /** "Ideal plate (no penetration); restitution 0 sticks." → "ideal plate" */
@@ -52,10 +83,7 @@ function variant({ name }, title) {
 
 const MODE_MAP = {
   number: "map", label: "Mode map", title: "Γ–Ω plane at ξ = 0.05",
-  sweeps: [{
-    name: "mode map", gamma: { start: 0.1, stop: 5, num: 197 }, omega: { start: 0.3, stop: 1.7, num: 141 }, xi: 0.05,
-    model: { kind: "rigid" }, keep: 48,
-  }],
+  sweeps: [{ ...PLANE, name: "mode map", keep: 48 }],
 };
 
 /**

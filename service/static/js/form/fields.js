@@ -12,13 +12,32 @@ const TEXTS = {
   rest_length: ["rest length Λ", "Lω₀²/g, instead of the depth"],
   adhesive: ["adhesive: the contact may pull", ""],
   steps_per_contact: ["steps per contact", "of the time integration"],
-  events: ["take-off and landing", "located in a shortened step, or at the end of a plain one"],
+  events: ["events of a spring", "at most"],
+  "model.events": ["take-off and landing", "located in a shortened step, or at the end of a plain one"],
   tolerance: ["tolerance", "rad of flight time"],
   exponents: ["Lyapunov exponents", "0 to 4; they tell quasi-periodic from chaotic cells"],
+  effort: ["effort", "sets settle, observe, until"],
+  direction: ["ramp", ""],
+  axis: ["along", ""],
+  start: ["on the stable cycle (1, k): k", "of the first cell; empty: from rest"],
+  by: ["compute", "other cells take the mode of their block"],
+  coarsest: ["first blocks, cells wide", "empty: 16, by bouncing 64"],
+  plane: ["starts", ""],
+  height: ["highest / A", "of the starts"],
+  modes: ["modes", "bounces-periods, of one bounce: 1-1, 1-2"],
+  gamma_max: ["largest Γ", "of a branch"],
+  points: ["points of a branch", "at most"],
+};
+const CHOICES = {
+  axis: SYMBOL,
+  direction: { both: "up, then down" },
+  by: { mode: "where the mode changes", bouncing: "where bouncing begins" },
+  plane: { drop: "drops: heights and phases", contact: "in contact: elongations and velocities" },
+  effort: { "": "as recorded" },
 };
 
 /** What an empty input means where the default is null. */
-const NULL_DEFAULTS = { penetration: "0.001", rest_length: "none", restitution: "f(ξ)", until: "5000" };
+const NULL_DEFAULTS = { penetration: "0.001", rest_length: "none", restitution: "f(ξ)", until: "5000", settle_until: "10 windows" };
 
 const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
 
@@ -32,21 +51,38 @@ function parseNumber(text) {
 const options = (texts) => Object.entries(texts).map(([value, text]) => h("option", { value }, text));
 const labelled = (text, control) => h("label", {}, h("span", {}, text), control);
 
-/** A check box, a choice, a text or a number of the schema; an empty input means the default, which is its placeholder. */
+/** A check box, a choice, a text, a list or a number of the schema; an empty input means the default, which is its placeholder. */
 export function schemaField(name, { title, about, type, choices, default: initial }, id = name) {
-  const [label, explanation] = TEXTS[name] ?? [title, about];
-  const isNumber = type !== "boolean" && type !== "string" && !choices;
-  const control = choices ? h("select", { "data-field": id }, choices.map((value) => h("option", { value }, value)))
+  const [label, explanation] = TEXTS[id] ?? TEXTS[name] ?? [title, about];
+  const isList = type === "array";
+  const isNumber = type !== "boolean" && type !== "string" && !choices && !isList;
+  const control = choices ? h("select", { "data-field": id }, choices.map((value) => h("option", { value }, CHOICES[name]?.[value] ?? value)))
     : type === "boolean" ? h("input", { type: "checkbox", "data-field": id })
     : h("input", { ...NUMBER_INPUT, ...(isNumber ? {} : { inputmode: "text", maxlength: 200, size: 32 }), "data-field": id });
   const property = type === "boolean" ? "checked" : "value";
-  const setDefault = (value) => { if (isNumber) control.placeholder = String(value ?? NULL_DEFAULTS[name] ?? ""); };
+  const setDefault = (value) => { if (isNumber || isList) control.placeholder = [value ?? NULL_DEFAULTS[name] ?? ""].flat().join(", "); };
   setDefault(initial);
   return {
     element: h("label", { className: "plain" }, h("span", {}, label), control, h("small", {}, explanation)),
-    read: () => (isNumber ? parseNumber(control.value) : control[property] === (initial ?? "") ? null : control[property]),
-    write: (value) => { control[property] = isNumber ? String(value ?? "") : (value ?? initial ?? ""); },
+    read: () => (isList ? (control.value.match(/[^,;\s]+/g) ?? null) : isNumber ? parseNumber(control.value) : control[property] === (initial ?? "") ? null : control[property]),
+    write: (value) => { control[property] = isNumber ? String(value ?? "") : isList ? (value ?? []).join(", ") : (value ?? initial ?? choices?.[0] ?? ""); },
     setDefault,
+  };
+}
+
+/** An object's fields, `parts` of the schema, under a heading; one of one number is that number. It begins with `fixed`. */
+export function objectField(name, heading, about, parts, fixed = {}) {
+  const fields = Object.entries(parts).map(([key, part]) => {
+    const [inner] = Object.keys(part.parts ?? {});
+    const field = schemaField(key, inner ? { ...part.parts[inner], title: part.title, default: null } : part, `${name}.${key}`);
+    if (!inner) return [key, field];
+    const read = () => (field.read() === null ? null : { [inner]: field.read() });
+    return [key, { ...field, read, write: (value) => field.write(value?.[inner]) }];
+  });
+  return {
+    element: h("fieldset", { "data-group": name, hidden: !fields.length }, h("legend", {}, heading, h("small", {}, about)), fields.map(([, { element }]) => element)),
+    read: () => ({ ...fixed, ...Object.fromEntries(fields.map(([key, { read }]) => [key, read()]).filter(([, value]) => value !== null)) }),
+    write: (value) => fields.forEach(([key, { write }]) => write(value?.[key])),
   };
 }
 
@@ -79,8 +115,6 @@ export function modelField(models, { kind: defaultKind }) {
   };
 }
 
-const AXIS_DEFAULTS = { gamma: { start: 0.5, stop: 6, num: 551 }, omega: 0.5, xi: 0.26 }; // of the form: a specification has none
-
 /** One axis: a value or several, or a range. */
 export function axisField(axis) {
   const input = (field, attributes = {}) => h("input", { ...NUMBER_INPUT, "data-field": field, ...attributes });
@@ -102,61 +136,11 @@ export function axisField(axis) {
       const numbers = values.value.split(/[,;\s]+/).filter(Boolean).map(parseNumber);
       return numbers.length === 1 ? numbers[0] : numbers;
     },
-    write: (value = AXIS_DEFAULTS[axis]) => {
+    write: (value = []) => {
       kind.value = typeof value === "number" || Array.isArray(value) ? "values" : "range";
       if (kind.value === "values") values.value = [value].flat().join(", ");
       for (const [name, part] of Object.entries(range)) part.value = String(value[name] ?? "");
       spacing.value = value.spacing ?? "linear";
-      show();
-    },
-  };
-}
-
-const REFINEMENTS = { "": "every cell", mode: "where the mode changes", bouncing: "where bouncing begins" };
-
-/** Every cell, or an adaptive map: only the cells near which it changes. */
-export function refineField() {
-  const by = h("select", { "data-field": "refine", onchange: () => show() }, options(REFINEMENTS));
-  const coarsest = h("input", { ...NUMBER_INPUT, inputmode: "numeric", "data-field": "refine.coarsest" });
-  const blocks = labelled("first blocks, cells wide", coarsest);
-  const show = () => {
-    blocks.hidden = !by.value;
-    coarsest.placeholder = by.value === "bouncing" ? "64" : "16";
-  };
-  return {
-    element: h("fieldset", { "data-group": "refine" },
-      h("legend", {}, "Cells", h("small", {}, "Skip cells inside regions of one mode; they are filled in")), labelled("compute", by), blocks),
-    read: () => {
-      const width = parseNumber(coarsest.value);
-      return by.value ? { by: by.value, ...(width !== null && { coarsest: width }) } : null;
-    },
-    write: (refine) => {
-      by.value = refine?.by ?? "";
-      coarsest.value = String(refine?.coarsest ?? "");
-      show();
-    },
-  };
-}
-
-const PROTOCOLS = { rest: "every cell from rest", up: "ramp up", down: "ramp down", both: "ramp up, then down" };
-const CYCLES = 12; // plate periods of the cycles that a ramp can begin on
-
-/** Each cell from rest, or a ramp: each cell from the final state of the one before, the first from rest or on a cycle. */
-export function protocolField() {
-  const kind = h("select", { "data-field": "protocol", onchange: () => show() }, options(PROTOCOLS));
-  const axis = h("select", { "data-field": "protocol.axis" }, options(SYMBOL));
-  const cycles = Array.from({ length: CYCLES }, (_, i) => h("option", { value: i + 1 }, `on the stable cycle (1, ${i + 1})`));
-  const start = h("select", { "data-field": "protocol.start" }, options({ "": "from rest" }), cycles);
-  const [along, begins] = [labelled("along", axis), labelled("first cell", start)];
-  const show = () => { along.hidden = begins.hidden = kind.value === "rest"; };
-  const ramp = () => ({ kind: "ramp", axis: axis.value, direction: kind.value, ...(start.value && { start: { periods: Number(start.value) } }) });
-  return {
-    element: h("fieldset", { "data-group": "protocol" }, h("legend", {}, "Protocol"), labelled("cells start", kind), along, begins),
-    read: () => (kind.value === "rest" ? { kind: "rest" } : ramp()),
-    write: (protocol = { kind: "rest" }) => {
-      kind.value = protocol.kind === "rest" ? "rest" : protocol.direction;
-      axis.value = protocol.axis ?? "gamma";
-      start.value = String(protocol.start?.periods ?? "");
       show();
     },
   };

@@ -1,31 +1,34 @@
-// The form for a new sweep. The service validates it and estimates its cost while it is edited.
+// The form for a new study of any kind. The service validates it and estimates its cost while it is edited.
 
 import { currentQuery, link, navigate, replace, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestJson } from "../lib/api.js";
 import { announce, debounced, h } from "../lib/dom.js";
 import { costText } from "../lib/format.js";
-import { isSweep } from "../lib/physics.js";
+import { AXES } from "../lib/physics.js";
 import { Snippets } from "../lib/snippets.js";
-import { loadPresets, loadSchema } from "./catalogue.js";
-import { axisField, modelField, protocolField, refineField, schemaField } from "./fields.js";
-import { PastedSpecification } from "./pasted.js";
+import { kindOf, loadPresets, loadStudies } from "./catalogue.js";
+import { axisField, modelField, objectField, schemaField } from "./fields.js";
+import { PastedSpecification, dropped } from "./pasted.js";
 import { Plan } from "./plan.js";
 import { showProblems } from "./problems.js";
 
 const ESTIMATE_DELAY_MS = 220;
 const INVALID = new Set([413, 422]);
+const CHOSEN = ["effort", "exponents", "modes", "gamma_max"]; // fields that are not folded away
+const PROTOCOLS = { ramp: ["Ramp", "The first cell begins from rest, or on a cycle"], basin: ["Starts", "The plane of starts of each cell"], multistability: ["Starts", "Drops that find the attractors of each cell"] };
 
 export class SweepForm {
   edited = new Set(); // names of the fields edited since the form was last filled
+  given = {}; // the specification that it was filled with, if it did not begin anew
 
   constructor(root) {
-    document.title = "New sweep · Bouncing spring";
+    document.title = "New study · Bouncing spring";
     this.container = h("div", {}, h("p", { className: "note" }, "Loading the form …"));
     this.problem = h("p", { className: "problem", role: "alert", hidden: true });
-    this.pasted = new PastedSpecification((job) => navigate(["job", job.id]));
+    this.pasted = new PastedSpecification((spec) => this.#replace(spec));
     root.replaceChildren(
       h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
-      h("h1", { tabindex: "-1" }, "New sweep"),
+      h("h1", { tabindex: "-1" }, "New study"),
       this.container, this.problem, this.pasted.element);
     this.estimate = debounced(ESTIMATE_DELAY_MS, () => this.#estimate());
     this.#load();
@@ -48,29 +51,42 @@ export class SweepForm {
     this.estimating?.abort();
   }
 
-  #build({ fields: { name, gamma, omega, xi, protocol, refine, model, parent, ...recording }, models }) {
-    const rows = {
-      name: schemaField("name", name), gamma: axisField("gamma"), omega: axisField("omega"), xi: axisField("xi"),
-      protocol: protocolField(), refine: refineField(), model: modelField(models, model.default),
-    };
-    const recorded = Object.fromEntries(Object.entries(recording).map(([key, field]) => [key, schemaField(key, field)]));
-    this.fields = { ...rows, ...recorded };
-    const elements = (fields) => Object.values(fields).map(({ element }) => element);
+  #build() {
     this.preset = h("select", { id: "preset", onchange: (event) => { setQuery({ figure: event.target.value || null, from: null }); this.show(); } });
+    this.kind = h("select", { id: "study", onchange: () => this.#change() }, Object.entries(this.studies).map(([kind, { title }]) => h("option", { value: kind }, title)));
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button", disabled: true }, "Compute");
     this.snippets = new Snippets();
-    this.plan = new Plan(() => this.#read(), (spec) => this.#use(spec));
-    this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) },
-      elements(rows), h("fieldset", { className: "plain" }, h("legend", {}, "Recording"), elements(recorded)),
+    this.plan = new Plan(() => this.#read(), (spec) => this.#replace(spec));
+    this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) });
+    this.container.replaceChildren(
+      h("p", { className: "preset" }, h("label", {}, "Study ", this.kind), h("label", {}, "Start from ", this.preset)),
+      this.form,
+      h("details", {}, h("summary", {}, "Copy as Python, TOML, curl or JSON"), this.snippets.element));
+  }
+
+  /** The fields of a kind of study, those first that are chosen for it; what is recorded is folded away. */
+  #show(kind) {
+    if (this.shown === kind) return;
+    this.shown = this.kind.value = kind;
+    const { fields, parts, models } = this.studies[kind];
+    const make = {
+      ...Object.fromEntries(AXES.map((axis) => [axis, () => axisField(axis)])),
+      protocol: () => objectField("protocol", ...(PROTOCOLS[kind] ?? ["Protocol", ""]), parts, { kind: ["map", "exponents"].includes(kind) ? "rest" : kind }),
+      refine: ({ parts: { margin, ...own } }) => objectField("refine", "Cells", "Those inside regions of one mode are filled in", own),
+      model: ({ default: own }) => modelField(models, own),
+    };
+    this.fields = Object.fromEntries(Object.entries({ name: 0, gamma: 0, omega: 0, xi: 0, protocol: 0, refine: 0, model: 0, ...fields }).filter(([name]) => name === "protocol" || name in fields)
+      .map(([name]) => [name, (make[name] ?? ((field) => schemaField(name, field)))(fields[name])]));
+    const rows = Object.keys(this.fields).filter((name) => name === "name" || make[name]);
+    const elements = (names) => names.filter((name) => name in this.fields).map((name) => this.fields[name].element);
+    const recorded = Object.keys(this.fields).filter((name) => !rows.includes(name) && !CHOSEN.includes(name));
+    const isSweep = "effort" in fields;
+    this.form.replaceChildren(...elements(rows),
+      h("fieldset", { className: "plain", hidden: !CHOSEN.some((name) => name in this.fields) }, h("legend", {}, kind === "orbits" ? "Cycles" : "Accuracy"), elements(CHOSEN), isSweep && this.plan.element),
+      h("details", {}, h("summary", {}, "Recording ", h("small", {}, recorded.map((name) => name.replaceAll("_", " ")).join(", "))), h("fieldset", { className: "plain" }, elements(recorded))),
       this.problem,
       h("div", { className: "submit" }, this.button, this.cost));
-    this.container.replaceChildren(
-      h("p", { className: "preset" }, h("label", { for: "preset" }, "Start from "), this.preset),
-      this.form,
-      this.plan.element,
-      h("details", {}, h("summary", {}, "Copy as Python, TOML, curl or JSON"), this.snippets.element));
-    this.#fill({});
   }
 
   /** Fill the form with the figure or the sweep that the address names; edited fields keep their values, and nothing is submitted before. */
@@ -81,17 +97,20 @@ export class SweepForm {
     const { figure, from, omega, xi } = currentQuery();
     const isOutdated = () => this.closed || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
-      const schema = await loadSchema();
+      this.studies ??= await loadStudies();
       if (isOutdated()) return;
-      if (!this.form) this.#build(schema);
+      if (!this.form) this.#build();
       const presets = await loadPresets();
       const job = from && (await requestJson(`/v1/jobs/${from}`));
       if (isOutdated()) return;
       this.preset.replaceChildren(h("option", { value: "" }, "default values"), ...presets.map(({ label, title, sweeps }) =>
         h("optgroup", { label: `${label}: ${title}` }, sweeps.map(({ key, text }) => h("option", { value: key, selected: key === figure }, text)))));
       this.isLoaded = true;
-      if (job && !isSweep(job.spec)) this.pasted.write(job.spec);
-      this.#fill((job && isSweep(job.spec) ? job : presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec ?? springOf(omega, xi));
+      const given = (job || presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec;
+      this.#fill(given ?? { ...this.studies.rest.begin, ...springOf(omega, xi) });
+      this.given = given ?? {};
+      if (dropped.text) this.pasted.write(dropped.text);
+      dropped.text = null;
     } catch (error) {
       if (isOutdated()) return;
       this.isLoaded = error.status === 404; // the sweep is gone: the form has the default values
@@ -99,11 +118,32 @@ export class SweepForm {
     }
   }
 
+  /** Show a specification, but for what was edited. */
   #fill(spec) {
-    for (const [name, field] of Object.entries(this.fields)) {
-      if (!this.edited.has(name)) field.write(spec[name]);
-    }
+    const kind = kindOf(spec);
+    const kept = this.edited.size ? this.#read() : {};
+    this.#show(this.edited.has("protocol") ? this.shown : kind);
+    for (const [name, field] of Object.entries(this.fields)) field.write((this.edited.has(name) ? kept : spec)[name]);
     this.#onChange();
+  }
+
+  /** Another kind of study begins with its own fields; what was edited or given stays. */
+  #change() {
+    const kept = this.#read();
+    const kind = this.kind.value;
+    this.#show(kind);
+    const isKept = (name) => !["protocol", "refine", "exponents"].includes(name) && (this.edited.has(name) || name in this.given);
+    for (const [name, field] of Object.entries(this.fields)) field.write((isKept(name) ? kept : this.studies[kind].begin)[name]);
+    this.edited.add("protocol");
+    this.#onChange();
+  }
+
+  /** Take a specification as it is. */
+  #replace(spec) {
+    this.edited.clear();
+    this.given = spec;
+    this.#fill(spec);
+    this.button.focus();
   }
 
   #onEdit({ target }) {
@@ -115,14 +155,6 @@ export class SweepForm {
   /** The specification; fields with their defaults are left out. */
   #read() {
     return Object.fromEntries(Object.entries(this.fields).map(([name, field]) => [name, field.read()]).filter(([, value]) => value !== null));
-  }
-
-  /** Fill the form with a setting of the plan. */
-  #use(spec) {
-    Object.keys(this.fields).forEach((name) => this.edited.add(name));
-    for (const [name, field] of Object.entries(this.fields)) field.write(spec[name]);
-    this.#onChange();
-    this.button.focus();
   }
 
   #onChange() {
@@ -160,7 +192,7 @@ export class SweepForm {
     this.button.disabled = true;
     try {
       const job = await requestJson("/v1/jobs", { method: "POST", body: this.#read() });
-      announce("The sweep was submitted.");
+      announce("Submitted.");
       if (this.closed) return;
       replace(["new"], { from: job.id }); // the browser's back button returns to what was submitted
       navigate(["job", job.id]);

@@ -1,74 +1,54 @@
-// A specification as JSON, pasted or dropped: any kind of study, the form's or not.
+// A specification as JSON, pasted or dropped: any kind of study.
 
 import { requestJson } from "../lib/api.js";
 import { debounced, h, problemLine } from "../lib/dom.js";
-import { costText } from "../lib/format.js";
 
 const DELAY_MS = 300;
 
-/** A text area for a specification of any study; `submitted(job)` is called once the service has taken it. */
+/** The text of a file that was dropped on another page, for the form to take. */
+export const dropped = { text: null };
+
+/** A text area for a specification of any study; `taken(spec)` is called with one that the service accepts. */
 export class PastedSpecification {
-  constructor(submitted) {
+  constructor(taken) {
     this.text = h("textarea", {
-      rows: 12, spellcheck: "false", "aria-label": "Specification as JSON", placeholder: '{"protocol": {"kind": "basin"}, "gamma": 1.2, …}',
-      oninput: () => this.estimate(), ondragover: (event) => event.preventDefault(), ondrop: (event) => this.#drop(event),
+      rows: 12, spellcheck: "false", "aria-label": "Specification as JSON", placeholder: '{"protocol": {"kind": "basin"}, "gamma": 1.2, …}', oninput: () => this.take(),
     });
     this.problem = problemLine();
-    this.cost = h("p", { className: "note", role: "status" });
-    this.button = h("button", { type: "button", className: "button", disabled: true, onclick: () => this.#submit(submitted) }, "Compute this specification");
-    this.estimate = debounced(DELAY_MS, () => this.#estimate());
+    this.take = debounced(DELAY_MS, () => this.#take(taken));
     this.element = h("details", {}, h("summary", {}, "Paste or drop a specification of any study"),
-      h("p", { className: "note" }, "JSON, as “Copy as JSON” and the details of a job give it: sweeps, basins, multistability, cycles."),
-      this.text, this.problem.element, h("div", { className: "submit" }, this.button, this.cost));
+      h("p", { className: "note" }, "JSON, as “Copy as JSON” and the details of a job give it. A file can be dropped anywhere on the page."),
+      this.text, this.problem.element);
   }
 
-  /** Show a specification to be changed. */
-  write(spec) {
+  /** Show a text, and take it. */
+  write(text) {
     this.element.open = true;
-    this.text.value = JSON.stringify(spec, null, 2);
-    this.estimate();
+    this.text.value = text;
+    this.take();
   }
 
   close() {
-    this.estimate.cancel();
+    this.take.cancel();
   }
 
-  async #drop(event) {
-    const [file] = event.dataTransfer.files;
-    if (!file) return; // text drops itself
-    event.preventDefault();
-    this.text.value = await file.text();
-    this.estimate();
-  }
-
-  #read() {
-    try {
-      return JSON.parse(this.text.value);
-    } catch {
-      throw new Error("This is not JSON. `bounce submit` takes TOML files.");
-    }
-  }
-
-  async #estimate() {
-    this.button.disabled = true;
-    this.cost.textContent = "";
+  async #take(taken) {
     this.problem.show(null);
     if (!this.text.value.trim()) return;
     try {
-      this.cost.textContent = costText(await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: this.#read() }));
-      this.button.disabled = false;
+      const spec = parsed(this.text.value);
+      await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: spec });
+      taken(spec);
     } catch (error) {
       this.problem.show(error);
     }
   }
+}
 
-  async #submit(submitted) {
-    this.button.disabled = true;
-    try {
-      submitted(await requestJson("/v1/jobs", { method: "POST", body: this.#read() }));
-    } catch (error) {
-      this.problem.show(error);
-      this.button.disabled = false;
-    }
+function parsed(text) {
+  try {
+    return JSON.parse(text);
+  } catch {
+    throw new Error("This is not JSON. `bounce submit` takes TOML files.");
   }
 }

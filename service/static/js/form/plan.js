@@ -18,7 +18,11 @@ function seconds(text) {
 export class Plan {
   constructor(read, use) {
     [this.read, this.use] = [read, use];
-    this.budget = h("input", { type: "text", size: "6", placeholder: "5m", oninput: (event) => event.stopPropagation(), onchange: (event) => event.stopPropagation() });
+    this.budget = h("input", { type: "text", size: "6", placeholder: "5m", oninput: (event) => event.stopPropagation(), onchange: (event) => event.stopPropagation(), onkeydown: (event) => {
+      if (event.key !== "Enter") return;
+      event.preventDefault(); // the form is not submitted
+      this.#compare();
+    } });
     this.button = h("button", { type: "button", onclick: () => this.#compare() }, "Compare settings");
     this.problem = problemLine();
     this.table = h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": "Settings", hidden: true });

@@ -30,7 +30,7 @@ function inputOf(form, field) {
   let name = field.replaceAll("[", ".").replaceAll("]", "");
   while (name) {
     const inputs = [...form.querySelectorAll(`[data-field="${CSS.escape(name)}"]`), ...form.querySelectorAll(`[data-group="${CSS.escape(name)}"] [data-field]`)];
-    const visible = inputs.find((input) => input.offsetParent !== null);
+    const visible = inputs.find((input) => !input.closest("[hidden]"));
     if (visible) return visible;
     name = name.includes(".") ? name.slice(0, name.lastIndexOf(".")) : "";
   }
@@ -51,6 +51,7 @@ function inWords({ rule, code }, input) {
 const inputTakesLists = ({ dataset }) => ["gamma", "omega", "xi"].includes(dataset.field);
 
 function mark(input, rule) {
+  for (let fold = input.closest("details"); fold && !fold.open; fold = fold.parentElement.closest("details")) fold.open = true;
   const id = `error-${input.dataset.field.replaceAll(".", "-")}`;
   input.setAttribute("aria-invalid", "true");
   input.setAttribute("aria-describedby", id);

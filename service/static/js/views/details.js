@@ -31,7 +31,6 @@ export class Details {
         h("table", {}, h("tbody", {}, origin(job, this.software).map(([title, text]) => h("tr", {}, h("th", { scope: "row" }, title), h("td", {}, text)))))),
       h("h2", {}, "Specification"),
       this.snippets.element,
-      isSweep(job.spec) && h("p", { "data-service": true }, h("a", { href: link(["new"], { from: job.id }) }, "New sweep from this specification")),
       job.failures?.length > 0 && failures(job.failures),
       job.choice && selection(job.choice),
       isSweep(job.spec) && job.state === "done" && !shared && this.audit.element,
