@@ -91,7 +91,7 @@ def main() -> None:
             whole = dense_branches.events(omega, xi, periods, BELOW)
             for kind in KINDS:
                 keep = (events.kind == kind) & (events.gamma < BELOW)
-                ours, lives = events.flight_time[keep], events.admissible[keep] == 0
+                ours, lives = events.flight_time[keep], events.violations[keep] == 0
                 theirs = np.array([event.flight_time for event in whole if event.kind == kind])
                 margin = np.array([event.margin for event in whole if event.kind == kind])
                 apart = np.abs(ours[:, None] - theirs[None, :]) / (1.0 + theirs[None, :])
@@ -107,7 +107,7 @@ def main() -> None:
     print(f"{given.cells} springs; events agree within {largest:.1e} of T")
     print(
         table(
-            ["kind", "events", "admissible", "missed", "invented", "admissibility differs"],
+            ["kind", "events", "violations", "missed", "invented", "admissibility differs"],
             [[kind, *map(str, row)] for kind, row in rows.items()],
         )
     )

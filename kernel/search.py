@@ -175,7 +175,7 @@ def _starts(rng: np.random.Generator, gamma: float, omega: float, xi: float, cou
     rows = [random_starts(rng, float(gamma), omega, count)]
     for periods in range(1, _PERIODS + 1):
         line = cycles_at(cell, periods)
-        for t in line.flight_time[line.admissible == 0].tolist():
+        for t in line.flight_time[line.violations == 0].tolist():
             start = start_on_cycle(cell, periods, t)
             if start is not None:
                 beside = np.tile(start.start.state, (len(_BESIDE) * _OF_EACH, 1))

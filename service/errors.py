@@ -6,10 +6,10 @@ An invalid specification is the worker's `worker.spec.errors.SpecError`.
 from collections.abc import Sequence
 from typing import ClassVar
 
-from worker.spec.errors import Problem
+from worker.spec.errors import BounceError, Problem
 
 
-class ServiceError(Exception):
+class ServiceError(BounceError):
     """Base class; the text is fit to show to a user, `problems` names fields and the rules they break.
 
     `status` is that of HTTP: 500 for errors that no request causes.

@@ -69,6 +69,8 @@ AXES: Final = {
 }
 SYMBOLS: Final = {"gamma": r"$\Gamma$", "omega": r"$\Omega$", "xi": r"$\xi$"}
 FLIGHT: Final = "flight time (rad)"
+#: The contact of every closed form.
+IDEAL: Final = "rigid, restitution 0"
 
 #: Over the cells of a map whose directions differ, and what a legend calls them.
 HATCH: Final = "////"
@@ -215,7 +217,7 @@ def draw_branches(ax: "Axes", branches: xarray.Dataset) -> None:
     for i in range(branches.sizes["branch"]):
         branch = branches.isel(branch=i)
         gamma, flight = branch.gamma.values, branch.flight_time.values
-        stable, admissible = branch.stable.values.astype(bool), branch.admissible.values == 0
+        stable, admissible = branch.stable.values.astype(bool), branch.violations.values == 0
         for shown, style, width in (
             (stable & admissible, "-", 1.4),
             (~stable & admissible, "--", 1.0),
@@ -223,6 +225,16 @@ def draw_branches(ax: "Axes", branches: xarray.Dataset) -> None:
         ):
             x = np.where(shown, gamma, np.nan)
             ax.plot(x, flight, color=LINES["branch"], zorder=4, linestyle=style, linewidth=width)
+
+
+def draw_cycles(ax: "Axes", branches: xarray.Dataset) -> None:
+    """Branches with axes: flight times over Γ, as `draw_branches`."""
+    draw_branches(ax, branches)
+    ax.set_xlabel(AXES["gamma"])
+    ax.set_ylabel(FLIGHT)
+    title = ", ".join(f"{SYMBOLS[axis]} = {branches[axis].item():g}" for axis in ("omega", "xi"))
+    model = branches.attrs["model"]
+    ax.set_title(title if model == IDEAL else f"{title}: {model}")
 
 
 def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:

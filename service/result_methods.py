@@ -28,7 +28,7 @@ class ResultMethods(Methods):
         "diagram": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("flight_time",)),
         "modes": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("outcome",)),
         "threshold": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("up_status",)),
-        "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("event_gamma", "skipped_gamma")),
+        "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("points", "event_gamma", "skipped_gamma")),
         "basins": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("attractor_fraction",)),
         "multistability": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("cells",)),
         "trajectory": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("plate",)),
@@ -126,11 +126,11 @@ class ResultMethods(Methods):
         omega: float | None = None,
         xi: float | None = None,
         direction: Annotated[str | None, "rest, up or down; default: the first direction of the sweep"] = None,
-        gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
+        gamma_max: Annotated[float | None, "branches are cut above this Γ; default: 8, of a study of orbits its own"] = None,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
-        """Branches of the cycles that cells settled to.
+        """Branches of the cycles that cells settled to, or those that a study of orbits stored.
 
         Those along Γ, on their own contact, stable and unstable, with their events. Workers follow them, some
         seconds at most once compiled; `flight_time` has all flights of a cycle that count, the longest first.
@@ -138,9 +138,9 @@ class ResultMethods(Methods):
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `takeoff_phase` (rad),
         `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per rad), `impact_velocity`
-        (plate amplitudes per rad), `multipliers`, `stable`, `admissible`, `flights`, `flight_time` (rad),
+        (plate amplitudes per rad), `multipliers`, `stable`, `violations`, `flights`, `flight_time` (rad),
         `branch_bounces`, `branch_periods`, `points`, `event_kind`, `event_gamma`, `event_omega`, `event_xi`,
-        `event_bounces`, `event_periods`, `event_flight_time` (rad), `event_admissible`, `event_multipliers`,
+        `event_bounces`, `event_periods`, `event_flight_time` (rad), `event_violations`, `event_multipliers`,
         `event_branch`, `skipped_gamma`, `skipped_bounces`, `skipped_periods`, `skipped_reason`. Waits up to
         `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
@@ -207,7 +207,7 @@ class ResultMethods(Methods):
         Returns a Dataset with the attribute `complete` and the variables `plate` (plate amplitudes), `z1`
         (plate amplitudes), `z2` (plate amplitudes), `velocity` (A omega), `force` (m A ω²), `in_flight`,
         `takeoff` (rad), `takeoff_phase` (rad), `flight_time` (rad), `cycle_bounces`, `cycle_periods`,
-        `cycle_flight_time` (rad), `cycle_multipliers`, `cycle_stable`, `cycle_admissible`,
+        `cycle_flight_time` (rad), `cycle_multipliers`, `cycle_stable`, `cycle_violations`,
         `energy_plate_contact` (m A² ω²), `energy_plate_impact` (m A² ω²), `energy_dashpot` (m A² ω²),
         `energy_impact` (m A² ω²), `energy_force` (m A ω), `energy_impulse` (m A ω), `energy_weight` (m A ω),
         `proof`, `proof_says`, `proven_flight_times` (rad). Raises BadRequest naming the parameter, TooLarge
@@ -258,7 +258,7 @@ class SpringMethods(Methods):
 
     RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
         "threshold": (("json", "bin", "nc"), ()),
-        "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("event_gamma",)),
+        "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("points", "event_gamma")),
         "curves": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("event_gamma",)),
     }
 
@@ -327,11 +327,11 @@ class SpringMethods(Methods):
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `flight_time` (rad),
         `takeoff_phase` (rad), `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per
-        rad), `impact_velocity` (plate amplitudes per rad), `multipliers`, `stable`, `admissible`, `flights`,
+        rad), `impact_velocity` (plate amplitudes per rad), `multipliers`, `stable`, `violations`, `flights`,
         `plate_contact` (m A² ω²), `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force`
         (m A ω), `impulse` (m A ω), `weight` (m A ω), `branch_bounces`, `branch_periods`, `points`,
         `event_kind`, `event_gamma`, `event_omega`, `event_xi`, `event_bounces`, `event_periods`,
-        `event_flight_time` (rad), `event_admissible`, `event_multipliers`, `event_complete`. Waits up to
+        `event_flight_time` (rad), `event_violations`, `event_multipliers`, `event_complete`. Waits up to
         `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """
@@ -363,9 +363,9 @@ class SpringMethods(Methods):
         cycle change.
 
         Returns a Dataset with the attribute `complete` and the variables `omega`, `xi`, `gamma`,
-        `flight_time` (rad), `admissible`, `curve_kind`, `curve_bounces`, `curve_periods`, `event_kind`,
+        `flight_time` (rad), `violations`, `curve_kind`, `curve_bounces`, `curve_periods`, `event_kind`,
         `event_gamma`, `event_omega`, `event_xi`, `event_bounces`, `event_periods`, `event_flight_time` (rad),
-        `event_admissible`, `event_multipliers`. Waits up to `timeout` seconds for the workers, and shows
+        `event_violations`, `event_multipliers`. Waits up to `timeout` seconds for the workers, and shows
         `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
         return self.result("curves", omega=omega, xi=xi, omega_start=omega_start, omega_stop=omega_stop, xi_start=xi_start, xi_stop=xi_stop, modes=modes, kinds=kinds, gamma_max=gamma_max, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)

@@ -33,11 +33,11 @@ def draw(num: int = 351) -> Figure:
     for axes, (omega, (right, top)) in zip(figure.subplots(3), PANELS.items(), strict=True):
         line, events = branch_and_events(omega, XI, 1, 1200)
         draw_diagram(axes, ramps.sel(omega=omega).squeeze("xi"))
-        names = ("gamma", "flight_time", "stable", "admissible")
+        names = ("gamma", "flight_time", "stable", "violations")
         branch = {name: (("branch", "point"), getattr(line, name)[None]) for name in names}
         draw_branches(axes, xarray.Dataset(branch))
         for kind, marker in MARKERS.items():
-            shown = (events.kind == kind) & (events.admissible == 0)
+            shown = (events.kind == kind) & (events.violations == 0)
             axes.plot(events.gamma[shown], events.flight_time[shown], marker, markersize=5, label=kind)
         axes.plot(threshold(omega, XI), 0.0, "k^", clip_on=False, label=r"$\Gamma_\mathrm{th}$, Eq. 25")
         axes.set(xlim=(0.45, right), ylim=(0, top))

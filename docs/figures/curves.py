@@ -32,12 +32,12 @@ def draw(lines: int = 13, tips: int = 4) -> Figure:
     grid = np.linspace(*OMEGAS, 600)
     above.plot(grid, threshold(grid, XI), color="0.7", linewidth=3, label=r"$\Gamma_\mathrm{th}$, Eq. 25")
     for curve in found.curves:
-        gamma = np.where(curve.admissible == 0, curve.gamma, np.nan)
+        gamma = np.where(curve.violations == 0, curve.gamma, np.nan)
         above.plot(curve.omega, gamma, STYLES[curve.kind[0]])
     for kind, style in STYLES.items():
         above.plot([], [], style, label=kind)
     for kind, style in POINTS.items():
-        shown = (found.points.kind == kind) & (found.points.admissible == 0)
+        shown = (found.points.kind == kind) & (found.points.violations == 0)
         above.plot(found.points.omega[shown], found.points.gamma[shown], style, mfc="white", label=kind)
     for j in range(1, tips + 1):
         name, at, end = rf"$\Omega_{{{j}1}}$", tip(j, 1, XI), end_of_hysteresis(j, 1)

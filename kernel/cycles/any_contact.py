@@ -54,7 +54,7 @@ class CycleBranch(NamedTuple):
     stable: NDArray[np.bool_]  # (n,)
 
     @property
-    def admissible(self) -> NDArray[np.uint8]:
+    def violations(self) -> NDArray[np.uint8]:
         """(n,) 0: every one is a cycle of the spring."""
         return np.zeros(len(self.gamma), np.uint8)
 
@@ -228,5 +228,5 @@ def event_record(events: list[Event], micro_flight: float) -> Events:
         flight_time=x.flight_time,
         gamma=x.gamma,
         multiplier=x.multiplier,
-        admissible=np.zeros(len(events), np.uint8),
+        violations=np.zeros(len(events), np.uint8),
     )

@@ -121,7 +121,7 @@ class _Plane(NamedTuple):
         one, periods = np.ones(1, np.int32), np.full(1, self.periods, np.int32)
         return Events(
             np.array([kind], np.str_), np.array([omega]), np.array([xi]), one, periods, b.flight_time,
-            b.gamma, b.multiplier, b.admissible,
+            b.gamma, b.multiplier, b.violations,
         )  # fmt: skip
 
 

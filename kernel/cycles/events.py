@@ -100,7 +100,7 @@ class Branch(NamedTuple):
     impact_velocity: NDArray[np.float64]  # (n,) gap' before landing, < 0
     multiplier: NDArray[np.complex128]  # (n, 2) of one cycle, the larger in modulus first
     stable: NDArray[np.bool_]  # (n,) both inside the unit circle
-    admissible: NDArray[np.uint8]  # (n,) 0, or the bits of a Reason
+    violations: NDArray[np.uint8]  # (n,) 0, or the bits of a Reason
 
 
 class Events(NamedTuple):
@@ -114,7 +114,7 @@ class Events(NamedTuple):
     flight_time: NDArray[np.float64]  # (m,) rad
     gamma: NDArray[np.float64]  # (m,)
     multiplier: NDArray[np.complex128]  # (m, 2)
-    admissible: NDArray[np.uint8]  # (m,) 0, or the bits of a Reason; an orbit that grazes is admissible
+    violations: NDArray[np.uint8]  # (m,) 0, or the bits of a Reason; an orbit that grazes is admissible
 
 
 Record = TypeVar("Record", bound=NamedTuple)
@@ -282,7 +282,7 @@ def _branch(k: Spring, periods: int, t: Floats, x: Orbit, checked: Check) -> Bra
         impact_velocity=x.impact / gamma,
         multiplier=multipliers(f.trace, f.det),
         stable=stable(f.trace, f.det),
-        admissible=checked.reason,
+        violations=checked.reason,
     )
 
 
@@ -306,7 +306,7 @@ def _events(k: Spring, periods: int, which: Ints, t: Floats, nodes: Samples) -> 
         flight_time=t,
         gamma=gamma,
         multiplier=multipliers(f.trace, f.det),
-        admissible=checked.reason,
+        violations=checked.reason,
     )
 
 

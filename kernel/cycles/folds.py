@@ -48,7 +48,7 @@ class Fold(NamedTuple):
     other_multiplier: float  # the largest that is not 1
     curvature: float  # Gamma'' > 0
     slope: float  # of the multiplier that is 1
-    admissible: int  # 0, or the bits of a Reason
+    violations: int  # 0, or the bits of a Reason
     energy: Energy | None  # of the cycle, on an ideal plate without restitution
 
     @property
@@ -59,7 +59,7 @@ class Fold(NamedTuple):
     @property
     def holds(self) -> bool:
         """Whether a stable cycle of the spring ends here."""
-        return not self.admissible and abs(self.other_multiplier) < 1.0
+        return not self.violations and abs(self.other_multiplier) < 1.0
 
     @property
     def name(self) -> str:
@@ -96,7 +96,7 @@ def minima(k: Spring, events: Events, below: float) -> list[Fold]:
         folds.append(
             Fold(
                 one_flight(k, n, t), t, float(events.gamma[i]), other, curvature, slope,
-                int(events.admissible[i]), balance,
+                int(events.violations[i]), balance,
             )
         )  # fmt: skip
     return folds

@@ -55,7 +55,7 @@ def start_on_stable_cycle(cell: Cell, periods: int) -> CycleStart | None:
     Of several, the one with the longest flight. Raises KernelInputError.
     """
     line = cycles_at(cell, periods)
-    holds = np.flatnonzero(line.stable & (line.admissible == 0))
+    holds = np.flatnonzero(line.stable & (line.violations == 0))
     return _start(cell, line, int(holds[-1])) if len(holds) else None
 
 
@@ -77,7 +77,7 @@ def stable_ranges(omega: float, xi: float, periods: int) -> list[GammaRange]:
     """
     with np.errstate(all="ignore"):
         line = branch(omega, xi, periods, flight_times(omega, xi, periods))
-    lives = np.concatenate([[False], line.stable & (line.admissible == 0), [False]])
+    lives = np.concatenate([[False], line.stable & (line.violations == 0), [False]])
     edges = np.flatnonzero(np.diff(lives)).reshape(-1, 2)
     return [
         GammaRange(float(line.gamma[low:high].min()), float(line.gamma[low:high].max()))

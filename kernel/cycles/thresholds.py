@@ -172,7 +172,7 @@ def closed_form(omega: float, xi: float) -> ClosedForm:
         folds += minima(k, events, gamma_th)
         last = _last_cycles(k, line, events, gamma_th)
         cycles += last
-        here = (events.kind == Kind.FLIP) & (events.gamma < gamma_th) & (events.admissible == 0)
+        here = (events.kind == Kind.FLIP) & (events.gamma < gamma_th) & (events.violations == 0)
         followed = [cycle.flight_time for cycle in last]
         flips += [one_flight(k, n, float(t)) for t in events.flight_time[here] if t not in followed]
         if n == 1:
@@ -186,13 +186,13 @@ def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> 
     t = flight_times(omega, xi, periods)
     x, f = orbit(k, periods, t), floquet(k, periods, t)
     t = t[stable(f.trace, f.det) & (np.hypot(x.c, x.s) < _MARGIN * below)]
-    return len(t) > 0 and bool((branch(omega, xi, periods, t).admissible == 0).any())
+    return len(t) > 0 and bool((branch(omega, xi, periods, t).violations == 0).any())
 
 
 def _why(fold: Fold) -> str:
     """Why a fold below the answer does not decide."""
     name = f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.6f}"
-    if fold.admissible:
+    if fold.violations:
         return f"{name} is not admissible: the branch goes on as another word"
     return f"{name} is unstable on both sides: a torus may live near it"
 
@@ -209,13 +209,13 @@ class _LastCycle(NamedTuple):
         """Whether a fold that is not admissible lies beyond."""
         low, high = self.beyond
         return (
-            fold.periods == self.within.periods and bool(fold.admissible) and low <= fold.flight_time <= high
+            fold.periods == self.within.periods and bool(fold.violations) and low <= fold.flight_time <= high
         )
 
 
 def _last_cycles(k: Spring, line: Branch, events: Events, below: float) -> list[_LastCycle]:
     """Those below a Gamma."""
-    lives = line.stable & (line.admissible == 0)
+    lives = line.stable & (line.violations == 0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lives, [False]])))
     cycles = []
     for first, last in edges.reshape(-1, 2):
@@ -226,7 +226,7 @@ def _last_cycles(k: Spring, line: Branch, events: Events, below: float) -> list[
             here = (events.flight_time >= low) & (events.flight_time <= high)
             if line.gamma[outside] > line.gamma[inside] or (here & (events.kind == Kind.FOLD)).any():
                 continue
-            after = line.flight_time[_stretch(line.admissible != 0, outside, outside - inside)]
+            after = line.flight_time[_stretch(line.violations != 0, outside, outside - inside)]
             beyond = (float(after.min()), float(after.max())) if len(after) else (math.inf, math.inf)
             within = one_flight(k, line.periods, float(line.flight_time[inside]))
             for i in np.flatnonzero(here & (events.gamma < below)):
@@ -243,7 +243,7 @@ def _stretch(inside: NDArray[np.bool_], start: int, direction: int) -> Ints:
 
 def _jump(line: Branch, events: Events) -> float:
     """The fold that ends the cycles that begin at Gamma_th; NaN if they end otherwise."""
-    lives = line.stable & (line.admissible == 0)
+    lives = line.stable & (line.violations == 0)
     if not lives[0] or lives.all():
         return math.nan
     last = int(np.argmin(lives))

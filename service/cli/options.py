@@ -175,12 +175,10 @@ def write_file(output: str, content: bytes) -> None:
 
 def _message(error: Exception) -> str | None:
     """The message for the user; None for a defect, or for a closed pipe, which click handles."""
-    from service.client.errors import BounceError
-    from service.errors import ServiceError
     from worker.kernel_cache import CacheRefused
-    from worker.spec.errors import SpecError
+    from worker.spec.errors import BounceError
 
-    if isinstance(error, BounceError | ServiceError | SpecError | CacheRefused):
+    if isinstance(error, BounceError | CacheRefused):
         return str(error)
     if isinstance(error, OSError) and error.errno != errno.EPIPE:
         reason = error.strerror or str(error)

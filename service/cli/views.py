@@ -124,7 +124,7 @@ def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
     """
     from math import isfinite
 
-    lines = [_rows(result, name) for name in rows]
+    lines = [_rows(result, name) for name in rows if name in result.variables]
     scalars = {str(name): v.values.item() for name, v in result.variables.items() if not v.dims}
     scalars |= {name: value for name, value in result.attrs.items() if name not in _COMMON}
     lines += [
@@ -140,8 +140,9 @@ def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
 def _rows(result: "xarray.Dataset", rows: str) -> str:
     """The variables over dimensions of the variable `rows`."""
     dims = {*map(str, result[rows].dims)}
+    result = result.reset_coords()
     names = [str(name) for name, v in result.data_vars.items() if v.dims and dims.issuperset(v.dims)]
-    frame = result[names].drop_vars([n for n, v in result.coords.items() if not v.dims]).to_dataframe()
+    frame = result[names].to_dataframe()
     for name in names:
         attrs = result[name].attrs
         if "flag_values" in attrs:

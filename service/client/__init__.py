@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 from service.client.client import Client
 from service.client.errors import (
     BadRequest,
-    BounceError,
     Busy,
     Conflict,
     InvalidSpecification,
@@ -29,6 +28,7 @@ from service.client.errors import (
 )
 from service.client.job import Job
 from service.client.models import Estimate, FieldProblem, JobStatus, Problem, Progress
+from worker.spec.errors import BounceError, SpecInvalid
 
 if TYPE_CHECKING:
     from worker.spec.axes import Range
@@ -41,8 +41,9 @@ __all__ = [
     "Auto", "BadRequest", "Ball", "BounceError", "Busy", "Client", "Conflict", "Estimate",
     "FieldProblem", "InvalidSpecification", "Job", "JobCancelled", "JobFailed", "JobStatus",
     "NotComputedYet", "NotFound", "OnCycle", "Problem", "Progress", "Ramp", "Range", "Refine", "Refused",
-    "Rest", "Rigid", "ServiceError", "ServiceUnreachable", "Soft", "Stepped", "StoreUnreachable",
-    "SweepSpec", "TooLarge", "Unanswered", "Unauthorized", "UnexpectedAnswer", "WaitTimeout",
+    "Rest", "Rigid", "ServiceError", "ServiceUnreachable", "Soft", "SpecInvalid", "Stepped",
+    "StoreUnreachable", "SweepSpec", "TooLarge", "Unanswered", "Unauthorized", "UnexpectedAnswer",
+    "WaitTimeout",
 ]  # fmt: skip
 
 #: The modules of the specifications' classes.

@@ -14,16 +14,18 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import xarray
 
-from service.client.errors import BounceError, UnexpectedAnswer
+from service.client.errors import UnexpectedAnswer
 from service.pictures import (
     AXES,
     SYMBOLS,
     along_of,
     draw_branches,
+    draw_cycles,
     draw_diagram,
     draw_modes,
     draw_thresholds,
 )
+from worker.spec.errors import BounceError
 
 if TYPE_CHECKING:
     import pandas
@@ -121,7 +123,7 @@ class BounceAccessor:
     def plot(
         self, *, ax: "Axes | None" = None, branches: xarray.Dataset | None = None, **where: float | str
     ) -> "Axes":
-        """Plot a diagram, a map of modes, thresholds, or a part of a whole sweep with matplotlib.
+        """Plot a diagram, a map of modes, thresholds, branches, or a part of a whole sweep with matplotlib.
 
         `where` selects of a whole sweep: `gamma`, `omega`, `xi` to the nearest grid value, `direction` up or
         down. What is left must be a line, drawn as a diagram, or a plane of Γ and Ω, drawn as a map.
@@ -132,8 +134,11 @@ class BounceAccessor:
         if "analytic" in dataset:
             draw_thresholds(ax, dataset)
             return ax
+        if "branch" in dataset.dims:
+            draw_cycles(ax, dataset)
+            return ax
         if "outcome" not in dataset:
-            raise BounceError("plot: is of a diagram, a map of modes, thresholds, or a whole sweep")
+            raise BounceError("plot: is of a diagram, a map of modes, thresholds, branches, or a whole sweep")
         dims = set(dataset.outcome.dims)
         if len(dims - {"direction"}) == 1 and "flight_time" in dataset:
             draw_diagram(ax, dataset)

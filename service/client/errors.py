@@ -6,10 +6,7 @@
 from typing import Final
 
 from service.client.models import FieldProblem, JobStatus, Problem
-
-
-class BounceError(Exception):
-    """Root of the exceptions that the client raises on purpose; the message is fit for users."""
+from worker.spec.errors import BounceError
 
 
 class ServiceUnreachable(BounceError):

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from service.client.display import display_job, job_html, summary
 from service.client.errors import (
-    BounceError,
     Busy,
     JobCancelled,
     JobFailed,
@@ -23,6 +22,7 @@ from service.client.specification import body
 from service.client.transport import Transport, json_object, retry_after
 from service.formats import EXPORTS, ExportLayout
 from service.result_methods import ResultMethods
+from worker.spec.errors import BounceError
 
 if TYPE_CHECKING:
     import httpx2
@@ -43,7 +43,7 @@ REQUEST_DELAY: Final = 0.02
 MAX_OUTAGE: Final = 30.0
 
 
-Kind = Literal["diagram", "modes", "threshold"]
+Kind = Literal["diagram", "modes", "threshold", "orbits"]
 
 
 class ResultReader(ABC):
@@ -283,14 +283,15 @@ class Job(ResultReader, ResultMethods, JobStatus):
         Parameters
         ----------
         kind
-            "diagram", the flights along one axis; "modes", the map over (Γ, Ω); "threshold", over Ω. By
-            default the map if Γ and Ω both have several values, else the diagram.
+            "diagram", the flights along one axis; "modes", the map over (Γ, Ω); "threshold", over Ω;
+            "orbits", the branches of cycles. By default those of a study of orbits, the map of a sweep if Γ
+            and Ω both have several values, else the diagram.
         ax
             By default the current axes of pyplot if it is in use, else those of a new figure.
         branches
             From `Client.orbits`, drawn over a diagram: solid where stable.
         **selection
-            Arguments of `diagram`, `modes` or `threshold`. Maps of sweeps ramped both ways are hatched where
+            Arguments of the result's method. Maps of sweeps ramped both ways are hatched where
             the directions differ, unless `hysteresis` is False.
 
         Raises
@@ -299,8 +300,10 @@ class Job(ResultReader, ResultMethods, JobStatus):
             The kind is unknown, or the result's method raises it.
         """
         spec = self.spec
-        long = [axis for axis in ("gamma", "omega", "xi") if _length(spec[axis]) > 1]
-        if kind is None:
+        long = [axis for axis in ("gamma", "omega", "xi") if _length(spec.get(axis)) > 1]
+        if kind is None and spec["protocol"]["kind"] == "orbits":
+            kind = "orbits"
+        elif kind is None:
             kind = "modes" if {"gamma", "omega"} <= set(long) and "along" not in selection else "diagram"
         if kind not in get_args(Kind):
             raise BounceError(f"kind: must be one of {', '.join(get_args(Kind))}, not {kind!r:.40}")
@@ -308,7 +311,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
             raise BounceError(f"branches: are drawn in a diagram, not in {kind}")
         if kind == "modes" and spec["protocol"].get("direction") == "both":
             selection = {"hysteresis": True, "direction": "up", **selection}
-        elif kind == "threshold":
+        elif kind in ("threshold", "orbits"):
             selection["progress"] = False
         elif kind == "diagram" and "along" not in selection and long and "gamma" not in long:
             selection["along"] = long[0]

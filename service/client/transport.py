@@ -16,7 +16,6 @@ import httpx2
 
 from service.client.display import PartsCallback, display_elapsed, display_parts
 from service.client.errors import (
-    BounceError,
     Busy,
     InvalidSpecification,
     NotComputedYet,
@@ -28,6 +27,7 @@ from service.client.errors import (
 from service.client.models import Problem
 from service.tokens import AUTO, find_token
 from worker.files import complete_file
+from worker.spec.errors import BounceError
 
 CONNECT_SECONDS: Final = 5.0
 

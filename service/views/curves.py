@@ -10,7 +10,7 @@ from pydantic import Field
 from kernel.cycles.curves import CURVES, Curves, Parameter, curves
 from kernel.cycles.events import Kind, join_events
 from service.errors import InvalidRequest
-from service.pictures import ATTRACTORS, AXES, SYMBOLS
+from service.pictures import ATTRACTORS, AXES, IDEAL, SYMBOLS
 from service.views import orbits
 from service.views.orbits import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
 from service.views.variables import coordinate
@@ -104,14 +104,14 @@ def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
     along, fixed, _ = _plane(query)
     top = query.gamma_max
     pieces = [piece for part in parts for curve in part.curves for piece in orbits.below(curve, top)]
-    data = padded((along, "gamma", "flight_time", "admissible"), pieces, ("curve", "point"))
+    data = padded((along, "gamma", "flight_time", "violations"), pieces, ("curve", "point"))
     data |= event_columns(join_events([orbits.rows_of(x.points, x.points.gamma <= top) for x in parts]))
     names = ("kind", "bounces", "periods")
     coords = columns("curve", {name: [getattr(piece, name)[0] for piece in pieces] for name in names})
     other = "xi" if along is Parameter.OMEGA else "omega"
     coords |= {other: coordinate(other, fixed)}
     contact = orbits.contact(query)
-    model = orbits.MODEL if contact is None else orbits.name_of(contact)
+    model = IDEAL if contact is None else orbits.name_of(contact)
     return orbits.closed_form(data, coords, model=model, along=str(along), gamma_max=top)
 
 
@@ -144,7 +144,7 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     kinds = sorted(set(result.curve_kind.values.tolist()))
     for i in range(result.sizes["curve"]):
         curve = result.isel(curve=i)
-        colour, there = ATTRACTORS[kinds.index(curve.curve_kind.item())], curve.admissible.values == 0
+        colour, there = ATTRACTORS[kinds.index(curve.curve_kind.item())], curve.violations.values == 0
         for shown, style in ((there, "-"), (~there, ":")):
             axes.plot(curve[along].values, np.where(shown, curve.gamma.values, np.nan), style, color=colour)
     for kind, colour in zip(kinds, ATTRACTORS, strict=False):
@@ -160,7 +160,7 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
 VIEW: Final = View(
     "curves", "Bifurcation curves", None, CurvesQuery, compute, estimate,
     variables=(
-        *(ROWS[name] for name in ("omega", "xi", "gamma", "flight_time", "admissible")),
+        *(ROWS[name] for name in ("omega", "xi", "gamma", "flight_time", "violations")),
         *(ROWS[f"curve_{name}"] for name in ("kind", "bounces", "periods")), *EVENTS,
     ),
     rows="gamma", printed=("event_gamma",), parts=parts, draw=draw,

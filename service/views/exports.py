@@ -92,23 +92,35 @@ class Export:
     def arrays(self) -> tuple[Array, ...]:
         """The arrays of the file: all stored ones, and the label of a sweep with exponents."""
         spec = self.study.spec
-        return (*self.stored.arrays, *((LABEL,) if isinstance(spec, SweepSpec) and spec.exponents else ()))
+        labels = (LABEL,) if isinstance(spec, SweepSpec) and spec.exponents else ()
+        return tuple(part for row in (*self.stored.arrays, *labels) for part in _parts(row))
+
+
+def _parts(row: Array) -> tuple[Array, ...]:
+    """The array as NetCDF has it: of complex numbers real and imaginary part, of booleans 0 and 1."""
+    if row.dtype == "|b1":
+        return (row._replace(dtype="|u1"),)
+    if row.dtype != "<c16":
+        return (row,)
+    name = row.attrs["long_name"]
+    return tuple(
+        Array(
+            f"{row.name}_{part}", row.dims, "<f8", np.nan, row.attrs | {"long_name": f"{name}, {part} part"}
+        )
+        for part in ("real", "imag")
+    )
 
 
 def check(
     spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "cells", max_bytes: float = math.inf
 ) -> None:
-    """Raise InvalidRequest for complex arrays, which no such file holds, and for rows that there are not.
+    """Raise InvalidRequest for the page of what is no sweep, and for rows that there are not.
 
     Raises NotInstalled for Parquet without its library, TooLarge for a study of more than `max_bytes`.
     """
     arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
     if format == "html" and not isinstance(spec, SweepSpec):
         raise InvalidRequest.of("format", f"html is for sweeps; this study is of kind {spec.protocol.kind}")
-    for array in arrays if format != "html" else ():
-        if np.dtype(array.dtype).kind == "c":
-            rule = f"{array.name} of this study is complex, and no such file holds that: open its store"
-            raise InvalidRequest.of("format", rule)
     if layout == "flights" and format != "parquet":
         raise InvalidRequest.of("layout", f"flights is for parquet, whose rows they are, not for {format}")
     if layout == "flights" and not any(array.dims[-1] == "flight" for array in arrays):
@@ -170,6 +182,12 @@ def _blocks(export: Export, folder: Path) -> Iterator[_Block]:
         arrays = read_stored(study, layout.names, cells)
         if isinstance(study.spec, SweepSpec):
             arrays |= labelled(study.spec, arrays[schema.OUTCOME.name], arrays)
+        for name, values in list(arrays.items()):
+            if values.dtype.kind == "b":
+                arrays[name] = values.view(np.uint8)
+            elif values.dtype.kind == "c":
+                arrays |= {f"{name}_real": values.real, f"{name}_imag": values.imag}
+                del arrays[name]
         if shutil.disk_usage(folder).free < sum(array.nbytes for array in arrays.values()) + SPARE:
             raise NoSpace(f"no space left for the export file: less than {SPARE:,} bytes would stay free")
         yield cells, arrays

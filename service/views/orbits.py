@@ -19,7 +19,7 @@ from kernel.cycles.energy import energy
 from kernel.cycles.events import Branch, Events, branch_and_events, flight_times, join_events
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
-from service.pictures import AXES, FLIGHT, SYMBOLS, draw_branches
+from service.pictures import IDEAL, draw_cycles
 from service.views import proofs
 from service.views.selection import (
     MAX_READ,
@@ -28,6 +28,7 @@ from service.views.selection import (
     check_kernel,
     directions_of,
     nearest_index,
+    read_stored,
 )
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
@@ -42,8 +43,16 @@ from worker.analysis.cycles import (
     follow_cycles,
 )
 from worker.analysis.prediction import branch_seconds
-from worker.orbits.schema import ARRAYS
-from worker.orbits.specification import MAX_GRID, MAX_POINTS, Mode, check_modes, read_mode
+from worker.orbits.schema import ARRAYS, KINDS
+from worker.orbits.specification import (
+    DIMS,
+    MAX_GRID,
+    MAX_POINTS,
+    Mode,
+    OrbitsSpec,
+    check_modes,
+    read_mode,
+)
 from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, Rigid, Soft
 from worker.spec.errors import BrokenRuleError, problems_of
 from worker.study import Array
@@ -60,9 +69,7 @@ WithProof = Annotated[bool, Field(description="whether all folds and flips were 
 
 Record = TypeVar("Record", Branch, CycleBranch, Events)
 
-#: The contact of every closed form.
-MODEL: Final = "rigid, restitution 0"
-#: `admissible` beyond the last point of a branch or curve.
+#: `violations` beyond the last point of a branch or curve.
 MISSING_POINT: Final = 255
 #: Of each branch, and the energy balance of a cycle.
 BRANCH: Final = ("branch_bounces", "branch_periods", "points")
@@ -90,7 +97,7 @@ ROWS: Final[Mapping[str, Array]] = _STORED | {
     each.name: each
     for each in (
         _STORED["gamma"]._replace(attrs=_AXES["gamma"] | {"comment": "NaN: no point"}),
-        _STORED["admissible"]._replace(fill=MISSING_POINT, attrs=_STORED["admissible"].attrs | {
+        _STORED["violations"]._replace(fill=MISSING_POINT, attrs=_STORED["violations"].attrs | {
             "comment": f"0: a cycle of the spring; {MISSING_POINT}: no point",
         }),
         row("multipliers", ("branch", "point", *_PARTS), "<f8", "Floquet multipliers, the larger first"),
@@ -113,7 +120,7 @@ ROWS: Final[Mapping[str, Array]] = _STORED | {
     )
 }  # fmt: skip
 _EVENT: Final = (
-    "kind", "gamma", "omega", "xi", "bounces", "periods", "flight_time", "admissible", "multipliers",
+    "kind", "gamma", "omega", "xi", "bounces", "periods", "flight_time", "violations", "multipliers",
 )  # fmt: skip
 EVENTS: Final = tuple(ROWS[f"event_{name}"] for name in _EVENT)
 
@@ -173,7 +180,7 @@ def closed_form(
     data: Mapping[str, xarray.Variable],
     coords: Mapping[str, xarray.Variable],
     complete: bool = True,
-    model: str = MODEL,
+    model: str = IDEAL,
     **attrs: Any,
 ) -> xarray.Dataset:
     """A result with the attributes of all of them."""
@@ -234,7 +241,7 @@ _PER_POINT: Final = 4_000
 
 _OF_POINT: Final = (
     "gamma", "flight_time", "takeoff_phase", "elongation", "elongation_velocity", "impact_velocity",
-    "multipliers", "stable", "admissible",
+    "multipliers", "stable", "violations",
 )  # fmt: skip
 
 
@@ -349,7 +356,7 @@ def compute_orbits(
         data |= columns("event", {"complete": np.concatenate(complete)})
     coords = of_branches(pieces)
     coords |= {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")}
-    model = MODEL if plate is None else name_of(plate)
+    model = IDEAL if plate is None else name_of(plate)
     return closed_form(data, coords, model=model, gamma_max=query.gamma_max)
 
 
@@ -382,14 +389,7 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """Flight times over Γ: solid where stable, dashed where not, thin where no cycle of the spring is."""
-    axes = figure.subplots()
-    draw_branches(axes, result)
-    axes.set_xlabel(AXES["gamma"])
-    axes.set_ylabel(FLIGHT)
-    title = ", ".join(f"{SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi"))
-    model = result.attrs["model"]
-    axes.set_title(title if model == MODEL else f"{title}: {model}")
+    draw_cycles(figure.subplots(), result)
 
 
 SPRING: Final = View(
@@ -397,10 +397,12 @@ SPRING: Final = View(
     variables=(
         *(ROWS[name] for name in (*_OF_POINT, "flights", *BALANCE, *BRANCH)), *EVENTS, ROWS["event_complete"],
     ),
-    rows="gamma", printed=("event_gamma",), parts=orbit_parts, draw=draw,
+    rows="gamma", printed=("points", "event_gamma",), parts=orbit_parts, draw=draw,
 )  # fmt: skip
 
 
+#: Where followed branches are cut by default.
+GAMMA_MAX: Final = 8.0
 #: Bytes of an answer.
 _MEMORY: Final = 16 * 2**20
 #: Of a line without a computed cell.
@@ -410,14 +412,17 @@ _OF_CELLS: Final = (*(name for name in _OF_POINT if name != "flight_time"), "fli
 
 
 class CellsQuery(Query):
-    """The spring of the sweep nearest to the given values, and the direction whose cells are continued."""
+    """The spring of the job nearest to the given values, and the direction whose cells are continued."""
 
     omega: Number | None = None
     xi: Number | None = None
     direction: Annotated[
         str | None, Field(description="rest, up or down; default: the first direction of the sweep")
     ] = None
-    gamma_max: GammaMax = 8.0
+    gamma_max: Annotated[
+        Annotated[Number, Field(gt=0, le=1e6)] | None,
+        Field(description="branches are cut above this Γ; default: 8, of a study of orbits its own"),
+    ] = None
 
 
 def contact_of(spec: SweepSpec) -> Rigid | Soft:
@@ -439,11 +444,13 @@ def _line(spec: SweepSpec, query: CellsQuery) -> tuple[str, dict[str, GridValue]
     return directions_of(spec, query.direction)[0], spring
 
 
-def cell_parts(study: Stored[SweepSpec], query: CellsQuery) -> Sequence[Call]:
-    """The branches of one line, unless nothing is stored yet.
+def cell_parts(study: Stored[Any], query: CellsQuery) -> Sequence[Call]:
+    """The branches of one line of a sweep, unless nothing is stored yet.
 
     Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue.
     """
+    if isinstance(study.spec, OrbitsSpec):
+        return []
     check_kernel(study.kernel_version)
     try:
         store.stored_forms(study.url, study.forms)  # raises for a store laid out otherwise
@@ -453,18 +460,18 @@ def cell_parts(study: Stored[SweepSpec], query: CellsQuery) -> Sequence[Call]:
         return []
     direction, spring = _line(study.spec, query)
     indices = (study.spec.directions.index(direction), spring["xi"].index, spring["omega"].index)
-    return [(follow_cells, study.spec, study.url, *indices, query.gamma_max, study.complete)]
+    return [(follow_cells, study.spec, study.url, *indices, query.gamma_max or GAMMA_MAX, study.complete)]
 
 
-def compute_cells(
-    study: Stored[SweepSpec], query: CellsQuery, cycles: FollowedCycles = _NONE
-) -> xarray.Dataset:
-    """Branches of the cycles that cells settled to.
+def compute_cells(study: Stored[Any], query: CellsQuery, cycles: FollowedCycles = _NONE) -> xarray.Dataset:
+    """Branches of the cycles that cells settled to, or those that a study of orbits stored.
 
     Those along Γ, on their own contact, stable and unstable, with their events. Workers follow them, some
     seconds at most once compiled; `flight_time` has all flights of a cycle that count, the longest first.
     `skipped` are the periodic cells from which no branch was followed.
     """
+    if isinstance(study.spec, OrbitsSpec):
+        return _stored_branches(study, query)
     direction, spring = _line(study.spec, query)
     data = padded(_OF_CELLS, cycles.branches)
     data |= padded(("flight_time",), cycles.branches, ("branch", "point", "flight"))
@@ -476,21 +483,48 @@ def compute_cells(
     coords |= {axis: coordinate(axis, point.value) for axis, point in spring.items()}
     coords |= {"direction": coordinate("direction", direction)}
     model = name_of(contact_of(study.spec))
-    return closed_form(data, coords, study.complete, model, gamma_max=query.gamma_max)
+    return closed_form(data, coords, study.complete, model, gamma_max=query.gamma_max or GAMMA_MAX)
 
 
-def estimate_cells(spec: SweepSpec, query: CellsQuery) -> Estimate:
+def _stored_branches(study: Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dataset:
+    """Branches and events of one spring of a study of orbits."""
+    spec, top = study.spec, query.gamma_max or study.spec.gamma_max
+    spring = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in DIMS}
+    x = read_stored(study, tuple(_STORED), {axis: point.index for axis, point in spring.items()})
+    x["multiplier"] = np.stack([x["multiplier"], x["other_multiplier"]], axis=-1)
+    xi, omega = (point.value for point in spring.values())
+    branches = [
+        Branch(omega, xi, *mode, **{name: x[name][i] for name in Branch._fields[4:]})
+        for i, mode in enumerate(spec.cycles)
+    ]
+    pieces = [piece for branch in branches for piece in below(branch, top)]
+    shown = (x["event_kind"] > 0) & (x["event_gamma"] <= top)
+    events = {name: x[f"event_{name}"][shown] for name in _EVENT if f"event_{name}" in x}
+    events["kind"] = np.array(["", *KINDS])[events["kind"]]
+    events |= {axis: np.full(int(shown.sum()), point.value) for axis, point in spring.items()}
+    data = padded(_OF_POINT, pieces) | columns("event", events)
+    coords = of_branches(pieces) | {axis: coordinate(axis, point.value) for axis, point in spring.items()}
+    return closed_form(data, coords, study.is_complete(x["outcome"]), gamma_max=top)
+
+
+def estimate_cells(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:
     """The points of as many branches as are followed. Raises InvalidRequest for a line that is not there."""
+    if isinstance(spec, OrbitsSpec):
+        if query.direction is not None:
+            raise InvalidRequest.of("direction", "is of the cells of a sweep; this study is of kind orbits")
+        for axis in DIMS:
+            nearest_index(spec, axis, getattr(query, axis))
+        return Estimate({"branch": len(spec.modes), "point": spec.points, "multiplier": 2, "part": 2})
     _line(spec, query)
     sizes = {"branch": MAX_BRANCHES, "point": 2 * POINTS, "multiplier": 2, "part": 2}
     return Estimate(sizes, memory=_MEMORY, small=False)
 
 
 VIEW: Final = View(
-    "orbits", "Branches of a sweep's cycles", SweepSpec, CellsQuery, compute_cells, estimate_cells,
+    "orbits", "Branches of a job's cycles", SweepSpec | OrbitsSpec, CellsQuery, compute_cells, estimate_cells,
     variables=(
         *(ROWS[name] for name in (*_OF_CELLS, "flight_time", *BRANCH)),
         *EVENTS, ROWS["event_branch"], *(ROWS[f"skipped_{name}"] for name in Skipped._fields),
     ),
-    rows="flight_time", printed=("event_gamma", "skipped_gamma"), parts=cell_parts, draw=draw,
+    rows="flight_time", printed=("points", "event_gamma", "skipped_gamma"), parts=cell_parts, draw=draw,
 )  # fmt: skip

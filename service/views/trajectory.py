@@ -188,7 +188,7 @@ _ROWS: Final = {
         row("cycle_flight_time", (), "<f8", "flight time of the cycle", "rad"),
         row("cycle_multipliers", ("multiplier", "part"), "<f8", "Floquet multipliers, real and imaginary"),
         row("cycle_stable", (), "?", "whether both multipliers are inside the unit circle"),
-        row("cycle_admissible", (), "|u1", "0, or the sum of the conditions that fail"),
+        row("cycle_violations", (), "|u1", "0, or the sum of the conditions that fail"),
         *(each._replace(name=f"energy_{each.name}") for each in ENERGY),
         *proofs.OF_CELL,
     )
@@ -232,7 +232,7 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
             "cycle_bounces": np.ravel(cycle.bounces)[0], "cycle_periods": cycle.periods,
             "cycle_flight_time": cycle.flight_time[0], "cycle_stable": cycle.stable[0],
             "cycle_multipliers": [[mu.real, mu.imag] for mu in cycle.multiplier[0]],
-            "cycle_admissible": cycle.admissible[0],
+            "cycle_violations": cycle.violations[0],
         }  # fmt: skip
     elif isinstance(spec.start, DropStart):
         state = drop_states(np.array(spec.start.height), np.array(spec.start.phase))

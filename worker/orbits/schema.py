@@ -14,7 +14,7 @@ _POINT, _EVENT = (*DIMS, "branch", "point"), (*DIMS, "event")
 _LENGTH, _SPEED = "plate amplitudes", "plate amplitudes per rad"
 
 
-def _admissible(name: str, dims: tuple[str, ...]) -> Array:
+def _violations(name: str, dims: tuple[str, ...]) -> Array:
     meanings = "gap_negative_in_flight force_negative_in_contact no_takeoff"
     return array(
         name, dims, "|u1", "why the cycle is not one of the spring",
@@ -34,14 +34,14 @@ ARRAYS: Final = (
     array("multiplier", _POINT, "<c16", "Floquet multiplier, the larger in modulus"),
     array("other_multiplier", _POINT, "<c16", "the other Floquet multiplier"),
     array("stable", _POINT, "|b1", "whether both multipliers are inside the unit circle"),
-    _admissible("admissible", _POINT),
+    _violations("violations", _POINT),
     array("event_kind", _EVENT, "|u1", "kind of event",
           flag_values=list(range(len(KINDS) + 1)), flag_meanings=" ".join(["none", *KINDS])),
     array("event_gamma", _EVENT, "<f8", "plate acceleration over gravity"),
     array("event_bounces", _EVENT, "<i4", "bounces of the cycle"),
     array("event_periods", _EVENT, "<i4", "plate periods of the cycle"),
     array("event_flight_time", _EVENT, "<f8", "flight time", "rad"),
-    _admissible("event_admissible", _EVENT),
+    _violations("event_violations", _EVENT),
     array("event_count", DIMS, "<i4", "events of the cell, also those beyond the dimension event"),
     whether_computed(DIMS, "unresolved"),
 )  # fmt: skip

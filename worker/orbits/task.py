@@ -48,7 +48,7 @@ def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[
     for events, rows in zip(events_of_branches, inside, strict=True):
         for i in np.flatnonzero(rows)[: spec.events - filled]:
             cell["event_kind"][0, filled] = 1 + KINDS.index(Kind(events.kind[i]))
-            for name in ("gamma", "bounces", "periods", "flight_time", "admissible"):
+            for name in ("gamma", "bounces", "periods", "flight_time", "violations"):
                 cell[f"event_{name}"][0, filled] = getattr(events, name)[i]
             filled += 1
     cell["outcome"][0] = Outcome.PERIODIC
@@ -60,7 +60,7 @@ def _put_branch(branch: Branch, row: int, spec: OrbitsSpec, cell: dict[str, NDAr
     to = np.flatnonzero(kept >= 0)
     rows = kept[to]
     for name in ("gamma", "flight_time", "takeoff_phase", "elongation", "elongation_velocity",
-                 "impact_velocity", "stable", "admissible"):  # fmt: skip
+                 "impact_velocity", "stable", "violations"):  # fmt: skip
         cell[name][0, row, to] = getattr(branch, name)[rows]
     for i, name in enumerate(("multiplier", "other_multiplier")):
         cell[name][0, row, to] = branch.multiplier[rows, i]

@@ -2,9 +2,10 @@
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
-from pydantic import ValidationError
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 #: Problems listed in one error; the others are only counted.
 MAX_PROBLEMS: Final = 20
@@ -25,7 +26,11 @@ class Problem(NamedTuple):
         return f"{self.field}: {self.rule}" if self.field else self.rule
 
 
-class SpecError(ValueError):
+class BounceError(Exception):
+    """Root of the exceptions raised on purpose by client and service; the message is fit for users."""
+
+
+class SpecError(BounceError, ValueError):
     """A specification that cannot be used; `problems` lists the broken rules."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
@@ -90,7 +95,7 @@ def did_you_mean(wrong: object, names: Iterable[str]) -> str:
     return f"; did you mean '{close[0]}'?" if close else ""
 
 
-def problems_of(error: ValidationError, fields: Mapping[str, Sequence[str]]) -> list[Problem]:
+def problems_of(error: "ValidationError", fields: Mapping[str, Sequence[str]]) -> list[Problem]:
     """Convert pydantic's errors to at most MAX_PROBLEMS problems and one that counts the others.
 
     fields: the field names of every object by its tag or name; `""` is the specification itself. Tags of

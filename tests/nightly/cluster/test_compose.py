@@ -18,8 +18,7 @@ from scripted import wait_for
 from studies import spec_of
 
 from service import local
-from service.client import Client
-from service.client.errors import BounceError
+from service.client import BounceError, Client
 
 pytestmark = [
     pytest.mark.timeout(5400),

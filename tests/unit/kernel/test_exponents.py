@@ -174,7 +174,7 @@ def test_rounding_holds_a_start_on_an_unstable_cycle_and_the_label_says_so():
     """The same numbers return, bit for bit, while a difference would grow by the multiplier."""
     cell = Cell(2.721, 0.818, 0.171)
     cycles = cycles_at(cell, 1)
-    [unstable] = np.flatnonzero(~cycles.stable & (cycles.admissible == 0))
+    [unstable] = np.flatnonzero(~cycles.stable & (cycles.violations == 0))
     start, cycle = start_on_cycle(cell, 1, cycles.flight_time[unstable])
     line = run(*cell, restitution=0.0, carry=True, start=start, settle=10_000, observe=100, exponents=1)
     assert (line.outcome[0], line.bounces[0], line.periods[0]) == (Outcome.PERIODIC, 1, 1)

@@ -110,9 +110,15 @@ def test_what_is_there_is_not_replaced(tmp_path: Path):
         local.run(SPEC | {"settle": 31}, tmp_path / "b.zarr", progress=False)
 
 
+def test_complex_arrays_are_written_as_their_parts(tmp_path: Path):
+    local.run_to_file(ORBITS, tmp_path / "a.nc", "nc", progress=False)
+    stored = local.run(ORBITS, progress=False).multiplier
+    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
+        np.testing.assert_array_equal(dataset.multiplier_real, stored.real)
+        np.testing.assert_array_equal(dataset.multiplier_imag, stored.imag)
+
+
 def test_of_studies_that_are_no_sweeps_the_files_are_checked_before_computing(tmp_path: Path):
-    with pytest.raises(InvalidRequest, match="multiplier of this study is complex"):
-        local.run_to_file(ORBITS, tmp_path / "a.nc", "nc", progress=False)
     basins = STUDIES["basins"] | {"protocol": {"kind": "basin", "rows": 4, "columns": 4}, "omega": 0.5}
     with pytest.raises(InvalidRequest, match="only a sweep has a diagram; this study is written as nc"):
         local.run_to_file(basins, tmp_path / "a.png", "png", progress=False)

@@ -84,11 +84,11 @@ export function foldsOver(view) {
 
 /** Draw the folds of cycles that the spring has, and mark cusps and the like. */
 export function drawFolds(ctx, box, { curves, points }) {
-  for (const { omega, gamma, admissible } of curves) {
-    polyline(ctx, box.theme.branch, 1.8, Array.from(omega, (value, i) => (admissible[i] ? null : [box.x.pixel(value), box.y.pixel(gamma[i])])));
+  for (const { omega, gamma, violations } of curves) {
+    polyline(ctx, box.theme.branch, 1.8, Array.from(omega, (value, i) => (violations[i] ? null : [box.x.pixel(value), box.y.pixel(gamma[i])])));
   }
   const labels = [];
-  for (const point of points.filter(({ admissible }) => admissible === 0)) drawEvent(ctx, box, point.omega, point.gamma, point, labels);
+  for (const point of points.filter(({ violations }) => violations === 0)) drawEvent(ctx, box, point.omega, point.gamma, point, labels);
 }
 
 /** The legend of folds in a Plot. */
@@ -103,22 +103,22 @@ export function drawBranches(ctx, box, { branches, events }) {
       polyline(ctx, box.theme.branch, stable ? 2 : 1.4, pixels, stable ? [] : DASH);
     }
   }
-  for (const event of events.filter(({ admissible }) => admissible === 0)) drawEvent(ctx, box, event.gamma, event.flight_time, event, labels);
+  for (const event of events.filter(({ violations }) => violations === 0)) drawEvent(ctx, box, event.gamma, event.flight_time, event, labels);
 }
 
 /** The parts of a branch on which cycles exist and are all stable, or all unstable; they begin and end at events. */
-function runsOf({ periods, gamma, flight_time: time, stable, admissible }, events) {
+function runsOf({ periods, gamma, flight_time: time, stable, violations }, events) {
   const runs = [];
   let run = null;
   for (let i = 0; i < gamma.length; i++) {
-    const isSame = run && !admissible[i] && run.stable === stable[i];
-    const between = isSame || i === 0 ? [] : events.filter((event) => event.periods === periods && event.admissible === 0
+    const isSame = run && !violations[i] && run.stable === stable[i];
+    const between = isSame || i === 0 ? [] : events.filter((event) => event.periods === periods && event.violations === 0
       && (event.flight_time - time[i - 1]) * (event.flight_time - time[i]) < 0);
     if (!isSame) {
       if (between.length) run?.points.push(between[0]);
       run = null;
     }
-    if (admissible[i]) continue;
+    if (violations[i]) continue;
     if (!run) runs.push((run = { stable: stable[i], points: between.slice(-1) }));
     run.points.push({ gamma: gamma[i], flight_time: time[i] });
   }
@@ -156,7 +156,7 @@ export function nearestCycle({ branches }, box, x, y) {
   let nearest = { distance: NEAR_PX };
   for (const branch of branches) {
     branch.gamma.forEach((gamma, point) => {
-      if (branch.admissible[point]) return;
+      if (branch.violations[point]) return;
       const distance = Math.hypot(box.x.pixel(gamma) - px, box.y.pixel(branch.flight_time[point]) - py);
       if (distance < nearest.distance) nearest = { branch, point, distance };
     });

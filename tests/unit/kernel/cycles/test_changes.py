@@ -65,7 +65,7 @@ def test_a_landing_that_takes_off_at_once():
     followed = branches(rigid(0.0), 1.26, 0.05, 2, span=(0.5, 2.6))
     events = [event for each in followed for event in each.events]
     _, single = branch_and_events(1.26, 0.05, 2)
-    begins = single.gamma[(single.kind == Kind.IMMEDIATE_TAKEOFF) & (single.admissible == 0)]
+    begins = single.gamma[(single.kind == Kind.IMMEDIATE_TAKEOFF) & (single.violations == 0)]
     changes = [event for event in events if event.kind is Kind.IMMEDIATE_TAKEOFF]
     assert min(abs(e.point.parameter - begins[0]) for e in changes) < 1e-10
     assert min(np.abs(np.array(gammas(events, Kind.FOLD)) - expected["fold"])) < 1e-9

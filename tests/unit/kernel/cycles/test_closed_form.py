@@ -42,7 +42,7 @@ def test_reference_orbits(cell):
     expected = sorted((complex(*m) for m in cell["multipliers"]), key=lambda m: (-abs(m), m.imag))
     assert np.abs(point["multiplier"] - expected).max() < 1e-9
     assert point["stable"] == cell["stable"]
-    assert point["admissible"] == 0
+    assert point["violations"] == 0
 
 
 @for_each("cell", REFERENCE["floquet"])
@@ -145,7 +145,7 @@ def random_points(stable: bool, count: int) -> list[tuple[float, float, int, dic
         omega, xi = float(rng.uniform(0.25, 2.0)), float(10.0 ** rng.uniform(-2.0, 0.3))
         periods = int(rng.integers(1, 3))
         line = branch(omega, xi, periods, rng.uniform(0.3, TWO_PI * periods - 0.3, 40))
-        good = (line.admissible == 0) & (line.stable == stable) & (line.gamma < 8.0)
+        good = (line.violations == 0) & (line.stable == stable) & (line.gamma < 8.0)
         for i in np.flatnonzero(good)[:4]:
             point = {n: np.asarray(v)[i] for n, v in line._asdict().items() if np.ndim(v)}
             found.append((omega, xi, periods, point))
@@ -173,4 +173,4 @@ def test_stable_orbits_return_in_the_simulation():
 def test_reasons():
     """Orbits of the closed form that do not exist, and which condition they break."""
     line = branch(0.67, 0.05, 1, np.array([3.6, 4.0, 6.0]))
-    assert line.admissible.tolist() == [0, Reason.CONTACT, Reason.GAP | Reason.CONTACT | Reason.TAKEOFF]
+    assert line.violations.tolist() == [0, Reason.CONTACT, Reason.GAP | Reason.CONTACT | Reason.TAKEOFF]

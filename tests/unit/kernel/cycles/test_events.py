@@ -20,7 +20,7 @@ def of(events, kind, below=math.inf, admissible=True):
     """Gamma and flight time of events of a kind."""
     keep = (events.kind == kind) & (events.gamma < below)
     if admissible:
-        keep &= events.admissible == 0
+        keep &= events.violations == 0
     return events.gamma[keep], events.flight_time[keep]
 
 
@@ -49,7 +49,7 @@ def test_none_missed_and_none_invented(omega, xi, periods):
         keep = (events.kind == kind) & (events.gamma < 8.0)
         assert events.flight_time[keep] == pytest.approx([e.flight_time for e in expected], rel=1e-5)
         assert events.gamma[keep] == pytest.approx([e.gamma for e in expected], rel=1e-5)
-        for event, reason in zip(expected, events.admissible[keep], strict=True):
+        for event, reason in zip(expected, events.violations[keep], strict=True):
             # samples do not decide where a condition is nearly broken
             assert abs(event.margin) < 1e-6 or (reason == 0) == (event.margin > 0.0)
     assert len(line.gamma) >= 400
@@ -73,7 +73,7 @@ def test_a_window_narrower_than_the_grid_has_both_its_ends():
         Kind.IMMEDIATE_TAKEOFF: pytest.approx(12.1571250, abs=1e-6),
     }
     times = np.array([12.1562, 12.1566, 12.1572])
-    assert (branch(found.omega, found.xi, 3, times).admissible == 0).tolist() == [False, True, False]
+    assert (branch(found.omega, found.xi, 3, times).violations == 0).tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_a_dip_before_a_soft_landing_is_found():
     sides = [dense_branches.held(omega, xi, 2, at + aside) for aside in (-1e-6, 1e-6)]
     assert [side.gap[0] > 0.0 for side in sides] == [False, True]
     beside = branch(omega, xi, 2, np.array([at - 1e-3, at + 1e-3]))
-    assert (beside.admissible == 0).tolist() == [False, True]
+    assert (beside.violations == 0).tolist() == [False, True]
 
 
 def test_a_root_beside_a_pole_is_found():
@@ -165,7 +165,7 @@ def test_curves_of_grazes(parameter, fixed, low, high, periods):
         at = curve.xi if parameter is Parameter.XI else curve.omega
         for i in range(5, len(curve.gamma) - 5, 20):
             # curves end where two grazes meet; a gap beside that dips below zero by less than rounding
-            if curve.admissible[i] or np.abs(at[i] - at[[0, -1]]).min() < 2e-3:
+            if curve.violations[i] or np.abs(at[i] - at[[0, -1]]).min() < 2e-3:
                 continue
             _, events = branch_and_events(float(curve.omega[i]), float(curve.xi[i]), periods)
             near = np.isin(events.kind, kinds) & (np.abs(events.flight_time - curve.flight_time[i]) < 1e-8)

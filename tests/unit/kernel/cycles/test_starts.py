@@ -18,7 +18,7 @@ def random_cells(count: int) -> list[tuple[Cell, int, float]]:
         omega, xi = float(rng.uniform(0.25, 2.0)), float(10.0 ** rng.uniform(-2.0, 0.3))
         periods = int(rng.integers(1, 4))
         line = branch(omega, xi, periods, rng.uniform(0.3, TWO_PI * periods - 0.3, 30))
-        holds = np.flatnonzero(line.stable & (line.admissible == 0) & (line.gamma < 8.0))
+        holds = np.flatnonzero(line.stable & (line.violations == 0) & (line.gamma < 8.0))
         found += [
             (Cell(float(line.gamma[i]), omega, xi), periods, float(line.flight_time[i])) for i in holds[:2]
         ]
@@ -55,7 +55,7 @@ def test_the_stable_cycle_of_the_longest_flight_is_taken():
     assert line.gamma == pytest.approx([0.7, 0.7], abs=1e-12)
     assert line.stable.tolist() == [False, True]
     line = cycles_at(cell, 1)
-    held = line.flight_time[line.stable & (line.admissible == 0)]
+    held = line.flight_time[line.stable & (line.violations == 0)]
     assert flights_of(start_on_stable_cycle(cell, 1), 1, 1) == pytest.approx(held[-1:], abs=1e-9)
     assert start_on_stable_cycle(Cell(found.down - 1e-6, 0.6, 0.05), 1) is None
     assert start_on_stable_cycle(Cell(found.down + 1e-6, 0.6, 0.05), 1) is not None

@@ -85,7 +85,7 @@ def test_only_stable_admissible_cycles_of_a_branch_are_proven():
     for omega, xi, periods in ((0.6, 0.05, 1), (0.41, 0.07, 1), (0.9, 0.2, 2)):
         line = branch(omega, xi, periods, flight_times(omega, xi, periods, 40)[5::12])
         for gamma, time, stable, reason in zip(
-            line.gamma, line.flight_time, line.stable, line.admissible, strict=True
+            line.gamma, line.flight_time, line.stable, line.violations, strict=True
         ):
             if stable and not reason:
                 on_branch(float(gamma), omega, xi, periods, float(time))

@@ -55,7 +55,7 @@ def test_a_plane_of_a_sweep_is_a_map(sweep: xarray.Dataset):
 
 def test_branches_are_drawn_over_a_line_if_they_are_given(sweep: xarray.Dataset):
     grid = ("branch", "point")
-    values = {"gamma": [[0.6, 1.0]], "flight_time": [[1.0, 2.0]], "stable": [[1, 1]], "admissible": [[0, 0]]}
+    values = {"gamma": [[0.6, 1.0]], "flight_time": [[1.0, 2.0]], "stable": [[1, 1]], "violations": [[0, 0]]}
     branches = xarray.Dataset({name: (grid, np.array(each)) for name, each in values.items()})
     line = sweep.sel(omega=0.6, direction="down").squeeze("xi")
     plain, over = (line.bounce.plot(ax=Figure().subplots(), branches=each) for each in (None, branches))

@@ -45,7 +45,7 @@ def test_branches_are_those_of_the_kernel(python_client: Client, monkeypatch: py
         branch, found = branch_and_events(0.6, 0.05, periods)
         view = answer.isel(branch=i)
         assert (view.branch_bounces, view.branch_periods, view.points) == (1, periods, len(branch.gamma))
-        assert (view.admissible.values[len(branch.gamma) :] == 255).all()
+        assert (view.violations.values[len(branch.gamma) :] == 255).all()
         view = view.isel(point=slice(int(view.points)))
         for name in ("gamma", "flight_time", "takeoff_phase", "elongation", "impact_velocity", "stable"):
             assert view[name].values.tolist() == getattr(branch, name).tolist()
@@ -85,7 +85,7 @@ def test_cycles_of_a_contact_are_followed_by_the_workers(python_client: Client):
     # an impact may be followed by a hop too short to count
     assert answer.branch_bounces.values.tolist() == [1]
     assert set(answer.flights.values.ravel().tolist()) == {1, 2}
-    assert not answer.admissible.values.any()
+    assert not answer.violations.values.any()
 
 
 def test_a_branch_with_rebound_ends_where_it_no_longer_sticks(python_client: Client):
@@ -191,7 +191,7 @@ def test_cycles_are_continued_from_settled_cells(python_client: Client, model: d
     for flight in double.flight_time.values[near][:2]:
         assert np.nanmin(np.abs(settled - flight)) < 0.2
     assert bool(double.stable[near])
-    assert int(double.admissible[near]) == 0
+    assert int(double.violations[near]) == 0
 
 
 def test_cells_beyond_as_many_branches_as_are_followed_are_named(
@@ -225,6 +225,20 @@ def test_the_orbits_of_a_job_name_the_grid(client: TestClient, python_client: Cl
     assert "direction: must be 'rest'" in refused(client, here, 422, omega=0.5, direction="up")
     found = job.orbits(0.507, progress=False)
     assert (float(found.omega), found.attrs["complete"]) == (0.51, 1)
+
+
+def test_a_study_of_orbits_has_those_of_its_springs(python_client: Client):
+    spec = {"protocol": {"kind": "orbits"}, "omega": [0.5, 0.6], "xi": 0.05, "points": 1000}
+    job = python_client.submit(spec).wait(progress=False)
+    stored, fresh = job.orbits(omega=0.6, progress=False), python_client.orbits(**SPRING, points=1000)
+    shared = [name for name in fresh.variables if name in stored.variables]
+    assert len(shared) == len(fresh.variables) - 1 == len(stored.variables)  # multipliers of events
+    xarray.testing.assert_identical(stored[shared].drop_attrs(), fresh[shared].drop_attrs())
+    assert float(job.orbits(0.6, gamma_max=1.0, progress=False).gamma.max()) <= 1.0
+    assert job.plot(omega=0.6, ax=Figure().subplots()).get_ylabel() == "flight time (rad)"
+    assert "direction: is of the cells of a sweep" in refused(
+        job._transport._http, f"/v1/jobs/{job.id}/orbits", 422, omega=0.6, direction="up"
+    )
 
 
 # Predictions beside the thresholds of a sweep

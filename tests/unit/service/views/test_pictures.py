@@ -107,7 +107,7 @@ def client_diagram(figure: Figure) -> None:
         {
             "flight_time": (shape, np.arange(8.0).reshape(2, 4)),
             "stable": (shape, np.array([[1, 1, 0, 0], [0, 1, 1, 1]])),
-            "admissible": (shape, np.array([[0, 2, 0, 3], [0, 0, 0, 1]])),
+            "violations": (shape, np.array([[0, 2, 0, 3], [0, 0, 0, 1]])),
             "gamma": (shape, 1.0 + np.arange(8.0).reshape(2, 4) / 20),
         }
     )

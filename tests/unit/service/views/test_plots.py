@@ -39,7 +39,7 @@ def test_what_is_drawn_by_default(job: Job, python_client: Client):
     assert job.plot(along="gamma", omega=0.6).get_ylabel() == FLIGHT
     both = job.plot("diagram", omega=0.6, ax=Figure().subplots())
     assert both.get_legend_handles_labels()[1] == ["ramp up", "ramp down"]
-    with pytest.raises(BounceError, match="kind: must be one of diagram, modes, threshold"):
+    with pytest.raises(BounceError, match="kind: must be one of diagram, modes, threshold, orbits"):
         job.plot("pie")  # type: ignore[arg-type]
     with pytest.raises(BounceError, match="are drawn in a diagram"):
         job.plot("modes", branches=python_client.orbits(0.6, 0.05, "1-1"))

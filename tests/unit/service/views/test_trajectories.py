@@ -61,7 +61,7 @@ def test_a_start_on_a_cycle(client: TestClient):
         assert path.cycle_flight_time.item() == pytest.approx(expected, abs=1e-12)
         largest = max(abs(complex(*mu)) for mu in path.cycle_multipliers.values)
         assert path.cycle_stable.item() == (expected == stable) == (largest < 1.0)
-        assert path.cycle_admissible.item() == 0
+        assert path.cycle_violations.item() == 0
 
 
 @for_each(

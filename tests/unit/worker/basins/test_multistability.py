@@ -79,7 +79,7 @@ def test_two_attractors_are_followed_where_a_ramp_has_hysteresis(tmp_path: Path)
 def test_a_cycle_ends_within_one_step_of_its_fold(tmp_path: Path):
     """(1,1) at omega 0.6, xi 0.05 begins in a fold at gamma 0.5532, beside rest."""
     events = fold_events(0.6, 0.05, 1, 1.0)
-    folds = events.gamma[(events.kind == Kind.FOLD) & (events.admissible == 0)]
+    folds = events.gamma[(events.kind == Kind.FOLD) & (events.violations == 0)]
     gamma = np.linspace(0.5, 0.62, 13)
     spec = multistability(gamma=gamma.tolist(), omega=0.6, xi=0.05, settle=1500)
     line = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0)

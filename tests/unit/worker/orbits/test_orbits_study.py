@@ -47,7 +47,7 @@ def test_points_are_those_of_the_kernel(stored: xarray.Dataset):
     assert 50 < len(rows) <= 60
     assert (np.diff(rows) > 0).all()
     for name in ("gamma", "takeoff_phase", "elongation", "elongation_velocity", "impact_velocity", "stable",
-                 "admissible"):  # fmt: skip
+                 "violations"):  # fmt: skip
         assert cell[name].values[shown].tolist() == getattr(branch, name)[rows].tolist(), name
     assert cell.multiplier.values[shown].tolist() == branch.multiplier[rows, 0].tolist()
     assert cell.other_multiplier.values[shown].tolist() == branch.multiplier[rows, 1].tolist()
