@@ -26,6 +26,7 @@ COPY pyproject.toml README.md LICENSE ./
 COPY kernel ./kernel
 COPY worker ./worker
 COPY service ./service
+COPY bouncing_spring.py ./
 RUN pip install --no-deps --no-build-isolation --no-compile . \
     && rm -rf build ./*.egg-info kernel worker service \
     && site="$(python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')" \

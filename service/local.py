@@ -15,7 +15,7 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from service.ledger.ledger import Ledger
     from service.ledger.model import JobRecord
     from service.settings import Settings
-    from service.views.view import Query
+    from service.views.view import Call, Query
     from worker.executors.inline import Inline
 
 #: Seconds between two checks of the job's progress.
@@ -210,6 +210,20 @@ def _query(model: "type[Query]", fields: Mapping[str, Any]) -> "Query":
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         raise InvalidRequest.of(str(first["loc"][0]), first["msg"]) from None
+
+
+def thresholds(omega: float, xi: float, **query: Any) -> "xarray.Dataset":
+    """Where one spring begins and ceases to bounce, as `Client.threshold`, in this process.
+
+    Raises InvalidRequest naming the parameter.
+    """
+    use_cache()
+    from service.views.threshold import SPRING
+
+    asked = _query(SPRING.query, {"omega": omega, "xi": xi, **query})
+    SPRING.estimate(None, asked)
+    parts: Sequence[Call] = SPRING.parts(None, asked) if SPRING.parts else ()
+    return SPRING.compute(None, asked, *(function(*given) for function, *given in parts))
 
 
 def partial_of(output: Path) -> Path:

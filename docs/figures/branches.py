@@ -8,9 +8,9 @@ from pathlib import Path
 import xarray
 from matplotlib.figure import Figure
 
+from bouncing_spring import run
 from kernel.cycles.events import Kind, branch_and_events
 from kernel.threshold import threshold
-from service.local import run
 from service.pictures import draw_branches, draw_diagram
 
 XI = 0.05

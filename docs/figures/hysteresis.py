@@ -11,11 +11,11 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
+from bouncing_spring import run
 from kernel.cycles.starts import start_on_stable_cycle
 from kernel.cycles.thresholds import UNRESOLVED, thresholds
 from kernel.params import Cell, Outcome
 from kernel.threshold import threshold
-from service.local import run
 from service.presets import FIGURES
 
 XI = 0.05

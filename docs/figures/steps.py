@@ -9,8 +9,8 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
+from bouncing_spring import run
 from kernel.params import Outcome
-from service.local import run
 from service.pictures import draw_diagram
 from service.presets import GAMMA_NEAR_TWO, XI
 

@@ -23,6 +23,9 @@ BEGAN: Final = time.monotonic()
 
 DEFAULT_URL: Final = "http://127.0.0.1:8000"  # the client's, which takes long to import
 
+#: The project's packages.
+_OURS: Final = ("kernel", "service", "worker")
+
 #: Seconds that the completion of an id waits for the service.
 COMPLETION_SECONDS: Final = 2.0
 
@@ -180,6 +183,8 @@ def _message(error: Exception) -> str | None:
 
     if isinstance(error, BounceError | CacheRefused):
         return str(error)
+    if isinstance(error, ModuleNotFoundError) and (name := str(error.name).partition(".")[0]) not in _OURS:
+        return f"needs {name}, which is not installed with the client alone: pip install bouncing-spring"
     if isinstance(error, OSError) and error.errno != errno.EPIPE:
         reason = error.strerror or str(error)
         return f"{error.filename}: {reason}" if error.filename else reason

@@ -6,6 +6,7 @@ Importing this module does not load matplotlib.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from importlib import import_module
 from threading import Thread
 from typing import TYPE_CHECKING, Final
 
@@ -36,12 +37,18 @@ def figures(selection: str) -> list[FigurePreset]:
     return [FIGURES[int(selection)]]
 
 
+def figure(number: int, client: Client) -> "Drawing":
+    """Figure `number` of the paper, computed by a service. Raises UnknownFigure, and as `make`."""
+    return next(make(figures(str(number)), client))
+
+
 def make(selected: Sequence[FigurePreset], client: Client, *, progress: bool = True) -> Iterator["Drawing"]:
     """Make the figures in order. Raises the errors of `service.client`.
 
     Sweeps that are computed already come back as jobs in state done. Workers compute the sweeps of later
     figures while earlier ones are drawn.
     """
+    import_module("matplotlib")  # a client alone lacks it: before anything is computed
     submitted = [[client.submit(sweep) for sweep in figure.sweeps] for figure in selected]
     if any(figure.number == 2 for figure in selected):
         Thread(target=_compile_motions, args=(client,), daemon=True).start()

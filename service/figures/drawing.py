@@ -8,6 +8,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from os import PathLike
+from pathlib import Path
 from textwrap import wrap
 from typing import Any, Final, NamedTuple
 
@@ -117,6 +119,10 @@ class Drawing(NamedTuple):
             MARGIN / WIDTH, 1 - MARGIN / below, "\n".join(lines), fontsize=CAPTION_SIZE, va="top",
             linespacing=1.3, in_layout=False,
         )  # fmt: skip
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the figure to a file, .png, .svg or .pdf."""
+        Path(path).write_bytes(self.encoded(Path(path).suffix.removeprefix(".")))
 
     def encoded(self, format: str) -> bytes:
         """The bytes of a file, with the caption in its metadata; a palette makes a PNG a third as large."""

@@ -139,7 +139,7 @@ class Session:
         if block.not_run is not None:
             return
         if block.file is not None:
-            (self._folder / block.file).write_text(block.code)
+            self.file(block.file).write_text(block.code)
         elif block.comment == "output":
             if self.output().strip() != block.code.strip():
                 raise Failed(f"{block.location} shows\n{block.code}\nbut what is printed is\n{self.output()}")
@@ -159,7 +159,7 @@ class Session:
 
     def file(self, name: str) -> Path:
         """A file in the folder where the blocks run."""
-        return self._folder / name
+        return Path(self._shell.execute("pwd")) / name
 
     def _script(self, block: Block) -> Path:
         code = block.code

@@ -82,7 +82,9 @@ def test_documents_are_short_enough_to_be_read():
 
 
 def test_set_up_is_these_two_lines():
-    assert f"```sh\n{SET_UP}```" in text("README.md")
+    """Each in a block of its own."""
+    here = text("README.md")
+    assert all(f"```sh\n{line}```" in here for line in SET_UP.splitlines(keepends=True))
 
 
 def test_ci_sets_up_and_tests_as_the_readme_says():

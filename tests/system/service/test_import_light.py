@@ -27,7 +27,7 @@ def loaded_by(code: str) -> set[str]:
 @pytest.mark.parametrize(
     ("code", "forbidden"),
     [
-        ("import service.client", SERVER | COMPUTING | SLOW),
+        ("import bouncing_spring", SERVER | COMPUTING | SLOW),
         ("import service.client.dataset", SERVER | COMPUTING),
         ("from service.client.specification import body; import worker.spec.parsing", SERVER | COMPUTING),
         ("import service.cli.main", SERVER | COMPUTING | SLOW | {"httpx2"}),
@@ -64,3 +64,16 @@ def test_showing_help_loads_no_library_but_clicks():
         "CliRunner().invoke(main, ['--help'])"
     )
     assert loaded_by(code) & (SERVER | COMPUTING | SLOW | {"httpx2"}) == set()
+
+
+@pytest.mark.parametrize("name", ["service.py", "worker/__init__.py", "kernel/notes.txt"])
+def test_a_package_of_the_same_name_is_said_in_one_line(name: str, tmp_path: Path):
+    file = tmp_path / name
+    file.parent.mkdir(exist_ok=True)
+    file.touch()
+    done = subprocess.run(
+        [sys.executable, "-c", "import bouncing_spring"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    said = done.stderr.splitlines()[-1]
+    assert f"hides the package {name.partition('.')[0].partition('/')[0]} of bouncing-spring" in said

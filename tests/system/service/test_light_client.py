@@ -41,7 +41,7 @@ address, folder, refused = sys.argv[1], sys.argv[2], set(json.loads(sys.stdin.re
 sys.meta_path[:] = map(Without, sys.meta_path)
 from click.testing import CliRunner
 from service.cli.main import main
-from service.client import Client, Ramp, Range, Rigid, SweepSpec
+from bouncing_spring import Client, Ramp, Range, Rigid, SweepSpec
 
 with Client(address) as client:
     spec = SweepSpec(gamma=Range(start=0.6, stop=1.6, num=11), omega=[0.5], xi=0.26, settle=20, observe=10,
@@ -60,6 +60,16 @@ diagram = ["diagram", job.id, "-o", f"{folder}/a.csv"]
 for command in (["list"], ["status", job.id], ["threshold", job.id], diagram):
     done = CliRunner().invoke(main, [*command, "--url", address])
     assert done.exit_code == 0, (command, done.output, done.exception)
+spec, data = f"{folder}/spec.json", ["--data", f"{folder}/data"]
+open(spec, "w").write(json.dumps(job.spec))
+for command in (
+    ["serve"], ["run", spec, "-o", f"{folder}/b.zarr"], ["run", spec, "-o", f"{folder}/b.csv"],
+    ["figure", "2", "-o", f"{folder}/2.png", "--url", address], ["tradeoff"], ["doctor", *data],
+    ["backup", f"{folder}/c", *data], ["restore", f"{folder}/c", *data], ["adopt", "--all", *data],
+):
+    done = CliRunner().invoke(main, command)
+    assert (done.exit_code, done.output.count("\\n")) == (1, 1), (command, done.output, done.exception)
+    assert "is not installed with the client alone: pip install bouncing-spring" in done.output, command
 print("asked")
 '''
 
