@@ -28,7 +28,7 @@ REFINED_SIDE: Final = 1025
 REFINED_POWER: Final = {"bouncing": 1.0, "mode": 0.7}
 #: A refined cell takes at most this many times as long as one of a full grid: cells settle slowly near
 #: boundaries, and settling and chaotic cells are computed rather than filled in.
-REFINED_SECONDS: Final = 3.0
+REFINED_SECONDS: Final = 1.2
 #: Core-seconds that storing a tile takes, however few of its cells are computed.
 TILE_SECONDS: Final = 0.03
 

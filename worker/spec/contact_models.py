@@ -50,12 +50,18 @@ MAX_STEPS_PER_CONTACT: Final = 1_000_000
 #: Core-microseconds per cell per plate period of `rigid`: of a cell by itself, and with restitution
 #: above 0, in lanes and by itself.
 RIGID_ALONE_US: Final = 0.75
-RIGID_ELASTIC_US: Final = 0.4
+RIGID_ELASTIC_US: Final = 0.42
 RIGID_ELASTIC_ALONE_US: Final = 1.3
 #: The same of `soft`: the stiffer the contact, the more hops follow an impact, for each decade of penetration
-#: below the default; of a cell by itself.
-SOFT_DECADE_US: Final = 0.075
+#: below the default; of a cell by itself; how much more it takes from this restitution on.
+SOFT_DECADE_US: Final = 0.09
 SOFT_ALONE_US: Final = 2.0
+SOFT_ELASTIC: Final = 0.3
+SOFT_ELASTIC_SHARE: Final = 1.2
+#: Cost of a spring's plate period at these Omega relative to the mean: a slow plate has more contacts and
+#: flights a period, a fast one fewer.
+PERIOD_OMEGA: Final = (0.02, 0.06, 0.2, 0.55, 1.7)
+PERIOD_SHARE: Final = (1.8, 1.4, 1.15, 1.0, 0.4)
 
 #: Evaluations per plate period of the busiest cells: HOPS/(1 - e) where every landing is followed by chatter,
 #: and as many as RINGS/Omega, at most 1/xi, where the spring rings from landing to landing.
@@ -116,6 +122,11 @@ def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
     return min(alone, in_lanes * max(LANES // 2 / at_once, 1.0)) if at_once > 1 else alone
 
 
+def _period_share(omega: _Array) -> float:
+    """The cost of a spring's plate period at these Omega (n,) relative to the mean."""
+    return float(np.mean(np.interp(np.log(omega), np.log(PERIOD_OMEGA), PERIOD_SHARE)))
+
+
 class _SoftContact(ContactFields):
     """Fields of every model with a spring-dashpot contact."""
 
@@ -164,7 +175,9 @@ class Soft(_SoftContact):
         """`base` holds for full lanes and the default penetration."""
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         decades = float(np.mean(np.log10(DEFAULT_PENETRATION / depths)))
-        return _side_by_side(base + SOFT_DECADE_US * max(decades, 0.0), SOFT_ALONE_US, at_once)
+        elastic = 1.0 + SOFT_ELASTIC_SHARE * min(self.restitution / SOFT_ELASTIC, 1.0)
+        cost = _side_by_side(base + SOFT_DECADE_US * max(decades, 0.0), SOFT_ALONE_US, at_once)
+        return cost * elastic * _period_share(omega)
 
 
 class Stepped(_SoftContact):
@@ -222,9 +235,10 @@ class Rigid(ContactFields):
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """`base` holds for full lanes."""
+        alone = RIGID_ALONE_US
         if self.restitution > 0.0:
-            return _side_by_side(RIGID_ELASTIC_US, RIGID_ELASTIC_ALONE_US, at_once)
-        return _side_by_side(base, RIGID_ALONE_US, at_once)
+            base, alone = RIGID_ELASTIC_US, RIGID_ELASTIC_ALONE_US
+        return _side_by_side(base, alone, at_once) * _period_share(omega)
 
     @property
     def exponents(self) -> int:
@@ -292,12 +306,12 @@ class ContactModel(NamedTuple):
 #: docs/architecture.md). Costs: means over cells of all kinds (`python -m benchmarks.cost --estimates`). On a
 #: ramp few cells of springs are at rest, and more cells of a ball.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
-    "soft": ContactModel(Soft, "kernel.models.soft", 0.39, "soft contact", 0.53, 1.4),
+    "soft": ContactModel(Soft, "kernel.models.soft", 0.5, "soft contact", 0.53, 1.4),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
-    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.165, "rigid contact", 0.62, 1.4),
-    "ball": ContactModel(Ball, "kernel.models.ball", 0.13, "ball contact", 2.0, 0.7),
+    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.185, "rigid contact", 0.77, 1.4),
+    "ball": ContactModel(Ball, "kernel.models.ball", 0.13, "ball contact", 0.95, 0.7),
     # Until a model is chosen: the exact one, which is the most expensive.
-    "auto": ContactModel(Auto, "kernel.models.soft", 0.39, "auto contact", 0.53, 1.4),
+    "auto": ContactModel(Auto, "kernel.models.soft", 0.5, "auto contact", 0.53, 1.4),
 }
 
 

@@ -49,9 +49,8 @@ FOLLOWED_SHARE: Final = 0.25
 #: busier ones use up their budget in it.
 BUSIEST_FOLLOWED: Final = 100.0
 
-#: Cost of a cell with Lyapunov exponents relative to one without, both computed one by one, at most
-#: (`python -m benchmarks.exponents`).
-WITH_EXPONENTS: Final = 1.5
+#: Of a ramp's cells, which begin near their cycle, relative to those from rest.
+CERTIFIED_ON_RAMPS: Final = 0.6
 
 
 def make_plan(
@@ -159,6 +158,8 @@ def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
     alone: as in `period_seconds`.
     """
     share = CONTACT_MODELS[spec.model.kind].certified if spec.certifies else 1.0
+    if spec.certifies and spec.ramp_axis is not None:
+        share *= CERTIFIED_ON_RAMPS
     return share * period_seconds(spec, alone=alone) * mean_periods(spec)
 
 
@@ -199,8 +200,6 @@ def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
     period_us = spec.model.cost_us(model.cost_us, gamma, omega, at_once=at_once)
     if spec.ramp_axis is not None and (at_once > 1 or not spec.model.in_lanes):
         period_us *= model.ramp
-    if spec.exponents:
-        period_us *= WITH_EXPONENTS
     return period_us * 1e-6
 
 

@@ -1,0 +1,102 @@
+"""What is expected of a study beside what it takes: twenty specifications.
+
+    python -m benchmarks.estimates [--repeat 1] [--only ramp]
+
+Every chunk is computed in this process, its kernels compiled before. Prints core-seconds expected by the
+table of contact models (`bounce run`, `bounce plan` and the form show them divided by the workers, until
+jobs of the same kind were measured), the processor time, and their ratio: above 1, less was expected than it
+took. `--only`: names that contain this.
+"""
+
+import tempfile
+import time
+from typing import Any, Final
+
+from benchmarks.measuring import describe, options, short, table
+from worker import store
+from worker.kernel_cache import use_cache
+from worker.studies import parse, run_task, study_of
+from worker.work import compile_for
+
+_PLANE: Final = {
+    "gamma": {"start": 0.5, "stop": 6.0, "num": 160},
+    "omega": {"start": 0.3, "stop": 1.5, "num": 40},
+    "xi": 0.1,
+}
+_LINE: Final = {"gamma": {"start": 0.5, "stop": 6.0, "num": 800}, "omega": 0.5, "xi": 0.26}
+_UP_AND_DOWN: Final = {"protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}}
+
+
+def _rigid(restitution: float = 0.0) -> dict[str, Any]:
+    return {"model": {"kind": "rigid", "restitution": restitution}}
+
+
+def _soft(**fields: Any) -> dict[str, Any]:
+    return {"model": {"kind": "soft", **fields}}
+
+
+SPECS: Final[dict[str, dict[str, Any]]] = {
+    "rest, rigid": _PLANE | _rigid(),
+    "rest, rigid, fixed windows": _PLANE | _rigid() | {"settle": 200},
+    "rest, rigid, low damping": _PLANE | _rigid() | {"xi": 0.02},
+    "rest, rigid, e = 0.3": _PLANE | _rigid(0.3),
+    "rest, rigid, e = 0.8": _PLANE | _rigid(0.8),
+    "rest, rigid, e = 0.99": _PLANE | _rigid(0.99),
+    "rest, soft": _PLANE | _soft(),
+    "rest, soft, d = 1e-5": _PLANE | _soft(penetration=1e-5),
+    "rest, soft, nonadhesive": _PLANE | _soft(adhesive=False),
+    "rest, soft, e = 0.5": _PLANE | _soft(restitution=0.5),
+    "rest, ball": _PLANE | {"model": {"kind": "ball", "restitution": 0.3}},
+    "rest, slow plate": _PLANE | _rigid() | {"omega": {"start": 0.02, "stop": 0.1, "num": 40}},
+    "rest, exponents": _LINE | _rigid() | {"exponents": 1},
+    "ramp, rigid": _PLANE | _rigid() | _UP_AND_DOWN,
+    "ramp, rigid, one line": _LINE | _rigid() | _UP_AND_DOWN,
+    "ramp, soft": _PLANE | _soft() | _UP_AND_DOWN,
+    "ramp, soft, one line": _LINE | _soft() | _UP_AND_DOWN,
+    "map, rigid": _PLANE | _rigid() | {"refine": {"by": "mode"}},
+    "basin, rigid": {
+        "gamma": [2.0, 3.6], "omega": 0.5, "xi": 0.26,
+        "protocol": {"kind": "basin", "rows": 64, "columns": 96},
+    } | _rigid(),
+    "multistability, rigid": {
+        "gamma": {"start": 3.0, "stop": 4.0, "num": 40}, "omega": [0.4, 0.5], "xi": 0.26,
+        "protocol": {"kind": "multistability"},
+    } | _rigid(),
+}  # fmt: skip
+
+
+def measured(spec: Any) -> tuple[float, float]:
+    """Core-seconds expected of a study, and its processor time."""
+    study = study_of(spec)
+    plan = study.plan(spec)
+    expected = study.estimate(spec, plan).core_seconds
+    compile_for(spec)
+    with tempfile.TemporaryDirectory() as folder:
+        url = f"{folder}/store.zarr"
+        store.create(url, study.variables(spec, plan.chunk_shape))
+        before = time.process_time()
+        for index in range(len(plan)):
+            run_task(spec, plan[index], url)
+        return expected, time.process_time() - before
+
+
+def main() -> None:
+    """Measure and print the table."""
+    arguments = options(__doc__, repeat=1, only="")
+    print(describe("numba"), flush=True)
+    use_cache()
+    rows, ratios = [], []
+    for name, fields in SPECS.items():
+        if arguments.only in name:
+            results = [measured(parse(fields)) for _ in range(arguments.repeat + 1)][1:]
+            expected, took = min(results, key=lambda each: each[1])
+            ratios.append(took / expected)
+            rows.append((name, short(expected), short(took), f"{took / expected:.2f}"))
+            print(*rows[-1], sep=", ", flush=True)
+    print(table(("study", "expected, s", "took, s", "ratio"), rows))
+    within = sum(1 / 1.5 <= ratio <= 1.5 for ratio in ratios)
+    print(f"{within} of {len(ratios)} within a factor of 1.5")
+
+
+if __name__ == "__main__":
+    main()
