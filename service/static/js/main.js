@@ -9,11 +9,11 @@ import { h } from "./lib/dom.js";
 import { Compare } from "./explore/compare.js";
 import { Explore } from "./explore/spring.js";
 import { JobView } from "./views/job.js";
-import { Sweeps } from "./start/sweeps.js";
+import { SweepList } from "./start/sweeps.js";
 
 // A page is built with its root element and the address. It has refresh(redraw): load again; close(); and, where the
 // address may change to another state of the same page, show(). Without the names of every object, such as constructor.
-const PAGES = { __proto__: null, "": Sweeps, new: SweepForm, job: JobView, compare: Compare, explore: Explore };
+const PAGES = { __proto__: null, "": SweepList, new: SweepForm, job: JobView, compare: Compare, explore: Explore };
 const root = document.getElementById("view");
 let page = null;
 let shown = null; // which page

@@ -30,11 +30,10 @@ def test_the_form_submits_an_adaptive_map(browser: Any, address: str):
     with opened(browser, f"{address}/#/new") as page:
         cost = page.locator(".cost")
         cost.filter(has_text="cells in").wait_for()
-        page.locator("[data-field='refine.coarsest']").wait_for(state="hidden")
-        page.locator("[data-field=refine]").select_option("bouncing")
-        assert page.locator("[data-field='refine.coarsest']").get_attribute("placeholder") == "64"
+        page.get_by_label("Study").select_option("map")
+        page.locator("[data-field='refine.by']").select_option("bouncing")
         page.locator("[data-field='refine.coarsest']").fill("8")
-        cost.filter(has_text=re.compile(r"about \d+ to \d+ of them computed")).wait_for()
+        cost.filter(has_text=re.compile(r"about [\d,]+ to [\d,]+ of them computed")).wait_for()
         page.get_by_label("contact model").select_option("rigid")
         screenshot(page, "form-adaptive")
         page.get_by_role("button", name="Compute").click()

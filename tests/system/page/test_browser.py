@@ -76,7 +76,8 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
     """Each chunk is released once the bar shows the one before."""
     held = Held()
     with service_at(tmp_path, held) as address, opened(browser, address) as page:
-        page.get_by_role("link", name="Fig. 2").first.click()
+        page.get_by_role("link", name="New study").click()
+        page.get_by_label("Start from").select_option("2")
         cost = page.locator(".cost")
         cost.filter(has_text="cells in").wait_for()  # the form is filled in
         page.locator("[data-field='gamma.num']").fill("120")
@@ -317,8 +318,8 @@ def test_a_name_is_shown_as_it_was_typed(browser: Any, address: str):
     name = "γ  near the fold,  ξ = .3"
     job = submitted(address, {**LOOP, "name": name, "settle": 1, "xi": 0.31})
     with opened(browser, address) as page:
-        page.locator(".jobs li h3", has_text="near the fold").wait_for()
-        assert page.locator(".jobs li h3", has_text="near the fold").inner_text() == name
+        page.locator(".jobs li h2", has_text="near the fold").wait_for()
+        assert page.locator(".jobs li h2", has_text="near the fold").inner_text() == name
         page.goto(view(address, job))
         page.locator("#bar h1", has_text="near the fold").wait_for()
         assert page.locator("#bar h1").inner_text() == name
@@ -653,7 +654,7 @@ def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
         page.locator(".notice", has_text="still settling after 80 plate periods").wait_for()
         page.locator(".legend", has_text="still settling").wait_for()
         page.get_by_role("link", name="give more time").click()
-        page.locator("[data-field='until']").wait_for()
+        page.locator("[data-field='settle']:focus").wait_for()
 
 
 def test_a_study_without_diagrams_is_listed_and_described(browser: Any, address: str):
@@ -672,14 +673,15 @@ def test_a_study_without_diagrams_is_listed_and_described(browser: Any, address:
 
 
 @pytest.mark.essential
-def test_the_start_page_plays_a_trajectory(browser: Any, address: str, loop: str):
+def test_the_page_lists_sweeps_and_plays_a_trajectory(browser: Any, address: str, loop: str):
     with opened(browser, address) as page:
         page.locator(".jobs li").first.wait_for()
         assert page.evaluate("performance.now()") < SLOW_MS
-        _phase_after(page, _phase_after(page, None))
-        page.get_by_role("button", name="Fig. 2b").click()
-        page.locator(".preview .readout", has_text="3.722, 6.285").wait_for()  # docs/model.md, section 5
+        assert page.locator(".intro").is_hidden()
         screenshot(page, "start")
+        page.get_by_role("link", name="Explore").first.click()
+        _phase_after(page, _phase_after(page, None))
+        page.locator(".readout", has_text="3.722, 6.285").wait_for()  # docs/model.md, section 5
 
 
 def test_a_million_flights_do_not_block_the_page(browser: Any, address: str):
@@ -771,11 +773,12 @@ def _wait_complete(page: Any, path: str) -> None:
     if "/compare" in path:
         page.locator(".panel .plot[data-shown]").wait_for()
         return
+    if not path:
+        page.locator(".jobs li").first.wait_for()
+        return
     page.locator(".player[data-phase]").wait_for()
     if "/explore" in path:
         page.get_by_text("successive flights").wait_for()
-    elif "/job/" not in path:
-        page.locator(".jobs li").first.wait_for()
     elif "/details" not in path:
         page.locator(".panel .plot[data-shown]").wait_for()
 

@@ -41,13 +41,13 @@ def jobs(address: str) -> list[str]:
 
 
 def _names(page: Any) -> list[str]:
-    return [str(name) for name in page.locator(".jobs li h3").all_text_contents()]
+    return [str(name) for name in page.locator(".jobs li h2").all_text_contents()]
 
 
 def _wait_names(page: Any, *names: str) -> None:
     page.wait_for_function(
         """names => names.join() ===
-            [...document.querySelectorAll(".jobs li h3")].map((h3) => h3.textContent).join()""",
+            [...document.querySelectorAll(".jobs li h2")].map((h2) => h2.textContent).join()""",
         arg=names,
     )
 
@@ -62,7 +62,7 @@ def test_an_address_of_nothing_leaves_a_page_that_works(browser: Any, address: s
             page.locator(".tabs a[aria-current=page]", has_text="Diagram").wait_for()
             page.locator(".trajectory .problem", has_text="direction").wait_for()
         page.goto(f"{address}/#token=%E0%A4%A")
-        page.get_by_role("heading", name="Presets").wait_for()
+        page.get_by_role("heading", name="Sweeps").wait_for()
 
 
 def test_the_list_tells_why_no_sweep_is_accepted(browser: Any, tmp_path: Path):

@@ -19,7 +19,7 @@ const TEXTS = {
   effort: ["effort", "sets settle, observe, until"],
   direction: ["ramp", ""],
   axis: ["along", ""],
-  start: ["on the stable cycle (1, k): k", "of the first cell; empty: from rest"],
+  start: ["first cell on the stable cycle (1, k): k", "empty: from rest"],
   by: ["compute", "other cells take the mode of their block"],
   coarsest: ["first blocks, cells wide", "empty: 16, by bouncing 64"],
   plane: ["starts", ""],
@@ -70,11 +70,11 @@ export function schemaField(name, { title, about, type, choices, default: initia
   };
 }
 
-/** An object's fields, `parts` of the schema, under a heading; one of one number is that number. It begins with `fixed`. */
+/** An object's fields, `parts` of the schema, under a heading; of an object among them, its last number. It begins with `fixed`. */
 export function objectField(name, heading, about, parts, fixed = {}) {
   const fields = Object.entries(parts).map(([key, part]) => {
-    const [inner] = Object.keys(part.parts ?? {});
-    const field = schemaField(key, inner ? { ...part.parts[inner], title: part.title, default: null } : part, `${name}.${key}`);
+    const inner = Object.keys(part.parts ?? {}).at(-1);
+    const field = schemaField(key, inner ? { ...part.parts[inner], default: null } : part, `${name}.${key}`);
     if (!inner) return [key, field];
     const read = () => (field.read() === null ? null : { [inner]: field.read() });
     return [key, { ...field, read, write: (value) => field.write(value?.[inner]) }];

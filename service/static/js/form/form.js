@@ -10,7 +10,7 @@ import { kindOf, loadPresets, loadStudies } from "./catalogue.js";
 import { axisField, modelField, objectField, schemaField } from "./fields.js";
 import { PastedSpecification, dropped } from "./pasted.js";
 import { Plan } from "./plan.js";
-import { showProblems } from "./problems.js";
+import { showInput, showProblems } from "./problems.js";
 
 const ESTIMATE_DELAY_MS = 220;
 const INVALID = new Set([413, 422]);
@@ -94,7 +94,7 @@ export class SweepForm {
     this.isLoaded = false;
     this.estimating?.abort();
     if (this.form) [this.button.disabled, this.cost.textContent] = [true, "…"];
-    const { figure, from, omega, xi } = currentQuery();
+    const { figure, from, omega, xi, field } = currentQuery();
     const isOutdated = () => this.closed || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
       this.studies ??= await loadStudies();
@@ -109,6 +109,7 @@ export class SweepForm {
       const given = (job || presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec;
       this.#fill(given ?? { ...this.studies.rest.begin, ...springOf(omega, xi) });
       this.given = given ?? {};
+      if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
       if (dropped.text) this.pasted.write(dropped.text);
       dropped.text = null;
     } catch (error) {

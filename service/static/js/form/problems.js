@@ -50,8 +50,16 @@ function inWords({ rule, code }, input) {
 
 const inputTakesLists = ({ dataset }) => ["gamma", "omega", "xi"].includes(dataset.field);
 
+const unfold = (input) => { for (let fold = input.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true; };
+
+/** Show an input that may be folded away, with the keyboard focus. */
+export function showInput(input) {
+  unfold(input);
+  input.focus();
+}
+
 function mark(input, rule) {
-  for (let fold = input.closest("details"); fold && !fold.open; fold = fold.parentElement.closest("details")) fold.open = true;
+  unfold(input);
   const id = `error-${input.dataset.field.replaceAll(".", "-")}`;
   input.setAttribute("aria-invalid", "true");
   input.setAttribute("aria-describedby", id);

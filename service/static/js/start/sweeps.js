@@ -1,89 +1,245 @@
-// The start page: a preview, the presets, and the list of sweeps.
+// The start page, a list of sweeps: found by name, state and model, in pages; several of them compared or deleted.
 
-import { link } from "../lib/address.js";
-import { h, latest } from "../lib/dom.js";
-import { number } from "../lib/format.js";
-import { loadPresets } from "../form/catalogue.js";
-import { Motion, PLAYED } from "../motion/motion.js";
-import { SweepList } from "./sweep-list.js";
+import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
+import { query, requestJson } from "../lib/api.js";
+import { announce, debounced, h, problemLine } from "../lib/dom.js";
+import { ago, count, plural } from "../lib/format.js";
+import { JobSummary, UNFINISHED, titleOf } from "../views/progress.js";
 
-const CELL = { omega: 0.5, xi: 0.26, model: { kind: "rigid" }, ...PLAYED };
-const INSETS = { a: 1.5, b: 2.3, c: 3.6, d: 5 }; // Γ of the insets of Fig. 2
-const RANGE = { min: 0.5, max: 6, step: 0.05 };
+const PAGE_SIZE = 25;
+const MAX_PINNED = 100; // shown above the first page
+const POLL_MS = 700; // while a sweep is being computed
+const IDLE_POLL_MS = 5000;
+const ERROR_MS = 8000; // how long an error is shown
+const TYPING_MS = 250;
+const MAX_NAMED = 5; // sweeps named in a confirmation
 
-export class Sweeps {
+const STATES = [["", "any state"], ["queued", "queued"], ["running", "running"], ["done", "done"], ["failed", "failed"], ["cancelled", "cancelled"]];
+const MODELS = [["", "any contact"], ["rigid", "rigid"], ["soft", "soft"], ["stepped", "stepped"], ["ball", "ball"], ["auto", "auto"]];
+const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "last finished first"], ["name", "by name"], ["largest", "largest first"]];
+
+export class SweepList {
+  rows = new Map(); // job id → row
+  selected = new Map(); // job id → job
+  cursors = [null]; // of the pages up to the shown one
+  jobs = []; // shown
+
   constructor(root) {
     document.title = "Bouncing spring";
-    this.presets = h("ul", {});
-    this.sweeps = new SweepList();
-    this.preview = new Preview();
+    const query = currentQuery();
+    const find = () => this.#find();
+    const labelled = (title, control) => h("label", { className: "option" }, `${title} `, control);
+    const choice = (name, title, options) => labelled(title,
+      h("select", { name, onchange: find }, options.map(([key, text]) => h("option", { value: key, selected: key === (query[name] ?? "") }, text))));
+    const button = (title, work) => h("button", { type: "button", className: "quiet", onclick: work }, title);
+    this.filters = h("form", { className: "controls filters", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
+      labelled("Find", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", value: query.search ?? "", oninput: debounced(TYPING_MS, find) })),
+      choice("state", "State", STATES), choice("model", "Contact", MODELS), choice("order", "Order", ORDERS));
+    this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });
+    this.chosen = h("span", { className: "note", role: "status" });
+    this.compare = button("Compare", () => navigate(["compare"], { jobs: [...this.selected.keys()].join() }));
+    this.remove = button("Delete", () => this.#delete());
+    this.bulk = h("div", { className: "actions" }, this.compare, this.remove);
+    this.selection = h("div", { className: "selection" }, h("label", { className: "option" }, this.all, " Select all shown"), this.chosen, this.bulk);
+    this.list = h("ol", { className: "jobs", "aria-label": "Sweeps" });
+    this.empty = h("p", { className: "note", hidden: true });
+    this.problem = problemLine();
+    this.notice = h("p", { className: "notice", role: "status", hidden: true });
+    this.range = h("span", { className: "note", role: "status" });
+    this.previous = button("Previous page", () => this.#turn(this.cursors.slice(0, -1)));
+    this.next = button("Next page", () => this.#turn([...this.cursors, this.following]));
+    this.intro = h("section", { className: "intro", hidden: true }, // while there is no sweep
+      h("p", {}, "Two masses joined by a spring and a dashpot bounce on a plate that vibrates. Their flight times and modes depend on the plate’s acceleration ", h("i", {}, "Γ"), ", its frequency ", h("i", {}, "Ω"), " and the damping ", h("i", {}, "ξ"), "."),
+      h("p", {}, h("a", { className: "button", href: link(["new"]) }, "New study"), " computes sweeps of these parameters, from the paper’s figures or your own."),
+      h("p", {}, h("a", { className: "button", href: link(["explore"]) }, "Explore"), " shows one spring move, its cycles and thresholds, without computing a sweep."));
     root.replaceChildren(
-      h("div", { className: "start" }, h("section", { className: "intro" },
-        h("h1", { tabindex: "-1" }, "A spring bouncing on a vibrating plate"),
-        h("p", {}, "Two masses joined by a spring and a dashpot bounce on a plate that vibrates. Their flight times and modes depend on the plate’s acceleration ", h("i", {}, "Γ"), ", its frequency ", h("i", {}, "Ω"), " and the damping ", h("i", {}, "ξ"), ". Compute sweeps of these parameters and explore the results."),
-        h("p", {}, h("a", { className: "button", href: link(["new"]) }, "New sweep"))),
-      this.preview.element),
-      h("section", { className: "presets", "aria-labelledby": "presets" },
-        h("h2", { id: "presets" }, "Presets"),
-        this.presets),
-      this.sweeps.element);
+      h("h1", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.intro, this.notice, this.filters, this.problem.element, this.selection, this.empty, this.list,
+      h("div", { className: "controls pages" }, this.previous, this.next, this.range));
+    this.#showSelection();
     this.refresh();
   }
 
   close() {
-    this.preview.close();
-    this.sweeps.close();
+    this.closed = true;
+    clearTimeout(this.timer);
   }
 
-  refresh() {
-    this.preview.refresh();
-    if (!this.presets.hasChildNodes()) this.#showPresets();
-    this.sweeps.refresh();
-  }
-
-  async #showPresets() {
+  async refresh() {
+    clearTimeout(this.timer);
+    const wanted = this.#wanted();
+    const asked = JSON.stringify([wanted, this.cursors]);
     try {
-      this.presets.replaceChildren(...(await loadPresets()).map(({ label, title, sweeps: [first] }) =>
-        h("li", {}, h("a", { href: link(["new"], { figure: first.key }) }, h("b", {}, label), h("span", {}, title)))));
+      const page = (values) => requestJson(`/v1/jobs?${query({ ...wanted, ...values })}`);
+      const [pinned, others] = await Promise.all([
+        page({ pinned: true, limit: MAX_PINNED }),
+        page({ pinned: false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
+      ]);
+      if (this.closed || asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
+      const isFirst = this.cursors.length === 1;
+      this.#showJobs([...(isFirst ? pinned.jobs : []), ...others.jobs]);
+      this.#showRange(pinned, others);
+      this.notice.hidden = !others.notice;
+      setText(this.notice, others.notice ?? "");
+      this.#refreshAfter([...pinned.jobs, ...others.jobs].some((job) => UNFINISHED.has(job.state)) ? POLL_MS : IDLE_POLL_MS);
     } catch (error) {
-      this.sweeps.showError(error);
+      if (this.closed) return;
+      this.showError(error);
+      if (error.status >= 500) this.#refreshAfter(IDLE_POLL_MS); // it may be temporary
     }
+  }
+
+  showError(error) {
+    this.problem.show(error);
+    clearTimeout(this.errorTimer);
+    this.errorTimer = setTimeout(() => this.problem.show(null), ERROR_MS);
+  }
+
+  #refreshAfter(milliseconds) {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.refresh(), milliseconds);
+  }
+
+  /** The parameters of a request for jobs, except which page. */
+  #wanted() {
+    const { search, ...choices } = Object.fromEntries(new FormData(this.filters));
+    return { search: search.trim(), ...choices };
+  }
+
+  #find() {
+    setQuery(Object.fromEntries(Array.from(new FormData(this.filters), ([name, value]) => [name, value || null])));
+    this.cursors = [null];
+    this.refresh();
+  }
+
+  #turn(cursors) {
+    this.cursors = cursors;
+    this.refresh();
+    document.getElementById("sweeps")?.focus();
+  }
+
+  #showRange(pinned, others) {
+    this.following = others.next;
+    const before = (this.cursors.length - 1) * PAGE_SIZE;
+    const total = pinned.total + others.total;
+    const isFiltered = [...new FormData(this.filters)].some(([name, value]) => value && name !== "order");
+    this.previous.disabled = !before;
+    this.next.disabled = others.next === null;
+    const isOnePage = this.previous.disabled && this.next.disabled;
+    this.previous.hidden = this.next.hidden = isOnePage;
+    const shown = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinned.total ? `, and ${count(pinned.total)} pinned` : ""}`;
+    setText(this.range, !isOnePage ? shown : isFiltered ? `${plural(total, "sweep")} found` : "");
+    this.empty.hidden = total > 0;
+    this.empty.textContent = isFiltered ? "No sweep is like that." : "No sweeps yet.";
+    this.intro.hidden = total > 0 || isFiltered;
+    this.filters.hidden = !total && !isFiltered;
+    this.selection.hidden = !total;
+  }
+
+  /** Rows are updated in place, which keeps the keyboard focus. */
+  #showJobs(jobs) {
+    this.jobs = jobs;
+    const ids = new Set(jobs.map((job) => job.id));
+    for (const [id, row] of this.rows) {
+      if (ids.has(id)) continue;
+      row.element.remove();
+      this.rows.delete(id);
+      this.selected.delete(id);
+    }
+    jobs.forEach((job, index) => {
+      if (!this.rows.has(job.id)) this.rows.set(job.id, this.#row());
+      const row = this.rows.get(job.id);
+      row.update(job);
+      if (this.list.children[index] !== row.element) this.list.insertBefore(row.element, this.list.children[index] ?? null);
+    });
+    this.#showSelection();
+  }
+
+  #row() {
+    let job;
+    const box = h("input", { type: "checkbox", onchange: () => this.#select([job], box.checked) });
+    const pin = h("button", { type: "button", className: "quiet pin", onclick: () => this.#pin(job) });
+    const name = h("a", {});
+    const time = h("span", { className: "note" });
+    const error = h("p", { className: "problem", hidden: true });
+    const parts = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#onDelete(), error: (failure) => this.showError(failure) });
+    const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h2", {}, name), parts.about),
+      parts.progress, time, parts.actions, parts.notice, error);
+    const update = (current) => {
+      job = current;
+      if (this.selected.has(job.id)) this.selected.set(job.id, job);
+      parts.show(job);
+      box.setAttribute("aria-label", `Select ${titleOf(job)}`);
+      box.checked = this.selected.has(job.id);
+      pin.textContent = job.pinned ? "★" : "☆";
+      pin.setAttribute("aria-label", `Pin ${titleOf(job)}`);
+      pin.setAttribute("aria-pressed", String(job.pinned));
+      pin.title = job.pinned ? "Unpin" : "Pin: show it above the others";
+      name.href = link(["job", job.id]);
+      time.textContent = ago(job.finished ?? job.created);
+      error.hidden = !job.error;
+      error.textContent = job.error ?? "";
+    };
+    return { element, update };
+  }
+
+  #onDelete() {
+    this.refresh();
+    document.getElementById("sweeps")?.focus(); // the pressed button disappears
+  }
+
+  #select(jobs, on) {
+    for (const job of jobs) {
+      if (on) this.selected.set(job.id, job);
+      else this.selected.delete(job.id);
+    }
+    this.#showJobs(this.jobs);
+  }
+
+  #showSelection() {
+    const selected = [...this.selected.values()];
+    this.all.checked = this.jobs.length > 0 && selected.length === this.jobs.length;
+    this.all.indeterminate = selected.length > 0 && !this.all.checked;
+    setText(this.chosen, selected.length ? `${count(selected.length)} selected` : "");
+    this.bulk.hidden = !selected.length;
+    this.compare.disabled = selected.length < 2;
+    this.remove.disabled = selected.every((job) => UNFINISHED.has(job.state));
+  }
+
+  async #pin(job) {
+    const action = job.pinned ? "unpin" : "pin";
+    try {
+      await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" });
+      announce(`${titleOf(job)} is ${action}ned.`);
+    } catch (error) {
+      this.showError(error);
+    }
+    this.refresh();
+  }
+
+  /** Delete the selected sweeps that are finished, after a confirmation that names them. */
+  async #delete() {
+    const finished = [...this.selected.values()].filter((job) => !UNFINISHED.has(job.state));
+    const running = this.selected.size - finished.length;
+    const names = finished.slice(0, MAX_NAMED).map((job) => `“${titleOf(job)}”`).join(", ");
+    const more = finished.length > MAX_NAMED ? ` and ${count(finished.length - MAX_NAMED)} more` : "";
+    const rest = running ? ` ${plural(running, "sweep")} still computed ${running === 1 ? "is" : "are"} kept.` : "";
+    if (!confirm(`Delete ${plural(finished.length, "sweep")} and ${finished.length === 1 ? "its" : "their"} results: ${names}${more}?${rest}`)) return;
+    const failed = [];
+    for (const job of finished) {
+      try {
+        await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
+        this.selected.delete(job.id);
+      } catch (error) {
+        if (error.status !== 404) failed.push(`${titleOf(job)}: ${error.message}`);
+      }
+    }
+    if (failed.length) this.showError(new Error(failed.join("; ")));
+    announce(`${plural(finished.length - failed.length, "sweep")} deleted.`);
+    this.#onDelete();
   }
 }
 
-/** A moving spring, which needs no sweep: that of the paper's Fig. 2 at a Γ of the reader's choice. */
-class Preview {
-  constructor() {
-    const id = "preview-gamma";
-    this.slider = h("input", { id, type: "range", ...RANGE, value: INSETS.b, oninput: () => this.load() });
-    this.output = h("output", { for: id });
-    this.motion = new Motion();
-    this.element = h("section", { className: "preview", "aria-label": "Trajectory of a spring" },
-      this.motion.element,
-      h("div", { className: "controls" },
-        h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, "Γ"), " ="), this.output, this.slider),
-        h("div", { className: "insets", role: "group", "aria-label": "Γ of the paper's Fig. 2" }, h("span", { className: "note" }, "Fig. 2 "), Object.entries(INSETS).map(([letter, gamma]) =>
-          h("button", { type: "button", className: "quiet", "aria-label": `Fig. 2${letter}: Γ = ${gamma}`, onclick: () => { this.slider.value = gamma; this.load(); } }, letter)))),
-      h("p", {}, h("a", { href: link(["explore"]) }, "Explore Γ, Ω and ξ, with thresholds and cycles in closed form")));
-    // Not aborted for a newer request: the service would compute the trajectory nevertheless.
-    this.load = latest(() => this.#load());
-  }
-
-  /** Request the trajectory unless it is shown or requested already. */
-  refresh() {
-    if (!this.motion.trajectory && !this.isLoading) this.load();
-  }
-
-  close() {
-    this.motion.close();
-  }
-
-  async #load() {
-    const gamma = this.slider.valueAsNumber;
-    this.output.textContent = number(gamma);
-    this.slider.setAttribute("aria-valuetext", `Γ = ${number(gamma)}`);
-    this.isLoading = true;
-    await this.motion.load("/v1/trajectories", { method: "POST", body: { ...CELL, gamma } });
-    this.isLoading = false;
-  }
+/** Change a text that is announced, only where it differs. */
+function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
 }

@@ -75,7 +75,7 @@ export function settling({ id, progress, spec }) {
   if (!cells || !spec) return [];
   const taken = spec.settle === "auto" ? (spec.until ?? 5000) : (spec.settle_until ?? spec.settle + spec.observe);
   return [`${plural(cells, "cell")} still settling after ${count(taken)} plate periods: `,
-    h("a", { href: link(["new"], { from: id }), title: spec.settle === "auto" ? "set “until”" : "set “settle” to auto" }, "give more time")];
+    h("a", { href: link(["new"], { from: id, field: spec.settle === "auto" ? "until" : "settle" }) }, "give more time")];
 }
 
 function axisText(axis) {
