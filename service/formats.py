@@ -20,6 +20,9 @@ ExportLayout = Literal["cells", "flights"]
 #: cycles of the sweep's cells.
 Predict = Literal["none", "some", "all", "cells"]
 
+#: Bytes of a shared file that is imported.
+MOST_SHARED: Final = 32 * 2**20
+
 TABLES: Final[tuple[str, ...]] = get_args(TableFormat)
 PICTURES: Final[tuple[str, ...]] = get_args(PictureFormat)
 EXPORTS: Final[tuple[str, ...]] = get_args(ExportFormat)

@@ -130,11 +130,12 @@ class ResultMethods(Methods):
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
-        """Branches of the cycles that cells settled to, or those that a study of orbits stored.
+        """Branches of the cycles that cells settled to.
 
-        Those along Γ, on their own contact, stable and unstable, with their events. Workers follow them, some
-        seconds at most once compiled; `flight_time` has all flights of a cycle that count, the longest first.
-        `skipped` are the periodic cells from which no branch was followed.
+        Those along Γ, on their own contact, stable and unstable, with their events. A study of orbits has them
+        stored; of a sweep workers follow them, some seconds at most once compiled. `flight_time` has all flights
+        of a cycle that count, the longest first. `skipped` are the periodic cells from which no branch was
+        followed.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `takeoff_phase` (rad),
         `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per rad), `impact_velocity`

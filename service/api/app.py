@@ -127,6 +127,7 @@ def _service(
         ),
         background=background,
         listeners=asyncio.Semaphore(settings.max_listeners),
+        imports=asyncio.Semaphore(1),
         progress_stream=ProgressStream(ledger, manager.compiling),
         metrics=metrics,
     )

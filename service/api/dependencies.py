@@ -3,6 +3,7 @@
 import asyncio
 import hashlib
 from collections import Counter
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
@@ -15,6 +16,7 @@ from service.api.monitoring import Metrics
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
 from service.errors import InvalidRequest, TooLarge, UnknownJob
+from service.formats import MOST_SHARED
 from service.jobs.manager import JobManager
 from service.jobs.on_demand import OnDemandCache
 from service.ledger.ledger import Ledger
@@ -36,6 +38,7 @@ class Service:
     small_reads: Capacity
     background: Background
     listeners: asyncio.Semaphore
+    imports: asyncio.Semaphore
     progress_stream: ProgressStream
     metrics: Metrics
 
@@ -142,7 +145,22 @@ async def reject_repeated_parameters(request: Request) -> None:
 
 
 async def _json_body(request: Request, service: ServiceDep) -> bytes:
-    """The body, if declared as JSON, which forms of other web pages cannot do.
+    rule = "send the body as JSON, with the header Content-Type: application/json"
+    hint = '; an evenly spaced axis is shorter as a range {"start", "stop", "num"}'
+    return await _body(request, service, "application/json", rule, service.settings.max_body_bytes, hint)
+
+
+async def _page_body(request: Request, service: ServiceDep) -> AsyncIterator[bytes]:
+    """A shared file, one at a time: each takes much memory."""
+    async with service.imports:
+        rule = "send the file as it is, with the header Content-Type: application/octet-stream"
+        yield await _body(request, service, "application/octet-stream", rule, MOST_SHARED)
+
+
+async def _body(
+    request: Request, service: ServiceDep, kind: str, rule: str, most: int, hint: str = ""
+) -> bytes:
+    """The body, if declared as of a media type that forms of other web pages cannot send.
 
     Raises HTTPException, and TooLarge as soon as that is known.
     """
@@ -151,9 +169,9 @@ async def _json_body(request: Request, service: ServiceDep) -> bytes:
         compressed = f"the body is compressed (Content-Encoding: {coding[:40]}): send it uncompressed"
         raise HTTPException(415, compressed)
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if media_type != "application/json":
-        raise HTTPException(415, "send the body as JSON, with the header Content-Type: application/json")
-    most, seconds = service.settings.max_body_bytes, service.settings.body_seconds
+    if media_type != kind:
+        raise HTTPException(415, rule)
+    seconds = service.settings.body_seconds
     declared, body = request.headers.get("content-length", ""), bytearray()
     size = int(declared[:20]) if declared.isdecimal() else 0
     try:
@@ -166,10 +184,8 @@ async def _json_body(request: Request, service: ServiceDep) -> bytes:
         return bytes(body)
     except TimeoutError:
         raise HTTPException(408, f"the body did not arrive within {seconds:g} s") from None
-    raise TooLarge(
-        f"the body is longer than {most:,} bytes; an evenly spaced axis is shorter as a range"
-        ' {"start", "stop", "num"}'
-    )
+    raise TooLarge(f"the body is longer than {most:,} bytes{hint}")
 
 
 JsonBody = Annotated[bytes, Depends(_json_body)]
+PageBody = Annotated[bytes, Depends(_page_body)]

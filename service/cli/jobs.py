@@ -158,6 +158,17 @@ def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query
         click.echo(table(found.drop_vars("spec"), ["share"]))
 
 
+@click.command("import")
+@click.argument("file", type=click.Path(exists=True, dir_okay=False))
+@with_client
+def import_file(client: "Client", file: str) -> None:
+    """Make the sweep of a shared FILE a job, and print its id.
+
+    FILE is a page that "bounce share" wrote here or elsewhere, and holds all numbers of the sweep.
+    """
+    click.echo(client.import_shared(file).id)
+
+
 @click.command()
 @json_option
 @with_job
@@ -280,7 +291,20 @@ def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, 
     click.echo(output.as_json([job.view for job in jobs]) if as_json else output.job_table(jobs))
 
 
-COMMANDS: Final = (submit, plan, run, status, wait, watch, follow, cancel, resume, delete, list_jobs)
+COMMANDS: Final = (
+    submit,
+    plan,
+    run,
+    import_file,
+    status,
+    wait,
+    watch,
+    follow,
+    cancel,
+    resume,
+    delete,
+    list_jobs,
+)
 
 
 def _specification(spec: str, effort: str | None = None) -> "Mapping[str, Any]":

@@ -5,6 +5,8 @@ from collections import deque
 from collections.abc import Iterator
 from datetime import datetime
 from itertools import islice
+from os import PathLike
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 from urllib.parse import quote
@@ -15,6 +17,7 @@ from service.client.job import Job, ResultReader, raise_unless_done, until_ended
 from service.client.models import Estimate, Problem
 from service.client.specification import Specification, body
 from service.client.transport import Transport, header_value, json_object
+from service.formats import MOST_SHARED
 from service.result_methods import SpringMethods
 
 if TYPE_CHECKING:
@@ -107,6 +110,18 @@ class Client(ResultReader, SpringMethods):
         """
         headers = {"Idempotency-Key": header_value("an idempotency key", key)} if key is not None else None
         response = self._transport.post("/v1/jobs", body(spec), headers=headers)
+        return Job(self._transport, json_object(response), response)
+
+    def import_shared(self, path: "str | PathLike[str]") -> Job:
+        """The sweep of a file that `Job.share` wrote as a done job of this service, the same to the last bit.
+
+        Raises BadRequest for a file that is another, damaged, or too large to hold all numbers, TooLarge,
+        Conflict, Busy.
+        """
+        with Path(path).open("rb") as file:
+            content = file.read(MOST_SHARED + 1)  # one more is refused
+        headers = {"Content-Type": "application/octet-stream"}
+        response = self._transport.post("/v1/imports", content, headers=headers, waits=True)
         return Job(self._transport, json_object(response), response)
 
     def run(self, spec: Specification, *, budget: float, progress: bool = True) -> Job:

@@ -26,6 +26,7 @@ from service.background import Background
 from service.errors import InvalidRequest, NoSpace, NotInstalled, TooLarge
 from service.formats import ExportFormat, ExportLayout
 from service.jobs.prepare import PreparedJob
+from service.jobs.stores import sharing
 from service.ledger.model import JobRecord
 from service.views import shared
 from service.views.encode import record_batch, tables
@@ -160,7 +161,9 @@ def write(export: Export, path: Path) -> None:
     """Write the study's file. Raises NoSpace, another OSError, a `store.StoreError`."""
     try:
         if export.format == "html":
-            path.write_text(shared.page(export.study, export.attributes))
+            url = export.study.url
+            numbers = sharing.packed(url, export.stored, export.plan) if export.study.complete else ""
+            path.write_text(shared.page(export.study, export.attributes, numbers))
             return
         (_write_netcdf if export.format == "nc" else _write_parquet)(
             export, _blocks(export, path.parent), path

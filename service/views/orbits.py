@@ -464,11 +464,12 @@ def cell_parts(study: Stored[Any], query: CellsQuery) -> Sequence[Call]:
 
 
 def compute_cells(study: Stored[Any], query: CellsQuery, cycles: FollowedCycles = _NONE) -> xarray.Dataset:
-    """Branches of the cycles that cells settled to, or those that a study of orbits stored.
+    """Branches of the cycles that cells settled to.
 
-    Those along Γ, on their own contact, stable and unstable, with their events. Workers follow them, some
-    seconds at most once compiled; `flight_time` has all flights of a cycle that count, the longest first.
-    `skipped` are the periodic cells from which no branch was followed.
+    Those along Γ, on their own contact, stable and unstable, with their events. A study of orbits has them
+    stored; of a sweep workers follow them, some seconds at most once compiled. `flight_time` has all flights
+    of a cycle that count, the longest first. `skipped` are the periodic cells from which no branch was
+    followed.
     """
     if isinstance(study.spec, OrbitsSpec):
         return _stored_branches(study, query)

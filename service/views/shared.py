@@ -32,9 +32,10 @@ _IMPORT: Final = re.compile(r'(from |import )"(\.{1,2}/[^"]+)"(?: with \{[^}]*\}
 _OUTSIDE: Final = re.compile(r"\s*<(?:link|script)[^>]*>(?:</script>)?")
 
 
-def page(study: Stored[SweepSpec], attributes: Mapping[str, Any]) -> str:
+def page(study: Stored[SweepSpec], attributes: Mapping[str, Any], numbers: str = "") -> str:
     """The file of a sweep with these attributes, see `exports.attributes_of`.
 
+    numbers: its whole store, see `sharing.packed`; empty where that is too large.
     Where scripts do not run it shows the diagram of the first line, the attributes and the specification.
     """
     lines, left_out = _lines(study)
@@ -46,12 +47,13 @@ def page(study: Stored[SweepSpec], attributes: Mapping[str, Any]) -> str:
     }  # fmt: skip
     answers = {"diagram": lines, "modes": _maps(study), "threshold": _thresholds(study)}
     missing = "" if study.complete else "The sweep was not complete: cells are missing"
-    note = ". ".join(filter(None, [missing, study.audit, left_out]))
+    shows = "" if numbers or missing else "It shows the sweep; its numbers are too many to be imported"
+    note = ". ".join(filter(None, [missing, study.audit, left_out, shows]))
     shared = json.dumps({"job": job, "answers": answers, "note": note}).replace("</", "<\\/")
     imports = json.dumps({"imports": dict(_modules())})
     head = "".join(f"<style>{(FILES / name).read_text()}</style>" for name in ("style.css", "views.css"))
     scripts = (
-        f'<script type="application/json" id="shared">{shared}</script>'
+        f'{numbers}<script type="application/json" id="shared">{shared}</script>'
         f'<script type="importmap">{imports}</script>'
         '<script type="module">import "bounce/js/main.js";</script>'
     )

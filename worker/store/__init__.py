@@ -39,7 +39,9 @@ from worker.store.side_files import write_marker as write_marker
 from worker.store.store import check_chunk as check_chunk
 from worker.store.store import create as create
 from worker.store.store import discard as discard
+from worker.store.store import keys_of as keys_of
 from worker.store.store import metadata_of as metadata_of
 from worker.store.store import repair_metadata as repair_metadata
+from worker.store.store import restore as restore
 from worker.store.store import sync_folders as sync_folders
 from worker.store.store import write_chunk as write_chunk

@@ -196,6 +196,19 @@ def _keys_of(layout: Layout, chunk: HasSlices) -> dict[str, str]:
     return {array.name: chunk_key(array.name, len(array.dims), coords) for array in layout.arrays}
 
 
+def keys_of(layout: Layout, chunks: Iterable[HasSlices]) -> list[str]:
+    """The keys of a store with these chunks, the root's metadata last."""
+    metadata = [key for key in metadata_of(layout) if key != ROOT]
+    return [*metadata, *(key for chunk in chunks for key in _keys_of(layout, chunk).values()), ROOT]
+
+
+def restore(url: str, contents: Mapping[str, bytes], layout: Layout) -> None:
+    """Write a whole store from its bytes; it exists with its root, the last of them."""
+    backend.make_place(url)
+    write_keys(url, {key: contents[key] for key in sorted(contents, key=lambda key: key == ROOT)})
+    sync_folders(url, layout)
+
+
 def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
     """Remove a chunk's stored bytes, `outcome` first, so that its cells always read as missing."""
     for key in reversed(_keys_of(layout, chunk).values()):

@@ -159,12 +159,12 @@ def _rows(operation: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[
         description = escape(parameter.get("description") or schema.get("description") or "")
         yield parameter["name"], "; ".join(filter(None, [value, default, description]))
     if "requestBody" in operation:
-        (content,) = operation["requestBody"]["content"].values()
+        ((kind, content),) = operation["requestBody"]["content"].items()
         models = content["schema"].get("oneOf", [content["schema"]])
-        yield "body", f"application/json: {' or '.join(map(_name, models))}"
+        yield "body", f"{kind}: {' or '.join(map(_name, models))}"
     yield "status", ", ".join(sorted(operation["responses"]))
 
 
 def _name(reference: Mapping[str, Any]) -> str:
-    """The name of the schema that is referred to."""
-    return str(reference["$ref"].rpartition("/")[2])
+    """The name of the schema that is referred to, or what is no such."""
+    return str(reference.get("$ref", reference.get("format")).rpartition("/")[2])

@@ -2,22 +2,37 @@
 
 import time
 from collections.abc import AsyncIterator, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from service.api import schemas
-from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep, tag
+from service.api.capacity import Cost, costly
+from service.api.dependencies import (
+    JobDep,
+    JsonBody,
+    OwnerDep,
+    PageBody,
+    ServiceDep,
+    find_job,
+    sweep,
+    tag,
+)
 from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
+from service.formats import MOST_SHARED
 from service.jobs.manager import Submission
+from service.jobs.stores.sharing import import_shared
 from service.ledger.model import UNFINISHED, Failure, JobRecord
 from worker.executors.base import Compiling
 from worker.maps.window import Window
 from worker.studies import from_json
-from worker.study import Cost
+from worker.study import Cost as StudyCost
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
+
+#: How often a shared file is in memory while it is imported: as text, as bytes, decoded.
+_COPIES: Final = 4
 
 
 IdempotencyKey = Annotated[
@@ -37,7 +52,7 @@ IdempotencyKey = Annotated[
     status_code=202,
     response_model=JobView,
     responses={
-        200: {"model": JobView | Cost},
+        200: {"model": JobView | StudyCost},
         **problem_responses(400, 408, 409, 413, 415, 422, 429),
     },
     openapi_extra=json_body("SweepSpec", "OrbitsSpec", "BasinSpec", "MultistabilitySpec"),
@@ -58,6 +73,31 @@ def submit_job(
     if query.validate_only:
         return _cost(service, spec)
     return _submitted(service.manager.submit(spec, idempotency_key, owner))
+
+
+_PAGE: Final = {
+    "required": True,
+    "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+}
+
+
+@router.post(
+    "/imports",
+    summary="Import a shared file",
+    status_code=201,
+    response_model=JobView,
+    responses={200: {"model": JobView}, **problem_responses(408, 409, 413, 415, 422, 429)},
+    openapi_extra={"requestBody": _PAGE},
+)
+@costly(Cost(_COPIES * MOST_SHARED), "export")
+def import_file(service: ServiceDep, body: PageBody) -> Response:
+    """The sweep in a file of `export?format=html` as a done job, 200 if it was there.
+
+    The file must hold all numbers, and they must be whole.
+    """
+    found = import_shared(service.ledger, service.settings, service.manager.check, body)
+    headers = {"Location": f"/v1/jobs/{found.job.id}"}
+    return _job_response(found.job, 201 if found.new else 200, headers)
 
 
 def _submitted(submission: Submission) -> Response:

@@ -25,9 +25,9 @@ from worker.executors.base import Executor
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
     "adopt", "audit", "backup", "basins", "cancel", "completion", "curves", "delete", "diagram", "doctor",
-    "export", "figure", "follow", "list", "metrics", "modes", "multistability", "open", "orbits", "plan",
-    "restore", "resume", "run", "serve", "share", "status", "submit", "threshold", "tradeoff", "trajectory",
-    "wait", "watch",
+    "export", "figure", "follow", "import", "list", "metrics", "modes", "multistability", "open", "orbits",
+    "plan", "restore", "resume", "run", "serve", "share", "status", "submit", "threshold", "tradeoff",
+    "trajectory", "wait", "watch",
 ]  # fmt: skip
 
 SPEC = {**TWO_LINES, "name": "two ω"}

@@ -1,0 +1,129 @@
+"""A store within a shared file, as text of a page, and back: the job of a shared file in another ledger.
+
+The file holds the bytes of the store: what is imported is the same to the last bit, and chunks carry seals.
+"""
+
+import json
+import re
+from base64 import b64decode, b64encode
+from collections.abc import Callable
+from hashlib import sha256
+from typing import Any, Final, NamedTuple
+
+from kernel.params import KERNEL_VERSION
+from service.errors import IllegalTransition, InvalidRequest
+from service.jobs.stores.adoption import adopt
+from service.ledger.ledger import Ledger
+from service.ledger.model import JobRecord, JobState
+from service.settings import Settings
+from worker import store
+from worker.studies import from_stored, study_of
+from worker.study import Layout, Plan
+from worker.study.layout import structured_attributes
+from worker.sweep.specification import is_open
+
+#: Bytes of a store that a file holds.
+MOST_STORED: Final = 6_000_000
+
+_OPENS: Final = '<script type="application/json" id="store" data-sha256="'
+_BLOCK: Final = re.compile(f'{_OPENS}([0-9a-f]{{64}})">([^<]*)</script>'.encode())
+_SHOWS: Final = re.compile(rb'<script type="application/json" id="(shared|store)"')
+
+_DAMAGED: Final = "is damaged: its numbers are not those that were written; ask for the file again"
+_NOT_SHARED: Final = "is none that bounce share wrote"
+_IN_PART: Final = (
+    "shows a sweep, but holds only a part of its numbers, as they were too many or not complete: submit its "
+    "specification to compute it, or ask for the store"
+)
+
+
+class Imported(NamedTuple):
+    """The job of a shared file; `new`: the ledger did not know it."""
+
+    job: JobRecord
+    new: bool
+
+
+def packed(url: str, layout: Layout, plan: Plan) -> str:
+    """A store as an element of a page, with its checksum; empty if it is too large, or not complete."""
+    files, size = {}, 0
+    for key in store.keys_of(layout, plan):
+        content = store.read_key(url, key)
+        size += len(content or b"")
+        if content is None or size > MOST_STORED:
+            return ""
+        files[key] = b64encode(content).decode()
+    text = json.dumps(files)
+    return f'{_OPENS}{sha256(text.encode()).hexdigest()}">{text}</script>'
+
+
+def import_shared(
+    ledger: Ledger, settings: Settings, check: Callable[[Any], Plan], content: bytes
+) -> Imported:
+    """The finished job of a shared file, whose numbers are checked before they are stored.
+
+    `check` refuses a study that the service would not accept. Raises InvalidRequest for another, a thinned or
+    a damaged file, SpecTooLarge, and IllegalTransition for a job that is there but not done.
+    """
+    files = _unpacked(content)
+    try:
+        attrs = structured_attributes(json.loads(files[store.ROOT])["attributes"])
+        version, spec = str(attrs["kernel_version"]), from_stored(json.dumps(attrs["spec"]))
+    except (LookupError, TypeError, ValueError, RecursionError) as error:
+        raise InvalidRequest.of("file", _DAMAGED) from error
+    if version != KERNEL_VERSION:
+        rule = f"was computed by kernel version {version}; this release computes version {KERNEL_VERSION}"
+        raise InvalidRequest.of("file", f"{rule}: submit its specification to compute it anew")
+    check(spec)
+    layout = _checked(files, spec, attrs)
+    job_id = spec.job_id(KERNEL_VERSION)
+    if (known := ledger.find(job_id)) is not None:
+        if known.state is not JobState.DONE:
+            raise IllegalTransition(f"the job of this file is {known.state} here: wait for it, or delete it")
+        return Imported(known, new=False)
+    with ledger.writing() as writing:
+        number = writing.newest_seq() + 1
+        writing.continue_after(number)
+    name = f"{number}-{job_id}"
+    url = settings.store_of(f"{name}.zarr")
+    try:
+        store.restore(url, files, layout)
+        job = adopt(ledger, settings, name)
+    except BaseException:
+        store.remove(url)
+        raise
+    if job.state is not JobState.DONE:
+        with ledger.writing() as writing:
+            writing.delete(job)
+        raise InvalidRequest.of("file", _DAMAGED)
+    return Imported(job, new=True)
+
+
+def _unpacked(content: bytes) -> dict[str, bytes]:
+    """The files of the store within a page. Raises InvalidRequest."""
+    block = _BLOCK.search(content)
+    if block is None:
+        shown = _SHOWS.search(content)
+        rule = _NOT_SHARED if shown is None else _DAMAGED if shown[1] == b"store" else _IN_PART
+        raise InvalidRequest.of("file", rule)
+    if sha256(block[2]).hexdigest() != block[1].decode():
+        raise InvalidRequest.of("file", _DAMAGED)
+    try:
+        return {str(key): b64decode(text, validate=True) for key, text in json.loads(block[2]).items()}
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise InvalidRequest.of("file", _NOT_SHARED) from error
+
+
+def _checked(files: dict[str, bytes], spec: Any, attrs: dict[str, Any]) -> Layout:
+    """The layout of these files; their metadata are what it says. Raises InvalidRequest."""
+    try:
+        plan = study_of(spec).plan(spec, tuple(attrs["chunk_shape"]))
+        layout: Layout = study_of(spec).variables(spec, plan.chunk_shape)
+        choice = {name: attrs[name] for name in ("model", "choice")} if is_open(spec) else {}
+        if len(plan) < len(files) and sorted(files) == sorted(store.keys_of(layout, plan)):
+            for cut in layout.cuts:
+                if store.metadata_of(cut, choice).items() <= files.items():
+                    return layout
+    except (LookupError, TypeError, ValueError) as error:
+        raise InvalidRequest.of("file", _DAMAGED) from error
+    raise InvalidRequest.of("file", _DAMAGED)

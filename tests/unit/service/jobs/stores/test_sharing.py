@@ -1,0 +1,121 @@
+"""A shared file as a job of another service: the same bytes, or a sentence that says why not."""
+
+import hashlib
+import json
+import re
+from base64 import b64decode, b64encode
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from fastapi.testclient import TestClient
+from scripted import wait_for
+from served import RAMP, computing, finished, get
+from stores import files, store_in
+from tables import for_each
+
+from kernel.params import KERNEL_VERSION
+from service.jobs.stores import sharing
+
+HTML = {"Content-Type": "application/octet-stream"}
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, dict[str, bytes]]:
+    """A shared file, and the store that it is of."""
+    folder = tmp_path_factory.mktemp("first")
+    with computing(folder) as client:
+        here = finished(client, RAMP)
+        page = client.get(f"{here}/export?format=html").content
+    return page, files(store_in(folder, here.rsplit("/", 1)[1]))
+
+
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[TestClient, Path]]:
+    folder = tmp_path_factory.mktemp("second")
+    with computing(folder) as client:
+        yield client, folder
+
+
+def test_it_is_the_same_job_with_the_same_bytes(
+    shared: tuple[bytes, dict[str, bytes]], elsewhere: tuple[TestClient, Path]
+):
+    (page, stored), (client, folder) = shared, elsewhere
+    for status in (201, 200):
+        answer = client.post("/v1/imports", content=page, headers=HTML)
+        assert answer.status_code == status, answer.text
+    job = answer.json()
+    assert (job["state"], job["progress"]["percent"], job["name"]) == ("done", 100, RAMP["name"])
+    assert files(store_in(folder, job["id"])) == stored
+    here = answer.headers["Location"]
+    assert get(client, f"{here}/modes", xi=0.26, direction="up")["attrs"]["complete"]
+    assert client.delete(here).status_code == 204
+    again = client.post("/v1/imports", content=page, headers=HTML)  # before the other is removed
+    assert again.status_code == 201
+    wait_for(lambda: len(list((folder / "stores").glob("*.zarr*"))) == 1)
+    assert files(store_in(folder, job["id"])) == stored
+    assert client.delete(here).status_code == 204
+
+
+def _resealed(change: Callable[[dict[str, bytes]], None]) -> Callable[[bytes], bytes]:
+    """A page with other files and their right checksum."""
+
+    def forge(page: bytes) -> bytes:
+        block = sharing._BLOCK.search(page)
+        assert block is not None
+        contents = {key: b64decode(text) for key, text in json.loads(block[2]).items()}
+        change(contents)
+        text = json.dumps({key: b64encode(content).decode() for key, content in contents.items()})
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        return page.replace(block[0], f'{sharing._OPENS}{digest}">{text}</script>'.encode())
+
+    return forge
+
+
+def _root(old: str, new: str) -> Callable[[bytes], bytes]:
+    def change(contents: dict[str, bytes]) -> None:
+        assert old.encode() in contents["zarr.json"]
+        contents["zarr.json"] = contents["zarr.json"].replace(old.encode(), new.encode())
+
+    return _resealed(change)
+
+
+def _swapped(contents: dict[str, bytes]) -> None:
+    """Two chunks in each other's place: whole by themselves."""
+    one, other = [key for key in contents if key.startswith("flight_time/c.")][:2]
+    contents[one], contents[other] = contents[other], contents[one]
+
+
+@for_each(
+    ("change", "status", "said"),
+    [
+        (lambda page: b"<html><p>A letter.</p></html>", 422, "none that bounce share wrote"),
+        (lambda page: page[: page.index(b"</script>") - 9], 422, "is damaged"),
+        (lambda page: re.sub(rb'(outcome/c[^"]*": "....)....', rb"\1AAAA", page), 422, "is damaged"),
+        (lambda page: sharing._BLOCK.sub(b"", page), 422, "holds only a part of its numbers"),
+        (_resealed(_swapped), 422, "is damaged"),
+        (_resealed(lambda contents: contents.update({"../../evil": b"x"})), 422, "is damaged"),
+        (_resealed(lambda contents: contents.pop("zarr.json") and None), 422, "is damaged"),
+        (_root(KERNEL_VERSION, "0"), 422, "computed by kernel version 0"),
+        (_root('num\\": 11', 'num\\": 12'), 422, "is damaged"),
+        (lambda page: page + b" " * 2**25, 413, "longer than 33,554,432 bytes"),
+    ],
+)  # fmt: skip
+def test_what_is_none_is_refused_in_one_sentence(
+    shared: tuple[bytes, dict[str, bytes]], elsewhere: tuple[TestClient, Path],
+    change: Callable[[bytes], bytes], status: int, said: str,
+):  # fmt: skip
+    client, folder = elsewhere
+    answer = client.post("/v1/imports", content=change(shared[0]), headers=HTML)
+    assert (answer.status_code, said in answer.json()["detail"]) == (status, True), answer.text
+    assert get(client, "/v1/jobs")["jobs"] == []
+    wait_for(lambda: not list((folder / "stores").glob("*.zarr*")))
+
+
+def test_a_store_too_large_for_a_file_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sharing, "MOST_STORED", 1000)
+    with computing(tmp_path) as client:
+        page = client.get(f"{finished(client, RAMP)}/export?format=html").text
+        assert "its numbers are too many to be imported" in page
+        answer = client.post("/v1/imports", content=page.encode(), headers=HTML)
+        assert "holds only a part of its numbers" in answer.json()["detail"]
