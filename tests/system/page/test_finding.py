@@ -14,10 +14,11 @@ from browser import needs_chromium, opened, screenshot, wait_shown
 from click.testing import CliRunner
 from disks import read_only
 from PIL import Image
-from scripted import Held
+from scripted import Held, wait_for
 from served import computing_at, service_at
 from studies import spec_of
 
+from kernel.cycles.events import branch_and_events
 from kernel.params import KERNEL_VERSION
 from kernel.threshold import threshold
 from service.cli.main import main
@@ -235,17 +236,45 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         page.get_by_text("Bouncing does not persist below").wait_for()
         page.locator(".player[data-phase]").wait_for()
         page.get_by_text(re.compile(r"\d+ points? of \d+ pairs of successive flights")).wait_for()
-        page.get_by_label("Ω =").evaluate(
-            "slider => { slider.value = 160; slider.dispatchEvent(new Event('input', { bubbles: true })); }"
-        )
-        page.wait_for_function("() => document.querySelector('.plot').dataset.shown.includes('0.9')")
-        page.wait_for_function("() => location.hash.includes('omega=0.9')")
+        assert page.locator(".panel .plot").bounding_box()["y"] < 140
+        page.get_by_label("Value of Ω").fill("0.6003")
+        page.get_by_label("Value of ξ").fill("0.05")
+        page.get_by_label("Value of ξ").press("Enter")
+        page.wait_for_function("() => document.querySelector('.plot').dataset.shown.includes('0.6003')")
+        page.wait_for_function("() => location.hash.includes('omega=0.6003')")
         shown = float(re.findall(r"Rest ends at Γ = ([\d.]+)", page.locator(".closed").inner_text())[0])
-        assert shown == pytest.approx(float(threshold(0.9, 0.26)), rel=1e-3)
+        assert shown == pytest.approx(float(threshold(0.6003, 0.05)), rel=1e-3)
         screenshot(page, "explore")
+        events = closed_form_events(0.6003, 0.05)
+        rows = page.locator("table tbody tr")
+        wait_for(lambda: rows.count() == len(events))
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download table as CSV").click()
+        table = pandas.read_csv(download.value.path())
+        assert table["Γ"].tolist() == pytest.approx(events, rel=1e-6)
+        plot = page.locator(".panel .plot")
+        plot.focus()
+        plot.press("ArrowUp")
+        readout = page.locator(".panel .readout").inner_text()
+        assert re.match(r"Γ = 2\.3\d* · cycle \(1, 1\), (un)?stable · flight time", readout)
+        plot.press("Enter")
+        page.get_by_text("On the cycle (1, 1)", exact=True).wait_for()
+        flight = re.findall(r"flight time ([\d.]+)", readout)[0]
+        page.locator(".trajectory .readout", has_text=f"flight time {flight}").wait_for()
+        page.get_by_label("Cycles up to").select_option("1")
+        wait_for(lambda: 0 < rows.count() < len(events))
+        page.get_by_label("Contact").select_option("soft")
+        assert page.get_by_label("depth").input_value() == "0.001"
         page.get_by_role("link", name="New sweep around this spring").click()
         page.locator(".cost", has_text="cells in").wait_for()
-        assert page.locator("[data-field=omega]").first.input_value() == "0.9"
+        assert page.locator("[data-field=omega]").first.input_value() == "0.6003"
+
+
+def closed_form_events(omega: float, xi: float) -> list[float]:
+    """The Γ below 8 of the events of cycles (1, 1) to (1, 3) that the spring has."""
+    found = [branch_and_events(omega, xi, periods)[1] for periods in (1, 2, 3)]
+    gammas = [gamma for events in found for gamma in events.gamma[events.admissible == 0]]
+    return sorted(float(gamma) for gamma in gammas if gamma <= 8.0)
 
 
 def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[str], tmp_path: Path):

@@ -1,46 +1,70 @@
-// One spring, explored without a sweep: Γ, Ω and ξ by sliders, its contact; thresholds and cycles, motion, return map.
+// One spring, explored without a sweep: Γ, Ω and ξ, its contact; cycles and their events, thresholds, motion, return map.
 
-import { currentQuery, link, queryChanges, setQuery } from "../lib/address.js";
+import { cellQuery, currentQuery, link, queryChanges, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, axisLabel, clampIndex, contactQuery, isClose, nearestIndex, threshold } from "../lib/physics.js";
+import { AXES, axisLabel, contactQuery, isClose, startName, startOf, threshold } from "../lib/physics.js";
+import { PagedTable } from "../lib/table.js";
 import { disc, verticalLine } from "../plot/drawing.js";
 import { MAPPED, Motion, PLAYED } from "../motion/motion.js";
-import { branchLegend, branchesPath, drawBranches, readBranches } from "../views/closed-form.js";
-import { choice, sliders } from "../views/controls.js";
+import { branchLegend, branchesPath, cyclesAt, describeCycle, drawBranches, drawCycle, eventName, nearestCycle, readBranches } from "../views/closed-form.js";
+import { choice, numberInput, sliders } from "../views/controls.js";
 import { drawThreshold } from "../views/diagram.js";
+import { buildFrame, clearBar } from "../views/frame.js";
 import { PlotView } from "../views/plot-view.js";
 
 const range = (min, max, step) => Array.from({ length: Math.round((max - min) / step) + 1 }, (_, i) => Number((min + i * step).toFixed(6)));
-const GRID = { gamma: range(0.1, 8, 0.01), omega: range(0.1, 2, 0.005), xi: range(0, 1, 0.005) };
+const STEP = 0.01; // of Γ, by an arrow key
+const GRID = { gamma: range(0.1, 8, STEP), omega: range(0.1, 2, 0.005), xi: range(0, 1, 0.005) };
 const START = { gamma: 2.3, omega: 0.5, xi: 0.26 }; // Fig. 2b
 const MAX_GAMMA = GRID.gamma.at(-1);
-const MAX_FLIGHT = 6.6 * Math.PI; // rad, of the plot: cycles of up to three plate periods
+const LONGEST = 6; // plate periods of a cycle
 const SPRING = { job: { name: "spring", spec: { protocol: { kind: "spring" } } }, number: 1, directions: [], grid: GRID };
-const HINT = "Cycles of one bounce; dots: the flights of the motion shown. Choose a Γ by pointing.";
-const CONTACTS = {
-  ideal: { kind: "rigid" },
-  rebound: { kind: "rigid", restitution: 0.3 },
-  soft: { kind: "soft", restitution: 0.01, penetration: 0.001, adhesive: true },
-};
-const CONTACT_NAMES = [["ideal", "an ideal plate, in closed form"], ["rebound", "rigid, restitution 0.3"], ["soft", "soft, 0.001 amplitudes deep"]];
-const contactName = () => (currentQuery().contact in CONTACTS ? currentQuery().contact : "ideal");
-const contactOf = () => CONTACTS[contactName()];
+const HINT = "Cycles of one bounce; dots: the flights of the motion shown. Point at a branch to read it, press to start on it.";
+const CONTACTS = [["ideal", "ideal, closed form"], ["rigid", "rigid"], ["soft", "soft"]];
+const RESTITUTION = { ideal: 0, rigid: 0.3, soft: 0.01 };
 
-/** The cycles of the spring over Γ. Cells are values of Γ. */
+const contactName = () => CONTACTS.find(([name]) => name === currentQuery().contact)?.[0] ?? "ideal";
+const given = (name, otherwise) => { const value = Number(currentQuery()[name] || NaN); return Number.isFinite(value) ? value : otherwise; };
+const longest = () => Math.min(Math.max(Math.round(given("periods", 3)), 1), LONGEST);
+
+/** The contact that the address names. */
+function contactOf() {
+  const name = contactName();
+  const restitution = given("restitution", RESTITUTION[name]);
+  return { ideal: { kind: "rigid" }, rigid: { kind: "rigid", restitution }, soft: { kind: "soft", restitution, penetration: given("penetration", 0.001), adhesive: true } }[name];
+}
+
+/** The cycles of the spring over Γ. Cells are {gamma}, and on a branch {gamma, branch, point}. */
 class Cycles extends PlotView {
   name = "cycles";
+  isContinuous = true;
 
-  constructor(root, motion) {
-    super({ sources: [SPRING], onSelect: ({ gamma }) => setQuery({ gamma }) });
-    this.motion = motion;
-    this.words = h("p", { className: "readout closed", role: "status" });
-    const contact = choice("Contact", CONTACT_NAMES, contactName(), (name) => setQuery({ contact: name === "ideal" ? null : name }));
-    const controls = h("div", { className: "controls" }, sliders(this, AXES), contact);
-    this.build(root, { controls, label: "Flight times of the cycles over Γ", hint: HINT, ratio: 0.62, shown: [this.words] });
+  constructor(root, bar, words, motion) {
+    super({ sources: [SPRING], bar, onSelect: (cell) => setQuery(cellQuery(cell)) });
+    Object.assign(this, { motion, words });
+    const typed = h("span", { className: "controls" });
+    const showTyped = () => typed.replaceChildren(...(contactName() === "ideal" ? [] : [numberInput("e", "restitution", RESTITUTION[contactName()])]), ...(contactName() === "soft" ? [numberInput("depth", "penetration", 0.001)] : []));
+    const contact = choice("Contact", CONTACTS, contactName(), (name) => { setQuery({ contact: name === "ideal" ? null : name, restitution: null, penetration: null }); showTyped(); });
+    const cycles = choice("Cycles up to", range(1, LONGEST, 1).map((periods) => [periods, `(1, ${periods})`]), longest(), (periods) => setQuery({ periods }));
+    showTyped();
+    this.events = new PagedTable("Folds, flips and grazes", () => this.#eventRows(), () => "events.csv", true);
+    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, AXES), contact, typed, cycles), label: "Flight times of the cycles over Γ", hint: HINT, tables: [this.events.element] });
     queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.closing.signal });
     this.describeThresholds();
+  }
+
+  /** As typed, not only the values of the sliders. */
+  get place() {
+    return Object.fromEntries(AXES.map((axis) => [axis, Math.min(Math.max(given(axis, START[axis]), GRID[axis][0]), GRID[axis].at(-1))]));
+  }
+
+  /** The cycle to start on, if the address names one of this spring. */
+  get start() {
+    const [gamma, omega, xi, name = ""] = (currentQuery().cell ?? "").split(",");
+    const { place } = this;
+    return isClose(Number(gamma), place.gamma) && isClose(Number(omega), place.omega) && isClose(Number(xi), place.xi) ? startOf(name) : null;
   }
 
   paths() {
@@ -48,13 +72,19 @@ class Cycles extends PlotView {
   }
 
   filePath() {
-    return branchesPath(this.place, MAX_GAMMA, contactOf());
+    return branchesPath(this.place, MAX_GAMMA, contactOf(), longest());
   }
 
   read([branches, thresholds]) {
-    this.branches = readBranches(branches);
-    this.thresholds = thresholds;
+    Object.assign(this, { branches: readBranches(branches), thresholds });
     this.describeThresholds();
+    this.events.update();
+  }
+
+  #eventRows() {
+    const events = (this.branches?.events ?? []).filter(({ admissible }) => admissible === 0).sort((a, b) => a.gamma - b.gamma);
+    const row = ({ kind, bounces, periods, gamma, flight_time: time }) => [eventName(kind), `(${bounces}, ${periods})`, number(gamma, 7), number(time, 6)];
+    return { titles: ["event", "cycle", "Γ", "φ (rad)"], length: events.length, row: (i) => row(events[i]) };
   }
 
   shown() {
@@ -76,7 +106,7 @@ class Cycles extends PlotView {
   }
 
   whole() {
-    return { x0: 0, x1: MAX_GAMMA, y0: 0, y1: MAX_FLIGHT };
+    return { x0: 0, x1: MAX_GAMMA, y0: 0, y1: 2.2 * Math.PI * longest() };
   }
 
   content() {
@@ -93,30 +123,41 @@ class Cycles extends PlotView {
         (ctx, box) => drawBranches(ctx, box, this.branches),
         (ctx, box) => {
           verticalLine(ctx, box, box.x.pixel(gamma), box.theme.cursor);
-          if (trajectory?.gamma === gamma) for (const time of new Set(trajectory.flights)) disc(ctx, box.theme.rest, box.x.pixel(gamma), box.y.pixel(time), 3);
+          if (trajectory && isClose(trajectory.gamma, gamma)) for (const time of new Set(trajectory.flights)) disc(ctx, box.theme.rest, box.x.pixel(gamma), box.y.pixel(time), 3);
         },
       ],
+      cursor: (ctx, box) => {
+        if (this.current?.branch) drawCycle(ctx, box, this.current);
+        else if (this.current) verticalLine(ctx, box, box.x.pixel(this.current.gamma), box.theme.muted, 1, [2, 3]);
+      },
     };
   }
 
-  nearest(x) {
-    return GRID.gamma[nearestIndex(GRID.gamma, x)];
+  nearest(x, y) {
+    const cycle = this.plot.box && nearestCycle(this.branches, this.plot.box, x, y);
+    return cycle ? { ...cycle, gamma: cycle.branch.gamma[cycle.point] } : { gamma: Number(x.toPrecision(4)) };
   }
 
-  step(current, right) {
-    return GRID.gamma[clampIndex(nearestIndex(GRID.gamma, current ?? this.place.gamma) + right, GRID.gamma.length)];
+  /** Up and down go through the cycles at this Γ; to the sides, the nearest cycle follows. */
+  step(current, right, up) {
+    const gamma = Math.min(Math.max((current ?? this.place).gamma + STEP * right, GRID.gamma[0]), MAX_GAMMA);
+    const cycles = cyclesAt(this.branches, gamma);
+    const time = current?.branch?.flight_time[current.point] ?? 0;
+    const away = ({ branch, point }) => Math.abs(branch.flight_time[point] - time);
+    const at = cycles.indexOf(cycles.toSorted((a, b) => away(a) - away(b))[0]);
+    return { gamma, ...(current?.branch || up ? cycles[Math.min(Math.max(at + (current?.branch ? Math.sign(up) : 0), 0), cycles.length - 1)] : null) };
   }
 
-  at(gamma) {
-    return [gamma];
+  at({ gamma, branch, point }) {
+    return [gamma, branch?.flight_time[point]];
   }
 
-  describe(gamma) {
-    return `Γ = ${number(gamma)}`;
+  describe(cell) {
+    return cell.branch ? `${describeCycle(cell)} · press to start on it` : `Γ = ${number(cell.gamma)}`;
   }
 
-  cellOf(gamma) {
-    return { gamma };
+  cellOf({ gamma, branch, point }) {
+    return { ...this.place, gamma: branch ? branch.gamma[point] : gamma, direction: branch ? startName("cycle", branch.periods, branch.flight_time[point]) : "rest" };
   }
 }
 
@@ -125,14 +166,18 @@ export class Explore {
     document.title = "Explore · Bouncing spring";
     setQuery({ ...START, ...currentQuery() });
     this.sweep = h("a", {}, "New sweep around this spring");
-    const [diagram, portraits] = [h("section", { className: "panel", "aria-label": "Cycles" }), h("section", { "aria-label": "Return map and phase portrait" })];
+    const words = h("p", { className: "summary closed", role: "status" });
+    const portraits = h("div", {});
     this.motion = new Motion({ portraits });
-    root.replaceChildren(
-      h("h1", { tabindex: "-1" }, "Explore a spring"),
-      h("div", { className: "explored" }, diagram, h("section", { "aria-label": "Motion" }, this.motion.element, h("p", {}, this.sweep))), portraits);
-    this.view = new Cycles(diagram, this.motion);
+    const { controls, panel, aside } = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), this.sweep], line: [words] });
+    this.about = h("p", { className: "note" });
+    aside.hidden = false;
+    aside.replaceChildren(h("div", { className: "facts" }, h("h2", {}, "Motion"), this.about), this.motion.element, portraits);
+    root.classList.add("explored");
+    this.view = new Cycles(panel, controls, words, this.motion);
     this.load = latest(() => this.#load()); // not aborted: the service computes it anyway
     queryChanges.addEventListener("change", () => this.load(), { signal: this.view.closing.signal });
+    this.root = root;
     this.load();
   }
 
@@ -146,15 +191,18 @@ export class Explore {
   }
 
   close() {
+    this.root.classList.remove("explored");
+    clearBar();
     this.view.close();
     this.motion.close();
   }
 
   async #load() {
-    const { place } = this.view;
-    const request = (length) => ["/v1/trajectories", { method: "POST", body: { ...place, model: contactOf(), ...length } }];
-    this.sweep.href = link(["new"], place);
-    const shown = () => JSON.stringify([this.view.place, contactName()]);
+    const { place, start } = this.view;
+    const request = (length) => ["/v1/trajectories", { method: "POST", body: { ...place, model: contactOf(), ...(start && { start }), ...length } }];
+    this.sweep.href = link(["new"], { omega: place.omega, xi: place.xi });
+    this.about.textContent = start ? `On the cycle (1, ${start.periods})` : "From rest, after its transient";
+    const shown = () => JSON.stringify([this.view.place, this.view.start, contactOf()]);
     const asked = shown();
     if (asked === this.loaded || !(await this.motion.load(...request(PLAYED)))) return;
     this.loaded = asked;

@@ -7,7 +7,6 @@ import { number } from "../lib/format.js";
 import { SYMBOL, contactQuery, cycleText, hasOwnCycles } from "../lib/physics.js";
 import { circle, disc, polyline } from "../plot/drawing.js";
 
-const MODES = "1-1,1-2,1-3";
 const FOLD_MODES = "1-1,1-2";
 const POINTS = 400; // of a branch, at least
 const BEYOND = 2; // branches are requested up to this many times the highest Γ, so that none ends within the plot
@@ -23,6 +22,8 @@ const EVENTS = {
   "graze-contact": "graze in contact",
   "bogdanov-takens": "Bogdanov–Takens",
 };
+
+export const eventName = (kind) => EVENTS[kind] ?? kind;
 
 /** What cycles add to a plot: a check box with a note beside it, and its data, null where they are not shown. */
 class ClosedForm {
@@ -66,8 +67,8 @@ class ClosedForm {
 
 const unprefixed = (part) => Object.fromEntries(Object.entries(part).map(([name, value]) => [name.replace(/^(event|branch)_/, ""), value]));
 
-/** The address of the branches and events of a spring up to `gammaMax` on the contact `model`, and what is drawn of them. */
-export const branchesPath = ({ omega, xi }, gammaMax, model) => `/v1/orbits?${query({ omega, xi, modes: MODES, gamma_max: gammaMax, points: POINTS, ...contactQuery(model) })}`;
+/** The address of the branches and events of a spring up to `gammaMax` on the contact `model`, of cycles up to `longest` plate periods, and what is drawn of them. */
+export const branchesPath = ({ omega, xi }, gammaMax, model, longest = 3) => `/v1/orbits?${query({ omega, xi, modes: Array.from({ length: longest }, (_, i) => `1-${i + 1}`).join(), gamma_max: gammaMax, points: POINTS, ...contactQuery(model) })}`;
 export const readBranches = (result) => ({ branches: partsOf(result, "branch").map(unprefixed), events: partsOf(result, "event").map(unprefixed) });
 
 /** The branches over a diagram along Γ. */
@@ -131,7 +132,7 @@ export function drawEvent(ctx, box, x, y, { kind }, labels) {
   if (!(px >= box.left && px <= box.left + box.width && py >= box.top && py <= box.top + box.height)) return;
   disc(ctx, box.theme.surface, px, py, MARK_PX);
   circle(ctx, box.theme.branch, 1.6, px, py, MARK_PX);
-  const text = EVENTS[kind] ?? kind;
+  const text = eventName(kind);
   ctx.font = `italic 13px ${box.theme.serif}`;
   const width = ctx.measureText(text).width;
   const right = px + MARK_PX + 5;
@@ -162,6 +163,12 @@ export function nearestCycle({ branches }, box, x, y) {
     });
   }
   return nearest.branch ? nearest : null;
+}
+
+/** The cycles nearest to a Γ, one for each time that a branch passes it, those of the shortest flight first: [{branch, point}, …]. */
+export function cyclesAt({ branches }, gamma) {
+  const found = branches.flatMap((branch) => Array.from(branch.gamma.keys()).filter((point) => point && !branch.admissible[point] && (branch.gamma[point] - gamma) * (branch.gamma[point - 1] - gamma) <= 0).map((point) => ({ branch, point })));
+  return found.sort((a, b) => a.branch.flight_time[a.point] - b.branch.flight_time[b.point]);
 }
 
 /** A ring around a cycle. */

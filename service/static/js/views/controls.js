@@ -3,7 +3,7 @@
 import { addressValue, currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { SYMBOL, initialValue, meaningOf, nearestIndex } from "../lib/physics.js";
+import { SYMBOL, meaningOf, nearestIndex } from "../lib/physics.js";
 
 /** Sliders along `axes` of a view's grid. Axes of one value have none: the plot's title shows their value. */
 export function sliders(view, axes) {
@@ -12,14 +12,14 @@ export function sliders(view, axes) {
   return movable.length > 0 && h("div", { className: "sliders" }, movable.map((axis) => slider(view, axis)));
 }
 
-function slider({ grid, closing }, axis) {
-  const values = grid[axis];
+function slider(view, axis) {
+  const values = view.grid[axis];
   const id = `slider-${axis}`;
   const typed = h("input", {
     type: "text", inputmode: "decimal", size: 5, "aria-label": `Value of ${SYMBOL[axis]}`,
     onchange: () => {
       const value = Number(typed.value.replace("−", "-"));
-      if (typed.value.trim() && Number.isFinite(value)) setQuery({ [axis]: addressValue(values[nearestIndex(values, value)]) });
+      if (typed.value.trim() && Number.isFinite(value)) setQuery({ [axis]: addressValue(view.isContinuous ? within(values, value) : values[nearestIndex(values, value)]) });
       else show();
     },
   });
@@ -28,19 +28,27 @@ function slider({ grid, closing }, axis) {
     oninput: () => setQuery({ [axis]: addressValue(values[input.valueAsNumber]) }),
   });
   const show = () => {
-    const value = initialValue(values, currentQuery()[axis]);
+    const value = view.place[axis];
     input.value = String(nearestIndex(values, value));
     typed.value = number(value);
     input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${number(value)}`);
   };
   show();
-  queryChanges.addEventListener("change", show, { signal: closing.signal });
+  queryChanges.addEventListener("change", show, { signal: view.closing.signal });
   return h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), typed, input);
 }
+
+const within = (values, value) => Math.min(Math.max(value, values[0]), values.at(-1));
 
 /** A choice among `options`, [[value, text], …], with a label. */
 export const choice = (label, options, value, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
   h("select", { onchange: (event) => onChange(event.target.value), ...attributes }, options.map(([key, text]) => h("option", { value: key, selected: key === value }, text))));
+
+/** A number that the address has as `name`; `otherwise` where it has none. */
+export const numberInput = (label, name, otherwise, attributes = {}) => h("label", { className: "option" }, `${label} `, h("input", {
+  type: "number", min: 0, step: "any", required: true, value: currentQuery()[name] ?? otherwise, ...attributes,
+  onchange: ({ target: { value, valueAsNumber: typed } }) => { if (value !== "" && typed >= 0) setQuery({ [name]: typed === otherwise ? null : typed }); },
+}));
 
 /** The shortest flight that counts: of the address, or the micro-flight the sweep was classified with. */
 export function minFlightOf({ spec }) {
@@ -49,11 +57,6 @@ export function minFlightOf({ spec }) {
 }
 
 /** Which flights count, for points and modes alike. */
-export function minFlightInput(job) {
-  const title = "Shorter flights do not count for the mode and are not drawn, unless all flights of a cell are shorter";
-  const onchange = ({ target: { value, valueAsNumber: flight } }) => {
-    if (value !== "" && flight >= 0) setQuery({ min: flight === job.spec.micro_flight ? null : flight });
-  };
-  return h("label", { className: "option", title }, "Count flights above ",
-    h("input", { type: "number", min: 0, step: "any", value: minFlightOf(job), required: true, "data-service": true, onchange }), " rad");
-}
+export const minFlightInput = ({ spec }) => numberInput("Count flights above, rad", "min", spec.micro_flight, {
+  "data-service": true, title: "Shorter flights do not count for the mode and are not drawn, unless all flights of a cell are shorter",
+});

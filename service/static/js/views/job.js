@@ -8,6 +8,7 @@ import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
+import { buildFrame, clearBar } from "./frame.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
 import { sourceOf } from "./plot-view.js";
@@ -34,16 +35,12 @@ export class JobView {
     });
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
-    this.controls = h("div", { className: "view-controls" });
     this.problem = problemLine();
-    this.panel = h("section", { className: "panel" });
-    this.second = h("section", { className: "beside", hidden: true });
-    this.aside = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
-    this.bar = document.getElementById("bar");
-    this.bar.replaceChildren(this.heading, this.summary.progress, h("a", { href: link(["new"], { from: this.id }) }, "Duplicate"), this.summary.actions);
-    root.replaceChildren(
-      h("header", { className: "job" }, this.summary.about, this.summary.notice, this.settling),
-      this.problem.element, h("div", { className: "views" }, this.tabs, this.controls), h("div", { className: "panels" }, this.panel, this.second), this.aside);
+    const duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
+    Object.assign(this, buildFrame(root, {
+      bar: [this.heading, this.summary.progress, duplicate, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
+      tabs: this.tabs, problem: this.problem.element,
+    }));
     this.trajectory = new TrajectoryPanel(this.aside, { onClose: () => this.#closeTrajectory() });
     this.#poll(true);
   }
@@ -63,7 +60,7 @@ export class JobView {
   close() {
     clearTimeout(this.timer);
     this.closed = true;
-    this.bar.replaceChildren();
+    clearBar();
     this.view?.close();
     this.beside?.close();
     this.trajectory.hide();

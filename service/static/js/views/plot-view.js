@@ -82,8 +82,8 @@ export class PlotView {
     return this.window ?? this.extent();
   }
 
-  /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes. */
-  build(root, { controls, label, hint, ratio, shown = [] }) {
+  /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with. */
+  build(root, { controls, label, hint, ratio, shown = [], tables = [] }) {
     this.hint = hint;
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
@@ -91,7 +91,7 @@ export class PlotView {
     const zoom = (window, isStep = true) => this.isBeside || setQuery(windowQuery(window), isStep);
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
     this.bar?.replaceChildren(controls);
-    const column = [...shown, this.readout, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom), this.#downloads()];
+    const column = [...shown, this.readout, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom), this.#downloads(), ...tables];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null), ratio });
     listenToInput(this.plot, {
