@@ -124,7 +124,7 @@ def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
 
 def _period_share(omega: _Array) -> float:
     """The cost of a spring's plate period at these Omega (n,) relative to the mean."""
-    return float(np.mean(np.interp(np.log(omega), np.log(PERIOD_OMEGA), PERIOD_SHARE)))
+    return float(np.mean(np.interp(omega, PERIOD_OMEGA, PERIOD_SHARE)))
 
 
 class _SoftContact(ContactFields):
