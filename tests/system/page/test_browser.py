@@ -539,16 +539,51 @@ def test_the_picture_of_the_readme(browser: Any, address: str):
         screenshot(page, "figure-2", whole=False)
 
 
+#: What is announced from now on.
+_HEAR = """() => {
+    const status = document.getElementById("status");
+    window.heard = [];
+    new MutationObserver(() => heard.push(status.textContent)).observe(status, { childList: true });
+}"""
+
+
+def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop: str):
+    """Axes are text and described; the table has what is in the window and not hidden, 25 rows at a time."""
+    with opened(browser, view(address, loop, xi=0.05, omega=0.6)) as page:
+        wait_shown(page, xi=0.05, omega=0.6)
+        plot = page.locator(".panel .plot").first
+        texts = plot.locator(".texts span").all_inner_texts()
+        assert {"plate acceleration Γ", "flight time φ (rad)", "0.3", "1.4", "ramp up"} <= set(texts)
+        described = page.locator(f"#{plot.get_attribute('aria-describedby')}").inner_text()
+        assert "plate acceleration Γ from 0.3 to 1.4. flight time φ (rad) from 0 to " in described
+        page.get_by_text("Table of what is shown").click()
+        rows, status = page.locator(".paged tbody tr"), page.locator(".paged [role=status]").first
+        wait_for(lambda: rows.count() == 25)
+        assert status.inner_text() == "1 to 25 of 222"
+        page.get_by_role("button", name="Next rows").click()
+        assert rows.first.inner_text().split("\t")[:3] == ["0.55", "up", "at rest on the plate"]
+        page.get_by_role("button", name="at rest").click()
+        page.wait_for_url(re.compile("hide="))
+        page.goto(f"{page.url}&x0=0.75&x1=1.1&y0=0&y1=5")
+        page.get_by_text("Table of what is shown").click()
+        status.filter(has_text=re.compile("^1 to 25 of [67][0-9]$")).wait_for()
+        assert "at rest" not in page.locator(".paged table").inner_text()
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download table as CSV").click()
+        assert Path(download.value.path()).read_text().startswith("Γ,ramp,mode,flight times (rad)\n0.")
+
+
 def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
     with opened(browser, view(address, loop, "modes", xi=0.05), reduced_motion="reduce") as page:
         wait_shown(page, xi=0.05)
         page.locator(".panel .plot").focus()
-        page.keyboard.press("ArrowRight")
-        first = page.locator("#status").inner_text()
-        page.keyboard.press("Shift+ArrowRight")
-        page.keyboard.press("ArrowUp")
-        assert first.startswith("Γ = ")
-        assert page.locator("#status").inner_text() != first
+        page.evaluate(_HEAR)
+        for key in ("ArrowRight", "Shift+ArrowRight", "ArrowUp"):
+            page.keyboard.press(key)
+        wait_for(lambda: page.evaluate("heard.length") > 0)
+        assert page.evaluate("heard") == [page.locator(".panel .readout").inner_text()]  # the last one alone
+        assert page.evaluate("heard[0]").startswith("Γ = 0.96 · Ω = 0.75 · ")
+        assert page.locator("#status").get_attribute("role") == "status"
         screenshot(page, "modes")
         page.keyboard.press("Enter")
         page.get_by_role("button", name="Play").wait_for()
@@ -639,6 +674,7 @@ def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: s
         page.keyboard.press("ArrowRight")
         answer = httpx2.get(f"{address}/v1/jobs/{loop}/threshold?xi=0.05", timeout=DEADLINE).json()
         expected = {name: about["data"] for name, about in (answer["coords"] | answer["data_vars"]).items()}
+        wait_for(lambda: page.locator("#status").inner_text())
         text = page.locator("#status").inner_text()
         assert text.startswith(f"Ω = {expected['omega'][4]:g} · Eq. 25: Γ = {expected['analytic'][4]:.4g}")
         assert expected["up_status"][4] == "found"

@@ -138,6 +138,15 @@ class Cycles extends PlotView {
     return cycle ? { ...cycle, gamma: cycle.branch.gamma[cycle.point] } : { gamma: Number(x.toPrecision(4)) };
   }
 
+  cellsShown() {
+    return this.branches.branches.flatMap((branch) => Array.from(branch.gamma, (gamma, point) => ({ gamma, branch, point }))).filter(({ gamma, branch, point }) => !branch.admissible[point] && this.isVisible(gamma, branch.flight_time[point]));
+  }
+
+  columnsOfTable() {
+    return [["Γ", ({ gamma }) => number(gamma)], ["cycle", ({ branch }) => `(${branch.bounces}, ${branch.periods})`],
+      ["φ (rad)", ({ branch, point }) => number(branch.flight_time[point])], ["", ({ branch, point }) => (branch.stable[point] ? "stable" : "unstable")]];
+  }
+
   /** Up and down go through the cycles at this Γ; to the sides, the nearest cycle follows. */
   step(current, right, up) {
     const gamma = Math.min(Math.max((current ?? this.place).gamma + STEP * right, GRID.gamma[0]), MAX_GAMMA);

@@ -3,6 +3,7 @@
 import { partsOf, query, requestDataset } from "../lib/api.js";
 import { announce, h, problemLine } from "../lib/dom.js";
 import { bytes, count, duration, share } from "../lib/format.js";
+import { table } from "../lib/table.js";
 
 const SECONDS = { s: 1, m: 60, h: 3600 };
 
@@ -25,7 +26,7 @@ export class Plan {
     } });
     this.button = h("button", { type: "button", onclick: () => this.#compare() }, "Compare settings");
     this.problem = problemLine();
-    this.table = h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": "Settings", hidden: true });
+    this.table = h("div", { hidden: true });
     this.element = h("details", {}, h("summary", {}, "What does a time buy?"),
       h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and so that they can be trusted. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points."),
       h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), this.button), this.problem.element, this.table);
@@ -58,12 +59,10 @@ export class Plan {
   }
 
   #rows(rows) {
-    const titles = ["effort", "ξ × Ω × Γ", "cells", "time", "wrong", "at most", "size", ""];
-    return h("table", {},
-      h("thead", {}, h("tr", {}, titles.map((title) => h("th", { scope: "col" }, title)))),
-      h("tbody", {}, rows.map((row) => h("tr", { className: row.recommended ? "recommended" : undefined },
-        h("th", { scope: "row" }, row.effort, Boolean(row.recommended) && h("small", {}, " recommended")),
-        [row.grid, count(row.cells), duration(row.seconds), share(row.share), share(row.high), bytes(Number(row.bytes))].map((text) => h("td", {}, text)),
-        h("td", {}, h("button", { type: "button", className: "quiet", "aria-label": `Use ${row.effort}, ${row.grid}`, onclick: () => this.use(JSON.parse(row.spec)) }, "Use"))))));
+    return table("Settings", ["effort", "ξ × Ω × Γ", "cells", "time", "wrong", "at most", "size", ""], rows.map((row) => [
+      h("span", {}, row.effort, Boolean(row.recommended) && h("small", {}, " recommended")),
+      row.grid, count(row.cells), duration(row.seconds), share(row.share), share(row.high), bytes(Number(row.bytes)),
+      h("button", { type: "button", className: "quiet", "aria-label": `Use ${row.effort}, ${row.grid}`, onclick: () => this.use(JSON.parse(row.spec)) }, "Use"),
+    ]), (i) => (rows[i].recommended ? "recommended" : undefined));
   }
 }

@@ -5,6 +5,7 @@ import { h } from "../lib/dom.js";
 import { downloads, fileName } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
 import { SYMBOL, hasOwnCycles, startOf } from "../lib/physics.js";
+import { table } from "../lib/table.js";
 import { MAPPED, Motion, PLAYED, STARTED } from "./motion.js";
 
 const MAX_LISTED = 8; // numbers of a variable
@@ -97,8 +98,7 @@ export class TrajectoryPanel {
     const result = await requestDataset(`/v1/jobs/${job.id}/diagram?${query({ ...cell, start: gamma, stop: gamma })}`, { signal });
     const rows = Object.values(result).filter(({ attrs }) => attrs?.long_name);
     this.values.hidden = false;
-    this.values.replaceChildren(h("summary", {}, "All values of the cell"), h("table", {}, h("tbody", {}, rows.map((variable) =>
-      h("tr", {}, h("th", { scope: "row" }, variable.attrs.long_name), h("td", {}, valueText(variable)))))));
+    this.values.replaceChildren(h("summary", {}, "All values of the cell"), table("Values of the cell", null, rows.map((variable) => [variable.attrs.long_name, valueText(variable)])));
   }
 
   #downloads(job, { gamma, omega }, path, options) {

@@ -1,5 +1,6 @@
 // What surrounds a plot's data: frame, ticks, labels, title and legend.
 
+import { h } from "../lib/dom.js";
 import { TWO_PI } from "../lib/physics.js";
 import { polyline } from "./drawing.js";
 import { scale, ticks } from "./scale.js";
@@ -10,14 +11,14 @@ const HEADING_HEIGHT = 22; // px, of a line of the title or the legend
 const HEADING_MARGIN = 92; // px, left and right of them
 const NARROW = 520; // px: below this width, margins and ticks are smaller
 
-/** The plot box: the data area between the margins, in pixels, and the scales of its axes. */
+/** The plot box: the data area between the margins, in pixels, the scales of its axes, and its texts once it is drawn. */
 export function boxOf(ctx, content, width, height, theme, ratio) {
   const narrow = width < NARROW;
   const headings = headingsOf(ctx, content, width, theme);
   const [top, bottom] = [12 + HEADING_HEIGHT * ((headings.at(-1)?.line ?? -1) + 1), 46];
   const [left, right] = content.margins ?? [leftMargin(ctx, content.y, height - top - bottom, theme, narrow), content.y.periods ? 34 : 22];
   return {
-    left, top, width: width - left - right, height: height - top - bottom, theme, narrow, headings, ratio,
+    left, top, width: width - left - right, height: height - top - bottom, theme, narrow, headings, ratio, texts: [],
     x: scale(content.x.low, content.x.high, left, width - right, content.x.log),
     y: scale(content.y.low, content.y.high, height - bottom, top, content.y.log),
   };
@@ -52,72 +53,74 @@ export function drawPeriods(ctx, box) {
   const last = Math.floor(box.y.high / TWO_PI + 1e-9);
   const step = Math.max(1, Math.ceil((last - first + 1) / 8));
   const right = box.left + box.width;
-  ctx.font = `${FONT_SIZE}px ${box.theme.serif}`;
-  ctx.textAlign = "left";
-  ctx.textBaseline = "middle";
   for (let k = first; k <= last; k += step) {
     const y = box.y.pixel(k * TWO_PI);
     polyline(ctx, box.theme.border, 1, [[box.left, y], [right, y]]);
-    ctx.fillStyle = box.theme.muted;
-    ctx.fillText(`${2 * k}π`, right + 6, y);
+    box.texts.push({ text: `${2 * k}π`, x: right + 6, y, colour: box.theme.muted });
   }
 }
 
 export function drawFrame(ctx, box, { x, y }) {
-  const { left, top, width, height, theme } = box;
+  const { left, top, width, height, theme, texts } = box;
   ctx.strokeStyle = theme.text;
   ctx.lineWidth = 1;
   ctx.strokeRect(left + 0.5, top + 0.5, width - 1, height - 1);
-  ctx.fillStyle = theme.text;
-  ctx.font = `${FONT_SIZE}px ${theme.serif}`;
   drawXTicks(ctx, box);
   drawYTicks(ctx, box, y.periods);
-  ctx.font = `italic ${FONT_SIZE + 3}px ${theme.serif}`;
-  ctx.textAlign = "center";
-  ctx.textBaseline = "alphabetic";
-  ctx.fillText(x.label, left + width / 2, top + height + 41);
-  ctx.save();
-  ctx.translate(box.narrow ? 12 : 16, top + height / 2);
-  ctx.rotate(-Math.PI / 2);
-  ctx.fillText(y.label, 0, 0);
-  ctx.restore();
+  const title = { align: "center", size: FONT_SIZE + 3, italic: true };
+  if (x.label) texts.push({ ...title, text: x.label, x: left + width / 2, y: top + height + 36 });
+  if (y.label) texts.push({ ...title, text: y.label, x: box.narrow ? 8 : 12, y: top + height / 2, turned: true });
 }
 
 /** Ticks point inwards on both sides, as in the paper's figures. */
-function drawXTicks(ctx, { x, left, top, width, height, narrow, theme }) {
-  ctx.textBaseline = "top";
-  ctx.textAlign = "center";
+function drawXTicks(ctx, { x, left, top, width, height, narrow, theme, texts }) {
   for (const { value, text } of ticks(x.low, x.high, width / (narrow ? 46 : 62), x.log)) {
     const at = clamp(Math.round(x.pixel(value)) + 0.5, left, left + width);
     polyline(ctx, theme.text, 1, [[at, top + height - 6], [at, top + height]]);
     polyline(ctx, theme.text, 1, [[at, top], [at, top + 6]]);
-    ctx.fillText(text, at, top + height + 7);
+    texts.push({ text, x: at, y: top + height + 14, align: "center" });
   }
 }
 
 /** The right side has the labels of the plate periods instead of ticks where there are any. */
-function drawYTicks(ctx, { y, left, top, width, height, theme }, periods) {
-  ctx.textBaseline = "middle";
-  ctx.textAlign = "right";
+function drawYTicks(ctx, { y, left, top, width, height, theme, texts }, periods) {
   for (const { value, text } of yTicks(y.low, y.high, height, y.log)) {
     const at = clamp(Math.round(y.pixel(value)) + 0.5, top, top + height);
     polyline(ctx, theme.text, 1, [[left, at], [left + 6, at]]);
     if (!periods) polyline(ctx, theme.text, 1, [[left + width - 6, at], [left + width, at]]);
-    ctx.fillText(text, left - 7, at);
+    texts.push({ text, x: left - 7, y: at, align: "right" });
   }
 }
 
 const clamp = (at, low, high) => Math.min(Math.max(at, low + 0.5), high - 0.5);
 
 /** The title and the legend above the frame. */
-export function drawHeadings(ctx, { left, headings, theme }) {
-  ctx.font = headingFont(theme);
-  ctx.textBaseline = "middle";
-  ctx.textAlign = "left";
+export function drawHeadings(ctx, { left, headings, theme, texts }) {
   for (const { name, drawSymbol, x, line } of headings) {
     const y = 18 + HEADING_HEIGHT * line;
     drawSymbol?.(ctx, left + x, y, theme);
-    ctx.fillStyle = theme.text;
-    ctx.fillText(name, left + x + (drawSymbol ? 30 : 0), y);
+    texts.push({ text: name, x: left + x + (drawSymbol ? 30 : 0), y, size: FONT_SIZE + 1 });
+  }
+}
+
+const SHIFT = { left: "0", center: "-50%", right: "-100%" };
+
+/** A text of a box as an element; `align` is what of it is at x, its middle is at y. */
+export function textElement({ text, x, y, align = "left", size = FONT_SIZE, italic = false, turned = false, colour = "" }) {
+  const element = h("span", {}, text);
+  element.style.cssText = `left:${x}px;top:${y}px;font-size:${size}px;${italic ? "font-style:italic;" : ""}${colour ? `color:${colour};` : ""}transform:translate(${SHIFT[align]},-50%)${turned ? "rotate(-90deg)" : ""}`;
+  return element;
+}
+
+/** The texts of a box on its canvas, for a file. */
+export function drawTexts(ctx, { texts, theme }) {
+  ctx.textBaseline = "middle";
+  for (const { text, x, y, align = "left", size = FONT_SIZE, italic = false, turned = false, colour = theme.text } of texts) {
+    ctx.save();
+    ctx.translate(x, y);
+    if (turned) ctx.rotate(-Math.PI / 2);
+    Object.assign(ctx, { font: `${italic ? "italic " : ""}${size}px ${theme.serif}`, textAlign: align, fillStyle: colour });
+    ctx.fillText(text, 0, 0);
+    ctx.restore();
   }
 }

@@ -1,11 +1,13 @@
 // A plot: layers drawn between axes on one canvas, the cursor on a second one above it.
 
 import { h } from "../lib/dom.js";
+import { number } from "../lib/format.js";
 import { onThemeChange, theme } from "./colours.js";
 import { clipped, pixelRatio, resizedContext } from "./drawing.js";
-import { boxOf, drawFrame, drawHeadings, drawPeriods } from "./frame.js";
+import { boxOf, drawFrame, drawHeadings, drawPeriods, drawTexts, textElement } from "./frame.js";
 
 const MAX_VIEWPORT_SHARE = 0.6; // of the viewport's height
+let plots = 0;
 
 /**
  * `content()` returns what to draw, null before anything is loaded:
@@ -24,7 +26,9 @@ export class Plot {
     this.canvas = h("canvas", { "aria-hidden": "true" });
     this.cursor = h("canvas", { "aria-hidden": "true", className: "cursor" });
     this.message = h("p", { className: "message", hidden: true });
-    this.element = h("div", { className: "plot", tabindex: "0", role: "application", "aria-label": label }, this.canvas, this.cursor, this.message);
+    this.texts = h("div", { className: "texts" });
+    this.axes = h("p", { className: "visually-hidden", id: `axes-${(plots += 1)}` });
+    this.element = h("div", { className: "plot", tabindex: "0", role: "application", "aria-label": label, "aria-describedby": this.axes.id }, this.canvas, this.cursor, this.texts, this.message, this.axes);
     root.append(this.element);
     this.closing = new AbortController();
     this.observer = new ResizeObserver(() => this.redraw());
@@ -67,6 +71,9 @@ export class Plot {
     clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
     drawFrame(ctx, box, content);
     drawHeadings(ctx, box);
+    this.texts.replaceChildren(...box.texts.map(textElement));
+    const axis = ({ label, low, high }) => `${label} from ${number(low, 4)} to ${number(high, 4)}`;
+    this.axes.textContent = [content.title, axis(content.x), axis(content.y)].filter(Boolean).join(". ");
   }
 
   /** What is drawn, as a PNG, with a legend of `colours` below it: [[name, colour], …]. */
@@ -78,6 +85,8 @@ export class Plot {
     ctx.fillStyle = theme().surface;
     ctx.fillRect(0, 0, canvas.width, canvas.height);
     ctx.drawImage(this.canvas, 0, 0, width, height);
+    drawTexts(ctx, this.box);
+    ctx.textAlign = "left";
     ctx.font = `13px ${theme().serif}`;
     colours.forEach(([name, colour], i) => {
       const [x, y] = [20 + 130 * (i % columns), height + line * Math.floor(i / columns)];

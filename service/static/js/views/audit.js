@@ -4,6 +4,7 @@ import { link } from "../lib/address.js";
 import { isHandledElsewhere, partsOf, requestDataset } from "../lib/api.js";
 import { announce, h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
+import { table } from "../lib/table.js";
 
 const percent = (share) => (Number.isNaN(share) ? "–" : `${number(100 * share, 3)} %`);
 
@@ -24,7 +25,7 @@ export class Audit {
     this.button.textContent = "Auditing …";
     try {
       const audit = await requestDataset(`/v1/jobs/${this.job.id}/audit`);
-      this.found.replaceChildren(h("p", {}, `${audit.attrs.sentence}.`), table(audit), changed(this.job, audit));
+      this.found.replaceChildren(h("p", {}, `${audit.attrs.sentence}.`), questions(audit), changed(this.job, audit));
       announce(audit.attrs.sentence);
     } catch (error) {
       if (!isHandledElsewhere(error)) this.found.replaceChildren(h("p", { role: "alert" }, error.message));
@@ -35,21 +36,13 @@ export class Audit {
   }
 }
 
-function table(audit) {
-  const columns = ["question", "drawn", "changed", "undecided", "share", "at least", "at most"];
+function questions(audit) {
   const contacts = audit.against.data instanceof Array ? audit.against.data : [audit.against.data];
-  const questions = audit.question.data;
-  const rows = contacts.flatMap((against, k) => questions.map((question, i) => ({ against, question, at: k * questions.length + i })));
-  const cells = ({ at }) => [
-    ...["sampled", "changed", "undecided"].map((name) => audit[name].data[at]),
-    ...["share", "low", "high"].map((name) => percent(audit[name].data[at])),
-  ];
-  return h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": "Audit by question" },
-    h("table", {},
-      h("thead", {}, h("tr", {}, columns.map((title) => h("th", { scope: "col" }, title)))),
-      h("tbody", {}, rows.filter(({ at }) => audit.sampled.data[at] > 0).map((row) => h("tr", {},
-        h("th", { scope: "row" }, contacts.length > 1 ? `${row.question} (${row.against})` : row.question),
-        cells(row).map((text) => h("td", {}, String(text))))))));
+  const asked = audit.question.data;
+  const rows = contacts.flatMap((against, k) => asked.map((question, i) => ({ against, question, at: k * asked.length + i })));
+  const cells = ({ at }) => [...["sampled", "changed", "undecided"].map((name) => String(audit[name].data[at])), ...["share", "low", "high"].map((name) => percent(audit[name].data[at]))];
+  return table("Audit by question", ["question", "drawn", "changed", "undecided", "share", "at least", "at most"],
+    rows.filter(({ at }) => audit.sampled.data[at] > 0).map((row) => [contacts.length > 1 ? `${row.question} (${row.against})` : row.question, ...cells(row)]));
 }
 
 function changed(job, audit) {

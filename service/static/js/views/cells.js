@@ -39,6 +39,17 @@ export class PlaneView extends PlotView {
     return [this.columns[column], this.rows[row]];
   }
 
+  cellsShown() {
+    const inside = (values, isThere) => Array.from(values.keys()).filter((i) => isThere(values[i]));
+    const { x0, y0 } = this.visible();
+    const columns = inside(this.columns, (x) => this.isVisible(x, y0));
+    return inside(this.rows, (y) => this.isVisible(x0, y)).flatMap((row) => columns.map((column) => ({ column, row }))).filter((cell) => !this.isHidden(cell));
+  }
+
+  isHidden() {
+    return false;
+  }
+
   /** Rings around the selected cell, at [x, y], and the current one. */
   drawCursor(ctx, box, selected) {
     if (selected) drawRing(ctx, box, ...selected, 9);

@@ -7,6 +7,7 @@ import { h } from "../lib/dom.js";
 import { downloads, wholeSweep } from "../lib/downloads.js";
 import { count, duration, number, plural, time } from "../lib/format.js";
 import { isSweep } from "../lib/physics.js";
+import { table } from "../lib/table.js";
 import { Snippets } from "../lib/snippets.js";
 import { Audit } from "./audit.js";
 
@@ -27,8 +28,7 @@ export class Details {
     this.snippets.show(job.spec);
     this.root.replaceChildren(h("div", {},
       h("h2", {}, "Origin"),
-      h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": "Origin of the sweep" },
-        h("table", {}, h("tbody", {}, origin(job, this.software).map(([title, text]) => h("tr", {}, h("th", { scope: "row" }, title), h("td", {}, text)))))),
+      table("Origin of the sweep", null, origin(job, this.software)),
       h("h2", {}, "Specification"),
       this.snippets.element,
       job.failures?.length > 0 && failures(job.failures),
@@ -72,14 +72,11 @@ function failures(chunks) {
       h("pre", { tabindex: "0" }, traceback ?? "No traceback: the worker process died."))));
 }
 
-function selection({ model, reason, tolerance, table }) {
-  const cell = (value) => h("td", {}, value === null ? "–" : number(value, 3));
-  const columns = ["model", "µs per cell per plate period", "median (rad)", "95 % (rad)", "cells"];
+function selection({ model, reason, tolerance, table: rows }) {
+  const cell = (value) => (value === null ? "–" : number(value, 3));
   return h("section", {},
     h("h2", {}, `Selected model: ${model}`),
     h("p", {}, `${reason} (tolerance ${number(tolerance)} rad).`),
-    h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": "Comparison of the models" },
-      h("table", {},
-        h("thead", {}, h("tr", {}, columns.map((title) => h("th", { scope: "col" }, title)))),
-        h("tbody", {}, table.map((row) => h("tr", {}, h("th", { scope: "row" }, row.model), cell(row.cost), cell(row.median), cell(row.percentile_95), cell(row.cells)))))));
+    table("Comparison of the models", ["model", "µs per cell per plate period", "median (rad)", "95 % (rad)", "cells"],
+      rows.map((row) => [row.model, cell(row.cost), cell(row.median), cell(row.percentile_95), cell(row.cells)])));
 }

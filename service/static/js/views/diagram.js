@@ -38,9 +38,8 @@ export class Diagram extends PlotView {
     this.options = h("div", {});
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.#buildControls();
-    this.build(root, { controls: this.controls, shown: this.sources.length > 1 ? [this.options] : [this.options, this.legend.element], label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    this.build(root, { controls: this.controls, shown: this.sources.length > 1 ? [this.options] : [this.options, this.legend.element], tables: this.sources.length > 1 ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " with a caption")], label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
     if (this.job.spec.exponents && this.sources.length === 1) this.#buildExponents();
-    if (this.sources.length === 1) root.lastChild.append(h("label", { className: "option", "data-service": true }, this.caption, " with a caption"));
   }
 
   /** The largest Lyapunov exponent on the axis of the diagram, below it. */
@@ -252,6 +251,21 @@ export class Diagram extends PlotView {
     const distance = ({ line, cell }) => Math.min(...Array.from(flightsIn(line, cell), (time) => Math.abs(time - y)), 1e9);
     const cells = this.lines.map((line) => this.#cell(line, nearestIndex(line.values, x)));
     return cells.sort((a, b) => distance(a) - distance(b))[0] ?? null;
+  }
+
+  cellsShown() {
+    return this.lines.flatMap((line) => Array.from(line.values.keys(), (cell) => ({ line, cell }))).filter(({ line, cell }) => this.isVisible(line.values[cell]) && !this.legend.hidden.has(line.classes[cell]));
+  }
+
+  columnsOfTable() {
+    const [first] = this.lines;
+    return [
+      [SYMBOL[this.along], ({ line, cell }) => number(line.values[cell])],
+      ...(this.lines.length > 1 ? [[this.sources.length > 1 ? "sweep" : "ramp", ({ line }) => (this.sources.length > 1 ? titleOf(line.source.job) : line.direction)]] : []),
+      ["mode", ({ line, cell }) => outcomeText((line.label ?? line.outcome)[cell], line.bounces[cell], line.periods[cell])],
+      ["flight times (rad)", ({ line, cell }) => distinctFlights(line, cell).slice(0, MAX_LISTED).map((time) => number(time, 4)).join(" ")],
+      ...(first?.lyapunov ? [["λ₁", ({ line, cell }) => exponentOf(line, cell)[0] ?? "–"]] : []),
+    ];
   }
 
   /** Up and down switch between the lines. */

@@ -170,6 +170,20 @@ export class Modes extends PlaneView {
     return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.ramp };
   }
 
+  isHidden({ column, row }) {
+    return this.legend.hidden.has(this.classes.ofCell[row * this.columns.length + column]);
+  }
+
+  columnsOfTable() {
+    const { outcome, label = outcome, bounces, periods, multiplier } = this.cells;
+    const of = (read) => ({ column, row }) => read(row * this.columns.length + column);
+    return [
+      ["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])],
+      ["mode", of((cell) => outcomeText(label[cell], bounces[cell], periods[cell]))],
+      ...(multiplier ? [["|μ|", of((cell) => number(multiplier[cell], 3))]] : []),
+    ];
+  }
+
   describe({ column, row }) {
     const { outcome, label = outcome, bounces, periods, hysteresis, computed } = this.cells;
     const cell = row * this.columns.length + column;

@@ -143,6 +143,16 @@ export class AttractorDiagram extends AttractorView {
     return { column: nearestIndex(this.columns, cell.gamma), k: start.number - 1 };
   }
 
+  cellsShown() {
+    return Array.from(this.columns.keys()).filter((column) => this.isVisible(this.columns[column])).flatMap((column) => this.placesOf({ column }).map((_, k) => ({ column, k })));
+  }
+
+  columnsOfTable() {
+    const place = (read) => ({ column, k }) => read(this.placesOf({ column })[k]);
+    return [["Γ", ({ column }) => number(this.columns[column])], ["attractor", place(({ id }) => String(id))], ["mode", place(({ label }) => label)],
+      ["flight times (rad)", place(({ times }) => [...new Set(times.map((time) => number(time, 4)))].slice(0, MAX_LISTED).join(" "))]];
+  }
+
   /** The attractor with the flight nearest to (x, y), of the cell at x. */
   nearest(x, y) {
     const column = nearestIndex(this.columns, x);
@@ -243,6 +253,11 @@ export class AttractorMap extends AttractorView {
 
   cellOf({ column, row }) {
     return this.placesOf({ column, row }).length ? { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: startName("attractor", 1) } : null;
+  }
+
+  columnsOfTable() {
+    return [["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])],
+      ["attractors", (cell) => this.placesOf(cell).map(({ id, label }) => `${id} ${label}`).join("; ")]];
   }
 
   describe({ column, row }) {

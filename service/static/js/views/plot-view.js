@@ -2,15 +2,17 @@
 
 import { currentQuery, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
-import { announce, copyButton, h, latest, problemLine } from "../lib/dom.js";
+import { announce, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
 import { AXES, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
+import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { listenToInput, panned, scaled } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
 
 const RETRY_MS = 3000; // after 503: results that were damaged are computed again
 const KEYS = "Arrow keys step through cells, Home and End go to the ends, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
+const ANNOUNCED_MS = 250; // after the last key: a cursor that moves is not read cell by cell
 const GESTURE_MS = 700; // between two turns of the wheel
 const PICTURES = [["PNG", "png"], ["SVG", "svg"], ["PDF", "pdf"]];
 
@@ -44,6 +46,7 @@ async function requestFitting(path, options) {
  *   at(cell)         its position [x, y]
  *   describe(cell)   the cell in words, or a list of elements
  *   cellOf(cell)     its {gamma, omega, xi, direction}
+ *   cellsShown(), columnsOfTable()  the cells of the table of what is shown, and its columns [[title, (cell) => text], …]
  *   showLegend()     optional; called when the data or the colours have changed
  */
 export class PlotView {
@@ -90,8 +93,9 @@ export class PlotView {
     const figure = h("figure", {});
     const zoom = (window, isStep = true) => this.isBeside || setQuery(windowQuery(window), isStep);
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
+    this.table = new PagedTable("Table of what is shown", () => this.#rows(), () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
-    const column = [...shown, this.readout, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom), this.#downloads(), ...tables];
+    const column = [...shown, this.readout, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom), this.#downloads(), ...tables, this.table.element];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null), ratio });
     listenToInput(this.plot, {
@@ -111,6 +115,22 @@ export class PlotView {
     this.load();
   }
 
+  #announce = debounced(ANNOUNCED_MS, () => announce(this.readout.textContent));
+
+  /** The table of the cells that are shown. */
+  #rows() {
+    const [columns, cells] = this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []];
+    return { titles: columns.map(([title]) => title), length: cells.length, row: (i) => columns.map(([, text]) => text(cells[i])) };
+  }
+
+  #updateTable = debounced(ANNOUNCED_MS, () => this.table.update());
+
+  /** Whether values are in the window on display. */
+  isVisible(x, y = null) {
+    const { x0, x1, y0, y1 } = this.visible();
+    return x >= x0 && x <= x1 && (y === null || (y >= y0 && y <= y1));
+  }
+
   /** Whether the last turn of the wheel is long ago: Back undoes a gesture, not its parts. */
   #isNewGesture() {
     const before = this.gesture ?? -Infinity;
@@ -120,6 +140,8 @@ export class PlotView {
 
   close() {
     this.closing.abort();
+    this.#announce.cancel();
+    this.#updateTable.cancel();
     clearTimeout(this.timer);
     this.plot.close();
   }
@@ -141,8 +163,9 @@ export class PlotView {
 
   #follow() {
     this.unzoom.hidden = !this.window;
-    if (this.paths().join() === this.requested) this.plot.redraw();
-    else this.load();
+    if (this.paths().join() !== this.requested) return this.load();
+    this.plot.redraw();
+    this.#updateTable();
   }
 
   async #load(signal) {
@@ -171,6 +194,7 @@ export class PlotView {
   draw() {
     this.plot.draw();
     this.plot.element.dataset.shown = JSON.stringify(this.shown());
+    this.#updateTable();
   }
 
   /** An error takes the place of the plot unless earlier data are still shown. */
@@ -202,7 +226,7 @@ export class PlotView {
     const cell = this.isLoaded && this.step(this.current, right, up);
     if (!cell) return;
     this.#point(cell, ...this.at(cell));
-    announce(this.readout.textContent);
+    this.#announce();
   }
 
   #select(cell) {

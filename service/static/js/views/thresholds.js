@@ -127,6 +127,17 @@ export class Thresholds extends PlotView {
     return [this.thresholds.omega[index], y];
   }
 
+  cellsShown() {
+    return this.thresholds.omega.map((_, index) => ({ index })).filter(({ index }) => this.isVisible(this.thresholds.omega[index]));
+  }
+
+  columnsOfTable() {
+    const { omega, analytic, predicted_down: down } = this.thresholds;
+    return [["Ω", ({ index }) => number(omega[index])], ["Eq. 25", ({ index }) => number(analytic[index], 5)],
+      ...this.series.map(({ name, values, statuses }) => [name, ({ index }) => (values[index] === null ? statuses[index] : number(values[index], 5))]),
+      ...(this.closedForm ? [["closed form", ({ index }) => number(down[index] ?? NaN, 6)]] : [])];
+  }
+
   /** The thresholds, or why there is none, and where the closed form says that bouncing ends and why the sweep differs. */
   describe({ index }) {
     const { omega, analytic, predicted_down: down, cause, difference } = this.thresholds;
