@@ -46,6 +46,12 @@ CLASSES: Final = (
     | {name: on_white for name, (on_white, _) in PALETTE["labels"].items()}
 )
 
+#: How queries name these classes.
+CLASS_NAMES: Final = (
+    *(f"{n}-{than}" for n, _ in enumerate(PALETTE["periods"], 1) for than in ("fewer", "equal", "more")),
+    "longer", *PALETTE["labels"],
+)  # fmt: skip
+
 #: Classes of certified cells by the modulus of their leading multiplier, up to these, and their colours.
 MARGINS: Final = (0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
 MARGIN_CLASSES: Final = {
@@ -109,6 +115,7 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
     lines = [diagram.isel(direction=i) for i in range(diagram.sizes.get("direction", 0))] or [diagram]
     values = diagram[along].values
     _scale(axes, values, longest or float(np.nanmax(times, initial=0.0)) or PERIOD)
+    axes.set_ylim(diagram.attrs.get("flight_start"), diagram.attrs.get("flight_stop"))
     for line, size in zip(lines, OVERLAID if len(lines) > 1 else (1.0,), strict=True):
         flights, way = line.flight_time.transpose(along, "flight").values, str(line.direction.values)
         shown = np.isfinite(flights)
@@ -237,36 +244,44 @@ def draw_cycles(ax: "Axes", branches: xarray.Dataset) -> None:
     ax.set_title(title if model == IDEAL else f"{title}: {model}")
 
 
+def classes_of(labels: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any]) -> NDArray[np.int64]:
+    """The index into CLASSES of each cell, by its label or outcome and its mode."""
+    cycles = 3 * (periods - 1) + 1 + np.sign(bounces - periods)
+    cycles = np.where(periods > len(PALETTE["periods"]), CLASS_NAMES.index("longer"), cycles)
+    cells = np.full(labels.shape, CLASS_NAMES.index("missing"))
+    for code, label in enumerate(LABELS):
+        here = labels == code
+        cells[here] = cycles[here] if label == "periodic" else CLASS_NAMES.index(label)
+    return cells
+
+
 def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     """The cells of the plane (Γ, Ω) by the plate periods of their cycle, or by what else they do.
 
-    With `multiplier`, certified cells by their margin of stability.
+    With `multiplier`, certified cells by their margin of stability. Classes of the attribute `hide` are left
+    out.
     """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
     classes = CLASSES | MARGIN_CLASSES
     names, colours = list(classes), list(classes.values())
-    codes = modes.label.values if "label" in modes else modes.outcome.values
-    periods = modes.periods.values
-    cycles = 3 * (periods - 1) + 1 + np.sign(modes.bounces.values - periods)
-    cycles = np.where(periods > len(PALETTE["periods"]), names.index("longer"), cycles)
-    cells = np.full(codes.shape, names.index("missing"))
-    for code, label in enumerate(LABELS):
-        here = codes == code
-        cells[here] = cycles[here] if label == "periodic" else names.index(label)
+    labels = modes["label" if "label" in modes else "outcome"].values
+    cells = classes_of(labels, modes.bounces.values, modes.periods.values)
+    hidden = [CLASS_NAMES.index(name) for name in modes.attrs.get("hide", "").split(",") if name]
     counted = "periods of the plate in a cycle"
     if "multiplier" in modes:
         counted, multiplier = "modulus of the leading multiplier", modes.multiplier.values
         margins = len(CLASSES) + np.searchsorted(MARGINS[:-1], multiplier, side="right")
         cells = np.where(np.isfinite(multiplier), margins, cells)
     corners = edges(modes.gamma.values), edges(modes.omega.values)
+    cells = np.ma.masked_where(np.isin(cells, hidden), cells) if hidden else cells
     ax.pcolormesh(
         *corners, cells, rasterized=True, cmap=ListedColormap(colours), vmin=-0.5, vmax=len(names) - 0.5
     )
     handles = [
         Patch(facecolor=colours[i], edgecolor="black", linewidth=0.4, label=names[i].replace("_", " "))
-        for i in np.unique(cells).tolist()
+        for i in np.unique(np.ma.compressed(cells)).tolist()
     ]
     if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():
         ax.pcolor(

@@ -46,20 +46,23 @@ class ResultMethods(Methods):
         every: Annotated[int, "return every n-th value only"] = 1,
         start: Annotated[float | None, "smallest value of the axis"] = None,
         stop: Annotated[float | None, "largest value of the axis"] = None,
+        flight_start: Annotated[float | None, "rad, shortest flight shown"] = None,
+        flight_stop: Annotated[float | None, "rad, longest flight shown"] = None,
+        hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer"] = None,
         caption: Annotated[bool, "of a picture: how it was computed, above it"] = True,
     ) -> "xarray.Dataset":
         """The flights of the cells along an axis.
 
         A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
         `min_flight` do not count, neither here, where they are NaN, nor for `outcome`, `bounces` and `periods`,
-        unless all of a cell are so short.
+        unless all of a cell are so short. Flights that are not shown, or of classes to `hide`, are NaN too.
 
         Returns a Dataset with the attribute `complete` and the variables `flight_time` (rad), `takeoff_phase`
         (rad), `flights`, `bounces`, `periods`, `flight_error` (rad), `multiplier`, `multiplier_angle` (rad),
         `lyapunov`, `lyapunov_error`, `computed`, `outcome`, `label`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """
-        return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, start=start, stop=stop, caption=caption)
+        return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, start=start, stop=stop, flight_start=flight_start, flight_stop=flight_stop, hide=hide, caption=caption)
 
     def modes(
         self,
@@ -69,6 +72,7 @@ class ResultMethods(Methods):
         every: Annotated[int, "return every n-th value only"] = 1,
         hysteresis: Annotated[bool, "of a sweep ramped both ways: where they differ"] = False,
         color: Annotated[Literal["mode", "multiplier"], "multiplier: the margin of stability, of a sweep that certifies cells"] = "mode",
+        hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer"] = None,
         gamma_start: float | None = None,
         gamma_stop: float | None = None,
         omega_start: float | None = None,
@@ -79,14 +83,14 @@ class ResultMethods(Methods):
         The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
         unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
         corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
-        With the color `multiplier` cells have their certificates, too.
+        With the color `multiplier` cells have their certificates, too. A picture lacks the classes to `hide`.
 
         Returns a Dataset with the attribute `complete` and the variables `bounces`, `periods`, `outcome`,
         `label`, `computed`, `lyapunov`, `lyapunov_error`, `flight_error` (rad), `multiplier`,
         `multiplier_angle` (rad), `hysteresis`. Raises BadRequest naming the parameter, TooLarge naming what
         fits.
         """
-        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis, color=color, gamma_start=gamma_start, gamma_stop=gamma_stop, omega_start=omega_start, omega_stop=omega_stop)
+        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis, color=color, hide=hide, gamma_start=gamma_start, gamma_stop=gamma_stop, omega_start=omega_start, omega_stop=omega_stop)
 
     def threshold(
         self,

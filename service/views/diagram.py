@@ -12,7 +12,7 @@ from pydantic import Field
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.modes import counted
 from kernel.params import Outcome
-from service.pictures import SYMBOLS, WARNING, draw_diagram
+from service.pictures import CLASS_NAMES, SYMBOLS, WARNING, classes_of, draw_diagram
 from service.views.selection import (
     LABEL,
     Stored,
@@ -24,7 +24,7 @@ from service.views.selection import (
     shortest,
 )
 from service.views.variables import cells_dataset, coordinate
-from service.views.view import Direction, Estimate, Every, MinFlight, Number, Query, View
+from service.views.view import Direction, Estimate, Every, Hide, MinFlight, Number, Query, View
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.study import Array
 from worker.sweep import AXES, SweepSpec, schema
@@ -46,6 +46,9 @@ class DiagramQuery(Query):
     every: Every = 1
     start: Annotated[Number | None, Field(description="smallest value of the axis")] = None
     stop: Annotated[Number | None, Field(description="largest value of the axis")] = None
+    flight_start: Annotated[Number | None, Field(description="rad, shortest flight shown")] = None
+    flight_stop: Annotated[Number | None, Field(description="rad, longest flight shown")] = None
+    hide: Hide = None
     caption: Annotated[bool, Field(description="of a picture: how it was computed, above it")] = True
 
 
@@ -54,14 +57,14 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
 
     A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
     `min_flight` do not count, neither here, where they are NaN, nor for `outcome`, `bounces` and `periods`,
-    unless all of a cell are so short.
+    unless all of a cell are so short. Flights that are not shown, or of classes to `hide`, are NaN too.
     """
     spec, along = study.spec, query.along
     fixed, window = fixed_axes(spec, along, dict(query)), _window(spec, query)
     part = slice(window.start, window.stop, query.every)
     indices = {along: part, **{axis: point.index for axis, point in fixed.items()}}
     cells = {
-        direction: _line(study, direction, indices, query.min_flight)
+        direction: _shown(_line(study, direction, indices, query.min_flight), query)
         for direction in directions_of(spec, query.direction)
     }
     coords = {axis: coordinate(axis, point.value) for axis, point in fixed.items()}
@@ -70,6 +73,8 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
         "along": along, "min_flight": shortest(spec, query.min_flight), "every": query.every,
         "model": spec.model.kind, "complete": all(study.is_complete(x["outcome"]) for x in cells.values()),
     }  # fmt: skip
+    ends = {"flight_start": query.flight_start, "flight_stop": query.flight_stop}
+    attrs |= {name: value for name, value in ends.items() if value is not None}
     result = cells_dataset(cells, coords, rows_of(spec), attrs)
     if query.caption:
         result.attrs["caption"] = _caption(spec, result)
@@ -99,6 +104,19 @@ def _line(
     for name in ("flight_time", "takeoff_phase"):
         arrays[name] = np.where(shown, arrays[name], np.nan)
     return arrays
+
+
+def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, NDArray[Any]]:
+    """The variables with the flights that are not shown as NaN."""
+    if (query.flight_start, query.flight_stop, query.hide) == (None, None, None):
+        return arrays
+    low, high = (-np.inf if query.flight_start is None else query.flight_start), query.flight_stop or np.inf
+    shown = (arrays["flight_time"] >= low) & (arrays["flight_time"] <= high)
+    if query.hide is not None:
+        labels = arrays.get(LABEL.name, arrays["outcome"])
+        hidden = [CLASS_NAMES.index(name) for name in query.hide.split(",")]
+        shown &= ~np.isin(classes_of(labels, arrays["bounces"], arrays["periods"]), hidden)[..., np.newaxis]
+    return arrays | {name: np.where(shown, arrays[name], np.nan) for name in ("flight_time", "takeoff_phase")}
 
 
 def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:

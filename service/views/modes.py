@@ -29,7 +29,7 @@ from service.views.selection import (
     shortest,
 )
 from service.views.variables import VARIABLES, cells_dataset, coordinate, variable
-from service.views.view import Direction, Estimate, Every, MinFlight, Number, Query, View
+from service.views.view import Direction, Estimate, Every, Hide, MinFlight, Number, Query, View
 from worker.sweep import SweepSpec, schema
 from worker.sweep.schema import COMPUTED, OUTCOME
 
@@ -78,6 +78,7 @@ class ModesQuery(Query):
         Literal["mode", "multiplier"],
         Field(description="multiplier: the margin of stability, of a sweep that certifies cells"),
     ] = "mode"
+    hide: Hide = None
     gamma_start: Number | None = None
     gamma_stop: Number | None = None
     omega_start: Number | None = None
@@ -90,7 +91,7 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
     The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
     unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
     corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
-    With the color `multiplier` cells have their certificates, too.
+    With the color `multiplier` cells have their certificates, too. A picture lacks the classes to `hide`.
     """
     spec, directions = study.spec, directions_of(study.spec, query.direction)
     xi, window = nearest_index(spec, "xi", query.xi), _window(spec, query)
@@ -107,6 +108,8 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
         "min_flight": shortest(spec, query.min_flight), "every": query.every, "model": spec.model.kind,
         "complete": all(study.is_complete(each["outcome"]) for each in cells.values()),
     }  # fmt: skip
+    if query.hide is not None:
+        attrs["hide"] = query.hide
     if spec.fills_in:
         attrs["computed_share"] = _computed_share(study, xi.index, directions[0])
     result = cells_dataset(cells, coords, _ROWS, attrs)

@@ -10,6 +10,7 @@ import xarray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from service.formats import PICTURES
+from service.pictures import CLASS_NAMES
 from service.views import encode
 from service.views.selection import thinning
 from worker.spec.axes import LARGEST, SMALLEST, within
@@ -32,6 +33,20 @@ MinFlight = Annotated[
     Number | None,
     Field(
         ge=0, description="rad; shorter flights do not count, unless all of a cell are; default: micro_flight"
+    ),
+]
+
+
+def _classes(names: str) -> str:
+    if unknown := [name for name in names.split(",") if name not in CLASS_NAMES]:
+        raise ValueError(f"must be of {', '.join(CLASS_NAMES)}, not {unknown[0]!r}")
+    return names
+
+
+Hide = Annotated[
+    Annotated[str, Field(max_length=400), AfterValidator(_classes)] | None,
+    Field(
+        description="classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer"
     ),
 ]
 

@@ -227,7 +227,7 @@ def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
         page.wait_for_function("() => location.hash.includes('x0=')")
         with page.expect_download() as download:
             page.get_by_role("button", name="Download CSV").nth(1).click()
-        assert len(Path(download.value.path()).read_text().splitlines()) == 1 + 3 * 21
+        assert len(Path(download.value.path()).read_text().splitlines()) == 1 + 3 * 13  # of the window
 
 
 def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
@@ -296,6 +296,16 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
         captioned = len(saved("SVG"))
         page.get_by_label("with a caption").uncheck()
         assert len(saved("SVG")) < captioned
+        window = "x0=1&x1=2&y0=1.5&y1=6&hide=3"
+        for tab, shown in (
+            ("diagram", "start=1&stop=2&flight_start=1.5&flight_stop=6&hide=at_rest"),
+            ("modes", "gamma_start=1&gamma_stop=2&omega_start=1.5&omega_stop=6&hide=at_rest"),
+        ):
+            page.goto(f"{address}/#/job/{job}/{tab}?omega=0.5&{window}")
+            wait_shown(page, xi=0.05)
+            with page.expect_request(re.compile("format=svg")) as request:
+                saved("SVG")
+            assert shown in request.value.url
         page.goto(f"{address}/#/job/{job}/modes")
         wait_shown(page, direction="rest")
         ours = saved("CSV")

@@ -85,6 +85,13 @@ function className(id, minBounces, maxBounces) {
   return `(${minBounces === maxBounces ? minBounces : `${minBounces}–${maxBounces}`}, ${periods})`;
 }
 
+/** How queries of the service name a class; null where they have no name for it. */
+export function classQuery(id) {
+  if (id < FIRST) return LABEL_NAMES[id];
+  if (id === LONG) return "longer";
+  return id < LONG ? `${Math.floor((id - FIRST) / SHADES) + 1}-${["fewer", "equal", "more"][(id - FIRST) % SHADES]}` : null;
+}
+
 /** The colour of a class of cells. */
 export function modeColour(id, dark) {
   if (id >= MARGIN) return palette.margins[id - MARGIN];

@@ -4,7 +4,7 @@ import { currentQuery, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
 import { share } from "../lib/format.js";
 import { clampIndex, nearestIndex } from "../lib/physics.js";
-import { modeColour } from "../plot/colours.js";
+import { classQuery, modeColour } from "../plot/colours.js";
 import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
 import { PlotView } from "./plot-view.js";
@@ -94,6 +94,11 @@ export class ClassLegend {
 
   get hidden() {
     return new Set((currentQuery().hide ?? "").split(",").filter(Boolean).map(Number));
+  }
+
+  /** The hidden classes as queries of the service name them; null without any. */
+  get query() {
+    return [...this.hidden].map(classQuery).filter(Boolean).join() || null;
   }
 
   /** The names and colours of the classes that are shown. */

@@ -139,9 +139,10 @@ export class Diagram extends PlotView {
     });
   }
 
-  /** Of a zoomed diagram, its part along the axis. */
+  /** What is shown: the window, without the flights of hidden modes. */
   filePath(source) {
-    return this.#path(source, { start: this.window?.x0, stop: this.window?.x1, caption: this.caption.checked ? null : false });
+    const { x0: start, x1: stop, y0, y1 } = this.window ?? {};
+    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, hide: this.sources.length > 1 ? null : this.legend.query, caption: this.caption.checked ? null : false });
   }
 
   read(results) {

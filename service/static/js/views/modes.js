@@ -19,6 +19,7 @@ const HATCH_LINE = 1.6; // px, of either
 
 export class Modes extends PlaneView {
   name = "modes";
+  isDrawn = true;
   isThinned = false; // whether the whole map has more cells than are sent
 
   constructor(root, view) {
@@ -88,8 +89,10 @@ export class Modes extends PlaneView {
     return [this.#path({ every: everyOf(inside(gamma, x0, x1) * inside(omega, y0, y1)), gamma_start: x0, gamma_stop: x1, omega_start: y0, omega_stop: y1 })];
   }
 
+  /** What is shown: the cells of the window, in a picture without hidden modes. */
   filePath() {
-    return this.#path();
+    const { x0, x1, y0, y1 } = this.window ?? {};
+    return this.#path({ gamma_start: x0, gamma_stop: x1, omega_start: y0, omega_stop: y1, hide: this.legend.query });
   }
 
   read([result]) {

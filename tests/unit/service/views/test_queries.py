@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+from matplotlib.figure import Figure
+from pydantic import ValidationError
 from scripted import small as spec
 from studies import spec_of
 from tables import for_each
@@ -119,6 +121,26 @@ def test_a_sweep_ramped_both_ways_has_both_directions_unless_one_is_selected(tmp
     assert planes.outcome.dims == ("direction", "omega", "gamma")
     for name in MODE_ARRAYS:
         np.testing.assert_array_equal(planes[name][1], modes(both, xi=0.05, direction="down")[name])
+
+
+def test_a_picture_is_what_is_shown(sweep: Stored):
+    """Flights outside the window, and classes that are hidden, are left out; the axis has the window."""
+    point, window = {"omega": 0.5, "xi": 0.26}, {"flight_start": 3.0, "flight_stop": 6.0}
+    whole, shown = diagram(sweep, **point), diagram(sweep, **point, **window, hide="2-equal,aperiodic")
+    times, of_two = whole.flight_time, (whole.outcome == 1) & (whole.bounces == 2) & (whole.periods == 2)
+    kept = times.where((times >= 3) & (times <= 6) & ~of_two & (whole.outcome != Outcome.APERIODIC))
+    assert 0 < kept.count() < times.count()
+    np.testing.assert_array_equal(shown.flight_time, kept)
+    figure = Figure()
+    VIEWS["diagram"].draw(shown, figure)
+    assert figure.axes[0].get_ylim() == (3.0, 6.0)
+    legends = []
+    for hide in (None, "at_rest"):
+        VIEWS["modes"].draw(modes(sweep, xi=0.26, hide=hide), figure := Figure())
+        legends.append({text.get_text() for text in figure.axes[0].get_legend().get_texts()})
+    assert legends[0] - legends[1] == {"at rest"}
+    with pytest.raises(ValidationError, match=r"must be of 1-fewer, .* not 'rest'"):
+        modes(sweep, xi=0.26, hide="at_rest,rest")
 
 
 def test_flights_that_do_not_count_are_missing_in_their_place(sweep: Stored):
