@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas
 import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
@@ -228,6 +229,27 @@ def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
         with page.expect_download() as download:
             page.get_by_role("button", name="Download CSV").nth(1).click()
         assert len(Path(download.value.path()).read_text().splitlines()) == 1 + 3 * 13  # of the window
+
+
+def test_the_difference_of_two_sweeps_is_a_map_and_a_sentence(browser: Any, address: str, jobs: list[str]):
+    names = ("outcome", "bounces", "periods")
+    with Client(address) as client:
+        first, second = (client.job(id).modes() for id in jobs[:2])
+        ends = [client.job(id).threshold(predict="none") for id in jobs[:2]]
+    same = np.logical_and.reduce([first[name].values == second[name].values for name in names])
+    moved = float(abs(ends[0].up - ends[1].up).max())
+    with opened(browser, f"{address}/#/compare?jobs={','.join(jobs[:2])}&layout=difference") as page:
+        sentence = page.locator(".sentence", has_text="of the cells have the same mode")
+        sentence.wait_for()
+        said = re.fullmatch(
+            r"([\d.]+) % .*; no threshold moves(?: by more than ([\d.]+))?\.", sentence.inner_text()
+        )
+        assert said is not None
+        numbers = [float(text or 0) for text in said.groups()]
+        assert numbers == pytest.approx([100 * same.mean(), moved], rel=0.05)
+        page.get_by_text("Table of what is shown").click()
+        page.locator(".paged [role=status]", has_text=f"of {np.count_nonzero(~same)}").wait_for()
+        screenshot(page, "difference")
 
 
 def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):

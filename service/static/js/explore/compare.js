@@ -11,9 +11,11 @@ import { Diagram } from "../views/diagram.js";
 import { Modes } from "../views/modes.js";
 import { sourceOf } from "../views/plot-view.js";
 import { summary, titleOf } from "../views/progress.js";
+import { Difference } from "./difference.js";
 
 const MAX_SWEEPS = 6; // more cannot be told apart by colour
-const LAYOUTS = { overlay: "overlaid", side: "side by side", maps: "mode maps" };
+const LAYOUTS = { overlay: "overlaid", side: "side by side", maps: "mode maps", difference: "difference of the first two" };
+const ON_MAPS = { __proto__: null, maps: Modes, difference: Difference };
 
 export class Compare {
   views = [];
@@ -63,7 +65,7 @@ export class Compare {
     this.legend.replaceChildren(...this.sources.map(({ job, number }) => legendEntry(branchColour(number, theme().dark),
       h("a", { href: link(["job", job.id]) }, titleOf(job)), h("p", { className: "summary" }, summary(job)))));
     const { layout } = currentQuery();
-    const layouts = Object.entries(LAYOUTS).filter(([name]) => name !== "maps" || this.mapped.length > 1);
+    const layouts = Object.entries(LAYOUTS).filter(([name]) => !(name in ON_MAPS) || this.mapped.length > 1);
     const initial = layouts.some(([name]) => name === layout) ? layout : "overlay";
     this.controls.replaceChildren(choice("Layout", layouts, initial, (name) => {
       setQuery({ layout: name === "overlay" ? null : name, ...windowQuery(null) });
@@ -75,15 +77,15 @@ export class Compare {
   #build(layout) {
     this.close();
     this.closed = false;
-    const [View, sources] = layout === "maps" ? [Modes, this.mapped] : [Diagram, this.sources];
-    const groups = layout === "overlay" ? [sources] : sources.map((source) => [source]);
+    const [View, sources] = layout in ON_MAPS ? [ON_MAPS[layout], this.mapped] : [Diagram, this.sources];
+    const groups = layout === "difference" ? [sources.slice(0, 2)] : layout === "overlay" ? [sources] : sources.map((source) => [source]);
     this.legend.classList.toggle("uncoloured", layout !== "overlay");
     const roots = groups.map(() => h("section", {}));
-    this.panel.className = `panel ${layout === "overlay" ? "overlay" : "side"}`;
+    this.panel.className = `panel ${groups.length < 2 ? "overlay" : "side"}`;
     this.panel.replaceChildren(...roots);
     this.views = groups.map((group, i) => new View(roots[i], {
       sources: group, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
-      onSelect: (cell, job) => navigate(["job", job.id, layout === "maps" ? "modes" : "diagram"], cellQuery(cell)),
+      onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => this.views.filter((other) => other !== view).forEach((other) => other.follow(x, y)),
     }));
   }

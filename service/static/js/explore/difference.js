@@ -1,0 +1,102 @@
+// The difference of two sweeps: where their mode maps differ, as a map and a sentence.
+
+import { query } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { number, share } from "../lib/format.js";
+import { OUTCOME, axisLabel, isLog, nearestIndex, outcomeText } from "../lib/physics.js";
+import { modeClasses, modeColour } from "../plot/colours.js";
+import { rgba32 } from "../plot/drawing.js";
+import { PlaneView, windowOf } from "../views/cells.js";
+import { sliders } from "../views/controls.js";
+
+/** The cells of the first sweep; each is compared with the nearest one of the second. */
+export class Difference extends PlaneView {
+  name = "difference";
+
+  constructor(root, view) {
+    super(view);
+    this.sentence = h("p", { className: "sentence", role: "status" });
+    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, ["xi"]), this.sentence), label: "Where the modes differ", hint: "Cells that differ have the colour that they have in the second sweep.", ratio: 0.6 });
+  }
+
+  paths() {
+    const of = (name) => this.sources.map(({ job, grid, directions: [direction] }) => `/v1/jobs/${job.id}/${name}?${query({ xi: grid.xi[nearestIndex(grid.xi, this.place.xi)], ...(name === "modes" ? { direction } : { predict: "none" }) })}`);
+    return [...of("modes"), ...of("threshold")];
+  }
+
+  filePath({ job }) {
+    return this.paths().find((path) => path.includes(job.id));
+  }
+
+  read([first, second, ...thresholds]) {
+    const [a, b] = [first, second].map((result) => Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, (result[name] ?? result.outcome).data])));
+    Object.assign(this, { first: a, second: b, columns: first.gamma.data, rows: first.omega.data, xi: first.xi.data });
+    const [columns, rows] = [["columns", "gamma"], ["rows", "omega"]].map(([own, axis]) => Array.from(this[own], (value) => nearestIndex(second[axis].data, value)));
+    this.other = rows.flatMap((row) => columns.map((column) => row * second.gamma.data.length + column));
+    this.classes = modeClasses(b);
+    const isKnown = (cell) => a.outcome[cell] !== OUTCOME.missing && b.outcome[this.other[cell]] !== OUTCOME.missing;
+    const known = this.other.map((_, cell) => cell).filter(isKnown);
+    this.differs = Uint8Array.from(this.other, (_, cell) => isKnown(cell) && this.#text(a, cell) !== this.#text(b, this.other[cell]));
+    const same = known.filter((cell) => !this.differs[cell]).length;
+    this.sentence.textContent = known.length ? `${share(same / known.length, 4)} of the cells have the same mode; ${moved(thresholds)}.` : "No cell of both is computed yet.";
+  }
+
+  #text({ label, bounces, periods }, cell) {
+    return outcomeText(label[cell], bounces[cell], periods[cell]);
+  }
+
+  shown() {
+    return { xi: this.xi };
+  }
+
+  whole() {
+    return windowOf(this.columns, this.rows, true);
+  }
+
+  content() {
+    const { x0, x1, y0, y1 } = this.visible();
+    return {
+      x: { label: axisLabel("gamma"), low: x0, high: x1, log: isLog(this.job.spec.gamma) }, y: { label: axisLabel("omega"), low: y0, high: y1, log: isLog(this.job.spec.omega) },
+      title: `ξ = ${number(this.xi)}`,
+      layers: [(ctx, box) => this.#paint(ctx, box)],
+      cursor: (ctx, box) => this.drawCursor(ctx, box),
+    };
+  }
+
+  #paint(ctx, box) {
+    const colours = Array.from(this.classes.present, ({ id }) => [id, rgba32(modeColour(id, box.theme.dark))]);
+    const [colourOf, same] = [new Map(colours), rgba32(box.theme.surface)];
+    this.drawCells(ctx, box, (row, column) => {
+      const cell = row * this.columns.length + column;
+      return this.differs[cell] ? colourOf.get(this.classes.ofCell[this.other[cell]]) : same;
+    });
+  }
+
+  isHidden({ column, row }) {
+    return !this.differs[row * this.columns.length + column];
+  }
+
+  columnsOfTable() {
+    const at = ({ column, row }) => row * this.columns.length + column;
+    return [["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])], ["first", (cell) => this.#text(this.first, at(cell))], ["second", (cell) => this.#text(this.second, this.other[at(cell)])]];
+  }
+
+  describe(cell) {
+    const [gamma, omega, first, second] = this.columnsOfTable().map(([, text]) => text(cell));
+    return `Γ = ${gamma} · Ω = ${omega} · ${first === second ? `both ${first}` : `${first}, in the second ${second}`}`;
+  }
+
+  cellOf({ column, row }) {
+    return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.directions[0] };
+  }
+}
+
+/** By how much the thresholds of two sweeps move, at the Ω of both. */
+function moved([first, second]) {
+  const away = ["up", "down"].flatMap((way) => Array.from(first.omega.data, (omega, i) => {
+    const j = nearestIndex(second.omega.data, omega);
+    return Math.abs(second.omega.data[j] - omega) < 1e-9 ? Math.abs(first[way].data[i] - second[way].data[j]) : NaN;
+  })).filter(Number.isFinite);
+  const most = Math.max(...away);
+  return !away.length ? "there is no threshold in both" : most ? `no threshold moves by more than ${number(most, 2)}` : "no threshold moves";
+}
