@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, nullcontext, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
@@ -464,6 +465,7 @@ def _status(record: "JobRecord") -> JobStatus:
             "name": record.name,
             "state": str(record.state),
             "error": record.error,
+            "started": record.started and datetime.fromtimestamp(record.started, UTC).isoformat(),
             "progress": record.progress(time.time()),
         }
     )

@@ -264,7 +264,7 @@ class SpringMethods(Methods):
     RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
         "threshold": (("json", "bin", "nc"), ()),
         "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("points", "event_gamma")),
-        "curves": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("event_gamma",)),
+        "curves": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("gamma", "event_gamma")),
     }
 
     def threshold(

@@ -30,8 +30,8 @@ class ProgressStream:
         """End every iteration soon, so that open responses do not delay the shutdown."""
         self._closing = True
 
-    async def changes(self, job_id: str) -> AsyncIterator[tuple[JobRecord, Compiling | None]]:
-        """The job and what is compiled for it, until it is finished or deleted, or the service stops.
+    async def changes(self, job_id: str) -> AsyncIterator[JobRecord]:
+        """The job until it is finished or deleted, or the service stops.
 
         Now, after every change, and every second while a kernel is compiled.
         """
@@ -43,7 +43,7 @@ class ProgressStream:
             compiling = self._compiling(job)
             seconds = None if compiling is None else round(compiling.seconds)
             if revision != (revision := (*job.revision, seconds)):
-                yield job, compiling
+                yield job
             if job.state not in UNFINISHED:
                 return
             await asyncio.sleep(POLL_SECONDS)

@@ -98,13 +98,8 @@ def run(
 
     The ending of the output says what is written: the sweep as .zarr, .nc or .parquet, or its diagram as
     .png, .svg, .csv or .json. SPEC is as of "bounce submit". Interrupted, it leaves the folder
-    OUTPUT.partial, and the same command goes on there. For example:
-
-      bounce run sweep.toml -o sweep.zarr
-
-      bounce run sweep.toml -o diagram.png --along gamma --omega 0.5 --xi 0.26
-
-      bounce run sweep.toml -o sweep.zarr --budget 5m
+    OUTPUT.partial, and the same command goes on there.
+    With options of a diagram: -o diagram.png --along gamma --omega 0.5.
     """
     from service import local
 
@@ -137,9 +132,7 @@ def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query
     """Show what efforts and grids of a sweep would cost.
 
     And how much of its picture would be wrong: shares are of the plane, from pilot points that every setting
-    computes, seconds on the service's workers. For example:
-
-      bounce plan sweep.toml --budget 5m
+    computes, seconds on the service's workers.
     """
     from service.cli.output import as_json as json_text
     from service.cli.views import table

@@ -3,7 +3,7 @@
 Modules that take long to import are imported by the commands that need them.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 
 @click.group(
-    cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+    cls=CommandGroup,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(package_name="bouncing-spring")
 def main() -> None:
@@ -119,11 +120,30 @@ def _handed_over(address: str) -> str:
     return file.as_uri()
 
 
-for command in (
-    *views.COMMANDS,
-    *jobs.COMMANDS,
-    *data.COMMANDS,
-    figure,
-    tradeoff,
-):
+#: The commands in groups, in the order of `bounce --help`, and what follows their names in an example.
+GROUPS: Final = {
+    "Sweeps": {
+        "submit": "sweep.toml --wait", "plan": "sweep.toml --budget 5m", "run": "sweep.toml -o sweep.zarr",
+        "import": "sweep.html", "list": "--state done", "status": "ID", "wait": "ID", "watch": "",
+        "follow": "ID", "cancel": "ID", "resume": "ID", "delete": "ID",
+    },
+    "Results": {
+        "diagram": "ID --omega 0.5 -o diagram.png", "modes": "ID -o map.png", "basins": "ID -o basin.png",
+        "multistability": "ID --omega 0.5", "audit": "ID", "export": "ID -o sweep.nc",
+        "share": "ID -o sweep.html", "figure": "2 -o figure-2.png",
+    },
+    "Closed forms": {
+        "threshold": "--omega 0.6 --xi 0.05", "orbits": "--omega 0.6 --xi 0.05 -o branches.png",
+        "curves": "--xi 0.05 --omega-start 0.58 --omega-stop 0.64",
+        "trajectory": "--gamma 2.3 --omega 0.5 --xi 0.26 -o motion.csv",
+    },
+    "Service": {"serve": "--workers 4", "open": "", "metrics": "", "doctor": ""},
+    "Upkeep": {
+        "backup": "ledger-backup.sqlite", "restore": "ledger-backup.sqlite", "adopt": "--all",
+        "tradeoff": "-o tradeoff.png", "completion": "bash",
+    },
+}  # fmt: skip
+
+for command in (*views.COMMANDS, *jobs.COMMANDS, *data.COMMANDS, figure, tradeoff):
     main.add_command(command)
+main.arrange(GROUPS)

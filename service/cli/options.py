@@ -4,8 +4,9 @@ import errno
 import os
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
+from inspect import cleandoc
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -50,6 +51,23 @@ DURATION: Final = Duration()
 
 class CommandGroup(click.Group):
     """A group whose commands report an error as one message on standard error and exit code 1."""
+
+    _groups: "Mapping[str, Mapping[str, str]]" = {}  # noqa: RUF012 - replaced, never changed
+
+    def arrange(self, groups: "Mapping[str, Mapping[str, str]]") -> None:
+        """List the commands in these groups, and put the example of each below the head of its help."""
+        self._groups = groups
+        for name, example in (each for group in groups.values() for each in group.items()):
+            command = self.commands[name]
+            head, _, rest = cleandoc(command.help or "").partition("\n\n")
+            shown = f"bounce {name} {example}".rstrip()
+            command.help = f"{head}\n\n\b\n  {shown}\n\n{rest}"
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Called by click."""
+        for heading, names in self._groups.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(80)) for name in names])
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; exceptions raised on purpose and those of the file system become messages."""

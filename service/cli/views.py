@@ -6,6 +6,7 @@ Their options are the parameters of the client's methods. Beside them export and
 from collections.abc import Callable, Sequence
 from inspect import Parameter, cleandoc, signature
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin
 
 import click
@@ -32,8 +33,12 @@ if TYPE_CHECKING:
 
 _MOTIONS: Final = get_args(DatasetFormat)
 
-#: Digits of numbers in a table: thresholds are refined to 1e-9.
+#: Digits of numbers in a table, fewer where it is wider: thresholds are refined to 1e-9.
 DIGITS: Final = 10
+#: Letters of a line of a table, and of a text in it; points of a curve.
+WIDTH: Final = 100
+LONG: Final = 40
+POINTS: Final = 12
 
 
 def command(name: str) -> click.Command:
@@ -138,9 +143,15 @@ def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
 
 
 def _rows(result: "xarray.Dataset", rows: str) -> str:
-    """The variables over dimensions of the variable `rows`."""
+    """The variables over dimensions of the variable `rows`, in WIDTH columns: long texts stand below.
+
+    Of the points of a curve every n-th.
+    """
     dims = {*map(str, result[rows].dims)}
-    result = result.reset_coords()
+    result, every = result.reset_coords(), 1
+    if "point" in dims:
+        every = -(-result.sizes["point"] // POINTS)
+        result = result.isel(point=slice(None, None, every))
     names = [str(name) for name, v in result.data_vars.items() if v.dims and dims.issuperset(v.dims)]
     frame = result[names].to_dataframe()
     for name in names:
@@ -150,10 +161,24 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
             frame[name] = frame[name].map(meanings)
     prefixes = tuple(f"{dim}_" for dim in dims)
     frame.columns = [_without(prefixes, str(name)) for name in frame.columns]
+    if len(dims) > 1:
+        frame = frame[frame[_without(prefixes, rows)].notna()]
     if frame.empty:
         return "  ".join([*map(str, frame.index.names), *frame.columns])
     frame = frame.loc[:, [not (each.isna() | (each == "")).all() for _, each in frame.items()]]
-    return frame.reset_index().to_string(index=False, na_rep="-", float_format=f"{{:.{DIGITS}g}}".format)
+    notes = [f"every {every}. point is shown: -o writes all"] if every > 1 else []
+    for column in frame.columns[[each.astype(str).str.len().max() > LONG for _, each in frame.items()]]:
+        texts = frame.pop(column)
+        notes += [f"{texts.index.name} {at}: {text}" for at, text in texts.items() if text]
+    words = frame.select_dtypes(exclude="number")
+    alike = [name for name in words.columns[words.nunique() == 1] if len(frame) > 1]
+    for narrower, digits in ((False, DIGITS), *((True, digits) for digits in range(DIGITS, 5, -1))):
+        shown = frame.drop(columns=alike if narrower else []).reset_index()
+        lines = shown.to_string(index=False, na_rep="-", float_format=f"{{:.{digits}g}}".format).splitlines()
+        if max(map(len, lines)) <= WIDTH:
+            break
+    notes = [*(f"{name}  {words[name].iloc[0]}" for name in alike if narrower), *notes]
+    return "\n".join([*lines, *(fill(note, WIDTH, subsequent_indent="  ") for note in notes)])
 
 
 def _without(prefixes: tuple[str, ...], name: str) -> str:
@@ -220,9 +245,7 @@ def trajectory(
 ) -> None:
     """Write the motion of one cell.
 
-    A row of a table is a sample; lengths are in plate amplitudes. For example:
-
-      bounce trajectory --gamma 2.3 --omega 0.5 --xi 0.26 -o motion.csv
+    A row of a table is a sample; lengths are in plate amplitudes.
     """
     format = output_format(output, _MOTIONS, format)
     if drop and contact:

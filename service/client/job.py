@@ -188,9 +188,8 @@ class Job(ResultReader, ResultMethods, JobStatus):
         ServiceUnreachable
             The connection broke.
         """
-        for view in self._transport.events(self._path("events")):
-            self._describe({**view, "spec": view.get("spec") or self.view.get("spec")})
-            yield self
+        for _ in self._transport.events(self._path("events")):
+            yield self.refresh()
 
     def wait(self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None) -> "Job":
         """Wait until the job is done, polling at the service's interval (Retry-After).

@@ -121,7 +121,7 @@ class JobRecord(NewJob):
     def eta_seconds(self, now: float) -> float | None:
         """Estimated remaining seconds at the rate since the first chunks of this run; None without a rate.
 
-        Falls between chunks, to no less than half, so that a slow chunk at most doubles it.
+        Falls between chunks, ever more slowly, to no less than half: a slow chunk at most doubles it.
         """
         if self.state is not JobState.RUNNING or self.progressed is None or self.run_started is None:
             return None
@@ -129,7 +129,8 @@ class JobRecord(NewJob):
         if cells <= 0 or seconds <= 0:
             return None
         left = (self.cells_total - self.cells_done) * seconds / cells
-        return max(left - max(now - self.progressed, 0.0), 0.5 * left)
+        since = max(now - self.progressed, 0.0)
+        return left and left / min(1.0 + since / left, 2.0)
 
     def progress(self, now: float) -> dict[str, float | None]:
         """What users see of the job's progress at `now`, in seconds since 1970."""

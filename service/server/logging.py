@@ -1,4 +1,4 @@
-"""The process's log: one JSON object per line on standard error."""
+"""The process's log on standard error: lines to read on a terminal, elsewhere one JSON object per line."""
 
 import json
 import logging
@@ -35,6 +35,19 @@ class JsonLines(logging.Formatter):
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)
         return json.dumps(line, default=str)
+
+
+class ReadableLines(logging.Formatter):
+    """Formats a record as a line for people: time, level unless it is info, and what happened."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line, with a traceback below it."""
+        level = "" if record.levelno == logging.INFO else f"{record.levelname.lower()}: "
+        fields = {name: value for name, value in getattr(record, "fields", {}).items() if name != "id"}
+        facts = ", ".join(f"{name} {value}" for name, value in fields.items())
+        line = f"{datetime.fromtimestamp(record.created):%H:%M:%S} {level}{record.getMessage()}"
+        trace = f"\n{self.formatException(record.exc_info)}" if record.exc_info else ""
+        return f"{line}{f' ({facts})' if facts else ''}{trace}"
 
 
 class OncePerSecond(logging.Filter):
@@ -79,7 +92,7 @@ def quiet_libraries() -> None:
 def log_to_stderr(level: str) -> Iterator[None]:
     """Write the log to standard error during the block; `level` applies to the project's loggers."""
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(JsonLines())
+    handler.setFormatter(ReadableLines() if sys.stderr.isatty() else JsonLines())
     handler.addFilter(OncePerSecond())
     root = logging.getLogger()
     root.addHandler(handler)

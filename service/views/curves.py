@@ -163,5 +163,5 @@ VIEW: Final = View(
         *(ROWS[name] for name in ("omega", "xi", "gamma", "flight_time", "violations")),
         *(ROWS[f"curve_{name}"] for name in ("kind", "bounces", "periods")), *EVENTS,
     ),
-    rows="gamma", printed=("event_gamma",), parts=parts, draw=draw,
+    rows="gamma", printed=("gamma", "event_gamma"), parts=parts, draw=draw,
 )  # fmt: skip

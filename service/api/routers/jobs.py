@@ -1,5 +1,6 @@
 """Endpoints that submit, show, list and change jobs."""
 
+import json
 import time
 from collections.abc import AsyncIterator, Sequence
 from typing import Annotated, Any, Final
@@ -241,14 +242,19 @@ async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:
     responses=problem_responses(404, 503),
 )
 async def stream_job_events(service: ServiceDep, job: JobDep) -> AsyncIterator[ServerSentEvent]:
-    """Server-sent events, each the job without its specification.
+    """Server-sent events: state, percent and seconds left.
 
     They are named `progress` while the job is queued or running; the last one, of a finished job, `end`.
     """
-    async for record, compiling in service.progress_stream.changes(job.id):
-        view = job_view(record, longest_spec=0, compiling=compiling)
+    async for record in service.progress_stream.changes(job.id):
+        progress = record.progress(time.time())
+        left = progress["eta_seconds"]
+        event = {
+            "state": record.state, "percent": progress["percent"],
+            "seconds_left": None if left is None else round(left),
+        }  # fmt: skip
         name = "progress" if record.state in UNFINISHED else "end"
-        yield ServerSentEvent(event=name, raw_data=view.model_dump_json())
+        yield ServerSentEvent(event=name, raw_data=json.dumps(event))
 
 
 def _job_response(

@@ -30,7 +30,7 @@ _BLOCK: Final = re.compile(f'{_OPENS}([0-9a-f]{{64}})">([^<]*)</script>'.encode(
 _SHOWS: Final = re.compile(rb'<script type="application/json" id="(shared|store)"')
 
 _DAMAGED: Final = "is damaged: its numbers are not those that were written; ask for the file again"
-_NOT_SHARED: Final = "is none that bounce share wrote"
+_NOT_SHARED: Final = "is not one that bounce share wrote"
 _IN_PART: Final = (
     "shows a sweep, but holds only a part of its numbers, as they were too many or not complete: submit its "
     "specification to compute it, or ask for the store"

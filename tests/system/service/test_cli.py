@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import pytest
 import xarray
 from click.testing import CliRunner, Result
@@ -70,11 +71,13 @@ def job(url: str, spec: Path) -> str:
 
 def test_help_lists_every_command_in_one_line():
     text = bounce("--help").stdout
-    listed = dict(re.findall(r"^  ([a-z]+)  +(.+)$", text.split("Commands:")[1], re.MULTILINE))
+    listed = dict(re.findall(r"^  ([a-z]+)  +(.+)$", text.split("Sweeps:")[1], re.MULTILINE))
     assert sorted(listed) == COMMANDS
     assert not [line for line in listed.values() if line.endswith("...")]
-    for command in COMMANDS:
-        assert "Usage:" in bounce(command, "-h").stdout
+    for name in COMMANDS:
+        _, *words = re.findall(r"^    bounce (.*)$", bounce(name, "-h").stdout, re.MULTILINE)[0].split()
+        command = main.commands[name]
+        command.make_parser(click.Context(command)).parse_args(words)  # the example has its options
     assert re.search(r"\d+\.\d+", bounce("--version").stdout)
 
 
@@ -101,6 +104,16 @@ def test_status_for_people_and_for_programs(url: str, job: str):
     assert f"{job}  done       100%             92  two ω" in rows
     assert job in [view["id"] for view in json.loads(bounce("list", "--json", url=url).stdout)]
     assert json.loads(bounce("list", "--state", "failed", "--json", url=url).stdout) == []
+
+
+def test_a_shared_file_becomes_a_job(url: str, job: str, tmp_path: Path):
+    assert bounce("share", job, "-o", tmp_path / "a.html", url=url).exit_code == 0
+    with computing_at(tmp_path / "other") as other:
+        assert bounce("import", tmp_path / "a.html", url=other).stdout == f"{job}\n"
+        assert bounce("modes", job, url=other).stdout == bounce("modes", job, url=url).stdout
+        (tmp_path / "a.html").write_text("a letter")
+        refused = bounce("import", tmp_path / "a.html", url=other)
+    assert (refused.exit_code, refused.stderr) == (1, "Error: file: is not one that bounce share wrote\n")
 
 
 # Diagrams

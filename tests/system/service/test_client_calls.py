@@ -227,7 +227,7 @@ def test_orbits_of_a_job_are_printed_and_written(running: Running, tmp_path: Pat
     asked = ("orbits", running.job.id, "--omega", "0.5", "--direction", "up")
     found = running.job.orbits(0.5, direction="up", progress=False)
     lines = output_of(running, *asked).splitlines()
-    assert len(lines) == 7 + found.sizes["event"] + found.sizes["skipped"]
+    assert len(lines) == 8 + sum(found.sizes[each] for each in ("branch", "event", "skipped"))
     assert bounce(running, *asked, "-o", str(tmp_path / "cycles.csv")).exit_code == 0
     frame = pandas.read_csv(tmp_path / "cycles.csv")
     assert len(frame) == int(found.flight_time.count()) > 0

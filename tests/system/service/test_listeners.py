@@ -81,8 +81,9 @@ def test_many_listeners_do_not_delay_other_requests(tmp_path: Path):
         names = [name for name, _ in stream]
         assert names[-1] == "end"
         assert set(names[:-1]) <= {"progress"}
-        done = [view["progress"]["chunks_done"] for _, view in stream]
+        done = [view["percent"] for _, view in stream]
         assert done == sorted(done)
+        assert {*stream[0][1]} == {"state", "percent", "seconds_left"}
         assert stream[-1][1]["state"] == "done"
 
 

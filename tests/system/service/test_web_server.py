@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import re
 import resource
 import socket
 import subprocess
@@ -20,7 +21,7 @@ from served import computing_at, listening, service_at, settings_of
 
 from service.api.app import create_app
 from service.client import Client
-from service.server.logging import JsonLines, OncePerSecond
+from service.server.logging import JsonLines, OncePerSecond, log_to_stderr
 from service.server.web_server import (
     MOST_FILES,
     OTHER_FILES,
@@ -170,6 +171,15 @@ def test_the_process_may_open_as_many_files_as_the_system_allows():
             assert connections_allowed() == connections
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+def test_a_terminal_has_lines_to_read(monkeypatch: pytest.MonkeyPatch):
+    stream = io.StringIO()
+    stream.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stderr", stream)
+    with log_to_stderr("info"):
+        logging.getLogger("service").warning("refused", extra={"fields": {"id": "1", "status": 404}})
+    assert re.fullmatch(r"\d\d:\d\d:\d\d warning: refused \(status 404\)\n", stream.getvalue())
 
 
 def test_a_message_of_a_library_is_logged_once_a_second(monkeypatch: pytest.MonkeyPatch):

@@ -2,9 +2,12 @@
 
 from typing import Any, cast
 
+import numpy as np
 import pytest
+import xarray
 
 from service.cli.output import estimate_line, job_report
+from service.cli.views import table
 from service.client import Job
 from service.client.models import Estimate
 
@@ -71,3 +74,15 @@ def test_an_estimate_is_one_line(changes: dict[str, Any], line: str):
     }
     estimate = Estimate(**{**fields, "longest_core_seconds": None, **changes})
     assert estimate_line(estimate) == line
+
+
+def test_a_table_fits_the_terminal():
+    """Texts of one value and long ones stand below it; then numbers have fewer digits."""
+    columns: dict[str, Any] = {f"value_{i}": ("omega", np.array([0.123456789123, np.pi])) for i in range(7)}
+    for name, texts in (("status", "found found"), ("cause", "fold flip"), ("why", f"no {'b' * 41}")):
+        columns[name] = ("omega", texts.split())
+    lines = table(xarray.Dataset(columns, {"omega": [0.5, 0.6]}), ["value_0"]).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert lines[0].split() == ["omega", *(f"value_{i}" for i in range(7)), "cause"]
+    assert lines[2].split()[1] == "3.14159265"
+    assert lines[3:] == ["status  found", "omega 0.5: no", f"omega 0.6: {'b' * 41}"]

@@ -303,17 +303,6 @@ def test_a_wait_goes_on_with_the_job_that_takes_the_place_of_one(several: bool):
         assert "If-None-Match" not in server.requests[1][2]  # that is of the other job
 
 
-def test_a_job_that_is_followed_keeps_the_specification_that_changes_leave_out():
-    changes = [view("running", 3) | {"spec": None}, view("done", 10) | {"spec": {"xi": 2.0}}]
-    stream = b"".join(b"data: " + json.dumps(change).encode() + b"\n\n" for change in changes)
-    with scripted(Answer(body=view() | {"spec": {"xi": 1.0}}), Answer(200, stream)) as (server, client):
-        assert [(now.state, now.spec) for now in client.job(ID).follow()] == [
-            ("running", {"xi": 1.0}),
-            ("done", {"xi": 2.0}),
-        ]
-        assert len(server.requests) == 2
-
-
 # Stores
 
 

@@ -89,7 +89,7 @@ def _swapped(contents: dict[str, bytes]) -> None:
 @for_each(
     ("change", "status", "said"),
     [
-        (lambda page: b"<html><p>A letter.</p></html>", 422, "none that bounce share wrote"),
+        (lambda page: b"<html><p>A letter.</p></html>", 422, "is not one that bounce share wrote"),
         (lambda page: page[: page.index(b"</script>") - 9], 422, "is damaged"),
         (lambda page: re.sub(rb'(outcome/c[^"]*": "....)....', rb"\1AAAA", page), 422, "is damaged"),
         (lambda page: sharing._BLOCK.sub(b"", page), 422, "holds only a part of its numbers"),
