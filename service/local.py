@@ -206,11 +206,13 @@ def _query(model: "type[Query]", fields: Mapping[str, Any]) -> "Query":
     """The query with these parameters. Raises InvalidRequest naming the first wrong one."""
     from pydantic import ValidationError
 
+    from worker.spec.errors import rule_of
+
     try:
         return model(**fields)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        raise InvalidRequest.of(str(first["loc"][0]), first["msg"]) from None
+        raise InvalidRequest.of(str(first["loc"][0]), rule_of(first)) from None
 
 
 def thresholds(omega: float, xi: float, **query: Any) -> "xarray.Dataset":

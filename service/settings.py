@@ -19,6 +19,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from service import tokens
 from service.errors import NotStarted
 from worker import store
+from worker.spec.errors import rule_of
 from worker.study.chunks import (
     DEFAULT_MAX_BYTES,
     DEFAULT_MAX_CELLS,
@@ -294,11 +295,8 @@ def read_settings(**overrides: Any) -> Settings:
     try:
         return Settings(**{name: value for name, value in overrides.items() if value is not None})
     except ValidationError as error:
-        rules = [
-            ": ".join([*map(str, entry["loc"]), entry["msg"].removeprefix("Value error, ")])
-            for entry in error.errors()
-        ]
-        raise NotStarted("settings: " + "; ".join(rules)) from error
+        rules = [": ".join([*map(str, entry["loc"]), rule_of(entry)]) for entry in error.errors()]
+        raise NotStarted("; ".join(rules)) from error
 
 
 def _is_loopback(host: str) -> bool:

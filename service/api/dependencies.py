@@ -146,7 +146,7 @@ async def reject_repeated_parameters(request: Request) -> None:
 
 async def _json_body(request: Request, service: ServiceDep) -> bytes:
     rule = "send the body as JSON, with the header Content-Type: application/json"
-    hint = '; an evenly spaced axis is shorter as a range {"start", "stop", "num"}'
+    hint = "; an evenly spaced axis is shorter as a range with start, stop and num"
     return await _body(request, service, "application/json", rule, service.settings.max_body_bytes, hint)
 
 

@@ -7,7 +7,6 @@ Errors are sent as `application/problem+json` (RFC 9457) with an extension: `err
 
 import json
 import logging
-import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any, Final
@@ -23,7 +22,7 @@ from service.api.schemas import PartsView, PendingView
 from service.errors import LedgerUnavailable, ServiceError
 from service.jobs.on_demand import Pending
 from worker import store
-from worker.spec.errors import Problem, SpecError, SpecTooLarge, SpecUnreadable, code_of
+from worker.spec.errors import Problem, SpecError, SpecTooLarge, SpecUnreadable, code_of, rule_of
 from worker.store import StoreDamaged, StoreError
 
 log = logging.getLogger(__name__)
@@ -119,24 +118,23 @@ def _pending(_: Request, pending: Any) -> Response:
 
 def _invalid(_: Request, error: Any) -> Response:
     """422 for query parameters and headers; without the input, which may not be valid JSON."""
-    problems = [_problem(**entry) for entry in error.errors()]
+    problems = [_problem(entry) for entry in error.errors()]
     return ProblemResponse(422, "; ".join(map(str, problems)), problems)
 
 
-#: Rules in words for what Pydantic checks by a pattern, and for its other messages.
-_RULES: Final = {
-    "cursor": "should be `next` of the page before",
-    "idempotency-key": "should be made of ASCII characters, without spaces",
-    "extra_forbidden": "unknown parameter",
-    "missing": "is required",
+#: Rules in words for what is checked by a pattern.
+_PATTERNS: Final = {
+    "cursor": "must be `next` of the page before",
+    "idempotency-key": "must be made of ASCII characters, without spaces",
 }
 
 
-def _problem(type: str, loc: Sequence[str | int], msg: str, **_: Any) -> Problem:
+def _problem(entry: Mapping[str, Any]) -> Problem:
     """A broken rule of the parameter at `loc`: `("query", "limit")` is `limit`."""
-    name = ".".join(map(str, loc[1:])) or str(loc[0])
-    rule = _RULES.get(name if type == "string_pattern_mismatch" else type, msg)
-    return Problem(name, re.sub("^(Value error, |Input |String )", "", rule), code_of(type))
+    kind, (first, *loc) = entry["type"], entry["loc"]
+    name = ".".join(map(str, loc)) or str(first)
+    by_pattern = _PATTERNS.get(name) if kind == "string_pattern_mismatch" else None
+    return Problem(name, by_pattern or rule_of(entry), code_of(kind))
 
 
 def _http(request: Request, refusal: Any) -> Response:

@@ -46,7 +46,9 @@ def read(source: Path | bytes) -> Mapping[str, Any]:
         raise InvalidSpecification.before_sending(prefix + str(error).removeprefix(prefix)) from error
     if not isinstance(content, Mapping):
         kind = errors.describe(content)
-        raise InvalidSpecification.before_sending(f"{prefix}a specification must be an object, not {kind}")
+        raise InvalidSpecification.before_sending(
+            f"{prefix}a specification must be a group of fields, not {kind}"
+        )
     return content
 
 

@@ -311,9 +311,7 @@ def parse_object(text: bytes, response: httpx2.Response) -> dict[str, Any]:
     except (ValueError, RecursionError):
         content = None
     if not isinstance(content, dict):
-        raise UnexpectedAnswer(
-            f"{response.request.url} did not answer with a JSON object: not a bounce service"
-        )
+        raise UnexpectedAnswer(f"{response.request.url} did not answer as a bounce service does")
     return content
 
 

@@ -105,7 +105,7 @@ class JobSearch:
 
     def read_cursor(self, text: str) -> Position:
         """The position of a cursor in this order. Raises InvalidRequest for other texts."""
-        rule = "should be `next` of the page before, of a list in the same order"
+        rule = "must be `next` of the page before, of a list in the same order"
         try:
             content = base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
             order, value, seq = _CURSOR.validate_json(content, strict=True)

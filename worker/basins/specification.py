@@ -14,7 +14,6 @@ from worker.spec.specification import Specification
 from worker.spec.time_steps import check_steps, corners
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.specification import (
-    MAX_PERIODS,
     Exponents,
     Gamma,
     Keep,
@@ -115,7 +114,7 @@ class GridSpec(Specification):
     settle_until: Annotated[
         Periods | None,
         Field(
-            description="Maximum plate periods of a start, if it has not settled by then; null: "
+            description="Starts that still settle go on, up to this many plate periods; left out: "
             f"{UNTIL} windows, or more where what is transient needs it."
         ),
     ] = None
@@ -142,9 +141,8 @@ class GridSpec(Specification):
         """`settle_until` allows another window after the first."""
         effective = self.settle + 2 * self.observe
         if self.settle_until is not None and self.settle_until < effective:
-            nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
-            rule = f"must be at least settle + 2 * observe, or null: less has no effect; {nearest} works"
-            raise BrokenRuleError("settle_until", rule)
+            needed = f"must be at least settle + 2 × observe, {effective:,}, to have an effect"
+            raise BrokenRuleError("settle_until", f"{needed}; or leave it out")
         if isinstance(self.model, Stepped) and self.settle_until is not None:
             check_steps(self.model, corners(*map(self.axis_values, ("gamma", "omega", "xi"))), self.until)
 

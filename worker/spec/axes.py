@@ -50,7 +50,7 @@ def check_kind(
     """The value, whose `kind` is in the table. Raises BrokenRuleError, which names the kinds offered."""
     if not isinstance(value, dict | Strict):
         example = next(iter(table))
-        raise BrokenRuleError("", f'must be an object such as {{"kind": "{example}"}}, not {describe(value)}')
+        raise BrokenRuleError("", f"must be a group of fields, as of kind {example!r}, not {describe(value)}")
     kind = kind_of(value, default)
     if isinstance(kind, str) and kind in table:
         return value
@@ -107,9 +107,7 @@ class Range(Strict):
     @model_validator(mode="after")
     def _rules(self) -> "Range":
         if self.start > self.stop:
-            rule = (
-                "must not be above stop: axes increase; swap the two (protocol.direction turns a ramp round)"
-            )
+            rule = "must not be above stop: swap the two; a ramp down has the direction 'down'"
             raise BrokenRuleError("start", rule)
         if self.num == 1 and self.start < self.stop:
             raise BrokenRuleError("num", "must be at least 2 to reach from start to stop")
@@ -155,7 +153,7 @@ def _form(value: object) -> str:
 
 def _number_or_forms(value: object) -> object:
     if isinstance(_plain(value), bool | str | None) or not isinstance(_plain(value), int | float):
-        forms = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
+        forms = "a number, a list of numbers, or a range with start, stop, num and spacing"
         raise BrokenRuleError("", f"must be {forms}, not {describe(value)}", "type")
     return value
 

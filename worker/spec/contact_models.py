@@ -152,7 +152,7 @@ class _SoftContact(ContactFields):
     @model_validator(mode="after")
     def _rules(self) -> "_SoftContact":
         if self.penetration is not None and self.rest_length is not None:
-            rule = "must be absent or null where penetration is given: each alone sets the contact's depth"
+            rule = "must be left out where penetration is given: each alone sets the contact's depth"
             raise BrokenRuleError("rest_length", rule)
         if not self.adhesive and self.restitution < MIN_RESTITUTION:
             rule = (

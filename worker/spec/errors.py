@@ -67,7 +67,7 @@ def describe(value: object) -> str:
     """A short printable description of an invalid value, for error messages."""
     match value:
         case None | True | False:
-            text = {None: "null", True: "true", False: "false"}[value]
+            text = {None: "nothing", True: "true", False: "false"}[value]
         case int() if value.bit_length() > 128:
             text = f"a whole number of about {round(value.bit_length() * 0.30103)} digits"
         case int() | float():
@@ -75,7 +75,7 @@ def describe(value: object) -> str:
         case str():
             text = f"text {_shorten(ascii(value))}"
         case dict():
-            text = "an object"
+            text = "a group of fields"
         case list() | tuple():
             text = f"a list of {len(value)}"
         case _:
@@ -137,15 +137,30 @@ def _problem(entry: Mapping[str, Any], fields: Mapping[str, Sequence[str]]) -> P
         hint = did_you_mean(location[-1], known) or ";"
         text = f"is not a field here{hint} the fields are {', '.join(known)}"
         return Problem(_path(location), text, "unknown")
-    value = entry["input"]
-    if rule := _RULES.get(entry["type"]):
-        length = len(value) if isinstance(value, str) else 0
-        text = rule.format(value=describe(value), length=length, **entry.get("ctx", {}))
-    else:
-        text = _shorten(str(entry["msg"]), 200)
-    if entry["type"] == "literal_error":
-        text += did_you_mean(value, entry["ctx"]["expected"].split("'")[1::2])
-    return Problem(_path(location), text, code_of(entry["type"]))
+    return Problem(_path(location), rule_of(entry), code_of(entry["type"]))
+
+
+def rule_of(entry: Mapping[str, Any]) -> str:
+    """The rule that an entry of pydantic's errors says is broken, in this project's words."""
+    kind, value, context = entry["type"], entry.get("input"), entry.get("ctx", {})
+    cause = context.get("error")
+    if isinstance(cause, ValueError):
+        return str(cause)
+    rule = next((text for ending, text in _RULES.items() if kind.endswith(ending)), "is not allowed: {value}")
+    length = len(value) if isinstance(value, str) else 0
+    shown = value if length and is_number(str(value)) else describe(value)
+    text = rule.format(value=shown, length=length, **context)
+    if kind == "literal_error":
+        text += did_you_mean(value, context["expected"].split("'")[1::2])
+    return text
+
+
+def is_number(text: str) -> bool:
+    """Whether a short text is a number, as one of a query is."""
+    try:
+        return len(text) <= 40 and float(text) is not None
+    except ValueError:
+        return False
 
 
 def code_of(kind: str) -> Code:
@@ -156,19 +171,28 @@ def code_of(kind: str) -> Code:
     return codes.get(kind, "rule")
 
 
-#: The rules of pydantic in this project's words.
+#: The texts for people, by how pydantic's name of a broken rule ends; of fields, queries and settings alike.
 _RULES: Final = {
     "missing": "is required",
+    "extra_forbidden": "is not a parameter here",
     "float_type": "must be a number, not {value}",
+    "float_parsing": "must be a number, not {value}",
     "int_type": "must be a whole number, not {value}",
+    "int_parsing": "must be a whole number, not {value}",
+    "int_from_float": "must be a whole number, not {value}",
     "bool_type": "must be true or false, not {value}",
+    "bool_parsing": "must be true or false, not {value}",
+    "date_parsing": "must be a day such as 2026-11-25, not {value}",
+    "datetime_parsing": "must be a day such as 2026-11-25, not {value}",
     "string_type": "must be text, not {value}",
+    "string_too_short": "must have at least {min_length} characters, not {length}",
     "string_unicode": "must be text that UTF-8 can write, without lone surrogates",
     "string_too_long": "must have at most {max_length} characters, not {length}",
     "string_pattern_mismatch": "must match {pattern}, not {value}",
-    "model_type": "must be an object, not {value}",
+    "model_type": "must be a group of fields, not {value}",
     "finite_number": "must be finite, not {value}",
     "literal_error": "must be {expected}, not {value}",
+    "enum": "must be {expected}, not {value}",
     "greater_than": "must be above {gt:g}, not {value}",
     "greater_than_equal": "must be at least {ge:g}, not {value}",
     "less_than": "must be below {lt:g}, not {value}",

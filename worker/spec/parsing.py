@@ -76,7 +76,7 @@ def read_json(text: str | bytes) -> object:
 def fields_of(data: object, what: str) -> dict[str, Any]:
     """The fields of an object, called `what` in errors. Raises `SpecInvalid`."""
     if not isinstance(data, dict):
-        raise SpecInvalid([Problem("", f"{what} must be an object, not {describe(data)}")])
+        raise SpecInvalid([Problem("", f"{what} must be a group of fields, not {describe(data)}")])
     wrong = [key for key in data if not isinstance(key, str) or not key.isprintable()]
     if wrong:
         raise SpecInvalid([Problem("", f"field names must be printable text, not {describe(wrong[0])}")])

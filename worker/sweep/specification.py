@@ -48,9 +48,9 @@ UNTIL: Final = 5_000
 
 #: Fields of earlier releases: their defaults, which say nothing, and what works instead of other values.
 REMOVED: Final[dict[str, tuple[object, str]]] = {
-    "settle_early": (True, '"settle": "auto" ends a cell as soon as its cycle is certified'),
-    "settle_tolerance": (0.0, '"settle": "auto" ends a cell as soon as its cycle is certified'),
-    "settle_until": (None, '"until", with "settle": "auto", gives settling cells more plate periods'),
+    "settle_early": (True, "settle 'auto' ends a cell as soon as its cycle is certified"),
+    "settle_tolerance": (0.0, "settle 'auto' ends a cell as soon as its cycle is certified"),
+    "settle_until": (None, "until, with settle 'auto', gives settling cells more plate periods"),
 }
 
 Effort = Literal["draft", "standard", "thorough"]
@@ -139,15 +139,15 @@ class SweepSpec(Specification):
     until: Annotated[
         Periods | None,
         Field(
-            description="Maximum plate periods of a cell that still settles, with settle auto; null: "
-            f"{UNTIL:,}."
+            description="Cells that still settle go on, up to this many plate periods, with settle auto; "
+            f"left out: {UNTIL:,}."
         ),
     ] = None
     keep: Keep = 64
     micro_flight: MicroFlight = 0.05
     exponents: Exponents = 0
     refine: Annotated[
-        Refinement, Field(description="Compute only where the map changes; null: every cell.")
+        Refinement, Field(description="Compute only where the map changes; left out: every cell.")
     ] = None
     parent: Annotated[JobId | None, Field(description="The job in whose map this sweep is a window.")] = None
 
@@ -182,7 +182,7 @@ class SweepSpec(Specification):
         self._check_until()
         if self.refine is not None and not isinstance(self.protocol, Rest):
             rule = f"needs protocol.kind 'rest', not {self.protocol.kind!r}, which computes every cell"
-            raise BrokenRuleError("refine", f"{rule}; null works")
+            raise BrokenRuleError("refine", f"{rule}; leave it out")
         self._check_exponents()
         self._check_depth()
         self._check_start()
@@ -196,13 +196,12 @@ class SweepSpec(Specification):
         if self.until is None:
             return
         if self.settle != "auto":
-            rule = f"must be null where settle is {self.settle}: its windows are fixed"
-            raise BrokenRuleError("until", f'{rule}; "settle": "auto" works')
+            rule = f"must be left out where settle is {self.settle}: its windows are fixed; 'auto' works"
+            raise BrokenRuleError("until", rule)
         effective = SETTLE + 2 * self.observe
         if self.until < effective:
-            nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
-            rule = f"must be at least {SETTLE} + 2 * observe, or null: less has no effect; {nearest} works"
-            raise BrokenRuleError("until", rule)
+            needed = f"must be at least {SETTLE} + 2 × observe, {effective:,}, to have an effect"
+            raise BrokenRuleError("until", f"{needed}; leave it out for {UNTIL:,}")
 
     def _check_exponents(self) -> None:
         """No more exponents than the state has dimensions, and none where no variations are computed."""

@@ -167,12 +167,15 @@ def test_jobs_are_found_and_pinned_over_http(tmp_path: Path):
 
 
 WRONG = {
-    "a cursor of another order": ({"order": "name", "cursor": "5"}, "cursor: should be `next` of the page"),
-    "no such model": ({"model": "steel"}, "model: should be 'soft', 'stepped', 'rigid', 'ball' or 'auto'"),
-    "no such protocol": ({"protocol": "fall"}, "protocol: should be 'rest', 'ramp', 'orbits', 'basin' or"),
-    "no such order": ({"order": "best"}, "order: should be 'newest'"),
-    "no such day": ({"created_from": "2026-02-30"}, "created_from: should be a valid datetime"),
-    "text without end": ({"search": "x" * 201}, "search: should have at most 200 characters"),
+    "a cursor of another order": ({"order": "name", "cursor": "5"}, "cursor: must be `next` of the page"),
+    "no such model": ({"model": "steel"}, "model: must be 'soft', 'stepped', 'rigid', 'ball' or 'auto'"),
+    "no such protocol": ({"protocol": "fall"}, "protocol: must be 'rest', 'ramp', 'orbits', 'basin' or"),
+    "no such order": ({"order": "best"}, "order: must be 'newest'"),
+    "no such day": (
+        {"created_from": "2026-02-30"},
+        "created_from: must be a day such as 2026-11-25, not ",
+    ),
+    "text without end": ({"search": "x" * 201}, "search: must have at most 200 characters, not 201"),
 }
 
 

@@ -114,11 +114,11 @@ def test_a_threshold_is_that_of_the_contact(
 
 
 @for_each(("query", "rule"), [
-    ({"model": "ball"}, "model: should be 'rigid' or 'soft'"),
-    ({"model": "stepped"}, "model: should be 'rigid' or 'soft'"),
+    ({"model": "ball"}, "model: must be 'rigid' or 'soft', not text 'ball'"),
+    ({"model": "stepped"}, "model: must be 'rigid' or 'soft'"),
     ({"restitution": 0.3}, "model: is required with restitution"),
     ({"model": "rigid", "penetration": 0.01}, "penetration: is not a field here"),
-    ({"model": "soft", "restitution": 1}, "restitution: should be less than 1"),
+    ({"model": "soft", "restitution": 1}, "restitution: must be below 1, not 1"),
     ({"model": "soft", "energy": True}, "energy: is of the closed form"),
     ({"model": "soft", "points": 1000, "modes": "1-1,1-2,1-3,1-4,1-5,1-6"}, "up to 72 core-seconds"),
 ])  # fmt: skip
@@ -333,7 +333,7 @@ def test_every_omega_is_predicted_when_asked_for(
     assert float(all_.predicted_down[0]) == pytest.approx(FOLD_060, abs=1e-9)
     assert set(job.threshold(predict="none").cause.values.tolist()) == {"not predicted"}
     where = f"/v1/jobs/{job.id}/threshold"
-    assert "should be 'none', 'some', 'all' or 'cells'" in refused(client, where, 422, predict="every")
+    assert "must be 'none', 'some', 'all' or 'cells'" in refused(client, where, 422, predict="every")
     words = many | {"omega": {"start": 0.6, "stop": 0.65, "num": 401}}
     large = python_client.submit(words).wait(progress=False)
     where = f"/v1/jobs/{large.id}/threshold"

@@ -268,7 +268,7 @@ def test_other_contacts_have_basins(tmp_path: Path, kind: str):
         ({"plane": "contact", "model": {"kind": "ball"}}, "protocol.plane: must be 'drop' where"),
         ({"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
         ({"exponents": 4}, "exponents: must be at most 3"),
-        ({"settle_until": 10}, "settle_until: must be at least settle + 2 * observe, or null: "),
+        ({"settle_until": 10}, "settle_until: must be at least settle + 2 × observe, "),
     ],
 )
 def test_broken_rules_are_named(changes: dict[str, Any], rule: str):

@@ -77,7 +77,7 @@ def test_windows_are_read_from_json():
     text = '{"gamma": [0.6, 1.1], "xi": 0, "finer": 8.0, "by": "bouncing", "margin": false}'
     assert Window.from_json(text) == Window(gamma=[0.6, 1.1], xi=0.0, finer=8, by="bouncing")
     assert Window.from_json("{}") == Window(gamma=None, omega=None, xi=None, finer=4, by="mode")
-    with pytest.raises(SpecInvalid, match=r"^a window must be an object, not a list of 0$"):
+    with pytest.raises(SpecInvalid, match=r"^a window must be a group of fields, not a list of 0$"):
         Window.from_json("[]")
     with pytest.raises(SpecInvalid, match=r"^coarse: is not a field here; the fields are gamma, omega, xi"):
         Window.from_json('{"coarse": 3}')

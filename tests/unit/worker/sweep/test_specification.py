@@ -19,7 +19,7 @@ from worker.sweep import SweepSpec
 from worker.sweep.specification import EarlierSweep
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
-FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
+FORMS = "a number, a list of numbers, or a range with start, stop, num and spacing"
 
 
 def sweep(**changes) -> SweepSpec:
@@ -64,7 +64,7 @@ AXIS_RULES = [
     ({"start": 1.0}, "gamma.stop: is required\ngamma.num: is required"),
     (range_(num=2.5), "gamma.num: must be a whole number: 2 or 3, not 2.5"),
     (range_(num=10**5000), "gamma.num: must be at most 100000, not a whole number of about 5000 digits"),
-    (range_(start=2.0, stop=1.0), "gamma.start: must not be above stop: axes increase; swap the two "),
+    (range_(start=2.0, stop=1.0), "gamma.start: must not be above stop: swap the two; "),
     (range_(start=1.0, stop=1.0, num=2), "gamma.num: must be 1 where start equals stop"),
     (range_(num=1), "gamma.num: must be at least 2 to reach from start to stop"),
     (range_(stop=1.0 + 1e-15, num=100), "gamma.num: must be small enough for distinct values: "),
@@ -89,7 +89,7 @@ RULES = [
     ({"name": "x" * 201}, "name: must have at most 200 characters, not 201"),
     ({"name": "two\nlines"}, "name: must be one line of printable characters"),
     ({"name": "\ud800"}, "name: must be text that UTF-8 can write, without lone surrogates"),
-    ({"protocol": "rest"}, 'protocol: must be an object such as {"kind": "rest"}, not text \'rest\''),
+    ({"protocol": "rest"}, "protocol: must be a group of fields, as of kind 'rest', not text 'rest'"),
     ({"protocol": {}}, "protocol.kind: is required: 'rest', 'ramp', 'orbits', 'basin' or 'multistability'"),
     ({"protocol": {"kind": "rest", "axis": "xi"}}, "protocol.axis: is not a field here; the fields are kind"),
     ({"protocol": {"kind": "ramp"}}, "protocol.axis: is required\nprotocol.direction: is required"),
@@ -99,7 +99,7 @@ RULES = [
     ({"model": {"adhesive": False, "restitution": 0}}, "model.restitution: must be at least 1e-06 where "),
     (
         {"model": {"penetration": 1e-3, "rest_length": 1.0}},
-        "model.rest_length: must be absent or null where ",
+        "model.rest_length: must be left out where ",
     ),
     ({"model": {"rest_length": 1e9}}, "model.rest_length: gives contacts 1.25e+04 to 1.25e+04 plate "),
     ({"model": {"kind": "stepped", "restitution": 0}}, "model.restitution: must be at least 1e-06 for "),
@@ -112,11 +112,14 @@ RULES = [
         "model.steps_per_contact: must be at least 12, not 2: ",
     ),
     ({"model": {"kind": "auto", "tolerance": 0}}, "model.tolerance: must be at least 1e-09, not 0.0: "),
-    ({"settle_tolerance": 1e-10}, 'settle_tolerance: was removed; "settle": "auto" ends a cell as soon as '),
-    ({"settle_early": False}, 'settle_early: was removed; "settle": "auto" ends a cell as soon as its '),
-    ({"settle_until": 399}, 'settle_until: was removed; "until", with "settle": "auto", gives settling '),
-    ({"until": 399}, "until: must be at least 200 + 2 * observe, or null: less has no effect; 400 or null"),
-    ({"until": 5000, "settle": 100}, "until: must be null where settle is 100: its windows are fixed; "),
+    ({"settle_tolerance": 1e-10}, "settle_tolerance: was removed; settle 'auto' ends a cell as soon as "),
+    ({"settle_early": False}, "settle_early: was removed; settle 'auto' ends a cell as soon as its "),
+    ({"settle_until": 399}, "settle_until: was removed; until, with settle 'auto', gives settling "),
+    (
+        {"until": 399},
+        "until: must be at least 200 + 2 × observe, 400, to have an effect; leave it ",
+    ),
+    ({"until": 5000, "settle": 100}, "until: must be left out where settle is 100: its windows are fixed; "),
     ({"settle": "long"}, "settle: must be 'auto' or a whole number of plate periods, not text 'long'"),
     (
         {"exponents": 4, "model": {"kind": "rigid"}},
@@ -175,7 +178,7 @@ def test_the_steps_a_refusal_suggests_are_the_fewest_that_work(e, d, omega, xi, 
 
 def test_a_specification_is_an_object_with_three_axes():
     for data in (None, [1], "text"):
-        with pytest.raises(SpecInvalid, match=r"^a specification must be an object, not "):
+        with pytest.raises(SpecInvalid, match=r"^a specification must be a group of fields, not "):
             SweepSpec.parse(data)
     with pytest.raises(SpecInvalid, match=r"^gamma: is required\nomega: is required\nxi: is required$"):
         SweepSpec.parse({})
@@ -202,7 +205,7 @@ def test_xi_may_be_zero_and_minus_zero_is_the_same():
     ("changes", "expected"),
     [
         ({"protocol": ramp(start={"bounces": 2})}, "protocol.start.bounces: must be 1, not 2: "),
-        ({"protocol": ramp(start=5)}, "protocol.start: must be an object, not 5"),
+        ({"protocol": ramp(start=5)}, "protocol.start: must be a group of fields, not 5"),
         (
             {"omega": [0.6, 0.7]},
             "protocol.start: there is no stable cycle (1, 1) at gamma 0.6, omega 0.7, xi 0.05; it exists "
