@@ -1,5 +1,6 @@
 """Attractors over a grid on the page, in a real Chromium: the diagram of all, the map, one in motion."""
 
+import re
 from typing import Any
 
 import pytest
@@ -32,9 +33,9 @@ def test_the_diagram_shows_all_attractors_and_one_of_them_moves(browser: Any, ad
         assert page.locator(".tabs a").all_inner_texts() == ["Diagram", "Map", "Details"]
         entries = page.locator(".panel .legend li").all_inner_texts()
         assert [entry.split(":")[0] for entry in entries] == line.attractor.astype(str).values.tolist()
-        events = page.locator(".panel .events li").all_inner_texts()
+        events = page.locator(".paged tbody tr").all_inner_texts()
         assert len(events) == line.sizes["event"]
-        assert any("(1,1), is born" in event for event in events)
+        assert any(re.search(r"birth\t\d\t\(1,1\)", event) for event in events)
 
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")

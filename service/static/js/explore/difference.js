@@ -3,7 +3,7 @@
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
-import { OUTCOME, axisLabel, isLog, nearestIndex, outcomeText } from "../lib/physics.js";
+import { OUTCOME, nearestIndex, outcomeText } from "../lib/physics.js";
 import { modeClasses, modeColour } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { PlaneView, windowOf } from "../views/cells.js";
@@ -54,9 +54,8 @@ export class Difference extends PlaneView {
   }
 
   content() {
-    const { x0, x1, y0, y1 } = this.visible();
     return {
-      x: { label: axisLabel("gamma"), low: x0, high: x1, log: isLog(this.job.spec.gamma) }, y: { label: axisLabel("omega"), low: y0, high: y1, log: isLog(this.job.spec.omega) },
+      ...this.planeScales(),
       title: `ξ = ${number(this.xi)}`,
       layers: [(ctx, box) => this.#paint(ctx, box)],
       cursor: (ctx, box) => this.drawCursor(ctx, box),
@@ -78,12 +77,7 @@ export class Difference extends PlaneView {
 
   columnsOfTable() {
     const at = ({ column, row }) => row * this.columns.length + column;
-    return [["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])], ["first", (cell) => this.#text(this.first, at(cell))], ["second", (cell) => this.#text(this.second, this.other[at(cell)])]];
-  }
-
-  describe(cell) {
-    const [gamma, omega, first, second] = this.columnsOfTable().map(([, text]) => text(cell));
-    return `Γ = ${gamma} · Ω = ${omega} · ${first === second ? `both ${first}` : `${first}, in the second ${second}`}`;
+    return [...this.columnsOfPlane(), ["first", (cell) => this.#text(this.first, at(cell))], ["second", (cell) => this.#text(this.second, this.other[at(cell)])]];
   }
 
   cellOf({ column, row }) {

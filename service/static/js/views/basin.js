@@ -90,18 +90,11 @@ export class Basin extends PlaneView {
 
   columnsOfTable() {
     const [[, across], [, along]] = AXES_OF[this.basin.attrs.plane];
-    return [[across, ({ column }) => number(this.columns[column])], [along, ({ row }) => number(this.rows[row])], ["reaches", (cell) => this.#reached(cell)]];
-  }
-
-  #reached({ column, row }) {
-    const attractor = this.attractors[this.map[row * this.columns.length + column] - 1];
-    return attractor ? attractorText(attractor) : "undecided";
-  }
-
-  describe({ column, row }) {
-    const [[, across], [, along]] = AXES_OF[this.basin.attrs.plane];
-    const reached = this.#reached({ column, row });
-    return [`${along} ${number(this.rows[row])}`, `${across} ${number(this.columns[column])}`, reached === "undecided" ? reached : `reaches ${reached}`].join(" · ");
+    const reached = ({ column, row }) => {
+      const attractor = this.attractors[this.map[row * this.columns.length + column] - 1];
+      return attractor ? attractorText(attractor) : "no attractor: undecided";
+    };
+    return [[across, ({ column }) => number(this.columns[column])], [along, ({ row }) => number(this.rows[row])], ["reaches", reached]];
   }
 }
 

@@ -2,8 +2,8 @@
 
 import { currentQuery, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
-import { share } from "../lib/format.js";
-import { clampIndex, nearestIndex } from "../lib/physics.js";
+import { number, share } from "../lib/format.js";
+import { axisLabel, clampIndex, isLog, nearestIndex } from "../lib/physics.js";
 import { classQuery, modeColour } from "../plot/colours.js";
 import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
@@ -48,6 +48,17 @@ export class PlaneView extends PlotView {
 
   isHidden() {
     return false;
+  }
+
+  /** The axes of a plane of Γ and Ω, and the table's columns for them. */
+  planeScales() {
+    const { x0, x1, y0, y1 } = this.visible();
+    const scale = (axis, low, high) => ({ label: axisLabel(axis), low, high, log: isLog(this.job.spec[axis]) });
+    return { x: scale("gamma", x0, x1), y: scale("omega", y0, y1) };
+  }
+
+  columnsOfPlane() {
+    return [["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])]];
   }
 
   /** Rings around the selected cell, at [x, y], and the current one. */

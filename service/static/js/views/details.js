@@ -1,7 +1,6 @@
 // Where a sweep comes from (times, versions, cost), its specification, the chunks that failed, the model that `auto`
 // selected, and access from elsewhere.
 
-import { link } from "../lib/address.js";
 import { requestJson, shared } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { downloads, wholeSweep } from "../lib/downloads.js";

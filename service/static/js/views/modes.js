@@ -4,7 +4,7 @@ import { currentQuery, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
-import { HYSTERESIS, OUTCOME, axisLabel, certificateOf, certifies, exponentOf, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
+import { HYSTERESIS, OUTCOME, certificateOf, certifies, exponentOf, isClose, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, theme } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView, hatchSymbol, windowOf } from "./cells.js";
@@ -132,11 +132,9 @@ export class Modes extends PlaneView {
   }
 
   content() {
-    const { x0, x1, y0, y1 } = this.visible();
     const { present } = this.classes;
     return {
-      x: { label: axisLabel("gamma"), low: x0, high: x1, log: isLog(this.job.spec.gamma) },
-      y: { label: axisLabel("omega"), low: y0, high: y1, log: isLog(this.job.spec.omega) },
+      ...this.planeScales(),
       title: `${this.prefix}ξ = ${number(this.xi)}${this.isTwoWay ? `, ramp ${this.ramp}` : ""}`,
       legend: [
         ...(this.cells.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
@@ -181,8 +179,7 @@ export class Modes extends PlaneView {
     const { outcome, label = outcome, bounces, periods, multiplier } = this.cells;
     const of = (read) => ({ column, row }) => read(row * this.columns.length + column);
     return [
-      ["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])],
-      ["mode", of((cell) => outcomeText(label[cell], bounces[cell], periods[cell]))],
+      ...this.columnsOfPlane(), ["mode", of((cell) => outcomeText(label[cell], bounces[cell], periods[cell]))],
       ...(multiplier ? [["|μ|", of((cell) => number(multiplier[cell], 3))]] : []),
     ];
   }

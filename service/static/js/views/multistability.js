@@ -2,15 +2,16 @@
 
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
+import { fileName } from "../lib/downloads.js";
 import { number, plural, share } from "../lib/format.js";
-import { TWO_PI, axisLabel, clampIndex, isClose, isLog, nearestIndex, startName, startOf } from "../lib/physics.js";
+import { PagedTable } from "../lib/table.js";
+import { TWO_PI, clampIndex, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
 import { COLOURED, branchColour, theme } from "../plot/colours.js";
 import { circle, disc, polyline, rgba32, verticalLine } from "../plot/drawing.js";
 import { cellBorders, extent } from "../plot/scale.js";
 import { PlaneView, hatchSymbol, legendEntry } from "./cells.js";
 import { sliders } from "./controls.js";
 
-const MAX_EVENTS = 12; // listed one by one
 const MAX_LISTED = 6; // flights
 const HATCH = 7; // px between the lines over cells with several attractors
 
@@ -23,10 +24,9 @@ class AttractorView extends PlaneView {
     this.axes = axes;
     this.legend = h("ul", { className: "legend", "aria-label": "Attractors" });
     this.shares = h("p", { className: "note" });
-    this.events = h("ul", { className: "events note", "aria-label": "Births, deaths and changes of mode" });
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, axes), controls),
-      shown: [this.legend, this.shares, this.events], ...options,
+      shown: [this.legend, this.shares], ...options,
     });
   }
 
@@ -61,11 +61,6 @@ class AttractorView extends PlaneView {
   get message() {
     return this.count.every((n) => n < 0) ? "Not computed yet" : null;
   }
-
-  gammaScale() {
-    const { x0, x1 } = this.visible();
-    return { label: axisLabel("gamma"), low: x0, high: x1, log: isLog(this.job.spec.gamma) };
-  }
 }
 
 /** The diagram: the flights of all coexisting attractors. Cells are {column, k}: indices into Γ and the cell's attractors. */
@@ -73,10 +68,12 @@ export class AttractorDiagram extends AttractorView {
   name = "attractors";
 
   constructor(root, view) {
+    const events = new PagedTable("Births, ends, changes of mode", () => this.#eventRows(), () => fileName(this.job, "events", "csv"), true);
     super(root, view, {
-      axes: ["omega", "xi"], label: "Diagram of all attractors",
+      tables: [events.element], axes: ["omega", "xi"], label: "Diagram of all attractors",
       hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
     });
+    this.events = events;
   }
 
   shown() {
@@ -85,10 +82,14 @@ export class AttractorDiagram extends AttractorView {
 
   showLegend() {
     super.showLegend();
-    const events = partsOf(this.plane, "event");
-    const texts = events.slice(0, MAX_EVENTS).map((event) => h("li", {}, eventText(event)));
-    const more = events.length - texts.length;
-    this.events.replaceChildren(...texts, ...(more > 0 ? [h("li", {}, `and ${plural(more, "more event")}: see the JSON`)] : []));
+    this.events.update();
+  }
+
+  #eventRows() {
+    const events = this.isLoaded ? partsOf(this.plane, "event") : [];
+    const row = ({ event_kind: kind, event_attractor: attractor, event_gamma_below: low, event_gamma_above: high, event_below: below, event_above: above, event_leads_to: other }) =>
+      [`${number(low, 4)}–${number(high, 4)}`, kind, String(attractor), kind === "mode" ? `${below} to ${above}` : kind === "birth" ? above : below, other ? String(other) : ""];
+    return { titles: ["Γ", "event", "attractor", "mode", "leads to"], length: events.length, row: (i) => row(events[i]) };
   }
 
   whole() {
@@ -101,7 +102,7 @@ export class AttractorDiagram extends AttractorView {
     const { y0, y1 } = this.visible();
     return {
       title: `Ω = ${number(this.rows[0])},   ξ = ${number(this.xi)}`,
-      x: this.gammaScale(),
+      x: this.planeScales().x,
       y: { label: "flight time φ (rad)", low: y0, high: y1, periods: true },
       message: this.message,
       layers: [(ctx, box) => this.#drawEvents(ctx, box), (ctx, box) => this.#drawFlights(ctx, box)],
@@ -186,14 +187,6 @@ export class AttractorDiagram extends AttractorView {
   }
 }
 
-/** "Γ 0.54 to 0.56: attractor 2, (1,1), is born; below, its place has attractor 1" */
-function eventText({ event_kind: kind, event_attractor: attractor, event_gamma_below: low, event_gamma_above: high, event_below: below, event_above: above, event_leads_to: other }) {
-  const where = `Γ ${number(low)} to ${number(high)}: attractor ${attractor}`;
-  if (kind === "mode") return `${where} changes from ${below} to ${above}`;
-  const ends = other ? `; it leads to attractor ${other}` : "";
-  return kind === "birth" ? `${where}, ${above}, is born${ends}` : `${where}, ${below}, ends${ends}`;
-}
-
 /** The map: the attractor that most drops reach, hatched where several coexist. */
 export class AttractorMap extends AttractorView {
   name = "attractor-map";
@@ -213,12 +206,10 @@ export class AttractorMap extends AttractorView {
   }
 
   content() {
-    const { y0, y1 } = this.visible();
     const isHatched = this.hatches.checked && this.plane.attrs.several > 0;
     return {
       title: `ξ = ${number(this.xi)}`,
-      x: this.gammaScale(),
-      y: { label: axisLabel("omega"), low: y0, high: y1, log: isLog(this.job.spec.omega) },
+      ...this.planeScales(),
       legend: isHatched ? [["several attractors", hatchSymbol]] : [],
       message: this.message,
       layers: [(ctx, box) => this.#drawAttractors(ctx, box), (ctx, box) => isHatched && this.#drawHatch(ctx, box)],
@@ -256,14 +247,8 @@ export class AttractorMap extends AttractorView {
   }
 
   columnsOfTable() {
-    return [["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])],
-      ["attractors", (cell) => this.placesOf(cell).map(({ id, label }) => `${id} ${label}`).join("; ")]];
-  }
-
-  describe({ column, row }) {
-    const parts = [`Γ = ${number(this.columns[column])}`, `Ω = ${number(this.rows[row])}`];
-    if (this.count[row * this.columns.length + column] < 0) parts.push("not computed yet");
-    return [...parts, ...this.placesOf({ column, row }).map(placeText)].join(" · ");
+    const isMissing = ({ column, row }) => this.count[row * this.columns.length + column] < 0;
+    return [...this.columnsOfPlane(), ["", (cell) => (isMissing(cell) ? "not computed yet" : this.placesOf(cell).map(placeText).join(" · "))]];
   }
 }
 

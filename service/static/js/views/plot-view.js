@@ -4,7 +4,7 @@ import { currentQuery, queryChanges, setQuery, windowIn, windowQuery } from "../
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
 import { announce, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
-import { AXES, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
+import { AXES, SYMBOL, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { listenToInput, panned, scaled } from "../plot/input.js";
@@ -14,6 +14,7 @@ const RETRY_MS = 3000; // after 503: results that were damaged are computed agai
 const KEYS = "Arrow keys step through cells, Home and End go to the ends, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
 const ANNOUNCED_MS = 250; // after the last key: a cursor that moves is not read cell by cell
 const GESTURE_MS = 700; // between two turns of the wheel
+const SYMBOLS = new Set(Object.values(SYMBOL));
 const PICTURES = [["PNG", "png"], ["SVG", "svg"], ["PDF", "pdf"]];
 
 /** What a view shows of a job; `number` is its place among compared ones. */
@@ -44,7 +45,7 @@ async function requestFitting(path, options) {
  *   nearest(x, y), step(cell, right, up)   the cell at a position, or this many cells further.
  *                    The views represent cells differently; only their own methods look into one.
  *   at(cell)         its position [x, y]
- *   describe(cell)   the cell in words, or a list of elements
+ *   describe(cell)   the cell in words, or a list of elements, if it is not what the table says of it
  *   cellOf(cell)     its {gamma, omega, xi, direction}
  *   cellsShown(), columnsOfTable()  the cells of the table of what is shown, and its columns [[title, (cell) => text], …]
  *   showLegend()     optional; called when the data or the colours have changed
@@ -152,6 +153,10 @@ export class PlotView {
   }
 
   showLegend() {}
+
+  describe(cell) {
+    return this.columnsOfTable().map(([title, text]) => (SYMBOLS.has(title) ? `${title} = ${text(cell)}` : `${title} ${text(cell)}`.trim())).join(" · ");
+  }
 
   paths() {
     return this.sources.map((source) => this.filePath(source));
