@@ -255,6 +255,77 @@ def classes_of(labels: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any
     return cells
 
 
+def draw_returns(ax: "Axes", diagram: xarray.Dataset) -> None:
+    """Each flight of one cell over the one before, and the diagonal on which cycles of one flight are."""
+    lines = [diagram.isel(direction=i) for i in range(diagram.sizes.get("direction", 0))] or [diagram]
+    times = diagram.flight_time.values
+    low, high = np.nanmin(times, initial=np.inf), np.nanmax(times, initial=0.0)
+    ends = (max(min(low, high) - 0.05 * high, 0.0), 1.05 * high or PERIOD)
+    for line in lines:
+        flights, way = line.flight_time.values.ravel(), str(line.direction.values)
+        flights = flights[np.isfinite(flights)]
+        ax.plot(flights[:-1], flights[1:], ".", color=LINES[way], markersize=5, label=_WAYS[way], zorder=3)
+    ax.plot(ends, ends, color="0.7", linewidth=0.8, zorder=1)
+    ax.set(xlim=ends, ylim=ends, aspect="equal")
+    ax.set_xlabel(FLIGHT)
+    ax.set_ylabel("next flight time (rad)")
+    ax.set_title(", ".join(f"{SYMBOLS[axis]} = {diagram[axis].item():g}" for axis in AXES))
+
+
+def draw_exponents(ax: "Axes", diagram: xarray.Dataset) -> None:
+    """The largest Lyapunov exponent along the axis with its standard error, the others faint."""
+    along = along_of(diagram)
+    lines = [diagram.isel(direction=i) for i in range(diagram.sizes.get("direction", 0))] or [diagram]
+    for line in lines:
+        exponents = line.lyapunov.transpose(along, "exponent").values
+        way, finite = str(line.direction.values), np.where(np.isfinite(exponents), exponents, np.nan)
+        style: Any = {"color": LINES[way], "linewidth": 1.0}
+        ax.plot(line[along].values, finite[:, 1:], alpha=0.3, **style)
+        ax.errorbar(
+            line[along].values, finite[:, 0], line.lyapunov_error.values, label=_WAYS[way], fmt=".-",
+            markersize=2, elinewidth=0.6, **style,
+        )  # fmt: skip
+    ax.axhline(0.0, color="0.6", linewidth=0.8, zorder=1)
+    ax.set_xlabel(AXES[along])
+    ax.set_ylabel(r"Lyapunov exponents $\lambda$ (per plate period)")
+    ax.set_title(", ".join(f"{SYMBOLS[axis]} = {diagram[axis].item():g}" for axis in AXES if axis != along))
+
+
+def draw_measured(ax: "Axes", points: Any, axis: NDArray[np.float64], computed: NDArray[np.float64]) -> None:
+    """Measured points with their errors, and below them what they differ by from the nearest computed one.
+
+    points: a `service.client.measured.Measured`; computed (n, k): the values at the n values of the axis,
+    NaN where there are fewer. A point beyond the axis by more than half a step has no residual.
+    """
+    cell = np.clip(np.searchsorted(edges(axis), points.x) - 1, 0, len(axis) - 1)
+    differences = points.y[:, None] - computed[cell]
+    differences[(points.x < edges(axis)[0]) | (points.x > edges(axis)[-1])] = np.nan
+    residual = np.full(len(points.y), np.nan)
+    for i in np.flatnonzero(np.isfinite(differences).any(axis=1)):
+        residual[i] = differences[i, np.nanargmin(np.abs(differences[i]))]
+    style: Any = {"fmt": "D", "color": WARNING, "markersize": 4, "markerfacecolor": "white",
+                  "elinewidth": 1.0, "zorder": 6}  # fmt: skip
+    ax.errorbar(points.x, points.y, points.error, label="measured", **style)
+    figure = ax.get_figure(root=True)
+    if figure is not None and figure.get_layout_engine() is not None:  # which would not make the room
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+    x, y, width, height = ax.get_position().bounds
+    ax.set_position((x, y + 0.32 * height, width, 0.68 * height))
+    below = ax.inset_axes((0.0, -0.47, 1.0, 0.35), sharex=ax)
+    below.set_xlabel(ax.get_xlabel())
+    below.axhline(0.0, color="0.6", linewidth=0.8)
+    below.errorbar(points.x, residual, points.error, **style)
+    below.set_title("measured − computed", loc="left", fontsize=8, pad=2)
+    ax.set_xlabel("")
+    ax.tick_params(labelbottom=False)
+    near = np.abs(residual[np.isfinite(residual)])
+    said = f"{len(near)} of {len(residual)} points"
+    if len(near):
+        said += f": median {np.median(near):.2g}, largest {near.max():.2g}"
+    below.set_title(said, loc="right", fontsize=8, pad=2)
+
+
 def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     """The cells of the plane (Γ, Ω) by the plate periods of their cycle, or by what else they do.
 

@@ -15,6 +15,7 @@ import numpy as np
 import xarray
 
 from service.client.errors import UnexpectedAnswer
+from service.client.measured import measured
 from service.pictures import (
     AXES,
     SYMBOLS,
@@ -22,7 +23,10 @@ from service.pictures import (
     draw_branches,
     draw_cycles,
     draw_diagram,
+    draw_exponents,
+    draw_measured,
     draw_modes,
+    draw_returns,
     draw_thresholds,
 )
 from worker.spec.errors import BounceError
@@ -30,6 +34,8 @@ from worker.spec.errors import BounceError
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
+
+    from service.client.measured import Data
 
 #: What a table of flights says of their cells.
 _OF_CELLS: Final = ("outcome", "label", "lyapunov_error", "bounces", "periods", "flight_error", "multiplier")
@@ -121,18 +127,29 @@ class BounceAccessor:
         return pandas.DataFrame(columns)
 
     def plot(
-        self, *, ax: "Axes | None" = None, branches: xarray.Dataset | None = None, **where: float | str
+        self,
+        *,
+        ax: "Axes | None" = None,
+        branches: xarray.Dataset | None = None,
+        data: "Data | None" = None,
+        frequency: float | None = None,
+        **where: float | str,
     ) -> "Axes":
         """Plot a diagram, a map of modes, thresholds, branches, or a part of a whole sweep with matplotlib.
 
         `where` selects of a whole sweep: `gamma`, `omega`, `xi` to the nearest grid value, `direction` up or
         down. What is left must be a line, drawn as a diagram, or a plane of Γ and Ω, drawn as a map.
-        `branches` and `ax` as of `Job.plot`. Returns the axes. Raises BounceError naming what to select.
+        `branches`, `data`, `frequency` and `ax` as of `Job.plot`. Returns the axes. Raises BounceError naming
+        what to select.
         """
         dataset = _selected(self._dataset, where)
         ax = ax if ax is not None else _new_axes()
         if "analytic" in dataset:
             draw_thresholds(ax, dataset)
+            if data is not None:
+                points = measured(data, "omega", "gamma")
+                computed = [dataset[name].values for name in ("up", "down", "analytic", "predicted_down")]
+                draw_measured(ax, points, dataset.omega.values, np.stack(computed, axis=-1))
             return ax
         if "branch" in dataset.dims:
             draw_cycles(ax, dataset)
@@ -146,11 +163,33 @@ class BounceAccessor:
             ax.set_title(", ".join(f"{SYMBOLS[axis]} = {dataset[axis].item():g}" for axis in fixed))
             if branches is not None:
                 draw_branches(ax, branches)
+            if data is not None:
+                along = along_of(dataset)
+                flights = dataset.flight_time.transpose(along, ...).values
+                points = measured(data, along, "flight_time", frequency)
+                draw_measured(ax, points, dataset[along].values, flights.reshape(len(flights), -1))
+                return ax
         elif dims == {"gamma", "omega"}:
             draw_modes(ax, dataset.transpose("omega", "gamma", ...))
         else:
             several = ", ".join(f"{dim} ({dataset.sizes[dim]} values)" for dim in dataset.outcome.dims)
             raise BounceError(f"plot: a line, or a plane of gamma and omega; select of {several}")
+        if data is not None:
+            raise BounceError("data: is drawn over a diagram or thresholds")
+        return ax
+
+    def plot_returns(self, *, ax: "Axes | None" = None) -> "Axes":
+        """Plot each flight of a diagram of one cell over the one before."""
+        ax = ax if ax is not None else _new_axes()
+        draw_returns(ax, self._dataset.squeeze(along_of(self._dataset)))
+        return ax
+
+    def plot_exponents(self, *, ax: "Axes | None" = None) -> "Axes":
+        """Plot the Lyapunov exponents of a diagram. Raises BounceError where none are stored."""
+        if "lyapunov" not in self._dataset:
+            raise BounceError("exponents: the sweep has none; submit it with exponents")
+        ax = ax if ax is not None else _new_axes()
+        draw_exponents(ax, self._dataset)
         return ax
 
 

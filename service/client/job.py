@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
+    from service.client.measured import Data
+
 #: Seconds between two requests of a wait if the service sends no Retry-After: the first, and the longest.
 FIRST_DELAY: Final = 0.05
 MAX_DELAY: Final = 2.0
@@ -43,7 +45,7 @@ REQUEST_DELAY: Final = 0.02
 MAX_OUTAGE: Final = 30.0
 
 
-Kind = Literal["diagram", "modes", "threshold", "orbits"]
+Kind = Literal["diagram", "modes", "threshold", "orbits", "return", "exponents"]
 
 
 class ResultReader(ABC):
@@ -275,6 +277,8 @@ class Job(ResultReader, ResultMethods, JobStatus):
         *,
         ax: "Axes | None" = None,
         branches: "xarray.Dataset | None" = None,
+        data: "Data | None" = None,
+        frequency: float | None = None,
         **selection: Any,
     ) -> "Axes":
         """Plot the results with matplotlib.
@@ -283,12 +287,20 @@ class Job(ResultReader, ResultMethods, JobStatus):
         ----------
         kind
             "diagram", the flights along one axis; "modes", the map over (Γ, Ω); "threshold", over Ω;
-            "orbits", the branches of cycles. By default those of a study of orbits, the map of a sweep if Γ
-            and Ω both have several values, else the diagram.
+            "orbits", the branches of cycles; "return", each flight of a cell over the one before;
+            "exponents", the Lyapunov exponents along one axis. By default the branches of a study of orbits,
+            the map of a sweep if Γ and Ω both have several values, else the diagram.
         ax
             By default the current axes of pyplot if it is in use, else those of a new figure.
         branches
             From `Client.orbits`, drawn over a diagram: solid where stable.
+        data
+            Measured points over a diagram or thresholds, with their residuals to the nearest flight or
+            threshold: a CSV file, a pandas table or a mapping. Columns: the axis (`gamma` or `omega`),
+            `flight_time` in rad or `flight_time_ms`, over thresholds `omega` and `gamma`; and `error`, half
+            an error bar, if known.
+        frequency
+            Of the plate in Hz, for `flight_time_ms` without a column `frequency`.
         **selection
             Arguments of the result's method. Maps of sweeps ramped both ways are hatched where
             the directions differ, unless `hysteresis` is False.
@@ -308,13 +320,25 @@ class Job(ResultReader, ResultMethods, JobStatus):
             raise BounceError(f"kind: must be one of {', '.join(get_args(Kind))}, not {kind!r:.40}")
         if branches is not None and kind != "diagram":
             raise BounceError(f"branches: are drawn in a diagram, not in {kind}")
+        if data is not None and kind not in ("diagram", "threshold"):
+            raise BounceError(f"data: are drawn in a diagram or over thresholds, not in {kind}")
         if kind == "modes" and spec["protocol"].get("direction") == "both":
             selection = {"hysteresis": True, "direction": "up", **selection}
         elif kind in ("threshold", "orbits"):
             selection["progress"] = False
-        elif kind == "diagram" and "along" not in selection and long and "gamma" not in long:
+        elif kind in ("diagram", "exponents") and "along" not in selection and long and "gamma" not in long:
             selection["along"] = long[0]
-        axes: Axes = self.result(kind, **selection).bounce.plot(ax=ax, branches=branches)
+        if kind == "return":
+            at = selection.pop("gamma", None)
+            if at is None and "gamma" in long:
+                raise BounceError("gamma: is required, of the cell whose flights are drawn")
+            accessor = self.diagram(**selection, start=at, stop=at).bounce
+            axes: Axes = accessor.plot_returns(ax=ax)
+        elif kind == "exponents":
+            axes = self.result("diagram", **selection).bounce.plot_exponents(ax=ax)
+        else:
+            accessor = self.result(kind, **selection).bounce
+            axes = accessor.plot(ax=ax, branches=branches, data=data, frequency=frequency)
         return axes
 
     def _refresh_in_time(self) -> None:

@@ -1,10 +1,15 @@
 """A job's results as plots: what is drawn by default, and hatches."""
 
+import math
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from studies import spec_of
+from tables import for_each
 
 from service.client import BounceError, Client, Job
 from service.pictures import AXES, DIFFER, FLIGHT, HATCH
@@ -39,7 +44,7 @@ def test_what_is_drawn_by_default(job: Job, python_client: Client):
     assert job.plot(along="gamma", omega=0.6).get_ylabel() == FLIGHT
     both = job.plot("diagram", omega=0.6, ax=Figure().subplots())
     assert both.get_legend_handles_labels()[1] == ["ramp up", "ramp down"]
-    with pytest.raises(BounceError, match="kind: must be one of diagram, modes, threshold, orbits"):
+    with pytest.raises(BounceError, match="kind: must be one of diagram, modes, threshold, orbits, "):
         job.plot("pie")  # type: ignore[arg-type]
     with pytest.raises(BounceError, match="are drawn in a diagram"):
         job.plot("modes", branches=python_client.orbits(0.6, 0.05, "1-1"))
@@ -61,3 +66,64 @@ def test_a_map_is_hatched_where_up_and_down_differ(job: Job, ax: Axes):
     plain = Figure().subplots()
     job.plot("modes", ax=plain, hysteresis=False)
     assert len(plain.collections) == 1
+
+
+def test_a_return_map_has_each_flight_over_the_one_before(job: Job, ax: Axes):
+    job.plot("return", gamma=1.4, omega=0.6, direction="down", ax=ax)
+    flights = job.diagram(omega=0.6, direction="down").flight_time.sel(gamma=1.4).values
+    pairs = np.stack([flights[:-1], flights[1:]])
+    np.testing.assert_array_equal(ax.lines[0].get_data(), pairs[:, np.isfinite(pairs).all(axis=0)])
+    with pytest.raises(BounceError, match="gamma: is required"):
+        job.plot("return", omega=0.6)
+
+
+def test_exponents_are_drawn_along_the_axis(python_client: Client, ax: Axes):
+    spec = RAMP | {"omega": 0.6, "protocol": {"kind": "rest"}, "exponents": 1}
+    job = python_client.submit(spec).wait(progress=False)
+    job.plot("exponents", ax=ax)
+    stored = job.diagram().lyapunov.values[:, 0]
+    stored = np.where(np.isfinite(stored), stored, np.nan)
+    assert any(np.array_equal(line.get_ydata(), stored, equal_nan=True) for line in ax.lines)
+    with pytest.raises(BounceError, match="exponents: the sweep has none"):
+        python_client.submit(RAMP | {"omega": 0.6}).wait(progress=False).plot("exponents")
+
+
+# Measured points
+
+
+def residuals(ax: Axes) -> np.ndarray[Any, Any]:
+    """What is drawn in the axes below."""
+    return np.asarray(ax.child_axes[-1].lines[-1].get_ydata())  # type: ignore[attr-defined]
+
+
+def test_measured_flights_have_residuals_to_the_nearest(job: Job, ax: Axes, tmp_path: Path):
+    """In ms of a plate of 25 Hz; a point beyond the axis has none."""
+    flights = job.diagram(omega=0.6, direction="down").flight_time
+    gamma, offset = [1.0, 1.21, 1.5, 2.0], np.array([0.02, -0.03, 0.01, 0.0])
+    times = [float(flights.sel(gamma=each, method="nearest")[0]) for each in gamma] + offset
+    rows = [f"{g},{time / (2 * math.pi * 0.025)},0.1" for g, time in zip(gamma, times, strict=True)]
+    file = tmp_path / "measured.csv"
+    file.write_text("\n".join(["# of our own", "gamma,flight_time_ms,error", *rows]))
+    job.plot("diagram", omega=0.6, direction="down", data=file, frequency=25.0, ax=ax)
+    np.testing.assert_allclose(residuals(ax), [*offset[:3], np.nan], atol=1e-9)
+    assert ax.child_axes[-1].get_title("right") == "3 of 4 points: median 0.02, largest 0.03"  # type: ignore[attr-defined]
+
+
+def test_measured_thresholds_have_residuals_to_the_nearest(job: Job, ax: Axes):
+    at = float(job.threshold(progress=False).down.sel(omega=0.6))
+    job.plot("threshold", data={"omega": [0.6], "gamma": [at + 0.01]}, ax=ax)
+    np.testing.assert_allclose(residuals(ax), [0.01], atol=1e-9)
+
+
+@for_each(("data", "rule"), [
+    ({"gamma": [1.0]}, "data: needs the column flight_time or flight_time_ms; it has gamma"),
+    ({"flight_time": [1.0]}, "data: needs the column gamma; it has flight_time"),
+    ({"gamma": [1.0], "flight_time": ["long"]}, "data: flight_time of row 1 must be a number, not 'long'"),
+    ({"gamma": [1.0], "flight_time_ms": [9.0]}, "data: flight_time_ms needs the plate's frequency in Hz"),
+    ({"gamma": [1.0], "speed": [9.0]}, "data: speed is no column here; these are gamma, omega, xi"),
+    (Path(__file__).parents[4] / "docs/page.png", "is no table of columns with commas"),
+])  # fmt: skip
+def test_data_that_is_no_table_of_points_is_refused(job: Job, data: Any, rule: str):
+    with pytest.raises(BounceError) as caught:
+        job.plot("diagram", omega=0.6, direction="down", data=data, ax=Figure().subplots())
+    assert rule in str(caught.value)

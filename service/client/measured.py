@@ -1,0 +1,77 @@
+"""Measured points for a plot: a table with an axis, flight times or thresholds, and perhaps errors."""
+
+import math
+from collections.abc import Mapping
+from os import PathLike
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worker.spec.errors import BounceError
+
+if TYPE_CHECKING:
+    import pandas
+
+#: A CSV file, or a table of these columns.
+Data: TypeAlias = "str | PathLike[str] | pandas.DataFrame | Mapping[str, Any]"
+
+MOST_ROWS: Final = 100_000
+_COLUMNS: Final = ("gamma", "omega", "xi", "flight_time", "flight_time_ms", "frequency", "error")
+
+
+class Measured(NamedTuple):
+    """n points of a plot; `error` is half the length of the error bars, NaN without."""
+
+    x: NDArray[np.float64]  # (n,)
+    y: NDArray[np.float64]  # (n,) rad, or Gamma of a threshold
+    error: NDArray[np.float64]  # (n,)
+
+
+def measured(data: Data, along: str, value: str, frequency: float | None = None) -> Measured:
+    """The points of `data` over the axis `along`, of a `value`: "flight_time" in rad, or "gamma".
+
+    Flight times are in rad of the plate (`flight_time`), or in ms (`flight_time_ms`) with the plate's
+    frequency in Hz, given or as a column. `error` has the unit of what it is of. Raises BounceError naming
+    the column, or the row, from 1.
+    """
+    table = _table(data)
+    y, factor = value, np.ones(len(table))
+    if value == "flight_time" and "flight_time_ms" in table:
+        if frequency is None and "frequency" not in table:
+            raise BounceError("data: flight_time_ms needs the plate's frequency in Hz, as argument or column")
+        hertz = _numbers(table, "frequency") if frequency is None else np.full(len(table), float(frequency))
+        y, factor = "flight_time_ms", 2.0 * math.pi * hertz / 1000.0
+    for name in (along, y):
+        if name not in table:
+            also = " or flight_time_ms" if name == "flight_time" else ""
+            raise BounceError(f"data: needs the column {name}{also}; it has {', '.join(map(str, table))}")
+    error = _numbers(table, "error") if "error" in table else np.full(len(table), np.nan)
+    return Measured(_numbers(table, along), _numbers(table, y) * factor, error * factor)
+
+
+def _table(data: Data) -> "pandas.DataFrame":
+    import pandas
+
+    if isinstance(data, str | PathLike):
+        try:
+            data = pandas.read_csv(data, comment="#", skipinitialspace=True, nrows=MOST_ROWS + 1)
+        except (ValueError, UnicodeDecodeError) as error:
+            raise BounceError(f"data: {data} is no table of columns with commas: {error}") from None
+    table = pandas.DataFrame(data)
+    if len(table) > MOST_ROWS:
+        raise BounceError(f"data: has more than {MOST_ROWS:,} rows")
+    if unknown := [str(name) for name in table if name not in _COLUMNS]:
+        raise BounceError(f"data: {unknown[0]:.40} is no column here; these are {', '.join(_COLUMNS)}")
+    return table
+
+
+def _numbers(table: "pandas.DataFrame", name: str) -> NDArray[np.float64]:
+    import pandas
+
+    numbers = pandas.to_numeric(table[name], errors="coerce").to_numpy(float)
+    wrong = np.flatnonzero(~np.isfinite(numbers) & table[name].notna().to_numpy())
+    if len(wrong):
+        said = str(table[name].iloc[wrong[0]])
+        raise BounceError(f"data: {name} of row {wrong[0] + 1} must be a number, not {said!r:.40}")
+    return numbers
