@@ -1,57 +1,59 @@
 """Where bouncing ends on the way down by search: at low damping no list of short cycles decides it.
 
-Many starts at many Gammas below that at which rest ends, long runs in lanes. What survives is followed down:
-a cycle by continuation to its fold, flip or end, everything else by a ramp in small steps.
+Many starts at many Gammas below that at which rest ends. Their transients pass by cycles, stable or not: from
+their states Newton's method finds these, and the branches through them, followed, lead to stable cycles that
+no start reaches. What survives long runs and is no cycle is carried down in small steps.
 """
 
 import math
+from itertools import groupby
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from kernel.creep import Crept, creep, rotation, run
+from kernel.cycles.any_contact import Followed, both_ways, lies_on, repeats
 from kernel.cycles.contact_thresholds import rest_ends
-from kernel.cycles.cycles import Point, cycle_from
-from kernel.cycles.descent import Descent, descend
+from kernel.cycles.cycles import LANDINGS, Point, confirmed, cycle_from, read
+from kernel.cycles.descent import Descent, descend, fold_of, folds_of_twice, name_of
+from kernel.cycles.events import Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.starts import cycles_at, start_on_cycle
-from kernel.line import run_line
 from kernel.numerics.elementary import TWO_PI
-from kernel.params import Cell, Line, Outcome, Start
+from kernel.params import Cell, Line, Outcome
 
-#: Plate periods before a start is looked at, and those for which what bounces then is followed.
-SETTLE: Final = 3_000
-FOLLOWED: Final = 20_000
+#: Gammas, from this far below where the last round found an end, relative, to this part of where rest ends.
+_GAMMAS, _BELOW, _LOWEST = 30, 3e-4, 0.3
+_ROUNDS: Final = 4
 
-#: Starts of one Gamma that are followed: those that bounce are on few attractors.
-_MOST: Final = 24
+#: Plate periods, one after another, after which states of transients are taken; for which what survives is
+#: followed, and of which all starts are.
+_LOOKS, _FOLLOWED, _TRANSIENT = (5, 10, 20, 40, 80, 160), 5_000, 40
+#: Those that are followed longer, of each Gamma, and motions that are carried down.
+_MOST, _CARRIED = 32, 12
 
-#: The highest Gamma of a round lies so far below what bounds it, relative; each round begins at the end that
-#: the last found.
-_BELOW: Final = 3e-4
-_ROUNDS: Final = 6
+#: Newton's method begins at this part of all starts each time, for up to so many plate periods, where the
+#: equations of the cycle are off by more than rounding and by less than this.
+_SEEDS, _PERIODS, _NEAR, _FAR = 0.1, 18, 1e-6, 0.5
+#: Points of a branch each way, and plate periods of cycles that survive.
+_POINTS, _LONGEST = 300, 24
+#: A cycle next to which an event shows a stable one has no larger multiplier.
+_CRITICAL: Final = 1.001
 
 #: Cycles of the closed form beside which starts lie, how far, relative, and starts at each distance.
-_PERIODS: Final = 3
-_BESIDE: Final = (1e-3, 1e-2, 0.05)
-_OF_EACH: Final = 8
-
-#: Cells of a ramp down, the part of Gamma that it descends, and plate periods of each.
-_CELLS, _DESCENDS, _STAY = 200, 0.02, 1_000
-#: The lowest cells of a ramp of which one must bounce on as a survivor does.
-_TRIED: Final = 40
-#: Ramps, one after the other, each with a cycle followed from its end if it is one.
-_RAMPS: Final = 12
-
-#: Plate periods of cycles that are followed.
-_LONGEST: Final = 16
+_NEAR_PERIODS, _BESIDE, _OF_EACH = 3, (1e-3, 1e-2, 0.05), 8
 
 
 class Searched(NamedTuple):
     """The lowest end that a search finds."""
 
-    gamma: float  # at which bouncing ends; NaN: nothing bounces below the bound
+    gamma: float  # at which bouncing ends; NaN: nothing bounces below where rest ends
     what: str  # ends there
     starts: int  # at each Gamma
+    gone: float = math.nan  # the Gamma below it at which what was carried down no longer bounces
+    rotation: float = math.nan  # of a torus, in turns for each round of the cycle in it
+    rotation_error: float = math.nan
 
     @property
     def missed(self) -> float:
@@ -59,47 +61,159 @@ class Searched(NamedTuple):
         return 1.0 - math.pow(0.05, 1.0 / self.starts)
 
 
-def search(
-    plate: Any, omega: float, xi: float, *, starts: int = 400, gammas: int = 30, lowest: float = 0.3,
-    seed: int = 0,
-) -> Searched:  # fmt: skip
-    """The lowest Gamma at which something bounces, searched from where rest ends down to `lowest` of it.
+def starts_of(effort: float) -> int:
+    """The starts at each Gamma of an effort from 0 to 100: from 100 to 10,000."""
+    return round(100.0 * math.pow(10.0, effort / 50.0))
 
-    plate: of one cell. starts: at each of `gammas` values, beside those near cycles of the closed form.
+
+def search(plate: Any, omega: float, xi: float, *, effort: float = 50.0, seed: int = 0) -> Searched:
+    """The lowest Gamma at which something bounces, searched from where rest ends down to _LOWEST of it.
+
+    plate: of one cell.
     """
-    rng = np.random.default_rng(seed)
-    top = rest_ends(plate, omega, xi)
-    end: Descent | None = None
-    for _ in range(_ROUNDS):
-        bound = top if end is None else end.gamma
-        if not bound * (1.0 - _BELOW) > lowest * top:
-            break
-        values = bound * (1.0 - np.geomspace(_BELOW, 1.0 - lowest * top / bound, gammas))
-        lower = _lowest_end(plate, Cell(bound, omega, xi), values, rng, starts)
-        if lower is None or lower.gamma >= bound:
-            break
-        end = lower
-    if end is None:
-        return Searched(math.nan, "", starts)
-    return Searched(end.gamma, end.reason if end.fold is None else end.fold.name, starts)
+    return _Search(plate, omega, xi, starts_of(effort), seed).lowest()
 
 
-def _lowest_end(
-    plate: Any, spring: Cell, values: Floats, rng: np.random.Generator, starts: int
-) -> Descent | None:
-    """The lowest end of what bounces at these Gammas; None if nothing does."""
-    _, omega, xi = spring
-    states = [_starts(rng, gamma, omega, xi, starts) for gamma in values]
-    gamma = np.repeat(values, [len(each) for each in states])
-    line = _run(plate, gamma, omega, xi, np.concatenate(states), SETTLE)
-    bouncing = np.flatnonzero(line.outcome != Outcome.AT_REST)
-    chosen = np.concatenate([np.empty(0, np.intp), *(bouncing[gamma[bouncing] == g][:_MOST] for g in values)])
-    if not len(chosen):
-        return None
-    gamma = gamma[chosen]
-    line = _run(plate, gamma, omega, xi, line.end_state[chosen], FOLLOWED)
-    ends = [_down(plate, Cell(float(gamma[i]), omega, xi), line, i) for i in _lowest_of_each(line, gamma)]
-    return min(ends, key=lambda end: end.gamma, default=None)
+class _Search:
+    """The branches of one spring that were followed, and the lowest end."""
+
+    def __init__(self, plate: Any, omega: float, xi: float, starts: int, seed: int) -> None:
+        self.plate, self.omega, self.xi, self.starts = plate, omega, xi, starts
+        self.rng = np.random.default_rng(seed)
+        self.top = rest_ends(plate, omega, xi)
+        self.end = Searched(math.nan, "", starts)
+        self.lines: list[Followed] = []
+        self.carried = 0
+
+    @property
+    def bound(self) -> float:
+        """Below which an end is looked for."""
+        return self.top if math.isnan(self.end.gamma) else self.end.gamma
+
+    def lowest(self) -> Searched:
+        """Search below the last end until nothing is found."""
+        for _ in range(_ROUNDS):
+            bound, floor = self.bound, _LOWEST * self.top
+            if not bound * (1.0 - _BELOW) > floor:
+                break
+            self._look(bound * (1.0 - np.geomspace(_BELOW, 1.0 - floor / bound, _GAMMAS)))
+            if not self.bound < bound:
+                break
+        return self.end
+
+    def _look(self, values: Floats) -> None:
+        """Starts at these Gammas: cycles beside their transients, and what survives."""
+        states = [_starts(self.rng, Cell(float(x), self.omega, self.xi), self.starts) for x in values]
+        gamma, state = np.repeat(values, [len(each) for each in states]), np.concatenate(states)
+        seeds = []
+        for settle in _LOOKS:
+            line = run(self.plate, gamma, self.omega, self.xi, state, settle, 8)
+            left = np.flatnonzero(line.outcome != Outcome.AT_REST)
+            if settle > _TRANSIENT:
+                left = left[_few(gamma[left], values)]
+            if not len(left):
+                break
+            gamma, state = gamma[left], line.end_state[left]
+            some = self.rng.permutation(len(gamma))[: round(_SEEDS * self.starts)]
+            seeds += list(zip(gamma[some].tolist(), state[some], strict=True))
+        else:
+            line = run(self.plate, gamma, self.omega, self.xi, state, _FOLLOWED, 100)
+        for point in self._cycles(seeds):
+            if not any(lies_on(point, line) for line in self.lines):
+                self._follow(point)
+        for i in _lowest_of_each(line, gamma):
+            cell = Cell(float(gamma[i]), self.omega, self.xi)
+            self._down(cell, int(line.periods[i]), line.end_state[i])
+
+    def _cycles(self, seeds: list[tuple[float, Floats]]) -> list[Point]:
+        """The cycles that Newton's method finds beside states, each once, the shortest first."""
+        points: dict[tuple[object, ...], Point] = {}
+        for gamma, state in seeds:
+            for periods in range(1, _PERIODS + 1):
+                guess = read(self.plate, Cell(gamma, self.omega, self.xi), periods, state)
+                if guess is None or not _NEAR < np.abs(guess[0].equations(guess[1])[0]).max() < _FAR:
+                    continue
+                point = guess[0].at(guess[1], gamma)
+                if point is not None:
+                    point, broken = confirmed(point)
+                    if broken is None and not repeats(point):
+                        begin = _first(point)
+                        key = (gamma, np.roll(point.times, -begin).round(6).tobytes())
+                        points.setdefault(key, point.begun(begin) if key not in points else point)
+        return sorted(points.values(), key=lambda point: (point.cycles.periods, len(point.letters)))
+
+    def _follow(self, point: Point) -> None:
+        """The branch through a cycle, and the ends of all stable cycles on it."""
+        line = both_ways(point, (_LOWEST * self.top, self.top), _POINTS)
+        self.lines.append(line)
+        for event in line.events:
+            mu = np.abs(event.point.multipliers()[0])
+            if event.point.parameter >= self.bound or not mu < _CRITICAL:
+                continue
+            if event.kind is Kind.FOLD:
+                fold = fold_of(event)
+                if fold.curvature > 0.0 and fold.holds:
+                    self._ends(Descent(fold.gamma, fold, ""))
+            elif event.kind is Kind.FLIP:
+                for fold in folds_of_twice(event.point, self.bound):
+                    self._ends(Descent(fold.gamma, fold, ""))
+            elif event.kind is Kind.NEIMARK_SACKER:
+                self._down(Cell(*event.point.cell), 0, event.point.state)
+        for stable, points in groupby(line.points, key=lambda point: point.stable):
+            if stable:
+                self._ends(descend(min(points, key=lambda point: point.parameter)))
+
+    def _ends(self, end: Descent) -> None:
+        """An end of a stable cycle; what goes on beyond it is carried on."""
+        if end.gamma < self.bound:
+            self.end = Searched(end.gamma, end.fold.name if end.fold else end.reason, self.starts)
+            if end.last is not None:
+                self._down(Cell(*end.last.cell), 0, end.last.state)
+
+    def _down(self, cell: Cell, periods: int, state: Floats) -> None:
+        """Follow what bounces at a cell down to its end: a stable cycle along its branch, others by steps."""
+        while self.carried < _CARRIED:
+            cycle = cycle_from(self.plate, cell, periods, state) if 0 < periods <= _LONGEST else None
+            if cycle is not None and cycle.stable:
+                point = cycle.begun(_first(cycle))
+                if not any(lies_on(point, line) for line in self.lines):
+                    self._follow(point)
+                return
+            self.carried += 1
+            crept = creep(self.plate, cell, state, self.rng)
+            if crept is None:
+                return
+            cell, state = crept.cell, crept.line.end_state[0]
+            if cell.gamma < self.bound:
+                self.end = self._named(crept)
+            if crept.gone > 0.0 or not crept.periods:
+                return
+            periods = crept.periods
+
+    def _named(self, crept: Crept) -> Searched:
+        """The end of what was carried down."""
+        line = crept.line
+        turn = rotation(self.plate, crept.cell, line.end_state[0])
+        mode = f"({line.bounces[0]},{line.periods[0]})" if line.periods[0] else ""
+        what, number, error = mode or "an aperiodic motion", math.nan, math.nan
+        if turn is not None:
+            what, number, error = f"a torus around {name_of(turn.around)}", turn.number, turn.error
+            what += f", locked to {mode}" if mode else ""
+        return Searched(crept.cell.gamma, what, self.starts, crept.gone, number, error)
+
+
+def _first(point: Point) -> int:
+    """The segment of a cycle from which its letters come first in order, the longest flight before it."""
+
+    def begins(j: int) -> tuple[str, float]:
+        return point.letters[j:] + point.letters[:j], -point.times[j - 1]
+
+    return min((j for j in range(len(point.letters)) if point.letters[j - 1] in LANDINGS), key=begins)
+
+
+def _few(gamma: Floats, values: Floats) -> NDArray[np.intp]:
+    """The first _MOST of each of these Gammas."""
+    return np.concatenate([np.flatnonzero(gamma == x)[:_MOST] for x in values])
 
 
 def _lowest_of_each(line: Line, gamma: Floats) -> list[int]:
@@ -111,69 +225,10 @@ def _lowest_of_each(line: Line, gamma: Floats) -> list[int]:
     return list(modes.values())
 
 
-def _down(plate: Any, cell: Cell, line: Line, i: int) -> Descent:
-    """Where what a cell of a line settled to ends on the way down."""
-    state, end = line.end_state[i], Descent(cell.gamma, None, "bounces, followed to no end")
-    for _ in range(_RAMPS):
-        cycle = _cycle(plate, cell, int(line.periods[i]), state)
-        if cycle is not None and (here := descend(cycle)).gamma <= cell.gamma:
-            end = here
-            if end.fold is not None:
-                return end
-        values = cell.gamma * np.linspace(1.0, 1.0 - _DESCENDS, _CELLS)
-        begin = Start(state, cell)
-        line = run_line(
-            values, np.full(_CELLS, cell.omega), np.full(_CELLS, cell.xi), plate=_cells(plate, _CELLS),
-            carry=True, settle=_STAY, observe=60, keep=64, start=begin,
-        )  # fmt: skip
-        resting = np.flatnonzero(line.outcome == Outcome.AT_REST)
-        last = int(resting[0]) if len(resting) else _CELLS
-        if last == 0:
-            return end
-        lowest = slice(max(last - _TRIED, 0), last)
-        line = _run(plate, values[lowest], cell.omega, cell.xi, line.end_state[lowest], FOLLOWED)
-        bouncing = np.flatnonzero(line.outcome != Outcome.AT_REST)
-        if not len(bouncing):
-            return end
-        values, i = values[lowest], int(bouncing[-1])
-        cell, state = cell._replace(gamma=float(values[i])), line.end_state[i]
-        mode = f"({line.bounces[i]},{line.periods[i]})" if line.periods[i] else "an aperiodic motion"
-        if cell.gamma < end.gamma:
-            end = Descent(cell.gamma, None, f"{mode}, crept down")
-        if len(resting):
-            cycle = _cycle(plate, cell, int(line.periods[i]), state)
-            here = end if cycle is None else descend(cycle)
-            return here if here.fold is not None and here.gamma <= cell.gamma else end
-    return end
-
-
-def _cycle(plate: Any, cell: Cell, periods: int, state: Floats) -> Point | None:
-    """The stable cycle near a state, if it is one."""
-    point = cycle_from(plate, cell, periods, state) if 0 < periods <= _LONGEST else None
-    return point if point is not None and point.stable else None
-
-
-def _run(plate: Any, gamma: Floats, omega: float, xi: float, states: Floats, settle: int) -> Line:
-    """Cells from states of their own."""
-    one = np.ones(len(gamma))
-    return run_line(
-        gamma, omega * one, xi * one, plate=_cells(plate, len(gamma)), carry=False, states=states,
-        settle=settle, observe=100, keep=64,
-    )  # fmt: skip
-
-
-def _cells(plate: Any, count: int) -> Any:
-    """The plate of one cell under `count`."""
-    return plate._replace(
-        **{name: np.repeat(x, count) for name, x in plate._asdict().items() if isinstance(x, np.ndarray)}
-    )
-
-
-def _starts(rng: np.random.Generator, gamma: float, omega: float, xi: float, count: int) -> Floats:
+def _starts(rng: np.random.Generator, cell: Cell, count: int) -> Floats:
     """States (n, 6): `random_starts`, and beside the admissible cycles of the closed form."""
-    cell = Cell(float(gamma), omega, xi)
-    rows = [random_starts(rng, float(gamma), omega, count)]
-    for periods in range(1, _PERIODS + 1):
+    rows = [random_starts(rng, cell.gamma, cell.omega, count)]
+    for periods in range(1, _NEAR_PERIODS + 1):
         line = cycles_at(cell, periods)
         for t in line.flight_time[line.violations == 0].tolist():
             start = start_on_cycle(cell, periods, t)

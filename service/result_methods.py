@@ -274,6 +274,7 @@ class SpringMethods(Methods):
         delta: Annotated[float, "Γ below `down` with a lifetime"] = 1e-06,
         prove: Annotated[bool, "an upper bound of `down` with a proof"] = False,
         search: Annotated[bool, "search for what bounces below, by workers"] = False,
+        effort: Annotated[float, "of a search: 100 to 10,000 starts each"] = 50,
         model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
@@ -290,19 +291,20 @@ class SpringMethods(Methods):
         is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
         fold. A worker computes what takes longer than a second.
 
-        With `search`, for half a minute, workers follow what survives of many starts down to its end: an upper
-        bound at any damping, with the share of starts, `missed`, that a basin must have to be seen with 95 %.
+        With `search`, for half a minute, workers start from many states at 30 values of Γ, and follow the cycles
+        that their transients pass by, and what survives, down to the end: an upper bound at any damping, with the
+        share of starts, `missed`, that a basin must have to be seen with 95 %.
 
         With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
 
         Returns a Dataset with the attribute `complete` and the variables `threshold`, `jump`, `down`,
         `cause`, `status`, `reason`, `missed`, `lifetime` (plate periods), `delta`, `plate_contact` (m A² ω²),
         `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force` (m A ω), `impulse` (m A ω),
-        `weight` (m A ω), `proof`, `proof_says`, `down_at_most`, `proven_flight_time` (rad). Waits up to
-        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
-        TooLarge naming what fits.
+        `weight` (m A ω), `gone`, `rotation`, `rotation_error`, `proof`, `proof_says`, `down_at_most`,
+        `proven_flight_time` (rad). Waits up to `timeout` seconds for the workers, and shows `progress`.
+        Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
-        return self.result("threshold", omega=omega, xi=xi, delta=delta, prove=prove, search=search, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
+        return self.result("threshold", omega=omega, xi=xi, delta=delta, prove=prove, search=search, effort=effort, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
 
     def orbits(
         self,

@@ -149,12 +149,12 @@ def beside(plate: Any, start: CycleStart | None, periods: int) -> Point | None:
     if start is None:
         return None
     point = cycle_from(plate, start.start.cell, periods, start.start.state)
-    if point is None or longest_flight(point)[1] < _REST or _repeats(point):
+    if point is None or longest_flight(point)[1] < _REST or repeats(point):
         return None
     return point
 
 
-def _repeats(point: Point) -> bool:
+def repeats(point: Point) -> bool:
     """Whether the cycle is one of fewer plate periods, gone through more than once."""
     n, periods = len(point.letters), point.cycles.periods
     return any(

@@ -85,6 +85,11 @@ class Point(NamedTuple):
         """The plate's, at the start, rad."""
         return math.atan2(self.x[4], self.x[3]) % TWO_PI
 
+    @property
+    def state(self) -> Floats:
+        """(6,) at the start, as STATE_FIELDS."""
+        return np.array([self.phase, float(self.letters[0] in FLIGHTS), 0.0, *self.x[:3] / self.cell[0]])
+
     def towards(self, way: Floats) -> "Point":
         """With the tangent that leans towards `way` (m,)."""
         return self if self.tangent @ way > 0.0 else self._replace(tangent=-self.tangent)

@@ -40,6 +40,7 @@ class Descent(NamedTuple):
     gamma: float
     fold: Fold | None  # None where its flights vanish, at rest, and where it is not known
     reason: str  # why it is not known, or empty
+    last: Point | None = None  # the cycle at which it is not known
 
 
 def ideal_plate() -> Any:
@@ -56,26 +57,26 @@ def descend(point: Point) -> Descent:
     """Follow a stable cycle down to its end."""
     way = -1.0
     for _ in range(_FLIPS + 1):
-        gamma, name = point.parameter, _cycle(point).name
+        gamma, name = point.parameter, name_of(point)
         if not point.stable:
-            return Descent(gamma, None, f"{name} is not stable at Gamma = {gamma:.6f}")
+            return Descent(gamma, None, f"{name} is not stable at Gamma = {gamma:.6f}", point)
         span = (0.0, gamma * (1.0 + _RISES))
         line, events = follow(point, way, points=_POINTS, span=span, until=_is_unstable)
         last = next((event for event in events if event.kind in _LAST), None)
         if last is None:
-            gamma, name = line[-1].parameter, _cycle(line[-1]).name
+            gamma, name = line[-1].parameter, name_of(line[-1])
             leads = "leads up" if line[-1].stable else "is not stable"
-            return Descent(gamma, None, f"{name} {leads} from Gamma = {gamma:.6f}")
-        gamma, name = last.point.parameter, _cycle(last.point).name
+            return Descent(gamma, None, f"{name} {leads} from Gamma = {gamma:.6f}", line[-1])
+        gamma, name = last.point.parameter, name_of(last.point)
         if last.kind is Kind.FOLD:
             return Descent(gamma, fold_of(last), "")
         if last.kind is End.REST:
             return Descent(gamma, None, "")
         after = doubled(last.point) if last.kind is Kind.FLIP else None
         if after is None:
-            return Descent(gamma, None, f"{name} ends at a {last.kind} at Gamma = {gamma:.6f}")
+            return Descent(gamma, None, f"{name} ends at a {last.kind} at Gamma = {gamma:.6f}", last.point)
         point, way = after, 0.0
-    return Descent(gamma, None, f"a cascade of flips at Gamma = {gamma:.6f}")
+    return Descent(gamma, None, f"a cascade of flips at Gamma = {gamma:.6f}", point)
 
 
 def _is_unstable(point: Point) -> bool:
@@ -112,6 +113,11 @@ def fold_of(event: Event) -> Fold:
     return Fold(
         _cycle(point), float(flight_time), point.parameter, float(mu[0].real), curvature, slope, 0, balance
     )
+
+
+def name_of(point: Point) -> str:
+    """As sentences about a cycle spell it."""
+    return _cycle(point).name
 
 
 def _cycle(point: Point) -> Cycle:

@@ -27,8 +27,12 @@ class Cycle(NamedTuple):
 
     @property
     def word(self) -> str:
-        """The letters of its flights, on an ideal plate without restitution; empty for other contacts."""
-        return self.letters.replace("S", "") if set(self.letters) <= set("Ssz") else ""
+        """The letters of its flights, on an ideal plate without restitution; empty for other contacts.
+
+        Of all beginnings the last in order, so that a cycle has one name.
+        """
+        word = self.letters.replace("S", "") if set(self.letters) <= set("Ssz") else ""
+        return max((word[i:] + word[:i] for i in range(len(word))), default="")
 
     @property
     def name(self) -> str:

@@ -41,6 +41,12 @@ CONTACT: Final = "rigid, restitution 0"
 #: Springs whose thresholds are kept: the least recently used one makes room.
 KEPT: Final = 4096
 
+_OF_SEARCH: Final = (
+    row("gone", (), "<f8", "Γ just below down at which a torus or aperiodic motion was seen to end"),
+    row("rotation", (), "<f8", "turns of a torus for each round of the cycle in it, from 0 to 1/2"),
+    row("rotation_error", (), "<f8", "error of the rotation"),
+)
+
 _OF_SPRING: Final = (
     row("threshold", (), "<f8", "Γ at which rest ends, Eq. 25", comment="NaN: at none"),
     row("jump", (), "<f8", "Γ of the fold at which flights leap on the way up"),
@@ -52,6 +58,7 @@ _OF_SPRING: Final = (
     row("lifetime", (), "<f8", "life of bouncing at Γ = down - delta", "plate periods"),
     row("delta", (), "<f8", "Γ below down"),
     *ENERGY,
+    *_OF_SEARCH,
     *proofs.OF_THRESHOLD,
 )
 
@@ -64,6 +71,7 @@ class SpringQuery(Query):
     delta: Annotated[Number, Field(ge=1e-15, le=0.1, description="Γ below `down` with a lifetime")] = 1e-6
     prove: Annotated[bool, Field(description="an upper bound of `down` with a proof")] = False
     search: Annotated[bool, Field(description="search for what bounces below, by workers")] = False
+    effort: Annotated[Number, Field(ge=0, le=100, description="of a search: 100 to 10,000 starts each")] = 50
     model: orbits.Kind = None
     restitution: orbits.Restitution = None
     penetration: orbits.Penetration = None
@@ -84,8 +92,9 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
     fold. A worker computes what takes longer than a second.
 
-    With `search`, for half a minute, workers follow what survives of many starts down to its end: an upper
-    bound at any damping, with the share of starts, `missed`, that a basin must have to be seen with 95 %.
+    With `search`, for half a minute, workers start from many states at 30 values of Γ, and follow the cycles
+    that their transients pass by, and what survives, down to the end: an upper bound at any damping, with the
+    share of starts, `missed`, that a basin must have to be seen with 95 %.
 
     With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
     """
@@ -102,13 +111,15 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     if found is not None and not found.gamma > thresholds.down:
         gamma, what = (found.gamma, found.what) if np.isfinite(found.gamma) else (thresholds.gamma_th, EQ_25)
         data |= {"down": gamma, "cause": what, "status": "searched", "reason": ""}
+        data |= {row.name: getattr(found, row.name) for row in _OF_SEARCH}
     elif thresholds.fold is not None:
         data |= {"lifetime": lifetime(thresholds.fold, query.delta), "delta": query.delta}
         if thresholds.fold.energy is not None:
             data |= {name: values[0] for name, values in thresholds.fold.energy._asdict().items()}
     if query.prove:
         data |= proofs.of_threshold(query.omega, query.xi, thresholds.fold)
-    rows = [row for row in _OF_SPRING if query.prove or row not in proofs.OF_THRESHOLD]
+    left_out = (() if query.search else _OF_SEARCH) + (() if query.prove else proofs.OF_THRESHOLD)
+    rows = [row for row in _OF_SPRING if row not in left_out]
     return dataset(
         {row.name: variable((), data.get(row.name, np.nan), row) for row in rows},
         {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")},
@@ -127,11 +138,14 @@ def _status(contact: Contact | None, thresholds: Thresholds) -> str:
 def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
     """The prediction, if it takes long or follows cycles."""
     contact = orbits.contact(query)
-    searched = [(search_below, contact or Rigid(), query.omega, query.xi)] if query.search else []
-    if contact is not None:
-        return [(of_contact, contact, query.omega, query.xi), *searched]
+    spring = (query.omega, query.xi)
+    searched: list[Call] = []
     if query.search:
-        return [(predict, query.omega, query.xi), *searched]
+        searched.append((search_below, contact or Rigid(), *spring, query.effort))
+    if contact is not None:
+        return [(of_contact, contact, *spring), *searched]
+    if query.search:
+        return [(predict, *spring), *searched]
     if prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS and decides(query.omega, query.xi):
         return ()
     return [(predict, query.omega, query.xi)]

@@ -146,8 +146,7 @@ def cycle_near(
     if not points:
         return None
     point = min(points, key=lambda point: abs(max(_flights(point)) - flight_time))
-    in_flight = float(point.letters[0] in FLIGHTS)
-    return record([point], MICRO_FLIGHT), np.array([point.phase, in_flight, 0.0, *point.x[:3] / cell.gamma])
+    return record([point], MICRO_FLIGHT), point.state
 
 
 class Settled(NamedTuple):

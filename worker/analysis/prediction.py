@@ -85,10 +85,10 @@ def is_ideal(contact: Contact) -> bool:
     return isinstance(contact, Rigid) and contact.restitution == 0.0
 
 
-def search_below(contact: Contact, omega: float, xi: float) -> Searched:
+def search_below(contact: Contact, omega: float, xi: float, effort: float) -> Searched:
     """The lowest end of bouncing that a search finds; runs on workers. Raises KernelInputError."""
     ones = np.ones(1)
-    return search(plate_of(contact, ones, omega * ones, xi * ones), omega, xi)
+    return search(plate_of(contact, ones, omega * ones, xi * ones), omega, xi, effort=effort)
 
 
 def predict_from_cells(

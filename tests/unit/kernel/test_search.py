@@ -2,31 +2,63 @@
 
 import math
 
+import numpy as np
 import pytest
 from contacts import rigid
 
-from kernel.search import Searched, search
+from kernel.creep import rotation, run
+from kernel.cycles.descent import name_of
+from kernel.line import run_line
+from kernel.params import Cell, Outcome
+from kernel.search import Searched, random_starts, search, starts_of
 
-#: Omega, xi, where bouncing ends as an independent search crept down to it, and what ends there.
+#: Omega, xi, effort, at most where bouncing ends, and what ends there.
 KNOWN = [
-    (0.52, 0.02, 0.7925441522, "fold of word sssz (4,3)"),
-    (0.5155, 0.02, 0.7809716836, "fold of word sssz (4,3)"),
-    (0.5395, 0.032, 0.8051293821, "fold of word ss (2,2)"),  # below the fold of (1,1) and Eq. 25
+    (0.5155, 0.02, 10, 0.7809716836, "fold of word zsss (4,3)"),
+    (0.4664, 0.02, 50, 0.7684748327, "fold of word zszsszsss (9,6)"),  # no start reaches it
+    (0.5395, 0.032, 10, 0.8051293821, "fold of word ss (2,2)"),  # below the fold of (1,1) and Eq. 25
 ]
 
 
-@pytest.mark.parametrize(("omega", "xi", "gamma", "what"), KNOWN)
-def test_cycles_below_the_rule_are_found_and_followed_to_their_ends(omega, xi, gamma, what):
-    result = search(rigid(0.0), omega, xi)
+@pytest.mark.parametrize(("omega", "xi", "effort", "gamma", "what"), KNOWN)
+def test_cycles_below_the_rule_are_found_and_followed_to_their_ends(omega, xi, effort, gamma, what):
+    result = search(rigid(0.0), omega, xi, effort=effort)
     assert result.gamma == pytest.approx(gamma, abs=1e-9)
-    assert result.what == what
+    assert result.what.endswith(what)
+    assert math.isnan(result.rotation)
+
+
+def test_a_torus_is_carried_down_to_its_end():
+    """At Omega = 0.46 it ends far above the unstable fold of (1,1), turning once in 16 of its rounds."""
+    result = search(rigid(0.0), 0.46, 0.05, effort=0)
+    assert result.what == "a torus around (1,1), locked to (16,16)"
+    assert result.gamma == pytest.approx(0.829604, abs=5e-6)
+    assert 0.0 < result.gamma - result.gone < 2e-6
+    assert result.rotation == pytest.approx(1.0 / 16.0, abs=1e-12)
+
+
+def test_a_rotation_number_is_that_of_the_flights():
+    """It is the frequency of their strongest Fourier component."""
+    plate, cell = rigid(0.0), Cell(0.85, 0.46, 0.05)
+    states = random_starts(np.random.default_rng(1), cell.gamma, cell.omega, 100)
+    line = run(plate, np.full(100, cell.gamma), cell.omega, cell.xi, states, 3_000, 100)
+    state = line.end_state[np.flatnonzero(line.outcome != Outcome.AT_REST)[0]]
+    found = rotation(plate, cell, state)
+    assert name_of(found.around) == "(1,1)"
+    assert found.error < 1e-6
+    flights = run_line(
+        *np.array(cell)[:, None], plate=plate, carry=False, states=state[None], settle=0, observe=4_000,
+        keep=4_000,
+    ).flight_time[0, :-1]  # fmt: skip
+    strongest = np.argmax(np.abs(np.fft.rfft(flights - flights.mean())))
+    assert strongest / len(flights) == pytest.approx(found.number, abs=3e-4)
 
 
 def test_nothing_is_found_where_nothing_bounces_below_rest():
-    result = search(rigid(0.0), 0.5, 0.26, starts=40, gammas=6)
+    result = search(rigid(0.0), 0.5, 0.26, effort=0)
     assert math.isnan(result.gamma)
 
 
 def test_more_starts_miss_smaller_basins():
     assert Searched(0.5, "", 80).missed == pytest.approx(0.037, abs=5e-4)
-    assert Searched(0.5, "", 400).missed < 0.008
+    assert [starts_of(effort) for effort in (0, 50, 100)] == [100, 1000, 10_000]

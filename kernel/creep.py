@@ -1,0 +1,138 @@
+"""What is no cycle: a motion carried on in steps of Gamma, and the rotation number of a torus."""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from kernel.cycles.any_contact import repeats
+from kernel.cycles.cycles import Point, cycle_from
+from kernel.cycles.roots import Floats
+from kernel.line import run_line
+from kernel.numerics.elementary import TWO_PI
+from kernel.params import Cell, Line, Outcome, Start
+
+#: Steps of Gamma, relative: the first, the largest, the smallest.
+_FIRST, _LARGEST, _SMALLEST = 1e-3, 4e-3, 1e-6
+#: Plate periods after each step, and after one smaller than this, relative.
+_STAY, _FINE_STAY, _FINE = 3_000, 20_000, 1e-4
+#: Copies of a motion that are carried on, their spread, relative, and steps at most.
+_COPIES, _SPREAD, _STEPS = 16, 1e-5, 150
+
+#: Rounds of a torus, plate periods of the cycles that it may lie around, and states beside which these are.
+_ROUNDS, _AROUND, _GUESSES = 6_000, 8, 16
+#: A rotation number that is known less well is none.
+_KNOWN: Final = 1e-4
+
+
+class Crept(NamedTuple):
+    """The lowest Gamma to which a motion is carried."""
+
+    cell: Cell
+    line: Line  # of the copies that bounce there
+    gone: float  # the highest Gamma at which all copies came to rest; 0: none
+
+    @property
+    def periods(self) -> int:
+        """Plate periods of the cycle that all copies have settled to; 0: of none."""
+        modes = set(zip(self.line.bounces.tolist(), self.line.periods.tolist(), strict=True))
+        return modes.pop()[1] if len(modes) == 1 else 0
+
+
+class Rotation(NamedTuple):
+    """How far a torus turns around a cycle in each round, in turns, in [0, 1/2]."""
+
+    number: float
+    error: float
+    around: Point
+
+
+def run(
+    plate: Any, gamma: Floats, omega: float, xi: float, states: Floats, settle: int, observe: int
+) -> Line:
+    """Cells of a spring from states of their own (n, 6)."""
+    one = np.ones(len(gamma))
+    return run_line(
+        gamma, omega * one, xi * one, plate=_cells(plate, len(gamma)), carry=False, states=states,
+        settle=settle, observe=observe, keep=64,
+    )  # fmt: skip
+
+
+def _cells(plate: Any, count: int) -> Any:
+    """The plate of one cell under `count`."""
+    arrays = {name: x for name, x in plate._asdict().items() if isinstance(x, np.ndarray)}
+    return plate._replace(**{name: np.repeat(x, count) for name, x in arrays.items()})
+
+
+def chosen(line: Line, which: Any) -> Line:
+    """The record of some cells."""
+    return Line(*(x[which] for x in line))
+
+
+def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Crept | None:
+    """Carry a motion from a state (6,) down as far as it bounces on; None if it does not at `cell`.
+
+    Each step is halved until a copy of the motion survives it. Ends early where it has become a cycle.
+    """
+    at, states, step, gone = cell, state[None], _FIRST, 0.0
+
+    def carried(gamma: float, stay: int) -> Line | None:
+        copies = np.resize(states, (_COPIES, state.size))
+        copies[:, 2:] *= at.gamma / gamma * (1.0 + _SPREAD * rng.normal(size=copies[:, 2:].shape))
+        line = run(plate, np.full(_COPIES, gamma), cell.omega, cell.xi, copies, stay, 100)
+        left = line.outcome != Outcome.AT_REST
+        return chosen(line, left) if left.any() else None
+
+    line = carried(cell.gamma, _STAY)
+    if line is None:
+        return None
+    for _ in range(_STEPS):
+        if gone == 0.0 and at is not cell and Crept(at, line, gone).periods:
+            break
+        states, gamma = line.end_state, at.gamma * (1.0 - step)
+        lower = carried(gamma, _STAY if step > _FINE else _FINE_STAY) if gamma > gone else None
+        if lower is not None:
+            at, line, step = at._replace(gamma=gamma), lower, min(1.5 * step, _LARGEST)
+        elif step < _SMALLEST:
+            break
+        else:
+            gone, step = max(gone, gamma), 0.5 * step
+    return Crept(at, line, gone)
+
+
+def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
+    """How a motion that has settled to a state (6,) at phase 0 turns around an unstable cycle; None: not.
+
+    By a weighted mean of the turns, whose error is the change from half as many. Newton's method begins at
+    the motion's mean state, and at some of its states.
+    """
+    for periods in range(1, _AROUND + 1):
+        states = _strobed(plate, cell, state, periods, _ROUNDS)
+        for guess in (states.mean(axis=0).round(15), *states[:_GUESSES]):
+            around = cycle_from(plate, cell, periods, guess)
+            if around is None or around.multipliers()[0].imag == 0.0 or repeats(around):
+                continue
+            centre = _strobed(plate, cell, around.state, 1, 1)[:, 4:]
+            q, q1 = ((states[:, 4:] - centre) / np.abs(centre)).T
+            turns = np.diff(np.arctan2(q1, q)) / TWO_PI
+            turns -= np.round(turns - np.angle(np.exp(1j * TWO_PI * turns).mean()) / TWO_PI)
+            number, half = _mean(turns), _mean(turns[: len(turns) // 2])
+            number, error = abs(number - round(number)), abs(number - half)
+            if error < min(_KNOWN, number):  # 0: the cycle lies outside
+                return Rotation(number, error, around)
+    return None
+
+
+def _strobed(plate: Any, cell: Cell, state: Floats, periods: int, rounds: int) -> Floats:
+    """The states (rounds, 6) at plate phase 0, once in `periods`."""
+    one = np.ones(rounds)
+    line = run_line(
+        cell.gamma * one, cell.omega * one, cell.xi * one, plate=_cells(plate, rounds), carry=True,
+        settle=periods - 1, observe=1, keep=1, start=Start(state, cell),
+    )  # fmt: skip
+    return line.end_state
+
+
+def _mean(turns: Floats) -> float:
+    t = (np.arange(len(turns)) + 0.5) / len(turns)
+    weight = np.exp(-1.0 / (t * (1.0 - t)))
+    return float(weight @ turns / weight.sum())
