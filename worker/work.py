@@ -180,7 +180,9 @@ def plate_of(
 
 
 def compile_kernels() -> None:
-    """Compile or load the kernels of all jobs and answers: models, exponents, trajectories."""
+    """Compile or load the kernels of all jobs and answers: models, exponents, trajectories, cycles."""
+    from kernel.cycles.contact_thresholds import thresholds_of  # noqa: PLC0415 - jobs do without cycles
+
     axis = np.ones(1)
     for kind, model in CONTACT_MODELS.items():
         contact: Any = model.fields(kind=kind)
@@ -190,6 +192,8 @@ def compile_kernels() -> None:
         if exponents := dimension(plate):
             _run_briefly(axis, axis, axis, plate=plate, carry=False, exponents=exponents)
         sample(Cell(1.0, 1.0, 1.0), plate, None, periods=1, samples=1)
+        if kind in ("rigid", "soft"):
+            thresholds_of(plate, 0.6, 0.05)
 
 
 def compile_for(spec: Any) -> None:
