@@ -111,14 +111,15 @@ def fold_of(event: Event) -> Fold:
     flight_time = next(t for t, x in zip(point.times, point.letters, strict=True) if x in FLIGHTS)
     balance = cycle_energy(point) if set(point.letters) <= set("Ssz") else None
     return Fold(
-        _cycle(point), float(flight_time), point.parameter, float(mu[0].real), curvature, slope, 0, balance
+        cycle_of(point), float(flight_time), point.parameter, float(mu[0].real), curvature, slope, 0, balance
     )
 
 
 def name_of(point: Point) -> str:
     """As sentences about a cycle spell it."""
-    return _cycle(point).name
+    return cycle_of(point).name
 
 
-def _cycle(point: Point) -> Cycle:
+def cycle_of(point: Point) -> Cycle:
+    """Without the functions that solve it."""
     return Cycle(point.letters, point.cycles.periods, point.x[: START + len(point.letters)])

@@ -9,150 +9,105 @@ those with Gamma given are singular.
 from functools import partial
 from typing import Final
 
+import numpy as np
 from flint import arb, arb_mat, arb_series, ctx
 
+from kernel.cycles.events import Kind
 from kernel.cycles.folds import Cycle, Fold
-from kernel.proofs.balls import NotProvenError, flow, with_enough_bits
-from kernel.proofs.cycles import START, STEPS, Cycles, Guess, Law, Proven, amplitude
+from kernel.proofs.balls import NotProvenError, bounds, first_proven, flow
+from kernel.proofs.cycles import START, Cycles, Law, Proven, amplitude
 
-#: How far an event may lie from its guess, rad.
-_NEAR: Final = 1e-9
-#: Flight times beside a fold over which stability is shown in one ball: at most, and at least.
-_WIDEST: Final = 1e-3
-_NARROWEST: Final = 1e-12
-#: How far from the fold of a longer word stability is shown, tried in turn.
-_ASIDE: Final = (1e-6, -1e-6, 1e-5, -1e-5, 1e-4, -1e-4)
-#: The narrowest stretch that is divided in the search for all zeros.
-_SHORTEST: Final = 1e-9
-
-#: Jury's conditions: 1 - tr + det is zero at folds, 1 + tr + det at flips, 1 - det at tori.
-FOLDS, FLIPS, TORI = range(3)
+_NEAR: Final = 1e-9  # how far an event may lie from its guess, rad; no stretch is divided that is narrower
+_ASIDE: Final = (1e-3, 1e-4, 1e-5, 1e-6)  # how far from a fold stability is shown, rad
 
 
-def prove_event(which: int, omega: float | str, xi: float | str, periods: int, flight_time: float) -> Proven:
+def prove_event(kind: Kind, omega: float, xi: float, periods: int, flight_time: float) -> Proven:
     """The fold or flip of (1, periods) beside a flight time. Raises `NotProvenError`."""
-
-    def prove() -> Proven:
-        branch = _Branch(omega, xi, periods)
-        t = branch.zero(which, arb(flight_time, _NEAR))
-        return Proven("exactly one event lies here", amplitude(branch.box(t)), [t])
-
-    return with_enough_bits(prove)
+    return first_proven(lambda: _branch(omega, xi, periods).event(kind, flight_time))
 
 
-def all_events(which: int, omega: float | str, xi: float | str, periods: int) -> list[arb]:
+def all_events(kind: Kind, omega: float, xi: float, periods: int) -> list[arb]:
     """Flight times, a ball each, of every fold or flip of (1, periods), in order. Raises `NotProvenError`.
 
     Zeros of a Jury condition on [0, 2 pi k]: flips beside poles of Gamma count too.
     """
-    return with_enough_bits(lambda: _Branch(omega, xi, periods).zeros(which))
+    return first_proven(lambda: _branch(omega, xi, periods).zeros(kind, arb(0).union(2 * periods * arb.pi())))
 
 
-def prove_down(omega: float | str, xi: float | str, fold: Fold) -> Proven:
-    """That stable cycles exist just above a fold, from `gamma` on. Raises `NotProvenError`."""
+def prove_down(omega: float, xi: float, fold: Fold) -> Proven:
+    """That a stable cycle exists at `gamma`; one of one flight, just above. Raises `NotProvenError`."""
     if fold.cycle.letters == "Ss":
-        return with_enough_bits(lambda: _Branch(omega, xi, fold.periods).down(fold.flight_time))
-    why = NotProvenError()
-    for step in _ASIDE:
-        try:
-            return with_enough_bits(partial(_beside, omega, xi, fold, step))
-        except NotProvenError as error:
-            why = error
-    raise why
+        return first_proven(*(partial(_above, omega, xi, fold, aside) for aside in _ASIDE))
+    asides = (sign * aside for aside in reversed(_ASIDE) for sign in (1, -1))
+    return first_proven(*(partial(_beside, omega, xi, fold, aside) for aside in asides))
 
 
-def _beside(omega: float | str, xi: float | str, fold: Fold, step: float) -> Proven:
-    """That the cycle of a word is stable whose first flight differs by a step from that at the fold."""
-    cycles = Cycles(Law(), omega, xi, guess_of_cycle(fold.cycle))
+def _above(omega: float, xi: float, fold: Fold, aside: float) -> Proven:
+    """Stable cycles at every Gamma between those of a fold and of a flight time aside."""
+    branch = _branch(omega, xi, fold.periods)
+    _, low, (t,) = branch.event(Kind.FOLD, fold.flight_time)
+    far = t + aside if branch.jury(t)[Kind.FOLD][1] > 0 else t - aside
+    high, beside = amplitude(branch.box(far, by_flight=True)), branch.jury(t.union(far))
+    others = beside[Kind.FLIP][0] > 0 and beside[Kind.NEIMARK_SACKER][0] > 0
+    if not (others and beside[Kind.FOLD][1] != 0 and low < high):
+        raise NotProvenError("cycles beside the fold may not be stable, or at lower Gamma")
+    branch.check_admissible(branch.box(t.union(far), by_flight=True))
+    says = f"a stable cycle (1,{fold.periods}) exists for every Gamma from down_at_most"
+    return Proven(f"{says} to {bounds(high, 9)[0]}", low, [t])
+
+
+def _beside(omega: float, xi: float, fold: Fold, aside: float) -> Proven:
+    """The stable cycle of a word whose first flight differs by so much from that at the fold."""
+    cycles = Cycles(Law(), omega, xi, fold.cycle)
     says = f"a stable cycle of the word {fold.cycle.word} exists at down_at_most"
-    return cycles.stable(cycles.box(arb(fold.flight_time) + step, by_flight=True), says)
+    return cycles.stable(cycles.box(arb(fold.flight_time + aside), by_flight=True), says)
 
 
-def guess_of_cycle(cycle: Cycle) -> Guess:
-    """A cycle of `kernel.cycles`."""
-    return Guess(cycle.letters, cycle.periods, cycle.unknowns.tolist())
+def _branch(omega: float, xi: float, periods: int) -> "_Branch":
+    """With a flight time given the equations are linear in all but durations: any guess does."""
+    return _Branch(Law(), omega, xi, Cycle("Ss", periods, np.ones(START + 2)))
 
 
-class _Branch:
+class _Branch(Cycles):
     """The branch (1, periods), at the present precision."""
 
-    def __init__(self, omega: float | str, xi: float | str, periods: int) -> None:
-        self._periods, self._whole = periods, 2 * periods * arb.pi()
-        self._cycles = Cycles(Law(), omega, xi, Guess("Ss", periods, [0] * (START + 2)))
-        fly, stick, b = self._cycles.flight, self._cycles.contact, self._cycles.b
-        # a landing, of variations at fixed phase
-        land = arb_mat([[0] * 7, [0] * 7, [1, 0, 1, *[0] * 4], [-b, 1, 0, 1, 0, 0, 0], *[[0] * 7] * 3])
-        self._land, self._land_by_t = land, land * fly - stick * land
-        self._of = arb_mat([[0, 0, 1, *[0] * 4], [0, 0, 0, 1, 0, 0, 0]])
+    def event(self, kind: Kind, flight_time: float) -> Proven:
+        """The only event beside a flight time."""
+        zeros = self.zeros(kind, arb(flight_time, _NEAR))
+        if len(zeros) != 1:
+            raise NotProvenError("no event is near")
+        return Proven("exactly one event lies here", amplitude(self.box(zeros[0], by_flight=True)), zeros)
 
-    def box(self, t: arb) -> list[arb]:
-        """The cycles with flight times in a ball. With T given their equations are linear: any guess does."""
-        self._cycles.guess[START:] = [self._whole.mid() - t.mid(), t.mid()]
-        return self._cycles.box(t, by_flight=True)
+    def zeros(self, kind: Kind, stretch: arb) -> list[arb]:
+        """A ball for every zero of a condition in a ball, in order, as sharp as the precision allows.
 
-    def down(self, flight_time: float) -> Proven:
-        """Stable cycles at every Gamma from just above a fold."""
-        fold, reach = self.zero(FOLDS, arb(flight_time, _NEAR)), _WIDEST
-        side = 1 if self._jury(fold)[FOLDS][1] > 0 else -1
-        near = fold.mid() + side * arb(2) ** (-ctx.prec // 3)
-        while True:
-            try:
-                low, high = self._stable_between(near, fold.mid() + side * arb(reach), side)
-                break
-            except NotProvenError:
-                reach *= 0.25
-                if reach < _NARROWEST:
-                    raise
-        what = f"a stable cycle (1,{self._periods}) exists"
-        return Proven(f"{what} for every Gamma from down_at_most to {float(high):.9g}", low, [fold])
-
-    def _stable_between(self, near: arb, far: arb, side: int) -> tuple[arb, arb]:
-        """The Gamma between which cycles of all flight times between are stable and admissible."""
-        beside = near.union(far)
-        folds, flips, tori = self._jury(beside)
-        if not (self._jury(near)[FOLDS][0] > 0 and folds[1] * side > 0):
-            raise NotProvenError("1 - tr + det may not grow away from the fold")
-        if not (flips[0] > 0 and tori[0] > 0):
-            raise NotProvenError("the other multiplier may not be inside the unit circle")
-        self._cycles.check_admissible(self.box(beside))
-        low, high = amplitude(self.box(near)).upper(), amplitude(self.box(far)).lower()
-        if not low < high:
-            raise NotProvenError("the fold is no minimum of Gamma")
-        return low, high
-
-    def zero(self, which: int, t: arb) -> arb:
-        """The only zero of a condition in a ball, as sharp as the precision allows (interval Newton)."""
-        if not t.contains(self._newton(which, t)):
-            raise NotProvenError("no simple zero is near")
-        for _ in range(STEPS):
-            t = self._newton(which, t)
-        return t
-
-    def _newton(self, which: int, t: arb) -> arb:
-        """Where zeros in a ball lie, if any. If that is inside the ball, there is exactly one."""
-        return t.mid() - self._jury(t.mid())[which][0] / self._jury(t)[which][1]
-
-    def zeros(self, which: int) -> list[arb]:
-        """A ball for every zero of a condition on [0, 2 pi k], in order."""
-        stretches, zeros = [arb(0).union(self._whole)], list[arb]()
+        Where Newton's operator maps a ball into itself there is exactly one.
+        """
+        stretches, zeros = [stretch], list[arb]()
         while stretches:
             t = stretches.pop()
-            value, slope = self._jury(t)[which]
-            if value != 0 or self._jury(t.mid())[which][0] + slope * (t - t.mid()) != 0:
+            (value, slope), middle = self.jury(t)[kind], self.jury(t.mid())[kind][0]
+            if value != 0 or middle + slope * (t - t.mid()) != 0:
                 continue
-            if slope != 0 and t.contains(self._newton(which, t)):
-                zeros.append(self.zero(which, t))
-            elif t.rad() < _SHORTEST:
+            if slope != 0 and t.contains(t.mid() - middle / slope):
+                for _ in range(ctx.prec.bit_length()):
+                    t = t.mid() - self.jury(t.mid())[kind][0] / self.jury(t)[kind][1]
+                zeros.append(t)
+            elif t.rad() < _NEAR:
                 raise NotProvenError(f"a zero that may be double, near {float(t):.9g} rad")
             else:
                 stretches += [t.mid().union(t.upper()), t.lower().union(t.mid())]
         return zeros
 
-    def _jury(self, t: arb) -> list[tuple[arb, arb]]:
-        """Jury's conditions of the tangent map of (q, q'), and their derivatives by T."""
-        before = flow(self._cycles.flight, t) * self._of.transpose()
-        after = self._of * flow(self._cycles.contact, self._whole - t)
-        maps = after * self._land * before, after * self._land_by_t * before
+    def jury(self, t: arb) -> dict[Kind, tuple[arb, arb]]:
+        """Jury's conditions of the tangent map of (q, q'), > 0 if it contracts, with derivatives by T."""
+        # a landing, of variations at fixed phase
+        land = arb_mat([[0] * 7, [0] * 7, [1, 0, 1, *[0] * 4], [-self.b, 1, 0, 1, 0, 0, 0], *[[0] * 7] * 3])
+        kept = arb_mat([[0, 0, 1, *[0] * 4], [0, 0, 0, 1, 0, 0, 0]])
+        before = flow(self.flight, t) * kept.transpose()
+        after = kept * flow(self.contact, 2 * self.periods * arb.pi() - t)
+        maps = after * land * before, after * (land * self.flight - self.contact * land) * before
         a, b, c, d = (arb_series(list(pair)) for pair in zip(*(x.entries() for x in maps), strict=True))
         trace, det = a + d, a * d - b * c
-        return [(condition[0], condition[1]) for condition in (1 - trace + det, 1 + trace + det, 1 - det)]
+        conditions = {Kind.FOLD: 1 - trace + det, Kind.FLIP: 1 + trace + det, Kind.NEIMARK_SACKER: 1 - det}
+        return {kind: (condition[0], condition[1]) for kind, condition in conditions.items()}

@@ -34,14 +34,14 @@ OF_CELL: Final = (
 
 
 def of_threshold(omega: float, xi: float, fold: Fold | None) -> dict[str, Any]:
-    """What is proven of the fold at which bouncing ends, Ω and ξ as decimals. Raises NotInstalled."""
+    """What is proven of the fold at which bouncing ends. Raises NotInstalled."""
 
     def prove() -> dict[str, Any]:
         from kernel.proofs import balls, branches
 
         if fold is None:
-            raise balls.NotCoveredError("bouncing does not end at a fold")
-        proof = branches.prove_down(repr(omega), repr(xi), fold)
+            raise balls.NotProvenError("bouncing does not end at a fold", "not covered")
+        proof = branches.prove_down(omega, xi, fold)
         return {
             "proof_says": f"{proof.says}; omega = {omega!r} and xi = {xi!r} are these decimals",
             "down_at_most": balls.bounds(proof.gamma)[1],
@@ -53,49 +53,48 @@ def of_threshold(omega: float, xi: float, fold: Fold | None) -> dict[str, Any]:
 
 def of_events(events: Events) -> NDArray[np.bool_]:
     """Of each event of a (1,k) branch, whether all of its kind were counted. Raises NotInstalled."""
-    complete = np.zeros(len(events.kind), np.bool_)
 
     def count() -> dict[str, Any]:
-        from kernel.proofs.branches import FLIPS, FOLDS, all_events
+        from kernel.proofs.branches import all_events
 
-        for kind, which in ((Kind.FOLD, FOLDS), (Kind.FLIP, FLIPS)):
-            chosen = events.kind == kind
-            if chosen.any():
-                omega, xi, periods = (x[0].item() for x in (events.omega, events.xi, events.periods))
-                counted = all_events(which, repr(omega), repr(xi), periods)
-                times = np.sort(events.flight_time[chosen])
-                complete[chosen] = len(counted) == len(times) and all(
-                    abs(ball - time) < _SAME for ball, time in zip(counted, times, strict=True)
-                )
-        return {}
+        omega, xi, periods = (x[0].item() for x in (events.omega, events.xi, events.periods))
+        counted = np.array([float(t) for t in all_events(kind, omega, xi, periods)])
+        times = np.sort(events.flight_time[events.kind == kind])
+        return {"all": len(counted) == len(times) and np.abs(counted - times).max() < _SAME}
 
-    _decided(count)
+    complete = np.zeros(len(events.kind), np.bool_)
+    for kind in {Kind.FOLD, Kind.FLIP} & set(events.kind.tolist()):
+        complete[events.kind == kind] = _decided(count).get("all", False)
     return complete
 
 
 def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dict[str, Any]:
-    """What is proven of the cycle near a state (6,), the cell's numbers as decimals. Raises NotInstalled."""
+    """What is proven of the cycle near a state (6,). Raises NotInstalled."""
 
     def prove() -> dict[str, Any]:
         from kernel.cycles.cycles import cycle_from
+        from kernel.cycles.descent import cycle_of
         from kernel.proofs import balls, cycles
 
-        if isinstance(model, Rigid):
-            law = cycles.Law(repr(model.restitution))
-        elif isinstance(model, Soft):
-            depth = penetration_of(model, *(np.array([value]) for value in cell[:2]))[0]
-            law = cycles.Law(repr(model.restitution), repr(float(depth)), model.adhesive)
-        else:
-            raise balls.NotCoveredError(f"the contact is {getattr(model, 'kind', model)}")
         if state is None:
             raise balls.NotProvenError("the motion begins at rest: settle first")
-        plate = plate_of(model, *(np.array([value]) for value in cell))
+        if not isinstance(model, Rigid | Soft):
+            raise balls.NotProvenError(f"the contact is {getattr(model, 'kind', model)}", "not covered")
+        arrays = [np.array([value]) for value in cell]
+        law = cycles.Law(model.restitution)
+        if isinstance(model, Soft):
+            law = law._replace(
+                penetration=penetration_of(model, *arrays[:2])[0].item(), adhesive=model.adhesive
+            )
+        plate = plate_of(model, *arrays)
         points = (cycle_from(plate, cell, periods, state) for periods in range(1, _MOST_PERIODS + 1))
-        point = next((point for point in points if point is not None), None)
+        point = next(filter(None, points), None)
         if point is None:
             raise balls.NotProvenError(f"no cycle of up to {_MOST_PERIODS} plate periods is near")
-        gamma, omega, xi = (repr(value) for value in cell)
-        proof = cycles.prove_cycle(law, gamma, omega, xi, cycles.guess_of(point))
+        point = point.begun(
+            (point.letters.find("S") + 1) % len(point.letters)
+        )  # where a mass that stuck takes off
+        proof = cycles.prove_cycle(law, cell, cycle_of(point))
         return {
             "proof_says": f"{proof.says}; the cell's numbers are taken as decimals",
             "proven_flight_times": [balls.bounds(t) for t in proof.flight_times if t > SHORTEST_FLIGHT],

@@ -11,7 +11,7 @@ pytest.importorskip("flint", reason="needs the extra proofs")
 from kernel.cycles.events import Kind, branch_and_events
 from kernel.cycles.thresholds import thresholds
 from kernel.proofs.balls import NotProvenError, bounds
-from kernel.proofs.branches import FLIPS, FOLDS, all_events, prove_down, prove_event
+from kernel.proofs.branches import all_events, prove_down, prove_event
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 
@@ -23,7 +23,7 @@ LOWEST = {
     "0.66": "0.596879494373674877",
     "0.70": "0.669279136329714241",
 }
-WHICH = {Kind.FOLD: FOLDS, Kind.FLIP: FLIPS}
+KINDS = (Kind.FOLD, Kind.FLIP)
 
 
 def random_springs(n):
@@ -35,7 +35,7 @@ def random_springs(n):
 
 @pytest.mark.parametrize("omega", LOWEST)
 def test_bouncing_persists_from_just_above_the_fold(omega):
-    proof = prove_down(omega, "0.05", thresholds(float(omega), 0.05).fold)
+    proof = prove_down(float(omega), 0.05, thresholds(float(omega), 0.05).fold)
     assert LOWEST[omega] in bounds(proof.gamma)
     assert float(proof.says.split()[-1]) > float(bounds(proof.gamma)[1])
 
@@ -43,11 +43,11 @@ def test_bouncing_persists_from_just_above_the_fold(omega):
 def test_golden_folds_and_flips_are_proven():
     for case in REFERENCE["special_points"]:
         for point in case["points"]:
-            if point["kind"] in WHICH:
-                which, spring = WHICH[point["kind"]], (repr(case["omega"]), repr(case["xi"]), case["mode"][1])
-                line = branch_and_events(case["omega"], case["xi"], case["mode"][1])[1]
+            if point["kind"] in KINDS:
+                spring = case["omega"], case["xi"], case["mode"][1]
+                line = branch_and_events(*spring)[1]
                 nearest = line.flight_time[np.argmin(abs(line.flight_time - point["flight_time"]))]
-                proof = prove_event(which, *spring, float(nearest))
+                proof = prove_event(point["kind"], *spring, float(nearest))
                 for name, ball in (("flight_time", proof.flight_times[0]), ("gamma", proof.gamma)):
                     assert abs(ball - point[name]) < 1e-7, f"{name}: {point[name]} is not {bounds(ball)}"
 
@@ -55,13 +55,13 @@ def test_golden_folds_and_flips_are_proven():
 def test_folds_and_flips_of_the_closed_form_are_proven_and_none_is_missing():
     for omega, xi, periods in random_springs(6):
         _, events = branch_and_events(omega, xi, periods)
-        for kind, which in WHICH.items():
+        for kind in KINDS:
             chosen = np.flatnonzero(events.kind == kind)
             for i in chosen[:2]:
-                proof = prove_event(which, repr(omega), repr(xi), periods, float(events.flight_time[i]))
+                proof = prove_event(kind, omega, xi, periods, float(events.flight_time[i]))
                 assert float(proof.flight_times[0]) == pytest.approx(events.flight_time[i], abs=1e-13)
                 assert float(proof.gamma) == pytest.approx(events.gamma[i], rel=1e-13)
-            counted = all_events(which, repr(omega), repr(xi), periods)
+            counted = all_events(kind, omega, xi, periods)
             assert list(map(float, counted)) == pytest.approx(sorted(events.flight_time[chosen]), abs=1e-12)
 
 
@@ -70,7 +70,7 @@ def test_answers_of_the_rule_are_proven_as_upper_bounds():
     springs = [(case["omega"], case["xi"], case["gamma_down"]) for case in REFERENCE["threshold_down"]]
     for omega, xi, expected in (*springs, *((omega, 0.05, None) for omega in (0.4, 0.65, 1.26))):
         answer = thresholds(omega, xi)
-        proof = prove_down(repr(omega), repr(xi), answer.fold)
+        proof = prove_down(omega, xi, answer.fold)
         assert -1e-14 < float(proof.gamma) - answer.down < 1e-11, (
             f"{answer.down} is not {bounds(proof.gamma)}"
         )
@@ -79,4 +79,4 @@ def test_answers_of_the_rule_are_proven_as_upper_bounds():
 
 def test_no_flight_time_beside_a_fold_is_proven_to_be_one():
     with pytest.raises(NotProvenError):
-        prove_event(FOLDS, "0.6", "0.05", 1, 3.0)
+        prove_event(Kind.FOLD, 0.6, 0.05, 1, 3.0)
