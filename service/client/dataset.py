@@ -15,7 +15,6 @@ import numpy as np
 import xarray
 
 from service.client.errors import UnexpectedAnswer
-from service.client.measured import measured
 from service.pictures import (
     AXES,
     SYMBOLS,
@@ -142,6 +141,8 @@ class BounceAccessor:
         `branches`, `data`, `frequency` and `ax` as of `Job.plot`. Returns the axes. Raises BounceError naming
         what to select.
         """
+        from service.client.measured import measured
+
         dataset = _selected(self._dataset, where)
         ax = ax if ax is not None else _new_axes()
         if "analytic" in dataset:

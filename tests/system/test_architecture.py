@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TOP_LEVEL = ("kernel", "worker", "service")
-OURS = (*TOP_LEVEL, "tests", "benchmarks", ".ci")
+OURS = (*TOP_LEVEL, "bouncing_spring", "tests", "benchmarks", ".ci")
 
 
 @pytest.fixture(scope="module")
