@@ -172,7 +172,7 @@ class JobView(BaseModel):
     core_seconds: float = Field(
         description="that its chunks took, those computed again included; not known of adopted chunks"
     )
-    spec: dict[str, JsonValue] | None = Field(description="null in events, and in lists if it is long")
+    spec: dict[str, JsonValue] | None = Field(description="null in lists if it is long")
     compiling: CompilingView | None = Field(
         None, description="the kernel that is compiled now, before the first chunk; null in lists"
     )

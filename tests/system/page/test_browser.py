@@ -122,7 +122,7 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         invalid = page.locator("[aria-invalid=true]")
         invalid.wait_for()
         assert invalid.get_attribute("data-field") == "gamma.start"
-        assert "must not be above stop: axes increase" in page.locator(".error").inner_text()
+        assert "must not be above stop: swap the two" in page.locator(".error").inner_text()
         assert page.get_by_role("button", name="Compute").is_disabled()
         assert "see the marked fields" in page.locator(".cost").inner_text()
         screenshot(page, "form-refused")

@@ -13,6 +13,7 @@ from served import service
 from stores import files, store_in
 from studies import STUDIES, spec_of
 
+from bouncing_spring import thresholds
 from kernel.params import KERNEL_VERSION
 from service import local
 from service.client import Client
@@ -81,6 +82,13 @@ def test_a_sweep_is_written_as_a_file(tmp_path: Path, format: str):
             assert from_json(content).bounces.values.tolist() == bounces
         case "png":
             assert content.startswith(b"\x89PNG")
+
+
+def test_thresholds_of_a_spring_need_no_service():
+    assert float(thresholds(0.6, 0.05).down) == pytest.approx(0.553244593, abs=1e-9)
+    assert thresholds(0.6, 0.05, model="soft").status == "continued"
+    with pytest.raises(InvalidRequest, match=r"^xi: must be at least 0, not -1"):
+        thresholds(0.6, -1)
 
 
 # Errors
