@@ -112,14 +112,21 @@ def tradeoff(output: str | None) -> None:
     minute or two.
     """
     from service.cli.views import table
-    from service.client.display import display_parts
+    from service.client.display import display_elapsed
     from service.views import tradeoff
     from service.views.registry import encoded
     from worker.kernel_cache import use_cache
 
     format = output_format(output, tradeoff.VIEW.formats) if output else None
     use_cache()
-    found = tradeoff.measure(tradeoff.SETTINGS, display_parts(True, "measured", "contacts"))
+    counts = (0, len(tradeoff.SETTINGS))
+
+    def show(measured: int, all_of_them: int) -> None:
+        nonlocal counts
+        counts = (measured, all_of_them)
+
+    with display_elapsed(lambda: "measured {} of {} contacts".format(*counts)):
+        found = tradeoff.measure(tradeoff.SETTINGS, show)
     if output and format:
         write_file(output, encoded(tradeoff.VIEW, None, found, format))
     click.echo(table(found, ["cost"]))
