@@ -128,9 +128,7 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
 def test_a_contact_is_explored(browser: Any, address: str):
     with opened(browser, f"{address}/#/explore?omega=0.6&xi=0.05&gamma=0.9", expected=READBACK) as page:
         page.get_by_label("Contact").select_option("soft")
-        said = page.locator(
-            ".readout.closed", has_text="Bouncing does not persist below Γ = 0.5532 (fold (1,1))"
-        )
+        said = page.locator(".closed", has_text="Bouncing does not persist below Γ = 0.5532 (fold (1,1))")
         said.wait_for()
         page.wait_for_url(re.compile("contact=soft"))
         screenshot(page, "explore-soft")
