@@ -387,6 +387,7 @@ def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
             ax.plot(omega, values, marker, markersize=4, color=LINES[name], label=f"computed, {name}")
     ax.set_xlabel(AXES["omega"])
     ax.set_ylabel(r"threshold $\Gamma$")
+    ax.set_ylim(thresholds.attrs.get("gamma_start"), thresholds.attrs.get("gamma_stop"))
     ax.set_title(f"{SYMBOLS['xi']} = {thresholds.xi.item():g}")
     ax.legend(frameon=False)
 

@@ -97,6 +97,10 @@ class ResultMethods(Methods):
         xi: float | None = None,
         tolerance: Annotated[float | None, "in Γ: refine the thresholds beyond the grid, from the sweep's stored states"] = None,
         predict: Annotated[Literal["none", "some", "all", "cells"], "thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from cycles of the sweep's cells, on an ideal plate where the closed form is unresolved"] = "some",
+        omega_start: float | None = None,
+        omega_stop: float | None = None,
+        gamma_start: Annotated[float | None, "of a picture: its lowest threshold"] = None,
+        gamma_stop: Annotated[float | None, "of a picture: its highest threshold"] = None,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -123,7 +127,7 @@ class ResultMethods(Methods):
         Waits up to `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the
         parameter, TooLarge naming what fits.
         """
-        return self.result("threshold", xi=xi, tolerance=tolerance, predict=predict, timeout=timeout, progress=progress)
+        return self.result("threshold", xi=xi, tolerance=tolerance, predict=predict, omega_start=omega_start, omega_stop=omega_stop, gamma_start=gamma_start, gamma_stop=gamma_stop, timeout=timeout, progress=progress)
 
     def orbits(
         self,

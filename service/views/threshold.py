@@ -16,7 +16,15 @@ from service.errors import InvalidRequest
 from service.formats import Predict
 from service.pictures import draw_thresholds
 from service.views import orbits, proofs
-from service.views.selection import MAX_READ, ROUNDING, Stored, check_kernel, nearest_index, read_direction
+from service.views.selection import (
+    MAX_READ,
+    ROUNDING,
+    Stored,
+    between,
+    check_kernel,
+    nearest_index,
+    read_direction,
+)
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker.analysis.bisection import TYPICAL_CELLS, Refined, Status, by_bisection, endless_rest, on_grid
@@ -215,6 +223,10 @@ class ThresholdQuery(Query):
         description="thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from "
         "cycles of the sweep's cells, on an ideal plate where the closed form is unresolved",
     )
+    omega_start: Number | None = None
+    omega_stop: Number | None = None
+    gamma_start: Annotated[Number | None, Field(description="of a picture: its lowest threshold")] = None
+    gamma_stop: Annotated[Number | None, Field(description="of a picture: its highest threshold")] = None
 
 
 def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> xarray.Dataset:
@@ -266,11 +278,14 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     attrs: dict[str, Any] = {"prediction": contact, "model": spec.model.kind, "complete": complete}
     if query.tolerance is not None:
         attrs["tolerance"] = query.tolerance
+    ends = {"gamma_start": query.gamma_start, "gamma_stop": query.gamma_stop}
+    attrs |= {name: value for name, value in ends.items() if value is not None}
+    window = between(omega, query.omega_start, query.omega_stop)
     return dataset(
         {row.name: variable(("omega",), data[row.name], row) for row in _ROWS if row.name in data},
         {"omega": coordinate("omega", omega), "xi": coordinate("xi", xi)},
         attrs,
-    )
+    ).isel(omega=slice(window.start, window.stop))
 
 
 def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:

@@ -322,6 +322,7 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
         for tab, shown in (
             ("diagram", "start=1&stop=2&flight_start=1.5&flight_stop=6&hide=at_rest"),
             ("modes", "gamma_start=1&gamma_stop=2&omega_start=1.5&omega_stop=6&hide=at_rest"),
+            ("thresholds", "omega_start=1&omega_stop=2&gamma_start=1.5&gamma_stop=6"),
         ):
             page.goto(f"{address}/#/job/{job}/{tab}?omega=0.5&{window}")
             wait_shown(page, xi=0.05)

@@ -40,6 +40,7 @@ function contactOf() {
 class Cycles extends PlotView {
   name = "cycles";
   isContinuous = true;
+  isDrawn = false;
 
   constructor(root, bar, words, motion) {
     super({ sources: [SPRING], bar, onSelect: (cell) => setQuery(cellQuery(cell)) });

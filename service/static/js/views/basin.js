@@ -17,7 +17,6 @@ const AXES_OF = { // of the planes of starts: across and along, in a plot and in
 
 export class Basin extends PlaneView {
   name = "basin";
-  isDrawn = true;
   isPositive = false;
 
   constructor(root, view) {

@@ -25,7 +25,6 @@ const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell 
 
 /** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles, {branch, point}. */
 export class Diagram extends PlotView {
-  isDrawn = true;
   isThinned = false; // whether a line has more cells than are sent
   lines = []; // one per source and shown direction
 

@@ -19,7 +19,6 @@ const HATCH_LINE = 1.6; // px, of either
 
 export class Modes extends PlaneView {
   name = "modes";
-  isDrawn = true;
   isThinned = false; // whether the whole map has more cells than are sent
 
   constructor(root, view) {

@@ -17,7 +17,6 @@ const HATCH = 7; // px between the lines over cells with several attractors
 
 /** What both views share: the plane at one ξ, the legend of its attractors, and an attractor seen to move. */
 class AttractorView extends PlaneView {
-  isDrawn = true;
 
   constructor(root, view, { axes, controls, ...options }) {
     super(view);

@@ -53,7 +53,7 @@ async function requestFitting(path, options) {
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
-  isDrawn = false; // whether the service has a picture of the result
+  isDrawn = true; // whether the service has a picture of what is shown
   colours = []; // the legend below the plot: [[name, colour], …]
   closing = new AbortController();
 

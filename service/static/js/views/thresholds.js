@@ -30,8 +30,17 @@ export class Thresholds extends PlotView {
     this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT, shown: this.closedForm ? [this.closedForm.element] : [] });
   }
 
+  paths() {
+    return [this.#path({})];
+  }
+
+  #path(window) {
+    return `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi, ...window })}`;
+  }
+
   filePath() {
-    return `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi })}`;
+    const { x0, x1, y0, y1 } = this.window ?? {};
+    return this.#path({ omega_start: x0, omega_stop: x1, gamma_start: y0, gamma_stop: y1 });
   }
 
   read([result]) {

@@ -139,6 +139,11 @@ def test_a_picture_is_what_is_shown(sweep: Stored):
         VIEWS["modes"].draw(modes(sweep, xi=0.26, hide=hide), figure := Figure())
         legends.append({text.get_text() for text in figure.axes[0].get_legend().get_texts()})
     assert legends[0] - legends[1] == {"at rest"}
+    ends = {"omega_start": 0.6, "omega_stop": 0.8, "gamma_start": 0.2, "gamma_stop": 1.5}
+    found = answer("threshold", sweep, 1000, {"xi": 0.26, "predict": "none", **ends})
+    assert found.omega.values.tolist() == [0.7]
+    VIEWS["threshold"].draw(found, figure := Figure())
+    assert figure.axes[0].get_ylim() == (0.2, 1.5)
     with pytest.raises(ValidationError, match=r"must be of 1-fewer, .* not 'rest'"):
         modes(sweep, xi=0.26, hide="at_rest,rest")
 
