@@ -18,7 +18,7 @@ ExportLayout = Literal["cells", "flights"]
 
 #: Which thresholds of a sweep are predicted: none, those of up to 200 values of omega, or all; or all from
 #: cycles of the sweep's cells.
-Predict = Literal["none", "some", "all", "cells"]
+Predict = Literal["none", "some", "all", "cells", "search"]
 
 #: Bytes of a shared file that is imported.
 MOST_SHARED: Final = 32 * 2**20

@@ -372,13 +372,18 @@ def legend_beside(ax: "Axes", entries: "list[Patch]") -> None:
 
 
 def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
-    """Where bouncing begins and ends over Ω: as computed, by Eq. 25, and in closed form."""
-    omega = thresholds.omega.values
+    """Where bouncing begins and ends over Ω: as computed, by Eq. 25, in closed form, and searched."""
+    omega, predicted = thresholds.omega.values, thresholds.predicted_down.values
+    causes = thresholds.cause.values if "cause" in thresholds else np.full(len(omega), "")
+    searched = np.array([str(cause).endswith(", searched") for cause in causes])
     ax.plot(omega, thresholds.analytic.values, "--", color=LINES["threshold"], linewidth=1.0, label="Eq. 25")
     down: Any = {"color": LINES["branch"], "linewidth": 1.4, "label": "closed form, down"}
-    ax.plot(omega, thresholds.predicted_down.values, "-", **down)
+    ax.plot(omega, np.where(searched, np.nan, predicted), "-", **down)
+    if searched.any():
+        down |= {"fillstyle": "none", "markersize": 5, "label": "searched, down"}
+        ax.plot(omega[searched], predicted[searched], "D", **down)
     for status in ("unresolved", "not searched"):
-        number = int((thresholds.cause.values == status).sum()) if "cause" in thresholds else 0
+        number = int((causes == status).sum())
         if number:
             ax.plot([], [], " ", label=f"closed form, {status}: {number} of {len(omega)}")
     for name, marker in (("up", "^"), ("down", "v")):

@@ -96,7 +96,7 @@ class ResultMethods(Methods):
         self,
         xi: float | None = None,
         tolerance: Annotated[float | None, "in Γ: refine the thresholds beyond the grid, from the sweep's stored states"] = None,
-        predict: Annotated[Literal["none", "some", "all", "cells"], "thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from cycles of the sweep's cells, on an ideal plate where the closed form is unresolved"] = "some",
+        predict: Annotated[Literal["none", "some", "all", "cells", "search"], "thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from cycles of the sweep's cells, on an ideal plate where the closed form is unresolved; or searched for where branches of the sweep's contact do not decide"] = "some",
         omega_start: float | None = None,
         omega_stop: float | None = None,
         gamma_start: Annotated[float | None, "of a picture: its lowest threshold"] = None,

@@ -37,6 +37,7 @@ from worker.analysis.prediction import (
     predict_from_cells,
     prediction_seconds,
     search_below,
+    search_each,
 )
 from worker.spec.contact_models import Contact, Rigid
 from worker.study.layout import COMPUTED
@@ -180,8 +181,8 @@ BLOCK: Final = 16
 #: Values of omega predicted unless all are asked for.
 MAX_PREDICTED: Final = 200
 
-#: Core-seconds that following the cycles of one omega takes, typically, of three cells.
-CELLS_SECONDS: Final = 0.48
+#: Core-seconds of one omega, typically: following the cycles of three cells, a search.
+_EACH_SECONDS: Final = {"cells": 0.48, "search": 15.0}
 
 #: Values of omega, and core-seconds, of predictions that are computed with a small read.
 MAX_BRIEF: Final = 4
@@ -193,6 +194,7 @@ CALL_SECONDS: Final = 1.0
 #: Core-seconds that one answer may take.
 MAX_SECONDS: Final = 60.0
 MAX_PREDICTION_SECONDS: Final = 200.0
+MAX_SEARCH_SECONDS: Final = 1_000.0
 
 #: Bytes of an omega in an answer, with its statuses as text.
 _PER_OMEGA: Final = 1_000
@@ -221,7 +223,8 @@ class ThresholdQuery(Query):
     predict: Predict = Field(
         "some",
         description="thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from "
-        "cycles of the sweep's cells, on an ideal plate where the closed form is unresolved",
+        "cycles of the sweep's cells, on an ideal plate where the closed form is unresolved; or searched for "
+        "where branches of the sweep's contact do not decide",
     )
     omega_start: Number | None = None
     omega_stop: Number | None = None
@@ -272,9 +275,10 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     contact = f"{CONTACT}: the contact of the sweep"
     if not is_ideal(spec.model):
         contact = f"{CONTACT}: not the contact of the sweep, which is {spec.model.kind}"
-    if query.predict == "cells" and study.chunks_done:
+    if query.predict == "search" or (query.predict == "cells" and study.chunks_done):
         own = orbits.name_of(orbits.contact_of(spec))
-        contact = f"{own}: cycles continued from the sweep's cells; others may reach lower"
+        how = "searches" if query.predict == "search" else "cycles continued from the sweep's cells"
+        contact = f"{own}: {how}; others may reach lower"
     attrs: dict[str, Any] = {"prediction": contact, "model": spec.model.kind, "complete": complete}
     if query.tolerance is not None:
         attrs["tolerance"] = query.tolerance
@@ -333,13 +337,16 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
     if _left_out(spec, nearest.value, query.predict):
         return calls
     cells = query.predict == "cells" and study.chunks_done > 0  # before the first chunk there are none
-    seconds = _seconds(spec, nearest.value, CELLS_SECONDS if cells else 0.0)
+    searches = query.predict == "search"
+    seconds = _seconds(spec, nearest.value, _EACH_SECONDS[query.predict] if cells or searches else 0.0)
     if query.predict == "some" and seconds[-1] <= AT_ONCE_SECONDS:
         return calls
     call = (seconds // CALL_SECONDS).astype(int)
     for block in (tuple(np.flatnonzero(call == number).tolist()) for number in np.unique(call)):
         if cells:
             calls.append((predict_from_cells, spec, study.url, nearest.index, block, study.complete))
+        elif searches:
+            calls.append((search_each, spec.model, tuple(omega[i] for i in block), nearest.value))
         else:
             calls.append((predict_each, tuple(omega[i] for i in block), nearest.value))
     return calls
@@ -395,20 +402,20 @@ def _refined(data: dict[str, NDArray[Any]], refined: Sequence[Refined]) -> dict[
 
 def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
     """Why nothing is predicted; empty if every omega is. Raises InvalidRequest as `estimate`."""
-    if predict == "cells":
+    if predict in _EACH_SECONDS:
         orbits.contact_of(spec)
     if predict == "none":
         return "not predicted"
     omegas = len(spec.axis_values("omega"))
     if predict == "some" and omegas > MAX_PREDICTED:
         return f"not predicted: ask for all above {MAX_PREDICTED} values of omega"
-    seconds = _seconds(spec, xi, CELLS_SECONDS if predict == "cells" else 0.0)
-    if seconds[-1] <= MAX_PREDICTION_SECONDS:
+    seconds = _seconds(spec, xi, _EACH_SECONDS.get(predict, 0.0))
+    limit = MAX_SEARCH_SECONDS if predict == "search" else MAX_PREDICTION_SECONDS
+    if seconds[-1] <= limit:
         return ""
     rule = (
         f"{omegas:,} values of omega take about {seconds[-1]:,.0f} core-seconds, the limit for one "
-        f"answer is {MAX_PREDICTION_SECONDS:g}: enough for "
-        f"{np.searchsorted(seconds, MAX_PREDICTION_SECONDS, 'right'):,} values"
+        f"answer is {limit:g}: enough for {np.searchsorted(seconds, limit, 'right'):,} values"
     )
     if predict == "some":
         return f"not predicted: {rule}"

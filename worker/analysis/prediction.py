@@ -10,7 +10,7 @@ from kernel.cycles.contact_thresholds import thresholds_of
 from kernel.cycles.cycles import Point
 from kernel.cycles.events import POINTS, flight_times
 from kernel.cycles.folds import Fold, lifetime
-from kernel.cycles.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
+from kernel.cycles.thresholds import EQ_25, PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
 from kernel.search import Searched, search
 from kernel.threshold import threshold
@@ -20,6 +20,9 @@ from worker.orbits.specification import MAX_GRID
 from worker.spec.contact_models import Contact, Rigid
 from worker.sweep import SweepSpec
 from worker.work import plate_of
+
+#: A cause that a search found ends so.
+SEARCHED: Final = ", searched"
 
 #: Core-seconds of one prediction, of one branch beside those of its grid, and of a branch that grazes along
 #: its whole length by rounding: each graze is followed to its end.
@@ -85,10 +88,24 @@ def is_ideal(contact: Contact) -> bool:
     return isinstance(contact, Rigid) and contact.restitution == 0.0
 
 
-def search_below(contact: Contact, omega: float, xi: float, effort: float) -> Searched:
+def search_below(contact: Contact, omega: float, xi: float, effort: float = 50.0) -> Searched:
     """The lowest end of bouncing that a search finds; runs on workers. Raises KernelInputError."""
     ones = np.ones(1)
     return search(plate_of(contact, ones, omega * ones, xi * ones), omega, xi, effort=effort)
+
+
+def search_each(contact: Contact, omega: tuple[float, ...], xi: float) -> list[Thresholds]:
+    """The thresholds of a contact, searched for where its branches leave them open: a call for workers."""
+    return [_searched(contact, value, xi) for value in omega]
+
+
+def _searched(contact: Contact, omega: float, xi: float) -> Thresholds:
+    answer = of_contact(contact, omega, xi)
+    if math.isfinite(answer.down) or not math.isfinite(answer.gamma_th):
+        return answer
+    found = search_below(contact, omega, xi)
+    down, what = (found.gamma, found.what) if found.what else (answer.gamma_th, EQ_25)
+    return answer._replace(down=down, cause=f"{what}{SEARCHED}", reason="")
 
 
 def predict_from_cells(

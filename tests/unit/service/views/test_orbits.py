@@ -288,6 +288,14 @@ def test_a_damping_that_was_not_searched_is_said_to_be(python_client: Client):
     ax = Figure().subplots()
     draw_thresholds(ax, found)
     assert "closed form, not searched: 2 of 2" in [str(line.get_label()) for line in ax.lines]
+    found = job.threshold(predict="search", progress=False)
+    assert found.cause.values.tolist()[1] == "fold of word zsss (4,3), searched"
+    assert found.predicted_down.values[0] < 0.8573
+    assert found.predicted_down.values[1] == pytest.approx(0.7925441522, abs=1e-9)
+    ax = Figure().subplots()
+    draw_thresholds(ax, found)
+    (marks,) = (line for line in ax.lines if line.get_label() == "searched, down")
+    assert list(marks.get_ydata()) == found.predicted_down.values.tolist()
 
 
 def test_cycles_of_a_sweeps_cells_answer_where_the_branches_do_not(
