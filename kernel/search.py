@@ -165,7 +165,7 @@ class _Search:
 
     def _ends(self, end: Descent) -> None:
         """An end of a stable cycle; what goes on beyond it is carried on."""
-        if end.gamma < self.bound:
+        if end.gamma < self.bound and (end.fold or end.reason):  # not at rest
             self.end = Searched(end.gamma, end.fold.name if end.fold else end.reason, self.starts)
             if end.last is not None:
                 self._down(Cell(*end.last.cell), 0, end.last.state)
