@@ -18,6 +18,8 @@ from worker.work import plate_of
 
 #: Plate periods of the cycles that are looked for at a cell.
 _MOST_PERIODS: Final = 12
+#: The cycle of a state that has settled differs by less from the round that begins there: others lie beside.
+_NEAR: Final = 1e-2
 #: Rad between a counted event and the same in doubles.
 _SAME: Final = 1e-9
 
@@ -87,7 +89,8 @@ def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dic
                 penetration=penetration_of(model, *arrays[:2])[0].item(), adhesive=model.adhesive
             )
         plate = plate_of(model, *arrays)
-        points = (cycle_from(plate, cell, periods, state) for periods in range(1, _MOST_PERIODS + 1))
+        each = range(1, _MOST_PERIODS + 1)
+        points = (cycle_from(plate, cell, periods, state, _NEAR) for periods in each)
         point = next(filter(None, points), None)
         if point is None:
             raise balls.NotProvenError(f"no cycle of up to {_MOST_PERIODS} plate periods is near")

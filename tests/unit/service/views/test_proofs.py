@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from served import computing
@@ -76,6 +77,15 @@ def test_a_cell_that_settled_is_proven_and_one_at_rest_says_why_not(client: Clie
     assert at_rest.proof == "not proven"
     assert "settle" in str(at_rest.proof_says.values)
     assert client.trajectory(cell | {"model": {"kind": "ball"}}).proof == "not covered"
+
+
+def test_the_cycle_that_is_proven_is_that_of_the_motion(client: Client):
+    """A stable cycle of one plate period lies beside the cell's, of three."""
+    cell = {"gamma": 2.0858125898, "omega": 0.46287759736, "xi": 0.05046395205, "settle": 2000}
+    motion = client.trajectory(cell | {"periods": 4, "prove": True})
+    proven = motion.proven_flight_times.values.astype(float)
+    for flight_time in motion.flight_time.values:
+        assert np.any((proven[:, 0] - 1e-9 < flight_time) & (flight_time < proven[:, 1] + 1e-9))
 
 
 def test_without_the_extra_one_sentence_says_what_to_install(
