@@ -299,8 +299,6 @@ class SpringMethods(Methods):
         that their transients pass by, and what survives, down to the end: an upper bound at any damping, with the
         share of starts, `missed`, that a basin must have to be seen with 95 %.
 
-        With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
-
         Returns a Dataset with the attribute `complete` and the variables `threshold`, `jump`, `down`,
         `cause`, `status`, `reason`, `missed`, `lifetime` (plate periods), `delta`, `plate_contact` (m A² ω²),
         `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force` (m A ω), `impulse` (m A ω),

@@ -24,11 +24,8 @@ _DEPTH: Final = 40  # halvings of a phase until its conditions count as undecide
 
 
 class NotProvenError(Exception):
-    """What could not be shown.
-
-    verdict: `not proven`, which says nothing about the truth; `disproven`: the contrary is shown; `not
-    covered`: a motion that no proof here describes.
-    """
+    """What is not shown. The verdict `disproven` says that the contrary is, `not proven` nothing, and `not
+    covered` that no proof here describes the motion."""
 
     def __init__(self, says: str, verdict: str = "not proven") -> None:
         super().__init__(says)
@@ -68,11 +65,6 @@ def flow(a: Any, t: arb) -> Any:
     return (a * t.mid()).exp() * (a * (t - t.mid())).exp()
 
 
-def contracts(tangent: arb_mat) -> bool:
-    """Whether a power of a matrix has a norm < 1 for certain: then its spectral radius is < 1."""
-    return any(sum(map(abs, (tangent**2**n).entries())) < 1 for n in range(50))
-
-
 def check_positive(a: Any, conditions: Sequence[Condition], start: Any, end: arb, what: str) -> None:
     """Prove that at every instant of (0, end) one of the conditions is positive, by bisection.
 
@@ -82,46 +74,35 @@ def check_positive(a: Any, conditions: Sequence[Condition], start: Any, end: arb
     """
     if not end > 0:
         raise NotProvenError(f"{what} may take no time")
-    vectors, rates = arb_mat(a.nrows(), a.nrows(), 1), [arb(0)] * a.nrows()
-    with suppress(ValueError, ZeroDivisionError):  # eigenvalues that are not apart
+    rows = [condition[0] for condition in conditions]
+    with suppress(
+        ValueError, ZeroDivisionError
+    ):  # by eigenvectors, if there are any, what decays fast is apart
         rates, vectors = acb_mat(a).eig(right=True)
-        a, start = _diagonal(rates), vectors.solve(acb_mat(start))
-    derivatives = [[row * vectors * a**order for order in range(8)] for row, _, _ in conditions]
+        rows, start = [row * vectors for row in rows], vectors.solve(acb_mat(start))
+        a = acb_mat([[rate * int(i == j) for j in range(len(rates))] for i, rate in enumerate(rates)])
+    derivatives = [[row * a**order for order in range(8)] for row in rows]
     last = half = arb(math.nextafter(float(end.upper()), math.inf))
     boxes = [(arb(0), start)]
     for _ in range(_DEPTH):
-        half, undecided = half / 2, []
-        move, around = (a * half).exp(), (a * arb(0, half)).exp()
-        slow = [int(abs(rate) * half < 1) for rate in rates]  # others are enclosed as they are
-        slow, fast = _diagonal(slow), _diagonal([1 - each for each in slow])
+        half, x, undecided = half / 2, arb(0, half / 2), []
+        move, around = (a * half).exp(), (a * x).exp()
         for low, state in boxes:
             middle, later = low + half, move * state
-            near, slowly = around * later, slow * later
-            terms = [slowly + fast * near, slowly, slowly, slowly, slow * near]
-            for (_, zero, ends), rows in zip(conditions, derivatives, strict=True):
-                begins = zero if low == 0 else 0
-                if ends and middle + half == last:
-                    holds = not begins and _over(half, rows[1:], terms) < 0
-                else:
-                    holds = _over(half, rows[begins:], terms) > 0
-                if holds:
+            terms = [later] * 4 + [around * later]
+            for (_, zero, ends), powers in zip(conditions, derivatives, strict=True):
+                begins, falls = zero if low == 0 else 0, ends and middle + half == last
+                order = 1 if falls else begins
+                # Taylor's polynomial of degree 3 with its rest: all over the box
+                c = [(row * y)[0, 0].real for row, y in zip(powers[order : order + 5], terms, strict=True)]
+                over = c[0] + x * (c[1] + x / 2 * (c[2] + x / 3 * (c[3] + x / 4 * c[4])))
+                if (over < 0 and not begins) if falls else over > 0:
                     break
             else:
-                if middle < end and all((rows[0] * later)[0, 0].real < 0 for rows in derivatives):
+                if middle < end and all((powers[0] * later)[0, 0].real < 0 for powers in derivatives):
                     says = f"{what} breaks off after {float(middle):.9g} of {float(end):.9g} rad"
                     raise NotProvenError(says, "disproven")
                 undecided += [(low, state), (middle, later)]
         boxes = undecided
     if boxes:
         raise NotProvenError(f"{what} is undecided after {float(boxes[0][0]):.9g} of {float(end):.9g} rad")
-
-
-def _over(half: arb, rows: Sequence[Any], terms: Sequence[Any]) -> Any:
-    """A function all over a box, from its derivatives: Taylor's polynomial of degree 3 with its rest."""
-    x = arb(0, half)
-    a, b, c, d, e = ((row * term)[0, 0].real for row, term in zip(rows[:5], terms, strict=True))
-    return a + x * (b + x / 2 * (c + x / 3 * (d + x / 4 * e)))
-
-
-def _diagonal(entries: Sequence[Any]) -> Any:
-    return acb_mat([[x if i == j else 0 for j in range(len(entries))] for i, x in enumerate(entries)])

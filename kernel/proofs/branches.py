@@ -21,19 +21,6 @@ _NEAR: Final = 1e-9  # how far an event may lie from its guess, rad; no stretch 
 _ASIDE: Final = (1e-3, 1e-4, 1e-5, 1e-6)  # how far from a fold stability is shown, rad
 
 
-def prove_event(kind: Kind, omega: float, xi: float, periods: int, flight_time: float) -> Proven:
-    """The fold or flip of (1, periods) beside a flight time. Raises `NotProvenError`."""
-    return first_proven(lambda: _branch(omega, xi, periods).event(kind, flight_time))
-
-
-def all_events(kind: Kind, omega: float, xi: float, periods: int) -> list[arb]:
-    """Flight times, a ball each, of every fold or flip of (1, periods), in order. Raises `NotProvenError`.
-
-    Zeros of a Jury condition on [0, 2 pi k]: flips beside poles of Gamma count too.
-    """
-    return first_proven(lambda: _branch(omega, xi, periods).zeros(kind, arb(0).union(2 * periods * arb.pi())))
-
-
 def prove_down(omega: float, xi: float, fold: Fold) -> Proven:
     """That a stable cycle exists at `gamma`; one of one flight, just above. Raises `NotProvenError`."""
     if fold.cycle.letters == "Ss":
@@ -44,7 +31,7 @@ def prove_down(omega: float, xi: float, fold: Fold) -> Proven:
 
 def _above(omega: float, xi: float, fold: Fold, aside: float) -> Proven:
     """Stable cycles at every Gamma between those of a fold and of a flight time aside."""
-    branch = _branch(omega, xi, fold.periods)
+    branch = Branch(omega, xi, fold.periods)
     _, low, (t,) = branch.event(Kind.FOLD, fold.flight_time)
     far = t + aside if branch.jury(t)[Kind.FOLD][1] > 0 else t - aside
     high, beside = amplitude(branch.box(far, by_flight=True)), branch.jury(t.union(far))
@@ -63,27 +50,28 @@ def _beside(omega: float, xi: float, fold: Fold, aside: float) -> Proven:
     return cycles.stable(cycles.box(arb(fold.flight_time + aside), by_flight=True), says)
 
 
-def _branch(omega: float, xi: float, periods: int) -> "_Branch":
-    """With a flight time given the equations are linear in all but durations: any guess does."""
-    return _Branch(Law(), omega, xi, Cycle("Ss", periods, np.ones(START + 2)))
+class Branch(Cycles):
+    """The branch (1, periods), at the present precision: for `first_proven`."""
 
-
-class _Branch(Cycles):
-    """The branch (1, periods), at the present precision."""
+    def __init__(self, omega: float, xi: float, periods: int) -> None:
+        # with a flight time given the equations are linear in all but durations: any guess does
+        super().__init__(Law(), omega, xi, Cycle("Ss", periods, np.ones(START + 2)))
+        self._whole = 2 * periods * arb.pi()
 
     def event(self, kind: Kind, flight_time: float) -> Proven:
-        """The only event beside a flight time."""
+        """The only fold or flip beside a flight time. Raises `NotProvenError`."""
         zeros = self.zeros(kind, arb(flight_time, _NEAR))
         if len(zeros) != 1:
             raise NotProvenError("no event is near")
         return Proven("exactly one event lies here", amplitude(self.box(zeros[0], by_flight=True)), zeros)
 
-    def zeros(self, kind: Kind, stretch: arb) -> list[arb]:
-        """A ball for every zero of a condition in a ball, in order, as sharp as the precision allows.
+    def zeros(self, kind: Kind, stretch: arb | None = None) -> list[arb]:
+        """Flight times, a ball each, of every fold or flip in a ball, [0, 2 pi k] without, in order.
 
-        Where Newton's operator maps a ball into itself there is exactly one.
+        Where Newton's operator maps a ball into itself there is exactly one zero of a condition. Flips beside
+        poles of Gamma count too. Raises `NotProvenError`.
         """
-        stretches, zeros = [stretch], list[arb]()
+        stretches, zeros = [arb(0).union(self._whole) if stretch is None else stretch], list[arb]()
         while stretches:
             t = stretches.pop()
             (value, slope), middle = self.jury(t)[kind], self.jury(t.mid())[kind][0]
@@ -105,7 +93,7 @@ class _Branch(Cycles):
         land = arb_mat([[0] * 7, [0] * 7, [1, 0, 1, *[0] * 4], [-self.b, 1, 0, 1, 0, 0, 0], *[[0] * 7] * 3])
         kept = arb_mat([[0, 0, 1, *[0] * 4], [0, 0, 0, 1, 0, 0, 0]])
         before = flow(self.flight, t) * kept.transpose()
-        after = kept * flow(self.contact, 2 * self.periods * arb.pi() - t)
+        after = kept * flow(self.contact, self._whole - t)
         maps = after * land * before, after * (land * self.flight - self.contact * land) * before
         a, b, c, d = (arb_series(list(pair)) for pair in zip(*(x.entries() for x in maps), strict=True))
         trace, det = a + d, a * d - b * c

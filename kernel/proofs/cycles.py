@@ -8,6 +8,7 @@ many equations. Where Newton's operator maps a box into itself, exactly one solu
 """
 
 from collections.abc import Sequence
+from itertools import accumulate, compress
 from typing import Any, Final, NamedTuple
 
 from flint import arb, arb_mat, ctx
@@ -20,7 +21,7 @@ from kernel.restitution import scalar_damping_ratio
 
 _MOST_HOPS: Final = 400  # of one chatter
 _STEPS: Final = 40  # of Newton's method, at most
-_NEAR: Final = 5e-7  # how far a proven cycle may lie from its guess, in any unknown
+_NEAR: Final = 5e-7  # how far a proven cycle may lie from its guess, in its start and in any instant
 
 #: Places in a state; among unknowns the first is left out, and durations follow.
 GAP, GAP1, Q, Q1, COS, SIN, ONE = range(7)
@@ -44,18 +45,17 @@ class Proven(NamedTuple):
 
 
 def prove_cycle(law: Law, cell: Cell, guess: Cycle) -> Proven:
-    """That a stable cycle exists beside a guess. Raises `NotProvenError` and its kinds.
-
-    A guess of a mass that sticks after a chatter begins where it takes off.
-    """
+    """That a stable cycle exists beside a guess, begun where a mass takes off. Raises `NotProvenError`."""
+    says = "a cycle with these flights exists, alone in its box, admissible and stable"
 
     def prove() -> Proven:
         cycles = Cycles(law, cell.omega, cell.xi, guess)
         box = cycles.box(exact(cell.gamma))
-        cycles.check_near(box, guess.unknowns.tolist())
-        return cycles.stable(
-            box, "a cycle with these flights exists, alone in its box, admissible and stable"
-        )
+        instants = compress(accumulate(box[START:]), cycles.ends)
+        known = [*guess.unknowns[:START].tolist(), *accumulate(guess.unknowns[START:].tolist())]
+        if not all(abs(x - y) < _NEAR for x, y in zip([*box[:START], *instants], known, strict=True)):
+            raise NotProvenError("no cycle is so near")
+        return cycles.stable(box, says)
 
     return balls.first_proven(prove)
 
@@ -74,22 +74,20 @@ class Cycles:
     def __init__(self, law: Law, omega: float, xi: float, guess: Cycle) -> None:
         self._e, self._sided = exact(law.restitution), law.penetration is not None and not law.adhesive
         self.b, self.w = b, w = 2 * exact(xi) / exact(omega), 1 / exact(omega) ** 2
-        flight: list[list[Any]] = [
-            [0, 1, 0, 0, 0, 0, 0],
-            [0, 0, w, b, 1, 0, -1],
-            [0, 0, 0, 1, 0, 0, 0],
-            [0, 0, -2 * w, -2 * b, 0, 0, 0],
-            [0, 0, 0, 0, 0, -1, 0],
-            [0, 0, 0, 0, 1, 0, 0],
-            [0] * 7,
-        ]
-        self.flight, self._up = arb_mat(flight), arb_mat([[1, 0, 0, 0, 0, 0, 0]])
+        rates: dict[tuple[int, int], Any] = {
+            (GAP, GAP1): 1, (GAP1, Q): w, (GAP1, Q1): b, (GAP1, COS): 1, (GAP1, ONE): -1, (COS, SIN): -1,
+            (Q, Q1): 1, (Q1, Q): -2 * w, (Q1, Q1): -2 * b, (SIN, COS): 1,
+        }  # fmt: skip
+        self.flight, self._up = arb_mat(7, 7), arb_mat([[1, 0, 0, 0, 0, 0, 0]])
+        for place, rate in rates.items():
+            self.flight[place] = rate
         letters, self._force = "Shc" if law.restitution else "Ssz", arb_mat([[0, 0, -w, -b, -1, 0, 1]])
         if law.penetration is not None:
             # the gap in units of the scale: both rates of a contact are then that, not its square
             letters, scale = "CF" if law.adhesive else "CFb", 1 / exact(law.penetration)
             self.flight[GAP, GAP1] = scale
-            self._force = arb_mat([[-scale, -2 * _damping_ratio(law) * scale, 0, 0, 0, 0, 0]])
+            damping = arb(scalar_damping_ratio(law.restitution, law.adhesive))  # the kernel's double
+            self._force = arb_mat([[-scale, -2 * damping * scale, 0, 0, 0, 0, 0]])
         self.contact = self.flight + arb_mat(7, 1, [0, 1, 0, -1, 0, 0, 0]) * self._force
         self.periods, word = guess.periods, guess.letters
         stays = [(letter in "SC") == (word[i - 1] in "scFb") for i, letter in enumerate(word)]
@@ -97,30 +95,26 @@ class Cycles:
         if not (begins and all(stays) and set(word) <= set(letters)):
             raise NotProvenError(f"no motion has the word {word}")
         self._segments = [self._segment(letter, word[i - 1]) for i, letter in enumerate(word)]
-        self._parts = list(range(len(word)))  # in which duration of the guess that of each segment is
+        self.ends = [True] * len(word)  # whether a segment of the guess ends with a segment
         self._start = list(map(exact, guess.unknowns))
         if "c" in word:
             self._spell_out_chatter()
 
     def _segment(self, letter: str, before: str) -> _Segment:
-        up, force, flight, contact, reset = self._up, self._force, self.flight, self.contact, arb_mat(7, 7, 1)
-        motion, event, conditions = flight, up, [[(up, {"S": 3, "z": 2}.get(before, 1), True)]]
+        up, force, reset, below = self._up, self._force, arb_mat(7, 7, 1), int(before == "b")
         if letter in "hcsz":
             kept = self._e if letter == "h" else 0
             # the gap is zero: setting it keeps errors of one hop out of the next
             reset[GAP, GAP], reset[GAP1, GAP1], reset[Q1, GAP1] = 0, -kept, 1 + kept
-        elif letter == "S":
-            motion, event, conditions = contact, force, [[(force, 0, True)]]
-        elif letter == "C" and not self._sided:
-            motion, conditions = contact, [[(-up, 1, True)]]
-        elif letter == "C":
-            below = int(before == "b")
-            motion, event, conditions = contact, force, [[(-up, 1 - below, False)], [(force, below, True)]]
-        elif letter == "b":
-            event, conditions = force, [[(-force, 1, True)]]
-        elif self._sided:
-            conditions = [[(up, 0, True), (-force, 1, False)]]
-        return _Segment(letter, motion, event, reset, conditions)
+        landing: list[list[Condition]] = [[(up, {"S": 3, "z": 2}.get(before, 1), True)]]
+        event, conditions = {
+            "S": (force, [[(force, 0, True)]]),
+            "C": (up, [[(-up, 1, True)]]),
+            "C sided": (force, [[(-up, 1 - below, False)], [(force, below, True)]]),
+            "F sided": (up, [[(up, 0, True), (-force, 1, False)]]),
+            "b sided": (force, [[(-force, 1, True)]]),
+        }.get(letter + " sided" * self._sided, (up, landing))
+        return _Segment(letter, self.contact if letter in "SC" else self.flight, event, reset, conditions)
 
     def _spell_out_chatter(self) -> None:
         """Take in the hops of chatters until they leave at less than the root of the widest box.
@@ -128,8 +122,8 @@ class Cycles:
         A guess takes the rest of a chatter for an instant, and the mass sticks from there on. Its hops are
         here a part of that contact, each as long as under a constant force: Newton's method corrects that.
         """
-        y, word, times, self._parts = arb_mat(7, 1, [0, *self._start[:START], 1]), "", list[arb](), []
-        for i, (segment, t) in enumerate(zip(self._segments, self._start[START:], strict=True)):
+        y, word, times, self.ends = arb_mat(7, 1, [0, *self._start[:START], 1]), "", list[arb](), []
+        for segment, t in zip(self._segments, self._start[START:], strict=True):
             landing, hops = flow(segment.motion, t) * y, list[arb]()
             y = (segment.reset * landing).mid()
             leaves, n = self._e * abs(landing[GAP1, 0]), (self._force * y)[0, 0]
@@ -140,16 +134,8 @@ class Cycles:
                     says = f"a chatter of more than {_MOST_HOPS} hops, or without an end"
                     raise NotProvenError(says, "not covered")
             word, times = word + "h" * len(hops) + segment.letter, [*times, t, *hops]
-            self._parts += [i, *[(i + 1) % len(self._segments)] * len(hops)]
+            self.ends += [True] + [False] * len(hops)
         self._segments, self._start[START:] = list(map(self._segment, word, word[-1] + word[:-1])), times
-
-    def check_near(self, box: Sequence[arb], guess: Sequence[float]) -> None:
-        """Prove that the start and every duration are those of a guess (5 + n,)."""
-        near = [*box[:START], *[arb(0)] * (len(guess) - START)]
-        for part, t in zip(self._parts, box[START:], strict=True):
-            near[START + part] = near[START + part] + t
-        if not all(abs(x - known) < _NEAR for x, known in zip(near, guess, strict=True)):
-            raise NotProvenError("no cycle is so near")
 
     def box(self, given: arb, *, by_flight: bool = False) -> list[arb]:
         """It has exactly one cycle of this Gamma, or of each first flight in this ball (interval Newton)."""
@@ -214,9 +200,8 @@ class Cycles:
         e, rates, after = self._e, 1 + self.b + self.w, self._segment("c", "h").reset * landing
         h = (e * abs(landing[GAP1, 0])).upper()
         time = 4 * h / ((self._force * after)[0, 0] * (1 - e))
-        n = (self._force * flow(self.contact, arb(0).union(time)) * after)[0, 0] + arb(
-            0, 2 * rates * (h + time)
-        )
+        nearby = flow(self.contact, arb(0).union(time)) * after
+        n = (self._force * nearby)[0, 0] + arb(0, 2 * rates * (h + time))
         change, least = n.upper() - n.lower(), n.lower()
         if not (change < least * (1 - e) / 8 and change < (1 - e) / 8):
             raise NotProvenError("a chatter under a force that may change", "not covered")
@@ -228,13 +213,11 @@ class Cycles:
     def stable(self, box: Sequence[arb], says: str) -> Proven:
         """What is said of the cycle in a box, if it is admissible and a power of its tangent contracts."""
         self.check_admissible(box)
-        if not balls.contracts(self._tangent(box)):
-            raise NotProvenError("no power of the tangent map contracts")
-        return Proven(
-            says,
-            amplitude(box),
-            [t for t, segment in zip(box[START:], self._segments, strict=True) if segment.letter not in "SC"],
-        )
+        tangent = self._tangent(box)
+        if not any(sum(map(abs, (tangent**2**n).entries())) < 1 for n in range(50)):
+            raise NotProvenError("no power of the tangent map has a norm below 1")
+        flies = (segment.letter not in "SC" for segment in self._segments)
+        return Proven(says, amplitude(box), list(compress(box[START:], flies)))
 
     def check_admissible(self, box: Sequence[arb]) -> None:
         """Prove that every segment of the cycles in a box ends where it says, and not before."""
@@ -259,11 +242,3 @@ class Cycles:
 def amplitude(box: Sequence[arb]) -> arb:
     """Gamma of a box of unknowns."""
     return (box[COS - 1] ** 2 + box[SIN - 1] ** 2).sqrt()
-
-
-def _damping_ratio(law: Law) -> arb:
-    """That of the nonadhesive law is the kernel's double."""
-    if not (law.adhesive and law.restitution):
-        return arb(scalar_damping_ratio(law.restitution, law.adhesive))
-    loss = -exact(law.restitution).log()
-    return loss / (arb.pi() ** 2 + loss * loss).sqrt()

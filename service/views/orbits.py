@@ -65,7 +65,6 @@ if TYPE_CHECKING:
 Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
 GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
 WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
-WithProof = Annotated[bool, Field(description="whether all folds and flips were counted, with a proof")]
 
 Record = TypeVar("Record", Branch, CycleBranch, Events)
 
@@ -274,7 +273,9 @@ class OrbitsQuery(Query):
         Field(ge=10, le=MAX_POINTS, description="of each branch, at least; of a `model`, at most, each way"),
     ] = 400
     energy: WithEnergy = False
-    prove: WithProof = False
+    prove: Annotated[bool, Field(description="whether all folds and flips were counted, with a proof")] = (
+        False
+    )
     model: Kind = None
     restitution: Restitution = None
     penetration: Penetration = None

@@ -13,15 +13,13 @@ from kernel.cycles.folds import Fold
 from kernel.params import Cell
 from service.errors import NotInstalled
 from service.views.variables import row
-from worker.spec.contact_models import Rigid, Soft, penetration_of
+from worker.spec.contact_models import Rigid, Soft
 from worker.work import plate_of
 
-#: Plate periods of the cycles that are looked for at a cell.
-_MOST_PERIODS: Final = 12
+_MOST_PERIODS: Final = 12  # plate periods of the cycles that are looked for at a cell
+_SAME: Final = 1e-9  # rad between a counted event and the same in doubles
 #: The cycle of a state that has settled differs by less from the round that begins there: others lie beside.
 _NEAR: Final = 1e-2
-#: Rad between a counted event and the same in doubles.
-_SAME: Final = 1e-9
 
 OF_THRESHOLD: Final = (
     row("proof", (), "U", "proven, disproven, not proven or not covered"),
@@ -43,30 +41,31 @@ def of_threshold(omega: float, xi: float, fold: Fold | None) -> dict[str, Any]:
 
         if fold is None:
             raise balls.NotProvenError("bouncing does not end at a fold", "not covered")
-        proof = branches.prove_down(omega, xi, fold)
-        return {
-            "proof_says": f"{proof.says}; omega = {omega!r} and xi = {xi!r} are these decimals",
-            "down_at_most": balls.bounds(proof.gamma)[1],
-            "proven_flight_time": balls.bounds(proof.flight_times[0]),
-        }
+        says, gamma, times = branches.prove_down(omega, xi, fold)
+        says = f"{says}; omega = {omega!r} and xi = {xi!r} are these decimals"
+        bounds = {"down_at_most": balls.bounds(gamma)[1], "proven_flight_time": balls.bounds(times[0])}
+        return {"proof_says": says} | bounds
 
     return {"down_at_most": "", "proven_flight_time": ("", "")} | _decided(prove)
 
 
 def of_events(events: Events) -> NDArray[np.bool_]:
     """Of each event of a (1,k) branch, whether all of its kind were counted. Raises NotInstalled."""
+    complete = np.zeros(len(events.kind), np.bool_)
 
     def count() -> dict[str, Any]:
-        from kernel.proofs.branches import all_events
+        from kernel.proofs import balls, branches
 
-        omega, xi, periods = (x[0].item() for x in (events.omega, events.xi, events.periods))
-        counted = np.array([float(t) for t in all_events(kind, omega, xi, periods)])
-        times = np.sort(events.flight_time[events.kind == kind])
-        return {"all": len(counted) == len(times) and np.abs(counted - times).max() < _SAME}
+        spring = (x[0].item() for x in (events.omega, events.xi, events.periods))
+        counted = balls.first_proven(lambda: branches.Branch(*spring).zeros(kind))
+        times = np.sort(events.flight_time[chosen])
+        complete[chosen] = len(counted) == len(times) and all(abs(times - [*map(float, counted)]) < _SAME)
+        return {}
 
-    complete = np.zeros(len(events.kind), np.bool_)
-    for kind in {Kind.FOLD, Kind.FLIP} & set(events.kind.tolist()):
-        complete[events.kind == kind] = _decided(count).get("all", False)
+    for kind in (Kind.FOLD, Kind.FLIP):
+        chosen = events.kind == kind
+        if chosen.any():
+            _decided(count)
     return complete
 
 
@@ -82,26 +81,19 @@ def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dic
             raise balls.NotProvenError("the motion begins at rest: settle first")
         if not isinstance(model, Rigid | Soft):
             raise balls.NotProvenError(f"the contact is {getattr(model, 'kind', model)}", "not covered")
-        arrays = [np.array([value]) for value in cell]
-        law = cycles.Law(model.restitution)
-        if isinstance(model, Soft):
-            law = law._replace(
-                penetration=penetration_of(model, *arrays[:2])[0].item(), adhesive=model.adhesive
-            )
-        plate = plate_of(model, *arrays)
+        axes = [np.array([value]) for value in cell]
+        law = {name: np.ravel(value)[0].item() for name, value in model.plate_arguments(*axes).items()}
+        plate = plate_of(model, *axes)
         each = range(1, _MOST_PERIODS + 1)
         points = (cycle_from(plate, cell, periods, state, _NEAR) for periods in each)
         point = next(filter(None, points), None)
         if point is None:
             raise balls.NotProvenError(f"no cycle of up to {_MOST_PERIODS} plate periods is near")
-        point = point.begun(
-            (point.letters.find("S") + 1) % len(point.letters)
-        )  # where a mass that stuck takes off
-        proof = cycles.prove_cycle(law, cell, cycle_of(point))
-        return {
-            "proof_says": f"{proof.says}; the cell's numbers are taken as decimals",
-            "proven_flight_times": [balls.bounds(t) for t in proof.flight_times if t > SHORTEST_FLIGHT],
-        }
+        takes_off = point.begun((point.letters.find("S") + 1) % len(point.letters))
+        proof = cycles.prove_cycle(cycles.Law(**law), cell, cycle_of(takes_off))
+        flights = [balls.bounds(t) for t in proof.flight_times if t > SHORTEST_FLIGHT]
+        says = f"{proof.says}; the cell's numbers are taken as decimals"
+        return {"proof_says": says, "proven_flight_times": flights}
 
     return {"proven_flight_times": np.empty((0, 2), "U1")} | _decided(prove)
 

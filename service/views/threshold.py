@@ -104,8 +104,6 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     With `search`, for half a minute, workers start from many states at 30 values of Γ, and follow the cycles
     that their transients pass by, and what survives, down to the end: an upper bound at any damping, with the
     share of starts, `missed`, that a basin must have to be seen with 95 %.
-
-    With `prove`, `down_at_most` is an upper bound of `down` that holds for certain (docs/proofs.md).
     """
     contact = orbits.contact(query)
     *before, found = computed if query.search else (*computed, None)

@@ -338,10 +338,8 @@ def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
     else:
         _direction(spec, query)
         settle = min(spec.window[0], MAX_SETTLE) if spec.ramp_axis is None else 0
-    sampling = {
-        "settle": settle, "periods": query.periods, "samples": query.samples, "prove": query.prove,
-    }  # fmt: skip
-    return TrajectorySpec(**values, model=spec.model, **sampling)
+    sampling = query.model_dump(include={"periods", "samples", "prove"})
+    return TrajectorySpec(**values, model=spec.model, settle=settle, **sampling)
 
 
 def _start(study: Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] | None:

@@ -29,7 +29,7 @@ from kernel.cycles.starts import start_on_stable_cycle
 from kernel.cycles.thresholds import SEARCHED_XI, Thresholds, conjecture, thresholds
 from kernel.params import Cell, Outcome
 from kernel.proofs.balls import bounds
-from kernel.proofs.branches import prove_event
+from kernel.proofs.branches import prove_down
 from kernel.search import random_starts, search
 from kernel.threshold import threshold
 from service.presets import FIGURES
@@ -102,7 +102,7 @@ def where_bouncing_ends() -> Texts:
     for omega in ("0.56", "0.60", "0.62", "0.66", "0.70"):
         fold = at(float(omega)).fold
         assert fold is not None
-        low, high = bounds(prove_event(Kind.FOLD, float(omega), XI, 1, fold.flight_time).gamma)
+        low, high = bounds(prove_down(float(omega), XI, fold).gamma)
         rows.append(f"| {omega} | {low} | {high} |")
     assert at(1.24).cause == "fold (1,2)"
     assert at(1.26).cause == "fold of word zs (2,2)"

@@ -14,7 +14,6 @@ from kernel.proofs.balls import (
     NotProvenError,
     bounds,
     check_positive,
-    contracts,
     exact,
     first_proven,
 )
@@ -57,11 +56,6 @@ def test_one_of_several_conditions_may_hold_where_another_does_not():
 
 def test_a_double_is_its_shortest_decimal():
     assert first_proven(lambda: (exact(0.1) + exact(0.2) - exact(0.3)).contains(0))
-
-
-def test_a_matrix_contracts_if_a_power_does():
-    assert first_proven(lambda: contracts(arb_mat([[0.9, 1000], [0, 0.9]])))
-    assert not first_proven(lambda: contracts(arb_mat([[1.0000001, 0], [0, 0.5]])))
 
 
 def test_threads_prove_one_after_another_and_leave_the_precision_as_it_was():

@@ -10,8 +10,8 @@ pytest.importorskip("flint", reason="needs the extra proofs")
 
 from kernel.cycles.events import Kind, branch_and_events
 from kernel.cycles.thresholds import thresholds
-from kernel.proofs.balls import NotProvenError, bounds
-from kernel.proofs.branches import all_events, prove_down, prove_event
+from kernel.proofs.balls import NotProvenError, bounds, first_proven
+from kernel.proofs.branches import Branch, prove_down
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 
@@ -24,6 +24,14 @@ LOWEST = {
     "0.70": "0.669279136329714241",
 }
 KINDS = (Kind.FOLD, Kind.FLIP)
+
+
+def prove_event(kind, omega, xi, periods, time):
+    return first_proven(lambda: Branch(omega, xi, periods).event(kind, time))
+
+
+def all_of(kind, omega, xi, periods):
+    return first_proven(lambda: Branch(omega, xi, periods).zeros(kind))
 
 
 def random_springs(n):
@@ -61,7 +69,7 @@ def test_folds_and_flips_of_the_closed_form_are_proven_and_none_is_missing():
                 proof = prove_event(kind, omega, xi, periods, float(events.flight_time[i]))
                 assert float(proof.flight_times[0]) == pytest.approx(events.flight_time[i], abs=1e-13)
                 assert float(proof.gamma) == pytest.approx(events.gamma[i], rel=1e-13)
-            counted = all_events(kind, omega, xi, periods)
+            counted = all_of(kind, omega, xi, periods)
             assert list(map(float, counted)) == pytest.approx(sorted(events.flight_time[chosen]), abs=1e-12)
 
 

@@ -106,8 +106,9 @@ def just_above_the_fold():
 
 def chattering():
     """A cell with e = 0.3 whose mass chatters and then sticks, its cycle begun where it takes off."""
-    cell, cycle, _ = next(each for each in settled(LAWS[1]) if "c" in each[1].letters)
-    return cell, cycle
+    return min(
+        (each[:2] for each in settled(LAWS[1]) if "c" in each[1].letters), key=lambda x: len(x[1].letters)
+    )
 
 
 @pytest.mark.parametrize("chatters", [False, True])
@@ -115,7 +116,7 @@ def test_a_cycle_that_is_moved_is_not_proven(chatters):
     """Not in its start, nor in any duration, such as that of a contact in which a chatter ends."""
     law, (cell, cycle) = (LAWS[1], chattering()) if chatters else (LAWS[0], just_above_the_fold())
     prove_cycle(law, cell, cycle)
-    for i in range(len(cycle.unknowns)):
+    for i in (1, 5, -1) if chatters else range(len(cycle.unknowns)):
         moved = cycle.unknowns.copy()
         moved[i] += 1e-6
         with pytest.raises(NotProvenError):
