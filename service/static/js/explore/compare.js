@@ -8,6 +8,7 @@ import { branchColour, theme } from "../plot/colours.js";
 import { legendEntry } from "../views/cells.js";
 import { choice } from "../views/controls.js";
 import { Diagram } from "../views/diagram.js";
+import { buildFrame, clearBar } from "../views/frame.js";
 import { Modes } from "../views/modes.js";
 import { sourceOf } from "../views/plot-view.js";
 import { summary, titleOf } from "../views/progress.js";
@@ -26,14 +27,14 @@ export class Compare {
     this.problem = problemLine();
     this.controls = h("div", { className: "controls" });
     this.legend = h("ul", { className: "compared", "aria-label": "Sweeps" });
-    this.panel = h("section", { className: "panel" });
-    root.replaceChildren(h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")), h("h1", { tabindex: "-1" }, "Comparison"),
-      this.problem.element, this.legend, this.controls, this.panel);
+    const frame = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Comparison")], line: [this.legend], tabs: this.controls, problem: this.problem.element });
+    [this.panel, this.bar] = [frame.panel, frame.controls];
     this.refresh();
   }
 
   close() {
     this.closed = true;
+    clearBar();
     this.views.forEach((view) => view.close());
   }
 
@@ -75,16 +76,17 @@ export class Compare {
   }
 
   #build(layout) {
-    this.close();
-    this.closed = false;
+    this.views.forEach((view) => view.close());
     const [View, sources] = layout in ON_MAPS ? [ON_MAPS[layout], this.mapped] : [Diagram, this.sources];
     const groups = layout === "difference" ? [sources.slice(0, 2)] : layout === "overlay" ? [sources] : sources.map((source) => [source]);
     this.legend.classList.toggle("uncoloured", layout !== "overlay");
-    const roots = groups.map(() => h("section", {}));
-    this.panel.className = `panel ${groups.length < 2 ? "overlay" : "side"}`;
-    this.panel.replaceChildren(...roots);
+    const isOne = groups.length < 2;
+    const roots = isOne ? [this.panel] : groups.map(() => h("section", {}));
+    this.panel.className = isOne ? "panel" : "panel side";
+    this.panel.replaceChildren(...(isOne ? [] : roots));
+    this.bar.replaceChildren();
     this.views = groups.map((group, i) => new View(roots[i], {
-      sources: group, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
+      sources: group, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => this.views.filter((other) => other !== view).forEach((other) => other.follow(x, y)),
     }));

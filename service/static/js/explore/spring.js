@@ -145,7 +145,7 @@ class Cycles extends PlotView {
 
   columnsOfTable() {
     return [["Γ", ({ gamma }) => number(gamma)], ["cycle", ({ branch }) => `(${branch.bounces}, ${branch.periods})`],
-      ["φ (rad)", ({ branch, point }) => number(branch.flight_time[point])], ["", ({ branch, point }) => (branch.stable[point] ? "stable" : "unstable")]];
+      ["φ (rad)", ({ branch, point }) => number(branch.flight_time[point])], ["stability", ({ branch, point }) => (branch.stable[point] ? "stable" : "unstable")]];
   }
 
   /** Up and down go through the cycles at this Γ; to the sides, the nearest cycle follows. */

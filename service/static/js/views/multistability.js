@@ -247,7 +247,7 @@ export class AttractorMap extends AttractorView {
 
   columnsOfTable() {
     const isMissing = ({ column, row }) => this.count[row * this.columns.length + column] < 0;
-    return [...this.columnsOfPlane(), ["", (cell) => (isMissing(cell) ? "not computed yet" : this.placesOf(cell).map(placeText).join(" · "))]];
+    return [...this.columnsOfPlane(), ["with", (cell) => (isMissing(cell) ? "not computed yet" : this.placesOf(cell).map(placeText).join(" · "))]];
   }
 }
 
