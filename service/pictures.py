@@ -219,11 +219,11 @@ def _draw_threshold(axes: "Axes", values: NDArray[np.float64], omega: float, xi:
         )  # fmt: skip
 
 
-def draw_branches(ax: "Axes", branches: xarray.Dataset) -> None:
-    """Cycles of one flight over Γ: solid where stable, dashed where not, thin where they cannot happen."""
+def draw_branches(ax: "Axes", branches: xarray.Dataset, along: str = "gamma") -> None:
+    """Flight times over what varies: solid where stable, dashed where not, thin where no cycle can be."""
     for i in range(branches.sizes["branch"]):
         branch = branches.isel(branch=i)
-        gamma, flight = branch.gamma.values, branch.flight_time.values
+        gamma, flight = branch[along].values, branch.flight_time.values
         stable, admissible = branch.stable.values.astype(bool), branch.violations.values == 0
         for shown, style, width in (
             (stable & admissible, "-", 1.4),
@@ -235,11 +235,14 @@ def draw_branches(ax: "Axes", branches: xarray.Dataset) -> None:
 
 
 def draw_cycles(ax: "Axes", branches: xarray.Dataset) -> None:
-    """Branches with axes: flight times over Γ, as `draw_branches`."""
-    draw_branches(ax, branches)
-    ax.set_xlabel(AXES["gamma"])
+    """Branches with axes: flight times over what varies, as `draw_branches`."""
+    along = branches.attrs.get("along", "gamma")
+    draw_branches(ax, branches, along)
+    ax.set_xlabel(AXES[along])
     ax.set_ylabel(FLIGHT)
-    title = ", ".join(f"{SYMBOLS[axis]} = {branches[axis].item():g}" for axis in ("omega", "xi"))
+    fixed = ("gamma", "omega", "xi") if along != "gamma" and branches.gamma.size else ("omega", "xi")
+    values = {axis: branches[axis].values.flat[0] for axis in fixed if axis != along}
+    title = ", ".join(f"{SYMBOLS[axis]} = {value:g}" for axis, value in values.items())
     model = branches.attrs["model"]
     ax.set_title(title if model == IDEAL else f"{title}: {model}")
 

@@ -317,6 +317,8 @@ class SpringMethods(Methods):
         points: Annotated[int, "of each branch, at least; of a `model`, at most, each way"] = 400,
         energy: Annotated[bool, "the energy balance of every point as well"] = False,
         prove: Annotated[bool, "whether all folds and flips were counted, with a proof"] = False,
+        along: Annotated[Literal["gamma", "omega", "xi"], "what varies; of a model, omega or xi too, from half to twice its value"] = "gamma",
+        gamma: Annotated[float | None, "where another varies"] = None,
         model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
@@ -332,7 +334,8 @@ class SpringMethods(Methods):
 
         With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
         most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
-        event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for.
+        event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for. Branches
+        `along` omega or xi pass through the cycles that the contact has at `gamma`.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `flight_time` (rad),
         `takeoff_phase` (rad), `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per
@@ -344,7 +347,7 @@ class SpringMethods(Methods):
         `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """
-        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, energy=energy, prove=prove, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
+        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, energy=energy, prove=prove, along=along, gamma=gamma, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
 
     def curves(
         self,

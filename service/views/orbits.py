@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError
 from kernel.cycles.any_contact import CycleBranch
 from kernel.cycles.energy import energy
 from kernel.cycles.events import Branch, Events, branch_and_events, flight_times, join_events
-from kernel.params import KernelInputError
+from kernel.params import Cell, KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import IDEAL, draw_cycles
 from service.views import proofs
@@ -39,6 +39,7 @@ from worker.analysis.cycles import (
     POINTS,
     FollowedCycles,
     Skipped,
+    follow_along,
     follow_cells,
     follow_cycles,
 )
@@ -276,6 +277,11 @@ class OrbitsQuery(Query):
     prove: Annotated[bool, Field(description="whether all folds and flips were counted, with a proof")] = (
         False
     )
+    along: Annotated[
+        Literal["gamma", "omega", "xi"],
+        Field(description="what varies; of a model, omega or xi too, from half to twice its value"),
+    ] = "gamma"
+    gamma: Annotated[Number, Field(gt=0, le=1e6)] | None = Field(None, description="where another varies")
     model: Kind = None
     restitution: Restitution = None
     penetration: Penetration = None
@@ -308,6 +314,13 @@ def name_of(plate: Rigid | Soft) -> str:
 def orbit_parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
     """The branches of each mode: of a contact, or those that take longer than AT_ONCE_SECONDS together."""
     plate, top = contact(query), query.gamma_max
+    if plate is not None and query.gamma is not None:
+        cell, here = Cell(query.gamma, query.omega, query.xi), getattr(query, query.along)
+        span = 0.5 * here, 2.0 * here
+        return [
+            (follow_along, plate, cell, periods, query.along, span, points)
+            for _, _, periods, points in _grids(query)
+        ]
     if plate is not None:
         return [(follow_cycles, plate, *spring, top, points) for *spring, points in _grids(query)]
     quick = _seconds(query) <= AT_ONCE_SECONDS
@@ -336,7 +349,8 @@ def compute_orbits(
 
     With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
     most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
-    event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for.
+    event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for. Branches
+    `along` omega or xi pass through the cycles that the contact has at `gamma`.
     """
     plate = contact(query)
     parts = parts or tuple(_branch(*grid) for grid in _grids(query))
@@ -345,20 +359,26 @@ def compute_orbits(
     for part in parts:
         branches += part.branches if isinstance(part, FollowedCycles) else part[:1]
         events += part.events if isinstance(part, FollowedCycles) else part[1:]
-    pieces = [piece for branch in branches for piece in below(branch, query.gamma_max)]
+    top = max(query.gamma_max, query.gamma or 0.0)
+    pieces = [piece for branch in branches for piece in below(branch, top)]
     data = padded(_OF_POINT, pieces)
     if plate is not None:
         data |= padded(("flights",), pieces)
     if query.energy:
         data |= padded(BALANCE, [energy(x.omega, x.xi, x.periods, x.flight_time) for x in pieces])
-    data |= event_columns(join_events([rows_of(e, e.gamma <= query.gamma_max) for e in events]))
+    data |= event_columns(join_events([rows_of(e, e.gamma <= top) for e in events]))
     if query.prove:
-        complete = [proofs.of_events(e)[e.gamma <= query.gamma_max] for e in events]
+        complete = [proofs.of_events(e)[e.gamma <= top] for e in events]
         data |= columns("event", {"complete": np.concatenate(complete)})
     coords = of_branches(pieces)
-    coords |= {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")}
+    spring = {name for name in ("omega", "xi") if name != query.along}
+    coords |= {name: coordinate(name, getattr(query, name)) for name in sorted(spring)}
+    varies: dict[str, Any] = {}
+    if query.along != "gamma":
+        data |= padded((query.along,), pieces)
+        varies = {"along": query.along}
     model = IDEAL if plate is None else name_of(plate)
-    return closed_form(data, coords, model=model, gamma_max=query.gamma_max)
+    return closed_form(data, coords, model=model, **varies, gamma_max=query.gamma_max)
 
 
 _branch = lru_cache(KEPT)(branch_and_events)
@@ -374,6 +394,10 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
     for name in ("energy", "prove") if plate is not None else ():
         if getattr(query, name):
             raise InvalidRequest.of(name, "is of the closed form: leave out model")
+    if (query.along == "gamma") != (query.gamma is None):
+        raise InvalidRequest.of("gamma", "is required where omega or xi varies, and not where gamma does")
+    if query.along != "gamma" and plate is None:
+        raise InvalidRequest.of("along", "must be gamma without a model")
     if plate is not None:
         lengths = [2 * query.points] * _FAMILIES * len(lengths)
         seconds = _seconds(query) + sum(lengths) * CYCLE_SECONDS

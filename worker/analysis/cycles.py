@@ -8,7 +8,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cycles.any_contact import CycleBranch, Followed, branches, event_record, passing, record
+from kernel.cycles.any_contact import (
+    CycleBranch,
+    Followed,
+    branches,
+    branches_at,
+    event_record,
+    passing,
+    record,
+)
 from kernel.cycles.curves import Curves, Parameter
 from kernel.cycles.cycles import FLIGHTS, Cycles, Point, confirmed, cycle_from
 from kernel.cycles.events import Events, Kind, join_events
@@ -88,6 +96,14 @@ def follow_cycles(
     """
     plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
     return _cycles(branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max), points=points))
+
+
+def follow_along(
+    contact: Contact, cell: Cell, periods: int, along: str, span: tuple[float, float], points: int
+) -> FollowedCycles:
+    """The branches along "omega" or "xi" within `span`, as `follow_cycles`, through the cycles of a cell."""
+    plate = plate_of(contact, *(np.full(1, value) for value in cell))
+    return _cycles(branches_at(plate, cell, periods, along, span, points=points))
 
 
 def _cycles(lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: Any = ()) -> FollowedCycles:

@@ -19,7 +19,7 @@ from kernel.cycles.energy import energy
 from kernel.cycles.events import branch_and_events
 from kernel.cycles.thresholds import closed_form
 from service.client import Client
-from service.pictures import draw_thresholds
+from service.pictures import AXES, draw_thresholds
 from service.views import curves as curves_view
 from service.views import orbits as orbits_view
 from service.views import threshold
@@ -86,6 +86,20 @@ def test_cycles_of_a_contact_are_followed_by_the_workers(python_client: Client):
     assert answer.branch_bounces.values.tolist() == [1]
     assert set(answer.flights.values.ravel().tolist()) == {1, 2}
     assert not answer.violations.values.any()
+
+
+@for_each(("omega", "along", "turn"), [(0.6, "omega", 0.661091706414), (0.62, "xi", 0.065927841578)])
+def test_a_branch_along_another_parameter(python_client: Client, omega: float, along: str, turn: float):
+    """The turns are those of issue 45."""
+    query: dict[str, Any] = {"modes": "1-1", "along": along, "gamma": 0.6, "model": "soft"}
+    answer = python_client.orbits(omega, 0.05, **query, progress=False)
+    turns = answer[f"event_{along}"].values[answer.event_kind.values == "fold"]
+    assert turns.max() == pytest.approx(turn, abs=1e-9)
+    assert answer[along].dims == answer.gamma.dims
+    assert np.nanmax(answer[along]) == pytest.approx(turn, abs=1e-3)
+    figure = Figure()
+    orbits_view.draw(answer, figure)
+    assert figure.axes[0].get_xlabel() == AXES[along]
 
 
 def test_a_branch_with_rebound_ends_where_it_no_longer_sticks(python_client: Client):
