@@ -83,7 +83,7 @@ class Cycles extends PlotView {
   }
 
   #eventRows() {
-    const events = (this.branches?.events ?? []).filter(({ admissible }) => admissible === 0).sort((a, b) => a.gamma - b.gamma);
+    const events = (this.branches?.events ?? []).filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma);
     const row = ({ kind, bounces, periods, gamma, flight_time: time }) => [eventName(kind), `(${bounces}, ${periods})`, number(gamma, 7), number(time, 6)];
     return { titles: ["event", "cycle", "Γ", "φ (rad)"], length: events.length, row: (i) => row(events[i]) };
   }
@@ -140,7 +140,7 @@ class Cycles extends PlotView {
   }
 
   cellsShown() {
-    return this.branches.branches.flatMap((branch) => Array.from(branch.gamma, (gamma, point) => ({ gamma, branch, point }))).filter(({ gamma, branch, point }) => !branch.admissible[point] && this.isVisible(gamma, branch.flight_time[point]));
+    return this.branches.branches.flatMap((branch) => Array.from(branch.gamma, (gamma, point) => ({ gamma, branch, point }))).filter(({ gamma, branch, point }) => !branch.violations[point] && this.isVisible(gamma, branch.flight_time[point]));
   }
 
   columnsOfTable() {

@@ -167,7 +167,7 @@ export function nearestCycle({ branches }, box, x, y) {
 
 /** The cycles nearest to a Γ, one for each time that a branch passes it, those of the shortest flight first: [{branch, point}, …]. */
 export function cyclesAt({ branches }, gamma) {
-  const found = branches.flatMap((branch) => Array.from(branch.gamma.keys()).filter((point) => point && !branch.admissible[point] && (branch.gamma[point] - gamma) * (branch.gamma[point - 1] - gamma) <= 0).map((point) => ({ branch, point })));
+  const found = branches.flatMap((branch) => Array.from(branch.gamma.keys()).filter((point) => point && !branch.violations[point] && (branch.gamma[point] - gamma) * (branch.gamma[point - 1] - gamma) <= 0).map((point) => ({ branch, point })));
   return found.sort((a, b) => a.branch.flight_time[a.point] - b.branch.flight_time[b.point]);
 }
 
