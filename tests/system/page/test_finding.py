@@ -295,7 +295,7 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
 def closed_form_events(omega: float, xi: float) -> list[float]:
     """The Γ below 8 of the events of cycles (1, 1) to (1, 3) that the spring has."""
     found = [branch_and_events(omega, xi, periods)[1] for periods in (1, 2, 3)]
-    gammas = [gamma for events in found for gamma in events.gamma[events.admissible == 0]]
+    gammas = [gamma for events in found for gamma in events.gamma[events.violations == 0]]
     return sorted(float(gamma) for gamma in gammas if gamma <= 8.0)
 
 
