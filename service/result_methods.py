@@ -316,7 +316,7 @@ class SpringMethods(Methods):
         gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
         points: Annotated[int, "of each branch, at least; of a `model`, at most, each way"] = 400,
         energy: Annotated[bool, "the energy balance of every point as well"] = False,
-        prove: Annotated[bool, "whether all folds and flips were counted, with a proof"] = False,
+        prove: Annotated[bool, "whether all folds and flips are counted, with a proof"] = False,
         along: Annotated[Literal["gamma", "omega", "xi"], "what varies; of a model, omega or xi too, from half to twice its value"] = "gamma",
         gamma: Annotated[float | None, "where another varies"] = None,
         model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
@@ -329,8 +329,7 @@ class SpringMethods(Methods):
         """Branches of cycles of one bounce, and their events.
 
         Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
-        `gamma_max` and comes back is several pieces. With `prove`, `event_complete` says whether all folds, or
-        all flips, of a branch are listed, by a count that holds for certain (docs/proofs.md).
+        `gamma_max` and comes back is several pieces. With `prove`, `event_complete` says whether none is missing.
 
         With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
         most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
@@ -342,8 +341,8 @@ class SpringMethods(Methods):
         rad), `impact_velocity` (plate amplitudes per rad), `multipliers`, `stable`, `violations`, `flights`,
         `plate_contact` (m A² ω²), `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force`
         (m A ω), `impulse` (m A ω), `weight` (m A ω), `branch_bounces`, `branch_periods`, `points`,
-        `event_kind`, `event_gamma`, `event_omega`, `event_xi`, `event_bounces`, `event_periods`,
-        `event_flight_time` (rad), `event_violations`, `event_multipliers`, `event_complete`. Waits up to
+        `event_complete`, `event_kind`, `event_gamma`, `event_omega`, `event_xi`, `event_bounces`,
+        `event_periods`, `event_flight_time` (rad), `event_violations`, `event_multipliers`. Waits up to
         `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """

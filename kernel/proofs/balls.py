@@ -75,9 +75,8 @@ def check_positive(a: Any, conditions: Sequence[Condition], start: Any, end: arb
     if not end > 0:
         raise NotProvenError(f"{what} may take no time")
     rows = [condition[0] for condition in conditions]
-    with suppress(
-        ValueError, ZeroDivisionError
-    ):  # by eigenvectors, if there are any, what decays fast is apart
+    # by eigenvectors, where there are any, what has decayed does not limit the width of a box
+    with suppress(ValueError, ZeroDivisionError):
         rates, vectors = acb_mat(a).eig(right=True)
         rows, start = [row * vectors for row in rows], vectors.solve(acb_mat(start))
         a = acb_mat([[rate * int(i == j) for j in range(len(rates))] for i, rate in enumerate(rates)])

@@ -18,15 +18,14 @@ from kernel.proofs.balls import NotProvenError, bounds, first_proven, flow
 from kernel.proofs.cycles import START, Cycles, Law, Proven, amplitude
 
 _NEAR: Final = 1e-9  # how far an event may lie from its guess, rad; no stretch is divided that is narrower
-_ASIDE: Final = (1e-3, 1e-4, 1e-5, 1e-6)  # how far from a fold stability is shown, rad
+_ABOVE: Final = (1e-3, 1e-4, 1e-5, 1e-6)  # how far from a fold stability is shown, rad
+_BESIDE: Final = (1e-6, -1e-6, 1e-5, -1e-5, 1e-4, -1e-4)  # and of a longer word: one may be on either side
 
 
 def prove_down(omega: float, xi: float, fold: Fold) -> Proven:
     """That a stable cycle exists at `gamma`; one of one flight, just above. Raises `NotProvenError`."""
-    if fold.cycle.letters == "Ss":
-        return first_proven(*(partial(_above, omega, xi, fold, aside) for aside in _ASIDE))
-    asides = (sign * aside for aside in reversed(_ASIDE) for sign in (1, -1))
-    return first_proven(*(partial(_beside, omega, xi, fold, aside) for aside in asides))
+    prove, asides = (_above, _ABOVE) if fold.cycle.letters == "Ss" else (_beside, _BESIDE)
+    return first_proven(*(partial(prove, omega, xi, fold, aside) for aside in asides))
 
 
 def _above(omega: float, xi: float, fold: Fold, aside: float) -> Proven:
@@ -51,12 +50,10 @@ def _beside(omega: float, xi: float, fold: Fold, aside: float) -> Proven:
 
 
 class Branch(Cycles):
-    """The branch (1, periods), at the present precision: for `first_proven`."""
+    """The branch (1, periods), at the present precision. With a flight time given any guess does."""
 
     def __init__(self, omega: float, xi: float, periods: int) -> None:
-        # with a flight time given the equations are linear in all but durations: any guess does
         super().__init__(Law(), omega, xi, Cycle("Ss", periods, np.ones(START + 2)))
-        self._whole = 2 * periods * arb.pi()
 
     def event(self, kind: Kind, flight_time: float) -> Proven:
         """The only fold or flip beside a flight time. Raises `NotProvenError`."""
@@ -71,7 +68,7 @@ class Branch(Cycles):
         Where Newton's operator maps a ball into itself there is exactly one zero of a condition. Flips beside
         poles of Gamma count too. Raises `NotProvenError`.
         """
-        stretches, zeros = [arb(0).union(self._whole) if stretch is None else stretch], list[arb]()
+        stretches, zeros = [arb(0).union(self.whole) if stretch is None else stretch], list[arb]()
         while stretches:
             t = stretches.pop()
             (value, slope), middle = self.jury(t)[kind], self.jury(t.mid())[kind][0]
@@ -93,7 +90,7 @@ class Branch(Cycles):
         land = arb_mat([[0] * 7, [0] * 7, [1, 0, 1, *[0] * 4], [-self.b, 1, 0, 1, 0, 0, 0], *[[0] * 7] * 3])
         kept = arb_mat([[0, 0, 1, *[0] * 4], [0, 0, 0, 1, 0, 0, 0]])
         before = flow(self.flight, t) * kept.transpose()
-        after = kept * flow(self.contact, self._whole - t)
+        after = kept * flow(self.contact, self.whole - t)
         maps = after * land * before, after * (land * self.flight - self.contact * land) * before
         a, b, c, d = (arb_series(list(pair)) for pair in zip(*(x.entries() for x in maps), strict=True))
         trace, det = a + d, a * d - b * c

@@ -89,10 +89,10 @@ class Cycles:
             damping = arb(scalar_damping_ratio(law.restitution, law.adhesive))  # the kernel's double
             self._force = arb_mat([[-scale, -2 * damping * scale, 0, 0, 0, 0, 0]])
         self.contact = self.flight + arb_mat(7, 1, [0, 1, 0, -1, 0, 0, 0]) * self._force
-        self.periods, word = guess.periods, guess.letters
+        self.whole, word = 2 * guess.periods * arb.pi(), guess.letters
         stays = [(letter in "SC") == (word[i - 1] in "scFb") for i, letter in enumerate(word)]
-        begins = not (self._sided and word[-1] in "Cb")  # with a gap of zero
-        if not (begins and all(stays) and set(word) <= set(letters)):
+        # a word begins with a gap of zero
+        if not (all(stays) and set(word) <= set(letters)) or (self._sided and word[-1] in "Cb"):
             raise NotProvenError(f"no motion has the word {word}")
         self._segments = [self._segment(letter, word[i - 1]) for i, letter in enumerate(word)]
         self.ends = [True] * len(word)  # whether a segment of the guess ends with a segment
@@ -131,8 +131,7 @@ class Cycles:
                 hops.append((2 * leaves / n).mid())
                 leaves = leaves * self._e
                 if len(hops) > _MOST_HOPS or not n > 0:
-                    says = f"a chatter of more than {_MOST_HOPS} hops, or without an end"
-                    raise NotProvenError(says, "not covered")
+                    raise NotProvenError(f"a chatter of {_MOST_HOPS} hops or without end", "not covered")
             word, times = word + "h" * len(hops) + segment.letter, [*times, t, *hops]
             self.ends += [True] + [False] * len(hops)
         self._segments, self._start[START:] = list(map(self._segment, word, word[-1] + word[:-1])), times
@@ -166,10 +165,7 @@ class Cycles:
         return found.entries()
 
     def _round(self, x: Sequence[arb]) -> tuple[list[list[Any]], list[arb_mat]]:
-        """The equations at unknowns (m,), and the state (7, 1) where each segment begins.
-
-        Each (1 + m,) with its derivatives: the events, the return of gap', q, q', and that of the phase.
-        """
+        """Events, return of gap', q, q' and phase, (1 + m,) with derivatives; states where segments begin."""
         y, rows, starts = arb_mat(7, 1 + len(x)), list[list[Any]](), list[arb_mat]()
         for place in range(GAP1, ONE):
             y[place, 0], y[place, place] = x[place - 1], 1
@@ -184,7 +180,7 @@ class Cycles:
             rows.append((segment.event * y).entries())
             y = segment.reset * y + self._rest_of_chatter(y) if segment.letter == "c" else segment.reset * y
         rows += (y - first).tolist()[GAP1:COS]
-        late = sum(x[START:], arb(0)) - 2 * self.periods * arb.pi()
+        late = sum(x[START:], arb(0)) - self.whole
         return [*rows, [late, *[0] * START, *[1] * len(self._segments)]], starts
 
     def _rest_of_chatter(self, landing: arb_mat) -> arb_mat:
@@ -227,10 +223,8 @@ class Cycles:
                 balls.check_positive(segment.motion, conditions, start, t, f"segment {i} ({segment.letter})")
 
     def _tangent(self, box: Sequence[arb]) -> arb_mat:
-        """The derivative (4, 4) of the return by (gap', q, q', phase): the events make durations functions.
-
-        Enclosed as a whole: carried from hop to hop, balls would grow in each.
-        """
+        """The derivative (4, 4) of the return by (gap', q, q', phase): events make durations functions."""
+        # enclosed as a whole: carried from hop to hop, balls would grow in each
         rows, n, (c, s) = self._round(box)[0], len(self._segments), box[COS - 1 : START]
         turn = arb_mat([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, -s], [0, 0, 0, c]])
         by_start = arb_mat([row[1 : 1 + START] for row in rows]) * turn

@@ -233,8 +233,7 @@ def rows_of(record: Record, rows: slice | NDArray[np.bool_]) -> Record:
 _FAMILIES: Final = 3
 MAX_SECONDS: Final = 60.0
 
-#: Core-seconds in which the folds and flips of a branch are counted, by its periods/omega.
-COUNT_SECONDS: Final = 0.3
+_COUNT_SECONDS: Final = 0.3  # core-seconds in which a branch's folds and flips are counted, by periods/omega
 
 #: Bytes of a point of a branch, with what is computed on the way to it.
 _PER_POINT: Final = 4_000
@@ -274,9 +273,7 @@ class OrbitsQuery(Query):
         Field(ge=10, le=MAX_POINTS, description="of each branch, at least; of a `model`, at most, each way"),
     ] = 400
     energy: WithEnergy = False
-    prove: Annotated[bool, Field(description="whether all folds and flips were counted, with a proof")] = (
-        False
-    )
+    prove: Annotated[bool, Field(description="whether all folds and flips are counted, with a proof")] = False
     along: Annotated[
         Literal["gamma", "omega", "xi"],
         Field(description="what varies; of a model, omega or xi too, from half to twice its value"),
@@ -344,8 +341,7 @@ def compute_orbits(
     """Branches of cycles of one bounce, and their events.
 
     Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
-    `gamma_max` and comes back is several pieces. With `prove`, `event_complete` says whether all folds, or
-    all flips, of a branch are listed, by a count that holds for certain (docs/proofs.md).
+    `gamma_max` and comes back is several pieces. With `prove`, `event_complete` says whether none is missing.
 
     With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
     most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
@@ -409,7 +405,7 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
             raise InvalidRequest.of("modes", rule)
     sizes = {"branch": len(lengths), "point": max(lengths), "multiplier": 2, "part": 2}
     small = plate is None and _seconds(query) <= SMALL_SECONDS and not query.prove
-    seconds = sum(COUNT_SECONDS * periods / omega for omega, _, periods, _ in _grids(query) if query.prove)
+    seconds = sum(_COUNT_SECONDS * periods / omega for omega, _, periods, _ in _grids(query) if query.prove)
     return Estimate(sizes, memory=sum(lengths) * _PER_POINT, seconds=seconds, small=small)
 
 
@@ -419,10 +415,8 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
 
 SPRING: Final = View(
     "orbits", "Branches of a spring", None, OrbitsQuery, compute_orbits, estimate_orbits,
-    variables=(
-        *(ROWS[name] for name in (*_OF_POINT, "flights", *BALANCE, *BRANCH)), *EVENTS, ROWS["event_complete"],
-    ),
-    rows="gamma", printed=("points", "event_gamma",), parts=orbit_parts, draw=draw,
+    variables=(*(ROWS[x] for x in (*_OF_POINT, "flights", *BALANCE, *BRANCH, "event_complete")), *EVENTS),
+    rows="gamma", printed=("points", "event_gamma"), parts=orbit_parts, draw=draw,
 )  # fmt: skip
 
 

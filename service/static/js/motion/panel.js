@@ -30,8 +30,7 @@ export class TrajectoryPanel {
     const values = Object.entries(SYMBOL).map(([axis, symbol]) => `${symbol} = ${number(cell[axis])}`);
     this.title.textContent = `Trajectory of ${{ cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }[start?.kind] ?? "a cell"}`;
     this.about.textContent = `${values.join(", ")}, ${startText(cell.direction, job)}`;
-    this.values.hidden = true;
-    this.proof.hidden = true;
+    this.values.hidden = this.proof.hidden = true;
     const [path, options] = addressOf(job, cell);
     const isShown = await this.motion.load(path, { ...options, signal });
     if (signal.aborted) return;

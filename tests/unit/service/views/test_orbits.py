@@ -355,7 +355,9 @@ def test_every_omega_is_predicted_when_asked_for(
     assert float(all_.predicted_down[0]) == pytest.approx(FOLD_060, abs=1e-9)
     assert set(job.threshold(predict="none").cause.values.tolist()) == {"not predicted"}
     where = f"/v1/jobs/{job.id}/threshold"
-    assert "must be 'none', 'some', 'all', 'cells' or 'search'" in refused(client, where, 422, predict="every")
+    assert "must be 'none', 'some', 'all', 'cells' or 'search'" in refused(
+        client, where, 422, predict="every"
+    )
     words = many | {"omega": {"start": 0.6, "stop": 0.65, "num": 401}}
     large = python_client.submit(words).wait(progress=False)
     where = f"/v1/jobs/{large.id}/threshold"
