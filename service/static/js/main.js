@@ -58,16 +58,15 @@ addEventListener("hashchange", () => {
   takeToken();
   showAddress();
 });
-// A specification that is dropped as a file is for the form.
+// A specification or a shared file that is dropped is for the form.
 addEventListener("dragover", (event) => event.dataTransfer.types.includes("Files") && event.preventDefault());
-addEventListener("drop", async (event) => {
+addEventListener("drop", (event) => {
   const [file] = event.dataTransfer.files;
   if (!file || shared) return;
   event.preventDefault();
-  const text = await file.text();
-  if (page.pasted) return page.pasted.write(text);
-  dropped.text = text;
-  navigate(["new"]);
+  dropped.file = file;
+  if (page.pasted) page.pasted.takeDropped();
+  else navigate(["new"]);
 });
 document.addEventListener("visibilitychange", () => document.hidden || page.refresh(false)); // sweeps may have changed meanwhile
 watchConnection(() => page.refresh());

@@ -220,20 +220,22 @@ def test_any_study_is_submitted_by_the_keyboard_alone(
         assert submitted[name] == value or submitted[name].items() >= value.items()
 
 
+DROP = """([name, text]) => {
+    const files = new DataTransfer();
+    files.items.add(new File([text], name));
+    dispatchEvent(new DragEvent("drop", { dataTransfer: files, cancelable: true }));
+}"""
+
+
 def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
     orbits = {"name": "dropped", "protocol": {"kind": "orbits"}, "omega": [0.61], "xi": 0.05, "points": 20}
-    drop = """text => {
-        const files = new DataTransfer();
-        files.items.add(new File([text], "spec.json"));
-        dispatchEvent(new DragEvent("drop", { dataTransfer: files, cancelable: true }));
-    }"""
     with opened(browser, address, expected=("422",)) as page:
         page.get_by_role("heading", name="Sweeps").wait_for()
-        page.evaluate(drop, "gamma = 1")
+        page.evaluate(DROP, ["spec.toml", "gamma = 1"])
         page.get_by_text("This is not JSON.").wait_for()
         page.get_by_label("Specification as JSON").fill(json.dumps(orbits | {"points": "many"}))
         page.locator(".problem", has_text="points").wait_for()
-        page.evaluate(drop, json.dumps(orbits))
+        page.evaluate(DROP, ["spec.json", json.dumps(orbits)])
         page.locator(".cost", has_text="1 cell in").wait_for()
         page.get_by_role("button", name="Compute").click()
         page.locator("#bar h1", has_text="dropped").wait_for()
@@ -402,6 +404,12 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
     with opened(browser, file.as_uri(), offline=True, java_script_enabled=False) as page:
         assert page.locator("img[alt='Bifurcation diagram']").bounding_box()["width"] > 300
         page.locator("th", has_text="kernel_version").wait_for()
+    with opened(browser, address, expected=("422",)) as page:
+        page.get_by_role("heading", name="Sweeps").wait_for()
+        page.evaluate(DROP, ["foreign.html", "<html>"])
+        page.locator(".problem", has_text="bounce share wrote").wait_for()
+        page.evaluate(DROP, ["sweep.html", file.read_text()])
+        page.wait_for_url(f"**/job/{loop}**")
 
 
 def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: str, loop: str):

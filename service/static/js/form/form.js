@@ -8,7 +8,7 @@ import { AXES } from "../lib/physics.js";
 import { Snippets } from "../lib/snippets.js";
 import { kindOf, loadPresets, loadStudies } from "./catalogue.js";
 import { axisField, modelField, objectField, schemaField } from "./fields.js";
-import { PastedSpecification, dropped } from "./pasted.js";
+import { PastedSpecification } from "./pasted.js";
 import { Plan } from "./plan.js";
 import { showInput, showProblems } from "./problems.js";
 
@@ -110,8 +110,7 @@ export class SweepForm {
       this.#fill(given ?? { ...this.studies.rest.begin, ...springOf(omega, xi) });
       this.given = given ?? {};
       if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
-      if (dropped.text) this.pasted.write(dropped.text);
-      dropped.text = null;
+      this.pasted.takeDropped();
     } catch (error) {
       if (isOutdated()) return;
       this.isLoaded = error.status === 404; // the sweep is gone: the form has the default values

@@ -1,12 +1,13 @@
 // A specification as JSON, pasted or dropped: any kind of study.
 
+import { navigate } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
 import { debounced, h, problemLine } from "../lib/dom.js";
 
 const DELAY_MS = 300;
 
-/** The text of a file that was dropped on another page, for the form to take. */
-export const dropped = { text: null };
+/** The file that was dropped, for the form to take. */
+export const dropped = { file: null };
 
 /** A text area for a specification of any study; `taken(spec)` is called with one that the service accepts. */
 export class PastedSpecification {
@@ -17,15 +18,23 @@ export class PastedSpecification {
     this.problem = problemLine();
     this.take = debounced(DELAY_MS, () => this.#take(taken));
     this.element = h("details", {}, h("summary", {}, "Paste or drop a specification of any study"),
-      h("p", { className: "note" }, "JSON, as “Copy as JSON” and the details of a job give it. A file can be dropped anywhere on the page."),
+      h("p", { className: "note" }, "JSON, as “Copy as JSON” and the details of a job give it. A file can be dropped anywhere on the page, also a sweep that was shared."),
       this.text, this.problem.element);
   }
 
-  /** Show a text, and take it. */
-  write(text) {
+  /** Take the specification that was dropped, or make the sweep of a shared file a job and open it. */
+  async takeDropped() {
+    const { file } = dropped;
+    dropped.file = null;
+    if (!file) return;
     this.element.open = true;
-    this.text.value = text;
-    this.take();
+    try {
+      if (/\.html?$/i.test(file.name)) return navigate(["job", (await requestJson("/v1/imports", { method: "POST", body: file })).id]);
+      this.text.value = await file.text();
+      this.take();
+    } catch (error) {
+      this.problem.show(error);
+    }
   }
 
   close() {

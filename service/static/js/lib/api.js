@@ -69,7 +69,7 @@ function sharedAnswer(path) {
 async function send(path, { method = "GET", body, signal }, timeout) {
   if (shared) return sharedAnswer(path);
   const headers = {};
-  if (body !== undefined) headers["Content-Type"] = "application/json";
+  if (body !== undefined) headers["Content-Type"] = body instanceof Blob ? "application/octet-stream" : "application/json";
   const token = sessionStorage.getItem(TOKEN_KEY);
   if (token) headers.Authorization = `Bearer ${token}`;
   const timer = AbortSignal.timeout(Math.max(timeout, 1));
@@ -78,7 +78,7 @@ async function send(path, { method = "GET", body, signal }, timeout) {
     response = await fetch(path, {
       method,
       headers,
-      body: body === undefined ? undefined : JSON.stringify(body),
+      body: body instanceof Blob ? body : JSON.stringify(body), // of undefined: undefined
       signal: signal ? AbortSignal.any([signal, timer]) : timer,
     });
   } catch (error) {
