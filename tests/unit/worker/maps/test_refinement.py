@@ -187,7 +187,7 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
         ({"by": "mode", "margin": 1}, "refine.margin", "true or false"),
         ({"by": "mode", "margin": True}, "refine.margin", "a coarsest of 8"),
         ({"by": "mode", "coarse": 8}, "refine.coarse", "did you mean 'coarsest'"),
-        ("mode", "refine", "object"),
+        ("mode", "refine", "group of fields"),
     ],
 )
 def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
