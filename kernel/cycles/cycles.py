@@ -405,10 +405,7 @@ def end_of_round(letters: str, times: Floats, first: int, whole: float, around: 
 
 
 def cycle_from(plate: Any, cell: Cell, periods: int, state: Floats, within: float = math.inf) -> Point | None:
-    """The cycle of `periods` plate periods that a spring has near a state (6,) (STATE_FIELDS), or None.
-
-    within: the most by which its unknowns may differ from the round that begins there.
-    """
+    """The cycle of `periods` plate periods near a state (6,), `within` the round read from it, or None."""
     guess = read(plate, cell, periods, state)
     point = None if guess is None else guess[0].at(guess[1], float(cell.gamma))
     if guess is None or point is None or np.abs(point.x[: guess[1].size] - guess[1]).max() > within:

@@ -18,8 +18,7 @@ from worker.work import plate_of
 
 _MOST_PERIODS: Final = 12  # plate periods of the cycles that are looked for at a cell
 _SAME: Final = 1e-9  # rad between a counted event and the same in doubles
-#: The cycle of a state that has settled differs by less from the round that begins there: others lie beside.
-_NEAR: Final = 1e-2
+_NEAR: Final = 1e-2  # how far a settled state's cycle may lie from the round that begins there, others beside
 
 OF_THRESHOLD: Final = (
     row("proof", (), "U", "proven, disproven, not proven or not covered"),
@@ -84,16 +83,14 @@ def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dic
         axes = [np.array([value]) for value in cell]
         law = {name: np.ravel(value)[0].item() for name, value in model.plate_arguments(*axes).items()}
         plate = plate_of(model, *axes)
-        each = range(1, _MOST_PERIODS + 1)
-        points = (cycle_from(plate, cell, periods, state, _NEAR) for periods in each)
+        points = (cycle_from(plate, cell, n, state, _NEAR) for n in range(1, _MOST_PERIODS + 1))
         point = next(filter(None, points), None)
         if point is None:
             raise balls.NotProvenError(f"no cycle of up to {_MOST_PERIODS} plate periods is near")
         takes_off = point.begun((point.letters.find("S") + 1) % len(point.letters))
-        proof = cycles.prove_cycle(cycles.Law(**law), cell, cycle_of(takes_off))
-        flights = [balls.bounds(t) for t in proof.flight_times if t > SHORTEST_FLIGHT]
-        says = f"{proof.says}; the cell's numbers are taken as decimals"
-        return {"proof_says": says, "proven_flight_times": flights}
+        says, _, times = cycles.prove_cycle(cycles.Law(**law), cell, cycle_of(takes_off))
+        flights = [balls.bounds(t) for t in times if t > SHORTEST_FLIGHT]
+        return {"proof_says": f"{says}; the numbers are decimals", "proven_flight_times": flights}
 
     return {"proven_flight_times": np.empty((0, 2), "U1")} | _decided(prove)
 

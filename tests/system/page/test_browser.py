@@ -430,6 +430,9 @@ def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: 
             drawn = figure.bounding_box()
             assert drawn["y"] + drawn["height"] < 800
         screenshot(page, "diagram-with-a-cell", whole=False)
+        page.get_by_role("button", name="Prove this cycle").click()
+        page.locator(".trajectory li", has_text=" rad").first.wait_for()
+        screenshot(page, "a-proven-cycle", whole=False)
 
 
 def test_the_wheel_zooms_both_axes_and_back_undoes_it(browser: Any, address: str, loop: str):

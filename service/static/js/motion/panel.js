@@ -72,8 +72,7 @@ export class TrajectoryPanel {
       this.proof.textContent = "Proving …";
       try {
         const { proof, proof_says: says, proven_flight_times: times } = await requestDataset(`${path}&prove=true`, { signal, waits: true });
-        const ends = times.data.flat();
-        const flights = ends.filter((_, i) => i % 2 === 0).map((low, i) => h("li", {}, `${low} to ${ends[2 * i + 1]} rad`));
+        const flights = times.data.map(([low, high]) => h("li", {}, `${low} to ${high} rad`));
         const about = flights.length > MAX_LISTED ? ` The first ${MAX_LISTED} of ${flights.length} flights:` : flights.length ? " Flights:" : "";
         this.proof.replaceChildren(h("strong", {}, proof.data), `: ${says.data}.${about}`, h("ul", {}, flights.slice(0, MAX_LISTED)));
       } catch (error) {
