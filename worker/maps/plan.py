@@ -26,9 +26,6 @@ REFINED_SIDE: Final = 1025
 #: The share falls with the number of rows as its reciprocal to this power, which follows from the dimension
 #: of the boundaries: 1 for bouncing, about 1.3 for modes.
 REFINED_POWER: Final = {"bouncing": 1.0, "mode": 0.7}
-#: A refined cell takes at most this many times as long as one of a full grid: cells settle slowly near
-#: boundaries, and settling and chaotic cells are computed rather than filled in.
-REFINED_SECONDS: Final = 1.2
 #: Core-seconds that storing a tile takes, however few of its cells are computed.
 TILE_SECONDS: Final = 0.03
 
@@ -64,7 +61,7 @@ def estimate(spec: SweepSpec, plan: Plan) -> Cost:
     """Cost of a map, which is known only once computed: the most that such maps usually take."""
     cells, seconds = plan.cells, cell_seconds(spec)
     low, high = (math.ceil(share * cells) for share in computed_shares(spec, refine_of(spec)))
-    refined = REFINED_SECONDS * seconds + TILE_SECONDS * len(plan) / high
+    refined = seconds + TILE_SECONDS * len(plan) / high
     return Cost(
         cells=cells,
         chunks=len(plan),

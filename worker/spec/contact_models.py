@@ -50,7 +50,7 @@ MAX_STEPS_PER_CONTACT: Final = 1_000_000
 #: Core-microseconds per cell per plate period of `rigid`: of a cell by itself, and with restitution
 #: above 0, in lanes and by itself.
 RIGID_ALONE_US: Final = 0.75
-RIGID_ELASTIC_US: Final = 0.42
+RIGID_ELASTIC_US: Final = 0.48
 RIGID_ELASTIC_ALONE_US: Final = 1.3
 #: The same of `soft`: the stiffer the contact, the more hops follow an impact, for each decade of penetration
 #: below the default; of a cell by itself; how much more it takes from this restitution on.
@@ -306,12 +306,12 @@ class ContactModel(NamedTuple):
 #: docs/architecture.md). Costs: means over cells of all kinds (`python -m benchmarks.cost --estimates`). On a
 #: ramp few cells of springs are at rest, and more cells of a ball.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
-    "soft": ContactModel(Soft, "kernel.models.soft", 0.5, "soft contact", 0.53, 1.4),
+    "soft": ContactModel(Soft, "kernel.models.soft", 0.57, "soft contact", 0.53, 1.4),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
-    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.185, "rigid contact", 0.77, 1.4),
-    "ball": ContactModel(Ball, "kernel.models.ball", 0.13, "ball contact", 0.95, 0.7),
+    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.215, "rigid contact", 0.77, 1.4),
+    "ball": ContactModel(Ball, "kernel.models.ball", 0.145, "ball contact", 0.95, 0.7),
     # Until a model is chosen: the exact one, which is the most expensive.
-    "auto": ContactModel(Auto, "kernel.models.soft", 0.5, "auto contact", 0.53, 1.4),
+    "auto": ContactModel(Auto, "kernel.models.soft", 0.57, "auto contact", 0.53, 1.4),
 }
 
 
