@@ -65,6 +65,14 @@ _MOVE_SLIDER = """async indices => {
     return times;
 }"""
 
+#: Reads a copy, because Chromium warns of reading the page's own canvas twice.
+_PIXELS = """window.pixels = (canvas) => {
+    const copy = new OffscreenCanvas(canvas.width, canvas.height)
+        .getContext("2d", { willReadFrequently: true });
+    copy.drawImage(canvas, 0, 0);
+    return copy.getImageData(0, 0, canvas.width, canvas.height);
+}"""
+
 _OBSERVE_TASKS = """window.longestTask = 0;
 new PerformanceObserver((list) => list.getEntries().forEach((entry) => {
     window.longestTask = Math.max(window.longestTask, entry.duration);
@@ -90,6 +98,7 @@ def opened(browser: Any, address: str, *, expected: tuple[str, ...] = (), **opti
     options = {"viewport": {"width": 1280, "height": 860}, "reduced_motion": "no-preference", **options}
     errors: list[str] = []
     context = browser.new_context(**options)
+    context.add_init_script(_PIXELS)
     page = context.new_page()
     page.set_default_timeout(TIMEOUT_MS)
     page.on("console", lambda message: message.type in ("error", "warning") and errors.append(message.text))
@@ -99,7 +108,8 @@ def opened(browser: Any, address: str, *, expected: tuple[str, ...] = (), **opti
         yield page
     finally:
         context.close()
-    assert [error for error in errors if not any(text in error for text in expected)] == []
+    unexpected = [error for error in errors if not any(text in error for text in expected)]
+    assert unexpected == [], unexpected
 
 
 def wait_shown(page: Any, **values: Any) -> None:

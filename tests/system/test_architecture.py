@@ -108,7 +108,7 @@ def libraries_imported(*folders: str) -> set[str]:
     nodes = [node for path in files for node in statements(ast.parse(path.read_text()))]
     named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     named |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
-    neighbours = {path.stem for path in files} | {*OURS, "bouncing_spring", *scripts}
+    neighbours = {path.stem for path in files} | {*OURS, *scripts}
     return {name.split(".", maxsplit=1)[0] for name in named} - sys.stdlib_module_names - neighbours
 
 

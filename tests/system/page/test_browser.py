@@ -57,11 +57,7 @@ def view(address: str, job: str, tab: str = "diagram", **query: Any) -> str:
 def colours(page: Any, selector: str = ".panel .plot canvas") -> int:
     """The number of different colours on a canvas: one if nothing is drawn."""
     return int(
-        page.eval_on_selector(
-            selector,
-            """canvas => new Set(new Uint32Array(canvas.getContext("2d")
-            .getImageData(0, 0, canvas.width, canvas.height).data.buffer)).size""",
-        )
+        page.eval_on_selector(selector, "canvas => new Set(new Uint32Array(pixels(canvas).data.buffer)).size")
     )
 
 

@@ -32,7 +32,7 @@ PIXELS = """([selector, property]) => {
     if (!canvas?.width) return []; // nothing is drawn yet
     const hex = getComputedStyle(document.documentElement).getPropertyValue(property).match(/#\\w+/)[0];
     const wanted = [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
-    const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    const { data, width } = pixels(canvas);
     const ratio = canvas.width / canvas.clientWidth;
     const found = [];
     for (let i = 0; i < data.length; i += 4) {
@@ -43,8 +43,6 @@ PIXELS = """([selector, property]) => {
     return found;
 }"""
 PLOT = ".panel .plot canvas"
-#: Chromium's advice on reading a canvas often, as only these tests do.
-READBACK = ("willReadFrequently",)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +63,7 @@ def readout_at(page: Any, at: list[float]) -> str:
 
 
 def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, address: str, loop: str):
-    with opened(browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05", expected=READBACK) as page:
+    with opened(browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05") as page:
         wait_shown(page, omega=0.6)
         assert branch_pixels(page) == []
         page.get_by_label("Branches").check()
@@ -96,9 +94,7 @@ def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, a
         assert re.search(r"multipliers −?[\d.]+", said.inner_text())
         assert "on a cycle in closed form" in page.locator(".trajectory header .note").inner_text()
         screenshot(page, "cycle")
-        with opened(
-            browser, page.evaluate("location.href"), expected=READBACK
-        ) as again:  # the address shows the same cycle
+        with opened(browser, page.evaluate("location.href")) as again:  # the address shows the same cycle
             again.locator(".trajectory .readout", has_text="On the cycle (1, 1), unstable").wait_for()
 
 
@@ -106,7 +102,7 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
     """An unstable cycle that is pressed moves on the sweep's contact."""
     soft = done(address, LOOP | {"name": "Soft", "omega": [0.55, 0.6, 0.65], "model": {"kind": "soft"}})
     where = f"{address}/#/job/{soft}/diagram?omega=0.6&xi=0.05&branches=1"
-    with opened(browser, where, expected=READBACK) as page:
+    with opened(browser, where) as page:
         wait_shown(page, omega=0.6)
         wait_for(lambda: len(branch_pixels(page)) > 200)
         screenshot(page, "soft-branches")
@@ -119,14 +115,14 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
         screenshot(page, "soft-cycle")
         page.emulate_media(color_scheme="dark")
         screenshot(page, "soft-cycle-dark")
-    with opened(browser, f"{address}/#/job/{soft}/thresholds?xi=0.05&folds=1", expected=READBACK) as page:
+    with opened(browser, f"{address}/#/job/{soft}/thresholds?xi=0.05&folds=1") as page:
         wait_shown(page, xi=0.05, folds=True)
         assert len(branch_pixels(page)) > 200
         screenshot(page, "soft-folds")
 
 
 def test_a_contact_is_explored(browser: Any, address: str):
-    with opened(browser, f"{address}/#/explore?omega=0.6&xi=0.05&gamma=0.9", expected=READBACK) as page:
+    with opened(browser, f"{address}/#/explore?omega=0.6&xi=0.05&gamma=0.9") as page:
         page.get_by_label("Contact").select_option("soft")
         said = page.locator(".closed", has_text="Bouncing does not persist below Γ = 0.5532 (fold (1,1))")
         said.wait_for()
@@ -135,7 +131,7 @@ def test_a_contact_is_explored(browser: Any, address: str):
 
 
 def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
-    with opened(browser, f"{address}/#/job/{loop}/thresholds?xi=0.05", expected=READBACK) as page:
+    with opened(browser, f"{address}/#/job/{loop}/thresholds?xi=0.05") as page:
         wait_shown(page, xi=0.05, folds=False)
         page.get_by_label("Folds").check()
         wait_shown(page, xi=0.05, folds=True)

@@ -83,7 +83,7 @@ def test_many_listeners_do_not_delay_other_requests(tmp_path: Path):
         assert set(names[:-1]) <= {"progress"}
         done = [view["percent"] for _, view in stream]
         assert done == sorted(done)
-        assert {*stream[0][1]} == {"state", "percent", "seconds_left"}
+        assert {*stream[0][1]} == {"state", "percent", "seconds_left", "compiling"}
         assert stream[-1][1]["state"] == "done"
 
 
