@@ -3,10 +3,10 @@
     python -m benchmarks.compiling [--repeat 3] [--against FOLDER] [commands]
 
 Runs `bounce figure 2`, `bounce run` of one `rigid` and of one `soft` sweep, and a process that compiles every
-kernel, each in an empty folder for its cache (the last process writes none). Prints the medians of the
-processor time of all processes that a command starts, and of the wall time, and each as a share of `bounce
-figure 2` of the other checkout (of this one without `--against`). FOLDER is a checkout with an environment of
-its own in `.venv`.
+kernel that an image has, each in an empty folder for its cache. Prints the medians of the processor time of
+all processes that a command starts, and of the wall time, and each as a share of `bounce figure 2` of the
+other checkout (of this one without `--against`). FOLDER is a checkout with an environment of its own in
+`.venv`.
 """
 
 import json
@@ -29,23 +29,6 @@ _MODELS: Final[dict[str, Any]] = {
     "rigid": {"kind": "rigid"},
     "soft": {"kind": "soft", "restitution": 0.01, "penetration": 1e-3},
 }
-#: Compiles every contact model, its exponents and its trajectories.
-_ALL: Final = """
-from importlib import import_module
-import numpy as np
-from kernel.interface import dimension
-from kernel.line import LineRun
-from kernel.params import Cell
-from kernel.trajectory import sample
-from worker.spec.contact_models import CONTACT_MODELS
-axis = np.ones(1)
-for kind, model in CONTACT_MODELS.items():
-    plate = import_module(model.kernel).plate(**model.fields(kind=kind).plate_arguments(axis, axis, axis))
-    for exponents in {0, dimension(plate)}:
-        LineRun(axis, axis, axis, plate=plate, carry=False, settle=0, observe=1, keep=1,
-                exponents=exponents).advance()
-    sample(Cell(1.0, 1.0, 1.0), plate, None, periods=1, samples=1)
-"""
 COMMANDS: Final = ("figure 2", "rigid", "soft", "all models")
 
 
@@ -65,7 +48,7 @@ def words(checkout: Path, command: str, folder: Path) -> list[str]:
     if command in _MODELS:
         (folder / "sweep.json").write_text(json.dumps({**_GRID, "model": _MODELS[command]}))
         return [str(programs / "bounce"), "run", str(folder / "sweep.json"), "-o", picture]
-    return [str(programs / "python"), "-c", _ALL]
+    return [str(programs / "python"), "-m", "worker.kernel_cache"]
 
 
 def cost(checkout: Path, command: str) -> Cost:
