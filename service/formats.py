@@ -17,7 +17,7 @@ ExportFormat = Literal["nc", "parquet", "html"]
 ExportLayout = Literal["cells", "flights"]
 
 #: Which thresholds of a sweep are predicted: none, those of up to 200 values of omega, or all; or all from
-#: cycles of the sweep's cells.
+#: cycles of the sweep's cells, or by a search.
 Predict = Literal["none", "some", "all", "cells", "search"]
 
 #: Bytes of a shared file that is imported.

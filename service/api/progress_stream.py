@@ -30,10 +30,10 @@ class ProgressStream:
         """End every iteration soon, so that open responses do not delay the shutdown."""
         self._closing = True
 
-    async def changes(self, job_id: str) -> AsyncIterator[JobRecord]:
-        """The job until it is finished or deleted, or the service stops.
+    async def changes(self, job_id: str) -> AsyncIterator[tuple[JobRecord, Compiling | None]]:
+        """The job and what is compiled for it, until it is finished or deleted, or the service stops.
 
-        Now, after every change, and every second while a kernel is compiled.
+        Now, and after every change.
         """
         revision: tuple[object, ...] | None = None
         while not self._closing:
@@ -41,9 +41,9 @@ class ProgressStream:
             if job is None:
                 return
             compiling = self._compiling(job)
-            seconds = None if compiling is None else round(compiling.seconds)
-            if revision != (revision := (*job.revision, seconds)):
-                yield job
+            kernel = None if compiling is None else compiling.kernel
+            if revision != (revision := (*job.revision, kernel)):
+                yield job, compiling
             if job.state not in UNFINISHED:
                 return
             await asyncio.sleep(POLL_SECONDS)

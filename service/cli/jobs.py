@@ -290,19 +290,8 @@ def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, 
 
 
 COMMANDS: Final = (
-    submit,
-    plan,
-    run,
-    import_file,
-    status,
-    wait,
-    watch,
-    follow,
-    cancel,
-    resume,
-    delete,
-    list_jobs,
-)
+    submit, plan, run, import_file, status, wait, watch, follow, cancel, resume, delete, list_jobs,
+)  # fmt: skip
 
 
 def _specification(spec: str, effort: str | None = None) -> "Mapping[str, Any]":

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.group(
-    cls=CommandGroup,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
 )
 @click.version_option(package_name="bouncing-spring")
 def main() -> None:

@@ -166,7 +166,7 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
     if frame.empty:
         return "  ".join([*map(str, frame.index.names), *frame.columns])
     frame = frame.loc[:, [not (each.isna() | (each == "")).all() for _, each in frame.items()]]
-    notes = [f"every {every}. point is shown: -o writes all"] if every > 1 else []
+    notes = [f"one point of {every} is shown: -o writes all"] if every > 1 else []
     for column in frame.columns[[each.astype(str).str.len().max() > LONG for _, each in frame.items()]]:
         texts = frame.pop(column)
         notes += [f"{texts.index.name} {at}: {text}" for at, text in texts.items() if text]

@@ -142,7 +142,7 @@ def time_left(job: JobStatus) -> str:
     if job.state != "running" or (seconds is None and not started):
         return ""
     if seconds is None:
-        return f", for {duration(time.time() - datetime.fromisoformat(str(started)).timestamp())}"
+        return f", for {duration(max(time.time() - datetime.fromisoformat(str(started)).timestamp(), 0.0))}"
     return f", {duration(seconds)} left"
 
 

@@ -110,8 +110,11 @@ def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, ND
     """The variables with the flights that are not shown as NaN."""
     if (query.flight_start, query.flight_stop, query.hide) == (None, None, None):
         return arrays
-    low, high = (-np.inf if query.flight_start is None else query.flight_start), query.flight_stop or np.inf
-    shown = (arrays["flight_time"] >= low) & (arrays["flight_time"] <= high)
+    shown = np.isfinite(arrays["flight_time"])
+    if query.flight_start is not None:
+        shown &= arrays["flight_time"] >= query.flight_start
+    if query.flight_stop is not None:
+        shown &= arrays["flight_time"] <= query.flight_stop
     if query.hide is not None:
         labels = arrays.get(LABEL.name, arrays["outcome"])
         hidden = [CLASS_NAMES.index(name) for name in query.hide.split(",")]

@@ -14,7 +14,7 @@ from kernel.cycles.thresholds import EQ_25, Thresholds
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
-from service.pictures import draw_thresholds
+from service.pictures import IDEAL, draw_thresholds
 from service.views import orbits, proofs
 from service.views.selection import (
     MAX_READ,
@@ -43,9 +43,6 @@ from worker.spec.contact_models import Contact, Rigid
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
-
-#: The contact of the closed form.
-CONTACT: Final = "rigid, restitution 0"
 
 #: Springs whose thresholds are kept: the least recently used one makes room.
 KEPT: Final = 4096
@@ -130,7 +127,7 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     return dataset(
         {row.name: variable((), data.get(row.name, np.nan), row) for row in rows},
         {name: coordinate(name, getattr(query, name)) for name in ("omega", "xi")},
-        {"model": CONTACT if contact is None else orbits.name_of(contact), "complete": True},
+        {"model": IDEAL if contact is None else orbits.name_of(contact), "complete": True},
     )
 
 
@@ -270,9 +267,9 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     data |= predictions if each else {name: np.full(len(omega), value) for name, value in nothing.items()}
     analytic = threshold(omega, xi)
     data["analytic"] = np.where(np.isfinite(analytic), analytic, np.nan)
-    contact = f"{CONTACT}: the contact of the sweep"
+    contact = f"{IDEAL}: the contact of the sweep"
     if not is_ideal(spec.model):
-        contact = f"{CONTACT}: not the contact of the sweep, which is {spec.model.kind}"
+        contact = f"{IDEAL}: not the contact of the sweep, which is {spec.model.kind}"
     if query.predict == "search" or (query.predict == "cells" and study.chunks_done):
         own = orbits.name_of(orbits.contact_of(spec))
         how = "searches" if query.predict == "search" else "cycles continued from the sweep's cells"

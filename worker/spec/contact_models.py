@@ -303,8 +303,8 @@ class ContactModel(NamedTuple):
 
 
 #: Every contact model by its kind. A new one needs a kernel module, its fields, and a row here (see
-#: docs/architecture.md). Costs: means over cells of all kinds (`python -m benchmarks.cost --estimates`). On a
-#: ramp few cells of springs are at rest, and more cells of a ball.
+#: docs/architecture.md). Costs: so that twenty studies take what is expected (`python -m
+#: benchmarks.estimates`). On a ramp few cells of springs are at rest, and more cells of a ball.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
     "soft": ContactModel(Soft, "kernel.models.soft", 0.57, "soft contact", 0.53, 1.4),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),

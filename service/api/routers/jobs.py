@@ -242,16 +242,17 @@ async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:
     responses=problem_responses(404, 503),
 )
 async def stream_job_events(service: ServiceDep, job: JobDep) -> AsyncIterator[ServerSentEvent]:
-    """Server-sent events: state, percent and seconds left.
+    """Server-sent events: state, percent, seconds left, and the kernel while one is compiled.
 
     They are named `progress` while the job is queued or running; the last one, of a finished job, `end`.
     """
-    async for record in service.progress_stream.changes(job.id):
+    async for record, compiling in service.progress_stream.changes(job.id):
         progress = record.progress(time.time())
         left = progress["eta_seconds"]
         event = {
             "state": record.state, "percent": progress["percent"],
             "seconds_left": None if left is None else round(left),
+            "compiling": None if compiling is None else compiling.kernel,
         }  # fmt: skip
         name = "progress" if record.state in UNFINISHED else "end"
         yield ServerSentEvent(event=name, raw_data=json.dumps(event))

@@ -37,7 +37,7 @@ const CHOICES = {
 };
 
 /** What an empty input means where the default is null. */
-const NULL_DEFAULTS = { penetration: "0.001", rest_length: "none", restitution: "f(ξ)", until: "5000", settle_until: "10 windows" };
+const NULL_DEFAULTS = { penetration: "0.001", rest_length: "none", restitution: "f(ξ)", until: "5000" };
 
 const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
 

@@ -127,7 +127,7 @@ function runsOf({ periods, gamma, flight_time: time, stable, violations }, event
 }
 
 /** A ring, and its name beside it where no other label is. `labels` are the boxes taken so far. */
-export function drawEvent(ctx, box, x, y, { kind }, labels) {
+function drawEvent(ctx, box, x, y, { kind }, labels) {
   const [px, py] = [box.x.pixel(x), box.y.pixel(y)];
   if (!(px >= box.left && px <= box.left + box.width && py >= box.top && py <= box.top + box.height)) return;
   disc(ctx, box.theme.surface, px, py, MARK_PX);
