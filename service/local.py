@@ -334,7 +334,7 @@ class _Levels:
         cells = audit.affordable(job.spec, seconds * self._executor.workers())
         if cells is None:
             return None
-        query = audit.AuditQuery(cells=cells)
+        query = audit.AuditQuery(cells=cells, followed=0)  # compiling the stepper cannot be interrupted
         calls = [self._executor.call(*call) for call in audit.parts(study, query)]
         _, late = wait(calls, timeout=seconds)
         for call in late:

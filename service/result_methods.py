@@ -227,6 +227,7 @@ class ResultMethods(Methods):
     def audit(
         self,
         cells: Annotated[int | None, "cells of each sample; default: 59 to 200, as many as cost a tenth of the sweep"] = None,
+        followed: Annotated[int, "cells of a soft contact that a time stepper follows"] = 10,
         seed: Annotated[int, "of the random sample"] = 0,
         tolerance: Annotated[float, "rad: flights that deviate by more have changed"] = 0.001,
         timeout: float = 300.0,
@@ -249,6 +250,8 @@ class ResultMethods(Methods):
         - `label`: of a sweep with exponents
         - `threshold`: thresholds on the grid of which one of both cells changes between rest and bouncing
         - `area`: points anywhere between the cells that are not what the nearest cell is
+        - `integrator`: of a soft contact, cells at rest or periodic that time steps, which share no closed form
+          with the kernel, do not follow within `tolerance`
 
         The cells that changed are listed, also hard ones looked at besides: corners, and cells next to another
         mode.
@@ -259,7 +262,7 @@ class ResultMethods(Methods):
         `cell_undecided`, `cells`, `certified`. Waits up to `timeout` seconds for the workers, and shows
         `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
-        return self.result("audit", cells=cells, seed=seed, tolerance=tolerance, timeout=timeout, progress=progress)
+        return self.result("audit", cells=cells, followed=followed, seed=seed, tolerance=tolerance, timeout=timeout, progress=progress)
 
 
 class SpringMethods(Methods):

@@ -20,6 +20,7 @@ from worker.analysis.audit import (
     SETS,
     SIZES,
     approximated,
+    followed_seconds,
     look,
     reference_seconds,
 )
@@ -69,7 +70,9 @@ _CERTIFIED: Final = row(
 )
 
 #: The questions, in order.
-QUESTIONS: Final = ("rest", "outcome", "mode", "flights", "distribution", "label", "threshold", "area")
+QUESTIONS: Final = (
+    "rest", "outcome", "mode", "flights", "distribution", "label", "threshold", "area", "integrator",
+)  # fmt: skip
 
 
 class AuditQuery(Query):
@@ -78,6 +81,9 @@ class AuditQuery(Query):
     cells: Annotated[int, Field(ge=1, le=2_000)] | None = Field(
         None, description="cells of each sample; default: 59 to 200, as many as cost a tenth of the sweep"
     )
+    followed: Annotated[
+        int, Field(ge=0, le=200, description="cells of a soft contact that a time stepper follows")
+    ] = 10
     seed: Annotated[int, Field(ge=0, lt=2**63, description="of the random sample")] = 0
     tolerance: Annotated[
         Number, Field(gt=0, le=10, description="rad: flights that deviate by more have changed")
@@ -102,6 +108,8 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     - `label`: of a sweep with exponents
     - `threshold`: thresholds on the grid of which one of both cells changes between rest and bouncing
     - `area`: points anywhere between the cells that are not what the nearest cell is
+    - `integrator`: of a soft contact, cells at rest or periodic that time steps, which share no closed form
+      with the kernel, do not follow within `tolerance`
 
     The cells that changed are listed, also hard ones looked at besides: corners, and cells next to another
     mode.
@@ -155,6 +163,7 @@ def answers_of(
         | {
             "threshold": _of_pairs(drawn["threshold"], sizes["thresholds"]),
             "area": _of_points(drawn["area"]),
+            "integrator": _of_followed(drawn["integrator"], sizes, query.tolerance),
         }
     }
     if _contact(study) is not None:
@@ -249,6 +258,17 @@ def _of_points(table: _Table) -> _Answer:
     return _answer(_masks(table, 0.0)["mode"], table["undecided"], population)
 
 
+def _of_followed(table: _Table, sizes: Mapping[str, Any], tolerance: float) -> _Answer:
+    """Cells at rest or periodic that a time stepper follows."""
+    sampled, repeating = len(table["outcome"]), sizes["repeating"]
+    if not sampled:
+        return _NOT_ASKED
+    weight = repeating / sizes["cells"]
+    answer = _answer(_masks(table, tolerance)["flights"], table["undecided"], repeating, weight)
+    largest = np.where(table["deviation"] < 0.0, np.inf, table["deviation"]).max()
+    return answer._replace(largest=float(largest), covered=weight * covered(sampled, repeating))
+
+
 def _listed(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[Any]]:
     """The variables of the cells that have changed, by name."""
     masks = _masks(table, tolerance)
@@ -284,6 +304,9 @@ def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, to
             f"{mode.sampled} {drawn}), {_between(flights)} flights that deviate by more than "
             f"{tolerance:g} rad"
         )
+    followed = answers["numerics"]["integrator"]
+    if followed.sampled:
+        said.append(f"integrator: {followed.changed} of {followed.sampled} cells differ from time steps")
     return "; ".join(said)
 
 
@@ -315,7 +338,7 @@ def affordable(spec: SweepSpec, seconds: float) -> int | None:
 def estimate(spec: SweepSpec, query: AuditQuery) -> Estimate:
     """The cells of the sets. Raises InvalidRequest for more computing than one audit may take."""
     cells = _cells(spec, query)
-    seconds = HARD_AND_POINTS * cells * reference_seconds(spec)
+    seconds = HARD_AND_POINTS * cells * reference_seconds(spec) + query.followed * followed_seconds(spec)
     if seconds > MAX_SECONDS:
         fitting = int(cells * MAX_SECONDS / seconds)
         rule = f"{cells:,} cells take about {seconds:,.0f} core-seconds, the limit is {MAX_SECONDS:g}"
@@ -330,7 +353,7 @@ def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
     if not study.complete:
         raise InvalidRequest.of("job_id", "is not done: an audit is of a sweep with all its cells")
     cells = _cells(study.spec, query)
-    asked = (study.spec, study.url, _contact(study), cells, query.seed, query.tolerance)
+    asked = (study.spec, study.url, _contact(study), cells, query.followed, query.seed, query.tolerance)
     return [(look, *asked, part) for part in range(PARTS)]
 
 

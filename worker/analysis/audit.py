@@ -8,6 +8,9 @@ are independent of each other: what is audited is the step from cell to cell.
 A simple random sample has the interval of `worker.analysis.intervals`. That of `numerics` is drawn from the
 rest: cells that are not certified within the tolerance. Cells that are hard, the corners of the grid and
 cells next to another mode, are looked at besides, and do not enter any interval.
+
+The reference shares closed forms and root search with what it judges. So cells of a soft contact that are at
+rest or periodic are also followed from their last states by `stepped`, which has neither.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,7 +26,7 @@ from kernel.stopping import check
 from worker import store
 from worker.analysis.bisection import Status, endless_rest, on_grid
 from worker.analysis.deviation import deviations
-from worker.spec.contact_models import Auto, Contact, Soft, Stepped
+from worker.spec.contact_models import MIN_RESTITUTION, Auto, Contact, Soft, Stepped
 from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.plan import mean_periods, period_seconds
@@ -40,12 +43,18 @@ BESIDE: Final = 16
 #: Calls of `look` into which an audit is divided.
 PARTS: Final = 8
 
+#: The two time steps, contact / STEPS, whose flights are extrapolated: the error of `stepped` is of second
+#: order.
+STEPS: Final = (100, 200)
+#: Plate periods after which the time stepper is on its own cycle.
+FOLLOWED: Final = 20
+
 #: Core-seconds of references that one answer may take.
 MAX_SECONDS: Final = 3_600.0
 
-#: What is looked at: cells of the samples of the two questions, hard cells, points anywhere in the plane, and
-#: the two cells of a threshold.
-SETS: Final = ("numerics", "model", "besides", "area", "threshold")
+#: What is looked at: cells of the samples of the two questions, hard cells, points anywhere in the plane, the
+#: two cells of a threshold, and cells followed by time steps.
+SETS: Final = ("numerics", "model", "besides", "area", "threshold", "integrator")
 
 _Array = NDArray[Any]
 
@@ -68,6 +77,7 @@ SIZES: Final = (
     "cells", "thresholds",
     "certified",  # cells whose flights are certified within the tolerance
     "certified_error",  # the largest `flight_error` of these, rad
+    "repeating",  # cells at rest or periodic
 )  # fmt: skip
 
 
@@ -90,23 +100,34 @@ def approximated(submitted: SweepSpec, spec: SweepSpec) -> Contact | None:
     return None
 
 
+def steppers(spec: SweepSpec) -> tuple[Stepped, ...]:
+    """The contact of a sweep with the time steps of STEPS; none if it cannot be stepped."""
+    if not isinstance(spec.model, Soft) or spec.model.restitution < MIN_RESTITUTION:
+        return ()
+    fields = spec.model.model_dump(exclude={"kind"})
+    return tuple(Stepped(**fields, steps_per_contact=steps) for steps in STEPS)
+
+
 def look(
-    spec: SweepSpec, url: str, contact: Contact | None, cells: int, seed: int, tolerance: float, part: int
-) -> dict[str, Any]:
+    spec: SweepSpec, url: str, contact: Contact | None, cells: int, followed: int, seed: int,
+    tolerance: float, part: int,
+) -> dict[str, Any]:  # fmt: skip
     """Compute a part of the drawn cells again; every part draws the same.
 
-    contact: of the question `model`. cells: of each sample. tolerance: of flights, rad. Returns the lists of
-    FIELDS and the values of SIZES. Raises a `store.StoreError`.
+    contact: of the question `model`. cells: of each sample. followed: by time steps. tolerance: of flights,
+    rad. Returns the lists of FIELDS and the values of SIZES. Raises a `store.StoreError`.
     """
     names = ["outcome", "bounces", "periods"]
     names += [COMPUTED] * spec.fills_in + ["flight_error"] * spec.certifies
     grid = store.read_slice(url, names, complete=True)
-    drawn, sizes = _draw(spec, grid, contact is not None, cells, seed, tolerance)
+    drawn, sizes = _draw(spec, grid, contact is not None, cells, followed, seed, tolerance)
     mine = drawn[part::PARTS]
     rows: list[tuple[Any, ...]] = []
     for name in SETS:
         chosen = [each for each in mine if each.set == name]
-        if chosen:
+        if chosen and name == "integrator":
+            rows += (_followed(spec, url, grid, each, tolerance) for each in chosen)
+        elif chosen:
             rows += _looked_at(spec, url, grid, contact if name == "model" else None, chosen)
     columns = zip(*rows, strict=True) if rows else ([] for _ in FIELDS)
     return {name: list(column) for name, column in zip(FIELDS, columns, strict=True)} | sizes
@@ -116,8 +137,9 @@ def look(
 
 
 def _draw(
-    spec: SweepSpec, grid: dict[str, _Array], with_model: bool, cells: int, seed: int, tolerance: float
-) -> tuple[list[_Drawn], dict[str, Any]]:
+    spec: SweepSpec, grid: dict[str, _Array], with_model: bool, cells: int, followed: int, seed: int,
+    tolerance: float,
+) -> tuple[list[_Drawn], dict[str, Any]]:  # fmt: skip
     """All cells to be looked at, and SIZES of what they are drawn from."""
     random = np.random.default_rng(seed)
     outcome = grid["outcome"]
@@ -132,8 +154,11 @@ def _draw(
     lines = list(_thresholds(spec, outcome)) if spec.ramp_axis in (None, "gamma") else []
     chosen = random.permutation(len(lines))[: max(cells // 4, 1)]
     drawn += [_Drawn("threshold", int(i), index) for i in chosen for index in lines[i]]
+    repeating = np.isin(outcome, (Outcome.AT_REST, Outcome.PERIODIC)) & grid.get(COMPUTED, np.True_)
+    if steppers(spec):
+        drawn += _sample(random, "integrator", followed, repeating)
     sizes = (outcome.size, len(lines), int(np.count_nonzero(certified)),
-             float(np.max(errors[certified], initial=0.0)))  # fmt: skip
+             float(np.max(errors[certified], initial=0.0)), int(np.count_nonzero(repeating)))  # fmt: skip
     return drawn, dict(zip(SIZES, sizes, strict=True))
 
 
@@ -233,22 +258,65 @@ def reference(
     """
     settle, observe = (LONGER * max(periods, 1) for periods in spec.window)
     until = spec.settles_until
-    gamma, omega, xi = np.array(cells, np.float64).reshape(-1, 3).T.copy()
-    model = contact or spec.model
-    run = LineRun(
-        gamma, omega, xi, plate=plate_of(model, gamma, omega, xi), carry=True, start=list(starts),
-        settle=settle, observe=observe, settle_until=None if until is None else LONGER * until,
-        keep=max(spec.keep, min(LONGER * spec.keep, 4096)), micro_flight=spec.micro_flight, in_lanes=False,
+    return _run(
+        contact or spec.model, cells, starts, settle=settle, observe=observe,
+        settle_until=None if until is None else LONGER * until,
+        keep=max(spec.keep, min(LONGER * spec.keep, 4096)), micro_flight=spec.micro_flight,
         exponents=spec.exponents if contact is None else 0,
     )  # fmt: skip
+
+
+def _run(model: Contact, cells: Sequence[Cell], starts: Sequence[Start | None], **window: Any) -> Line:
+    """Cells by the scalar functions, each from its start, or from rest."""
+    gamma, omega, xi = np.array(cells, np.float64).reshape(-1, 3).T.copy()
+    plate = plate_of(model, gamma, omega, xi)
+    run = LineRun(gamma, omega, xi, plate=plate, carry=True, start=list(starts), in_lanes=False, **window)
     while not run.advance(FIRST_STEPS):
         check()
     return run.line
 
 
+def followed_seconds(spec: SweepSpec) -> float:
+    """Core-seconds of a cell followed by time steps, by the table of contact models."""
+    periods = FOLLOWED + 8
+    return sum(periods * period_seconds(spec.model_copy(update={"model": each})) for each in steppers(spec))
+
+
 def reference_seconds(spec: SweepSpec) -> float:
     """Core-seconds of the reference of one cell, with its start and moved, by the table of contact models."""
     return 2.0 * LONGER * mean_periods(spec) * period_seconds(spec, alone=True)
+
+
+def _followed(
+    spec: SweepSpec, url: str, grid: dict[str, _Array], each: _Drawn, tolerance: float
+) -> tuple[Any, ...]:
+    """The values of FIELDS for a cell at rest or periodic, followed from its last state by time steps.
+
+    Undecided if the two time steps differ by more than the tolerance.
+    """
+    cell, kept = _cell(spec, each.cell), _stored(spec, url, grid, [each])
+    settle, observe = (max(periods, 1) for periods in spec.window)
+    own = _run(spec.model, [cell], [_start(spec, url, each.cell)], settle=settle, observe=observe, keep=1)
+    start = Start(np.ascontiguousarray(own.end_state[0]), cell)
+    bounces, periods = int(kept.bounces[0]), max(int(kept.periods[0]), 1)
+    window = {"settle": FOLLOWED, "observe": 2 * periods, "keep": 4096, "micro_flight": spec.micro_flight}
+    coarse, fine = (_run(model, [cell], [start], **window) for model in steppers(spec))
+    flights = [_last(line, spec.micro_flight, bounces) for line in (kept, coarse, fine)]
+    deviation, decided = -1.0, len(flights[1]) == len(flights[2])
+    if decided and len(flights[0]) == len(flights[2]):
+        twice = (STEPS[1] / STEPS[0]) ** 2
+        extrapolated = flights[2] + (flights[2] - flights[1]) / (twice - 1.0)
+        deviation = float(np.max(np.abs(np.sort(extrapolated) - np.sort(flights[0])), initial=0.0))
+        decided = bool(np.max(np.abs(flights[2] - flights[1]), initial=0.0) <= tolerance)
+    stored = (int(kept.outcome[0]), bounces, int(kept.periods[0]), int(_labels(spec, kept, 1)[0]))
+    return (SETS.index(each.set), each.unit, each.cell[0], *cell, *stored, *stored, deviation, not decided)
+
+
+def _last(line: Line, micro_flight: float, bounces: int) -> _Array:
+    """The flights of the last cycle of the first cell, rad; all of them longer than `micro_flight`."""
+    flights = line.flight_time[0, : line.flights[0]]
+    flights = flights[flights > micro_flight]
+    return flights[len(flights) - bounces :] if bounces else flights
 
 
 def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:

@@ -10,8 +10,11 @@ from scripted import Held
 from served import finished, service
 from studies import spec_of
 
+from service.local import computed
 from service.views.audit import affordable
+from worker.analysis.audit import PARTS, SETS, look
 from worker.analysis.intervals import bounds
+from worker.spec.contact_models import Soft
 from worker.sweep import SweepSpec
 
 PLANE = spec_of((0.8, 4, 24), (0.4, 1.0, 16), 0.1)
@@ -88,6 +91,36 @@ def test_certificates_looser_than_the_tolerance_do_not_count(client: TestClient)
     found = audited(client, job, tolerance=1e-15)
     assert found.certified == 0
     assert found.sel(question="mode").sampled == found.cells
+
+
+def test_time_steps_follow_the_cells_of_a_soft_contact(client: TestClient):
+    soft = {"kind": "soft", "penetration": 1e-2, "restitution": 0.1}
+    job = finished(client, PLANE | {"gamma": [0.7, 1.2, 1.6, 2.3], "omega": [0.5, 0.6, 0.8], "model": soft})
+    found = audited(client, job, cells=20)
+    integrator = found.sel(question="integrator")
+    assert (integrator.sampled, integrator.changed, integrator.undecided) == (10, 0, 0)
+    assert integrator.largest < 1e-4
+    assert "0 of 10 cells differ from time steps" in found.attrs["sentence"]
+    rigid = finished(client, PLANE | {"gamma": [1.2, 1.6], "omega": [0.5, 0.6], "settle": 30})
+    assert audited(client, rigid, cells=20).sel(question="integrator").sampled == 0
+
+
+def test_time_steps_do_not_follow_the_cells_of_another_contact(tmp_path):
+    """As if the kernel had another law of contact than its document says."""
+    soft = {"kind": "soft", "penetration": 1e-2, "restitution": 0.1}
+    spec = SweepSpec(**PLANE | {"gamma": [1.2, 1.6, 2.3], "omega": [0.5, 0.6], "model": soft})
+    deep = spec.model_copy(update={"model": Soft(penetration=5e-2, restitution=0.1)})
+    with computed(spec, tmp_path, progress=False) as done:
+        url = done.job.store_url
+        parts = [look(deep, url, None, 5, 6, 0, 1e-3, part) for part in range(PARTS)]
+    deviations = [
+        deviation
+        for part in parts
+        for name, deviation in zip(part["set"], part["deviation"], strict=True)
+        if SETS[name] == "integrator"
+    ]
+    assert deviations
+    assert all(deviation > 1e-3 or deviation < 0 for deviation in deviations)
 
 
 def test_cells_that_may_settle_longer_make_an_audit_dearer():
