@@ -34,6 +34,8 @@ FEWEST, MOST_BY_DEFAULT = 59, 200
 SHARE: Final = 0.1
 #: Cells computed again for each of the sample: besides, hard ones, points and thresholds.
 HARD_AND_POINTS: Final = 2.5
+#: Cells that a time stepper follows where nothing else is asked for: as many as take these core-seconds.
+FOLLOWED, FOLLOWED_SECONDS = 10, 20.0
 #: Of a budget: fewer cells tell nothing.
 FEWEST_AFFORDED: Final = 20
 #: Bytes of a cell in an answer.
@@ -81,9 +83,9 @@ class AuditQuery(Query):
     cells: Annotated[int, Field(ge=1, le=2_000)] | None = Field(
         None, description="cells of each sample; default: 59 to 200, as many as cost a tenth of the sweep"
     )
-    followed: Annotated[
-        int, Field(ge=0, le=200, description="cells of a soft contact that a time stepper follows")
-    ] = 10
+    followed: Annotated[int, Field(ge=0, le=200)] | None = Field(
+        None, description="cells of a soft contact that a time stepper follows; default: up to ten"
+    )
     seed: Annotated[int, Field(ge=0, lt=2**63, description="of the random sample")] = 0
     tolerance: Annotated[
         Number, Field(gt=0, le=10, description="rad: flights that deviate by more have changed")
@@ -329,6 +331,13 @@ def _cells(spec: SweepSpec, query: AuditQuery) -> int:
     return int(min(max(by_cost, FEWEST), MOST_BY_DEFAULT))
 
 
+def _followed(spec: SweepSpec, query: AuditQuery) -> int:
+    """Cells that a time stepper follows."""
+    if query.followed is not None or not (seconds := followed_seconds(spec)):
+        return query.followed or 0
+    return int(min(FOLLOWED_SECONDS / seconds, FOLLOWED))
+
+
 def affordable(spec: SweepSpec, seconds: float) -> int | None:
     """Cells of each sample that take this many core-seconds, by the table; None if too few."""
     cells = int(seconds / (HARD_AND_POINTS * reference_seconds(spec)))
@@ -338,7 +347,9 @@ def affordable(spec: SweepSpec, seconds: float) -> int | None:
 def estimate(spec: SweepSpec, query: AuditQuery) -> Estimate:
     """The cells of the sets. Raises InvalidRequest for more computing than one audit may take."""
     cells = _cells(spec, query)
-    seconds = HARD_AND_POINTS * cells * reference_seconds(spec) + query.followed * followed_seconds(spec)
+    seconds = HARD_AND_POINTS * cells * reference_seconds(spec) + _followed(spec, query) * followed_seconds(
+        spec
+    )
     if seconds > MAX_SECONDS:
         fitting = int(cells * MAX_SECONDS / seconds)
         rule = f"{cells:,} cells take about {seconds:,.0f} core-seconds, the limit is {MAX_SECONDS:g}"
@@ -353,7 +364,15 @@ def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
     if not study.complete:
         raise InvalidRequest.of("job_id", "is not done: an audit is of a sweep with all its cells")
     cells = _cells(study.spec, query)
-    asked = (study.spec, study.url, _contact(study), cells, query.followed, query.seed, query.tolerance)
+    asked = (
+        study.spec,
+        study.url,
+        _contact(study),
+        cells,
+        _followed(study.spec, query),
+        query.seed,
+        query.tolerance,
+    )
     return [(look, *asked, part) for part in range(PARTS)]
 
 

@@ -32,6 +32,7 @@ from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.plan import mean_periods, period_seconds
 from worker.sweep.protocols import Ramp
 from worker.sweep.specification import start_of
+from worker.sweep.task import run_cells
 from worker.work import FIRST_STEPS, plate_of
 
 #: Windows of the reference relative to the sweep's.
@@ -295,9 +296,9 @@ def _followed(
     Undecided if the two time steps differ by more than the tolerance.
     """
     cell, kept = _cell(spec, each.cell), _stored(spec, url, grid, [each])
-    settle, observe = (max(periods, 1) for periods in spec.window)
-    own = _run(spec.model, [cell], [_start(spec, url, each.cell)], settle=settle, observe=observe, keep=1)
-    start = Start(np.ascontiguousarray(own.end_state[0]), cell)
+    gamma, omega, xi = np.array([cell]).T
+    ended = run_cells(spec, gamma, omega, xi, _start(spec, url, each.cell)).end_state[0]
+    start = Start(np.ascontiguousarray(ended), cell)
     bounces, periods = int(kept.bounces[0]), max(int(kept.periods[0]), 1)
     window = {"settle": FOLLOWED, "observe": 2 * periods, "keep": 4096, "micro_flight": spec.micro_flight}
     coarse, fine = (_run(model, [cell], [start], **window) for model in steppers(spec))
