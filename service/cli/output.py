@@ -28,6 +28,7 @@ def job_report(job: "Job") -> str:
         "progress": f"{progress.whole_percent}% ({progress.cells_done:,} of {progress.cells_total:,} cells, "
         f"{progress.chunks_done:,} of {progress.chunks_total:,} chunks){time_left(job)}",
         "settling": settling_note(job),
+        "model": (job.view.get("choice") or {}).get("reason"),
         **{
             member: job.view.get(member)
             for member in ("owner", "notice", "created", "started", "finished", "error")

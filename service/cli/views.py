@@ -5,9 +5,10 @@ Their options are the parameters of the client's methods. Beside them export and
 
 from collections.abc import Callable, Sequence
 from inspect import Parameter, cleandoc, signature
+from io import BytesIO
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, cast, get_args, get_origin
 
 import click
 
@@ -22,7 +23,7 @@ from service.cli.options import (
     with_job,
     write_file,
 )
-from service.formats import EXPORTS, DatasetFormat, ExportLayout
+from service.formats import EXPORTS, PICTURES, DatasetFormat, ExportLayout
 from service.result_methods import Methods, ResultMethods, SpringMethods
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 _MOTIONS: Final = get_args(DatasetFormat)
 
+#: Results over which measured points are drawn.
+MEASURED: Final = ("diagram", "threshold")
 #: Digits of numbers in a table, fewer where it is wider: thresholds are refined to 1e-9.
 DIGITS: Final = 10
 #: Letters of a line of a table, and of a text in it; points of a curve.
@@ -47,7 +50,7 @@ def command(name: str) -> click.Command:
 
     def run(
         output: str | None, format: str | None, url: str, token: str | None, job_id: str | None = None,
-        **query: Any,
+        data: str | None = None, **query: Any,
     ) -> None:  # fmt: skip
         of = kinds[-1] if job_id is None else kinds[0]
         missing = [f"--{each}" for each, about in _parameters(of, name).items() if _is_missing(about, query)]
@@ -56,11 +59,15 @@ def command(name: str) -> click.Command:
             raise click.UsageError(f"give {' and '.join(missing)}{other}")
         formats, printed = of.RESULTS[name]
         file_format = None if output is None else output_format(output, formats, format)
+        if data is not None and (job_id is None or file_format not in PICTURES):
+            raise click.UsageError(f"--data needs the ID of a job, and -o with one of {', '.join(PICTURES)}")
         with open_client(url, token) as client:
             job = None if job_id is None else client.job(job_id)
             source = client if job is None else job
             if output is None:
                 click.echo(table(source.result(name, **query), printed))
+            elif job is not None and data is not None:
+                write_file(output, _picture(job, name, data, str(file_format), query))
             else:
                 write_file(output, source.result_file(name, str(file_format), **query))
         if job is not None:
@@ -74,12 +81,29 @@ def command(name: str) -> click.Command:
         "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
         help="File to write; - is standard output.  [default: print a table]",
     )(decorated)  # fmt: skip
+    if name in MEASURED:
+        decorated = click.option(
+            "--data", type=click.Path(exists=True, dir_okay=False),
+            help="CSV file of measured points, drawn over a picture: gamma or omega, flight_time in rad or "
+            "flight_time_ms and frequency in Hz (over thresholds omega and gamma), perhaps error.",
+        )(decorated)  # fmt: skip
     decorated = query_options(*reversed(kinds), name=name)(format_option(*every_format)(decorated))
     if ResultMethods in kinds:
         metavar, required = ("ID", True) if len(kinds) == 1 else ("[ID]", False)
         argument = click.argument("job_id", metavar=metavar, required=required, shell_complete=complete_id)
         decorated = argument(decorated)
     return click.command(name, help=text)(decorated)
+
+
+def _picture(job: "Job", name: str, data: str, format: str, query: dict[str, Any]) -> bytes:
+    """A result with measured points over it, drawn here."""
+    given = {each: value for each, value in query.items() if value is not None and each != "caption"}
+    from matplotlib.figure import Figure
+
+    figure, file = Figure(layout="constrained"), BytesIO()
+    job.plot(cast("Any", name), data=data, ax=figure.subplots(), **given)
+    figure.savefig(file, format=format)
+    return file.getvalue()
 
 
 def query_options(*kinds: type[Methods], name: str) -> Callable[[Command], Command]:

@@ -130,6 +130,19 @@ def test_a_diagram_is_written_as_its_name_says(url: str, job: str, tmp_path: Pat
     assert json.loads(bounce("diagram", job, *line, url=url).stdout)["coords"]["omega"]["data"] == [0.5, 0.7]
 
 
+def test_measured_points_are_drawn_over_a_diagram(url: str, job: str, tmp_path: Path):
+    data, path = tmp_path / "measured.csv", tmp_path / "measured.svg"
+    data.write_text("gamma,flight_time_ms,frequency\n1.5,15.4,50\n2.0,18.2,50\n")
+    drawn = bounce("diagram", job, "--omega", 0.5, "--data", data, "-o", path, url=url)
+    assert (drawn.exit_code, path.read_bytes()[:5]) == (0, b"<?xml")
+    data.write_text("gamma,time\n1.5,15.4\n")
+    refused = bounce("diagram", job, "--omega", 0.5, "--data", data, "-o", path, url=url)
+    assert refused.exit_code == 1
+    assert "flight_time" in refused.stderr
+    refused = bounce("diagram", job, "--omega", 0.5, "--data", data, "-o", tmp_path / "a.csv", url=url)
+    assert (refused.exit_code, "png, svg, pdf" in refused.stderr) == (2, True)
+
+
 def test_an_incomplete_diagram_is_drawn_with_a_warning(tmp_path: Path):
     with serving(tmp_path, Held()) as url, Client(url) as client:
         job = client.submit(sweep())

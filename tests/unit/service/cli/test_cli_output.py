@@ -27,13 +27,15 @@ def job(**changes: Any) -> Job:
 
 
 def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
-    lines = job_report(job(owner="ana", created="2026-01-01T00:00:00Z", cells_settling=7)).splitlines()
+    known = {"owner": "ana", "created": "2026-01-01T00:00:00Z", "choice": {"reason": "rigid: the cheapest"}}
+    lines = job_report(job(cells_settling=7, **known)).splitlines()
     assert lines == [
         "id        0123456789abcdef0123456789abcdef",
         "name      ω sweep",
         "state     running",
         "progress  50% (12,000 of 24,000 cells, 1,500 of 3,000 chunks), 2 min 5 s left",
         "settling  7 of 12,000 cells were still settling: give them more time with settle auto and until",
+        "model     rigid: the cheapest",
         "owner     ana",
         "created   2026-01-01T00:00:00Z",
     ]
