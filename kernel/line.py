@@ -158,7 +158,8 @@ def _walk(
 
     `states`: (n / length, 6) where each line begins, as in `cell.begin`. Fills `line`. The next call
     goes on from `flights`, `lanes`, `variations` and `search`. table: that of `lanes`; None is seen at
-    compile time. variations: for the exponents of one cell at a time, or None. search: to certify, or None.
+    compile time. variations: for the exponents of one cell at a time, or None. search: None with exponents
+    and for a contact without variations; used if `window` certifies.
 
     Each lane holds one cell and its phase. `advance_lanes` moves all on. A lane whose phase has ended goes
     through the landing or take-off here, and gets its next phase or, at the end of its window, the next cell
@@ -191,14 +192,18 @@ def _walk(
                         turned = True
                     else:
                         from_rest = run.in_flight and run.state.gap == 0.0 and run.state.gap1 == 0.0
-                        if from_rest and search is None:
+                        if from_rest and not window.certify:
                             run = replay(springs[k], run, window, flights, lanes.cache)
                         phi = phi if exact else plate_phase(run.phase)
                         p = _scalar_phase(springs[k], run, phi)
                     if variations is not None and not lanes.followed[k]:
                         lyapunov.carry_run(springs[k], before, run, p, window, variations)
                     run = cell.record(run, p, window, flights, first)
-                    if search is not None and has_candidate(run, k, window, flights, search):
+                    if (
+                        search is not None
+                        and window.certify
+                        and has_candidate(run, k, window, flights, search)
+                    ):
                         run = certified(springs[k], run, i, k, window, line, flights, search)
                     if run.ending != ROOT:
                         run = _after_window(before, run, i, k, window, line, flights, lanes, variations)
@@ -216,7 +221,7 @@ def _walk(
                     run = cell.begin(springs[k], i, length, gamma, omega, states, run, state, window)
                     if variations is not None:
                         lyapunov.start_variations(variations)
-                    if search is not None:
+                    if search is not None and window.certify:
                         begin_search(search, k)
                 if table is not None:
                     phi = PlatePhase(run.phase, phi.sin, phi.cos) if turned else plate_phase(run.phase)
@@ -310,7 +315,9 @@ class LineRun:
         in_lanes = in_lanes and type(plate) in advance_lanes and self._variations is None
         self._lanes = _allocate_lanes(LANES if in_lanes else 1)
         self._flights = cell.allocate_flights(keep, len(self._lanes.index))
-        self._search = allocate_search(len(self._lanes.index), self._flights) if certify else None
+        self._search = None
+        if self._variations is None and dimension(plate) > 0:  # one kernel, whether it certifies or not
+            self._search = allocate_search(len(self._lanes.index) if certify else 0, self._flights)
 
     def advance(self, steps: int = _ALL) -> bool:
         """Compute on for about `steps` >= 1 contacts and flights; whether every cell of `line` is done."""

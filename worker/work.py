@@ -187,8 +187,7 @@ def compile_kernels() -> None:
     for kind, model in CONTACT_MODELS.items():
         contact: Any = model.fields(kind=kind)
         plate = plate_of(contact, axis, axis, axis)
-        for certify in {False, contact.certifies}:
-            _run_briefly(axis, axis, axis, plate=plate, carry=False, certify=certify)
+        _run_briefly(axis, axis, axis, plate=plate, carry=False)
         if exponents := dimension(plate):
             _run_briefly(axis, axis, axis, plate=plate, carry=False, exponents=exponents)
         sample(Cell(1.0, 1.0, 1.0), plate, None, periods=1, samples=1)
@@ -205,8 +204,7 @@ def compile_for(spec: Any) -> None:
         cell = [spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi")]
         carry = getattr(spec, "ramp_axis", None) is not None
         plate = plate_of(spec.model, *cell)
-        certify, exponents = getattr(spec, "certifies", False), getattr(spec, "exponents", 0)
-        _run_briefly(*cell, plate=plate, carry=carry, certify=certify, exponents=exponents)
+        _run_briefly(*cell, plate=plate, carry=carry, exponents=getattr(spec, "exponents", 0))
 
 
 def _run_briefly(*cell: NDArray[np.float64], **options: Any) -> None:
