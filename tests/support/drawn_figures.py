@@ -18,7 +18,7 @@ from service.figures.drawing import Caption, Verdict
 from service.pictures import DPI, STYLE
 from service.presets import FigurePreset
 
-#: docs/model.md, section 5: the last Γ that bounces on the way down, by Ω.
+#: The last Γ that bounces on the way down at ξ = 0.05 in steps of 0.004, by Ω: simulated, 120 periods a step.
 DESCENDING = {0.56: 0.743, 0.6: 0.554, 0.62: 0.508, 0.66: 0.6, 0.7: 0.671}
 
 #: What makes each figure small enough for a test, its cells still the paper's.

@@ -1,4 +1,4 @@
-"""Thresholds finer than the grid: Eq. 25 upwards, docs/model.md, section 5, downwards."""
+"""Thresholds finer than the grid: Eq. 25 upwards, simulated ramps downwards."""
 
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ TOLERANCE = 1e-4
 #: Through resonance, and through the antiresonance at sqrt(2) where a spring hardly loads the plate.
 OMEGA = [*np.geomspace(0.3, 1.35, 10).tolist(), 1.4, 1.4142, 1.45, *np.geomspace(1.6, 4.0, 7).tolist()]
 
-#: docs/model.md, section 5: xi = 0.05, ramped down by 0.004 with 120 periods a step, last bouncing gamma.
+#: Simulated at xi = 0.05, ramped down by 0.004 with 120 periods a step, last bouncing gamma.
 DESCENDING = {0.56: 0.743, 0.60: 0.554, 0.62: 0.508, 0.66: 0.600, 0.70: 0.671}
 
 
