@@ -10,12 +10,10 @@ from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernel.cycles.cycles import FLIGHTS, Point, confirmed, cycle_from
-from kernel.cycles.events import Events, branch, check_spring, join_events
+from kernel.cycles.events import Branch, Events, branch, check_spring, events_of, join_events
 from kernel.cycles.follow import LARGEST, POINTS, RANGE, Event, ahead, follow
-from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START
 from kernel.cycles.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
 from kernel.numerics.elementary import TWO_PI
@@ -30,33 +28,6 @@ _NARROWEST: Final = 1e-3
 _REST: Final = 0.05
 #: Two cycles whose starts or durations differ by less are one.
 _SAME: Final = 1e-6
-
-
-class CycleBranch(NamedTuple):
-    """n cycles of a contact in order along their branch; of the longest flight of each.
-
-    Units as in `events.Branch`.
-    """
-
-    periods: int
-    omega: Floats  # (n,)
-    xi: Floats  # (n,)
-    gamma: Floats  # (n,)
-    letters: NDArray[np.str_]  # (n,) the segments of the cycle: see `segments`
-    flights: NDArray[np.int32]  # (n,) of a cycle
-    bounces: NDArray[np.int32]  # (n,) of them, that count
-    flight_time: Floats  # (n,) rad
-    takeoff_phase: Floats  # (n,) rad, in [0, 2 pi)
-    elongation: Floats  # (n,) at take-off
-    elongation_velocity: Floats  # (n,) at take-off
-    impact_velocity: Floats  # (n,) gap' before landing, < 0
-    multiplier: NDArray[np.complex128]  # (n, 2) the largest two
-    stable: NDArray[np.bool_]  # (n,)
-
-    @property
-    def violations(self) -> NDArray[np.uint8]:
-        """(n,) 0: every one is a cycle of the spring."""
-        return np.zeros(len(self.gamma), np.uint8)
 
 
 class Followed(NamedTuple):
@@ -189,19 +160,18 @@ def longest_flight(point: Point) -> tuple[int, float]:
     return i, time
 
 
-def record(points: list[Point], micro_flight: float) -> CycleBranch:
+def record(points: list[Point], micro_flight: float) -> Branch:
     """The record of cycles; flights count that take longer than `micro_flight`, rad."""
     gamma, omega, xi = np.array([point.cell for point in points]).reshape(-1, 3).T
     flights = [[t for t, x in zip(p.times, p.letters, strict=True) if x in FLIGHTS] for p in points]
     i = [longest_flight(point)[0] for point in points]
     begin = np.array([p.round.starts[j] for p, j in zip(points, i, strict=True)]).reshape(-1, 7)
     multiplier = np.array([point.multipliers() for point in points]).reshape(-1, 4)
-    return CycleBranch(
+    return Branch(
         periods=points[0].cycles.periods,
         omega=omega,
         xi=xi,
         gamma=gamma,
-        letters=np.array([point.letters for point in points]),
         flights=np.array([len(times) for times in flights], np.int32),
         bounces=np.array([sum(t > micro_flight for t in times) for times in flights], np.int32),
         flight_time=np.array([p.times[j] for p, j in zip(points, i, strict=True)]),
@@ -211,6 +181,7 @@ def record(points: list[Point], micro_flight: float) -> CycleBranch:
         impact_velocity=np.array([p.round.rates[j] for p, j in zip(points, i, strict=True)]) / gamma,
         multiplier=multiplier[:, :2],
         stable=np.abs(multiplier[:, 0]) < 1.0,
+        violations=np.zeros(len(points), np.uint8),
     )
 
 
@@ -218,15 +189,6 @@ def event_record(events: list[Event], micro_flight: float) -> Events:
     """Their record, as that of the closed form."""
     if not events:
         return join_events([])
-    x = record([event.point for event in events], micro_flight)
-    return Events(
-        kind=np.array([event.kind for event in events], np.str_),
-        omega=x.omega,
-        xi=x.xi,
-        bounces=x.bounces,
-        periods=np.full(len(events), x.periods, np.int32),
-        flight_time=x.flight_time,
-        gamma=x.gamma,
-        multiplier=x.multiplier,
-        violations=np.zeros(len(events), np.uint8),
+    return events_of(
+        [event.kind for event in events], record([event.point for event in events], micro_flight)
     )

@@ -8,14 +8,14 @@ events on a few lines of the parameter.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from enum import StrEnum
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from kernel.cycles.admissibility import check, combination, force_at_landing, force_slope, samples
-from kernel.cycles.closed_form import TWO_PI, Orbit, floquet, orbit
+from kernel.cycles.admissibility import check, combination, force_at_landing, force_slope
+from kernel.cycles.closed_form import TWO_PI, floquet, orbit
 from kernel.cycles.events import (
     EDGES,
     GRAZES,
@@ -24,11 +24,12 @@ from kernel.cycles.events import (
     branch,
     branch_and_events,
     check_spring,
+    events_of,
     join_events,
-    sample_times,
+    sampled,
 )
 from kernel.cycles.roots import Floats
-from kernel.cycles.spring import STEP, Array, Spring, spring
+from kernel.cycles.spring import STEP, Spring, spring
 from kernel.params import KernelInputError
 
 #: Kinds that are followed.
@@ -117,12 +118,16 @@ class _Plane(NamedTuple):
         """The record of one event."""
         k = self.spring(p)
         omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
-        b = branch(omega, xi, self.periods, np.array([t]), tolerance=GRAZES if kind in EDGES else 0.0)
-        one, periods = np.ones(1, np.int32), np.full(1, self.periods, np.int32)
-        return Events(
-            np.array([kind], np.str_), np.array([omega]), np.array([xi]), one, periods, b.flight_time,
-            b.gamma, b.multiplier, b.violations,
-        )  # fmt: skip
+        tolerance = GRAZES if kind in EDGES else 0.0
+        return events_of([kind], branch(omega, xi, self.periods, np.array([t]), tolerance))
+
+
+#: The functions of trace and determinant that are zero on curves.
+_TESTS: Final[Mapping[str, Callable[[complex, complex], complex]]] = {
+    Kind.FOLD: lambda trace, det: 1.0 - trace + det,
+    Kind.FLIP: lambda trace, det: 1.0 + trace + det,
+    Kind.NEIMARK_SACKER: lambda trace, det: det - 1.0,
+}
 
 
 class _Zero:
@@ -135,41 +140,33 @@ class _Zero:
 
     def __call__(self, t: float, p: float) -> tuple[float, Floats]:
         """The value, and its gradient by T and by the parameter."""
-        plane, kind = self.plane, self.kind
-        if kind not in EDGES:
-            trace, det, trace1, det1 = plane.floquet(t, p + 1j * STEP)
-            if kind is Kind.NEIMARK_SACKER:
-                return det.real - 1.0, np.array([det1.real, det.imag / STEP])
-            sign = -1.0 if kind is Kind.FOLD else 1.0
-            f, f1 = 1.0 + sign * trace + det, sign * trace1 + det1
-            return f.real, np.array([f1.real, f.imag / STEP])
         if math.isfinite(self.time):
-            self.time = _minimum(plane, kind, t, p, self.time)
-        values = []
-        for z, parameter in ((t + 1j * STEP, complex(p)), (complex(t), p + 1j * STEP)):
-            k, times = plane.spring(parameter), np.array([z])
-            x = orbit(k, plane.periods, times)
-            size = abs(np.hypot(x.c[0].real, x.s[0].real))
-            values.append(self._condition(k, x, times)[0] / size)
-        by_t, by_p = values
-        return float(by_t.real), np.array([by_t.imag, by_p.imag]) / STEP
+            self.time = _minimum(self.plane, self.kind, t, p, self.time)
+        by_t, by_p = (self._value(*x) for x in ((t + 1j * STEP, p), (t, p + 1j * STEP)))
+        return by_t.real, np.array([by_t.imag, by_p.imag]) / STEP
 
-    def _condition(self, k: Spring, x: Orbit, t: Array) -> Array:
-        """n at landing, gap' there, n' at take-off, or the gap or n at a fixed time inside (1,)."""
+    def _value(self, t: complex, p: complex) -> complex:
+        """A test, or n at landing, gap' there, n' at take-off, the gap or n at a fixed time inside."""
+        if self.kind in _TESTS:
+            trace, det, _, _ = self.plane.floquet(t, p)
+            return _TESTS[self.kind](trace, det)
+        k, times = self.plane.spring(p), np.array([t])
+        x = orbit(k, self.plane.periods, times)
         if self.kind is Kind.IMMEDIATE_TAKEOFF:
-            return force_at_landing(k, x, t)
-        if math.isnan(self.time):
-            return x.impact if self.kind is Kind.GRAZE_FLIGHT else force_slope(k, x)
-        terms, weights, offset = combination(k, x, t, self.kind is Kind.GRAZE_CONTACT)
-        value, _, _ = terms(k, np.array([complex(self.time)]))
-        return np.asarray((weights * value).sum(axis=0) + offset)
+            value = force_at_landing(k, x, times)
+        elif math.isnan(self.time):
+            value = x.impact if self.kind is Kind.GRAZE_FLIGHT else force_slope(k, x)
+        else:
+            terms, weights, offset = combination(k, x, times, self.kind is Kind.GRAZE_CONTACT)
+            value = (weights * terms(k, np.array([complex(self.time)]))[0]).sum(axis=0) + offset
+        return complex(value[0] / math.hypot(x.c[0].real, x.s[0].real))
 
 
 def _grazes_at(plane: _Plane, kind: Kind, t: float, p: float) -> float:
     """When the gap or n is least inside the flight or contact, rad; NaN: it grazes at an end of it."""
     k, times = plane.spring(p), np.array([t])
     x = orbit(k, plane.periods, times)
-    checked = check(k, plane.periods, times, x, samples(k, sample_times(k, plane.periods)), GRAZES)
+    checked = check(k, plane.periods, times, x, sampled(k, plane.periods), GRAZES)
     least = checked.gap if kind is Kind.GRAZE_FLIGHT else checked.force
     return float(least.time[0]) if abs(least.depth[0]) < _TOUCHES else math.nan
 
@@ -321,21 +318,26 @@ def _tangent(gradient: Floats) -> Floats:
     return np.array([-gradient[1], gradient[0]]) / float(np.hypot(gradient[0], gradient[1]))
 
 
+#: Two functions of a trace, a determinant and their derivatives by T that are zero at a codimension-2 point.
+_POINTS_WHERE: Final[Mapping[Kind, Callable[..., tuple[complex, complex]]]] = {
+    Kind.CUSP: lambda trace, det, trace1, det1: (1.0 - trace + det, det1 - trace1),
+    Kind.BOGDANOV_TAKENS: lambda trace, det, trace1, det1: (trace - 2.0, det - 1.0),
+    Kind.FOLD_FLIP: lambda trace, det, trace1, det1: (trace, det + 1.0),
+}
+
+#: The points on a curve, and which of their functions changes sign along it.
+_POINTS_ON: Final[Mapping[Kind, tuple[tuple[Kind, int], ...]]] = {
+    Kind.FOLD: ((Kind.CUSP, 1), (Kind.BOGDANOV_TAKENS, 1), (Kind.FOLD_FLIP, 1)),
+    Kind.FLIP: ((Kind.FOLD_FLIP, 1),),
+    Kind.NEIMARK_SACKER: ((Kind.BOGDANOV_TAKENS, 0),),
+}
+
+
 def _codimension_2(plane: _Plane, kind: Kind, line: Floats) -> Iterator[tuple[Kind, float, float]]:
     """The codimension-2 points on a curve: kind, T, parameter."""
-    if kind in EDGES:
-        return
-    values = []
-    for t, p in line:
-        trace, det, trace1, det1 = (float(np.real(x)) for x in plane.floquet(t, p))
-        values.append((det1 - trace1, det - 1.0, det + 1.0, trace - 2.0))
-    fold1, one, minus_one, two = np.array(values).T
-    tests = {
-        Kind.FOLD: ((Kind.CUSP, fold1), (Kind.BOGDANOV_TAKENS, one), (Kind.FOLD_FLIP, minus_one)),
-        Kind.FLIP: ((Kind.FOLD_FLIP, minus_one),),
-        Kind.NEIMARK_SACKER: ((Kind.BOGDANOV_TAKENS, two),),
-    }[kind]
-    for point, test in tests:
+    values = [plane.floquet(t, p) for t, p in line] if kind in _POINTS_ON else []
+    for point, which in _POINTS_ON.get(kind, ()):
+        test = np.real([_POINTS_WHERE[point](*x)[which] for x in values])
         for i in np.flatnonzero(test[:-1] * test[1:] < 0.0):
             part = test[i] / (test[i] - test[i + 1])
             t, p = line[i] + part * (line[i + 1] - line[i])
@@ -345,24 +347,12 @@ def _codimension_2(plane: _Plane, kind: Kind, line: Floats) -> Iterator[tuple[Ki
 
 
 def _codimension_2_at(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, float] | None:
-    """The point in (T, parameter) next to a guess by Newton's method, or None.
-
-    Cusp: 1 - tr + det and its derivative by T are zero. Bogdanov-Takens: tr = 2, det = 1. Fold-flip: tr = 0,
-    det = -1.
-    """
+    """The point in (T, parameter) next to a guess by Newton's method, or None."""
+    functions, aside = _POINTS_WHERE[kind], 1j * STEP
     for _ in range(_NEWTON):
-        trace, det, trace1, det1 = plane.floquet(t, p + 1j * STEP)
-        if kind is Kind.CUSP:
-            f, f1 = 1.0 - trace + det, det1 - trace1
-            _, _, trace_t, det_t = plane.floquet(t + 1j * STEP, p)
-            value = np.array([f.real, f1.real])
-            slope = np.array([[f1.real, f.imag / STEP], [(det_t - trace_t).imag / STEP, f1.imag / STEP]])
-        else:
-            goal = (2.0, 1.0) if kind is Kind.BOGDANOV_TAKENS else (0.0, -1.0)
-            value = np.array([trace.real - goal[0], det.real - goal[1]])
-            slope = np.array([[trace1.real, trace.imag / STEP], [det1.real, det.imag / STEP]])
+        by_t, by_p = (np.array(functions(*plane.floquet(*x))) for x in ((t + aside, p), (t, p + aside)))
         try:
-            move = np.linalg.solve(slope, value)
+            move = np.linalg.solve(np.array([by_t.imag, by_p.imag]).T / STEP, by_t.real)
         except np.linalg.LinAlgError:
             return None
         t, p = t - move[0], p - move[1]

@@ -62,10 +62,9 @@ _POLE: Final = 1e8
 class _Brackets(NamedTuple):
     """Flight times (m,) between which a condition breaks or ceases to."""
 
-    low: Floats
-    high: Floats
-    first: NDArray[np.bool_]  # broken at `low`, else at `high`
-    time: Floats  # rad, of the deepest minimum at the broken end
+    broken: Floats  # where it is broken
+    holds: Floats  # and where it holds
+    time: Floats  # rad, of the deepest minimum where it is broken
 
 
 class Kind(StrEnum):
@@ -83,36 +82,37 @@ class Kind(StrEnum):
 
 
 class Branch(NamedTuple):
-    """n cycles of one flight in `periods` plate periods, by flight time.
+    """n cycles in order along their branch, in closed form by flight time; of the longest flight of each.
 
     Lengths in plate amplitudes, velocities in plate amplitudes per rad.
     """
 
-    omega: float
-    xi: float
-    bounces: int
     periods: int
-    flight_time: NDArray[np.float64]  # (n,) rad
-    gamma: NDArray[np.float64]  # (n,)
-    takeoff_phase: NDArray[np.float64]  # (n,) rad, in [0, 2 pi)
-    elongation: NDArray[np.float64]  # (n,) at take-off
-    elongation_velocity: NDArray[np.float64]  # (n,) at take-off
-    impact_velocity: NDArray[np.float64]  # (n,) gap' before landing, < 0
-    multiplier: NDArray[np.complex128]  # (n, 2) of one cycle, the larger in modulus first
-    stable: NDArray[np.bool_]  # (n,) both inside the unit circle
-    violations: NDArray[np.uint8]  # (n,) 0, or the bits of a Reason
+    omega: Floats  # (n,)
+    xi: Floats  # (n,)
+    gamma: Floats  # (n,)
+    flights: NDArray[np.int32]  # (n,) of a cycle
+    bounces: NDArray[np.int32]  # (n,) of them, that count
+    flight_time: Floats  # (n,) rad
+    takeoff_phase: Floats  # (n,) rad, in [0, 2 pi)
+    elongation: Floats  # (n,) at take-off
+    elongation_velocity: Floats  # (n,) at take-off
+    impact_velocity: Floats  # (n,) gap' before landing, < 0
+    multiplier: NDArray[np.complex128]  # (n, 2) of one cycle, the largest first
+    stable: NDArray[np.bool_]  # (n,) all inside the unit circle
+    violations: NDArray[np.uint8]  # (n,) 0: a cycle of the spring; or the bits of a Reason
 
 
 class Events(NamedTuple):
     """m events, by kind and flight time; of the cycles at which they happen."""
 
     kind: NDArray[np.str_]  # (m,) a Kind
-    omega: NDArray[np.float64]  # (m,)
-    xi: NDArray[np.float64]  # (m,)
+    omega: Floats  # (m,)
+    xi: Floats  # (m,)
     bounces: NDArray[np.int32]  # (m,)
     periods: NDArray[np.int32]  # (m,)
-    flight_time: NDArray[np.float64]  # (m,) rad
-    gamma: NDArray[np.float64]  # (m,)
+    flight_time: Floats  # (m,) rad
+    gamma: Floats  # (m,)
     multiplier: NDArray[np.complex128]  # (m, 2)
     violations: NDArray[np.uint8]  # (m,) 0, or the bits of a Reason; an orbit that grazes is admissible
 
@@ -195,8 +195,8 @@ def branch(omega: float, xi: float, periods: int, flight_time: Floats, tolerance
     check_spring(omega, xi, periods)
     k = spring(omega, xi)
     x = orbit(k, periods, flight_time)
-    nodes = samples(k, sample_times(k, periods))
-    return _branch(k, periods, flight_time, x, check(k, periods, flight_time, x, nodes, tolerance))
+    checked = check(k, periods, flight_time, x, sampled(k, periods), tolerance)
+    return _branch(k, periods, flight_time, x, checked.reason)
 
 
 def branch_and_events(omega: float, xi: float, periods: int, points: int = POINTS) -> tuple[Branch, Events]:
@@ -208,7 +208,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
     k = spring(omega, xi)
     with np.errstate(all="ignore"):  # poles of Gamma(T)
         value, slope, x = _tests(k, periods, t)
-        nodes = samples(k, sample_times(k, periods))
+        nodes = sampled(k, periods)
         checked = check(k, periods, t, x, nodes)
         zeros = roots(lambda which, times: _selected(k, periods, which, times), t, value, slope)
         grazes = _grazes(k, periods, t, checked, nodes, zeros.x[zeros.which >= _OF_THE_TIMES])
@@ -217,7 +217,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
         torus &= zeros.which != _POLES
         which = np.concatenate([zeros.which[torus], grazes.which])
         events = _events(k, periods, which, np.concatenate([zeros.x[torus], grazes.x]), nodes)
-        return _branch(k, periods, t, x, checked), events
+        return _branch(k, periods, t, x, checked.reason), events
 
 
 def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
@@ -236,7 +236,7 @@ def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
         times = times[np.hypot(x.c, x.s) < below]
         if not len(times):
             return join_events([])
-        return _events(k, periods, np.zeros(len(times), np.intp), times, samples(k, sample_times(k, periods)))
+        return _events(k, periods, np.zeros(len(times), np.intp), times, sampled(k, periods))
 
 
 def rows_of(record: Record, which: Any) -> Record:
@@ -255,34 +255,42 @@ def join_events(parts: Sequence[Events]) -> Events:
     return Events(*(np.concatenate(fields) for fields in zip(empty, *parts, strict=True)))
 
 
-def sample_times(k: Spring, periods: int) -> Floats:
-    """Where gap and n are sampled, rad: from zero, as finely as a flight and a contact need.
+def events_of(kind: Sequence[str], cycles: Branch) -> Events:
+    """The record of events of these kinds (m,), each at one of the cycles (m,)."""
+    shared = (getattr(cycles, name) for name in Events._fields[5:])
+    periods = np.full(len(kind), cycles.periods, np.int32)
+    return Events(np.array(kind, np.str_), cycles.omega, cycles.xi, cycles.bounces, periods, *shared)
 
-    Each of the first is about twice the one before: where n' at take-off is nearly zero, the gap, which
-    begins as its cube, dips within them.
+
+def sampled(k: Spring, periods: int) -> Samples:
+    """Samples of gap and n from zero on, as fine as a flight and a contact need.
+
+    Each of the first is about twice as late as the one before: where n' at take-off is nearly zero, the gap,
+    which begins as its cube, dips within them.
     """
     t = flight_times(float(np.real(k.omega)), float(np.real(k.xi)), periods, SAMPLES, _SAMPLED)
-    return np.sort(np.concatenate([[0.0], t, t[0] * np.array([2.0, 4.0]), t[1] * np.array([2.0])]))
+    return samples(k, np.sort([0.0, *t, 2.0 * t[0], 4.0 * t[0], 2.0 * t[1]]))
 
 
-def _branch(k: Spring, periods: int, t: Floats, x: Orbit, checked: Check) -> Branch:
+def _branch(k: Spring, periods: int, t: Floats, x: Orbit, violations: NDArray[np.uint8]) -> Branch:
     """The record of orbits."""
-    gamma = np.hypot(x.c, x.s)
+    gamma, one = np.hypot(x.c, x.s), np.ones(len(t), np.int32)
     f = floquet(k, periods, t)
     return Branch(
-        omega=float(np.real(k.omega)),
-        xi=float(np.real(k.xi)),
-        bounces=1,
         periods=periods,
-        flight_time=t,
+        omega=np.full(len(t), np.real(k.omega)),
+        xi=np.full(len(t), np.real(k.xi)),
         gamma=gamma,
+        flights=one,
+        bounces=one,
+        flight_time=t,
         takeoff_phase=np.mod(np.arctan2(x.s, x.c), TWO_PI),
         elongation=x.q0 / gamma,
         elongation_velocity=x.v0 / gamma,
         impact_velocity=x.impact / gamma,
         multiplier=multipliers(f.trace, f.det),
         stable=stable(f.trace, f.det),
-        violations=checked.reason,
+        violations=violations,
     )
 
 
@@ -292,22 +300,9 @@ def _events(k: Spring, periods: int, which: Ints, t: Floats, nodes: Samples) -> 
     gamma = np.hypot(x.c, x.s)
     keep = np.flatnonzero(gamma < _POLE)
     keep = keep[np.lexsort((t[keep], which[keep]))]
-    which, t, x, gamma = which[keep], t[keep], Orbit(*(a[keep] for a in x)), gamma[keep]
-    f = floquet(k, periods, t)
-    tolerance = np.where(which < _OF_THE_TIMES, 0.0, GRAZES)
-    checked = check(k, periods, t, x, nodes, tolerance)
-    m = len(t)
-    return Events(
-        kind=np.array([_KINDS[i] for i in which], np.str_),
-        omega=np.full(m, np.real(k.omega)),
-        xi=np.full(m, np.real(k.xi)),
-        bounces=np.ones(m, np.int32),
-        periods=np.full(m, periods, np.int32),
-        flight_time=t,
-        gamma=gamma,
-        multiplier=multipliers(f.trace, f.det),
-        violations=checked.reason,
-    )
+    which, t, x = which[keep], t[keep], Orbit(*(a[keep] for a in x))
+    checked = check(k, periods, t, x, nodes, np.where(which < _OF_THE_TIMES, 0.0, GRAZES))
+    return events_of([_KINDS[i] for i in which], _branch(k, periods, t, x, checked.reason))
 
 
 def _tests(k: Spring, periods: int, t: Floats) -> tuple[Floats, Floats, Orbit]:
@@ -338,27 +333,28 @@ def _grazes(k: Spring, periods: int, t: Floats, checked: Check, nodes: Samples, 
 
     edge: where one leaves at an end of its flight or contact, and poles.
     """
-    which: list[Ints] = [np.empty(0, np.intp)]
-    where: list[Floats] = [np.empty(0)]
+    where: list[tuple[int, Floats]] = []
     gap, force = _brackets(k, periods, t, checked, np.sort(edge), nodes)
     for kind, contact, brackets in ((Kind.GRAZE_FLIGHT, False, gap), (Kind.GRAZE_CONTACT, True, force)):
-        low, high, first, time = brackets
+        inside = brackets
         for _ in range(_ROUNDS):
-            if not len(low):
+            if not len(inside.time):
                 break
-            root, ok = _touch(k, periods, _Brackets(low, high, first, time), contact)
-            ok &= (root >= low) & (root <= high)
+            root, ok = _touch(k, periods, inside, contact)
+            ok &= (root - inside.broken) * (root - inside.holds) <= 0.0
             # another minimum may be below zero where this one passes it
-            middle = np.where(ok, root, 0.5 * (low + high))
+            middle = np.where(ok, root, 0.5 * (inside.broken + inside.holds))
             held = check(k, periods, middle, orbit(k, periods, middle), nodes, np.where(ok, GRAZES, 0.0))
             broken, minimum, _ = held.force if contact else held.gap
             ok &= ~broken
-            where.append(root[ok])
-            which.append(np.full(int(ok.sum()), _KINDS.index(kind), np.intp))
-            low, high = np.where(broken == first, middle, low), np.where(broken == first, high, middle)
-            time = np.where(broken, minimum, time)
-            low, high, first, time = low[~ok], high[~ok], first[~ok], time[~ok]
-    return Roots(np.concatenate(which), np.concatenate(where))
+            where.append((_KINDS.index(kind), root[ok]))
+            halved = _Brackets(
+                np.where(broken, middle, inside.broken), np.where(broken, inside.holds, middle),
+                np.where(broken, minimum, inside.time),
+            )  # fmt: skip
+            inside = rows_of(halved, ~ok)
+    which = [np.full(len(times), kind, np.intp) for kind, times in where]
+    return Roots(np.concatenate([np.empty(0, np.intp), *which]), np.concatenate([[], *(x for _, x in where)]))
 
 
 def _brackets(
@@ -382,7 +378,7 @@ def _brackets(
         time = np.append(condition.time, beside.time)[order]
         changes = np.setdiff1d(np.flatnonzero(broken[:-1] != broken[1:]), held)
         first = broken[changes]
-        return _Brackets(times[changes], times[changes + 1], first, time[changes + ~first])
+        return _Brackets(times[changes + ~first], times[changes + first], time[changes + ~first])
 
     return between(checked.gap, inner.gap), between(checked.force, inner.force)
 
@@ -392,8 +388,8 @@ def _touch(k: Spring, periods: int, inside: _Brackets, contact: bool) -> tuple[F
 
     Also whether it converged to a minimum inside the flight or contact.
     """
-    low, high, first, time = inside
-    t, width = np.where(first, low, high), high - low
+    t, _, time = inside
+    middle, width = 0.5 * (inside.broken + inside.holds), np.abs(inside.broken - inside.holds)
     for number in range(_STEPS):
         z = t + 1j * STEP
         x = orbit(k, periods, z)
@@ -405,7 +401,7 @@ def _touch(k: Spring, periods: int, inside: _Brackets, contact: bool) -> tuple[F
         step, move = (f * f2 - f1 * f1) / det, (by_t * f1 - f1_by_t * f) / det
         t, time = t - step, time - move
         t = np.clip(t, 1e-9, TWO_PI * periods - 1e-9)
-        lost = (number >= _FIRST_STEPS) & ~((t > low - width) & (t < high + width))
+        lost = (number >= _FIRST_STEPS) & ~(np.abs(t - middle) < 1.5 * width)
         if ((np.abs(step) < 1e-14 * t) | lost).all():
             break
     end = TWO_PI * periods - t if contact else t

@@ -92,7 +92,7 @@ def _start(cell: Cell, line: Branch, i: int) -> CycleStart:
 
 def _state(line: Branch, i: int) -> Floats:
     """The state (6,) of cycle i of a branch at phase 0, in the order of STATE_FIELDS."""
-    k = spring(line.omega, line.xi)
+    k = spring(line.omega[i], line.xi[i])
     t = line.flight_time[i : i + 1]
     tau = TWO_PI - line.takeoff_phase[i : i + 1]
     state = _in_flight(k, line.periods, t, tau) if tau[0] < t[0] else _in_contact(k, line.periods, t, tau)

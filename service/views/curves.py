@@ -8,7 +8,7 @@ import xarray
 from pydantic import Field
 
 from kernel.cycles.curves import CURVES, Curves, Parameter, curves
-from kernel.cycles.events import Kind, join_events
+from kernel.cycles.events import Kind, join_events, rows_of
 from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS, AXES, IDEAL, SYMBOLS
 from service.views import orbits
@@ -105,7 +105,7 @@ def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
     top = query.gamma_max
     pieces = [piece for part in parts for curve in part.curves for piece in orbits.below(curve, top)]
     data = padded((along, "gamma", "flight_time", "violations"), pieces, ("curve", "point"))
-    data |= event_columns(join_events([orbits.rows_of(x.points, x.points.gamma <= top) for x in parts]))
+    data |= event_columns(join_events([rows_of(x.points, x.points.gamma <= top) for x in parts]))
     names = ("kind", "bounces", "periods")
     coords = columns("curve", {name: [getattr(piece, name)[0] for piece in pieces] for name in names})
     other = "xi" if along is Parameter.OMEGA else "omega"

@@ -14,9 +14,8 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from kernel.cycles.any_contact import CycleBranch
 from kernel.cycles.energy import energy
-from kernel.cycles.events import Branch, Events, branch_and_events, flight_times, join_events
+from kernel.cycles.events import Branch, Events, branch_and_events, flight_times, join_events, rows_of
 from kernel.params import Cell, KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import IDEAL, draw_cycles
@@ -67,7 +66,7 @@ Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-
 GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
 WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
 
-Record = TypeVar("Record", Branch, CycleBranch, Events)
+Record = TypeVar("Record", Branch, Events)
 
 #: `violations` beyond the last point of a branch or curve.
 MISSING_POINT: Final = 255
@@ -168,7 +167,7 @@ def _field(record: Any, name: str) -> NDArray[Any]:
     return np.asarray(getattr(record, name))
 
 
-def of_branches(records: Sequence[Branch | CycleBranch]) -> dict[str, xarray.Variable]:
+def of_branches(records: Sequence[Branch]) -> dict[str, xarray.Variable]:
     """Mode and length of each branch; the median where bounces change along it."""
     bounces = [int(np.median(x.bounces)) for x in records]
     lengths = {"bounces": bounces, "periods": [x.periods for x in records]}
@@ -219,14 +218,6 @@ def below(record: Record, gamma_max: float) -> list[Record]:
     inside = np.concatenate([[False], record.gamma <= gamma_max, [False]])
     edges = np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
     return [rows_of(record, slice(low, high)) for low, high in edges]
-
-
-def rows_of(record: Record, rows: slice | NDArray[np.bool_]) -> Record:
-    """A record of these rows of its arrays."""
-    arrays: dict[str, Any] = {
-        name: x[rows] for name, x in record._asdict().items() if isinstance(x, np.ndarray)
-    }
-    return record._replace(**arrays)
 
 
 #: Branches of a mode on a contact with restitution, and core-seconds that one answer may take.
@@ -361,7 +352,7 @@ def compute_orbits(
     if plate is not None:
         data |= padded(("flights",), pieces)
     if query.energy:
-        data |= padded(BALANCE, [energy(x.omega, x.xi, x.periods, x.flight_time) for x in pieces])
+        data |= padded(BALANCE, [energy(query.omega, query.xi, x.periods, x.flight_time) for x in pieces])
     data |= event_columns(join_events([rows_of(e, e.gamma <= top) for e in events]))
     if query.prove:
         complete = [proofs.of_events(e)[e.gamma <= top] for e in events]
@@ -512,9 +503,11 @@ def _stored_branches(study: Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dat
     spring = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in DIMS}
     x = read_stored(study, tuple(_STORED), {axis: point.index for axis, point in spring.items()})
     x["multiplier"] = np.stack([x["multiplier"], x["other_multiplier"]], axis=-1)
-    xi, omega = (point.value for point in spring.values())
+    one = np.ones(spec.points, np.int32)
+    xi, omega = (np.full(spec.points, point.value) for point in spring.values())
+    of_point = [name for name in Branch._fields if name in x]
     branches = [
-        Branch(omega, xi, *mode, **{name: x[name][i] for name in Branch._fields[4:]})
+        Branch(mode.periods, omega, xi, flights=one, bounces=one, **{name: x[name][i] for name in of_point})
         for i, mode in enumerate(spec.cycles)
     ]
     pieces = [piece for branch in branches for piece in below(branch, top)]

@@ -7,7 +7,6 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from kernel.cycles.any_contact import CycleBranch
 from kernel.cycles.energy import energy
 from kernel.cycles.events import Branch, branch
 from kernel.cycles.starts import start_on_cycle, start_on_stable_cycle
@@ -229,7 +228,7 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
     if isinstance(spec.start, CyclePoint):
         state, cycle = _on_cycle(spec.model, cell, spec.start)
         values = {
-            "cycle_bounces": np.ravel(cycle.bounces)[0], "cycle_periods": cycle.periods,
+            "cycle_bounces": cycle.bounces[0], "cycle_periods": cycle.periods,
             "cycle_flight_time": cycle.flight_time[0], "cycle_stable": cycle.stable[0],
             "cycle_multipliers": [[mu.real, mu.imag] for mu in cycle.multiplier[0]],
             "cycle_violations": cycle.violations[0],
@@ -367,9 +366,7 @@ def _direction(spec: SweepSpec, query: TrajectoryQuery) -> int:
     return spec.directions.index(directions_of(spec, query.direction)[0])
 
 
-def _on_cycle(
-    model: Contact, cell: Cell, point: CyclePoint
-) -> tuple[NDArray[np.float64], Branch | CycleBranch]:
+def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[NDArray[np.float64], Branch]:
     """The state on a cycle: on the contact's own with a flight time, else on one of the closed form.
 
     Raises InvalidRequest.

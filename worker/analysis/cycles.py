@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cycles.any_contact import (
-    CycleBranch,
     Followed,
     branches,
     branches_at,
@@ -19,7 +18,7 @@ from kernel.cycles.any_contact import (
 )
 from kernel.cycles.curves import Curves, Parameter
 from kernel.cycles.cycles import FLIGHTS, Cycles, Point, confirmed, cycle_from
-from kernel.cycles.events import Events, Kind, join_events
+from kernel.cycles.events import Branch, Events, Kind, join_events
 from kernel.cycles.follow import RANGE, Event, ahead, follow
 from kernel.cycles.segments import START
 from kernel.params import Cell, Outcome
@@ -82,7 +81,7 @@ class Skipped(NamedTuple):
 class FollowedCycles(NamedTuple):
     """Branches, and the events on each of them."""
 
-    branches: tuple[CycleBranch, ...]
+    branches: tuple[Branch, ...]
     events: tuple[Events, ...]
     skipped: tuple[Skipped, ...] = ()
 
@@ -149,7 +148,7 @@ def follow_cells(
 
 def cycle_near(
     contact: Contact, cell: Cell, periods: int, flight_time: float
-) -> tuple[CycleBranch, Floats] | None:
+) -> tuple[Branch, Floats] | None:
     """Of the cycles of a contact at a cell the one whose longest flight takes nearest to flight_time, rad.
 
     As a branch of one point, with the state (6,) at its beginning; None if there is none on the branches of

@@ -66,14 +66,15 @@ def test_a_torus_beside_a_fold_is_found():
 
 def test_a_window_narrower_than_the_grid_has_both_its_ends():
     """Cycles are admissible over 0.0008 rad of a grid of 0.05 rad, from a graze to a landing with n = 0."""
-    found, events = branch_and_events(0.9627922585259332, 0.05468653085150799, 3)
+    spring = (0.9627922585259332, 0.05468653085150799, 3)
+    _, events = branch_and_events(*spring)
     inside = (events.flight_time > 12.15) & (events.flight_time < 12.16)
     assert dict(zip(events.kind[inside], events.flight_time[inside], strict=True)) == {
         Kind.GRAZE_CONTACT: pytest.approx(12.1562816, abs=1e-6),
         Kind.IMMEDIATE_TAKEOFF: pytest.approx(12.1571250, abs=1e-6),
     }
     times = np.array([12.1562, 12.1566, 12.1572])
-    assert (branch(found.omega, found.xi, 3, times).violations == 0).tolist() == [False, True, False]
+    assert (branch(*spring, times).violations == 0).tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize(
