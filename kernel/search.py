@@ -16,7 +16,7 @@ from kernel.creep import Crept, creep, rotation, run
 from kernel.cycles.any_contact import Followed, both_ways, lies_on, repeats
 from kernel.cycles.contact_thresholds import rest_ends
 from kernel.cycles.cycles import LANDINGS, Point, confirmed, cycle_from, read
-from kernel.cycles.descent import Descent, descend, fold_of, folds_of_twice, name_of
+from kernel.cycles.descent import Descent, cycle_of, descend, fold_of, folds_of_twice
 from kernel.cycles.events import Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.starts import cycles_at, start_on_cycle
@@ -197,7 +197,7 @@ class _Search:
         mode = f"({line.bounces[0]},{line.periods[0]})" if line.periods[0] else ""
         what, number, error = mode or "an aperiodic motion", math.nan, math.nan
         if turn is not None:
-            what, number, error = f"a torus around {name_of(turn.around)}", turn.number, turn.error
+            what, number, error = f"a torus around {cycle_of(turn.around).name}", turn.number, turn.error
             what += f", locked to {mode}" if mode else ""
         return Searched(crept.cell.gamma, what, self.starts, crept.gone, number, error)
 

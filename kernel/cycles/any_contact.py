@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.cycles.cycles import FLIGHTS, Point, confirmed, cycle_from
+from kernel.cycles.cycles import Point, confirmed, cycle_from
 from kernel.cycles.events import Branch, Events, branch, check_spring, events_of, join_events
 from kernel.cycles.follow import LARGEST, POINTS, RANGE, Event, ahead, follow
 from kernel.cycles.segments import START
@@ -120,7 +120,7 @@ def beside(plate: Any, start: CycleStart | None, periods: int) -> Point | None:
     if start is None:
         return None
     point = cycle_from(plate, start.start.cell, periods, start.start.state)
-    if point is None or longest_flight(point)[1] < _REST or repeats(point):
+    if point is None or max(point.flights) < _REST or repeats(point):
         return None
     return point
 
@@ -153,18 +153,12 @@ def lies_on(point: Point, line: Followed) -> bool:
     return other is not None and away(other) < _SAME
 
 
-def longest_flight(point: Point) -> tuple[int, float]:
-    """Its segment and rad."""
-    flights = [(float(t), i) for i, t in enumerate(point.times) if point.letters[i] in FLIGHTS]
-    time, i = max(flights)
-    return i, time
-
-
 def record(points: list[Point], micro_flight: float) -> Branch:
     """The record of cycles; flights count that take longer than `micro_flight`, rad."""
     gamma, omega, xi = np.array([point.cell for point in points]).reshape(-1, 3).T
-    flights = [[t for t, x in zip(p.times, p.letters, strict=True) if x in FLIGHTS] for p in points]
-    i = [longest_flight(point)[0] for point in points]
+    flights = [point.flights for point in points]
+    longest = np.array([max(times) for times in flights])
+    i = [int(np.flatnonzero(p.times == time)[-1]) for p, time in zip(points, longest, strict=True)]
     begin = np.array([p.round.starts[j] for p, j in zip(points, i, strict=True)]).reshape(-1, 7)
     multiplier = np.array([point.multipliers() for point in points]).reshape(-1, 4)
     return Branch(
@@ -174,7 +168,7 @@ def record(points: list[Point], micro_flight: float) -> Branch:
         gamma=gamma,
         flights=np.array([len(times) for times in flights], np.int32),
         bounces=np.array([sum(t > micro_flight for t in times) for times in flights], np.int32),
-        flight_time=np.array([p.times[j] for p, j in zip(points, i, strict=True)]),
+        flight_time=longest,
         takeoff_phase=np.mod(np.arctan2(begin[:, 5], begin[:, 4]), TWO_PI),
         elongation=begin[:, 2] / gamma,
         elongation_velocity=begin[:, 3] / gamma,

@@ -40,13 +40,6 @@ _HOPS: Final = 400
 _ASIDE: Final = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-5)
 
 
-class Next(NamedTuple):
-    """The first cycle with other segments, its tangent leading away, and what happens there."""
-
-    kind: Kind
-    point: Point
-
-
 class _Edit(NamedTuple):
     """The cycle at a change, written with other segments."""
 
@@ -100,13 +93,16 @@ def _lowest(point: Point, i: int, since: float, until: float, samples: int) -> t
     return float(time), float(value)
 
 
-def next_cycle(margin: Margin, point: Point) -> Next | None:
-    """The branch beyond `point`, at which the margin is zero; None if it is not known."""
+def next_cycle(margin: Margin, point: Point) -> tuple[Kind, Point] | None:
+    """What happens at `point`, at which the margin is zero, and the first cycle with other segments.
+
+    Its tangent leads away. None if it is not known.
+    """
     margin(point)  # where it touches here
     for edit in _edits(margin.broken, margin.time, point):
         first = _first(edit)
         if first is not None:
-            return Next(edit.kind, first)
+            return edit.kind, first
     return None
 
 
@@ -210,8 +206,7 @@ def _letting_go(point: Point, i: int, time: float) -> Iterator[_Edit]:
         n = z[6] - z[4] - b * z[3] - w * z[2]
         state = State(0.0, 0.0, (z[2] + 0.25 * n / w) / gamma, z[3] / gamma)
         phase = math.atan2(z[5], z[4]) % TWO_PI
-        code, times, _ = simulated(point.cycles.plate, gamma, omega, xi, phase, state, whole - wait, _HOPS)
-        letters = code.tobytes().decode()
+        letters, times, _ = simulated(point.cycles.plate, gamma, omega, xi, phase, state, whole - wait, _HOPS)
         end = max(letters.find("c"), letters.find("s")) + 1
         left = whole - wait - times[:end].sum()
         if end < 2 or letters[0] != "S" or left <= 0.0:

@@ -66,6 +66,11 @@ class Point(NamedTuple):
         return self.x[START : START + len(self.cycles.letters)]
 
     @property
+    def flights(self) -> list[float]:
+        """Rad of each flight, in order."""
+        return [t for t, x in zip(self.times.tolist(), self.letters, strict=True) if x in FLIGHTS]
+
+    @property
     def cell(self) -> tuple[float, float, float]:
         """Gamma, Omega, xi."""
         return self.cycles.cell(self.x)
@@ -257,8 +262,7 @@ def kernels_round(cycles: Cycles, x: Floats, span: float, most: int = MOST) -> t
     gamma, omega, xi = cycles.cell(x)
     phase = math.atan2(x[4], x[3]) % TWO_PI
     state = State(0.0, x[0] / gamma, x[1] / gamma, x[2] / gamma)
-    code, times, states = simulated(cycles.plate, gamma, omega, xi, phase, state, span, most)
-    return code.tobytes().decode(), times, states
+    return simulated(cycles.plate, gamma, omega, xi, phase, state, span, most)
 
 
 def confirmed(point: Point) -> tuple[Point, Broken | None]:
@@ -280,21 +284,15 @@ def confirmed(point: Point) -> tuple[Point, Broken | None]:
 
 def _recounted(point: Point, first: int) -> Point | None:
     """The cycle with the kernel's hops, of its round that begins with its segment `first`."""
-    whole = TWO_PI * point.cycles.periods
-    letters, times, states = kernels_round(point.cycles, point.x, _ROUNDS * whole)
-    last = end_of_round(letters, times, first, whole, letters[first - 1 : first + 1], times[first - 1])
-    if last == 0 or last - first > _LONGEST:
+    kernel = kernels_round(point.cycles, point.x, _ROUNDS * TWO_PI * point.cycles.periods)
+    guess = _guess(point.cycles, point.cell[0], point.phase, kernel, first)
+    if guess is None or len(guess[0].letters) > _LONGEST:
         return None
-    gamma = point.cell[0]
-    here = point.phase + times[:first].sum()
-    start = [*(gamma * states[first, 1:]), gamma * math.cos(here), gamma * math.sin(here)]
-    rest = point.x[START + len(point.letters) :]
-    x = np.concatenate([start, times[first:last], rest])
-    way = np.zeros(len(x))
-    way[:START] = point.tangent[:START]
-    way[START + last - first :] = point.tangent[START + len(point.letters) :]
+    cycles, start = guess
+    rest = START + len(point.letters)
+    way = np.concatenate([point.tangent[:START], np.zeros(len(cycles.letters)), point.tangent[rest:]])
     way /= math.sqrt(way @ way)
-    solved = point.cycles._replace(letters=letters[first:last]).newton(x, way)
+    solved = cycles.newton(np.concatenate([start, point.x[rest:]]), way)
     return None if solved is None else solved.towards(way)
 
 
@@ -372,22 +370,31 @@ def read(plate: Any, cell: Cell, periods: int, state: Floats) -> tuple[Cycles, F
     gamma, omega, xi = map(float, cell)
     phase, _, *rest = map(float, state)
     whole = TWO_PI * periods
-    code, times, states = simulated(
-        plate, gamma, omega, xi, phase, State(*rest), _ROUNDS * whole + 3.0, MOST * periods
-    )
-    letters = code.tobytes().decode()
-    since = np.concatenate([[0.0], np.cumsum(times)])
+    span, most = _ROUNDS * whole + 3.0, MOST * periods
+    letters, times, _ = kernel = simulated(plate, gamma, omega, xi, phase, State(*rest), span, most)
+    since = np.cumsum(times) - times  # at the beginning of each
     landings = [i for i in range(1, len(letters)) if letters[i] in LANDINGS and since[i] <= whole + 1e-9]
     if not landings:
         return None
     first = max(landings, key=lambda i: times[i]) + 1
-    last = end_of_round(letters, times, first, whole, letters[first - 1 : first + 1], times[first - 1])
+    return _guess(Cycles(plate, omega, xi, "", periods), gamma, phase, kernel, first)
+
+
+def _guess(
+    cycles: Cycles, gamma: float, phase: float, kernel: tuple[str, Floats, Floats], first: int
+) -> tuple[Cycles, Floats] | None:
+    """The signature, and start and durations, of the cycle that begins with the kernel's segment `first`.
+
+    kernel: its segments from a phase on.
+    """
+    letters, times, states = kernel
+    around = letters[first - 1 : first + 1]
+    last = end_of_round(letters, times, first, TWO_PI * cycles.periods, around, times[first - 1])
     if last == 0:
         return None
-    here = phase + since[first]
-    start = np.array([*(gamma * states[first, 1:]), gamma * math.cos(here), gamma * math.sin(here)])
-    cycles = Cycles(plate, omega, xi, letters[first:last], periods)
-    return cycles, np.concatenate([start, times[first:last]])
+    here = phase + times[:first].sum()
+    start = [*(gamma * states[first, 1:]), gamma * math.cos(here), gamma * math.sin(here)]
+    return cycles._replace(letters=letters[first:last]), np.concatenate([start, times[first:last]])
 
 
 def end_of_round(letters: str, times: Floats, first: int, whole: float, around: str, flight: float) -> int:

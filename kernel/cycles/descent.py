@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.cycles.changes import doubled
-from kernel.cycles.cycles import FLIGHTS, Cycles, Point
+from kernel.cycles.cycles import Cycles, Point
 from kernel.cycles.energy import cycle_energy
 from kernel.cycles.events import Kind
 from kernel.cycles.folds import Cycle, Fold
@@ -57,17 +57,17 @@ def descend(point: Point) -> Descent:
     """Follow a stable cycle down to its end."""
     way = -1.0
     for _ in range(_FLIPS + 1):
-        gamma, name = point.parameter, name_of(point)
+        gamma, name = point.parameter, cycle_of(point).name
         if not point.stable:
             return Descent(gamma, None, f"{name} is not stable at Gamma = {gamma:.6f}", point)
         span = (0.0, gamma * (1.0 + _RISES))
         line, events = follow(point, way, points=_POINTS, span=span, until=_is_unstable)
         last = next((event for event in events if event.kind in _LAST), None)
         if last is None:
-            gamma, name = line[-1].parameter, name_of(line[-1])
+            gamma, name = line[-1].parameter, cycle_of(line[-1]).name
             leads = "leads up" if line[-1].stable else "is not stable"
             return Descent(gamma, None, f"{name} {leads} from Gamma = {gamma:.6f}", line[-1])
-        gamma, name = last.point.parameter, name_of(last.point)
+        gamma, name = last.point.parameter, cycle_of(last.point).name
         if last.kind is Kind.FOLD:
             return Descent(gamma, fold_of(last), "")
         if last.kind is End.REST:
@@ -108,16 +108,9 @@ def fold_of(event: Event) -> Fold:
         # the product of 1 - mu is zero here with its own factor
         low, high = (np.prod(1.0 - side.multipliers()) for side in sides if side is not None)
         slope = float(np.real((low - high) / (2.0 * _ASIDE * np.prod(1.0 - mu))))
-    flight_time = next(t for t, x in zip(point.times, point.letters, strict=True) if x in FLIGHTS)
     balance = cycle_energy(point) if set(point.letters) <= set("Ssz") else None
-    return Fold(
-        cycle_of(point), float(flight_time), point.parameter, float(mu[0].real), curvature, slope, 0, balance
-    )
-
-
-def name_of(point: Point) -> str:
-    """As sentences about a cycle spell it."""
-    return cycle_of(point).name
+    first, other = point.flights[0], float(mu[0].real)
+    return Fold(cycle_of(point), first, point.parameter, other, curvature, slope, 0, balance)
 
 
 def cycle_of(point: Point) -> Cycle:

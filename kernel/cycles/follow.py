@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from kernel.cycles.changes import Margin, next_cycle, over_small_segment
-from kernel.cycles.cycles import FLIGHTS, Broken, Point, confirmed
+from kernel.cycles.cycles import Broken, Point, confirmed
 from kernel.cycles.events import Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START
@@ -104,27 +104,26 @@ def follow(
         stretch = _walk(point, points - len(line), leaves, origin)
         line += stretch.points
         events += _events_along(stretch.points)
-        last, change = line[-1], None
+        last, after = line[-1], None
         end = _end(last)
         if end is None and stretch.broken is not None:
-            change = _change(stretch)
-            end = End.UNKNOWN_CHANGE if change is None else None
-        if change is not None and change.event is not None:
-            events.append(change.event)
+            after, change = _change(stretch)
+            events += change
+            end = End.UNKNOWN_CHANGE if after is None else None
         closed = last is origin and len(line) > 1
         if end is None and len(line) >= points and not (leaves(last) or closed):
             end = End.CUT_OFF
         if end is not None:
             events.append(Event(end, last))
-        if end is not None or change is None:
+        if end is not None or after is None:
             return line, events
-        point = change.point
+        point = after
     return line, [*events, Event(End.CUT_OFF, line[-1])]
 
 
 def _end(last: Point) -> End | None:
     """The end that the last cycle is beside."""
-    if max(t for t, letter in zip(last.times, last.letters, strict=True) if letter in FLIGHTS) < _REST:
+    if max(last.flights) < _REST:
         return End.REST
     return End.STICK_VANISHES if _shortest_stick(last) < _LITTLE_STICK else None
 
@@ -196,7 +195,7 @@ def _events_along(line: list[Point]) -> Iterator[Event]:
     turned &= np.isfinite(tests[:-1]) & np.isfinite(tests[1:])
     for i, which in np.argwhere(turned):
         point = _root(line[i], _reach(line[i], line[i + 1]), partial(_test, int(which)))
-        if point is not None and _happens(_TESTS[which], point):
+        if point is not None and happens(_TESTS[which], point):
             yield Event(_TESTS[which], point, _TESTS[which] is Kind.FOLD)
 
 
@@ -204,7 +203,7 @@ def _test(which: int, point: Point) -> float:
     return float(point.tests()[which])
 
 
-def _happens(kind: Kind, point: Point) -> bool:
+def happens(kind: Kind | End, point: Point) -> bool:
     """Whether a multiplier is where this kind needs it: a test may also change sign at a pole."""
     mu = point.multipliers()
     if kind is Kind.FOLD:
@@ -272,29 +271,21 @@ def _root(node: Point, reach: float, function: Callable[[Point], float]) -> Poin
 # --- from one signature to the next -------------------------------------------------------------------------
 
 
-class _Next(NamedTuple):
-    """The first cycle beyond a change."""
-
-    point: Point
-    event: Event | None  # None where it was not located
-
-
-def _change(stretch: _Stretch) -> _Next | None:
-    """How the branch goes on where the signature changes; None if it is not known."""
+def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
+    """The first cycle beyond a change of the signature, or None, and the change if it was located."""
     last, broken, beyond = stretch.points[-1], stretch.broken, stretch.beyond
     if broken is not None and beyond is not None and len(beyond.x) == len(last.x):
         margin = Margin(broken, beyond)
         point = _root(last, stretch.step, margin)
         after = None if point is None else next_cycle(margin, point)
         if point is not None and after is not None:
-            turns = point.towards(last.tangent).rising * after.point.rising < 0.0
-            event = Event(after.kind, point, turns, after.point.letters)
-            return _Next(after.point, event)
+            kind, first = after
+            turns = point.towards(last.tangent).rising * first.rising < 0.0
+            return first, [Event(kind, point, turns, first.letters)]
     if "C" not in last.letters:
-        return None
+        return None, []
     before = stretch.points[-2] if len(stretch.points) > 1 else None
-    new = over_small_segment(last, before)
-    return None if new is None else _Next(new, None)
+    return over_small_segment(last, before), []
 
 
 def _shortest_stick(point: Point) -> float:

@@ -556,15 +556,22 @@ def _event_after(
     return value, slope, event(spring, letter, rate(spring, letter, now))
 
 
-@allocating
 def simulated(
     plate: Any, gamma: float, omega: float, xi: float, phi: float, state: State, span: float, most: int
-) -> tuple[Any, Any, Any]:
+) -> tuple[str, Any, Any]:
     """The kernel's own segments from a state (plate amplitudes) at phi, over `span` rad, `most` at most.
 
-    Returns their letters (n,) uint8, durations (n,) and states (n + 1, 4) at each beginning and at the end.
-    The last that is cut off is left out.
+    Returns their letters (n,), durations (n,) and states (n + 1, 4) at each beginning and at the end. The
+    last that is cut off is left out.
     """
+    letters, times, states = _simulated(plate, gamma, omega, xi, phi, state, span, most)
+    return letters.tobytes().decode(), times, states
+
+
+@allocating
+def _simulated(
+    plate: Any, gamma: float, omega: float, xi: float, phi: float, state: State, span: float, most: int
+) -> tuple[Any, Any, Any]:
     spring = prepare(plate, 0, gamma, omega, xi)
     letters, times, states = np.empty(most, np.uint8), np.empty(most), np.empty((most + 1, 4))
     fly = flies(spring, plate_phase(phi), state)

@@ -17,9 +17,9 @@ from kernel.cycles.any_contact import (
     record,
 )
 from kernel.cycles.curves import Curves, Parameter
-from kernel.cycles.cycles import FLIGHTS, Cycles, Point, confirmed, cycle_from
+from kernel.cycles.cycles import Cycles, Point, confirmed, cycle_from
 from kernel.cycles.events import Branch, Events, Kind, join_events
-from kernel.cycles.follow import RANGE, Event, ahead, follow
+from kernel.cycles.follow import RANGE, End, Event, ahead, follow, happens
 from kernel.cycles.segments import START
 from kernel.params import Cell, Outcome
 from worker import store
@@ -53,10 +53,8 @@ _HOP: Final = 1e-2
 #: No point of a branch is further from the next.
 _STEP: Final = 0.2
 
-#: Kinds of curves of a contact, the multiplier of each, and how close one is to it.
+#: Kinds of curves of a contact.
 CONTACT_CURVES: Final = (Kind.FOLD, Kind.FLIP)
-_MULTIPLIER: Final = (1.0, -1.0)
-_AT: Final = 1e-4
 #: Values at which curves are looked for, steps of a curve, and the part of a step after which it ends.
 SECTIONS: Final = 5
 STEPS: Final = 60
@@ -160,7 +158,7 @@ def cycle_near(
     points = [point for line in lines for point in passing(line, float(cell.gamma))]
     if not points:
         return None
-    point = min(points, key=lambda point: abs(max(_flights(point)) - flight_time))
+    point = min(points, key=lambda point: abs(max(point.flights) - flight_time))
     return record([point], MICRO_FLIGHT), point.state
 
 
@@ -237,7 +235,7 @@ def _up_to_shorter(points: list[Point], events: list[Event]) -> tuple[list[Point
 
 def _is_doubled(point: Point) -> bool:
     """Whether a cycle is one of half its plate periods, gone through twice."""
-    flights = [time for time in _flights(point) if time > _HOP]
+    flights = [time for time in point.flights if time > _HOP]
     half, odd = divmod(len(flights), 2)
     halves = zip(flights[:half], flights[half:], strict=False)
     return not odd and point.cycles.periods % 2 == 0 and all(abs(a - b) < _EVEN for a, b in halves)
@@ -260,18 +258,13 @@ def _lies_on(point: Point, line: Followed) -> bool:
 
 def _alike(a: Point, b: Point) -> bool:
     """Whether the flights of two cycles are the same, but for the shortest of more hops."""
-    pairs = zip(*(sorted(_flights(point), reverse=True) for point in (a, b)), strict=False)
+    pairs = zip(*(sorted(point.flights, reverse=True) for point in (a, b)), strict=False)
     return all(abs(x - y) < _SAME for x, y in pairs)
-
-
-def _flights(point: Point) -> list[float]:
-    """Of a cycle, rad, in order."""
-    return [t for t, x in zip(point.times.tolist(), point.letters, strict=True) if x in FLIGHTS]
 
 
 def _longest_first(points: list[Point], micro_flight: float) -> Floats:
     """(n, flights) of each cycle those that count, at least one, rad; NaN beyond."""
-    flights = [sorted(_flights(point), reverse=True) for point in points]
+    flights = [sorted(point.flights, reverse=True) for point in points]
     times = [[t for t in each if t > micro_flight] or each[:1] for each in flights]
     table = np.full((len(points), max(map(len, times))), np.nan)
     for row, each in zip(table, times, strict=True):
@@ -306,30 +299,28 @@ def follow_curves(
 
 def _along(event: Event, along: Parameter, step: float, span: tuple[float, float]) -> Iterator[Event]:
     """The same event at further values of a parameter, `step` apart, less where it would be lost."""
-    which = CONTACT_CURVES.index(event.kind)
     smallest = abs(step) * _LEAST_STEP
-    before = last = event.point
+    last, way = event.point, np.zeros_like(event.point.x)  # how its unknowns change with the parameter
     while abs(step) > smallest:
-        value = _value(last, along) + step
+        value = getattr(last.cycles, along) + step
         if not span[0] - 1e-12 <= value <= span[1] + 1e-12:
             return
-        gone = _value(last, along) - _value(before, along)
-        ahead_of = (
-            last.x + step / gone * (last.x - before.x) if gone and last.letters == before.letters else last.x
-        )
-        point = _event_at(_beside(last.cycles, along, value), ahead_of, last.tangent, which)
+        cycles = last.cycles._replace(**{along: value})
+        point = _event_at(cycles, last.x + step * way, last.tangent, event.kind)
         if point is None:
             step *= 0.5
             continue
         yield Event(event.kind, point)
-        before, last = last, point
+        way = (point.x - last.x) / step if point.letters == last.letters else np.zeros_like(point.x)
+        last = point
 
 
-def _event_at(cycles: Cycles, x: Floats, tangent: Floats, which: int) -> Point | None:
+def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> Point | None:
     """The zero of a test on a branch near x (m,), by the secant rule, if the spring has that cycle."""
     node = cycles.newton(x, tangent)
     if node is None:
         return None
+    which = CONTACT_CURVES.index(Kind(kind))
     a, b = 0.0, _SECANT
     value_a, point = node.tests()[which], ahead(node, b)
     for _ in range(_SECANTS):
@@ -342,29 +333,21 @@ def _event_at(cycles: Cycles, x: Floats, tangent: Floats, which: int) -> Point |
         if not abs(b) < _STEP:
             return None
         point = ahead(node, b)
-    if point is None or not np.abs(point.multipliers() - _MULTIPLIER[which]).min() < _AT:
+    if point is None or not happens(kind, point):
         return None
     point, broken = confirmed(point)
     return point if broken is None else None
-
-
-def _beside(cycles: Cycles, along: Parameter, value: float) -> Cycles:
-    return cycles._replace(omega=value) if along is Parameter.OMEGA else cycles._replace(xi=value)
-
-
-def _value(point: Point, along: Parameter) -> float:
-    return float(getattr(point.cycles, along))
 
 
 def _crosses(curve: list[Event], event: Event, along: Parameter, value: float) -> bool:
     """Whether a curve passes through an event at a value of its parameter."""
     if curve[0].kind is not event.kind:
         return False
-    away = np.round([_value(other.point, along) - value for other in curve], 12)
+    away = np.round([getattr(other.point.cycles, along) - value for other in curve], 12)
+    here, *points = ([x.point.parameter, max(x.point.flights)] for x in (event, *curve))
     for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
         part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
-        a, b = (np.array([curve[j].point.parameter, max(_flights(curve[j].point))]) for j in (i, i + 1))
-        here = np.array([event.point.parameter, max(_flights(event.point))])
+        a, b = np.array(points[i : i + 2])
         if np.abs(a + part * (b - a) - here).max() < _NEAR_CURVE:
             return True
     return False

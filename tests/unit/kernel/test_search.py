@@ -7,7 +7,7 @@ import pytest
 from contacts import rigid
 
 from kernel.creep import rotation, run
-from kernel.cycles.descent import name_of
+from kernel.cycles.descent import cycle_of
 from kernel.line import run_line
 from kernel.params import Cell, Outcome
 from kernel.search import Searched, random_starts, search, starts_of
@@ -44,7 +44,7 @@ def test_a_rotation_number_is_that_of_the_flights():
     line = run(plate, np.full(100, cell.gamma), cell.omega, cell.xi, states, 3_000, 100)
     state = line.end_state[np.flatnonzero(line.outcome != Outcome.AT_REST)[0]]
     found = rotation(plate, cell, state)
-    assert name_of(found.around) == "(1,1)"
+    assert cycle_of(found.around).name == "(1,1)"
     assert found.error < 1e-6
     flights = run_line(
         *np.array(cell)[:, None], plate=plate, carry=False, states=state[None], settle=0, observe=4_000,

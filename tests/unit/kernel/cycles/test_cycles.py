@@ -6,7 +6,7 @@ from contacts import rigid, soft
 from kernel_runs import run
 from plates import Model
 
-from kernel.cycles.any_contact import branches, longest_flight
+from kernel.cycles.any_contact import branches
 from kernel.cycles.cycles import LANDINGS, confirmed, cycle_from
 from kernel.params import Cell, Outcome
 
@@ -48,7 +48,7 @@ def test_multipliers_do_not_depend_on_where_the_cycle_begins(plate):
     compared = 0
     for point in branches(plate, 0.60, 0.05, 1, span=(0.05, 3.0))[-1].points[::12]:
         landings = [j for j in range(1, len(point.letters)) if point.letters[j - 1] in LANDINGS]
-        if landings and longest_flight(point)[1] > 0.05:
+        if landings and max(point.flights) > 0.05:
             known, other = point.multipliers()[:2], point.begun(landings[0]).multipliers()[:2]
             assert other == pytest.approx(known, abs=1e-9 * max(1.0, np.abs(known[0]))), point.letters
             compared += 1
