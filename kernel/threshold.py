@@ -5,10 +5,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kernel.portable_math import atan2, hypot
+from kernel.portable_math import hypot
 
-# numpy's own depend on the machine in the last digit
-_atan2: Final = np.vectorize(atan2, otypes=[np.float64])
+# numpy's own depends on the machine in the last digit
 _hypot: Final = np.vectorize(hypot, otypes=[np.float64])
 
 
@@ -23,15 +22,3 @@ def threshold(omega: ArrayLike, xi: ArrayLike) -> NDArray[np.float64]:
     with np.errstate(divide="ignore"):
         in_contact = _hypot(1.0 - square, 2.0 * xi * omega)
         return np.asarray(2.0 * in_contact / _hypot(2.0 - square, 4.0 * xi * omega))
-
-
-def takeoff_phase(omega: ArrayLike, xi: ArrayLike) -> NDArray[np.float64]:
-    """Phase (rad, in [0, 2 pi)) at which the normal force n is zero at Gamma_th: Eq. 24, written with atan2.
-
-    omega > 0 and xi >= 0 broadcast together.
-    """
-    omega, xi = np.asarray(omega, dtype=np.float64), np.asarray(xi, dtype=np.float64)
-    square = omega * omega
-    # n touches zero where N e^{i phi} is real, N = (2 - Omega^2 + 4 i xi Omega)/(1 - Omega^2 + 2 i xi Omega)
-    phase = _atan2(2.0 * xi * omega, 1.0 - square) - _atan2(4.0 * xi * omega, 2.0 - square)
-    return np.asarray(np.mod(phase, 2.0 * np.pi))

@@ -28,7 +28,7 @@ from kernel.cycles.events import (
     join_events,
     sampled,
 )
-from kernel.cycles.roots import Floats
+from kernel.cycles.roots import Floats, stretches
 from kernel.cycles.spring import STEP, Spring, spring
 from kernel.params import KernelInputError
 
@@ -367,8 +367,7 @@ def _pieces(plane: _Plane, kind: Kind, line: Floats) -> Iterator[Events]:
     """The record of a curve, without the parts on which its multipliers are not a pair but should be."""
     rows = [plane.event(kind, t, p) for t, p in line]
     keep = np.array([kind is not Kind.NEIMARK_SACKER or row.multiplier[0, 0].imag != 0.0 for row in rows])
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], keep, [False]])))
-    for first, last in edges.reshape(-1, 2):
+    for first, last in stretches(keep):
         if last - first > 1:
             yield join_events(rows[first:last])
 

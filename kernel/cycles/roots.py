@@ -154,3 +154,9 @@ def cubic_extremum(
         x = np.where(b * up > 0.0, -2.0 * c / (b + up * root), (-b + up * root) / (2.0 * a))
     x = np.clip(np.where(np.isfinite(x), x, 0.5), 0.0, 1.0)
     return x, y + x * (dy + x * (0.5 * b + x * a / 3.0))
+
+
+def stretches(inside: NDArray[np.bool_]) -> list[list[int]]:
+    """The first index and the one past the last of each stretch that is inside."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]])))
+    return edges.reshape(-1, 2).tolist()

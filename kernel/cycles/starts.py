@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kernel.cycles.admissibility import gap_terms, gap_weights
 from kernel.cycles.closed_form import TWO_PI, orbit
 from kernel.cycles.events import Branch, branch, check_spring, flight_times, rows_of
-from kernel.cycles.roots import Floats, Ints, roots
-from kernel.cycles.spring import STEP, Spring, flight, spring, stuck
-from kernel.params import STATE_FIELDS, Cell, KernelInputError, Start
+from kernel.cycles.roots import Floats, Ints, roots, stretches
+from kernel.cycles.spring import STEP, flight, spring, stuck
+from kernel.params import Cell, KernelInputError, Start
 
 
 class CycleStart(NamedTuple):
@@ -77,49 +78,29 @@ def stable_ranges(omega: float, xi: float, periods: int) -> list[GammaRange]:
     """
     with np.errstate(all="ignore"):
         line = branch(omega, xi, periods, flight_times(omega, xi, periods))
-    lives = np.concatenate([[False], line.stable & (line.violations == 0), [False]])
-    edges = np.flatnonzero(np.diff(lives)).reshape(-1, 2)
-    return [
-        GammaRange(float(line.gamma[low:high].min()), float(line.gamma[low:high].max()))
-        for low, high in edges
-    ]
+    ranges = [line.gamma[low:high] for low, high in stretches(line.stable & (line.violations == 0))]
+    return [GammaRange(float(gamma.min()), float(gamma.max())) for gamma in ranges]
 
 
 def _start(cell: Cell, line: Branch, i: int) -> CycleStart:
     """The start on cycle i of a branch."""
-    return CycleStart(Start(_state(line, i), cell), rows_of(line, slice(i, i + 1)))
+    cycle = rows_of(line, slice(i, i + 1))
+    return CycleStart(Start(_state(cycle), cell), cycle)
 
 
-def _state(line: Branch, i: int) -> Floats:
-    """The state (6,) of cycle i of a branch at phase 0, in the order of STATE_FIELDS."""
-    k = spring(line.omega[i], line.xi[i])
-    t = line.flight_time[i : i + 1]
-    tau = TWO_PI - line.takeoff_phase[i : i + 1]
-    state = _in_flight(k, line.periods, t, tau) if tau[0] < t[0] else _in_contact(k, line.periods, t, tau)
-    phase, flies, *lengths = np.concatenate([[0.0, float(tau[0] < t[0])], state])
-    return np.array([phase, flies, *(np.array(lengths) / line.gamma[i])]).reshape(len(STATE_FIELDS))
-
-
-def _in_flight(k: Spring, periods: int, t: Floats, tau: Floats) -> Floats:
-    """(gap, gap', q, q') tau rad after take-off, in units of g/omega**2."""
-    x, fly = orbit(k, periods, t), flight(k, tau)
-    gap = x.c * fly.cos_rest - x.s * fly.sin_rest + (1.0 - x.c) * fly.s_int_rest
-    gap = gap + k.stiffness * x.v0 * fly.s_int2
-    gap1 = (1.0 - x.c) * fly.s_rest - x.c * fly.sin_rest - x.s * fly.versine
-    gap1 = gap1 + k.stiffness * x.v0 * fly.s_int
-    f = fly.free
-    return np.concatenate([gap, gap1, x.q0 * f.c + x.v0 * f.s, x.q0 * f.c1 + x.v0 * f.s1])
-
-
-def _in_contact(k: Spring, periods: int, t: Floats, tau: Floats) -> Floats:
-    """(0, 0, q, q') tau rad after take-off, at phase 0, in units of g/omega**2."""
-    x = orbit(k, periods, t)
-    size = np.hypot(x.c, x.s)
-    cos, sin = np.cos(t), np.sin(t)
-    c1, s1 = x.c * cos - x.s * sin, x.c * sin + x.s * cos  # Gamma e^{i phi} at landing
-    h = x.q_land + 1.0 / k.stiffness - (k.q_re * c1 - k.q_im * s1)
-    h1 = x.v_land + (k.q_re * s1 + k.q_im * c1)
-    f = stuck(k, tau - t)
-    q = h * f.c + h1 * f.s - 1.0 / k.stiffness + k.q_re * size
-    q1 = h * f.c1 + h1 * f.s1 - k.q_im * size
-    return np.concatenate([0.0 * q, 0.0 * q, q, q1])
+def _state(cycle: Branch) -> Floats:
+    """The state (6,) of a cycle at phase 0, as STATE_FIELDS; of a branch of one point."""
+    k = spring(cycle.omega[0], cycle.xi[0])
+    t, since = cycle.flight_time, TWO_PI - cycle.takeoff_phase
+    x, flies = orbit(k, cycle.periods, t), since < t
+    if flies:
+        f = flight(k, since).free
+        gap, gap1, _ = ((gap_weights(x) * terms).sum(axis=0) for terms in gap_terms(k, since))
+        lengths = [gap, gap1, x.q0 * f.c + x.v0 * f.s, x.q0 * f.c1 + x.v0 * f.s1]
+    else:
+        f, rest, response = stuck(k, since - t), -1.0 / k.stiffness, k.q_re + 1j * k.q_im
+        driven = response * (x.c + 1j * x.s) * np.exp(1j * t)  # about `rest`, at landing
+        h, h1 = x.q_land - rest - driven.real, x.v_land + driven.imag
+        now = response * cycle.gamma
+        lengths = [0.0 * h, 0.0 * h, h * f.c + h1 * f.s + rest + now.real, h * f.c1 + h1 * f.s1 - now.imag]
+    return np.array([0.0, float(flies[0]), *(np.concatenate(lengths) / cycle.gamma)])

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from kernel.cycles.closed_form import floquet, orbit, stable
 from kernel.cycles.events import Branch, Events, Kind, branch, branch_and_events, flight_times, fold_events
 from kernel.cycles.folds import Cycle, Fold, minima, one_flight
-from kernel.cycles.roots import Ints
+from kernel.cycles.roots import Ints, stretches
 from kernel.cycles.spring import Spring, spring
 from kernel.threshold import threshold
 
@@ -216,9 +216,8 @@ class _LastCycle(NamedTuple):
 def _last_cycles(k: Spring, line: Branch, events: Events, below: float) -> list[_LastCycle]:
     """Those below a Gamma."""
     lives = line.stable & (line.violations == 0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], lives, [False]])))
     cycles = []
-    for first, last in edges.reshape(-1, 2):
+    for first, last in stretches(lives):
         for inside, outside in ((first, first - 1), (last - 1, last)):
             if not 0 <= outside < len(lives):
                 continue  # T -> 0 is Eq. 25; at T -> 2 pi k a contact vanishes, far above

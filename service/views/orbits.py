@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError
 
 from kernel.cycles.energy import energy
 from kernel.cycles.events import Branch, Events, branch_and_events, flight_times, join_events, rows_of
+from kernel.cycles.roots import stretches
 from kernel.params import Cell, KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import IDEAL, draw_cycles
@@ -215,9 +216,7 @@ def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
 
 def below(record: Record, gamma_max: float) -> list[Record]:
     """The connected parts of a branch or curve up to `gamma_max`."""
-    inside = np.concatenate([[False], record.gamma <= gamma_max, [False]])
-    edges = np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
-    return [rows_of(record, slice(low, high)) for low, high in edges]
+    return [rows_of(record, slice(*part)) for part in stretches(record.gamma <= gamma_max)]
 
 
 #: Branches of a mode on a contact with restitution, and core-seconds that one answer may take.

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -75,7 +75,7 @@ def decides(omega: float, xi: float) -> bool:
 def predict(omega: float, xi: float) -> Thresholds:
     """As `thresholds`, omega > 0 and xi >= 0; `unresolved` also where the branches are not searched."""
     reason = _why_not(omega, xi)
-    return _thresholds(omega, xi) if reason is None else _undecided(omega, xi, reason)
+    return of_contact(Rigid(), omega, xi) if reason is None else _undecided(omega, xi, reason)
 
 
 def predict_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
@@ -144,19 +144,12 @@ def of_contact(
     contact: Contact, omega: float, xi: float, cycles: Sequence[Point] = (), bouncing: float = math.inf
 ) -> Thresholds:
     """The thresholds of a contact, by cycles that workers follow; as of `kernel.cycles.thresholds`."""
-    if is_ideal(contact):
-        return _thresholds(omega, xi, cycles=cycles, bouncing=bouncing)
-    plate = plate_of(contact, np.ones(1), np.full(1, omega), np.full(1, xi))
     try:
-        return thresholds_of(plate, omega, xi, cycles, bouncing)
-    except KernelInputError as error:
-        return _undecided(omega, xi, str(error))
-
-
-def _thresholds(omega: float, xi: float, **known: Any) -> Thresholds:
-    try:
+        if not is_ideal(contact):
+            plate = plate_of(contact, np.ones(1), np.full(1, omega), np.full(1, xi))
+            return thresholds_of(plate, omega, xi, cycles, bouncing)
         with np.errstate(all="ignore"):  # an undamped spring may have poles
-            return thresholds(omega, xi, **known)
+            return thresholds(omega, xi, cycles, bouncing)
     except KernelInputError as error:
         return _undecided(omega, xi, str(error))
 

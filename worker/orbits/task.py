@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from kernel.cycles.events import POINTS as GRID
 from kernel.cycles.events import Branch, Events, Kind, branch_and_events
+from kernel.cycles.roots import stretches
 from kernel.params import KernelInputError, Outcome
 from worker.orbits.schema import ARRAYS, KINDS, sizes
 from worker.orbits.specification import DIMS, OrbitsSpec
@@ -71,11 +72,7 @@ def _stored_rows(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
 
     Includes the first and last row, and both ends of every part if they fit.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]))).reshape(-1, 2)
-    parts: list[NDArray[np.intp]] = []
-    for low, high in edges:
-        parts += [np.arange(low, high), np.array([-1])]
-    order = np.concatenate([np.empty(0, np.intp), *parts])[:-1]
+    order = np.array([i for part in stretches(inside) for i in (*range(*part), -1)][:-1], np.intp)
     if len(order) <= points:
         return order
     gaps = np.flatnonzero(order < 0)
