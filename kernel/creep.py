@@ -63,11 +63,6 @@ def _cells(plate: Any, count: int) -> Any:
     return plate._replace(**{name: np.repeat(x, count) for name, x in arrays.items()})
 
 
-def chosen(line: Line, which: Any) -> Line:
-    """The record of some cells."""
-    return Line(*(x[which] for x in line))
-
-
 def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Crept | None:
     """Carry a motion from a state (6,) down as far as it bounces on; None if it does not at `cell`.
 
@@ -80,7 +75,7 @@ def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Cr
         copies[:, 2:] *= at.gamma / gamma * (1.0 + _SPREAD * rng.normal(size=copies[:, 2:].shape))
         line = run(plate, np.full(_COPIES, gamma), cell.omega, cell.xi, copies, stay, 100)
         left = line.outcome != Outcome.AT_REST
-        return chosen(line, left) if left.any() else None
+        return Line(*(x[left] for x in line)) if left.any() else None
 
     line = carried(cell.gamma, _STAY)
     if line is None:

@@ -202,7 +202,7 @@ def _letting_go(point: Point, i: int, time: float) -> Iterator[_Edit]:
         wait = time - 2.0 * early
         x = point.x.copy()
         x[START + i] = wait
-        z = point.cycles.equations(x)[2].starts[i + 1]
+        z = point.cycles.equations(x).starts[i + 1]
         n = z[6] - z[4] - b * z[3] - w * z[2]
         state = State(0.0, 0.0, (z[2] + 0.25 * n / w) / gamma, z[3] / gamma)
         phase = math.atan2(z[5], z[4]) % TWO_PI
@@ -221,10 +221,9 @@ def doubled(point: Point) -> Point | None:
     """The first cycle of the branch of twice the period that begins at a flip; None if there is none."""
     cycles, x = point.cycles.with_segments(2 * point.letters, point.x, [*point.times, *point.times])
     cycles = cycles._replace(periods=2 * cycles.periods)
-    slope = cycles.equations(x)[1]
-    n = len(point.letters)
-    along = np.concatenate([point.tangent[: START + n], point.tangent[START:]])
+    along = np.concatenate([point.tangent[: START + len(point.letters)], point.tangent[START:]])
     # two branches pass here: of the two directions without change, the one that is not the same twice
+    slope = cycles.equations(x).slope
     scale = 1.0 / np.abs(slope).max(axis=1, keepdims=True)
     way = np.linalg.svd(np.vstack([slope * scale, along]))[2][-1]
     longest = START + int(np.argmax(point.times))

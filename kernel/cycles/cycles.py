@@ -48,11 +48,10 @@ PARAMETERS: Final = ("gamma", "omega", "xi")
 
 
 class Point(NamedTuple):
-    """A cycle, the derivatives of its equations, and the unit vector along its branch."""
+    """A cycle with its equations, and the unit vector along its branch."""
 
     cycles: "Cycles"
     x: Floats  # (m,) the start, the durations, and the parameter if it is not Gamma
-    slope: Floats  # (m - 1, m)
     round: Round
     tangent: Floats  # (m,)
 
@@ -126,7 +125,7 @@ class Point(NamedTuple):
             for i in range(n):  # an event depends on the durations up to its own
                 times[i] = (times[i] - events[i, START : START + i] @ times[:i]) / events[i, START + i]
         whole = np.eye(4)
-        whole[:3] += by_start(final) + final[:, START:] @ times
+        whole[:3] += by_start(final) + final[:, START : START + n] @ times
         whole[3] += times.sum(axis=0)
         if not np.isfinite(whole).all():
             return np.full(4, np.inf, np.complex128)
@@ -175,12 +174,11 @@ class Cycles(NamedTuple):
             way[-1] = 1.0
         return way
 
-    def equations(self, x: Floats) -> tuple[Floats, Floats, Round]:
-        """At unknowns x (m,): values (m - 1,), derivatives (m - 1, m), and the cycle gone through once."""
+    def equations(self, x: Floats) -> Round:
+        """The cycle gone through once at unknowns x (m,), with values (m - 1,) and slopes (m - 1, m)."""
         gamma, omega, xi = self.cell(x)
         if self.along == "gamma":
-            cycle = go_round(self.plate, omega, xi, self.code, self.periods, x)
-            return cycle.value, cycle.slope, cycle
+            return go_round(self.plate, omega, xi, self.code, self.periods, x)
         u = np.ascontiguousarray(x[:-1])
         cycle = go_round(self.plate, omega, xi, self.code, self.periods, u)
         step = _DIFFERENCE * float(x[-1])
@@ -191,7 +189,7 @@ class Cycles(NamedTuple):
         slope = np.zeros((len(u), len(x)))
         slope[:-1, :-1], slope[:-1, -1] = cycle.slope, (sides[0] - sides[1]) / (2.0 * step)
         slope[-1, 3:START] = u[3:START] / gamma
-        return np.append(cycle.value, gamma - self.gamma), slope, cycle
+        return cycle._replace(value=np.append(cycle.value, gamma - self.gamma), slope=slope)
 
     def newton(
         self, x: Floats, direction: Floats, goal: float | None = None, converged: float = _CONVERGED
@@ -205,13 +203,13 @@ class Cycles(NamedTuple):
         for _ in range(_NEWTON):
             check()
             with np.errstate(all="ignore"):
-                value, slope, cycle = self.equations(x)
-            if not (np.isfinite(value).all() and np.isfinite(slope).all()):
+                cycle = self.equations(x)
+            if not (np.isfinite(cycle.value).all() and np.isfinite(cycle.slope).all()):
                 return None
             distance = float(direction @ x) - goal
-            step, tangent = newton_step(len(self.letters), slope, value, direction, distance)
+            step, tangent = newton_step(len(self.letters), cycle.slope, cycle.value, direction, distance)
             if done:
-                return Point(self, x, slope, cycle, tangent / math.sqrt(tangent @ tangent))
+                return Point(self, x, cycle, tangent / math.sqrt(tangent @ tangent))
             size = np.abs(step).max()
             if not size < _AWAY:
                 return None
@@ -236,9 +234,9 @@ class Cycles(NamedTuple):
 
     def on_branch(self, x: Floats) -> Point:
         """A cycle that is known, with a tangent of its branch of either sign."""
-        _, slope, cycle = self.equations(x)
-        scale = 1.0 / np.abs(slope).max(axis=1, keepdims=True)
-        return Point(self, x, slope, cycle, np.linalg.svd(slope * scale)[2][-1])
+        cycle = self.equations(x)
+        scale = 1.0 / np.abs(cycle.slope).max(axis=1, keepdims=True)
+        return Point(self, x, cycle, np.linalg.svd(cycle.slope * scale)[2][-1])
 
     def with_segments(self, letters: str, x: Floats, times: Any) -> tuple["Cycles", Floats]:
         """The same start with other segments: their equations and unknowns."""

@@ -431,12 +431,8 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
         move(spring, letter, before, t, x[: 1 + place])  # nothing depends on later durations yet
         now = rate(spring, letter, _get(x, 0))
         now = Motion(now.gap, now.gap1 - gap2, now.q, now.q1, now.cos, now.sin, 0.0)
-        x[1 + place, 0] += now.gap
-        x[1 + place, 1] += now.gap1
-        x[1 + place, 2] += now.q
-        x[1 + place, 3] += now.q1
-        x[1 + place, 4] += now.cos
-        x[1 + place, 5] += now.sin
+        for j in range(6):
+            x[1 + place, j] += now[j]
         scale = t ** (-power)
         value[i] = event(spring, letter, _get(x, 0)) * scale
         slope[i, place + 1 :] = 0.0
