@@ -103,8 +103,8 @@ def stable(trace: NDArray[np.float64], det: NDArray[np.float64]) -> NDArray[np.b
     return (1.0 - trace + det > 0.0) & (1.0 + trace + det > 0.0) & (det < 1.0)
 
 
-def gamma_slope(k: Spring, periods: int, t: Array) -> Array:
-    """dGamma/dT (n,), for real t."""
+def gamma_and_slope(k: Spring, periods: int, t: Array) -> tuple[Array, Array]:
+    """Gamma and dGamma/dT (n,), for real t."""
     x = orbit(k, periods, t + 1j * STEP)
     gamma = np.sqrt(x.c * x.c + x.s * x.s)
-    return np.asarray(gamma.imag / STEP)
+    return gamma.real, gamma.imag / STEP

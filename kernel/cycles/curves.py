@@ -10,7 +10,7 @@ events on a few lines of the parameter.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from kernel.cycles.events import (
     Kind,
     branch,
     branch_and_events,
-    check_spring,
     events_of,
     join_events,
     sampled,
@@ -101,9 +100,13 @@ class _Plane(NamedTuple):
     high: float
     periods: int
 
+    def omega_and_xi(self, p: Any) -> tuple[Any, Any]:
+        """Of a value of the parameter, which may be complex."""
+        return (p, self.fixed) if self.parameter is Parameter.OMEGA else (self.fixed, p)
+
     def spring(self, p: float | complex) -> Spring:
-        """The spring of a parameter, which may be complex."""
-        return spring(p, self.fixed) if self.parameter is Parameter.OMEGA else spring(self.fixed, p)
+        """The spring of a value of the parameter."""
+        return spring(*self.omega_and_xi(p))
 
     def sides(self) -> Floats:
         """What steps are measured in."""
@@ -116,10 +119,8 @@ class _Plane(NamedTuple):
 
     def event(self, kind: Kind, t: float, p: float) -> Events:
         """The record of one event."""
-        k = self.spring(p)
-        omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
         tolerance = GRAZES if kind in EDGES else 0.0
-        return events_of([kind], branch(omega, xi, self.periods, np.array([t]), tolerance))
+        return events_of([kind], branch(*self.omega_and_xi(p), self.periods, np.array([t]), tolerance))
 
 
 #: The functions of trace and determinant that are zero on curves.
@@ -199,19 +200,11 @@ def curves(
     end where their multipliers become real. Points where |Gamma| has a pole are left out. Raises
     KernelInputError, also for curves of more than _ALL_POINTS points together.
     """
-    if not low < high:
-        raise KernelInputError(f"{parameter}_stop", f"must be > {low}, got {high}")
-    for kind in kinds:
-        if kind not in CURVES:
-            raise KernelInputError("kinds", f"must be among {', '.join(CURVES)}, got {kind}")
     plane = _Plane(parameter, fixed, low, high, periods)
-    for p in (low, high):
-        check_spring(*((p, fixed) if parameter is Parameter.OMEGA else (fixed, p)), periods)
     traced: list[tuple[Kind, Floats]] = []
     points_left = _ALL_POINTS
     for p in np.linspace(low, high, lines):
-        k = plane.spring(float(p))
-        _, events = branch_and_events(float(np.real(k.omega)), float(np.real(k.xi)), periods)
+        _, events = branch_and_events(*plane.omega_and_xi(float(p)), periods)
         for kind, t in zip(events.kind, events.flight_time, strict=True):
             if kind not in kinds or _is_traced(plane, traced, Kind(kind), float(t), float(p)):
                 continue

@@ -61,7 +61,7 @@ def descend(point: Point) -> Descent:
         if not point.stable:
             return Descent(gamma, None, f"{name} is not stable at Gamma = {gamma:.6f}", point)
         span = (0.0, gamma * (1.0 + _RISES))
-        line, events = follow(point, way, points=_POINTS, span=span, until=_is_unstable)
+        line, events = follow(point, way, points=_POINTS, span=span, until=lambda x: not x.stable)
         last = next((event for event in events if event.kind in _LAST), None)
         if last is None:
             gamma, name = line[-1].parameter, cycle_of(line[-1]).name
@@ -77,10 +77,6 @@ def descend(point: Point) -> Descent:
             return Descent(gamma, None, f"{name} ends at a {last.kind} at Gamma = {gamma:.6f}", last.point)
         point, way = after, 0.0
     return Descent(gamma, None, f"a cascade of flips at Gamma = {gamma:.6f}", point)
-
-
-def _is_unstable(point: Point) -> bool:
-    return not point.stable
 
 
 def folds_of_twice(flip: Point, below: float) -> list[Fold]:

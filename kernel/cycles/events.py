@@ -210,7 +210,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
         value, slope, x = _tests(k, periods, t)
         nodes = sampled(k, periods)
         checked = check(k, periods, t, x, nodes)
-        zeros = roots(lambda which, times: _selected(k, periods, which, times), t, value, slope)
+        zeros = roots(lambda times: _tests(k, periods, times)[:2], t, value, slope)
         grazes = _grazes(k, periods, t, checked, nodes, zeros.x[zeros.which >= _OF_THE_TIMES])
         f = floquet(k, periods, zeros.x)
         torus = (zeros.which != _KINDS.index(Kind.NEIMARK_SACKER)) | (np.abs(f.trace) < 2.0)
@@ -225,13 +225,12 @@ def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
     t = flight_times(omega, xi, periods)
     k = spring(omega, xi)
 
-    def folds(which: Ints, times: Floats) -> tuple[Floats, Floats]:
+    def folds(times: Floats) -> tuple[Floats, Floats]:
         f = floquet(k, periods, times)
-        return 1.0 - f.trace + f.det, f.det1 - f.trace1
+        return np.array([1.0 - f.trace + f.det]), np.array([f.det1 - f.trace1])
 
     with np.errstate(all="ignore"):
-        value, slope = folds(np.empty(0, np.intp), t)
-        times = roots(folds, t, value[None], slope[None]).x
+        times = roots(folds, t, *folds(t)).x
         x = orbit(k, periods, times)
         times = times[np.hypot(x.c, x.s) < below]
         if not len(times):
@@ -319,13 +318,6 @@ def _tests(k: Spring, periods: int, t: Floats) -> tuple[Floats, Floats, Orbit]:
     value = np.array([1.0 - f.trace + f.det, 1.0 + f.trace + f.det, f.det - 1.0, *last.real])
     slope = np.array([f.det1 - f.trace1, f.det1 + f.trace1, f.det1, *(last.imag / STEP)])
     return value, slope, Orbit(*(a.real for a in x))
-
-
-def _selected(k: Spring, periods: int, which: Ints, t: Floats) -> tuple[Floats, Floats]:
-    """Function which[i] at t[i]."""
-    value, slope, _ = _tests(k, periods, t)
-    i = np.arange(len(t))
-    return value[which, i], slope[which, i]
 
 
 def _grazes(k: Spring, periods: int, t: Floats, checked: Check, nodes: Samples, edge: Floats) -> Roots:

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from kernel.cycles.closed_form import TWO_PI, floquet, gamma_slope, orbit
+from kernel.cycles.closed_form import TWO_PI, floquet, gamma_and_slope, orbit
 from kernel.cycles.energy import Energy, energy
 from kernel.cycles.events import Events, Kind
 from kernel.cycles.roots import Floats
@@ -89,7 +89,7 @@ def minima(k: Spring, events: Events, below: float) -> list[Fold]:
     for i in np.flatnonzero((events.kind == Kind.FOLD) & (events.gamma < below)):
         t, n = float(events.flight_time[i]), int(events.periods[i])
         step = _DIFFERENCE * t
-        before, after = gamma_slope(k, n, np.array([t - step, t + step]))
+        _, (before, after) = gamma_and_slope(k, n, np.array([t - step, t + step]))
         curvature = float(after - before) / (2.0 * step)
         if not curvature > 0.0:
             continue

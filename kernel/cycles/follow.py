@@ -79,13 +79,9 @@ class _Stretch(NamedTuple):
     step: float = 0.0
 
 
-def _never(_: Point) -> bool:
-    return False
-
-
 def follow(
     point: Point, way: float, *, points: int = POINTS, span: tuple[float, float] = RANGE,
-    until: Callable[[Point], bool] = _never,
+    until: Callable[[Point], bool] = lambda _: False,
 ) -> tuple[list[Point], list[Event]]:  # fmt: skip
     """The branch from a cycle on, and its events in order.
 

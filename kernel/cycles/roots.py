@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-#: (which (m,), x (m,)) -> values (m,), slopes (m,): function which[i] at x[i].
-Functions = Callable[[Ints, Floats], tuple[Floats, Floats]]
+#: x (m,) -> values (f, m), slopes (f, m) of f functions.
+Functions = Callable[[Floats], tuple[Floats, Floats]]
 
 #: Newton steps at most. Halving alone shrinks an interval of the grid below rounding in 50.
 _STEPS: Final = 80
@@ -46,7 +46,7 @@ class Roots(NamedTuple):
 def roots(functions: Functions, x: Floats, value: Floats, slope: Floats) -> Roots:
     """The roots of f functions between the ends of x.
 
-    x (n,) increasing; value, slope (f, n) on it; `functions` evaluates any of them anywhere.
+    x (n,) increasing; value, slope (f, n) on it; `functions` evaluates them anywhere.
     """
     change = np.sign(value[:, :-1]) * np.sign(value[:, 1:]) < 0.0
     which, index = np.nonzero(change)
@@ -59,7 +59,7 @@ def roots(functions: Functions, x: Floats, value: Floats, slope: Floats) -> Root
     )
     if not len(which):
         return Roots(np.empty(0, np.intp), np.empty(0))
-    root, error = solve(functions, which, low, high, f_low, f_high)
+    root, error = _solve(functions, which, low, high, f_low, f_high)
     with np.errstate(invalid="ignore"):
         keep = np.abs(error) <= _SMALL * np.maximum(np.abs(f_low), np.abs(f_high))
     which, root = which[keep], root[keep]
@@ -86,13 +86,13 @@ def _pairs(
     with np.errstate(invalid="ignore", divide="ignore"):
         middle = a + (b - a) * cubic_extremum(y, z, dy, dz, np.sign(y))[0]
         for _ in range(_EXTREMUM_STEPS):
-            f, s = functions(which, middle)
+            f, s = _selected(functions, which, middle)
             left_side = np.sign(s) == np.sign(s_low)
             low, s_low = np.where(left_side, middle, low), np.where(left_side, s, s_low)
             high, s_high = np.where(left_side, high, middle), np.where(left_side, s_high, s)
             guess = low - s_low * (high - low) / (s_high - s_low)
             middle = np.where((guess > low) & (guess < high), guess, 0.5 * (low + high))
-        f, _ = functions(which, middle)
+        f, _ = _selected(functions, which, middle)
     beyond = f * y < 0.0
     which = which[beyond]
     a, b, y, z, middle, f = (v[beyond] for v in (a, b, y, z, middle, f))
@@ -105,7 +105,14 @@ def _pairs(
     )
 
 
-def solve(
+def _selected(functions: Functions, which: Ints, x: Floats) -> tuple[Floats, Floats]:
+    """Value and slope of function which[i] at x[i]."""
+    value, slope = functions(x)
+    each = np.arange(len(x))
+    return value[which, each], slope[which, each]
+
+
+def _solve(
     functions: Functions, which: Ints, low: Floats, high: Floats, f_low: Floats, f_high: Floats
 ) -> tuple[Floats, Floats]:
     """The root in each bracket and the function there; all arrays (m,)."""
@@ -118,7 +125,7 @@ def solve(
         active = np.ones(len(x), np.bool_)
         for _ in range(_STEPS):
             i = np.flatnonzero(active)
-            value, slope = functions(which[i], x[i])
+            value, slope = _selected(functions, which[i], x[i])
             f[i] = value
             below = np.sign(value) == np.sign(f_low[i])
             low[i] = np.where(below, x[i], low[i])

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from kernel.cycles.admissibility import gap_terms, gap_weights
-from kernel.cycles.closed_form import TWO_PI, orbit
+from kernel.cycles.closed_form import TWO_PI, gamma_and_slope, orbit
 from kernel.cycles.events import Branch, branch, check_spring, flight_times, rows_of
-from kernel.cycles.roots import Floats, Ints, roots, stretches
-from kernel.cycles.spring import STEP, flight, spring, stuck
+from kernel.cycles.roots import Floats, roots, stretches
+from kernel.cycles.spring import flight, spring, stuck
 from kernel.params import Cell, KernelInputError, Start
 
 
@@ -38,15 +38,13 @@ def cycles_at(cell: Cell, periods: int) -> Branch:
     check_spring(omega, xi, periods)
     k = spring(omega, xi)
 
-    def above(_: Ints, t: Floats) -> tuple[Floats, Floats]:
-        x = orbit(k, periods, t + 1j * STEP)
-        amplitude = np.sqrt(x.c * x.c + x.s * x.s)
-        return amplitude.real - gamma, amplitude.imag / STEP
+    def above(t: Floats) -> tuple[Floats, Floats]:
+        value, slope = gamma_and_slope(k, periods, t)
+        return value[None] - gamma, slope[None]
 
     t = flight_times(omega, xi, periods)
     with np.errstate(all="ignore"):  # poles of Gamma(T)
-        value, slope = above(np.empty(0, np.intp), t)
-        times = roots(above, t, value[None], slope[None]).x
+        times = roots(above, t, *above(t)).x
     return branch(omega, xi, periods, times)
 
 

@@ -119,19 +119,16 @@ def lowest_end(
     the lowest Gamma at which a simulation bounces.
     """
     folds = [*folds, *(end.fold for end in ends if end.fold is not None)]
-    down = _lowest(folds, answer.gamma_th)
+    below = [fold for fold in folds if fold.gamma < answer.gamma_th]
+    lowest = min(below, key=lambda fold: fold.gamma, default=None)
+    down = answer.gamma_th if lowest is None else lowest.gamma
     reasons = [end.reason for end in ends if end.reason and end.gamma < down]
     reasons += [_why(fold) for fold in undecided if fold.gamma < down]
     if bouncing < down:
         reasons.append(f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed")
     if reasons:
         return answer._replace(reason="; ".join(dict.fromkeys(reasons)))
-    fold = min((fold for fold in folds if fold.gamma < answer.gamma_th), key=_gamma, default=None)
-    return answer._replace(down=down, cause=EQ_25 if fold is None else fold.name, fold=fold)
-
-
-def _gamma(fold: Fold) -> float:
-    return fold.gamma
+    return answer._replace(down=down, cause=EQ_25 if lowest is None else lowest.name, fold=lowest)
 
 
 def _lowest(folds: Sequence[Fold], below: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from kernel.cycles.contact_thresholds import thresholds_of
 from kernel.cycles.cycles import Point
 from kernel.cycles.events import POINTS, flight_times
-from kernel.cycles.folds import Fold, lifetime
+from kernel.cycles.folds import lifetime
 from kernel.cycles.thresholds import EQ_25, PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
 from kernel.search import Searched, search
@@ -129,15 +129,12 @@ def predict_from_cells(
             if cycles or not is_ideal(spec.model):
                 answer = of_contact(spec.model, at_omega, at_xi, cycles)
                 below = answer.down - bouncing
-                if below > 0.0 and not _is_ghost(answer.fold, below, sum(spec.window)):
+                fold, window = answer.fold, sum(spec.window)
+                # just below a fold its ghost bounces longer than a window
+                if below > 0.0 and (fold is None or lifetime(fold, below) <= window):
                     answer = of_contact(spec.model, at_omega, at_xi, cycles, bouncing)
         answers.append(answer)
     return answers
-
-
-def _is_ghost(fold: Fold | None, below: float, window: int) -> bool:
-    """Whether bouncing lives on so far below a fold for longer than a window of plate periods."""
-    return fold is not None and lifetime(fold, below) > window
 
 
 def of_contact(
