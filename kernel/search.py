@@ -6,15 +6,13 @@ no start reaches. What survives long runs and is no cycle is carried down in sma
 """
 
 import math
-from itertools import groupby
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernel.creep import Crept, creep, rotation, run
 from kernel.cycles.any_contact import Followed, both_ways, lies_on, repeats
-from kernel.cycles.contact_thresholds import rest_ends
+from kernel.cycles.contact_thresholds import lowest_stable, rest_ends
 from kernel.cycles.cycles import LANDINGS, Point, confirmed, cycle_from, read
 from kernel.cycles.descent import Descent, cycle_of, descend, fold_of, folds_of_twice
 from kernel.cycles.events import Kind
@@ -110,7 +108,7 @@ class _Search:
             line = run(self.plate, gamma, self.omega, self.xi, state, settle, 8)
             left = np.flatnonzero(line.outcome != Outcome.AT_REST)
             if settle > _TRANSIENT:
-                left = left[_few(gamma[left], values)]
+                left = np.concatenate([left[gamma[left] == x][:_MOST] for x in values])
             if not len(left):
                 break
             gamma, state = gamma[left], line.end_state[left]
@@ -131,7 +129,7 @@ class _Search:
         for gamma, state in seeds:
             for periods in range(1, _PERIODS + 1):
                 guess = read(self.plate, Cell(gamma, self.omega, self.xi), periods, state)
-                if guess is None or not _NEAR < np.abs(guess[0].equations(guess[1])[0]).max() < _FAR:
+                if guess is None or not _NEAR < np.abs(guess[0].equations(guess[1]).value).max() < _FAR:
                     continue
                 point = guess[0].at(guess[1], gamma)
                 if point is not None:
@@ -159,9 +157,8 @@ class _Search:
                     self._ends(Descent(fold.gamma, fold, ""))
             elif event.kind is Kind.NEIMARK_SACKER:
                 self._down(Cell(*event.point.cell), 0, event.point.state)
-        for stable, points in groupby(line.points, key=lambda point: point.stable):
-            if stable:
-                self._ends(descend(min(points, key=lambda point: point.parameter)))
+        for lowest in lowest_stable(line):
+            self._ends(descend(lowest))
 
     def _ends(self, end: Descent) -> None:
         """An end of a stable cycle; what goes on beyond it is carried on."""
@@ -209,11 +206,6 @@ def _first(point: Point) -> int:
         return point.letters[j:] + point.letters[:j], -point.times[j - 1]
 
     return min((j for j in range(len(point.letters)) if point.letters[j - 1] in LANDINGS), key=begins)
-
-
-def _few(gamma: Floats, values: Floats) -> NDArray[np.intp]:
-    """The first _MOST of each of these Gammas."""
-    return np.concatenate([np.flatnonzero(gamma == x)[:_MOST] for x in values])
 
 
 def _lowest_of_each(line: Line, gamma: Floats) -> list[int]:

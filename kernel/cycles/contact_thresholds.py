@@ -66,7 +66,7 @@ def thresholds_of(
         undecided += [x for x in known if not (x.holds or any(_alike(x, fold) for fold in minima))]
         flips = (event.point for event in below if event.kind is Kind.FLIP)
         folds += [fold for flip in flips for fold in folds_of_twice(flip, gamma_th)]
-        lowest = (point for line in lines for point in _lowest_stable(line))
+        lowest = (point for line in lines for point in lowest_stable(line))
         ends += [descend(point) for point in lowest if point.parameter < gamma_th]
     return where_searched(lowest_end(answer, folds, undecided, ends, bouncing))
 
@@ -97,7 +97,7 @@ def _alike(a: Fold, b: Fold) -> bool:
     return abs(a.gamma - b.gamma) < _NEAR * a.gamma
 
 
-def _lowest_stable(line: Followed) -> Iterator[Point]:
+def lowest_stable(line: Followed) -> Iterator[Point]:
     """The lowest cycle of each stable stretch of a branch."""
     for stable, stretch in groupby(line.points, key=lambda point: point.stable):
         if stable:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cycles.events import POINTS as GRID
-from kernel.cycles.events import Branch, Events, Kind, branch_and_events
+from kernel.cycles.events import Branch, Events, Kind, branch_and_events, join_events, rows_of
 from kernel.cycles.roots import stretches
 from kernel.params import KernelInputError, Outcome
 from worker.orbits.schema import ARRAYS, KINDS, sizes
@@ -34,24 +34,22 @@ def run_chunk(spec: OrbitsSpec, chunk: Chunk, store_url: str) -> ChunkReport:
 
 def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[Any]]) -> None:
     """Fill in one cell: arrays (1, ...) of a record."""
-    events_of_branches: list[Events] = []
+    parts: list[Events] = []
     try:
         for row, mode in enumerate(spec.cycles):
             branch, events = branch_and_events(omega, xi, mode.periods, max(GRID, spec.points))
             _put_branch(branch, row, spec, cell)
-            events_of_branches.append(events)
+            parts.append(rows_of(events, events.gamma <= spec.gamma_max))
     except KernelInputError:  # an undamped spring at resonance
         cell["outcome"][0] = Outcome.UNRESOLVED
         return
-    inside = [events.gamma <= spec.gamma_max for events in events_of_branches]
-    cell["event_count"][0] = sum(int(rows.sum()) for rows in inside)
-    filled = 0
-    for events, rows in zip(events_of_branches, inside, strict=True):
-        for i in np.flatnonzero(rows)[: spec.events - filled]:
-            cell["event_kind"][0, filled] = 1 + KINDS.index(Kind(events.kind[i]))
-            for name in ("gamma", "bounces", "periods", "flight_time", "violations"):
-                cell[f"event_{name}"][0, filled] = getattr(events, name)[i]
-            filled += 1
+    inside = join_events(parts)
+    stored = rows_of(inside, slice(spec.events))
+    count = len(stored.kind)
+    cell["event_count"][0] = len(inside.kind)
+    cell["event_kind"][0, :count] = [1 + KINDS.index(Kind(kind)) for kind in stored.kind]
+    for name in ("gamma", "bounces", "periods", "flight_time", "violations"):
+        cell[f"event_{name}"][0, :count] = getattr(stored, name)
     cell["outcome"][0] = Outcome.PERIODIC
 
 
