@@ -50,11 +50,10 @@ def thresholds_of(
         return answer._replace(reason="a spring at rest bounces at no Gamma")
     folds: list[Fold] = []
     ends: list[Descent] = [descend(cycle) for cycle in cycles]
-    undecided: list[Fold] = []
     ideal = closed_form(omega, xi)
     span = (0.0, _REACH * gamma_th)
     for periods in range(1, PERIODS + 1):
-        known = [fold for fold in (*ideal.folds, *ideal.undecided) if fold.periods == periods]
+        known = [fold for fold in ideal.minima if fold.periods == periods]
         if periods > 1 and not known:
             continue
         lines = all_through(chain(seeds(plate, omega, xi, periods), _above(plate, omega, xi, known)), span)
@@ -62,13 +61,13 @@ def thresholds_of(
             answer = answer._replace(jump=_jump(lines[0]))
         below = [event for line in lines for event in line.events if event.point.parameter < gamma_th]
         minima = [fold for fold in (fold_of(x) for x in below if x.kind is Kind.FOLD) if fold.curvature > 0.0]
-        undecided += [fold for fold in minima if not fold.holds]
-        undecided += [x for x in known if not (x.holds or any(_alike(x, fold) for fold in minima))]
+        folds += [fold for fold in minima if not fold.holds]
+        folds += [x for x in known if not (x.holds or any(_alike(x, fold) for fold in minima))]
         flips = (event.point for event in below if event.kind is Kind.FLIP)
         folds += [fold for flip in flips for fold in folds_of_twice(flip, gamma_th)]
         lowest = (point for line in lines for point in lowest_stable(line))
         ends += [descend(point) for point in lowest if point.parameter < gamma_th]
-    return where_searched(lowest_end(answer, folds, undecided, ends, bouncing))
+    return where_searched(lowest_end(answer, folds, ends, bouncing))
 
 
 def rest_ends(plate: Any, omega: float, xi: float) -> float:

@@ -92,38 +92,36 @@ def conjecture(
     a fold. Raises KernelInputError.
     """
     rule = closed_form(omega, xi)
-    gamma_th, folds, undecided = rule.gamma_th, list(rule.folds), list(rule.undecided)
+    gamma_th, folds = rule.gamma_th, rule.minima
     ends: list[Descent] = []
     if cycles or not rule.decides:
         from kernel.cycles import descent  # noqa: PLC0415 - imports numba
 
         known = partial(descent.solved, descent.ideal_plate(), omega, xi)
-        folds += [fold for flip in rule.flips for fold in descent.folds_of_twice(known(flip), gamma_th)]
+        folds = [*folds, *(x for flip in rule.flips for x in descent.folds_of_twice(known(flip), gamma_th))]
         lowest = _lowest(folds, gamma_th)
         last = [cycle for cycle in rule.last if cycle.gamma < lowest]
         ends = [descent.descend(known(cycle.within)) for cycle in last]
         for cycle, end in zip(last, ends, strict=True):
-            undecided = [fold for fold in undecided if end.fold is None or not cycle.leads_to(fold)]
+            folds = [fold for fold in folds if end.fold is None or not cycle.leads_to(fold)]
         ends += map(descent.descend, cycles)
-    undecided_yet = Thresholds(omega, xi, gamma_th, rule.jump, math.nan, UNRESOLVED, "", None)
-    return lowest_end(undecided_yet, folds, undecided, ends, bouncing)
+    undecided = Thresholds(omega, xi, gamma_th, rule.jump, math.nan, UNRESOLVED, "", None)
+    return lowest_end(undecided, folds, ends, bouncing)
 
 
 def lowest_end(
-    answer: Thresholds, folds: Sequence[Fold], undecided: Sequence[Fold], ends: Sequence["Descent"],
-    bouncing: float = math.inf,
-) -> Thresholds:  # fmt: skip
+    answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descent"], bouncing: float = math.inf
+) -> Thresholds:
     """An answer with the lowest Gamma at which a cycle ends, unless something below it does not decide.
 
-    folds: at which stable cycles end. undecided: other minima. ends: of cycles that were followed. bouncing:
-    the lowest Gamma at which a simulation bounces.
+    ends: of cycles that were followed. bouncing: the lowest Gamma at which a simulation bounces.
     """
-    folds = [*folds, *(end.fold for end in ends if end.fold is not None)]
-    below = [fold for fold in folds if fold.gamma < answer.gamma_th]
+    last = [*(fold for fold in folds if fold.holds), *(end.fold for end in ends if end.fold is not None)]
+    below = [fold for fold in last if fold.gamma < answer.gamma_th]
     lowest = min(below, key=lambda fold: fold.gamma, default=None)
     down = answer.gamma_th if lowest is None else lowest.gamma
     reasons = [end.reason for end in ends if end.reason and end.gamma < down]
-    reasons += [_why(fold) for fold in undecided if fold.gamma < down]
+    reasons += [_why(fold) for fold in folds if not fold.holds and fold.gamma < down]
     if bouncing < down:
         reasons.append(f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed")
     if reasons:
@@ -132,8 +130,8 @@ def lowest_end(
 
 
 def _lowest(folds: Sequence[Fold], below: float) -> float:
-    """The Gamma of the lowest; `below` if there is none."""
-    return min((below, *(fold.gamma for fold in folds)))
+    """The Gamma of the lowest at which a stable cycle ends; `below` if there is none."""
+    return min((below, *(fold.gamma for fold in folds if fold.holds)))
 
 
 class ClosedForm(NamedTuple):
@@ -141,15 +139,14 @@ class ClosedForm(NamedTuple):
 
     gamma_th: float
     jump: float  # NaN if there is none
-    folds: list[Fold]  # at which stable cycles end
-    undecided: list[Fold]  # the other minima
+    minima: list[Fold]
     last: "list[_LastCycle]"  # where stable cycles end otherwise
     flips: list[Cycle]  # that are not among these
 
     @property
     def decides(self) -> bool:
         """Whether no cycle has to be followed further."""
-        lowest = _lowest(self.folds, self.gamma_th)
+        lowest = _lowest(self.minima, self.gamma_th)
         return not self.flips and all(cycle.gamma >= lowest for cycle in self.last)
 
 
@@ -174,8 +171,7 @@ def closed_form(omega: float, xi: float) -> ClosedForm:
         flips += [one_flight(k, n, float(t)) for t in events.flight_time[here] if t not in followed]
         if n == 1:
             jump = _jump(line, events)
-    holding = [fold for fold in folds if fold.holds]
-    return ClosedForm(gamma_th, jump, holding, [fold for fold in folds if not fold.holds], cycles, flips)
+    return ClosedForm(gamma_th, jump, folds, cycles, flips)
 
 
 def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> bool:
