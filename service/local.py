@@ -20,27 +20,42 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, nullcontext, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple, cast
 
+import xarray
+from pydantic import ValidationError
+
+import service.client.dataset  # noqa: F401 - registers `dataset.bounce`
+from kernel.numerics.cache import compilations
+from kernel.params import KERNEL_VERSION
+from service import budget as budgets
+from service.background import InThisProcess
 from service.client.display import display_elapsed, display_job, display_line
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
-from service.errors import InvalidRequest, RunFailed
+from service.errors import IllegalTransition, InvalidRequest, RunFailed, UnknownJob
 from service.formats import EXPORTS, ExportFormat
-from worker.files import sync
+from service.jobs.manager import JobManager
+from service.jobs.prepare import PreparedJob
+from service.jobs.stores.opening import open_ledger
+from service.ledger.ledger import Ledger
+from service.ledger.model import UNFINISHED, JobRecord, JobState
+from service.settings import Settings
+from service.views import audit, diagram, exports, threshold
+from service.views.registry import admit, answer
+from service.views.selection import Stored
+from service.views.view import Call, Query
+from worker import store as stores
+from worker.executors.inline import Inline
+from worker.files import complete_file, sync
 from worker.kernel_cache import use_cache
 from worker.ownership import temporary_folder
-
-if TYPE_CHECKING:
-    import xarray
-
-    from service.jobs.manager import JobManager
-    from service.jobs.prepare import PreparedJob
-    from service.ledger.ledger import Ledger
-    from service.ledger.model import JobRecord
-    from service.settings import Settings
-    from service.views.view import Call, Query
-    from worker.executors.inline import Inline
+from worker.spec.errors import rule_of
+from worker.studies import from_json, renewed, study_of
+from worker.sweep import SweepSpec
+from worker.sweep.levels import is_level
+from worker.sweep.specification import is_open
+from worker.work import compile_for
 
 #: Seconds between two checks of the job's progress.
 LOOK_SECONDS: Final = 0.05
@@ -64,7 +79,7 @@ def run(
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
     budget: float | None = None,
-) -> "xarray.Dataset":
+) -> xarray.Dataset:
     """Compute a study and return its results.
 
     An interrupted run leaves `STORE.partial`, where the same call continues.
@@ -101,20 +116,12 @@ def run(
     DataFolderBusy
         Another process computes the same store.
     """
-    import xarray
-
-    import service.client.dataset  # noqa: F401 - registers `dataset.bounce`
-
-    def opened(url: str) -> "xarray.Dataset":
-        dataset: xarray.Dataset = xarray.open_zarr(url, consolidated=True, chunks=None)
-        return dataset
-
     if store is None:
         with (
             temporary_folder("bounce-") as folder,
             computed(spec, folder, workers=workers, progress=progress, budget=budget) as done,
         ):
-            return opened(done.job.store_url).load().assign_attrs(done.attributes)
+            return _opened(done.job.store_url).load().assign_attrs(done.attributes)
     target, attributes = Path(store), dict[str, str]()
     if not _is_computed(target, spec):
         folder = partial_of(target)
@@ -123,7 +130,12 @@ def run(
         computed_store.rename(target)
         sync(target.parent)
         shutil.rmtree(folder)
-    return opened(str(target.absolute())).assign_attrs(attributes)
+    return _opened(str(target.absolute())).assign_attrs(attributes)
+
+
+def _opened(url: str) -> xarray.Dataset:
+    dataset: xarray.Dataset = xarray.open_zarr(url, consolidated=True, chunks=None)
+    return dataset
 
 
 def run_to_file(
@@ -162,20 +174,10 @@ def run_to_file(
         Also raises the errors of `run`.
     """
     use_cache()
-    from worker.studies import from_json, study_of
-    from worker.sweep import SweepSpec
-
     target, parsed = Path(output), from_json(body(spec))
     if not isinstance(parsed, SweepSpec) and format not in EXPORTS:
         formats = ", ".join((*EXPORTS, "zarr"))
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
-    from service.background import InThisProcess
-    from service.views import diagram, exports
-    from service.views.registry import admit, answer
-    from service.views.selection import Stored
-    from service.views.view import Query
-    from worker.files import complete_file
-
     query: Query = _query(diagram.DiagramQuery, line or {})
     settings = _settings(partial_of(target))
     # Before computing for hours.
@@ -202,12 +204,8 @@ def run_to_file(
     return _status(done.record)
 
 
-def _query(model: "type[Query]", fields: Mapping[str, Any]) -> "Query":
+def _query(model: type[Query], fields: Mapping[str, Any]) -> Query:
     """The query with these parameters. Raises InvalidRequest naming the first wrong one."""
-    from pydantic import ValidationError
-
-    from worker.spec.errors import rule_of
-
     try:
         return model(**fields)
     except ValidationError as error:
@@ -215,18 +213,17 @@ def _query(model: "type[Query]", fields: Mapping[str, Any]) -> "Query":
         raise InvalidRequest.of(str(first["loc"][0]), rule_of(first)) from None
 
 
-def thresholds(omega: float, xi: float, **query: Any) -> "xarray.Dataset":
+def thresholds(omega: float, xi: float, **query: Any) -> xarray.Dataset:
     """Where one spring begins and ceases to bounce, as `Client.threshold`, in this process.
 
     Raises InvalidRequest naming the parameter.
     """
     use_cache()
-    from service.views.threshold import SPRING
-
-    asked = _query(SPRING.query, {"omega": omega, "xi": xi, **query})
-    SPRING.estimate(None, asked)
-    parts: Sequence[Call] = SPRING.parts(None, asked) if SPRING.parts else ()
-    return SPRING.compute(None, asked, *(function(*given) for function, *given in parts))
+    view = threshold.SPRING
+    asked = _query(view.query, {"omega": omega, "xi": xi, **query})
+    view.estimate(None, asked)
+    parts: Sequence[Call] = view.parts(None, asked) if view.parts else ()
+    return view.compute(None, asked, *(function(*given) for function, *given in parts))
 
 
 def partial_of(output: Path) -> Path:
@@ -237,8 +234,8 @@ def partial_of(output: Path) -> Path:
 class Computed(NamedTuple):
     """A done job, and what its audit says, if it has one."""
 
-    record: "JobRecord"
-    job: "PreparedJob"
+    record: JobRecord
+    job: PreparedJob
     audit: str | None = None
 
     @property
@@ -255,15 +252,10 @@ def computed(
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
     budget: float | None = None,
-) -> "Iterator[Computed]":
+) -> Iterator[Computed]:
     """A study's done job, in the data folder `folder`, which is created and kept. Raises as `run`."""
     began = time.monotonic()
     use_cache()
-    from service.jobs.manager import JobManager
-    from service.jobs.stores.opening import open_ledger
-    from worker.executors.inline import Inline
-    from worker.studies import from_json
-
     parsed = from_json(body(spec))
     settings = _settings(folder)
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -291,7 +283,7 @@ class _Levels:
     """Computes the levels of a budget in this process."""
 
     def __init__(
-        self, manager: "JobManager", ledger: "Ledger", executor: "Inline", progress: bool | ProgressCallback
+        self, manager: JobManager, ledger: Ledger, executor: Inline, progress: bool | ProgressCallback
     ) -> None:
         self._manager, self._ledger, self._executor = manager, ledger, executor
         self._progress = progress
@@ -299,14 +291,12 @@ class _Levels:
 
     def within(self, spec: Any, budget: float) -> Computed:
         """The finest level that fits. Raises InvalidRequest for a study that has no levels."""
-        from service.budget import within
-        from worker.sweep import SweepSpec
-
         if not isinstance(spec, SweepSpec):
             raise InvalidRequest.of("budget", f"is for sweeps; this study is of kind {spec.protocol.kind}")
-        answer = within(spec, budget, self, display_line if self._progress is True else lambda _: None)
+        show = display_line if self._progress is True else lambda _: None
+        found = budgets.within(spec, budget, self, show)
         assert self._done is not None
-        return Computed(self._done, self._manager.preparer.prepare(self._done), answer.audit)
+        return Computed(self._done, self._manager.preparer.prepare(self._done), found.audit)
 
     def seconds(self, spec: Any) -> float:
         plan = self._manager.preparer.plan(spec)
@@ -325,9 +315,6 @@ class _Levels:
         return True
 
     def audit(self, spec: Any, seconds: float) -> str | None:
-        from service.views import audit
-        from service.views.selection import Stored
-
         assert self._done is not None
         job = self._manager.preparer.prepare(self._done)
         study = Stored(job.spec, job.store_url, complete=True, submitted=job.submitted)
@@ -343,14 +330,11 @@ class _Levels:
         return None if found is None else str(found.attrs["sentence"])
 
 
-def _check_folder(ledger: "Ledger", spec: Any, folder: Path, *, levels: bool = False) -> None:
+def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool = False) -> None:
     """Raise FileExistsError for a folder with another study, whose results would be removed.
 
     levels: whether those of a budget may be there.
     """
-    from worker.studies import renewed
-    from worker.sweep import SweepSpec
-    from worker.sweep.levels import is_level
 
     def belongs(other: Any) -> bool:
         if levels and isinstance(spec, SweepSpec) and isinstance(other, SweepSpec):
@@ -370,18 +354,13 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _settings(folder: Path) -> "Settings":
+def _settings(folder: Path) -> Settings:
     """The default settings for a data folder, ignoring BOUNCE_* variables."""
-    from service.settings import Settings
-
     return Settings.model_construct(data=folder.absolute())
 
 
 def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
     """Compile in one interruptible thread rather than in all workers at once."""
-    from worker.sweep.specification import is_open
-    from worker.work import compile_for
-
     if is_open(spec):  # choosing its model compiles
         return
     # In a thread: the compiler blocks Python for seconds, and may lose an exception.
@@ -393,8 +372,6 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
 
 
 def _compiling() -> str:
-    from kernel.numerics.cache import compilations
-
     kernel = next((compilation.kernel for compilation in compilations()), "the last kernel")
     return f"compiling {kernel}; later runs find it in the cache"
 
@@ -408,14 +385,10 @@ def _is_computed(target: Path, spec: Specification) -> bool:
         if not target.absolute().parent.is_dir():
             raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(target.absolute().parent))
         return False
-    from kernel.params import KERNEL_VERSION
-    from worker import store
-    from worker.studies import from_json
-
     parsed = from_json(body(spec))
     try:
-        same = store.read_attrs(str(target.absolute())).get("job") == parsed.job_id(KERNEL_VERSION)
-    except store.StoreError:
+        same = stores.read_attrs(str(target.absolute())).get("job") == parsed.job_id(KERNEL_VERSION)
+    except stores.StoreError:
         same = False
     if not same:
         raise FileExistsError(errno.EEXIST, "exists, and is not the store of this study", str(target))
@@ -423,19 +396,16 @@ def _is_computed(target: Path, spec: Specification) -> bool:
 
 
 def _wait(
-    manager: "JobManager",
-    ledger: "Ledger",
+    manager: JobManager,
+    ledger: Ledger,
     job_id: str,
     progress: bool | ProgressCallback,
     deadline: float = math.inf,
-) -> "JobRecord":
+) -> JobRecord:
     """The job once it is done. Raises RunFailed, and TimeoutError after `deadline` of the monotonic clock.
 
     If interrupted, cancels the job, so that its chunks stop; stored results stay.
     """
-    from service.errors import IllegalTransition, UnknownJob
-    from service.ledger.model import UNFINISHED, JobState
-
     try:
         with display_job(progress) as show:
             while (record := ledger.find(job_id)) is not None:
@@ -459,7 +429,7 @@ def _wait(
     return record
 
 
-def _status(record: "JobRecord") -> JobStatus:
+def _status(record: JobRecord) -> JobStatus:
     status = JobStatus()
     status._update(
         {
