@@ -105,7 +105,8 @@ def _service(
     settings: Settings, ledger: Ledger, executor: Executor, background: Background, metrics: Metrics
 ) -> Service:
     manager = JobManager(ledger, executor, settings)
-    metrics.registry.register(JobsCollector(ledger, manager))
+    for collector in (JobsCollector(ledger, manager), *vars(manager.supervisor.metrics).values()):
+        metrics.registry.register(collector)
     return Service(
         settings=settings,
         ledger=ledger,

@@ -1,25 +1,16 @@
 """Metrics for Prometheus."""
 
-import math
-from collections.abc import Iterable, Iterator
-from typing import Final, TypeVar
+from collections.abc import Iterator, Mapping
+from typing import Final
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, generate_latest
-from prometheus_client.core import (
-    CounterMetricFamily,
-    GaugeMetricFamily,
-    HistogramMetricFamily,
-    InfoMetricFamily,
-    Metric,
-)
+from prometheus_client.core import GaugeMetricFamily, InfoMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from service.jobs.manager import JobManager
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobState
 from service.software import software
-
-Family = TypeVar("Family", CounterMetricFamily, GaugeMetricFamily)
 
 #: Methods with their own label; the rest share one, so that callers cannot create labels.
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "OPTIONS", "PUT", "PATCH"})
@@ -62,11 +53,11 @@ class JobsCollector(Collector):
 
     def collect(self) -> Iterator[Metric]:
         with self._ledger.reading() as ledger:
-            jobs = [([state], ledger.count((state,))) for state in JobState]
+            jobs = {str(state): ledger.count((state,)) for state in JobState}
             chunks, cells = ledger.totals()
         supervisor = self._manager.supervisor
-        tally, cluster = supervisor.tally, supervisor.cluster
-        yield _labelled(GaugeMetricFamily("bounce_jobs", "Jobs in the ledger.", labels=["state"]), jobs)
+        cluster = supervisor.cluster
+        yield _by_state("bounce_jobs", "Jobs in the ledger.", jobs)
         for name, meaning, value in (
             ("bounce_chunks_done", "Chunks marked done, of jobs in the ledger.", chunks),
             ("bounce_cells_done", "Cells marked done, of jobs in the ledger.", cells),
@@ -83,30 +74,16 @@ class JobsCollector(Collector):
             ),
         ):
             yield GaugeMetricFamily(name, meaning, value)
-        for name, meaning, value in (
-            ("bounce_chunks_computed", "Chunks computed since the start.", tally.computed),
-            ("bounce_chunk_seconds", "Seconds of workers for the chunks computed.", tally.seconds),
-            ("bounce_chunks_damaged", "Stored chunks found damaged since the start.", tally.damaged),
-        ):
-            yield CounterMetricFamily(name, meaning, value)
-        meaning = "Chunks that came back without a result, by action and kind of error."
-        returned = CounterMetricFamily("bounce_chunks_returned", meaning, labels=["action", "error"])
-        yield _labelled(returned, tally.returned.items())
-        buckets = [
-            ("+Inf" if limit == math.inf else f"{limit:g}", float(number))
-            for limit, number in tally.by_seconds
-        ]
-        meaning = "Seconds of workers for each chunk computed since the start."
-        yield HistogramMetricFamily("bounce_chunk_duration_seconds", meaning, buckets, tally.seconds)
         numbers = {"computing": cluster.workers, "refused": len(cluster.refused), "planned": cluster.planned}
-        meaning = "Workers that compute, are planned, or are refused."
-        workers = GaugeMetricFamily("bounce_workers", meaning, labels=["state"])
-        yield _labelled(workers, (([state], n) for state, n in numbers.items() if n is not None))
+        yield _by_state("bounce_workers", "Workers that compute, are planned, or are refused.", numbers)
         versions = {"version": software().release, "kernel_version": software().kernel_version}
         yield InfoMetricFamily("bounce_build", "What this service is.", versions)
 
 
-def _labelled(family: Family, values: Iterable[tuple[Iterable[str], float]]) -> Family:
-    for labels, value in values:
-        family.add_metric(list(labels), value)
-    return family
+def _by_state(name: str, meaning: str, numbers: Mapping[str, float | None]) -> Metric:
+    """A gauge with a value for each state whose number is known."""
+    gauge = GaugeMetricFamily(name, meaning, labels=["state"])
+    for state, number in numbers.items():
+        if number is not None:
+            gauge.add_metric([state], number)
+    return gauge

@@ -1,18 +1,16 @@
-"""A running job: chunks ready and in flight, reports to record, tries; and counts of the chunks of all jobs.
+"""A running job: chunks ready and in flight, reports to record, tries; and metrics of the chunks of all jobs.
 
 Knows neither ledger nor store.
 """
 
-import math
 import traceback
-from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Iterable
 from concurrent.futures import Future
-from itertools import accumulate
 from typing import Final
 
 import numpy as np
+import prometheus_client as prometheus
 from numpy.typing import NDArray
 
 from service.jobs.prepare import PreparedJob
@@ -268,22 +266,29 @@ def text_of(error: BaseException) -> str:
     return f"{kind}{error}{notes}"
 
 
-class ChunkCounts:
-    """Counts of returned chunks since the start, for metrics. Written by one thread, read by any."""
+class ChunkMetrics:
+    """Metrics of the chunks returned since the start; each is registered by who serves them."""
 
     def __init__(self) -> None:
-        self.computed = self.damaged = 0
-        self.seconds = 0.0  # of workers, for these
-        self._by_seconds = [0] * (len(BUCKET_SECONDS) + 1)
-        self.returned: Counter[tuple[str, str]] = Counter()  # without a report, by action and kind of error
+        meaning = "Seconds of workers for each chunk computed since the start."
+        self.durations = prometheus.Histogram(
+            "bounce_chunk_duration_seconds", meaning, buckets=BUCKET_SECONDS, registry=None
+        )
+        self.computed, self.seconds, self.damaged = (
+            prometheus.Counter(name, meaning, registry=None)
+            for name, meaning in (
+                ("bounce_chunks_computed", "Chunks computed since the start."),
+                ("bounce_chunk_seconds", "Seconds of workers for the chunks computed."),
+                ("bounce_chunks_damaged", "Stored chunks found damaged since the start."),
+            )
+        )
+        meaning = "Chunks that came back without a result, by action and kind of error."
+        self.returned = prometheus.Counter(
+            "bounce_chunks_returned", meaning, ["action", "error"], registry=None
+        )
 
     def add_computed(self, seconds: float) -> None:
         """Count a chunk that came back with a report."""
-        self.computed += 1
-        self.seconds += seconds
-        self._by_seconds[bisect_left(BUCKET_SECONDS, seconds)] += 1
-
-    @property
-    def by_seconds(self) -> list[tuple[float, int]]:
-        """Number of computed chunks up to each of BUCKET_SECONDS, and of all."""
-        return list(zip((*BUCKET_SECONDS, math.inf), accumulate(self._by_seconds), strict=True))
+        self.computed.inc()
+        self.seconds.inc(seconds)
+        self.durations.observe(seconds)

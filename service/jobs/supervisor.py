@@ -4,16 +4,17 @@ import logging
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager, suppress
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Final, NamedTuple, cast
 
 from service.errors import LedgerUnavailable
 from service.jobs.prepare import JobPreparer, ModelChoices
 from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy
-from service.jobs.run import ChunkCounts, JobRun, text_of
+from service.jobs.run import ChunkMetrics, JobRun, text_of
 from service.jobs.schedule import Schedule, Waiting
 from service.jobs.stores.deletion import remove_deleted, remove_if_deleted
 from service.jobs.stores.opening import report_unknown
@@ -55,22 +56,8 @@ class Returned(NamedTuple):
     future: "Future[ChunkReport]"
 
 
-class Damage(NamedTuple):
-    """A reader has found damage in these chunks of a job, or outside any."""
-
-    job_id: str
-    chunks: Sequence[ChunkCoords]
-    repaired: "Future[Repair]"
-
-
-class Removed(NamedTuple):
-    """Stores of deleted jobs were removed; `complete`: all of them."""
-
-    complete: bool
-
-
-#: What comes to the supervisor; None: the ledger has changed.
-Message = Returned | Damage | Removed | None
+#: What comes to the supervisor; a call is made in its thread. After a call, or None, the ledger has changed.
+Message = Returned | Callable[[], None] | None
 
 
 class Supervisor:
@@ -79,7 +66,7 @@ class Supervisor:
     `Schedule` decides which job submits the next chunk, for which the executor has a limited number of
     places; after that later chunks of smaller jobs overtake a chunk for at most PASSED_SECONDS.
 
-    `start`, `in_flight`, `tally`, `cluster`, `unknown_stores`, `wake`, `repair` and `stop` may be used from
+    `start`, `in_flight`, `metrics`, `cluster`, `unknown_stores`, `wake`, `repair` and `stop` may be used from
     any thread; the rest runs in its own.
     """
 
@@ -91,7 +78,7 @@ class Supervisor:
         self._schedule = Schedule(
             settings.window, settings.window_seconds, settings.active_jobs, SLICE_SECONDS
         )
-        self.tally = ChunkCounts()
+        self.metrics = ChunkMetrics()
         self.cluster = executor.state()  # as of the last sync
         self.remaining_seconds = 0.0  # core-seconds of unfinished jobs, by the cost table
         self.unknown_stores: Sequence[str] | None = None  # names; the ledger did not know them at the start
@@ -126,10 +113,10 @@ class Supervisor:
         self._ledger.check()
         if self._stop.is_set():
             raise LedgerUnavailable("the service ends")
-        damage = Damage(job_id, damaged, Future())
-        self._inbox.put(damage)
+        repaired: Future[Repair] = Future()
+        self._inbox.put(partial(self._repair, job_id, damaged, repaired))
         try:
-            return damage.repaired.result(REPAIR_SECONDS)
+            return repaired.result(REPAIR_SECONDS)
         except TimeoutError:
             return Repair("stored results are damaged; their repair waits for others")
 
@@ -170,17 +157,15 @@ class Supervisor:
         """Apply messages to the state in memory, then save it to the ledger. Raises LedgerUnavailable."""
         sync = False
         while self._messages:
-            match self._messages.popleft():
-                case Returned() as returned:
-                    if (run := self._runs.get(returned.job_id)) is not None:
-                        with self._contained(run):
-                            self._take(run, returned)
-                    continue
-                case Damage() as damage:
-                    self._repair(damage)
-                case Removed(complete):
-                    self._removals_due = time.monotonic() + (0.0 if complete else RETRY_SECONDS)
+            message = self._messages.popleft()
+            if isinstance(message, Returned):
+                if (run := self._runs.get(message.job_id)) is not None:
+                    with self._contained(run):
+                        self._take(run, message)
+                continue
             sync = True
+            if message is not None:
+                message()
         for run in list(self._runs.values()):
             with self._contained(run):
                 self._save(run)
@@ -191,17 +176,17 @@ class Supervisor:
             with self._contained(run):
                 self._end(run)
 
-    def _repair(self, damage: Damage) -> None:
+    def _repair(self, job_id: str, damaged: Sequence[ChunkCoords], repaired: "Future[Repair]") -> None:
         """Repair a store. In this thread: no run of the job begins meanwhile."""
         try:
-            repaired = repair(self._ledger, self._preparer, damage.job_id, damage.chunks)
+            result = repair(self._ledger, self._preparer, job_id, damaged)
         except Exception as error:  # noqa: BLE001 - for the reader
-            damage.repaired.set_exception(error)
+            repaired.set_exception(error)
             return
-        self.tally.damaged += len(repaired.unmarked)
-        if (run := self._runs.get(damage.job_id)) is not None:
-            run.queue.invalidate(repaired.unmarked)
-        damage.repaired.set_result(repaired)
+        self.metrics.damaged.inc(len(result.unmarked))
+        if (run := self._runs.get(job_id)) is not None:
+            run.queue.invalidate(result.unmarked)
+        repaired.set_result(result)
 
     @contextmanager
     def _contained(self, run: JobRun) -> Iterator[None]:
@@ -240,7 +225,7 @@ class Supervisor:
         run.remove_in_flight(chunk)
         if report is not None:
             run.unsaved_reports.append(report)
-            self.tally.add_computed(report.seconds)
+            self.metrics.add_computed(report.seconds)
             return
         if isinstance(error, store.StoreDamaged):
             prepared = run.prepared
@@ -251,7 +236,7 @@ class Supervisor:
     def _on_error(self, run: JobRun, chunk: int, error: BaseException) -> None:
         """Carry out the retry policy's decision on a chunk without a report."""
         action, recompute_predecessor = self._policy.decide(error, run.history(chunk))
-        self.tally.returned[action.value, type(error).__name__] += 1
+        self.metrics.returned.labels(action.value, type(error).__name__).inc()
         if action in FAILED_TRIES:
             log.warning("job %s, chunk %d: %s", run.job.id, chunk, text_of(error))
         if action is Action.PAUSE:
@@ -328,7 +313,9 @@ class Supervisor:
             return
 
         def remove() -> None:
-            self._inbox.put(Removed(remove_deleted(self._ledger, self._settings, deletions, self._stop)))
+            complete = remove_deleted(self._ledger, self._settings, deletions, self._stop)
+            self._removals_due = time.monotonic() + (0.0 if complete else RETRY_SECONDS)
+            self.wake()
 
         self._remover = threading.Thread(target=remove, name="remover", daemon=True)
         self._remover.start()
