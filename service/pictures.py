@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import xarray
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from kernel.labels import LABELS
@@ -90,8 +89,7 @@ PERIOD: Final = 2 * np.pi  # of the plate, rad
 OVERLAID: Final = (1.7, 0.8)
 #: More points than this become an image inside an SVG.
 MANY_POINTS: Final = 5_000
-#: More flights of a direction than this are drawn as density, on as many columns and rows as the axes have
-#: pixels.
+#: More flights of a direction than this are drawn as density, in bins of a dot; pixels of the axes.
 DENSE_POINTS: Final = 200_000
 COLUMNS_AND_ROWS: Final = (1200, 680)
 #: Opacity of a bin with one flight, and how many flights make it opaque.
@@ -125,7 +123,7 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
                       "markersize": 2 * _dot(len(values)) * size, "label": _WAYS[way]}  # fmt: skip
         if len(x) > DENSE_POINTS:
             axes.plot([], [], **style)
-            _draw_density(axes, x, y, LINES[way], style["markersize"] / 2)
+            _draw_density(axes, x, y, values, LINES[way])
         else:
             axes.plot(x, y, alpha=0.8, rasterized=len(x) > MANY_POINTS, zorder=3, **style)
     _draw_periods(axes)
@@ -141,38 +139,19 @@ def _dot(cells: int) -> float:
 
 
 def _draw_density(
-    axes: "Axes", x: NDArray[np.float64], y: NDArray[np.float64], colour: str, dot: float
+    axes: "Axes", x: NDArray[np.float64], y: NDArray[np.float64], values: NDArray[np.float64], colour: str
 ) -> None:
-    """What the dots of these flights, `dot` points wide, would cover, darker where there are more of them."""
-    from matplotlib.colors import to_rgb
+    """Flights at these values of the axis in bins of a dot's size, darker where there are more of them."""
+    from matplotlib.colors import LinearSegmentedColormap, LogNorm, to_rgba
 
-    columns, rows = COLUMNS_AND_ROWS
-    scale = np.log if axes.get_xscale() == "log" else np.asarray
-    column = _bins(scale(x), scale(axes.get_xlim()), columns)
-    counts = np.bincount(_bins(y, axes.get_ylim(), rows) * columns + column, minlength=columns * rows)
-    counts = _widened(counts.reshape(rows, columns), round(dot * DPI / 72))
-    shades = np.log(np.maximum(counts, 1)) / np.log(np.clip(counts.max(), 2, OPAQUE))
-    image = np.empty((*counts.shape, 4))
-    image[..., :3] = to_rgb(colour)
-    image[..., 3] = np.where(counts > 0, np.minimum(FAINTEST + (1 - FAINTEST) * shades, 1.0), 0.0)
-    # An inset in axes coordinates, which a logarithmic axis does not distort.
-    overlay = axes.inset_axes((0.0, 0.0, 1.0, 1.0), zorder=3)
-    overlay.set_axis_off()
-    overlay.imshow(image, origin="lower", aspect="auto", interpolation="nearest")
-
-
-def _bins(values: NDArray[np.float64], ends: Any, number: int) -> NDArray[np.int64]:
-    """The bin of each value among `number` between two ends."""
-    low, high = ends
-    return np.asarray(np.clip((values - low) * (number / (high - low)), 0, number - 1), np.int64)
-
-
-def _widened(counts: NDArray[np.int64], width: int) -> NDArray[np.int64]:
-    """Every count spread over a square `width` bins wide; the highest count wins."""
-    for axis in (0, 1):
-        pad = [(width // 2, (width - 1) // 2) if axis == i else (0, 0) for i in (0, 1)]
-        counts = sliding_window_view(np.pad(counts, pad), width, axis).max(axis=-1)
-    return counts
+    columns, rows = (int(n * 72 / DPI / _dot(len(values))) for n in COLUMNS_AND_ROWS)
+    spaced = np.geomspace if axes.get_xscale() == "log" else np.linspace
+    bins = edges(values) if len(values) <= columns else spaced(*axes.get_xlim(), columns + 1)
+    shades = LinearSegmentedColormap.from_list("", [to_rgba(colour, FAINTEST), to_rgba(colour)])
+    axes.hist2d(
+        x, y, (bins, np.linspace(*axes.get_ylim(), rows + 1)), cmin=1, cmap=shades, zorder=3, rasterized=True,
+        norm=LogNorm(1, OPAQUE, clip=True),
+    )  # fmt: skip
 
 
 def _scale(axes: "Axes", values: NDArray[np.float64], highest: float) -> None:
