@@ -5,7 +5,6 @@ import os
 import re
 import time
 from collections.abc import Callable, Mapping
-from datetime import datetime
 from functools import wraps
 from inspect import cleandoc
 from pathlib import Path
@@ -48,21 +47,6 @@ class Duration(click.ParamType[float]):
 
 
 DURATION: Final = Duration()
-
-
-class Day(click.ParamType[str]):
-    """A day, or a time of it, as 2026-11-25."""
-
-    name = "date"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        try:
-            return datetime.fromisoformat(str(value)).isoformat()
-        except ValueError:
-            self.fail(f"must be a day such as 2026-11-25, not {value!r}", param, ctx)
-
-
-DAY: Final = Day()
 
 
 class CommandGroup(click.Group):
@@ -143,19 +127,14 @@ def service_options(command: Command) -> Command:
     return url_option(token_option(command))
 
 
-def open_client(url: str, token: str | None) -> "Client":
-    """A client of the service at `url`."""
-    from service.client import Client
-
-    return Client(url, token)
-
-
 def with_client(function: Callable[..., None]) -> Callable[..., None]:
     """Give a command the options that select the service, and a client of it as its first argument."""
 
     @wraps(function)
     def run(url: str, token: str | None, **options: Any) -> None:
-        with open_client(url, token) as client:
+        from service.client import Client
+
+        with Client(url, token) as client:
             function(client, **options)
 
     return service_options(run)

@@ -16,7 +16,6 @@ from service.cli.options import (
     Command,
     complete_id,
     format_option,
-    open_client,
     output_format,
     service_options,
     with_client,
@@ -57,11 +56,13 @@ def command(name: str) -> click.Command:
         if missing:
             other = " or the ID of a job" if len(kinds) > 1 else ""
             raise click.UsageError(f"give {' and '.join(missing)}{other}")
+        from service.client import Client
+
         formats, printed = of.RESULTS[name]
         file_format = None if output is None else output_format(output, formats, format)
         if data is not None and (job_id is None or file_format not in PICTURES):
             raise click.UsageError(f"--data needs the ID of a job, and -o with one of {', '.join(PICTURES)}")
-        with open_client(url, token) as client:
+        with Client(url, token) as client:
             job = None if job_id is None else client.job(job_id)
             source = client if job is None else job
             if output is None:
