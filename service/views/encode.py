@@ -3,11 +3,11 @@
 import csv
 import io
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 from math import prod
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import orjson
@@ -98,15 +98,20 @@ def to_netcdf(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
 
 def to_csv(dataset: xarray.Dataset, rows: str) -> bytes:
     """A header and one line per row of `tables`; NaN is empty."""
-    pieces: list[bytes] = []
-    for part in tables(dataset, rows, lists=False):
-        file = io.StringIO()
-        writer = csv.writer(file, lineterminator="\n")
-        if not pieces:
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    for i, part in enumerate(tables(dataset, rows, lists=False)):
+        if i == 0:
             writer.writerow(part)
-        writer.writerows(zip(*(column.texts() for column in part.values()), strict=True))
-        pieces.append(file.getvalue().encode())
-    return b"".join(pieces)
+        writer.writerows(zip(*map(_texts, part.values()), strict=True))
+    return file.getvalue().encode()
+
+
+def _texts(values: NDArray[Any]) -> list[Any]:
+    """What a line of CSV shows of each value."""
+    if values.dtype.kind == "f" and (missing := np.isnan(values)).any():
+        values = np.where(missing, "", values.astype(object))
+    return list(values.tolist())
 
 
 def to_parquet(dataset: xarray.Dataset, rows: str) -> bytes:
@@ -114,7 +119,7 @@ def to_parquet(dataset: xarray.Dataset, rows: str) -> bytes:
     from pyarrow import parquet
 
     file = io.BytesIO()
-    batches = (record_batch(part) for part in tables(dataset, rows, lists=True))
+    batches = map(record_batch, tables(dataset, rows, lists=True))
     first = next(batches)
     described = first.schema.with_metadata({name: str(x) for name, x in dataset.attrs.items()})
     with parquet.ParquetWriter(file, described, compression="zstd") as writer:
@@ -123,19 +128,12 @@ def to_parquet(dataset: xarray.Dataset, rows: str) -> bytes:
     return file.getvalue()
 
 
-def record_batch(columns: Mapping[str, "Column"]) -> Any:
-    """The columns as a `pyarrow.RecordBatch`."""
+def record_batch(columns: Mapping[str, Any]) -> Any:
+    """The columns as a `pyarrow.RecordBatch`; objects are texts, also where there are none."""
     import pyarrow as pa
 
-    arrays = {}
-    for name, column in columns.items():
-        values = pa.array(column.values)
-        if column.names is not None:
-            values = pa.array(column.names, pa.string()).take(values)
-        if column.ends is not None:
-            values = pa.ListArray.from_arrays(pa.array(column.ends), values)
-        arrays[name] = values
-    return pa.record_batch(arrays)
+    objects = {name: x for name, x in columns.items() if isinstance(x, np.ndarray) and x.dtype.kind == "O"}
+    return pa.record_batch({**columns, **{name: pa.array(x, pa.string()) for name, x in objects.items()}})
 
 
 DATASETS: Final[dict[str, Callable[..., bytes]]] = {"json": to_json, "bin": to_binary, "nc": to_netcdf}
@@ -147,28 +145,12 @@ ENCODERS: Final = {**DATASETS, **TABLES}
 Rows = NDArray[Any] | slice
 
 
-class Column(NamedTuple):
-    """A value, or a list, for each row of a table."""
-
-    values: NDArray[Any]  # (rows,), or the values of all lists
-    names: Sequence[str] | None = None  # of the values, which are positions in it then
-    ends: NDArray[np.int32] | None = None  # (rows + 1,) where the list of each row begins, and the last ends
-
-    def texts(self) -> Sequence[Any]:
-        """What a line of text shows."""
-        if self.names is not None:
-            return [self.names[i] for i in self.values.tolist()]
-        if self.values.dtype.kind == "f" and (missing := np.isnan(self.values)).any():
-            return list(np.where(missing, "", self.values.astype(object)))
-        return list(self.values.tolist())
-
-
-def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[dict[str, Column]]:
+def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[dict[str, Any]]:
     """One row for each number of the variable `rows`, NaN left out, some thousand at a time.
 
-    Columns are the coordinates and the variables over dimensions of `rows`. A variable with a further
-    dimension is a column of lists, or without `lists` one column for each position along it. Codes appear
-    as their `flag_meanings`.
+    Columns are the coordinates and the variables over dimensions of `rows`, as arrays. A variable with a
+    further dimension is a column of lists, a `pyarrow.ListArray`, or without `lists` one column for each
+    position along it. Codes appear as their `flag_meanings`.
     """
     dims = tuple(map(str, dataset.variables[rows].dims))
     for part in _parts(dataset, dims):
@@ -189,10 +171,10 @@ def _parts(dataset: xarray.Dataset, dims: tuple[str, ...]) -> Iterator[xarray.Da
 
 def _columns(
     part: xarray.Dataset, dims: tuple[str, ...], kept: Rows, lists: bool
-) -> Iterator[tuple[str, Column]]:
+) -> Iterator[tuple[str, Any]]:
     for dim in dims:
         if dim not in part.coords:
-            yield dim, Column(_repeated(part, (dim,), np.arange(part.sizes[dim], dtype=np.int32), dims)[kept])
+            yield dim, _repeated(part, (dim,), np.arange(part.sizes[dim], dtype=np.int32), dims)[kept]
     for name in map(str, (*part.coords, *part.data_vars)):
         variable = part.variables[name]
         extra = [str(dim) for dim in variable.dims if dim not in dims]
@@ -209,21 +191,21 @@ def _columns(
                 yield f"{name}_{numbers}", _column(part, cell, dims, kept)
 
 
-def _column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows) -> Column:
-    values, names = variable.values, None
+def _column(
+    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows
+) -> NDArray[Any]:
+    values = _repeated(part, variable.dims, variable.values, dims)[kept]
     if "flag_values" in variable.attrs:
         codes = [int(code) for code in variable.attrs["flag_values"]]
         meanings = dict(zip(codes, variable.attrs["flag_meanings"].split(), strict=True))
-        names = [meanings.get(code, "") for code in range(max(codes) + 1)]
-    elif values.dtype.kind in "UOT":
-        names, values = values.ravel().tolist(), np.arange(values.size).reshape(values.shape)
-    return Column(_repeated(part, variable.dims, values, dims)[kept], names)
+        values = np.array([meanings.get(code, "") for code in range(max(codes) + 1)], object)[values]
+    return np.asarray(values, object if values.dtype.kind in "UT" else None)
 
 
-def _list_column(
-    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows
-) -> Column:
+def _list_column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows) -> Any:
     """The numbers of each row along the other dimensions; of flights without the NaN at the end."""
+    import pyarrow as pa
+
     rows = _repeated(part, variable.dims, variable.values, dims)[kept]
     numbers = rows.reshape(len(rows), prod(rows.shape[1:]))
     most = numbers.shape[1]
@@ -232,7 +214,7 @@ def _list_column(
         there = ~np.isnan(numbers)
         lengths = np.where(there.any(axis=1), most - there[:, ::-1].argmax(axis=1), 0)
     ends = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
-    return Column(numbers[np.arange(most) < lengths[:, None]], ends=ends)
+    return pa.ListArray.from_arrays(ends, pa.array(numbers[np.arange(most) < lengths[:, None]]))
 
 
 def _repeated(

@@ -66,7 +66,7 @@ def test_a_new_result_is_documented(service: TestClient):
 def test_a_new_result_has_a_command(
     service: TestClient, job: Job, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
-    monkeypatch.setattr(commands, "open_client", lambda url, token: Client("http://localhost", http=service))
+    monkeypatch.setattr("service.client.Client", lambda url, token: Client("http://localhost", http=service))
     namespace: dict[str, Any] = {}
     exec(client_methods.source(), namespace)
     monkeypatch.setattr(commands, "ResultMethods", namespace["ResultMethods"])
