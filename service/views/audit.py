@@ -11,7 +11,7 @@ from pydantic import Field
 from kernel.params import Outcome
 from service.errors import InvalidRequest
 from service.views.selection import Stored, attractor_label, check_kernel
-from service.views.variables import coordinate, dataset, row, variable
+from service.views.variables import coordinate, dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.audit import (
     FIELDS,
@@ -52,10 +52,10 @@ _QUESTION: Final = (
     row("largest", ("question",), "<f8", "largest deviation of flights", "rad"),
     row("covered", ("question",), "<f8", "share of all cells within largest, at least, with 95 % confidence"),
 )  # fmt: skip
-_MATRIX: Final = row(
-    "outcomes", ("outcome", "true_outcome"), "<i4", "drawn cells by outcome, stored and of the reference"
-)
-_CELLS: Final = (
+_OF_SWEEP: Final = (
+    row(
+        "outcomes", ("outcome", "true_outcome"), "<i4", "drawn cells by outcome, stored and of the reference"
+    ),
     row("cell_set", ("cell",), "U", "what the cell was drawn for"),
     row("cell_direction", ("cell",), "U", "direction of the sweep"),
     row("cell_gamma", ("cell",), "<f8", "Γ"),
@@ -65,10 +65,8 @@ _CELLS: Final = (
     row("cell_reference", ("cell",), "U", "outcome or mode of the reference"),
     row("cell_deviation", ("cell",), "<f8", "deviation of flights", "rad"),
     row("cell_undecided", ("cell",), "|b1", "whether the reference does not decide"),
-)
-_COUNT: Final = row("cells", (), "<i8", "cells of the sweep")
-_CERTIFIED: Final = row(
-    "certified", (), "<f8", "share of the cells certified within the tolerance, not drawn for numerics"
+    row("cells", (), "<i8", "cells of the sweep"),
+    row("certified", (), "<f8", "share of the cells certified within the tolerance, not drawn for numerics"),
 )
 
 #: The questions, in order.
@@ -120,24 +118,15 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     answers = answers_of(study, query, table, sizes)
     certified = sizes["certified"] / sizes["cells"]
     both = len(answers) > 1
-    numbers = {
-        each.name: np.array([[getattr(of.get(question, _NOT_ASKED), each.name) for question in QUESTIONS]
-                             for of in answers.values()])
-        for each in _QUESTION
-    }  # fmt: skip
-    dims = ("against",) * both
-    data = {
-        each.name: variable(dims, numbers[each.name] if both else numbers[each.name][0], each)
-        for each in _QUESTION
-    }
+    numbers = np.array([[of.get(name, _NOT_ASKED) for name in QUESTIONS] for of in answers.values()])
+    by_field = np.moveaxis(numbers if both else numbers[0], -1, 0)
+    asked = dict(zip(_Answer._fields, by_field, strict=True))
     matrix = np.zeros((len(Outcome), len(Outcome)), np.int32)
     own = table["set"] == SETS.index("numerics")
     np.add.at(matrix, (table["outcome"][own], table["true_outcome"][own]), 1)
-    data |= {_MATRIX.name: variable((), matrix, _MATRIX)}
+    of_sweep = {"outcomes": matrix, "cells": sizes["cells"], "certified": certified}
     listed = _listed(study.spec, table, query.tolerance)
-    data |= {each.name: variable((), listed[each.name], each) for each in _CELLS}
-    data |= {_COUNT.name: variable((), sizes["cells"], _COUNT)}
-    data |= {_CERTIFIED.name: variable((), certified, _CERTIFIED)}
+    data = variables(_QUESTION, asked, ("against",) * both) | variables(_OF_SWEEP, of_sweep | listed)
     names = [outcome.name.lower() for outcome in Outcome]
     coords = {
         "against": coordinate("against", list(answers) if both else "numerics"),
@@ -378,6 +367,6 @@ def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
 
 VIEW: Final = View(
     "audit", "Audit of a sweep", SweepSpec, AuditQuery, compute, estimate,
-    variables=(*_QUESTION, _MATRIX, *_CELLS, _COUNT, _CERTIFIED), rows="share",
+    variables=(*_QUESTION, *_OF_SWEEP), rows="share",
     printed=("share", "cell_stored"), parts=parts, kept=True,
 )  # fmt: skip

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import ATTRACTORS, TEXT
-from service.views.variables import dataset, row, variable
+from service.views.variables import dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.audit import MAX_SECONDS, reference_seconds
 from worker.analysis.planning import FIRST, FRESH, MORE, Setting, Share, frontier, plan
@@ -100,7 +100,7 @@ def compute(settings: Sequence[Setting], query: PlanQuery, found: tuple[list[Sha
         "spec": [spec.model_dump_json() for spec in specs],
     }
     attrs = {"points": shares[chosen].points, "seed": query.seed, "complete": True}
-    return dataset({each.name: variable((), data[each.name], each) for each in _ROWS}, {}, attrs)
+    return dataset(variables(_ROWS, data), {}, attrs)
 
 
 def _with_effort(spec: SweepSpec, effort: str) -> SweepSpec:

@@ -15,7 +15,7 @@ import xarray
 
 from kernel.params import Outcome
 from service.pictures import ATTRACTORS, FONT, TEXT
-from service.views.variables import dataset, row, variable
+from service.views.variables import dataset, row, variables
 from service.views.view import Estimate, Query, View
 from worker.analysis.deviation import percentile
 from worker.analysis.planning import Measured, measured
@@ -147,7 +147,7 @@ def measure(settings: "Sequence[Setting]", show: "Callable[[int, int], None]") -
     data = dict(zip((each.name for each in _ROWS), zip(*rows, strict=True), strict=True))
     attrs = {name: purpose.text for name, purpose in PURPOSES.items()}
     attrs["cells"] = f"{len(LINES) * CELLS_PER_LINE}, {_PERIODS} plate periods from rest"
-    return dataset({each.name: variable((), data[each.name], each) for each in _ROWS}, {}, attrs)
+    return dataset(variables(_ROWS, data), {}, attrs)
 
 
 _PERIODS: Final = WINDOWS["settle"] + WINDOWS["observe"]

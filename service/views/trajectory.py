@@ -23,7 +23,7 @@ from service.views.selection import (
     nearest_index,
     read_stored,
 )
-from service.views.variables import ENERGY, coordinate, dataset, row, variable
+from service.views.variables import ENERGY, coordinate, dataset, row, variables
 from service.views.view import Estimate, Number, Query, View
 from worker.analysis.cycles import cycle_near
 from worker.basins.specification import MAX_HEIGHT, BasinSpec, MultistabilitySpec
@@ -168,30 +168,27 @@ class TrajectorySpec(Document):
 
 _LENGTH: Final = "plate amplitudes"
 
-#: The variables by name. Those of a cycle are of a start on one, the energies of a cycle of one bounce on a
+#: The variables. Those of a cycle are of a start on one, the energies of a cycle of one bounce on a
 #: rigid plate without restitution.
-_ROWS: Final = {
-    each.name: each
-    for each in (
-        row("plate", ("phase",), "<f8", "plate", _LENGTH),
-        row("z1", ("phase",), "<f8", "upper mass", _LENGTH),
-        row("z2", ("phase",), "<f8", "lower mass", _LENGTH),
-        row("velocity", ("phase",), "<f8", "velocity of the spring's elongation", "A omega"),
-        row("force", ("phase",), "<f8", "force of the plate on the lower mass", "m A ω²"),
-        row("in_flight", ("phase",), "?", "whether the spring is off the plate"),
-        row("takeoff", ("flight",), "<f8", "phase of the plate at take-off, as `phase`", "rad"),
-        row("takeoff_phase", ("flight",), "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
-        row("flight_time", ("flight",), "<f8", "flight time", "rad"),
-        row("cycle_bounces", (), "<i4", "bounces of the cycle"),
-        row("cycle_periods", (), "<i4", "plate periods of the cycle"),
-        row("cycle_flight_time", (), "<f8", "flight time of the cycle", "rad"),
-        row("cycle_multipliers", ("multiplier", "part"), "<f8", "Floquet multipliers, real and imaginary"),
-        row("cycle_stable", (), "?", "whether both multipliers are inside the unit circle"),
-        row("cycle_violations", (), "|u1", "0, or the sum of the conditions that fail"),
-        *(each._replace(name=f"energy_{each.name}") for each in ENERGY),
-        *proofs.OF_CELL,
-    )
-}  # fmt: skip
+_ROWS: Final = (
+    row("plate", ("phase",), "<f8", "plate", _LENGTH),
+    row("z1", ("phase",), "<f8", "upper mass", _LENGTH),
+    row("z2", ("phase",), "<f8", "lower mass", _LENGTH),
+    row("velocity", ("phase",), "<f8", "velocity of the spring's elongation", "A omega"),
+    row("force", ("phase",), "<f8", "force of the plate on the lower mass", "m A ω²"),
+    row("in_flight", ("phase",), "?", "whether the spring is off the plate"),
+    row("takeoff", ("flight",), "<f8", "phase of the plate at take-off, as `phase`", "rad"),
+    row("takeoff_phase", ("flight",), "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
+    row("flight_time", ("flight",), "<f8", "flight time", "rad"),
+    row("cycle_bounces", (), "<i4", "bounces of the cycle"),
+    row("cycle_periods", (), "<i4", "plate periods of the cycle"),
+    row("cycle_flight_time", (), "<f8", "flight time of the cycle", "rad"),
+    row("cycle_multipliers", ("multiplier", "part"), "<f8", "Floquet multipliers, real and imaginary"),
+    row("cycle_stable", (), "?", "whether both multipliers are inside the unit circle"),
+    row("cycle_violations", (), "|u1", "0, or the sum of the conditions that fail"),
+    *(each._replace(name=f"energy_{each.name}") for each in ENERGY),
+    *proofs.OF_CELL,
+)
 
 
 def _seconds(spec: TrajectorySpec) -> float:
@@ -257,7 +254,7 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
     coords = {axis: coordinate(axis, getattr(spec, axis)) for axis in AXES}
     about = {"long_name": "plate phase, with whole periods added", "units": "rad"}
     return dataset(
-        {name: variable((), values[name], each) for name, each in _ROWS.items() if name in values},
+        variables(_ROWS, values),
         {"phase": coordinate("phase", path.phase, **about), **coords},
         {"rest_length": length, "model": spec.model.kind, "complete": path.complete},
     )
@@ -418,5 +415,5 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
 
 VIEW: Final = View(
     "trajectory", "Motion of a cell", _Spec, TrajectoryQuery, compute, estimate,
-    variables=tuple(_ROWS.values()), rows="plate", computes=True, draw=draw,
+    variables=_ROWS, rows="plate", computes=True, draw=draw,
 )  # fmt: skip

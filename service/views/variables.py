@@ -71,6 +71,13 @@ def variable(dims: tuple[str, ...], values: Any, row: Array) -> xarray.Variable:
     return xarray.Variable((*dims, *row.extra_dims), np.asarray(values, row.dtype), row.attrs)
 
 
+def variables(
+    rows: Iterable[Array], values: Mapping[str, Any], dims: tuple[str, ...] = ()
+) -> dict[str, xarray.Variable]:
+    """By name the variables of those rows that have values, over `dims` and the further ones of each row."""
+    return {row.name: variable(dims, values[row.name], row) for row in rows if row.name in values}
+
+
 def coordinate(name: str, values: Any, **attrs: Any) -> xarray.Variable:
     """Values along the dimension `name`, or one value."""
     data = np.asarray(values)
