@@ -62,9 +62,6 @@ LOOK_SECONDS: Final = 0.05
 #: Seconds that an interrupted run waits for its chunks to notice the cancel.
 CANCEL_SECONDS: Final = 0.8
 
-#: More levels than a budget has.
-MOST_LEVELS: Final = 100
-
 #: Announce compilation after this many seconds.
 MESSAGE_SECONDS: Final = 1.0
 
@@ -342,7 +339,7 @@ def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool = Fal
         return bool(other == spec)
 
     with ledger.reading() as reading:
-        others = [job for job in reading.newest(None, MOST_LEVELS) if not belongs(renewed(job.spec))]
+        others = [job for job in reading.search() if not belongs(renewed(job.spec))]
     if others:
         raise FileExistsError(
             errno.EEXIST, "holds a run of another specification; remove it first", str(folder)

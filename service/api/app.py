@@ -4,10 +4,12 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import ExitStack, asynccontextmanager
 from functools import cache, partial
+from operator import attrgetter
 from typing import Final
 
 from fastapi import Depends, FastAPI
 from starlette.middleware.cors import CORSMiddleware
+from starlette.staticfiles import StaticFiles
 
 from service.api import openapi, problems
 from service.api.capacity import Capacity
@@ -56,7 +58,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         version=software().release,
         docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts
         redoc_url=None,
-        generate_unique_id_function=openapi.operation_id,
+        generate_unique_id_function=attrgetter("name"),  # what a generated client calls it
         dependencies=[Depends(reject_repeated_parameters)],
         lifespan=partial(
             _lifespan,
@@ -70,7 +72,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         app.include_router(router)
     for router in (jobs.router, results.router, *views.routes(), page.router):
         app.include_router(router, responses=problem_responses(422))
-    app.mount("/static", page.static_files(), name="static")
+    app.mount("/static", StaticFiles(directory=page.FILES), name="static")
     problems.install(app)
     app.add_middleware(Gate, metrics=metrics, settings=settings, tokens=tokens)
     if settings.cors_origins:

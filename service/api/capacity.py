@@ -178,13 +178,8 @@ def costly(
     """
 
     def declare(endpoint: Callable[..., Response]) -> Callable[..., Coroutine[Any, Any, Response]]:
-        signature = inspect.signature(endpoint)
-        takes_request = "request" in signature.parameters
-
         @functools.wraps(endpoint)
         async def limited(request: Request, **arguments: Any) -> Response:
-            if takes_request:
-                arguments["request"] = request
             memory, small = await run_in_threadpool(cost, **arguments) if callable(cost) else cost
             if small:
                 arguments["service"] = arguments["service"].small
@@ -210,10 +205,10 @@ def costly(
             finally:
                 gone.cancel()
 
-        if not takes_request:
-            parameter = inspect.Parameter("request", inspect.Parameter.KEYWORD_ONLY, annotation=Request)
-            signature = signature.replace(parameters=[*signature.parameters.values(), parameter])
-        limited.__signature__ = signature  # type: ignore[attr-defined]
+        signature = inspect.signature(endpoint)
+        parameter = inspect.Parameter("request", inspect.Parameter.KEYWORD_ONLY, annotation=Request)
+        parameters = [*signature.parameters.values(), parameter]
+        limited.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         return limited
 
     return declare

@@ -23,7 +23,6 @@ from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from service.views.selection import BASE_MEMORY, Stored
-from worker.sweep import SweepSpec
 
 
 @dataclass(frozen=True)
@@ -112,15 +111,6 @@ def stored(service: Service, job: JobRecord) -> Stored[Any]:
         prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, job.chunks_done,
         prepared.forms, prepared.submitted,
     )  # fmt: skip
-
-
-def sweep(service: Service, job: JobRecord) -> Stored[SweepSpec]:
-    """What a job computes and where its results are. Raises InvalidRequest for other kinds of study."""
-    study = stored(service, job)
-    if not isinstance(study.spec, SweepSpec):
-        kind = study.spec.protocol.kind
-        raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
-    return study
 
 
 def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> Cost:

@@ -9,7 +9,6 @@ from typing import Any, Final
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
-from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
 from service.api.middleware import OPEN_PATHS
@@ -74,11 +73,6 @@ EXAMPLES: Final[dict[str, dict[str, Any]]] = {
     "Window": {"gamma": [1.0, 1.5], "omega": [0.4, 0.5], "finer": 4},
     "TrajectorySpec": {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "periods": 2},
 }
-
-
-def operation_id(route: APIRoute) -> str:
-    """The name of an endpoint's function: what a generated client calls it."""
-    return route.name
 
 
 def document(app: FastAPI, *, needs_token: bool) -> dict[str, Any]:

@@ -41,11 +41,10 @@ def restore(file: Path, data: str | None) -> None:
     from service.ledger import backup as backups
 
     settings = _settings(data)
-    restored = backups.restore(settings.ledger_path, file)
-    jobs, chunks = restored.contents
+    (jobs, chunks), replaced = backups.restore(settings.ledger_path, file)
     click.echo(f"{settings.ledger_path}: {jobs} jobs, {chunks} done chunks")
-    if restored.replaced is not None:
-        click.echo(f"the ledger that was there is {restored.replaced}")
+    if replaced is not None:
+        click.echo(f"the ledger that was there is {replaced}")
     with opening.open_ledger(settings) as ledger:
         unknown = opening.find_unknown(ledger, settings)
     if unknown:

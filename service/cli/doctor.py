@@ -130,7 +130,7 @@ def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
             ledger = stack.enter_context(open_ledger(settings))
         reading = partial(backup.reading, settings.ledger_path) if ledger is None else ledger.reading
         with reading() as transaction:
-            jobs = transaction.newest(None, -1)
+            jobs = transaction.search()
         jobs = [job for job in jobs if job_id in (None, job.id)]
         if job_id is not None and not jobs:
             raise UnknownJob.of(job_id)

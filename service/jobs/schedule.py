@@ -172,11 +172,9 @@ class Schedule:
         for job_id in self.rotation:
             job = active.get(job_id) or self.waiting.get(job_id)
             if job is not None and job.may_submit:
-                return self._placed(job, True, active, starting) if self._is_due(job) else None
+                is_due = self.rotation.is_due(job.chunk_seconds)
+                return self._placed(job, True, active, starting) if is_due else None
         return None
-
-    def _is_due(self, job: Job) -> bool:
-        return self.rotation.is_due(job.chunk_seconds)
 
     def _next_smallest(self, active: Mapping[str, Job], starting: int) -> Next | None:
         """The job with the least left to compute among those that may submit a chunk."""

@@ -2,7 +2,6 @@
 
 import shutil
 import sqlite3
-import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Final, NamedTuple
 from urllib.parse import quote
 
 from service.errors import LedgerUnavailable, LedgerUnusable
-from service.ledger.ledger import check, copy_to, locked, make_tables
+from service.ledger.ledger import check, locked, make_tables
 from service.ledger.paths import replaced_path, shm_of, wal_of
 from service.ledger.tables import VERSION
 from service.ledger.transactions import ReadTransaction
@@ -26,13 +25,6 @@ class Contents(NamedTuple):
     chunks: int  # marked done
 
 
-class Restored(NamedTuple):
-    """A restored ledger, and the new path of the previous one."""
-
-    contents: Contents
-    replaced: Path | None
-
-
 def backup(ledger: Path, file: Path) -> Contents:
     """Copy a ledger at one moment to `file`, whole or not at all; a service may be using it.
 
@@ -41,8 +33,13 @@ def backup(ledger: Path, file: Path) -> Contents:
     if not ledger.is_file():
         raise LedgerUnavailable(f"there is no ledger {ledger}")
     try:
-        with tempfile.TemporaryFile(dir=file.parent), _opened(ledger) as source:
-            copy_to(source, file)
+        with (
+            _opened(ledger) as source,
+            replacing(file, private=True) as copied,
+            closing(sqlite3.connect(copied.name)) as target,
+        ):
+            source.backup(target)
+            check(target, Path(copied.name))
     except (sqlite3.OperationalError, OSError) as error:
         reason = getattr(error, "strerror", None) or error
         raise LedgerUnavailable(f"{ledger} cannot be copied to {file}: {reason}") from error
@@ -51,8 +48,8 @@ def backup(ledger: Path, file: Path) -> Contents:
     return inspect(file)
 
 
-def restore(ledger: Path, file: Path) -> Restored:
-    """Put a backup in place of a ledger that no service uses; the previous one is kept beside it.
+def restore(ledger: Path, file: Path) -> tuple[Contents, Path | None]:
+    """Put a backup in place of a ledger that no service uses; its contents, and where the previous is kept.
 
     Raises DataFolderBusy while a service uses the folder, LedgerUnusable if `file` is no whole ledger.
     """
@@ -76,7 +73,7 @@ def restore(ledger: Path, file: Path) -> Restored:
                 replaced = _set_aside(ledger)
         except sqlite3.Error as error:
             raise LedgerUnusable(f"{file} cannot be restored: {error}") from error
-    return Restored(contents, replaced)
+    return contents, replaced
 
 
 def inspect(file: Path) -> Contents:

@@ -22,7 +22,7 @@ from service.ledger.model import JobRecord
 from service.ledger.paths import lock_of, network_file_system, replaced_copies, size_of, wal_of
 from service.ledger.tables import TABLES, UPGRADES, VERSION
 from service.ledger.transactions import ReadTransaction, WriteTransaction
-from worker.files import make_folder, replacing
+from worker.files import make_folder
 
 log = logging.getLogger(__name__)
 
@@ -291,13 +291,6 @@ def locked(path: Path) -> Iterator[IO[str]]:
         except OSError as error:
             raise DataFolderBusy(f"another service uses the data folder {path.parent}") from error
         yield file
-
-
-def copy_to(source: sqlite3.Connection, path: Path) -> None:
-    """Copy a ledger as it is now, whole or not at all; may run beside the service. Raises sqlite3.Error."""
-    with replacing(path, private=True) as file, closing(sqlite3.connect(file.name)) as target:
-        source.backup(target)
-        check(target, Path(file.name))
 
 
 def _check_not_emptied(path: Path, has_stores: Callable[[], bool]) -> None:

@@ -114,3 +114,7 @@ class JobSearch:
         if order is not self.order or isinstance(value, str) is not (order is JobOrder.NAME):
             raise InvalidRequest.of("cursor", rule)
         return Position(value, seq)
+
+
+#: The search that finds all jobs, the newest first.
+EVERY_JOB: Final = JobSearch()

@@ -114,7 +114,5 @@ _STORES: Final = """
     DROP TABLE earlier;
 """
 
-_SINCE_15: Final = f"ALTER TABLE jobs ADD COLUMN progressed REAL; {_ANSWERS}"
-
 #: What makes these tables of those of an earlier version.
-UPGRADES: Final = {14: _STORES + _SINCE_15, 15: _SINCE_15}
+UPGRADES: Final = {14: f"{_STORES} ALTER TABLE jobs ADD COLUMN progressed REAL; {_ANSWERS}"}

@@ -17,7 +17,7 @@ from service.ledger.model import (
     check_transition,
     summary_of,
 )
-from service.ledger.search import JobSearch, Position
+from service.ledger.search import EVERY_JOB, JobSearch, Position
 from service.software import with_this_run
 from worker.study import ChunkReport
 
@@ -69,13 +69,10 @@ class ReadTransaction:
         row = self._row("SELECT * FROM jobs WHERE id = ?", job_id)
         return _record(row) if row else None
 
-    def newest(self, state: JobState | None, limit: int, before: int | None = None) -> list[JobRecord]:
-        """Jobs, the last accepted first; only those in `state` and with a `seq` below `before`."""
-        after = None if before is None else Position(before, before)
-        return self.search(JobSearch(state=state), limit, after)
-
-    def search(self, search: JobSearch, limit: int, after: Position | None = None) -> list[JobRecord]:
-        """The first `limit` jobs of a search behind a position, in its order."""
+    def search(
+        self, search: JobSearch = EVERY_JOB, limit: int = -1, after: Position | None = None
+    ) -> list[JobRecord]:
+        """The first `limit` jobs of a search behind a position, in its order; by default all jobs."""
         where, values = search.where(after)
         sql = f"SELECT * FROM jobs {where} {search.order_by} LIMIT ?"
         return [_record(row) for row in self._rows(sql, *values, limit)]

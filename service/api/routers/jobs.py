@@ -17,10 +17,11 @@ from service.api.dependencies import (
     PageBody,
     ServiceDep,
     find_job,
-    sweep,
+    stored,
     tag,
 )
 from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
+from service.errors import InvalidRequest
 from service.formats import MOST_SHARED
 from service.jobs.manager import Submission
 from service.jobs.stores.sharing import import_shared
@@ -29,6 +30,7 @@ from worker.executors.base import Compiling
 from worker.maps.window import Window
 from worker.studies import from_json
 from worker.study import Cost as StudyCost
+from worker.sweep import SweepSpec
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
@@ -96,9 +98,8 @@ def import_file(service: ServiceDep, body: PageBody) -> Response:
 
     The file must hold all numbers, and they must be whole.
     """
-    found = import_shared(service.ledger, service.settings, service.manager.check, body)
-    headers = {"Location": f"/v1/jobs/{found.job.id}"}
-    return _job_response(found.job, 201 if found.new else 200, headers)
+    job, is_new = import_shared(service.ledger, service.settings, service.manager.check, body)
+    return _job_response(job, 201 if is_new else 200, {"Location": f"/v1/jobs/{job.id}"})
 
 
 def _submitted(submission: Submission) -> Response:
@@ -222,8 +223,13 @@ def refine_job(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep
 
     202 if it is accepted, 200 if it is queued, running or done already. Its `spec.parent` is this job.
     """
-    spec = Window.from_json(body).of(sweep(service, job).spec, job.id)
-    return _submitted(service.manager.submit(spec, None, owner))
+    spec = stored(service, job).spec
+    if not isinstance(spec, SweepSpec):
+        raise InvalidRequest.of(
+            "job_id", f"must be a sweep; the protocol of this job is {spec.protocol.kind}"
+        )
+    window = Window.from_json(body).of(spec, job.id)
+    return _submitted(service.manager.submit(window, None, owner))
 
 
 async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:

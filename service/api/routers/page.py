@@ -6,7 +6,6 @@ from typing import Any, Final
 from fastapi import APIRouter, Response
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
-from starlette.staticfiles import StaticFiles
 
 from service import presets
 
@@ -27,11 +26,6 @@ class FigureView(BaseModel):
     number: int
     title: str
     sweeps: list[dict[str, Any]] = Field(description="the first is the sweep that the figure shows")
-
-
-def static_files() -> StaticFiles:
-    """The application that serves the page's files."""
-    return StaticFiles(directory=FILES)
 
 
 @router.get("/v1/figures", summary="List the paper's figures")

@@ -8,7 +8,7 @@ import re
 from base64 import b64decode, b64encode
 from collections.abc import Callable
 from hashlib import sha256
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, InvalidRequest
@@ -37,13 +37,6 @@ _IN_PART: Final = (
 )
 
 
-class Imported(NamedTuple):
-    """The job of a shared file; `new`: the ledger did not know it."""
-
-    job: JobRecord
-    new: bool
-
-
 def packed(url: str, layout: Layout, plan: Plan) -> str:
     """A store as an element of a page, with its checksum; empty if it is too large, or not complete."""
     files, size = {}, 0
@@ -59,8 +52,8 @@ def packed(url: str, layout: Layout, plan: Plan) -> str:
 
 def import_shared(
     ledger: Ledger, settings: Settings, check: Callable[[Any], Plan], content: bytes
-) -> Imported:
-    """The finished job of a shared file, whose numbers are checked before they are stored.
+) -> tuple[JobRecord, bool]:
+    """The finished job of a shared file and whether it is new; checks its numbers before they are stored.
 
     `check` refuses a study that the service would not accept. Raises InvalidRequest for another, a thinned or
     a damaged file, SpecTooLarge, and IllegalTransition for a job that is there but not done.
@@ -80,7 +73,7 @@ def import_shared(
     if (known := ledger.find(job_id)) is not None:
         if known.state is not JobState.DONE:
             raise IllegalTransition(f"the job of this file is {known.state} here: wait for it, or delete it")
-        return Imported(known, new=False)
+        return known, False
     with ledger.writing() as writing:
         number = writing.newest_seq() + 1
         writing.continue_after(number)
@@ -96,7 +89,7 @@ def import_shared(
         with ledger.writing() as writing:
             writing.delete(job)
         raise InvalidRequest.of("file", _DAMAGED)
-    return Imported(job, new=True)
+    return job, True
 
 
 def _unpacked(content: bytes) -> dict[str, bytes]:

@@ -132,9 +132,9 @@ def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Pat
 def test_a_log_that_is_not_of_the_backup_is_set_aside(folder: Path):
     ledger = folder / "data" / "ledger.sqlite"
     wal_of(ledger).write_bytes(b"of the ledger before")
-    restored = backup.restore(ledger, folder / "backup.sqlite")
-    assert restored.replaced is not None
-    assert wal_of(restored.replaced).read_bytes() == b"of the ledger before"
+    _, replaced = backup.restore(ledger, folder / "backup.sqlite")
+    assert replaced is not None
+    assert wal_of(replaced).read_bytes() == b"of the ledger before"
     assert not wal_of(ledger).exists()
     assert len(ids(ledger)) == 1
 

@@ -109,7 +109,7 @@ def test_a_log_of_a_killed_service_is_applied(data: Path):
     path = data / "ledger.sqlite"
     with Ledger(path) as ledger:
         with ledger.writing() as writing:
-            writing.remember_key("k", "body", writing.newest(None, 1)[0], 1.0)
+            writing.remember_key("k", "body", writing.search()[0], 1.0)
         shutil.copytree(data, data.parent / "killed")
     with Ledger(data.parent / "killed" / "ledger.sqlite") as ledger, ledger.reading() as reading:
         assert reading.key("k") is not None

@@ -52,7 +52,7 @@ def _accept(writing: Any, number: int) -> None:
 
 def _all(ledger: Ledger) -> list[JobRecord]:
     with ledger.reading() as reading:
-        return reading.newest(None, 1000)
+        return reading.search()
 
 
 def _allows(search: JobSearch, job: JobRecord) -> bool:
