@@ -266,25 +266,29 @@ def computed(
         _compile(parsed, progress)
         manager.start()
         try:
-            if budget is not None:
-                runner = _Levels(manager, ledger, executor, progress)
+            runner = _Runner(manager, ledger, executor, progress)
+            if budget is None:
+                yield runner.done(parsed)
+            else:
                 yield runner.within(parsed, budget - (time.monotonic() - began))
-                return
-            record = _wait(manager, ledger, manager.submit(parsed).job.id, progress)
-            yield Computed(record, manager.preparer.prepare(record))
         finally:
             manager.stop()
 
 
-class _Levels:
-    """Computes the levels of a budget in this process."""
+class _Runner:
+    """Computes studies in this process: one, or the levels of a budget."""
 
     def __init__(
         self, manager: JobManager, ledger: Ledger, executor: Inline, progress: bool | ProgressCallback
     ) -> None:
         self._manager, self._ledger, self._executor = manager, ledger, executor
         self._progress = progress
-        self._done: JobRecord | None = None
+        self._last: Computed | None = None
+
+    def done(self, spec: Any, deadline: float = math.inf) -> Computed:
+        """A study's done job. Raises as `_wait`."""
+        record = self._wait(self._manager.submit(spec).job.id, deadline)
+        return Computed(record, self._manager.preparer.prepare(record))
 
     def within(self, spec: Any, budget: float) -> Computed:
         """The finest level that fits. Raises InvalidRequest for a study that has no levels."""
@@ -292,8 +296,8 @@ class _Levels:
             raise InvalidRequest.of("budget", f"is for sweeps; this study is of kind {spec.protocol.kind}")
         show = display_line if self._progress is True else lambda _: None
         found = budgets.within(spec, budget, self, show)
-        assert self._done is not None
-        return Computed(self._done, self._manager.preparer.prepare(self._done), found.audit)
+        assert self._last is not None
+        return self._last._replace(audit=found.audit)
 
     def seconds(self, spec: Any) -> float:
         plan = self._manager.preparer.plan(spec)
@@ -303,17 +307,15 @@ class _Levels:
         return cost.core_seconds / self._executor.workers()
 
     def compute(self, spec: Any, seconds: float) -> bool:
-        deadline = time.monotonic() + seconds
         try:
-            job = self._manager.submit(spec).job
-            self._done = _wait(self._manager, self._ledger, job.id, self._progress, deadline)
+            self._last = self.done(spec, time.monotonic() + seconds)
         except TimeoutError:
             return False
         return True
 
     def audit(self, spec: Any, seconds: float) -> str | None:
-        assert self._done is not None
-        job = self._manager.preparer.prepare(self._done)
+        assert self._last is not None
+        job = self._last.job
         study = Stored(job.spec, job.store_url, complete=True, submitted=job.submitted)
         cells = audit.affordable(job.spec, seconds * self._executor.workers())
         if cells is None:
@@ -325,6 +327,34 @@ class _Levels:
             call.cancel()
         found = None if late else audit.compute(study, query, *(call.result() for call in calls))
         return None if found is None else str(found.attrs["sentence"])
+
+    def _wait(self, job_id: str, deadline: float) -> JobRecord:
+        """The job once it is done. Raises RunFailed, and TimeoutError beyond `deadline`, monotonic.
+
+        If interrupted, cancels the job, so that its chunks stop; stored results stay.
+        """
+        find = self._ledger.find
+        try:
+            with display_job(self._progress) as show:
+                while (record := find(job_id)) is not None:
+                    show(_status(record))
+                    if record.state not in UNFINISHED:
+                        break
+                    if time.monotonic() > deadline:
+                        raise TimeoutError
+                    time.sleep(LOOK_SECONDS)
+        except BaseException:
+            with suppress(IllegalTransition, UnknownJob):
+                self._manager.cancel(job_id)
+                deadline = time.monotonic() + CANCEL_SECONDS
+                while (job := find(job_id)) and job.state in UNFINISHED and time.monotonic() < deadline:
+                    time.sleep(LOOK_SECONDS)
+            raise
+        if record is None:
+            raise RunFailed("the folder of the run was changed while it computed")
+        if record.state is not JobState.DONE:
+            raise RunFailed(record.error or f"the study was {record.state}")
+        return record
 
 
 def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool = False) -> None:
@@ -390,40 +420,6 @@ def _is_computed(target: Path, spec: Specification) -> bool:
     if not same:
         raise FileExistsError(errno.EEXIST, "exists, and is not the store of this study", str(target))
     return True
-
-
-def _wait(
-    manager: JobManager,
-    ledger: Ledger,
-    job_id: str,
-    progress: bool | ProgressCallback,
-    deadline: float = math.inf,
-) -> JobRecord:
-    """The job once it is done. Raises RunFailed, and TimeoutError after `deadline` of the monotonic clock.
-
-    If interrupted, cancels the job, so that its chunks stop; stored results stay.
-    """
-    try:
-        with display_job(progress) as show:
-            while (record := ledger.find(job_id)) is not None:
-                show(_status(record))
-                if record.state not in UNFINISHED:
-                    break
-                if time.monotonic() > deadline:
-                    raise TimeoutError
-                time.sleep(LOOK_SECONDS)
-    except BaseException:
-        with suppress(IllegalTransition, UnknownJob):
-            manager.cancel(job_id)
-            deadline = time.monotonic() + CANCEL_SECONDS
-            while (job := ledger.find(job_id)) and job.state in UNFINISHED and time.monotonic() < deadline:
-                time.sleep(LOOK_SECONDS)
-        raise
-    if record is None:
-        raise RunFailed("the folder of the run was changed while it computed")
-    if record.state is not JobState.DONE:
-        raise RunFailed(record.error or f"the study was {record.state}")
-    return record
 
 
 def _status(record: JobRecord) -> JobStatus:

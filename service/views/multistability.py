@@ -20,7 +20,7 @@ from kernel.params import Outcome
 from service.errors import TooLarge
 from service.pictures import ATTRACTORS, OTHER_ATTRACTORS, PALETTE, SYMBOLS, UNDECIDED, edges, legend_beside
 from service.views.selection import Stored, attractor_label, nearest_index, read_stored
-from service.views.variables import coordinate, dataset, row, variable
+from service.views.variables import coordinate, dataset, row, variables
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.schema import MAX_FOLLOWED, OF_ATTRACTORS
 from worker.basins.specification import MultistabilitySpec
@@ -43,30 +43,27 @@ _NAMES: Final = (
 )  # fmt: skip
 _OF_PLACES: Final = ("fraction", "longest_flight", "flight_time")
 
-#: The variables by name; those of a place are of an attractor of a cell.
-_ROWS: Final = {
-    each.name: each
-    for each in (
-        row("count", (), "<i4", "attractors of the cell", comment="-1: not computed"),
-        row("id", ("place",), "<i4", "attractor of the plane", comment="0: none"),
-        row("label", ("place",), "U", "what the attractor does"),
-        *(array._replace(dims=tuple("place" if dim == "id" else dim for dim in array.dims))
-          for array in OF_ATTRACTORS if array.name in _OF_PLACES),
-        row("attractor_label", ("attractor",), "U", "what the attractor does in most cells"),
-        row("cells", ("attractor",), "<i4", "cells of the attractor"),
-        row("event_kind", ("event",), "U", "birth, death or mode, with gamma growing"),
-        row("event_attractor", ("event",), "<i4", "attractor of the event"),
-        row("event_omega", ("event",), "<f8", "omega of the event"),
-        row("event_gamma_below", ("event",), "<f8", "gamma of the cell below the event"),
-        row("event_gamma_above", ("event",), "<f8", "gamma of the cell above the event"),
-        row("event_below", ("event",), "U", "label of the attractor below", comment="empty: none"),
-        row("event_above", ("event",), "U", "label of the attractor above", comment="empty: none"),
-        row("event_leads_to", ("event",), "<i4", "attractor that takes the place of one born or dying",
-            comment="0: none"),
-    )
-}  # fmt: skip
+#: The variables; those of a place are of an attractor of a cell.
+_ROWS: Final = (
+    row("count", (), "<i4", "attractors of the cell", comment="-1: not computed"),
+    row("id", ("place",), "<i4", "attractor of the plane", comment="0: none"),
+    row("label", ("place",), "U", "what the attractor does"),
+    *(array._replace(dims=tuple("place" if dim == "id" else dim for dim in array.dims))
+      for array in OF_ATTRACTORS if array.name in _OF_PLACES),
+    row("attractor_label", ("attractor",), "U", "what the attractor does in most cells"),
+    row("cells", ("attractor",), "<i4", "cells of the attractor"),
+    row("event_kind", ("event",), "U", "birth, death or mode, with gamma growing"),
+    row("event_attractor", ("event",), "<i4", "attractor of the event"),
+    row("event_omega", ("event",), "<f8", "omega of the event"),
+    row("event_gamma_below", ("event",), "<f8", "gamma of the cell below the event"),
+    row("event_gamma_above", ("event",), "<f8", "gamma of the cell above the event"),
+    row("event_below", ("event",), "U", "label of the attractor below", comment="empty: none"),
+    row("event_above", ("event",), "U", "label of the attractor above", comment="empty: none"),
+    row("event_leads_to", ("event",), "<i4", "attractor that takes the place of one born or dying",
+        comment="0: none"),
+)  # fmt: skip
 
-_OF_EVENTS: Final = tuple(name for name in _ROWS if name.startswith("event_"))
+_OF_EVENTS: Final = tuple(each.name for each in _ROWS if each.name.startswith("event_"))
 
 _Arrays = Mapping[str, NDArray[Any]]
 
@@ -101,7 +98,7 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
         times = read_stored(study, ("flight_time",), {"xi": xi.index, "omega": rows})["flight_time"]
         of_places["flight_time"] = np.where(there[..., np.newaxis], times, np.nan)
     places = max(1, int(np.count_nonzero(there, axis=-1).max()))
-    data = {name: variable(_PLANE, values[:, :, :places], _ROWS[name]) for name, values in of_places.items()}
+    shown_places = {name: values[:, :, :places] for name, values in of_places.items()}
     numbers = np.unique(shown[there])
     commonest = _commonest(ids, labels)
     columns: dict[str, Any] = {
@@ -110,8 +107,8 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     }
     events = list(_events(spec, arrays, ids, labels, rows))
     columns |= {name: [event[i] for event in events] for i, name in enumerate(_OF_EVENTS)}
-    data |= {name: variable((), values, _ROWS[name]) for name, values in columns.items()}
-    data["count"] = variable(_PLANE, count, _ROWS["count"])
+    data = variables(_ROWS, shown_places, _PLANE) | variables(_ROWS, columns)
+    data |= variables(_ROWS, {"count": count}, _PLANE)
     coords = {
         "xi": coordinate("xi", xi.value),
         "omega": coordinate("omega", spec.axis_values("omega")[rows]),
@@ -336,6 +333,6 @@ def _name_attractors(axes: "Axes", result: xarray.Dataset) -> None:
 
 VIEW: Final = View(
     "multistability", "Attractors over a grid", MultistabilitySpec, MultistabilityQuery, compute, estimate,
-    variables=tuple(_ROWS.values()), rows="fraction", finer_rows="flight_time", printed=("cells",),
+    variables=_ROWS, rows="fraction", finer_rows="flight_time", printed=("cells",),
     draw=draw, size=(10.0, 4.2),
 )  # fmt: skip
