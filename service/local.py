@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, nullcontext, suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
@@ -42,8 +43,7 @@ from service.ledger.ledger import Ledger
 from service.ledger.model import UNFINISHED, JobRecord, JobState
 from service.settings import Settings
 from service.views import audit, diagram, exports, threshold
-from service.views.registry import admit, answer
-from service.views.selection import Stored
+from service.views.registry import admit, answer, stored
 from service.views.view import Call, Query
 from worker import store as stores
 from worker.executors.inline import Inline
@@ -186,10 +186,7 @@ def run_to_file(
         computed(parsed, settings.data, workers=workers, progress=progress, budget=budget) as done,
         complete_file(target) as file,
     ):
-        job = done.job
-        study = Stored(
-            job.spec, job.store_url, complete=True, job=job.job_id, forms=job.forms, audit=done.audit
-        )
+        job, study = done.job, replace(stored(done.record, done.job), audit=done.audit)
         if format in EXPORTS:
             attributes = exports.attributes_of(done.record, job)
             whole = exports.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
@@ -315,9 +312,8 @@ class _Runner:
 
     def audit(self, spec: Any, seconds: float) -> str | None:
         assert self._last is not None
-        job = self._last.job
-        study = Stored(job.spec, job.store_url, complete=True, submitted=job.submitted)
-        cells = audit.affordable(job.spec, seconds * self._executor.workers())
+        study = stored(self._last.record, self._last.job)
+        cells = audit.affordable(study.spec, seconds * self._executor.workers())
         if cells is None:
             return None
         query = audit.AuditQuery(cells=cells, followed=0)  # compiling the stepper cannot be interrupted

@@ -22,6 +22,7 @@ from service.jobs.on_demand import OnDemandCache
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
+from service.views import registry
 from service.views.selection import BASE_MEMORY, Stored
 
 
@@ -105,12 +106,7 @@ ResultsJob = Annotated[JobRecord, Depends(_results_job)]
 
 def stored(service: Service, job: JobRecord) -> Stored[Any]:
     """What a job of any kind computes and where its results are."""
-    prepared = service.manager.preparer.prepare(job)
-    done = job.state is JobState.DONE
-    return Stored(
-        prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, job.chunks_done,
-        prepared.forms, prepared.submitted,
-    )  # fmt: skip
+    return registry.stored(job, service.manager.preparer.prepare(job))
 
 
 def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> Cost:

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 #: Rows of a table converted at a time.
 ROWS: Final = 2**16
+#: A row group of Parquet is written once it has as many rows or bytes: large enough to be read fast, small
+#: enough to be skipped, and held in memory until then.
+GROUP_ROWS: Final = 2**17
+GROUP_BYTES: Final = 16 * 2**20
 #: The most numbers along further dimensions, such as exponents, that CSV spreads over columns. It omits more.
 COLUMNS: Final = 8
 #: Arrays begin at a multiple of this many bytes, as typed arrays of a browser require.
@@ -88,12 +92,14 @@ def to_netcdf(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
     written = dataset.copy()
     written.attrs = {name: int(x) if isinstance(x, bool) else x for name, x in dataset.attrs.items()}
     for variable in written.variables.values():
-        variable.attrs = {
-            name: np.array(x, variable.dtype) if isinstance(x, list) else x
-            for name, x in variable.attrs.items()
-        }
+        variable.attrs = with_flags(variable.attrs, variable.dtype)
     encoding = {name: {"_FillValue": None} for name, v in written.variables.items() if v.dtype.kind != "f"}
     return bytes(written.to_netcdf(engine="h5netcdf", encoding=encoding))
+
+
+def with_flags(attrs: Mapping[Any, Any], dtype: Any) -> dict[Any, Any]:
+    """Attributes as CF wants them: flag values have the type of their variable."""
+    return {name: np.array(x, dtype) if isinstance(x, list) else x for name, x in attrs.items()}
 
 
 def to_csv(dataset: xarray.Dataset, rows: str) -> bytes:
@@ -116,16 +122,38 @@ def _texts(values: NDArray[Any]) -> list[Any]:
 
 def to_parquet(dataset: xarray.Dataset, rows: str) -> bytes:
     """The rows of `tables` with lists; attributes are metadata of the table."""
+    file = io.BytesIO()
+    write_parquet(file, map(record_batch, tables(dataset, rows, lists=True)), dataset.attrs)
+    return file.getvalue()
+
+
+def write_parquet(target: Any, batches: Iterator[Any], attributes: Mapping[Any, Any]) -> None:
+    """Write record batches, at least one, to a file or its path, with the attributes as metadata."""
+    import pyarrow as pa
     from pyarrow import parquet
 
-    file = io.BytesIO()
-    batches = map(record_batch, tables(dataset, rows, lists=True))
     first = next(batches)
-    described = first.schema.with_metadata({name: str(x) for name, x in dataset.attrs.items()})
-    with parquet.ParquetWriter(file, described, compression="zstd") as writer:
-        for batch in chain([first], batches):
-            writer.write_batch(batch)
-    return file.getvalue()
+    schema = first.schema.with_metadata({name: str(x) for name, x in attributes.items()})
+    try:
+        with parquet.ParquetWriter(target, schema, compression="zstd") as file:
+            for group in _groups(chain([first], batches)):
+                file.write_table(pa.Table.from_batches(group).cast(schema), row_group_size=GROUP_ROWS)
+    finally:
+        pa.default_memory_pool().release_unused()  # it keeps what it had for its next arrays
+
+
+def _groups(batches: Iterable[Any]) -> Iterator[list[Any]]:
+    """The batches in groups that are large enough, the last one perhaps not."""
+    group: list[Any] = []
+    rows = size = 0
+    for batch in batches:
+        group.append(batch)
+        rows, size = rows + batch.num_rows, size + batch.nbytes
+        if rows >= GROUP_ROWS or size >= GROUP_BYTES:
+            yield group
+            group, rows, size = [], 0, 0
+    if group:
+        yield group
 
 
 def record_batch(columns: Mapping[str, Any]) -> Any:

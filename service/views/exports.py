@@ -29,7 +29,7 @@ from service.jobs.prepare import PreparedJob
 from service.jobs.stores import sharing
 from service.ledger.model import JobRecord
 from service.views import shared
-from service.views.encode import record_batch, tables
+from service.views.encode import record_batch, tables, with_flags, write_parquet
 from service.views.selection import LABEL, Stored, labelled, read_stored
 from worker.studies import study_of
 from worker.study import Array, Layout, Plan
@@ -43,10 +43,6 @@ _Block = tuple[Mapping[str, slice], Mapping[str, NDArray[Any]]]
 PIECE: Final = 256 * 1024
 #: Bytes of the disk that an export leaves to jobs and to the ledger.
 SPARE: Final = 16 * 2**20
-#: A row group of Parquet is written once it has as many rows or bytes: large enough to be read fast, small
-#: enough to be skipped, and held in memory until then.
-GROUP_ROWS: Final = 2**17
-GROUP_BYTES: Final = 16 * 2**20
 
 
 def attributes_of(job: JobRecord, prepared: PreparedJob) -> dict[str, str | int | float]:
@@ -241,7 +237,7 @@ def _define(file: Any, export: Export) -> None:
             file.create_variable(name, (name,), data=values)
         file.variables[name].attrs.update(layout.coordinate_attrs[name])
     for name, code in layout.codes.items():
-        file.create_variable(name, (code.dim,), data=code.values).attrs.update(_with_flags(code.attrs, "|u1"))
+        file.create_variable(name, (code.dim,), data=code.values).attrs.update(with_flags(code.attrs, "|u1"))
     for row in export.arrays:
         dtype = np.dtype(row.dtype)
         created = file.create_variable(
@@ -250,32 +246,14 @@ def _define(file: Any, export: Export) -> None:
             fillvalue=row.fill if dtype.kind == "f" else None,
             compression="gzip", compression_opts=1, shuffle=True,
         )  # fmt: skip
-        created.attrs.update(_with_flags(layout.array_attrs(row), row.dtype))
+        created.attrs.update(with_flags(layout.array_attrs(row), row.dtype))
     file.attrs.update({**export.attributes, **export.study.attributes})
-
-
-def _with_flags(attrs: Mapping[str, Any], dtype: str) -> dict[str, Any]:
-    """Attributes as CF wants them: flag values have the type of their variable."""
-    return {
-        name: np.array(value, dtype) if isinstance(value, list) else value for name, value in attrs.items()
-    }
 
 
 def _write_parquet(export: Export, blocks: Iterable[_Block], path: Path) -> None:
     """A row for each cell, each attractor of a cell, or each flight."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
     batches = chain.from_iterable(_rows(export, *block) for block in blocks)
-    first = next(batches)
-    attributes = {**export.attributes, **export.study.attributes}
-    table = first.schema.with_metadata({name: str(value) for name, value in attributes.items()})
-    try:
-        with parquet.ParquetWriter(path, table, compression="zstd") as file:
-            for group in _groups(chain([first], batches)):
-                file.write_table(pa.Table.from_batches(group).cast(table), row_group_size=GROUP_ROWS)
-    finally:
-        pa.default_memory_pool().release_unused()  # it keeps what it had for its next arrays
+    write_parquet(path, batches, {**export.attributes, **export.study.attributes})
 
 
 def _rows(export: Export, cells: Mapping[str, slice], arrays: Mapping[str, NDArray[Any]]) -> Iterator[Any]:
@@ -289,17 +267,3 @@ def _rows(export: Export, cells: Mapping[str, slice], arrays: Mapping[str, NDArr
     by_flight = export.layout == "flights"
     rows = "fraction" if "fraction" in dataset else schema.OUTCOME.name
     return map(record_batch, tables(dataset, "flight_time" if by_flight else rows, lists=not by_flight))
-
-
-def _groups(batches: Iterable[Any]) -> Iterator[list[Any]]:
-    """The batches in groups that are large enough, the last one perhaps not."""
-    group: list[Any] = []
-    rows = size = 0
-    for batch in batches:
-        group.append(batch)
-        rows, size = rows + batch.num_rows, size + batch.nbytes
-        if rows >= GROUP_ROWS or size >= GROUP_BYTES:
-            yield group
-            group, rows, size = [], 0, 0
-    if group:
-        yield group

@@ -13,6 +13,8 @@ from xarray import Dataset
 
 from service.errors import InvalidRequest, NotInstalled, TooLarge
 from service.formats import PICTURES
+from service.jobs.prepare import PreparedJob
+from service.ledger.model import JobRecord, JobState
 from service.software import software
 from service.views import (
     audit,
@@ -42,6 +44,15 @@ VIEWS: Final[dict[str, View]] = {
 
 #: The results of a spring alone, in closed form.
 SPRINGS: Final[dict[str, View]] = {view.name: view for view in (threshold.SPRING, orbits.SPRING, curves.VIEW)}
+
+
+def stored(job: JobRecord, prepared: PreparedJob) -> Stored[Any]:
+    """What a job of any kind computes and where its results are."""
+    done = job.state is JobState.DONE
+    return Stored(
+        prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, job.chunks_done,
+        prepared.forms, prepared.submitted,
+    )  # fmt: skip
 
 
 def admit(

@@ -17,6 +17,7 @@ from service.api.schemas import NOT_MODIFIED, content, problem_responses
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.ledger.model import JobRecord, JobState
 from service.views import exports
+from service.views.encode import GROUP_BYTES
 from service.views.selection import BASE_MEMORY
 from worker.store import ROOT
 
@@ -39,7 +40,7 @@ class _OpenFile(StreamingResponse):
 
 
 def _export_cost(service: ServiceDep, job: JobRecord, query: schemas.ExportQuery) -> Cost:
-    group = exports.GROUP_BYTES if query.format == "parquet" else 0
+    group = GROUP_BYTES if query.format == "parquet" else 0
     chunk = service.manager.preparer.prepare(job).layout.chunk_bytes
     return Cost(BASE_MEMORY + group + _CHUNK_COPIES * chunk)
 
