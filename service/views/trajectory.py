@@ -28,9 +28,9 @@ from service.views.view import Estimate, Number, Query, View
 from worker.analysis.cycles import cycle_near
 from worker.basins.specification import MAX_HEIGHT, BasinSpec, MultistabilitySpec
 from worker.basins.starts import contact_states, drop_states
-from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Strict, kind_of
+from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Strict, check_kind, kind_of
 from worker.spec.contact_models import Contact, Rigid, Soft, penetration_of
-from worker.spec.errors import BrokenRuleError, describe, one_of
+from worker.spec.errors import BrokenRuleError, one_of
 from worker.spec.specification import Document
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.plan import period_seconds
@@ -61,12 +61,6 @@ DEPTH_OVER_LENGTH: Final = 1e-4
 _LONGEST: Final = 2.0 * np.pi * MAX_START_PERIODS
 
 
-def _kind(value: object) -> object:
-    if value != "cycle":
-        raise BrokenRuleError("", f"must be {one_of(tuple(_STARTS))}, not {describe(value)}")
-    return value
-
-
 class CyclePoint(OnCycle):
     """A cycle to start on.
 
@@ -75,7 +69,7 @@ class CyclePoint(OnCycle):
     flight.
     """
 
-    kind: Annotated[Literal["cycle"], BeforeValidator(_kind)] = "cycle"
+    kind: Literal["cycle"] = "cycle"
     flight_time: Annotated[float, Field(gt=0.0, lt=_LONGEST), NUMBER] | None = None
 
 
@@ -105,14 +99,6 @@ class ContactStart(Strict):
 _STARTS: Final[dict[str, type[Strict]]] = {"cycle": CyclePoint, "drop": DropStart, "contact": ContactStart}
 
 
-def _start_tag(value: object) -> str:
-    """Tags of the kinds of starts; a start without a known kind is read as a cycle, which names the kinds."""
-    if value is None:
-        return "<null>"
-    kind = kind_of(value)
-    return (_STARTS.get(kind, CyclePoint) if isinstance(kind, str) else CyclePoint).tag()
-
-
 class TrajectorySpec(Document):
     """One cell, the plate periods before and during the samples, and the samples per period.
 
@@ -128,13 +114,16 @@ class TrajectorySpec(Document):
     settle: Annotated[int, Field(ge=0, le=MAX_SETTLE), WHOLE] = 200
     periods: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 4
     samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 200
-    start: Annotated[
-        Annotated[CyclePoint, Tag(CyclePoint.tag())]
-        | Annotated[DropStart, Tag(DropStart.tag())]
-        | Annotated[ContactStart, Tag(ContactStart.tag())]
-        | Annotated[None, Tag("<null>")],
-        Discriminator(_start_tag),
-    ] = None
+    start: (
+        Annotated[
+            Annotated[CyclePoint, Tag(CyclePoint.tag())]
+            | Annotated[DropStart, Tag(DropStart.tag())]
+            | Annotated[ContactStart, Tag(ContactStart.tag())],
+            Discriminator(lambda value: _STARTS[kind_of(value, "cycle")].tag()),
+            BeforeValidator(lambda value: check_kind(value, _STARTS, _STARTS, "cycle")),
+        ]
+        | None
+    ) = None
     prove: Annotated[bool, Field(strict=True)] = False
 
     def __init__(self, /, **data: object) -> None:
