@@ -108,13 +108,8 @@ def _line(
 
 def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, NDArray[Any]]:
     """The variables with the flights that are not shown as NaN."""
-    if (query.flight_start, query.flight_stop, query.hide) == (None, None, None):
-        return arrays
-    shown = np.isfinite(arrays["flight_time"])
-    if query.flight_start is not None:
-        shown &= arrays["flight_time"] >= query.flight_start
-    if query.flight_stop is not None:
-        shown &= arrays["flight_time"] <= query.flight_stop
+    times, low, high = arrays["flight_time"], query.flight_start, query.flight_stop
+    shown = (times >= (-np.inf if low is None else low)) & (times <= (np.inf if high is None else high))
     if query.hide is not None:
         labels = arrays.get(LABEL.name, arrays["outcome"])
         hidden = [CLASS_NAMES.index(name) for name in query.hide.split(",")]
