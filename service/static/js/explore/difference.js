@@ -3,10 +3,10 @@
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
-import { OUTCOME, nearestIndex, outcomeText } from "../lib/physics.js";
+import { OUTCOME, modeText, nearestIndex } from "../lib/physics.js";
 import { modeClasses, modeColour } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
-import { PlaneView, windowOf } from "../views/cells.js";
+import { PlaneView } from "../views/cells.js";
 import { sliders } from "../views/controls.js";
 
 /** The cells of the first sweep; each is compared with the nearest one of the second. */
@@ -16,7 +16,7 @@ export class Difference extends PlaneView {
   constructor(root, view) {
     super(view);
     this.sentence = h("p", { className: "sentence", role: "status" });
-    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, ["xi"]), this.sentence), label: "Where the modes differ", hint: "Cells that differ have the colour that they have in the second sweep.", ratio: 0.6 });
+    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, ["xi"]), this.sentence), label: "Where the modes differ", hint: "Cells that differ have the colour that they have in the second sweep." });
   }
 
   paths() {
@@ -29,29 +29,19 @@ export class Difference extends PlaneView {
   }
 
   read([first, second, ...thresholds]) {
-    const [a, b] = [first, second].map((result) => Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, (result[name] ?? result.outcome).data])));
+    const [a, b] = [first, second].map((result) => Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, result[name]?.data])));
     Object.assign(this, { first: a, second: b, columns: first.gamma.data, rows: first.omega.data, xi: first.xi.data });
     const [columns, rows] = [["columns", "gamma"], ["rows", "omega"]].map(([own, axis]) => Array.from(this[own], (value) => nearestIndex(second[axis].data, value)));
     this.other = rows.flatMap((row) => columns.map((column) => row * second.gamma.data.length + column));
     this.classes = modeClasses(b);
     const isKnown = (cell) => a.outcome[cell] !== OUTCOME.missing && b.outcome[this.other[cell]] !== OUTCOME.missing;
     const known = this.other.map((_, cell) => cell).filter(isKnown);
-    this.differs = Uint8Array.from(this.other, (_, cell) => isKnown(cell) && this.#text(a, cell) !== this.#text(b, this.other[cell]));
+    this.differs = Uint8Array.from(this.other, (_, cell) => isKnown(cell) && modeText(a, cell) !== modeText(b, this.other[cell]));
     const same = known.filter((cell) => !this.differs[cell]).length;
     this.sentence.textContent = known.length ? `${share(same / known.length, 4)} of the cells have the same mode; ${moved(thresholds)}.` : "No cell of both is computed yet.";
   }
 
-  #text({ label, bounces, periods }, cell) {
-    return outcomeText(label[cell], bounces[cell], periods[cell]);
-  }
 
-  shown() {
-    return { xi: this.xi };
-  }
-
-  whole() {
-    return windowOf(this.columns, this.rows, true);
-  }
 
   content() {
     return {
@@ -63,21 +53,17 @@ export class Difference extends PlaneView {
   }
 
   #paint(ctx, box) {
-    const colours = Array.from(this.classes.present, ({ id }) => [id, rgba32(modeColour(id, box.theme.dark))]);
-    const [colourOf, same] = [new Map(colours), rgba32(box.theme.surface)];
-    this.drawCells(ctx, box, (row, column) => {
-      const cell = row * this.columns.length + column;
-      return this.differs[cell] ? colourOf.get(this.classes.ofCell[this.other[cell]]) : same;
-    });
+    const colours = new Map(this.classes.present.map(({ id }) => [id, rgba32(modeColour(id, box.theme.dark))]));
+    const same = rgba32(box.theme.surface);
+    this.drawCells(ctx, box, (cell) => (this.differs[cell] ? colours.get(this.classes.ofCell[this.other[cell]]) : same));
   }
 
-  isHidden({ column, row }) {
-    return !this.differs[row * this.columns.length + column];
+  isHidden(cell) {
+    return !this.differs[this.indexOf(cell)];
   }
 
   columnsOfTable() {
-    const at = ({ column, row }) => row * this.columns.length + column;
-    return [...this.columnsOfPlane(), ["first", (cell) => this.#text(this.first, at(cell))], ["second", (cell) => this.#text(this.second, this.other[at(cell)])]];
+    return [...this.columnsOfPlane(), ["first", (cell) => modeText(this.first, this.indexOf(cell))], ["second", (cell) => modeText(this.second, this.other[this.indexOf(cell)])]];
   }
 
   cellOf({ column, row }) {

@@ -88,10 +88,6 @@ class Cycles extends PlotView {
     return { titles: ["event", "cycle", "Γ", "φ (rad)"], length: events.length, row: (i) => row(events[i]) };
   }
 
-  shown() {
-    return { omega: this.thresholds.omega.data, xi: this.thresholds.xi.data };
-  }
-
   /** The thresholds in words: Eq. 25 at once, the rest when the service has answered. */
   describeThresholds() {
     const { gamma, omega, xi } = this.place;

@@ -57,9 +57,8 @@ export function discardPending() {
 
 /** The zoom window {x0, x1, y0, y1} in a query; null without a valid one. */
 export function windowIn(query) {
-  const values = WINDOW.map((name) => Number(query[name] ?? NaN));
-  if (!values.every(Number.isFinite) || values[0] >= values[1] || values[2] >= values[3]) return null;
-  return Object.fromEntries(WINDOW.map((name, i) => [name, values[i]]));
+  const [x0, x1, y0, y1] = WINDOW.map((name) => Number(query[name] ?? NaN));
+  return x0 < x1 && y0 < y1 && Number.isFinite(x1 - x0 + y1 - y0) ? { x0, x1, y0, y1 } : null;
 }
 
 /** A zoom window as query parameters; null removes it. */

@@ -28,13 +28,9 @@ export const setToken = (token) => sessionStorage.setItem(TOKEN_KEY, token.repla
 
 /** Keep the token of an address #token=…, as `bounce open` opens it, and remove it from the address. */
 export function takeToken() {
-  const [, token] = /^#token=(.+)$/.exec(location.hash) ?? [];
-  if (token === undefined) return;
-  try {
-    setToken(decodeURIComponent(token));
-  } catch {
-    setToken(token); // cut off: the service refuses it
-  }
+  const token = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (token === null) return;
+  setToken(token);
   history.replaceState(null, "", "#/");
 }
 
@@ -73,21 +69,22 @@ async function send(path, { method = "GET", body, signal }, timeout) {
   const token = sessionStorage.getItem(TOKEN_KEY);
   if (token) headers.Authorization = `Bearer ${token}`;
   const timer = AbortSignal.timeout(Math.max(timeout, 1));
-  let response;
-  try {
-    response = await fetch(path, {
-      method,
-      headers,
-      body: body instanceof Blob ? body : JSON.stringify(body), // of undefined: undefined
-      signal: signal ? AbortSignal.any([signal, timer]) : timer,
-    });
-  } catch (error) {
-    if (signal?.aborted) throw error;
-    throw unreachable();
-  }
+  const response = await answered(fetch(path, {
+    method,
+    headers,
+    body: body instanceof Blob ? body : JSON.stringify(body), // of undefined: undefined
+    signal: signal ? AbortSignal.any([signal, timer]) : timer,
+  }), signal);
   if (response.status === 401) connection.dispatchEvent(new CustomEvent("unauthorized", { detail: { refused: token !== null && token === sessionStorage.getItem(TOKEN_KEY) } }));
   return response;
 }
+
+/** What `promise` gives; Unreachable if the connection fails, unless `signal` aborted the request. */
+const answered = (promise, signal) => promise.catch((error) => {
+  if (signal?.aborted) throw error;
+  connection.dispatchEvent(new Event("unreachable"));
+  throw new Unreachable("the service does not answer");
+});
 
 async function sleepWhileBusy(ms, signal) {
   const tell = (change) => connection.dispatchEvent(new CustomEvent("waiting", { detail: { requests: (waiting += change) } }));
@@ -95,14 +92,14 @@ async function sleepWhileBusy(ms, signal) {
   await sleep(ms, signal).finally(() => tell(-1));
 }
 
-async function sleep(ms, signal) {
+export async function sleep(ms, signal) {
   await new Promise((resolve) => setTimeout(resolve, ms));
   signal?.throwIfAborted();
 }
 
 export async function requestJson(path, options) {
   const response = await request(path, options);
-  return response.status === 204 ? null : read(response, "json", options?.signal);
+  return response.status === 204 ? null : answered(response.json(), options?.signal);
 }
 
 const POLL_MS = 1000;
@@ -126,7 +123,8 @@ const ARRAY_TYPES = {
  * compute first is waited for.
  */
 export async function requestDataset(path, options) {
-  const buffer = await read(await whenComputed(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options), "arrayBuffer", options?.signal);
+  const response = await whenComputed(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options);
+  const buffer = await answered(response.arrayBuffer(), options?.signal);
   const end = new Uint8Array(buffer).indexOf(10); // the header is one line of JSON
   const { coords, data_vars, ...result } = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 0, end)));
   for (const [name, variable] of Object.entries({ ...coords, ...data_vars })) {
@@ -148,7 +146,7 @@ export function partsOf({ attrs, dims, ...variables }, dim) {
   return Array.from({ length: dims[dim] }, (_, i) => Object.fromEntries(own.map(([name, variable]) => [name, part(variable, i)])));
 }
 
-export const requestBlob = async (path, options) => read(await whenComputed(path, { ...options, timeout: DOWNLOAD_TIMEOUT_MS }), "blob");
+export const requestBlob = async (path, options) => answered((await whenComputed(path, { ...options, timeout: DOWNLOAD_TIMEOUT_MS })).blob());
 
 /** A query string; null, undefined and empty values are left out. */
 export function query(values) {
@@ -159,24 +157,4 @@ export function query(values) {
 /** Whether a view need not show this error: the banner or the token dialog does, or the request was aborted on purpose. */
 export const isHandledElsewhere = (error) => error.name === "Unreachable" || error.name === "AbortError" || error.status === 401;
 
-async function read(response, as, signal) {
-  try {
-    return await response[as]();
-  } catch (error) {
-    if (signal?.aborted) throw error;
-    throw unreachable(); // the connection broke during the response
-  }
-}
-
-async function problemOf(response) {
-  try {
-    return await response.json();
-  } catch {
-    return { detail: `the service answered ${response.status} ${response.statusText}` };
-  }
-}
-
-function unreachable() {
-  connection.dispatchEvent(new Event("unreachable"));
-  return new Unreachable("the service does not answer");
-}
+const problemOf = (response) => response.json().catch(() => ({ detail: `the service answered ${response.status} ${response.statusText}` }));

@@ -1,6 +1,6 @@
 // The banner shown while the service does not answer, the note while it is busy, and the dialog for its access token.
 
-import { connection, request, setToken } from "./api.js";
+import { connection, request, setToken, sleep } from "./api.js";
 import { announce } from "./dom.js";
 
 const RETRY_MS = 1000;
@@ -12,14 +12,13 @@ export function watchConnection(onRestored) {
   const banner = document.getElementById("offline");
   const dialog = document.getElementById("token");
 
-  connection.addEventListener("unreachable", () => {
+  connection.addEventListener("unreachable", async () => {
     if (!banner.hidden) return; // retrying already
     banner.hidden = false;
-    retry().then(() => {
-      banner.hidden = true;
-      announce("The service answers again.");
-      onRestored();
-    });
+    while (!(await request("/healthz", { timeout: TIMEOUT_MS }).catch(() => null))) await sleep(RETRY_MS);
+    banner.hidden = true;
+    announce("The service answers again.");
+    onRestored();
   });
 
   const busy = document.getElementById("busy");
@@ -46,11 +45,3 @@ export function watchConnection(onRestored) {
   });
 }
 
-/** Ends when the service answers. */
-async function retry() {
-  for (;;) {
-    const isThere = await request("/healthz", { timeout: TIMEOUT_MS }).then(() => true, () => false);
-    if (isThere) return;
-    await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
-  }
-}

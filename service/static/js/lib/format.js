@@ -9,7 +9,7 @@ export function number(value, digits = 5) {
 }
 
 /** A part of 1 in percent. */
-export const share = (part, digits = 3) => `${part > 0 && part < 0.001 ? "<0.1" : number(100 * part, digits)} %`;
+export const share = (part, digits = 3) => (Number.isNaN(part) ? "–" : `${number(100 * part, digits)} %`);
 
 export const count = (value) => value.toLocaleString("en");
 

@@ -71,8 +71,10 @@ export function initialValue(values, text) {
 /** Whether two values are equal up to the rounding of their decimal form. */
 export const isClose = (a, b) => Math.abs(a - b) <= 1e-8 * Math.max(Math.abs(a), Math.abs(b));
 
+export const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
 /** `index` limited to an array of `length`. */
-export const clampIndex = (index, length) => Math.min(Math.max(index, 0), length - 1);
+export const clampIndex = (index, length) => clamp(index, 0, length - 1);
 
 /** Whether a specification is of a sweep; other studies have no diagrams. */
 export const isSweep = ({ protocol }) => protocol.kind === "rest" || protocol.kind === "ramp";
@@ -89,6 +91,9 @@ const LABEL_TEXTS = ["not computed yet", "", "aperiodic", "at rest on the plate"
 
 /** A cell's outcome or label as text. */
 export const outcomeText = (code, bounces, periods) => (code === OUTCOME.periodic ? `mode (${bounces}, ${periods})` : LABEL_TEXTS[code]);
+
+/** The outcome or mode of one of some cells as text. */
+export const modeText = ({ outcome, label = outcome, bounces, periods }, cell) => outcomeText(label[cell], bounces[cell], periods[cell]);
 
 /** "λ₁ 0.496 ± 0.05": the largest Lyapunov exponent with its standard error, where there is one. */
 export const exponentText = (exponent, error) => `λ₁ ${number(exponent, 3)}${Number.isFinite(error) ? ` ± ${number(error, 2)}` : ""}`;

@@ -1,6 +1,6 @@
 // A specification as text to copy: a program in Python, a TOML file for the shell, a request with curl, JSON.
 
-import { announce, h } from "./dom.js";
+import { copyButton, h } from "./dom.js";
 
 const PYTHON = { null: "None", true: "True", false: "False" };
 
@@ -34,7 +34,10 @@ ${Object.entries(spec).filter(([, value]) => value !== null).map(([name, value])
 export class Snippets {
   constructor(language = "Python") {
     this.select = h("select", { "aria-label": "Language", onchange: () => this.#update() }, Object.keys(LANGUAGES).map((name) => h("option", { value: name, selected: name === language }, name)));
-    const copy = h("button", { type: "button", className: "quiet", onclick: () => this.#copy() }, "Copy");
+    const copy = copyButton(() => {
+      getSelection().selectAllChildren(this.text); // for browsers that do not allow copying: a service without https
+      return this.text.textContent;
+    });
     this.text = h("pre", { tabindex: "0", role: "region", "aria-label": "The specification as text" });
     this.element = h("div", { className: "snippets" }, h("div", { className: "controls" }, h("label", { className: "option" }, "As ", this.select), copy), this.text);
   }
@@ -48,10 +51,4 @@ export class Snippets {
     this.text.textContent = LANGUAGES[this.select.value](this.spec);
   }
 
-  /** Copies the text, and selects it, for browsers that do not allow that (a service without https). */
-  async #copy() {
-    getSelection().selectAllChildren(this.text);
-    await navigator.clipboard?.writeText(this.text.textContent).catch(() => {});
-    announce("Selected, and copied where the browser allows it.");
-  }
 }

@@ -42,7 +42,7 @@ export class Player {
     root.append(this.element);
     this.plot = new Plot(figure, {
       label: "Heights of the masses and the plate over plate periods",
-      content: () => this.heights?.content(() => this.phase) ?? null, ratio: 0.62, minHeight: 280,
+      content: () => this.heights?.content(() => this.phase) ?? null,
     });
     this.plot.element.addEventListener("drawn", () => this.#draw());
   }

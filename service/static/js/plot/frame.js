@@ -1,7 +1,7 @@
 // What surrounds a plot's data: frame, ticks, labels, title and legend.
 
 import { h } from "../lib/dom.js";
-import { TWO_PI } from "../lib/physics.js";
+import { TWO_PI, clamp } from "../lib/physics.js";
 import { polyline } from "./drawing.js";
 import { scale, ticks } from "./scale.js";
 
@@ -75,7 +75,7 @@ export function drawFrame(ctx, box, { x, y }) {
 /** Ticks point inwards on both sides, as in the paper's figures. */
 function drawXTicks(ctx, { x, left, top, width, height, narrow, theme, texts }) {
   for (const { value, text } of ticks(x.low, x.high, width / (narrow ? 46 : 62), x.log)) {
-    const at = clamp(Math.round(x.pixel(value)) + 0.5, left, left + width);
+    const at = clamp(Math.round(x.pixel(value)), left, left + width - 1) + 0.5;
     polyline(ctx, theme.text, 1, [[at, top + height - 6], [at, top + height]]);
     polyline(ctx, theme.text, 1, [[at, top], [at, top + 6]]);
     texts.push({ text, x: at, y: top + height + 14, align: "center" });
@@ -85,14 +85,13 @@ function drawXTicks(ctx, { x, left, top, width, height, narrow, theme, texts }) 
 /** The right side has the labels of the plate periods instead of ticks where there are any. */
 function drawYTicks(ctx, { y, left, top, width, height, theme, texts }, periods) {
   for (const { value, text } of yTicks(y.low, y.high, height, y.log)) {
-    const at = clamp(Math.round(y.pixel(value)) + 0.5, top, top + height);
+    const at = clamp(Math.round(y.pixel(value)), top, top + height - 1) + 0.5;
     polyline(ctx, theme.text, 1, [[left, at], [left + 6, at]]);
     if (!periods) polyline(ctx, theme.text, 1, [[left + width - 6, at], [left + width, at]]);
     texts.push({ text, x: left - 7, y: at, align: "right" });
   }
 }
 
-const clamp = (at, low, high) => Math.min(Math.max(at, low + 0.5), high - 0.5);
 
 /** The title and the legend above the frame. */
 export function drawHeadings(ctx, { left, headings, theme, texts }) {

@@ -1,5 +1,6 @@
 // Pointer and keyboard input on a plot: hover, select, zoom, step from cell to cell.
 
+import { clamp } from "../lib/physics.js";
 import { polyline } from "./drawing.js";
 
 const DRAG_PX = 6; // shorter movements are clicks
@@ -8,14 +9,12 @@ const WHEEL = 0.0016; // logarithm of the zoom per pixel of the wheel
 
 /**
  * Calls these handlers, with positions in axis values: hover(x, y), leave(), select(x, y), selectCurrent(),
- * step(right, up), zoom({x0, x1, y0, y1} or null for everything), scale([factors of width and height], [x, y] that stays),
- * pan(from, to).
+ * step(right, up), zoom({x0, x1, y0, y1} or null for everything), scale([factors of width and height], [x, y] that stays).
  */
 export function listenToInput(plot, handlers) {
   const { element } = plot;
   let dragStart = null;
   let dragEnd = null;
-  let isPan = false; // a drag with Shift moves the window
 
   const position = (event) => {
     const bounds = element.getBoundingClientRect();
@@ -34,11 +33,7 @@ export function listenToInput(plot, handlers) {
   });
   listen("pointermove", (event) => {
     const point = position(event);
-    if (dragStart && event.shiftKey) {
-      if (dragEnd) handlers.pan(values(dragEnd), values(point));
-      dragEnd = point;
-      isPan = true;
-    } else if (dragStart && Math.hypot(point[0] - dragStart[0], point[1] - dragStart[1]) > DRAG_PX) {
+    if (dragStart && Math.hypot(point[0] - dragStart[0], point[1] - dragStart[1]) > DRAG_PX) {
       dragEnd = point;
       element.setPointerCapture(event.pointerId);
       plot.drawCursor();
@@ -46,8 +41,7 @@ export function listenToInput(plot, handlers) {
     } else if (isInside(point, plot.box)) handlers.hover(...values(point));
   });
   listen("pointerup", (event) => {
-    if (isPan) isPan = false;
-    else if (dragStart && dragEnd) handlers.zoom(selectedWindow(plot, dragStart, dragEnd));
+    if (dragEnd) handlers.zoom(selectedWindow(plot, dragStart, dragEnd));
     else if (dragStart && isInside(position(event), plot.box)) handlers.select(...values(position(event)));
     dragStart = dragEnd = null;
   });
@@ -64,7 +58,7 @@ export function listenToInput(plot, handlers) {
     const { left, top, width, height } = plot.box;
     const [x, y] = position(event);
     const factor = Math.exp(WHEEL * event.deltaY * (event.deltaMode ? 16 : 1) * (event.ctrlKey ? 6 : 1)); // a pinch has Ctrl
-    handlers.scale([x < left ? 1 : factor, y > top + height ? 1 : factor], values([Math.min(Math.max(x, left), left + width), Math.min(Math.max(y, top), top + height)]));
+    handlers.scale([x < left ? 1 : factor, y > top + height ? 1 : factor], values([clamp(x, left, left + width), clamp(y, top, top + height)]));
   }, { passive: false });
 
   const keys = {
@@ -92,13 +86,13 @@ export function listenToInput(plot, handlers) {
 }
 
 /** The window between two corners of a drag; a drag along one axis keeps the whole range of the other. */
-function selectedWindow({ box }, [ax, ay], [bx, by]) {
-  const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
-  const x = [ax, bx].map((value) => clamp(value, box.left, box.left + box.width)).sort((a, b) => a - b);
-  const y = [ay, by].map((value) => clamp(value, box.top, box.top + box.height)).sort((a, b) => b - a);
-  if (x[1] - x[0] < 2 * DRAG_PX) [x[0], x[1]] = [box.left, box.left + box.width];
-  if (y[0] - y[1] < 2 * DRAG_PX) [y[0], y[1]] = [box.top + box.height, box.top];
-  return { x0: box.x.value(x[0]), x1: box.x.value(x[1]), y0: box.y.value(y[0]), y1: box.y.value(y[1]) };
+function selectedWindow({ box: { left, top, width, height, x, y } }, [ax, ay], [bx, by]) {
+  const side = (from, to, start, length) => {
+    const ends = [from, to].map((pixel) => clamp(pixel, start, start + length)).sort((a, b) => a - b);
+    return ends[1] - ends[0] < 2 * DRAG_PX ? [start, start + length] : ends;
+  };
+  const [[x0, x1], [y1, y0]] = [side(ax, bx, left, width), side(ay, by, top, height)];
+  return { x0: x.value(x0), x1: x.value(x1), y0: y.value(y0), y1: y.value(y1) };
 }
 
 function drawSelection(plot, from, to) {
@@ -119,13 +113,3 @@ export function scaled({ box }, window, whole, factors, point) {
   return x0 <= whole.x0 && x1 >= whole.x1 && y0 <= whole.y0 && y1 >= whole.y1 ? null : { x0, x1, y0, y1 };
 }
 
-/** `window` moved so that what was at `from` is at `to`, within `whole`. */
-export function panned({ box }, window, whole, from, to) {
-  const side = (axis, [low, high], [least, most], before, after) => {
-    const moved = (value) => axis.value(axis.pixel(value) + axis.pixel(before) - axis.pixel(after));
-    return moved(low) >= least && moved(high) <= most ? [moved(low), moved(high)] : [low, high];
-  };
-  const [x0, x1] = side(box.x, [window.x0, window.x1], [whole.x0, whole.x1], from[0], to[0]);
-  const [y0, y1] = side(box.y, [window.y0, window.y1], [whole.y0, whole.y1], from[1], to[1]);
-  return { x0, x1, y0, y1 };
-}

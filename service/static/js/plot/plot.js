@@ -6,7 +6,6 @@ import { onThemeChange, theme } from "./colours.js";
 import { clipped, pixelRatio, resizedContext } from "./drawing.js";
 import { boxOf, drawFrame, drawHeadings, drawPeriods, drawTexts, textElement } from "./frame.js";
 
-const MAX_VIEWPORT_SHARE = 0.6; // of the viewport's height
 let plots = 0;
 
 /**
@@ -19,10 +18,8 @@ let plots = 0;
  * Dispatches "drawn" on its element after each drawing.
  */
 export class Plot {
-  constructor(root, { label, content, ratio = 0.52, minHeight = 290 }) {
+  constructor(root, { label, content }) {
     this.content = content;
-    this.ratio = ratio;
-    this.minHeight = minHeight;
     this.canvas = h("canvas", { "aria-hidden": "true" });
     this.cursor = h("canvas", { "aria-hidden": "true", className: "cursor" });
     this.message = h("p", { className: "message", hidden: true });
@@ -49,10 +46,8 @@ export class Plot {
   }
 
   draw() {
-    const width = this.element.clientWidth;
+    const { clientWidth: width, clientHeight: height } = this.element;
     if (!width) return;
-    const isGiven = getComputedStyle(this.element).getPropertyValue("--plot-height");
-    const height = isGiven ? this.element.clientHeight : Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, innerHeight * MAX_VIEWPORT_SHARE)));
     const ctx = resizedContext(this.canvas, width, height);
     const content = this.content();
     this.box = content && boxOf(ctx, content, width, height, theme(), pixelRatio());
@@ -76,25 +71,13 @@ export class Plot {
     this.axes.textContent = [content.title, axis(content.x), axis(content.y)].filter(Boolean).join(". ");
   }
 
-  /** What is drawn, as a PNG, with a legend of `colours` below it: [[name, colour], …]. */
-  png(colours) {
+  /** What is drawn, as a PNG. */
+  png() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    const [columns, line] = [Math.floor(width / 130), 24];
     const canvas = h("canvas");
-    const ctx = resizedContext(canvas, width, height + line * Math.ceil(colours.length / columns));
-    ctx.fillStyle = theme().surface;
-    ctx.fillRect(0, 0, canvas.width, canvas.height);
+    const ctx = resizedContext(canvas, width, height);
     ctx.drawImage(this.canvas, 0, 0, width, height);
     drawTexts(ctx, this.box);
-    ctx.textAlign = "left";
-    ctx.font = `13px ${theme().serif}`;
-    colours.forEach(([name, colour], i) => {
-      const [x, y] = [20 + 130 * (i % columns), height + line * Math.floor(i / columns)];
-      ctx.fillStyle = colour;
-      ctx.fillRect(x, y + 2, 12, 12);
-      ctx.fillStyle = theme().text;
-      ctx.fillText(name, x + 18, y + 12);
-    });
     return new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
   }
 

@@ -7,7 +7,7 @@ export function scale(low, high, from, to, log = false) {
   const [a, b] = [forward(low), forward(high)];
   const pixel = (value) => from + ((forward(value) - a) / (b - a)) * (to - from);
   const value = (pixel) => inverse(a + ((pixel - from) / (to - from)) * (b - a));
-  return { pixel, value, low, high, from, to, log };
+  return { pixel, value, low, high, log };
 }
 
 /** About `n` round values within [low, high], with their text: [{value, text}, …]. */

@@ -3,10 +3,9 @@
 import { link } from "../lib/address.js";
 import { isHandledElsewhere, partsOf, requestDataset } from "../lib/api.js";
 import { announce, h } from "../lib/dom.js";
-import { number, plural } from "../lib/format.js";
+import { number, plural, share } from "../lib/format.js";
 import { table } from "../lib/table.js";
 
-const percent = (share) => (Number.isNaN(share) ? "–" : `${number(100 * share, 3)} %`);
 
 /** A button that has workers audit the job, and what they find; `element` stays as the details around it change. */
 export class Audit {
@@ -40,7 +39,7 @@ function questions(audit) {
   const contacts = audit.against.data instanceof Array ? audit.against.data : [audit.against.data];
   const asked = audit.question.data;
   const rows = contacts.flatMap((against, k) => asked.map((question, i) => ({ against, question, at: k * asked.length + i })));
-  const cells = ({ at }) => [...["sampled", "changed", "undecided"].map((name) => String(audit[name].data[at])), ...["share", "low", "high"].map((name) => percent(audit[name].data[at]))];
+  const cells = ({ at }) => [...["sampled", "changed", "undecided"].map((name) => String(audit[name].data[at])), ...["share", "low", "high"].map((name) => share(audit[name].data[at]))];
   return table("Audit by question", ["question", "drawn", "changed", "undecided", "share", "at least", "at most"],
     rows.filter(({ at }) => audit.sampled.data[at] > 0).map((row) => [contacts.length > 1 ? `${row.question} (${row.against})` : row.question, ...cells(row)]));
 }

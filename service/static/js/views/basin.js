@@ -25,7 +25,7 @@ export class Basin extends PlaneView {
     this.entropies = h("p", { className: "note" });
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, AXES)),
-      label: "Plane of starts", hint: HINT, ratio: 0.6, shown: [this.legend, this.entropies],
+      label: "Plane of starts", hint: HINT, shown: [this.legend, this.entropies],
     });
   }
 
@@ -42,10 +42,6 @@ export class Basin extends PlaneView {
   /** The cell shown. */
   get cell() {
     return Object.fromEntries(AXES.map((axis) => [axis, this.basin[axis].data]));
-  }
-
-  shown() {
-    return { ...this.cell, complete: this.basin.attrs.complete };
   }
 
   showLegend() {
@@ -80,7 +76,7 @@ export class Basin extends PlaneView {
 
   #drawStarts(ctx, box) {
     const colours = [rgba32(box.theme.surface), ...this.attractors.map(({ attractor }) => rgba32(attractorColour(attractor, box.theme.dark)))];
-    this.drawCells(ctx, box, (row, column) => colours[this.map[row * this.columns.length + column]]);
+    this.drawCells(ctx, box, (cell) => colours[this.map[cell]]);
   }
 
   cellOf({ column, row }) {
@@ -89,8 +85,8 @@ export class Basin extends PlaneView {
 
   columnsOfTable() {
     const [[, across], [, along]] = AXES_OF[this.basin.attrs.plane];
-    const reached = ({ column, row }) => {
-      const attractor = this.attractors[this.map[row * this.columns.length + column] - 1];
+    const reached = (cell) => {
+      const attractor = this.attractors[this.map[this.indexOf(cell)] - 1];
       return attractor ? attractorText(attractor) : "no attractor: undecided";
     };
     return [[across, ({ column }) => number(this.columns[column])], [along, ({ row }) => number(this.rows[row])], ["reaches", reached]];

@@ -50,6 +50,11 @@ export class PlaneView extends PlotView {
     return false;
   }
 
+  /** The index of a cell in what is stored row by row. */
+  indexOf({ column, row }) {
+    return row * this.columns.length + column;
+  }
+
   /** The axes of a plane of Γ and Ω, and the table's columns for them. */
   planeScales() {
     const { x0, x1, y0, y1 } = this.visible();
@@ -67,7 +72,7 @@ export class PlaneView extends PlotView {
     if (this.current) drawRing(ctx, box, ...this.at(this.current), 6);
   }
 
-  /** Each pixel has the colour of the nearest cell: `colourOf(row, column, x, y)` as 32 bits; x and y count pixels. */
+  /** Each pixel has the colour of the nearest cell: `colourOf(cell, x, y)` as 32 bits; `cell` is its index, x and y are in px. */
   drawCells(ctx, box, colourOf) {
     const { x0, x1, y0, y1 } = windowOf(this.columns, this.rows, this.isPositive);
     const [left, right] = [box.x.pixel(x0), box.x.pixel(x1)].map((x) => Math.min(Math.max(x, box.left), box.left + box.width));
@@ -78,7 +83,7 @@ export class PlaneView extends PlotView {
     const fill = (pixels) => {
       for (let y = 0; y < height; y++) {
         const row = nearestIndex(this.rows, box.y.value(top + ((y + 0.5) * (bottom - top)) / height));
-        for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(row, nearest[i], i, y);
+        for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(this.indexOf({ row, column: nearest[i] }), i / box.ratio, y / box.ratio);
       }
     };
     bitmap(ctx, width, height, fill, left, top, right, bottom);
@@ -89,6 +94,16 @@ export class PlaneView extends PlotView {
 function drawRing(ctx, { x, y, theme }, column, row, radius) {
   circle(ctx, theme.surface, 4.5, x.pixel(column), y.pixel(row), radius);
   circle(ctx, theme.cursor, 2, x.pixel(column), y.pixel(row), radius);
+}
+
+const HATCH = 9; // px between the lines over hatched cells; each is two lines, so that it is visible on every colour
+const HATCH_LINE = 1.6; // px, of either
+
+/** Which line of the hatching is at (x, y), in px: 0, 1 beside it, -1 none. They rise, or else fall. */
+export function hatchAt(x, y, rises = true) {
+  const along = rises ? x + y : x - y + 1e6 * HATCH;
+  const line = Math.floor((along % HATCH) / HATCH_LINE);
+  return line < 2 ? line : -1;
 }
 
 /** Hatched cells in a plot's legend. */
@@ -112,13 +127,11 @@ export class ClassLegend {
     return [...this.hidden].map(classQuery).filter(Boolean).join() || null;
   }
 
-  /** The names and colours of the classes that are shown. */
   show({ present, ofCell }, dark) {
     const { hidden } = this;
     this.element.replaceChildren(...present.map(({ id, name, cells }) => legendEntry(modeColour(id, dark), h("button", {
       type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => this.#toggle(id),
     }, name), " ", h("small", {}, share(cells / ofCell.length, 2)))));
-    return present.filter(({ id }) => !hidden.has(id)).map(({ id, name }) => [name, modeColour(id, dark)]);
   }
 
   #toggle(id) {
@@ -131,8 +144,11 @@ export class ClassLegend {
 }
 
 /** An entry of a legend: a colour and what it stands for. */
-export function legendEntry(colour, ...texts) {
-  const swatch = h("span", { className: "swatch", "aria-hidden": "true" });
-  swatch.style.background = colour;
-  return h("li", {}, swatch, ...texts);
+export const legendEntry = (colour, ...texts) => h("li", {}, swatch(colour), ...texts);
+
+/** A square of a colour. */
+export function swatch(colour) {
+  const element = h("span", { className: "swatch", "aria-hidden": "true" });
+  element.style.background = colour;
+  return element;
 }

@@ -3,7 +3,7 @@
 import { addressValue, currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { SYMBOL, meaningOf, nearestIndex } from "../lib/physics.js";
+import { SYMBOL, clamp, meaningOf, nearestIndex } from "../lib/physics.js";
 
 /** Sliders along `axes` of a view's grid. Axes of one value have none: the plot's title shows their value. */
 export function sliders(view, axes) {
@@ -19,7 +19,7 @@ function slider(view, axis) {
     type: "text", inputmode: "decimal", size: 5, "aria-label": `Value of ${SYMBOL[axis]}`,
     onchange: () => {
       const value = Number(typed.value.replace("−", "-"));
-      if (typed.value.trim() && Number.isFinite(value)) setQuery({ [axis]: addressValue(view.isContinuous ? within(values, value) : values[nearestIndex(values, value)]) });
+      if (typed.value.trim() && Number.isFinite(value)) setQuery({ [axis]: addressValue(view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)]) });
       else show();
     },
   });
@@ -38,7 +38,6 @@ function slider(view, axis) {
   return h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), typed, input);
 }
 
-const within = (values, value) => Math.min(Math.max(value, values[0]), values.at(-1));
 
 /** A choice among `options`, [[value, text], …], with a label. */
 export const choice = (label, options, value, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,

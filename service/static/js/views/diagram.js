@@ -4,19 +4,18 @@ import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, certificateOf, clampIndex, exponentOf, hasCycles, isClose, isLog, nearestIndex, outcomeText, startName, threshold } from "../lib/physics.js";
-import { branchColour, directionColour, modeClasses, modeColour, theme } from "../plot/colours.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, certificateOf, clampIndex, exponentOf, hasCycles, isClose, isLog, modeText, nearestIndex, startName, threshold } from "../lib/physics.js";
+import { branchColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { circle, disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn } from "../plot/flights.js";
 import { Plot } from "../plot/plot.js";
 import { extent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
-import { ClassLegend } from "./cells.js";
+import { ClassLegend, swatch } from "./cells.js";
 import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 import { titleOf } from "./progress.js";
 
-const MAX_FLIGHTS = 400_000; // of a line that are requested at once; of a longer one, every n-th cell
 const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom.";
 const MAX_CIRCLES = 200;
 const MAX_LISTED = 6; // flights listed one by one
@@ -25,25 +24,24 @@ const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell 
 
 /** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles, {branch, point}. */
 export class Diagram extends PlotView {
-  isThinned = false; // whether a line has more cells than are sent
   lines = []; // one per source and shown direction
 
   constructor(root, view) {
     super(view);
     this.axes = AXES.filter((axis) => this.grid[axis].length > 1);
-    this.closedForm = this.sources.length === 1 && hasCycles(this.job) && branchesOver(this);
+    this.closedForm = !this.isCompared && hasCycles(this.job) && branchesOver(this);
     this.caption = h("input", { type: "checkbox", checked: true });
     this.controls = h("div", {});
     this.options = h("div", {});
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.#buildControls();
-    this.build(root, { controls: this.controls, shown: this.sources.length > 1 ? [this.options] : [this.options, this.legend.element], tables: this.sources.length > 1 ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " with a caption")], label: `Bifurcation diagram${this.sources.length > 1 ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
-    if (this.job.spec.exponents && this.sources.length === 1) this.#buildExponents();
+    this.build(root, { controls: this.controls, shown: this.isCompared ? [this.options] : [this.options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    if (this.job.spec.exponents && !this.isCompared) this.#buildExponents();
   }
 
   /** The largest Lyapunov exponent on the axis of the diagram, below it. */
   #buildExponents() {
-    this.exponents = new Plot(this.plot.element.parentElement, { label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null), minHeight: 110 });
+    this.exponents = new Plot(this.plot.element.parentElement, { label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null) });
     this.plot.element.addEventListener("drawn", () => this.exponents.draw());
   }
 
@@ -90,7 +88,7 @@ export class Diagram extends PlotView {
 
   #buildControls() {
     const { along } = this;
-    const directions = this.directions.length > 1 && this.sources.length === 1 && this.#directionBoxes();
+    const directions = this.directions.length > 1 && !this.isCompared && this.#directionBoxes();
     const setAxis = (axis) => {
       setQuery({ along: axis, ...windowQuery(null) });
       this.#buildControls();
@@ -100,7 +98,7 @@ export class Diagram extends PlotView {
       sliders(this, AXES.filter((axis) => axis !== along))));
     this.options.replaceChildren(h("div", { className: "controls" }, directions,
       this.closedForm && along === "gamma" && this.closedForm.element,
-      this.sources.length === 1 && !this.isFollower && minFlightInput(this.job)));
+      !this.isCompared && !this.isFollower && minFlightInput(this.job)));
   }
 
   #directionBoxes() {
@@ -127,21 +125,16 @@ export class Diagram extends PlotView {
     return `/v1/jobs/${source.job.id}/diagram?${query({ along, ...Object.fromEntries(fixed), direction, min_flight: minFlightOf(source.job), ...parameters })}`;
   }
 
+  /** The whole lines; where they have more cells than are sent, the zoomed window in more detail. */
   paths() {
-    const { along, window } = this;
-    return this.sources.filter((source) => this.#shownOf(source).length).map((source) => {
-      const values = source.grid[along];
-      const everyOf = (cells) => (cells * source.job.spec.keep > MAX_FLIGHTS ? Math.ceil((cells * source.job.spec.keep) / MAX_FLIGHTS) : null);
-      if (!window || (!this.isThinned && !everyOf(values.length))) return this.#path(source, { every: everyOf(values.length) });
-      const shown = values.filter((value) => value >= window.x0 && value <= window.x1);
-      return this.#path(source, { every: everyOf(shown.length), start: window.x0, stop: window.x1 });
-    });
+    const { x0: start, x1: stop } = (this.isThinned && this.window) || {};
+    return this.sources.filter((source) => this.#shownOf(source).length).map((source) => this.#path(source, { start, stop }));
   }
 
   /** What is shown: the window, without the flights of hidden modes. */
   filePath(source) {
     const { x0: start, x1: stop, y0, y1 } = this.window ?? {};
-    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, hide: this.sources.length > 1 ? null : this.legend.query, caption: this.caption.checked ? null : false });
+    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false });
   }
 
   read(results) {
@@ -149,19 +142,15 @@ export class Diagram extends PlotView {
       const source = this.sources.find(({ job }) => job.id === result.attrs.job);
       return linesOf(source, result).filter(({ direction }) => this.#shownOf(source).includes(direction));
     });
-    this.isThinned ||= this.lines.some(({ every }) => every > 1);
-    this.classes = modeClasses(joined(this.lines));
+    const joined = (name) => this.lines.flatMap((line) => Array.from(line[name] ?? line.outcome));
+    this.classes = modeClasses({ label: joined("label"), bounces: joined("bounces"), periods: joined("periods") });
     this.lines.reduce((first, line) => first + (line.classes = this.classes.ofCell.subarray(first, first + line.values.length)).length, 0);
     this.closedForm?.update?.();
   }
 
   /** The modes of the strips. */
   showLegend() {
-    if (this.sources.length === 1) this.legend.show(this.classes, theme().dark);
-  }
-
-  shown() {
-    return { along: this.lines[0]?.along ?? this.along, ...this.lines[0]?.fixed };
+    if (!this.isCompared) this.legend.show(this.classes, theme().dark);
   }
 
   get cycles() {
@@ -186,10 +175,10 @@ export class Diagram extends PlotView {
       y: { label: "flight time φ (rad)", low: y0, high: y1, periods: true },
       message: emptyMessage(lines),
       layers: [
-        (ctx, box) => along === "gamma" && fixed && this.sources.length === 1 && drawThreshold(ctx, box, fixed, lines.length * (STRIP + 1)),
+        (ctx, box) => along === "gamma" && fixed && !this.isCompared && drawThreshold(ctx, box, fixed, lines.length * (STRIP + 1)),
         (ctx, box) => drawFlights(ctx, box, this.#visibleLines(), (line) => this.#colour(line, box.theme)),
         (ctx, box) => cycles && drawBranches(ctx, box, cycles),
-        (ctx, box) => this.sources.length === 1 && drawStrips(ctx, box, lines, this.legend.hidden),
+        (ctx, box) => !this.isCompared && drawStrips(ctx, box, lines, this.legend.hidden),
       ],
       cursor: (ctx, box) => this.#drawCursor(ctx, box),
     };
@@ -198,14 +187,14 @@ export class Diagram extends PlotView {
   /** The lines without the flights of hidden modes. */
   #visibleLines() {
     const { hidden } = this.legend;
-    if (!hidden.size || this.sources.length > 1) return this.lines;
+    if (!hidden.size || this.isCompared) return this.lines;
     return this.lines.map((line) => ({ ...line, flight_time: line.flight_time.map((time, i) => (hidden.has(line.classes[Math.floor(i / line.keep)]) ? NaN : time)) }));
   }
 
   /** The fixed values, which of the cells are shown, how many were computed; of compared sweeps, the sweep. */
   #title() {
     const [line] = this.lines;
-    if (!line || this.sources.length > 1) return "";
+    if (!line || this.isCompared) return "";
     const fixed = Object.entries(line.fixed).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`).join(",   ");
     const thinned = line.every > 1 ? `,   1 ${SYMBOL[line.along]} in ${line.every}` : "";
     const computed = line.computed ? `,   ${line.computed.reduce((sum, value) => sum + value, 0)} of ${line.computed.length} cells computed` : "";
@@ -214,7 +203,7 @@ export class Diagram extends PlotView {
 
   /** The directions, or the sweeps, where there are several. */
   #legend() {
-    const entries = this.sources.length > 1
+    const entries = this.isCompared
       ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [shortened(titleOf(line.source.job)), line])
       : this.lines.map((line) => [`ramp ${line.direction}`, line]);
     return entries.length < 2 ? [] : entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
@@ -229,8 +218,7 @@ export class Diagram extends PlotView {
 
   /** The colour of a direction; of several sweeps, each has a colour of its own. */
   #colour({ source = this.source, direction }, theme) {
-    if (this.sources.length > 1) return branchColour(source.number, theme.dark);
-    return directionColour(direction, theme);
+    return this.isCompared ? branchColour(source.number, theme.dark) : theme[direction];
   }
 
   /** The selected cell if it lies on a shown line. */
@@ -261,8 +249,8 @@ export class Diagram extends PlotView {
     const [first] = this.lines;
     return [
       [SYMBOL[this.along], ({ line, cell }) => number(line.values[cell])],
-      ...(this.lines.length > 1 ? [[this.sources.length > 1 ? "sweep" : "ramp", ({ line }) => (this.sources.length > 1 ? titleOf(line.source.job) : line.direction)]] : []),
-      ["mode", ({ line, cell }) => outcomeText((line.label ?? line.outcome)[cell], line.bounces[cell], line.periods[cell])],
+      ...(this.lines.length > 1 ? [[this.isCompared ? "sweep" : "ramp", ({ line }) => (this.isCompared ? titleOf(line.source.job) : line.direction)]] : []),
+      ["mode", ({ line, cell }) => modeText(line, cell)],
       ["flight times (rad)", ({ line, cell }) => distinctFlights(line, cell).slice(0, MAX_LISTED).map((time) => number(time, 4)).join(" ")],
       ...(first?.lyapunov ? [["λ₁", ({ line, cell }) => exponentOf(line, cell)[0] ?? "–"]] : []),
     ];
@@ -291,22 +279,17 @@ export class Diagram extends PlotView {
   /** The current cell; of compared sweeps, the cells of all there. */
   #atCurrent() {
     const { line, cell } = this.current;
-    return this.sources.length > 1 ? this.lines.map((other) => this.#cell(other, nearestIndex(other.values, line.values[cell]))) : [this.current];
+    return this.isCompared ? this.lines.map((other) => this.#cell(other, nearestIndex(other.values, line.values[cell]))) : [this.current];
   }
 
   describe(cell) {
     if (cell.branch) return `${describeCycle(cell)} · press to see it move`;
-    if (this.sources.length === 1) return describeCell(cell, this.lines.length > 1);
+    if (!this.isCompared) return describeCell(cell, this.lines.length > 1);
     return this.#atCurrent().map((each) => h("span", { className: "entry" }, swatch(this.#colour(each.line, theme())),
       `${titleOf(each.line.source.job)}: ${describeCell(each, each.line.source.directions.length > 1)} `));
   }
 }
 
-function swatch(colour) {
-  const element = h("span", { className: "swatch", "aria-hidden": "true" });
-  element.style.background = colour;
-  return element;
-}
 
 /** The lines of a diagram: the variables of each direction, and its `highest` flight, NaN left out. */
 function linesOf(source, result) {
@@ -318,11 +301,6 @@ function linesOf(source, result) {
   });
 }
 
-/** The modes of all lines, one after another. */
-function joined(lines) {
-  const values = (name) => lines.flatMap((line) => Array.from(line[name] ?? line.outcome));
-  return Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, values(name)]));
-}
 
 /** A strip for each line at the top: the colour of each cell's mode. */
 function drawStrips(ctx, box, lines, hidden) {
@@ -377,12 +355,10 @@ const distinctFlights = (line, cell) => Array.from(flightsIn(line, cell).sort())
 
 /** A cell in words; `withDirection` where the diagram shows two directions. */
 function describeCell({ line, cell }, withDirection) {
-  const { along, values, outcome, label = outcome, bounces, periods, computed } = line;
+  const { along, values, outcome, computed } = line;
   const parts = [`${SYMBOL[along]} = ${number(values[cell])}`];
   if (withDirection) parts.push(`ramp ${line.direction}`);
-  parts.push(outcomeText(label[cell], bounces[cell], periods[cell]));
-  parts.push(...exponentOf(line, cell), ...certificateOf(line, cell));
-  if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
+  parts.push(modeText(line, cell), ...exponentOf(line, cell), ...certificateOf(line, cell));
   if (computed && !computed[cell] && outcome[cell] !== OUTCOME.missing) parts.push("taken from its block, without flights");
   const times = distinctFlights(line, cell);
   if (times.length && times.length <= MAX_LISTED) parts.push(`flight times ${times.map((time) => number(time, 4)).join(", ")} rad`);

@@ -3,23 +3,19 @@
 import { currentQuery, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { number, plural } from "../lib/format.js";
-import { HYSTERESIS, OUTCOME, certificateOf, certifies, exponentOf, isClose, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
+import { number, share } from "../lib/format.js";
+import { HYSTERESIS, OUTCOME, certificateOf, certifies, exponentOf, isClose, modeText, nearestIndex, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, theme } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
-import { ClassLegend, PlaneView, hatchSymbol, windowOf } from "./cells.js";
+import { ClassLegend, PlaneView, hatchAt, hatchSymbol, windowOf } from "./cells.js";
 import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { titleOf } from "./progress.js";
 
-const MAX_CELLS = 1_000_000; // requested at once; of a larger map, every n-th along both axes
 const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom. Modes are (bounces, plate periods).";
 const DASH = [7, 4];
-const HATCH = 9; // px between the lines over cells whose directions differ; each is two lines, of text and of surface
-const HATCH_LINE = 1.6; // px, of either
 
 export class Modes extends PlaneView {
   name = "modes";
-  isThinned = false; // whether the whole map has more cells than are sent
 
   constructor(root, view) {
     super(view);
@@ -37,7 +33,7 @@ export class Modes extends PlaneView {
       controls: h("div", { className: "controls" }, sliders(this, ["xi"]),
         this.isTwoWay && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
         certifies(this.job.spec) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color }), { "data-service": true })),
-      label: `Mode map of ${titleOf(this.job)}`, hint: HINT, ratio: 0.6,
+      label: `Mode map of ${titleOf(this.job)}`, hint: HINT,
       shown: [this.legend.element, this.note, h("div", { className: "controls" },
         this.isTwoWay && h("label", { className: "option" }, this.showsHysteresis, " Hatch where up and down differ"),
         this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
@@ -79,39 +75,32 @@ export class Modes extends PlaneView {
 
   /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
   paths() {
-    const { gamma, omega } = this.source.grid;
-    const everyOf = (cells) => (cells > MAX_CELLS ? Math.ceil(Math.sqrt(cells / MAX_CELLS)) : null);
-    const every = everyOf(gamma.length * omega.length);
-    if (!this.window || !(this.isThinned || every)) return [this.#path({ every })];
-    const { x0, x1, y0, y1 } = this.window;
-    const inside = (values, low, high) => values.filter((value) => value >= low && value <= high).length;
-    return [this.#path({ every: everyOf(inside(gamma, x0, x1) * inside(omega, y0, y1)), gamma_start: x0, gamma_stop: x1, omega_start: y0, omega_stop: y1 })];
+    return [this.#path(this.isThinned ? this.#part() : {})];
   }
 
   /** What is shown: the cells of the window, in a picture without hidden modes. */
   filePath() {
+    return this.#path({ ...this.#part(), hide: this.legend.query });
+  }
+
+  #part() {
     const { x0, x1, y0, y1 } = this.window ?? {};
-    return this.#path({ gamma_start: x0, gamma_stop: x1, omega_start: y0, omega_stop: y1, hide: this.legend.query });
+    return { gamma_start: x0, gamma_stop: x1, omega_start: y0, omega_stop: y1 };
   }
 
   read([result]) {
     const data = Object.fromEntries(["outcome", "label", "bounces", "periods", "computed", "hysteresis", "lyapunov", "lyapunov_error", "multiplier", "flight_error"].map((name) => [name, result[name]?.data]));
     Object.assign(this, { cells: data, attrs: result.attrs, columns: result.gamma.data, rows: result.omega.data, xi: result.xi.data, ramp: result.direction.data });
-    this.isThinned ||= result.attrs.every > 1;
     this.classes = modeClasses(data);
-  }
-
-  shown() {
-    return { xi: this.xi, direction: this.ramp };
   }
 
   /** The colours of the modes, and which cells are left out. */
   showLegend() {
-    this.colours = this.legend.show(this.classes, theme().dark);
-    const { every, computed_share: share } = this.attrs;
+    this.legend.show(this.classes, theme().dark);
+    const { every, computed_share: computed } = this.attrs;
     const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";
     this.note.textContent = thinned + (this.isAdaptive
-      ? `Adaptive map: ${percentage(share)} of the cells were computed; the others have the mode of their block. Of a map 0.3 to 0.5 % too many cells are aperiodic.`
+      ? `Adaptive map: ${share(computed, 2)} of the cells were computed; the others have the mode of their block. Of a map 0.3 to 0.5 % too many cells are aperiodic.`
       : this.#hysteresisText());
   }
 
@@ -123,7 +112,7 @@ export class Modes extends PlaneView {
     const [mode, flights] = [differ(HYSTERESIS.mode), differ(HYSTERESIS.flights)];
     if (!mode && !flights) return "Up and down agree in every cell shown that both have reached.";
     const parts = [[mode, "to other modes (hatched /)"], [flights, "to other flights of one mode (hatched \\)"]].filter(([cells]) => cells);
-    return `Hysteresis: going up and down lead ${parts.map(([cells, to]) => `${to} in ${percentage(cells / hysteresis.length)}`).join(", ")} of the cells shown.`;
+    return `Hysteresis: going up and down lead ${parts.map(([cells, to]) => `${to} in ${share(cells / hysteresis.length, 2)}`).join(", ")} of the cells shown.`;
   }
 
   whole() {
@@ -156,12 +145,9 @@ export class Modes extends PlaneView {
     for (const { id } of this.classes.present) colours[id] = rgba32(hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark));
     const hatch = [rgba32(box.theme.text), rgba32(box.theme.surface)];
     const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
-    this.drawCells(ctx, box, (row, column, x, y) => {
-      const cell = row * this.columns.length + column;
-      if (hysteresis?.[cell]) {
-        const line = lineAt(hysteresis[cell], x / box.ratio, y / box.ratio);
-        if (line >= 0) return hatch[line];
-      }
+    this.drawCells(ctx, box, (cell, x, y) => {
+      const line = hysteresis?.[cell] ? hatchAt(x, y, hysteresis[cell] === HYSTERESIS.mode) : -1;
+      if (line >= 0) return hatch[line];
       return mark !== null && computed[cell] ? mark : colours[this.classes.ofCell[cell]];
     });
   }
@@ -170,24 +156,22 @@ export class Modes extends PlaneView {
     return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.ramp };
   }
 
-  isHidden({ column, row }) {
-    return this.legend.hidden.has(this.classes.ofCell[row * this.columns.length + column]);
+  isHidden(cell) {
+    return this.legend.hidden.has(this.classes.ofCell[this.indexOf(cell)]);
   }
 
   columnsOfTable() {
-    const { outcome, label = outcome, bounces, periods, multiplier } = this.cells;
-    const of = (read) => ({ column, row }) => read(row * this.columns.length + column);
+    const { multiplier } = this.cells;
     return [
-      ...this.columnsOfPlane(), ["mode", of((cell) => outcomeText(label[cell], bounces[cell], periods[cell]))],
-      ...(multiplier ? [["|μ|", of((cell) => number(multiplier[cell], 3))]] : []),
+      ...this.columnsOfPlane(), ["mode", (cell) => modeText(this.cells, this.indexOf(cell))],
+      ...(multiplier ? [["|μ|", (cell) => number(multiplier[this.indexOf(cell)], 3)]] : []),
     ];
   }
 
   describe({ column, row }) {
-    const { outcome, label = outcome, bounces, periods, hysteresis, computed } = this.cells;
-    const cell = row * this.columns.length + column;
-    const parts = [`Γ = ${number(this.columns[column])}`, `Ω = ${number(this.rows[row])}`, outcomeText(label[cell], bounces[cell], periods[cell])];
-    if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
+    const { outcome, hysteresis, computed } = this.cells;
+    const cell = this.indexOf({ column, row });
+    const parts = [`Γ = ${number(this.columns[column])}`, `Ω = ${number(this.rows[row])}`, modeText(this.cells, cell)];
     parts.push(...exponentOf(this.cells, cell), ...certificateOf(this.cells, cell));
     if (hysteresis?.[cell]) parts.push(`ramped ${this.directions.find((direction) => direction !== this.ramp)}, ${hysteresis[cell] === HYSTERESIS.mode ? "another mode" : "other flights"}`);
     if (this.isAdaptive && outcome[cell] !== OUTCOME.missing) parts.push(computed[cell] ? "computed" : "taken from its block");
@@ -206,11 +190,4 @@ function drawThresholdCurve(ctx, box, xi) {
   polyline(ctx, box.theme.text, 1.8, points, DASH);
 }
 
-/** Which line of the hatching is at (x, y): 0 of text, 1 of surface beside it, -1 none. They rise where modes differ. */
-function lineAt(hysteresis, x, y) {
-  const along = hysteresis === HYSTERESIS.mode ? x + y : x - y + 1e6 * HATCH;
-  const line = Math.floor((along % HATCH) / HATCH_LINE);
-  return line < 2 ? line : -1;
-}
 
-const percentage = (part) => `${part > 0 && part < 0.001 ? "<0.1" : number(100 * part, 2)} %`;

@@ -7,17 +7,15 @@ import { number, plural, share } from "../lib/format.js";
 import { PagedTable } from "../lib/table.js";
 import { TWO_PI, clampIndex, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
 import { COLOURED, branchColour, theme } from "../plot/colours.js";
-import { circle, disc, polyline, rgba32, verticalLine } from "../plot/drawing.js";
-import { cellBorders, extent } from "../plot/scale.js";
-import { PlaneView, hatchSymbol, legendEntry } from "./cells.js";
+import { circle, disc, rgba32, verticalLine } from "../plot/drawing.js";
+import { extent } from "../plot/scale.js";
+import { PlaneView, hatchAt, hatchSymbol, legendEntry } from "./cells.js";
 import { sliders } from "./controls.js";
 
 const MAX_LISTED = 6; // flights
-const HATCH = 7; // px between the lines over cells with several attractors
 
 /** What both views share: the plane at one ξ, the legend of its attractors, and an attractor seen to move. */
 class AttractorView extends PlaneView {
-
   constructor(root, view, { axes, controls, ...options }) {
     super(view);
     this.axes = axes;
@@ -43,7 +41,7 @@ class AttractorView extends PlaneView {
 
   /** The attractors of a cell. */
   placesOf({ column, row = 0 }) {
-    return this.cells[row * this.columns.length + column];
+    return this.cells[this.indexOf({ column, row })];
   }
 
   showLegend() {
@@ -73,10 +71,6 @@ export class AttractorDiagram extends AttractorView {
       hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
     });
     this.events = events;
-  }
-
-  shown() {
-    return { omega: this.rows[0], xi: this.xi, complete: this.plane.attrs.complete };
   }
 
   showLegend() {
@@ -193,15 +187,11 @@ export class AttractorMap extends AttractorView {
   constructor(root, view) {
     const hatches = h("input", { type: "checkbox", checked: true, onchange: () => this.plot.draw() });
     super(root, view, {
-      axes: ["xi"], label: "Map of attractors", ratio: 0.6,
+      axes: ["xi"], label: "Map of attractors",
       controls: h("label", { className: "option" }, hatches, " Hatch cells with several attractors"),
       hint: "Point at a cell to read its attractors, press to see the first one move, drag or turn the wheel to zoom.",
     });
     this.hatches = hatches;
-  }
-
-  shown() {
-    return { xi: this.xi, complete: this.plane.attrs.complete };
   }
 
   content() {
@@ -211,7 +201,7 @@ export class AttractorMap extends AttractorView {
       ...this.planeScales(),
       legend: isHatched ? [["several attractors", hatchSymbol]] : [],
       message: this.message,
-      layers: [(ctx, box) => this.#drawAttractors(ctx, box), (ctx, box) => isHatched && this.#drawHatch(ctx, box)],
+      layers: [(ctx, box) => this.#drawAttractors(ctx, box, isHatched)],
       cursor: (ctx, box) => {
         const cell = this.selected();
         this.drawCursor(ctx, box, cell && isClose(cell.xi, this.xi) && [cell.gamma, cell.omega]);
@@ -219,26 +209,13 @@ export class AttractorMap extends AttractorView {
     };
   }
 
-  #drawAttractors(ctx, box) {
-    const empty = rgba32(box.theme.surface);
-    const colours = this.cells.map(([first]) => (first ? rgba32(branchColour(first.id, box.theme.dark)) : empty));
-    this.drawCells(ctx, box, (row, column) => colours[row * this.columns.length + column]);
-  }
-
-  /** Lines in the colour of the second attractor over the cells with several, at least one over each. */
-  #drawHatch(ctx, box) {
-    const [x, y] = [cellBorders(this.columns), cellBorders(this.rows)].map((borders) => borders.map((value) => Math.max(value, 1e-9)));
-    this.cells.forEach((cell, at) => {
-      if (cell.length < 2) return;
-      const [i, j] = [Math.floor(at / this.columns.length), at % this.columns.length];
-      const [left, right, top, bottom] = [box.x.pixel(x[j]), box.x.pixel(x[j + 1]), box.y.pixel(y[i + 1]), box.y.pixel(y[i])];
-      const colours = cell.map(({ id }) => branchColour(id, box.theme.dark));
-      const first = Math.ceil((left + top) / HATCH) * HATCH;
-      for (let sum = first < right + bottom ? first : (left + right + top + bottom) / 2; sum < right + bottom; sum += HATCH) {
-        const ends = [[Math.max(left, sum - bottom), Math.min(bottom, sum - left)], [Math.min(right, sum - top), Math.max(top, sum - right)]];
-        polyline(ctx, colours[1] === colours[0] ? box.theme.text : colours[1], HATCH / 2.4, ends);
-      }
-    });
+  /** The colour of the first attractor; over cells with several, lines in that of the second one. */
+  #drawAttractors(ctx, box, isHatched) {
+    const { surface, text, dark } = box.theme;
+    const colourOf = ({ id }) => branchColour(id, dark);
+    const colours = this.cells.map(([first]) => rgba32(first ? colourOf(first) : surface));
+    const lines = this.cells.map(([first, second]) => second && rgba32(colourOf(second) === colourOf(first) ? text : colourOf(second)));
+    this.drawCells(ctx, box, (cell, x, y) => (isHatched && lines[cell] && hatchAt(x, y) >= 0 ? lines[cell] : colours[cell]));
   }
 
   cellOf({ column, row }) {
@@ -246,7 +223,7 @@ export class AttractorMap extends AttractorView {
   }
 
   columnsOfTable() {
-    const isMissing = ({ column, row }) => this.count[row * this.columns.length + column] < 0;
+    const isMissing = (cell) => this.count[this.indexOf(cell)] < 0;
     return [...this.columnsOfPlane(), ["with", (cell) => (isMissing(cell) ? "not computed yet" : this.placesOf(cell).map(placeText).join(" · "))]];
   }
 }

@@ -7,7 +7,7 @@ import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.j
 import { AXES, SYMBOL, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
-import { listenToInput, panned, scaled } from "../plot/input.js";
+import { listenToInput, scaled } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
 
 const RETRY_MS = 3000; // after 503: results that were damaged are computed again
@@ -15,7 +15,7 @@ const KEYS = "Arrow keys step through cells, Home and End go to the ends, Enter 
 const ANNOUNCED_MS = 250; // after the last key: a cursor that moves is not read cell by cell
 const GESTURE_MS = 700; // between two turns of the wheel
 const SYMBOLS = new Set(Object.values(SYMBOL));
-const PICTURES = [["PNG", "png"], ["SVG", "svg"], ["PDF", "pdf"]];
+const FORMATS = [["PNG", "png"], ["SVG", "svg"], ["PDF", "pdf"], ["CSV", "csv"]];
 
 /** What a view shows of a job; `number` is its place among compared ones. */
 export const sourceOf = (job, number = 1) => ({
@@ -30,7 +30,7 @@ async function requestFitting(path, options) {
   } catch (error) {
     const [, every] = /every=(\d+) fits/.exec(error.message) ?? [];
     if (!every) throw error;
-    return requestDataset(path.replace(/&every=\d+|$/, `&every=${every}`), options);
+    return requestDataset(`${path}&every=${every}`, options);
   }
 }
 
@@ -39,7 +39,6 @@ async function requestFitting(path, options) {
  *   name             part of the names of its files
  *   paths()          optional; the addresses of the results to show, if they are not those of filePath()
  *   read(results)    takes their Datasets (see requestDataset)
- *   shown()          the parameters now shown, as an object
  *   filePath(source) the address of the result of a source that is downloaded
  *   content(), whole()   what to draw (see Plot), and the window {x0, x1, y0, y1} of all data
  *   nearest(x, y), step(cell, right, up)   the cell at a position, or this many cells further.
@@ -53,8 +52,7 @@ async function requestFitting(path, options) {
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
-  isDrawn = true; // whether the service has a picture of what is shown
-  colours = []; // the legend below the plot: [[name, colour], …]
+  isThinned = false; // whether all of it is more than the service sends
   closing = new AbortController();
 
   /**
@@ -68,6 +66,10 @@ export class PlotView {
 
   get job() {
     return this.source.job;
+  }
+
+  get isCompared() {
+    return this.sources.length > 1;
   }
 
   /** The values of the grid nearest to those of the address. */
@@ -87,7 +89,7 @@ export class PlotView {
   }
 
   /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with. */
-  build(root, { controls, label, hint, ratio, shown = [], tables = [] }) {
+  build(root, { controls, label, hint, shown = [], tables = [] }) {
     this.hint = hint;
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
@@ -98,7 +100,7 @@ export class PlotView {
     this.bar?.replaceChildren(controls);
     const column = [...shown, this.readout, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom), this.#downloads(), ...tables, this.table.element];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
-    this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null), ratio });
+    this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),
       leave: () => this.#point(null),
@@ -107,7 +109,6 @@ export class PlotView {
       step: (right, up) => this.#step(right, up),
       zoom,
       scale: (factors, point = this.current && this.at(this.current)) => zoom(scaled(this.plot, this.visible(), this.extent(), factors, point), this.#isNewGesture()),
-      pan: (from, to) => this.window && zoom(panned(this.plot, this.visible(), this.extent(), from, to), this.#isNewGesture()),
     });
     this.load = latest((signal) => this.#load(signal));
     const { signal } = this.closing;
@@ -183,12 +184,14 @@ export class PlotView {
       if (this.closing.signal.aborted) return;
       const position = this.current && this.at(this.current);
       this.read(results);
+      this.results = results;
+      this.isThinned ||= results.some(({ attrs }) => attrs.every > 1);
       this.isLoaded = true;
       this.#showError(null);
       this.#setCurrent(position && this.nearest(...position));
       this.showLegend();
       this.draw();
-      if (this.paths().join() !== this.requested) this.load(); // the result turned out to be thinned: the window in more detail
+      if (this.paths().join() !== this.requested) this.load(); // thinned: the window in more detail
     } catch (error) {
       this.#showError(error);
     } finally {
@@ -198,7 +201,7 @@ export class PlotView {
 
   draw() {
     this.plot.draw();
-    this.plot.element.dataset.shown = JSON.stringify(this.shown());
+    this.plot.element.dataset.shown = parametersOf(this.results[0]);
     this.#updateTable();
   }
 
@@ -243,15 +246,16 @@ export class PlotView {
 
   /** Pictures and tables of the service; what the service does not draw, as it is seen here. */
   #downloads() {
-    const isSingle = this.sources.length === 1;
-    const isDrawn = this.isDrawn && isSingle && !shared;
-    const formats = [...(isDrawn ? PICTURES : []), ["CSV", "csv"]];
-    const files = this.sources.flatMap((source) => resultFiles(source.job, () => this.name,
-      formats.map(([label, format]) => [isSingle ? label : `${label} of ${source.number}`, format]), () => this.filePath(source)));
-    return downloads([
-      ...(isDrawn ? [] : [["PNG", () => fileName(this.job, this.name, "png"), () => this.plot.png(this.colours)]]),
-      ...(shared ? [] : files),
-      ...(isSingle && !shared && isSweep(this.job.spec) ? wholeSweep(this.job, [["NetCDF", "nc"], ["a page to share", "html"]]) : []),
-    ]);
+    const png = ["PNG", () => fileName(this.job, this.name, "png"), () => this.plot.png()];
+    if (shared) return downloads([png]);
+    const files = (source, formats) => resultFiles(source.job, () => this.name, formats, () => this.filePath(source));
+    if (this.isCompared) return downloads([png, ...this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]))]);
+    return downloads([...files(this.source, FORMATS), ...(isSweep(this.job.spec) ? wholeSweep(this.job, [["NetCDF", "nc"], ["a page to share", "html"]]) : [])]);
   }
+}
+
+/** What a result is of, as JSON: its attributes, and its coordinates of one value. */
+function parametersOf({ attrs, ...variables } = {}) {
+  const valueOf = ({ data }) => (typeof data !== "object" ? data : data.length === 1 ? data[0] : undefined);
+  return JSON.stringify({ ...attrs, ...Object.fromEntries([...AXES, "direction"].filter((name) => variables[name]).map((name) => [name, valueOf(variables[name])])) });
 }

@@ -4,7 +4,6 @@ import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { axisLabel, clampIndex, hasCycles, isLog, nearestIndex, threshold } from "../lib/physics.js";
-import { directionColour } from "../plot/colours.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
@@ -64,10 +63,6 @@ export class Thresholds extends PlotView {
     return this.closedForm?.data ?? null;
   }
 
-  shown() {
-    return { xi: this.thresholds.xi, folds: Boolean(this.folds) };
-  }
-
   whole() {
     const { omega, xi } = this.thresholds;
     const [x0, x1] = extent(omega[0], omega.at(-1));
@@ -99,7 +94,7 @@ export class Thresholds extends PlotView {
     });
     polyline(ctx, box.theme.threshold, 1.6, curve, DASH);
     for (const { direction, values, statuses } of this.series) {
-      const colour = directionColour(direction, box.theme);
+      const colour = box.theme[direction];
       drawSeries(ctx, box, omega, values, colour, direction);
       statuses.forEach((status, i) => {
         const x = box.x.pixel(omega[i]) + (direction === "down" ? BESIDE : -BESIDE);
@@ -115,8 +110,8 @@ export class Thresholds extends PlotView {
       ["Eq. 25", (ctx, x, y, theme) => line(ctx, x, y, theme.threshold, 1.6, DASH)],
       ...(this.folds ? foldLegend() : []),
       ...this.series.map(({ name, direction }) => [name, (ctx, x, y, theme) => {
-        line(ctx, x, y, directionColour(direction, theme), 1.2);
-        drawMarker(ctx, [x + 12, y], 3.4, directionColour(direction, theme), direction, theme.surface);
+        line(ctx, x, y, theme[direction], 1.2);
+        drawMarker(ctx, [x + 12, y], 3.4, theme[direction], direction, theme.surface);
       }]),
       ...(this.edges.length ? [["beyond the grid", (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4, 1, theme.muted)]] : []),
       ...(this.isUndecided ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
