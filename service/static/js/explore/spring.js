@@ -173,12 +173,11 @@ export class Explore {
     setQuery({ ...START, ...currentQuery() });
     this.sweep = h("a", {}, "New sweep around this spring");
     const words = h("p", { className: "summary closed", role: "status" });
-    const portraits = h("div", {});
-    this.motion = new Motion({ portraits });
+    this.motion = new Motion();
     const { controls, panel, aside } = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), this.sweep], line: [words] });
     this.about = h("p", { className: "note" });
     aside.hidden = false;
-    aside.replaceChildren(h("div", { className: "facts" }, h("h2", {}, "Motion"), this.about), this.motion.element, portraits);
+    aside.replaceChildren(h("div", { className: "facts" }, h("h2", {}, "Motion"), this.about), this.motion.element, this.motion.portraits.element);
     root.classList.add("explored");
     this.view = new Cycles(panel, controls, words, this.motion);
     this.load = latest(() => this.#load()); // not aborted: the service computes it anyway
@@ -205,7 +204,7 @@ export class Explore {
 
   async #load() {
     const { place, start } = this.view;
-    const request = (length) => ["/v1/trajectories", { method: "POST", body: { ...place, model: contactOf(), ...(start && { start }), ...length } }];
+    const request = (length) => ["/v1/trajectories?", { method: "POST", body: { ...place, model: contactOf(), ...(start && { start }), ...length } }];
     this.sweep.href = link(["new"], { omega: place.omega, xi: place.xi });
     this.about.textContent = start ? `On the cycle (1, ${start.periods})` : "From rest, after its transient";
     const shown = () => JSON.stringify([this.view.place, this.view.start, contactOf()]);

@@ -2,20 +2,6 @@
 
 import { requestJson } from "../lib/api.js";
 
-/** Requests `path` once for the life of the page; after an error, the next call requests it again. */
-function cachedRequest(path) {
-  let response = null;
-  return () => {
-    response ??= requestJson(path).catch((error) => {
-      response = null;
-      throw error;
-    });
-    return response;
-  };
-}
-
-const loadOpenApi = cachedRequest("/openapi.json");
-const loadFigures = cachedRequest("/v1/figures");
 
 /** Kinds of study in their order, and the fields that a form begins with where the API's example is not meant for it. */
 const SWEEP = { gamma: { start: 0.5, stop: 6, num: 551 }, omega: 0.5, xi: 0.26 };
@@ -46,7 +32,7 @@ export function kindOf({ protocol: { kind = "rest" } = {}, refine, exponents }) 
  * give it a symbol and unit; without, its title and description in the schema are shown.
  */
 export async function loadStudies() {
-  const { schemas } = (await loadOpenApi()).components;
+  const { schemas } = (await requestJson("/openapi.json")).components;
   const resolve = (schema) => (schema.$ref ? schemas[schema.$ref.split("/").pop()] : schema);
   const alternatives = (schema) => (schema.oneOf ?? schema.anyOf ?? [schema]).map(resolve);
   const fieldsOf = (properties) => Object.fromEntries(Object.entries(properties).filter(([, schema]) => !("const" in schema)).map(([name, schema]) => {
@@ -81,19 +67,13 @@ function variant({ name }, title) {
   return words.join(", ") || title;
 }
 
-const MODE_MAP = {
-  number: "map", label: "Mode map", title: "Γ–Ω plane at ξ = 0.05",
-  sweeps: [{ ...PLANE, name: "mode map", keep: 48 }],
-};
-
 /**
- * The sweeps of the paper's figures and one more: [{label, title, sweeps: [{key, spec, text}, …]}, …]. `key` is the value
- * of `figure` in an address: "7", or "7.2" for the second sweep of a figure.
+ * The sweeps of the paper's figures: [{title, sweeps: [{key, spec, text}, …]}, …]. `key` is the value of `figure` in an
+ * address: "7", or "7.2" for the second sweep of a figure.
  */
 export async function loadPresets() {
-  const figures = (await loadFigures()).map((figure) => ({ ...figure, label: `Fig. ${figure.number}` }));
-  return [...figures, MODE_MAP].map(({ number, label, title, sweeps }) => ({
-    label, title,
-    sweeps: sweeps.map((spec, i) => ({ spec, key: i ? `${number}.${i + 1}` : String(number), text: `${label}: ${variant(spec, title)}` })),
+  return (await requestJson("/v1/figures")).map(({ number, title, sweeps }) => ({
+    title: `Fig. ${number}: ${title}`,
+    sweeps: sweeps.map((spec, i) => ({ spec, key: i ? `${number}.${i + 1}` : String(number), text: `Fig. ${number}: ${variant(spec, title)}` })),
   }));
 }

@@ -2,7 +2,7 @@
 
 import { currentQuery, link, navigate, replace, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestJson } from "../lib/api.js";
-import { announce, debounced, h } from "../lib/dom.js";
+import { announce, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { costText } from "../lib/format.js";
 import { AXES } from "../lib/physics.js";
 import { Snippets } from "../lib/snippets.js";
@@ -24,13 +24,13 @@ export class SweepForm {
   constructor(root) {
     document.title = "New study · Bouncing spring";
     this.container = h("div", {}, h("p", { className: "note" }, "Loading the form …"));
-    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.problem = problemLine();
     this.pasted = new PastedSpecification((spec) => this.#replace(spec));
     root.replaceChildren(
       h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
       h("h1", { tabindex: "-1" }, "New study"),
-      this.container, this.problem, this.pasted.element);
-    this.estimate = debounced(ESTIMATE_DELAY_MS, () => this.#estimate());
+      this.container, this.problem.element, this.pasted.element);
+    this.estimate = debounced(ESTIMATE_DELAY_MS, latest((signal) => this.#estimate(signal)));
     this.#load();
   }
 
@@ -48,11 +48,12 @@ export class SweepForm {
     this.closed = true;
     this.estimate.cancel();
     this.pasted.close();
-    this.estimating?.abort();
   }
 
   #build() {
-    this.preset = h("select", { id: "preset", onchange: (event) => { setQuery({ figure: event.target.value || null, from: null }); this.show(); } });
+    const figures = this.presets.map(({ title, sweeps }) => h("optgroup", { label: title }, sweeps.map(({ key, text }) => h("option", { value: key }, text))));
+    this.preset = h("select", { id: "preset", onchange: (event) => { setQuery({ figure: event.target.value || null, from: null }); this.show(); } },
+      h("option", { value: "" }, "default values"), figures);
     this.kind = h("select", { id: "study", onchange: () => this.#change() }, Object.entries(this.studies).map(([kind, { title }]) => h("option", { value: kind }, title)));
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button", disabled: true }, "Compute");
@@ -85,28 +86,28 @@ export class SweepForm {
     this.form.replaceChildren(...elements(rows),
       h("fieldset", { className: "plain", hidden: !CHOSEN.some((name) => name in this.fields) }, h("legend", {}, kind === "orbits" ? "Cycles" : "Accuracy"), elements(CHOSEN), isSweep && this.plan.element),
       h("details", {}, h("summary", {}, "Recording ", h("small", {}, recorded.map((name) => name.replaceAll("_", " ")).join(", "))), h("fieldset", { className: "plain" }, elements(recorded))),
-      this.problem,
+      this.problem.element,
       h("div", { className: "submit" }, this.button, this.cost));
   }
 
   /** Fill the form with the figure or the sweep that the address names; edited fields keep their values, and nothing is submitted before. */
   async #load() {
     this.isLoaded = false;
-    this.estimating?.abort();
     if (this.form) [this.button.disabled, this.cost.textContent] = [true, "…"];
     const { figure, from, omega, xi, field } = currentQuery();
     const isOutdated = () => this.closed || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
-      this.studies ??= await loadStudies();
-      if (isOutdated()) return;
-      if (!this.form) this.#build();
-      const presets = await loadPresets();
+      if (!this.form) {
+        [this.studies, this.presets] = await Promise.all([loadStudies(), loadPresets()]);
+        if (isOutdated()) return;
+        this.#build();
+      }
       const job = from && (await requestJson(`/v1/jobs/${from}`));
       if (isOutdated()) return;
-      this.preset.replaceChildren(h("option", { value: "" }, "default values"), ...presets.map(({ label, title, sweeps }) =>
-        h("optgroup", { label: `${label}: ${title}` }, sweeps.map(({ key, text }) => h("option", { value: key, selected: key === figure }, text)))));
+      const preset = this.presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure);
+      this.preset.value = preset?.key ?? "";
       this.isLoaded = true;
-      const given = (job || presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec;
+      const given = (job || preset)?.spec;
       this.#fill(given ?? { ...this.studies.rest.begin, ...springOf(omega, xi) });
       this.given = given ?? {};
       if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
@@ -147,7 +148,8 @@ export class SweepForm {
   }
 
   #onEdit({ target }) {
-    const [name] = Object.entries(this.fields).find(([, field]) => field.element.contains(target));
+    const name = Object.keys(this.fields).find((each) => this.fields[each].element.contains(target));
+    if (!name) return; // the time that is planned for
     this.edited.add(name);
     this.#onChange();
   }
@@ -163,12 +165,12 @@ export class SweepForm {
     this.estimate();
   }
 
-  async #estimate() {
+  async #estimate(signal) {
     if (!this.isLoaded) return; // another specification would be estimated, and submitted
-    this.estimating?.abort();
-    this.estimating = new AbortController();
+    const body = this.#read();
     try {
-      const cost = await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: this.#read(), signal: this.estimating.signal });
+      const cost = await requestJson("/v1/jobs?validate_only=true", { method: "POST", body, signal });
+      if (JSON.stringify(body) !== JSON.stringify(this.#read())) return; // edited meanwhile: it is estimated again
       showProblems(this.form, this.problem, null);
       this.cost.textContent = costText(cost);
       this.button.disabled = false;

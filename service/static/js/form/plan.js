@@ -19,7 +19,7 @@ function seconds(text) {
 export class Plan {
   constructor(read, use) {
     [this.read, this.use] = [read, use];
-    this.budget = h("input", { type: "text", size: "6", placeholder: "5m", oninput: (event) => event.stopPropagation(), onchange: (event) => event.stopPropagation(), onkeydown: (event) => {
+    this.budget = h("input", { type: "text", size: "6", placeholder: "5m", onkeydown: (event) => {
       if (event.key !== "Enter") return;
       event.preventDefault(); // the form is not submitted
       this.#compare();

@@ -1,20 +1,18 @@
 // The rules a specification breaks, shown at the fields they are about.
 
 import { h } from "../lib/dom.js";
+import { AXES } from "../lib/physics.js";
 
-/** Show a Problem's errors at their fields, and those without a visible field in `general`; null clears them. */
+/** Show a Problem's errors at their fields, and those without a visible field in the problem line `general`; null clears them. */
 export function showProblems(form, general, problem) {
   clear(form);
   const other = [];
-  const errors = problem?.errors?.length ? problem.errors : problem ? [{ field: "", rule: problem.message }] : [];
-  for (const error of errors) {
-    const { field, rule } = error;
-    const input = inputOf(form, field);
+  for (const error of problem?.errors ?? []) {
+    const input = inputOf(form, error.field);
     if (input) mark(input, inWords(error, input));
-    else other.push(field ? `${field}: ${rule}` : rule);
+    else other.push(error.field ? `${error.field}: ${error.rule}` : error.rule);
   }
-  general.textContent = other.join("; ");
-  general.hidden = !other.length;
+  general.show(other.length ? new Error(other.join("; ")) : problem?.errors?.length ? null : problem);
 }
 
 function clear(form) {
@@ -27,12 +25,11 @@ function clear(form) {
 
 /** The visible input of "model.restitution", or the nearest one above: "gamma[3]" is shown at gamma. */
 function inputOf(form, field) {
-  let name = field.replaceAll("[", ".").replaceAll("]", "");
-  while (name) {
-    const inputs = [...form.querySelectorAll(`[data-field="${CSS.escape(name)}"]`), ...form.querySelectorAll(`[data-group="${CSS.escape(name)}"] [data-field]`)];
+  for (let parts = field.split(/[.[\]]+/); parts.length; parts.pop()) {
+    const name = CSS.escape(parts.join("."));
+    const inputs = [...form.querySelectorAll(`[data-field="${name}"]`), ...form.querySelectorAll(`[data-group="${name}"] [data-field]`)];
     const visible = inputs.find((input) => !input.closest("[hidden]"));
     if (visible) return visible;
-    name = name.includes(".") ? name.slice(0, name.lastIndexOf(".")) : "";
   }
   return null;
 }
@@ -43,12 +40,11 @@ function inWords({ rule, code }, input) {
   if (code !== "type" && code !== "missing") return rule;
   if (text === "") return "is empty: type a number";
   const [pair] = text.match(/\d+,\d+/) ?? [];
-  if (pair && inputTakesLists(input)) return `write ${pair.replace(",", ".")}, or ${pair.replace(",", ", ")} for two values`;
+  if (pair && AXES.includes(input.dataset.field)) return `write ${pair.replace(",", ".")}, or ${pair.replace(",", ", ")} for two values`;
   if (/^[-−+]?\d+,\d+$/.test(text)) return `write a decimal point, not a comma: ${text.replace(",", ".")}`;
   return rule;
 }
 
-const inputTakesLists = ({ dataset }) => ["gamma", "omega", "xi"].includes(dataset.field);
 
 const unfold = (input) => { for (let fold = input.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true; };
 

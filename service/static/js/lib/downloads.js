@@ -26,9 +26,9 @@ export function downloads(files) {
     h("span", {}, "Download"), files.map(button), status);
 }
 
-/** Downloads of a result in formats of the service: `path()` is its address, `content` a part of the files' names. */
-export const resultFiles = (job, content, formats, path) => formats.map(([label, format]) =>
-  [label, () => fileName(job, content(), format), () => requestBlob(`${path()}&format=${format}`)]);
+/** Downloads of a result in formats of the service: `path()` is its address with a query, `content` a part of the files' names. */
+export const resultFiles = (job, content, formats, path, options) => formats.map(([label, format]) =>
+  [label, () => fileName(job, content(), format), () => requestBlob(`${path()}&format=${format}`, options)]);
 
 /** The whole sweep as a file. */
 export const wholeSweep = (job, formats) => resultFiles(job, () => "sweep", formats, () => `/v1/jobs/${job.id}/export?`);

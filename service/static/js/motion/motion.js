@@ -2,7 +2,7 @@
 
 import { isHandledElsewhere, requestDataset } from "../lib/api.js";
 import { h, problemLine } from "../lib/dom.js";
-import { duration, number, plural } from "../lib/format.js";
+import { number, plural } from "../lib/format.js";
 import { cycleText } from "../lib/physics.js";
 import { Player, periodsOf } from "./player.js";
 import { Portraits } from "./portraits.js";
@@ -21,22 +21,21 @@ const MAX_LISTED = 8;
 export class Motion {
   trajectory = null;
 
-  /** `portraits`: where the return map and the phase portrait are shown; without, they are not. */
-  constructor({ portraits = null } = {}) {
+  constructor() {
     this.note = h("p", { className: "note computing", role: "status", hidden: true });
     this.problem = problemLine();
     this.readout = h("p", { className: "readout", role: "status" });
     this.element = h("div", {}, this.note, this.problem.element);
     this.player = new Player(this.element);
     this.element.append(this.readout);
-    this.portraits = portraits && new Portraits(portraits);
+    this.portraits = new Portraits(); // shown where its owner puts them
   }
 
   close() {
     this.closed = true;
-    clearInterval(this.timer);
+    clearTimeout(this.timer);
     this.player.close();
-    this.portraits?.close();
+    this.portraits.close();
   }
 
   /** Play the motion at `path`, requested with `options`; false if there is none. */
@@ -48,7 +47,7 @@ export class Motion {
       this.trajectory = trajectory;
       this.player.show(trajectory);
       this.readout.textContent = describe(trajectory);
-      this.portraits?.show({ trajectory });
+      this.portraits.show({ trajectory });
       this.#showError(null);
       return true;
     } catch (error) {
@@ -56,7 +55,7 @@ export class Motion {
       return false;
     } finally {
       if (!options.signal?.aborted) {
-        clearInterval(this.timer);
+        clearTimeout(this.timer);
         this.note.hidden = true;
       }
     }
@@ -68,26 +67,24 @@ export class Motion {
       const { flights } = await request(path, options);
       if (!this.closed) this.portraits.show({ flights });
     } catch (error) {
-      if (!isHandledElsewhere(error)) this.portraits.fail(error);
+      if (!isHandledElsewhere(error)) this.portraits.mapNote.textContent = error.message;
     }
   }
 
   #wait() {
-    clearInterval(this.timer);
+    clearTimeout(this.timer);
     this.note.textContent = "Computing the trajectory …";
     this.note.hidden = Boolean(this.trajectory);
-    const began = Date.now();
-    this.timer = setInterval(() => {
+    this.timer = setTimeout(() => {
       this.note.hidden = false;
-      this.note.textContent = `Computing the trajectory … The first one of a contact model compiles its kernel (${duration((Date.now() - began) / 1000)}).`;
+      this.note.textContent = "Computing the trajectory … The first one of a contact model compiles its kernel.";
     }, SLOW_MS);
   }
 
   /** An error takes the place of the motion. */
   #showError(error) {
     this.problem.show(error);
-    for (const { element } of [this.player, ...(this.portraits ? [this.portraits] : [])]) element.hidden = Boolean(error);
-    this.readout.hidden = Boolean(error);
+    for (const element of [this.player.element, this.portraits.element, this.readout]) element.hidden = Boolean(error);
   }
 }
 

@@ -1,8 +1,8 @@
 // The panel beside a view of a sweep: the trajectory of the selected cell, and all its values.
 
-import { query, requestBlob, requestDataset } from "../lib/api.js";
+import { query, requestDataset } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { downloads, fileName } from "../lib/downloads.js";
+import { downloads, fileName, resultFiles } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
 import { SYMBOL, hasOwnCycles, startOf } from "../lib/physics.js";
 import { table } from "../lib/table.js";
@@ -38,7 +38,11 @@ export class TrajectoryPanel {
       this.shown = null; // it is requested again
       return;
     }
-    this.files.replaceChildren(this.#downloads(job, cell, path, options));
+    const name = () => `trajectory-${number(cell.gamma)}-${number(cell.omega)}`;
+    this.files.replaceChildren(downloads([
+      ["PNG", () => fileName(job, name(), "png"), () => this.motion.player.plot.png()],
+      ...resultFiles(job, name, [["CSV", "csv"], ["NetCDF", "nc"]], () => path, options),
+    ]));
     if (!options.body) this.#offerProof(path, signal);
     if (start) {
       this.motion.portraits.show({ flights: this.motion.trajectory.flights });
@@ -56,13 +60,12 @@ export class TrajectoryPanel {
     this.values = h("details", { hidden: true });
     this.files = h("div", {});
     this.proof = h("div", { hidden: true, role: "status" });
-    const portraits = h("div", {});
-    this.motion = new Motion({ portraits });
+    this.motion = new Motion();
     this.root.replaceChildren(
       h("div", { className: "facts" },
         h("header", {}, this.title, this.about),
         this.proof, this.files, this.values),
-      this.motion.element, portraits,
+      this.motion.element, this.motion.portraits.element,
       h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close"));
   }
 
@@ -98,16 +101,6 @@ export class TrajectoryPanel {
     this.values.hidden = false;
     this.values.replaceChildren(h("summary", {}, "All values of the cell"), table("Values of the cell", null, rows.map((variable) => [variable.attrs.long_name, valueText(variable)])));
   }
-
-  #downloads(job, { gamma, omega }, path, options) {
-    const name = (extension) => () => fileName(job, `trajectory-${number(gamma)}-${number(omega)}`, extension);
-    const file = (format) => () => requestBlob(`${path}${path.includes("?") ? "&" : "?"}format=${format}`, options);
-    return downloads([
-      ["PNG", name("png"), () => this.motion.player.plot.png([])],
-      ...(options.body ? [] : [["CSV", name("csv"), file("csv")]]),
-      ["NetCDF", name("nc"), file("nc")],
-    ]);
-  }
 }
 
 /** The path and options of a request for the motion of a cell as the sweep left it, or of a start; of a cycle, on the contact that has it. */
@@ -115,7 +108,7 @@ function addressOf(job, { direction, ...cell }) {
   const start = startOf(direction);
   if (start && start.kind !== "attractor") {
     const spring = start.kind === "cycle" ? { model: hasOwnCycles(job) ? job.spec.model : { kind: "rigid" }, ...PLAYED } : { model: job.spec.model, ...STARTED };
-    return ["/v1/trajectories", { method: "POST", body: { ...cell, start, ...spring } }];
+    return ["/v1/trajectories?", { method: "POST", body: { ...cell, start, ...spring } }];
   }
   const parameters = start ? { attractor: start.number, ...STARTED } : { direction, ...PLAYED };
   return [`/v1/jobs/${job.id}/trajectory?${query({ ...cell, ...parameters })}`, {}];

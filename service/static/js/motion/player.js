@@ -19,6 +19,7 @@ const MAX_LENGTH = 6;
 export const periodsOf = ({ phase }) => Math.round(phase.at(-1) / TWO_PI);
 
 export class Player {
+  heights = null; // of the trajectory
   phase = 0; // rad since the first sample
   speed = 1;
   periods = 1; // of the trajectory
@@ -42,7 +43,7 @@ export class Player {
     root.append(this.element);
     this.plot = new Plot(figure, {
       label: "Heights of the masses and the plate over plate periods",
-      content: () => this.heights?.content(() => this.phase) ?? null,
+      content: () => this.heights && contentOf(this.heights, this.phase),
     });
     this.plot.element.addEventListener("drawn", () => this.#draw());
   }
@@ -93,13 +94,13 @@ export class Player {
   }
 }
 
-/** Draw the `heights` of height-plot.js at `phase` on a canvas as high as the plot beside it. */
+/** Draw `heights` at `phase` on a canvas as high as the plot beside it. */
 function drawInstant(canvas, heights, phase, height) {
   const width = canvas.clientWidth;
   const ctx = resizedContext(canvas, width, height);
   const colours = theme();
   const y = scale(heights.low, heights.high, height - 46, 12).pixel; // the margins of the plot
-  const { plate, lower, upper, inFlight } = heights.at(phase);
+  const { plate, lower, upper, inFlight } = heightsAt(heights, phase);
   const middle = width / 2;
   drawPlate(ctx, middle, y(plate), width, colours);
   if (Number.isNaN(lower)) return;
@@ -125,34 +126,22 @@ function drawPlate(ctx, middle, y, width, colours) {
 }
 
 function drawSpring(ctx, x, from, to, colours) {
-  const points = [[x, from]];
   const straight = (to - from) * 0.08; // at each end
-  for (let i = 0; i <= COILS * 2; i++) {
-    const fraction = (i + 0.5) / (COILS * 2 + 1);
-    points.push([x + (i % 2 ? 8 : -8), from + straight + (to - from - 2 * straight) * fraction]);
-  }
-  points.push([x, to]);
-  polyline(ctx, colours.muted, 1.6, points);
+  const step = (to - from - 2 * straight) / (2 * COILS + 1);
+  const coils = Array.from({ length: 2 * COILS + 1 }, (_, i) => [x + (i % 2 ? 8 : -8), from + straight + (i + 0.5) * step]);
+  polyline(ctx, colours.muted, 1.6, [[x, from], ...coils, [x, to]]);
 }
 
-/**
- * What to draw of a trajectory. Lengths are in plate amplitudes. `content(phase)` is for a Plot, where `phase()` is
- * the current phase; `at(phase)` gives the heights at a phase in rad.
- */
+/** The heights of a trajectory to draw, in plate amplitudes, and the ends of their axis. */
 function heightsOf(trajectory) {
+  const { phase, plate, z1, z2: lower, in_flight: inFlight, rest_length: rest } = trajectory;
   const isBall = trajectory.model === "ball";
   const length = isBall ? 0 : drawnLength(trajectory);
-  const lower = trajectory.z2;
-  const upper = isBall ? lower : trajectory.z1.map((z1) => z1 - trajectory.rest_length + length);
-  const values = [...trajectory.plate, ...lower, ...upper].filter(Number.isFinite);
+  const upper = isBall ? lower : z1.map((height) => height - rest + length);
+  const values = [...plate, ...lower, ...upper].filter(Number.isFinite);
   const [low, high] = [Math.min(...values), Math.max(...values)];
-  const heights = {
-    isBall, phase: trajectory.phase, plate: trajectory.plate, lower, upper, inFlight: trajectory.in_flight,
-    low: low - MARGIN * (high - low) - 0.4, high: high + MARGIN * (high - low) + 0.4,
-  };
-  heights.content = (phase) => contentOf(heights, phase);
-  heights.at = (phase) => interpolated(heights, phase);
-  return heights;
+  const margin = MARGIN * (high - low) + 0.4;
+  return { isBall, phase, plate, lower, upper, inFlight, low: low - margin, high: high + margin };
 }
 
 /**
@@ -165,7 +154,7 @@ function drawnLength({ z1, z2, rest_length: rest }) {
   return Math.min(Math.max(rest, minLength), Math.max(minLength, MAX_LENGTH));
 }
 
-function contentOf(heights, currentPhase) {
+function contentOf(heights, current) {
   const { phase, plate, lower, upper, isBall } = heights;
   const periods = phase.map((value) => value / TWO_PI);
   const points = (box, values) => values.map((value, i) => [box.x.pixel(periods[i]), box.y.pixel(value)]).filter(([, y]) => Number.isFinite(y));
@@ -184,12 +173,12 @@ function contentOf(heights, currentPhase) {
         polyline(ctx, box.theme["lower-mass"], 1.6, points(box, lower));
       },
     ],
-    cursor: (ctx, box) => verticalLine(ctx, box, box.x.pixel(currentPhase() / TWO_PI), box.theme.cursor),
+    cursor: (ctx, box) => verticalLine(ctx, box, box.x.pixel(current / TWO_PI), box.theme.cursor),
   };
 }
 
 /** Heights at a phase, linear between two samples; NaN after the end of the computed trajectory. */
-function interpolated({ phase, plate, lower, upper, inFlight }, at) {
+function heightsAt({ phase, plate, lower, upper, inFlight }, at) {
   const step = phase[1] - phase[0];
   const i = Math.min(Math.floor(at / step), phase.length - 2);
   const fraction = Math.min(Math.max((at - phase[i]) / step, 0), 1);

@@ -17,13 +17,13 @@ export class Portraits {
   flights = null; // flight times in order
   trajectory = null;
 
-  constructor(root) {
+  constructor() {
     const [map, portrait] = [h("figure", {}), h("figure", {})];
     this.mapNote = h("p", { className: "note" });
     this.element = h("div", { className: "portraits" },
       h("div", {}, h("h3", {}, "Return map"), map, this.mapNote),
       h("div", {}, h("h3", {}, "Phase portrait"), portrait, h("p", { className: "note" }, "Dots: once per plate period (Poincaré section).")));
-    root.append(this.element);
+
     this.map = new Plot(map, { label: "Return map: each flight time over the one before", content: () => this.flights && returnMap(this.flights) });
     this.portrait = new Plot(portrait, { label: "Phase portrait: velocity of the spring’s elongation over its elongation", content: () => this.trajectory && phasePortrait(this.trajectory) });
   }
@@ -37,10 +37,6 @@ export class Portraits {
     this.portrait.draw();
   }
 
-  /** Why there is no return map. */
-  fail(error) {
-    this.mapNote.textContent = error.message;
-  }
 
   close() {
     this.map.close();
