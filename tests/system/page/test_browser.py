@@ -700,16 +700,37 @@ def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
         page.locator("[data-field='settle']:focus").wait_for()
 
 
-def test_a_study_without_diagrams_is_listed_and_described(browser: Any, address: str):
-    orbits = {"name": "Folds", "protocol": {"kind": "orbits"}, "omega": [0.6, 0.7], "xi": 0.05, "points": 20}
-    job = done(address, orbits)
+def test_a_study_of_cycles_opens_on_its_branches_and_one_of_them_moves(browser: Any, address: str):
+    orbits = {"name": "Folds", "protocol": {"kind": "orbits"}, "omega": [0.6, 0.7], "xi": 0.05}
+    job = done(address, orbits | {"modes": ["1-1", "1-2"], "points": 100})
+    answer = httpx2.get(f"{address}/v1/jobs/{job}/orbits?omega=0.7", timeout=DEADLINE).json()["data_vars"]
+    admissible = answer["event_violations"]["data"].count(0)
     with opened(browser, address) as page:
         page.locator("text=study: orbits").first.wait_for()
         page.get_by_role("link", name="Folds").click()
-        page.locator(".panel pre", has_text='"kind": "orbits"').wait_for()
-        assert page.locator(".tabs a").all_inner_texts() == ["Details"]
+        wait_shown(page, omega=0.7)
+        assert page.locator(".tabs a").all_inner_texts() == ["Branches", "Details"]
+        assert page.locator(".paged tbody tr").count() == admissible
+        screenshot(page, "orbits", whole=False)
+        plot = page.locator(".panel .plot")
+        plot.focus()
+        plot.press("ArrowUp")
+        readout = page.locator(".panel .readout").inner_text()
+        assert re.match(r"Γ = [\d.]+ · cycle \(1, [12]\), (un)?stable · flight time", readout)
+        plot.press("Enter")
+        page.locator(".trajectory .readout", has_text="On the cycle (1, ").wait_for()
+        page.get_by_text("Table of what is shown").click()
+        page.locator(".paged td", has_text=re.compile("^(un)?stable$")).first.wait_for()
+        page.get_by_label("Value of Ω").fill("0.6")
+        page.get_by_label("Value of Ω").press("Enter")
+        wait_shown(page, omega=0.6)
+        with page.expect_download() as download:
+            page.locator(".panel").get_by_role("button", name="Download CSV", exact=True).click()
+        assert "flight_time" in Path(download.value.path()).read_text().splitlines()[0]
+        page.emulate_media(color_scheme="dark")
+        screenshot(page, "orbits-dark", whole=False)
     with opened(browser, view(address, job, "diagram")) as page:  # an address made for a sweep
-        page.locator(".panel pre", has_text="open_zarr").wait_for()
+        wait_shown(page, xi=0.05)
 
 
 # Speed

@@ -133,7 +133,7 @@ export function contactQuery({ kind, restitution, penetration, adhesive }) {
   return kind === "soft" && penetration && restitution < 1 ? { model: kind, restitution, penetration, adhesive } : {};
 }
 
-export const hasOwnCycles = ({ spec }) => "model" in contactQuery(spec.model);
+export const hasOwnCycles = ({ spec }) => "model" in contactQuery(spec.model ?? {});
 
 /** "cycle (1, 1), unstable · flight time 3.9 rad · multipliers 2.1, 0.3"; `multipliers`: real and imaginary part of two. */
 export function cycleText({ bounces, periods, stable, flight_time: time, multipliers: [re, im, otherRe] }) {
