@@ -16,7 +16,6 @@ const TEXTS = {
   "model.events": ["take-off and landing", "located in a shortened step, or at the end of a plain one"],
   tolerance: ["tolerance", "rad of flight time"],
   exponents: ["Lyapunov exponents", "0 to 4; they tell quasi-periodic from chaotic cells"],
-  effort: ["effort", "sets settle, observe, until"],
   direction: ["ramp", ""],
   axis: ["along", ""],
   start: ["first cell on the stable cycle (1, k): k", "empty: from rest"],
@@ -60,13 +59,11 @@ export function schemaField(name, { title, about, type, choices, default: initia
     : type === "boolean" ? h("input", { type: "checkbox", "data-field": id })
     : h("input", { ...NUMBER_INPUT, ...(isNumber ? {} : { inputmode: "text", maxlength: 200, size: 32 }), "data-field": id });
   const property = type === "boolean" ? "checked" : "value";
-  const setDefault = (value) => { if (isNumber || isList) control.placeholder = [value ?? NULL_DEFAULTS[name] ?? ""].flat().join(", "); };
-  setDefault(initial);
+  if (isNumber || isList) control.placeholder = [initial ?? NULL_DEFAULTS[name] ?? ""].flat().join(", ");
   return {
     element: h("label", { className: "plain" }, h("span", {}, label), control, h("small", {}, explanation)),
     read: () => (isList ? (control.value.match(/[^,;\s]+/g) ?? null) : isNumber ? parseNumber(control.value) : control[property] === (initial ?? "") ? null : control[property]),
     write: (value) => { control[property] = isNumber ? String(value ?? "") : isList ? (value ?? []).join(", ") : (value ?? initial ?? choices?.[0] ?? ""); },
-    setDefault,
   };
 }
 
@@ -79,40 +76,30 @@ export function objectField(name, heading, about, parts, fixed = {}) {
     const read = () => (field.read() === null ? null : { [inner]: field.read() });
     return [key, { ...field, read, write: (value) => field.write(value?.[inner]) }];
   });
+  const elements = fields.map(([, { element }]) => element);
   return {
-    element: h("fieldset", { "data-group": name, hidden: !fields.length }, h("legend", {}, heading, h("small", {}, about)), fields.map(([, { element }]) => element)),
+    elements,
+    element: h("fieldset", { "data-group": name, hidden: !fields.length }, h("legend", {}, heading, h("small", {}, about)), elements),
     read: () => ({ ...fixed, ...Object.fromEntries(fields.map(([key, { read }]) => [key, read()]).filter(([, value]) => value !== null)) }),
     write: (value) => fields.forEach(([key, { write }]) => write(value?.[key])),
   };
 }
 
-/** The contact model and its parameters; `models` as in catalogue.js. */
-export function modelField(models, { kind: defaultKind }) {
-  const fieldsOf = (kind) => models.find((model) => model.kind === kind).fields;
-  const kind = h("select", { "data-field": "model.kind", onchange: () => show() }, models.map((model) => h("option", { value: model.kind }, `${model.kind}: ${model.about}`)));
-  // Models share the parameters of one name, so that a typed value stays when the model changes.
-  const shared = Object.fromEntries(models.flatMap(({ fields }) => Object.entries(fields)));
-  const parameters = Object.fromEntries(Object.entries(shared).map(([name, field]) => [name, schemaField(name, field, `model.${name}`)]));
-  const show = () => {
-    for (const [name, { element, setDefault }] of Object.entries(parameters)) {
-      const field = fieldsOf(kind.value)[name];
-      element.hidden = !field;
-      if (field) setDefault(field.default);
-    }
+/** The contact model and its parameters; `models` as in catalogue.js. Another model takes over what is typed, where it has it. */
+export function modelField(models, { kind: initial }) {
+  const options = models.map((model) => h("option", { value: model.kind }, `${model.kind}: ${model.about}`));
+  const select = h("select", { "data-field": "model.kind", onchange: () => write({ ...field.read(), kind: select.value }) }, options);
+  const element = h("fieldset", { "data-group": "model" }, h("legend", {}, "Contact"), labelled("contact model", select));
+  let field; // the parameters of the model shown
+  const write = (model = { kind: initial }) => {
+    const { kind, fields } = models.find((each) => each.kind === model.kind);
+    select.value = kind;
+    field?.elements.forEach((each) => each.remove());
+    field = objectField("model", "Contact", "", fields, { kind });
+    field.write(model);
+    element.append(...field.elements);
   };
-  return {
-    element: h("fieldset", { "data-group": "model" }, h("legend", {}, "Contact"),
-      labelled("contact model", kind), Object.values(parameters).map((each) => each.element)),
-    read: () => {
-      const values = Object.keys(fieldsOf(kind.value)).map((name) => [name, parameters[name].read()]);
-      return { kind: kind.value, ...Object.fromEntries(values.filter(([, value]) => value !== null)) };
-    },
-    write: (model = { kind: defaultKind }) => {
-      kind.value = model.kind;
-      for (const [name, { write }] of Object.entries(parameters)) write(model[name]);
-      show();
-    },
-  };
+  return { element, read: () => field.read(), write };
 }
 
 /** One axis: a value or several, or a range. */

@@ -1,6 +1,6 @@
 // What surrounds a plot's data: frame, ticks, labels, title and legend.
 
-import { h } from "../lib/dom.js";
+
 import { TWO_PI, clamp } from "../lib/physics.js";
 import { polyline } from "./drawing.js";
 import { scale, ticks } from "./scale.js";
@@ -102,16 +102,7 @@ export function drawHeadings(ctx, { left, headings, theme, texts }) {
   }
 }
 
-const SHIFT = { left: "0", center: "-50%", right: "-100%" };
-
-/** A text of a box as an element; `align` is what of it is at x, its middle is at y. */
-export function textElement({ text, x, y, align = "left", size = FONT_SIZE, italic = false, turned = false, colour = "" }) {
-  const element = h("span", {}, text);
-  element.style.cssText = `left:${x}px;top:${y}px;font-size:${size}px;${italic ? "font-style:italic;" : ""}${colour ? `color:${colour};` : ""}transform:translate(${SHIFT[align]},-50%)${turned ? "rotate(-90deg)" : ""}`;
-  return element;
-}
-
-/** The texts of a box on its canvas, for a file. */
+/** The texts of a box; `align` is what of a text is at its x, its middle is at y. */
 export function drawTexts(ctx, { texts, theme }) {
   ctx.textBaseline = "middle";
   for (const { text, x, y, align = "left", size = FONT_SIZE, italic = false, turned = false, colour = theme.text } of texts) {

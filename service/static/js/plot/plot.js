@@ -4,7 +4,7 @@ import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { onThemeChange, theme } from "./colours.js";
 import { clipped, pixelRatio, resizedContext } from "./drawing.js";
-import { boxOf, drawFrame, drawHeadings, drawPeriods, drawTexts, textElement } from "./frame.js";
+import { boxOf, drawFrame, drawHeadings, drawPeriods, drawTexts } from "./frame.js";
 
 let plots = 0;
 
@@ -23,7 +23,7 @@ export class Plot {
     this.canvas = h("canvas", { "aria-hidden": "true" });
     this.cursor = h("canvas", { "aria-hidden": "true", className: "cursor" });
     this.message = h("p", { className: "message", hidden: true });
-    this.texts = h("div", { className: "texts" });
+    this.texts = h("div", { className: "texts visually-hidden" }); // what the canvas has as a picture
     this.axes = h("p", { className: "visually-hidden", id: `axes-${(plots += 1)}` });
     this.element = h("div", { className: "plot", tabindex: "0", role: "application", "aria-label": label, "aria-describedby": this.axes.id }, this.canvas, this.cursor, this.texts, this.message, this.axes);
     root.append(this.element);
@@ -66,19 +66,15 @@ export class Plot {
     clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
     drawFrame(ctx, box, content);
     drawHeadings(ctx, box);
-    this.texts.replaceChildren(...box.texts.map(textElement));
+    drawTexts(ctx, box);
+    this.texts.replaceChildren(...box.texts.flatMap(({ text }) => [h("span", {}, text), " "]));
     const axis = ({ label, low, high }) => `${label} from ${number(low, 4)} to ${number(high, 4)}`;
     this.axes.textContent = [content.title, axis(content.x), axis(content.y)].filter(Boolean).join(". ");
   }
 
   /** What is drawn, as a PNG. */
   png() {
-    const { clientWidth: width, clientHeight: height } = this.canvas;
-    const canvas = h("canvas");
-    const ctx = resizedContext(canvas, width, height);
-    ctx.drawImage(this.canvas, 0, 0, width, height);
-    drawTexts(ctx, this.box);
-    return new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
+    return new Promise((resolve) => this.canvas.toBlob(resolve, "image/png"));
   }
 
   drawCursor() {

@@ -4,6 +4,7 @@ import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
 import { announce, debounced, h, problemLine } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
+import { choice } from "../views/controls.js";
 import { JobSummary, UNFINISHED, titleOf } from "../views/progress.js";
 
 const PAGE_SIZE = 25;
@@ -14,8 +15,9 @@ const ERROR_MS = 8000; // how long an error is shown
 const TYPING_MS = 250;
 const MAX_NAMED = 5; // sweeps named in a confirmation
 
-const STATES = [["", "any state"], ["queued", "queued"], ["running", "running"], ["done", "done"], ["failed", "failed"], ["cancelled", "cancelled"]];
-const MODELS = [["", "any contact"], ["rigid", "rigid"], ["soft", "soft"], ["stepped", "stepped"], ["ball", "ball"], ["auto", "auto"]];
+const named = (name) => [name, name];
+const STATES = [["", "any state"], ...["queued", "running", "done", "failed", "cancelled"].map(named)];
+const MODELS = [["", "any contact"], ...["rigid", "soft", "stepped", "ball", "auto"].map(named)];
 const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "last finished first"], ["name", "by name"], ["largest", "largest first"]];
 
 export class SweepList {
@@ -28,13 +30,11 @@ export class SweepList {
     document.title = "Bouncing spring";
     const query = currentQuery();
     const find = () => this.#find();
-    const labelled = (title, control) => h("label", { className: "option" }, `${title} `, control);
-    const choice = (name, title, options) => labelled(title,
-      h("select", { name, onchange: find }, options.map(([key, text]) => h("option", { value: key, selected: key === (query[name] ?? "") }, text))));
+    const select = (name, title, options) => choice(title, options, query[name] ?? "", find, { name });
     const button = (title, work) => h("button", { type: "button", className: "quiet", onclick: work }, title);
     this.filters = h("form", { className: "controls filters", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
-      labelled("Find", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", value: query.search ?? "", oninput: debounced(TYPING_MS, find) })),
-      choice("state", "State", STATES), choice("model", "Contact", MODELS), choice("order", "Order", ORDERS));
+      h("label", { className: "option" }, "Find ", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", value: query.search ?? "", oninput: debounced(TYPING_MS, find) })),
+      select("state", "State", STATES), select("model", "Contact", MODELS), select("order", "Order", ORDERS));
     this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });
     this.chosen = h("span", { className: "note", role: "status" });
     this.compare = button("Compare", () => navigate(["compare"], { jobs: [...this.selected.keys()].join() }));
@@ -68,15 +68,14 @@ export class SweepList {
     clearTimeout(this.timer);
     const wanted = this.#wanted();
     const asked = JSON.stringify([wanted, this.cursors]);
+    const page = (values) => requestJson(`/v1/jobs?${query({ ...wanted, ...values })}`);
     try {
-      const page = (values) => requestJson(`/v1/jobs?${query({ ...wanted, ...values })}`);
       const [pinned, others] = await Promise.all([
         page({ pinned: true, limit: MAX_PINNED }),
         page({ pinned: false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
       ]);
       if (this.closed || asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
-      const isFirst = this.cursors.length === 1;
-      this.#showJobs([...(isFirst ? pinned.jobs : []), ...others.jobs]);
+      this.#showJobs([...(this.cursors.length === 1 ? pinned.jobs : []), ...others.jobs]);
       this.#showRange(pinned, others);
       this.notice.hidden = !others.notice;
       setText(this.notice, others.notice ?? "");
@@ -122,12 +121,10 @@ export class SweepList {
     const before = (this.cursors.length - 1) * PAGE_SIZE;
     const total = pinned.total + others.total;
     const isFiltered = [...new FormData(this.filters)].some(([name, value]) => value && name !== "order");
-    this.previous.disabled = !before;
-    this.next.disabled = others.next === null;
-    const isOnePage = this.previous.disabled && this.next.disabled;
-    this.previous.hidden = this.next.hidden = isOnePage;
+    this.previous.hidden = !before;
+    this.next.hidden = others.next === null;
     const shown = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinned.total ? `, and ${count(pinned.total)} pinned` : ""}`;
-    setText(this.range, !isOnePage ? shown : isFiltered ? `${plural(total, "sweep")} found` : "");
+    setText(this.range, before || others.next ? shown : isFiltered ? `${plural(total, "sweep")} found` : "");
     this.empty.hidden = total > 0;
     this.empty.textContent = isFiltered ? "No sweep is like that." : "No sweeps yet.";
     this.intro.hidden = total > 0 || isFiltered;
@@ -161,7 +158,7 @@ export class SweepList {
     const name = h("a", {});
     const time = h("span", { className: "note" });
     const error = h("p", { className: "problem", hidden: true });
-    const parts = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#onDelete(), error: (failure) => this.showError(failure) });
+    const parts = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#afterDelete(), error: (failure) => this.showError(failure) });
     const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h2", {}, name), parts.about),
       parts.progress, time, parts.actions, parts.notice, error);
     const update = (current) => {
@@ -182,9 +179,9 @@ export class SweepList {
     return { element, update };
   }
 
-  #onDelete() {
-    this.refresh();
-    document.getElementById("sweeps")?.focus(); // the pressed button disappears
+  /** Keep the keyboard focus: the pressed button disappears. */
+  #afterDelete() {
+    this.#turn(this.cursors);
   }
 
   #select(jobs, on) {
@@ -222,8 +219,8 @@ export class SweepList {
     const running = this.selected.size - finished.length;
     const names = finished.slice(0, MAX_NAMED).map((job) => `“${titleOf(job)}”`).join(", ");
     const more = finished.length > MAX_NAMED ? ` and ${count(finished.length - MAX_NAMED)} more` : "";
-    const rest = running ? ` ${plural(running, "sweep")} still computed ${running === 1 ? "is" : "are"} kept.` : "";
-    if (!confirm(`Delete ${plural(finished.length, "sweep")} and ${finished.length === 1 ? "its" : "their"} results: ${names}${more}?${rest}`)) return;
+    const kept = running ? ` Kept, as not finished: ${plural(running, "sweep")}.` : "";
+    if (!confirm(`Delete ${plural(finished.length, "sweep")} and ${finished.length === 1 ? "its" : "their"} results: ${names}${more}?${kept}`)) return;
     const failed = [];
     for (const job of finished) {
       try {
@@ -235,7 +232,7 @@ export class SweepList {
     }
     if (failed.length) this.showError(new Error(failed.join("; ")));
     announce(`${plural(finished.length - failed.length, "sweep")} deleted.`);
-    this.#onDelete();
+    this.#afterDelete();
   }
 }
 
