@@ -280,7 +280,6 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         readout = page.locator(".panel .readout").inner_text()
         assert re.match(r"Γ = 2\.3\d* · cycle \(1, 1\), (un)?stable · flight time", readout)
         plot.press("Enter")
-        page.get_by_text("On the cycle (1, 1)", exact=True).wait_for()
         flight = re.findall(r"flight time ([\d.]+)", readout)[0]
         page.locator(".trajectory .readout", has_text=f"flight time {flight}").wait_for()
         page.get_by_label("Cycles up to").select_option("1")

@@ -45,7 +45,7 @@ export class Difference extends PlaneView {
 
   content() {
     return {
-      ...this.planeScales(),
+      ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       title: `ξ = ${number(this.xi)}`,
       layers: [(ctx, box) => this.#paint(ctx, box)],
       cursor: (ctx, box) => this.drawCursor(ctx, box),

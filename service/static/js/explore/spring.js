@@ -6,7 +6,7 @@ import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { AXES, clamp, contactQuery, isClose, startOf, threshold } from "../lib/physics.js";
 import { disc, verticalLine } from "../plot/drawing.js";
-import { MAPPED, Motion, PLAYED } from "../motion/motion.js";
+import { TrajectoryPanel } from "../motion/panel.js";
 import { branchesPath } from "../views/closed-form.js";
 import { choice, numberInput, sliders } from "../views/controls.js";
 import { CyclesView } from "../views/cycles.js";
@@ -54,11 +54,11 @@ class Cycles extends CyclesView {
     return Object.fromEntries(AXES.map((axis) => [axis, clamp(given(axis, START[axis]), GRID[axis][0], GRID[axis].at(-1))]));
   }
 
-  /** The cycle to start on, if the address names one of this spring. */
-  get start() {
+  /** The start: the cycle that the address names, if it is one of this spring. */
+  get direction() {
     const [gamma, omega, xi, name = ""] = (currentQuery().cell ?? "").split(",");
     const { place } = this;
-    return isClose(Number(gamma), place.gamma) && isClose(Number(omega), place.omega) && isClose(Number(xi), place.xi) ? startOf(name) : null;
+    return startOf(name) && isClose(Number(gamma), place.gamma) && isClose(Number(omega), place.omega) && isClose(Number(xi), place.xi) ? name : "rest";
   }
 
   paths() {
@@ -110,18 +110,15 @@ export class Explore {
   constructor(root) {
     document.title = "Explore · Bouncing spring";
     setQuery({ ...START, ...currentQuery() });
+    this.root = root;
     this.sweep = h("a", {}, "New sweep around this spring");
     const words = h("p", { className: "summary closed", role: "status" });
-    this.motion = new Motion();
     const { controls, panel, aside } = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), this.sweep], line: [words] });
-    this.about = h("p", { className: "note" });
-    aside.hidden = false;
-    aside.replaceChildren(h("div", { className: "facts" }, h("h2", {}, "Motion"), this.about), this.motion.element, this.motion.portraits.element);
     root.classList.add("explored");
+    this.motion = new TrajectoryPanel(aside);
     this.view = new Cycles(panel, controls, words, this.motion);
     this.load = latest(() => this.#load()); // not aborted: the service computes it anyway
     queryChanges.addEventListener("change", () => this.load(), { signal: this.view.closing.signal });
-    this.root = root;
     this.load();
   }
 
@@ -138,19 +135,13 @@ export class Explore {
     this.root.classList.remove("explored");
     clearBar();
     this.view.close();
-    this.motion.close();
+    this.motion.hide();
   }
 
   async #load() {
-    const { place, start } = this.view;
-    const request = (length) => ["/v1/trajectories?", { method: "POST", body: { ...place, model: contactOf(), ...(start && { start }), ...length } }];
+    const { place, direction } = this.view;
     this.sweep.href = link(["new"], { omega: place.omega, xi: place.xi });
-    this.about.textContent = start ? `On the cycle (1, ${start.periods})` : "From rest, after its transient";
-    const shown = () => JSON.stringify([this.view.place, this.view.start, contactOf()]);
-    const asked = shown();
-    if (asked === this.loaded || !(await this.motion.load(...request(PLAYED)))) return;
-    this.loaded = asked;
+    await this.motion.show({ ...SPRING.job, spec: { model: contactOf() } }, { ...place, direction });
     this.view.plot.redraw();
-    if (this.loaded === shown()) await this.motion.loadMap(...request(MAPPED)); // else moved on meanwhile
   }
 }

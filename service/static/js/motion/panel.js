@@ -1,72 +1,125 @@
-// The panel beside a view of a sweep: the trajectory of the selected cell, and all its values.
+// The motion of a cell, a cycle or a start: played, in words, with its return map, phase portrait and values.
 
-import { query, requestDataset } from "../lib/api.js";
-import { h } from "../lib/dom.js";
+import { isHandledElsewhere, query, requestDataset } from "../lib/api.js";
+import { h, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
 import { SYMBOL, hasOwnCycles, startOf } from "../lib/physics.js";
 import { table } from "../lib/table.js";
-import { MAPPED, Motion, PLAYED, STARTED } from "./motion.js";
+import { describeMotion, requestMotion } from "./motion.js";
+import { Player } from "./player.js";
+import { Portraits } from "./portraits.js";
 
+/** Of a motion that is played, in plate periods and samples per period; of a start, which takes longer to show where it leads. */
+const PLAYED = { periods: 4, samples: 240 };
+const STARTED = { periods: 16, samples: 240 };
+/** Of a return map, which needs many flights and nothing else of the motion. */
+const MAPPED = { periods: 120, samples: 2 };
+const SLOW_MS = 2500; // after which the note explains the delay
 const MAX_LISTED = 8; // numbers of a variable
 
 export class TrajectoryPanel {
-  motion = null;
+  player = null; // while something is shown
+  trajectory = null;
 
-  constructor(root, { onClose }) {
+  /** Shown in `root`; without `onClose` it cannot be closed. */
+  constructor(root, onClose = null) {
     Object.assign(this, { root, onClose });
   }
 
-  /** Request and show the trajectory of a cell, or of a start: {gamma, omega, xi, direction or startName}. */
+  /**
+   * Request and show the motion of a cell {gamma, omega, xi, direction or startName} of a job, or of one spring: a job
+   * without id. Ends when the motion is shown; the rest follows.
+   */
   async show(job, cell) {
-    const key = JSON.stringify(cell);
+    const key = JSON.stringify([cell, job.spec.model]);
     if (this.shown === key) return;
     this.shown = key;
     this.request?.abort();
     this.request = new AbortController();
     const { signal } = this.request;
-    if (!this.motion) this.#build();
+    if (!this.player) this.#build();
     const start = startOf(cell.direction);
-    const values = Object.entries(SYMBOL).map(([axis, symbol]) => `${symbol} = ${number(cell[axis])}`);
+    const axes = Object.entries(SYMBOL).map(([axis, symbol]) => `${symbol} = ${number(cell[axis])}`);
     this.title.textContent = `Trajectory of ${{ cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }[start?.kind] ?? "a cell"}`;
-    this.about.textContent = `${values.join(", ")}, ${startText(cell.direction, job)}`;
+    this.about.textContent = `${axes.join(", ")}, ${startText(cell.direction, job)}`;
     this.values.hidden = this.proof.hidden = true;
-    const [path, options] = addressOf(job, cell);
-    const isShown = await this.motion.load(path, { ...options, signal });
-    if (signal.aborted) return;
-    if (!isShown) {
+    const [path, options] = addressOf(job, cell, !start || start.kind === "cycle" ? PLAYED : STARTED);
+    try {
+      await this.#load(path, { ...options, signal });
+    } catch (error) {
+      if (signal.aborted) return;
       this.shown = null; // it is requested again
+      if (!isHandledElsewhere(error)) this.#showError(error);
       return;
     }
     const name = () => `trajectory-${number(cell.gamma)}-${number(cell.omega)}`;
     this.files.replaceChildren(downloads([
-      ["PNG", () => fileName(job, name(), "png"), () => this.motion.player.plot.png()],
+      ["PNG", () => fileName(job, name(), "png"), () => this.player.plot.png()],
       ...resultFiles(job, name, [["CSV", "csv"], ["NetCDF", "nc"]], () => path, options),
     ]));
+    this.#loadMap(job, cell, signal);
     if (!options.body) this.#offerProof(path, signal);
-    if (start) {
-      this.motion.portraits.show({ flights: this.motion.trajectory.flights });
-      return;
-    }
-    this.motion.portraits.show({ flights: null });
-    this.motion.loadMap(`/v1/jobs/${job.id}/trajectory?${query({ ...cell, ...MAPPED })}`, { signal });
-    this.#showValues(job, cell, signal).catch(() => {}); // the panel is complete without them
+    if (!start && job.id) this.#showValues(job, cell, signal).catch(() => {}); // the panel is complete without them
   }
 
   #build() {
-    this.root.hidden = false;
     this.about = h("p", { className: "note" });
     this.title = h("h2", { tabindex: "-1" });
     this.values = h("details", { hidden: true });
     this.files = h("div", {});
     this.proof = h("div", { hidden: true, role: "status" });
-    this.motion = new Motion();
+    this.note = h("p", { className: "note computing", role: "status", hidden: true });
+    this.problem = problemLine();
+    this.readout = h("p", { className: "readout", role: "status" });
+    this.player = new Player();
+    this.portraits = new Portraits();
+    this.root.hidden = false;
     this.root.replaceChildren(
-      h("div", { className: "facts" },
-        h("header", {}, this.title, this.about),
-        this.proof, this.files, this.values),
-      this.motion.element, this.motion.portraits.element,
-      h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close"));
+      h("div", { className: "facts" }, h("header", {}, this.title, this.about), this.proof, this.files, this.values),
+      h("div", {}, this.note, this.problem.element, this.player.element, this.readout),
+      this.portraits.element,
+      ...(this.onClose ? [h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close")] : []));
+  }
+
+  /** Play a motion; a note tells that it is computed, and after SLOW_MS why that takes long. */
+  async #load(path, options) {
+    clearTimeout(this.timer);
+    this.note.textContent = "Computing the trajectory …";
+    this.note.hidden = Boolean(this.trajectory);
+    this.timer = setTimeout(() => {
+      this.note.hidden = false;
+      this.note.textContent = "Computing the trajectory … The first one of a contact model compiles its kernel.";
+    }, SLOW_MS);
+    try {
+      this.trajectory = await requestMotion(path, options);
+    } finally {
+      if (!options.signal.aborted) {
+        clearTimeout(this.timer);
+        this.note.hidden = true;
+      }
+    }
+    this.player.show(this.trajectory);
+    this.readout.textContent = describeMotion(this.trajectory);
+    this.portraits.show({ trajectory: this.trajectory, flights: null });
+    this.#showError(null);
+  }
+
+  /** An error takes the place of the motion. */
+  #showError(error) {
+    this.problem.show(error);
+    for (const element of [this.player.element, this.portraits.element, this.readout]) element.hidden = Boolean(error);
+  }
+
+  /** The return map, of a longer motion, which the rest does not need. */
+  async #loadMap(job, cell, signal) {
+    const [path, options] = addressOf(job, cell, MAPPED);
+    try {
+      const { flights } = await requestMotion(path, { ...options, signal });
+      this.portraits.show({ flights });
+    } catch (error) {
+      if (!isHandledElsewhere(error)) this.portraits.mapNote.textContent = error.message;
+    }
   }
 
   /** A button that has the cell's cycle proven, and the answer in its place. */
@@ -88,8 +141,10 @@ export class TrajectoryPanel {
 
   hide() {
     this.request?.abort();
-    this.motion?.close();
-    Object.assign(this, { shown: null, motion: null });
+    clearTimeout(this.timer);
+    this.player?.close();
+    this.portraits?.close();
+    Object.assign(this, { shown: null, player: null, trajectory: null });
     this.root.hidden = true;
     this.root.replaceChildren();
   }
@@ -104,14 +159,13 @@ export class TrajectoryPanel {
 }
 
 /** The path and options of a request for the motion of a cell as the sweep left it, or of a start; of a cycle, on the contact that has it. */
-function addressOf(job, { direction, ...cell }) {
+function addressOf(job, { direction, ...cell }, length) {
   const start = startOf(direction);
-  if (start && start.kind !== "attractor") {
-    const spring = start.kind === "cycle" ? { model: hasOwnCycles(job) ? job.spec.model : { kind: "rigid" }, ...PLAYED } : { model: job.spec.model, ...STARTED };
-    return ["/v1/trajectories?", { method: "POST", body: { ...cell, start, ...spring } }];
+  if (job.id && (!start || start.kind === "attractor")) {
+    return [`/v1/jobs/${job.id}/trajectory?${query({ ...cell, ...(start ? { attractor: start.number } : { direction }), ...length })}`, {}];
   }
-  const parameters = start ? { attractor: start.number, ...STARTED } : { direction, ...PLAYED };
-  return [`/v1/jobs/${job.id}/trajectory?${query({ ...cell, ...parameters })}`, {}];
+  const model = start?.kind === "cycle" && !hasOwnCycles(job) ? { kind: "rigid" } : job.spec.model;
+  return ["/v1/trajectories?", { method: "POST", body: { ...cell, model, ...(start && { start }), ...length } }];
 }
 
 /** The value of a variable of one cell, or its numbers, with units; of codes their meaning. */

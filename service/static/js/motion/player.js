@@ -25,7 +25,7 @@ export class Player {
   periods = 1; // of the trajectory
   playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 
-  constructor(root) {
+  constructor() {
     this.canvas = h("canvas", { className: "animation", role: "img", "aria-label": "Animation of the masses, the spring and the plate" });
     const figure = h("figure", { className: "heights" });
     this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // enabled by show()
@@ -40,7 +40,6 @@ export class Player {
     this.element = h("div", { className: "player" },
       h("div", { className: "instant" }, this.canvas, figure),
       h("div", { className: "controls" }, this.button, this.#speeds(), this.position));
-    root.append(this.element);
     this.plot = new Plot(figure, {
       label: "Heights of the masses and the plate over plate periods",
       content: () => this.heights && contentOf(this.heights, this.phase),

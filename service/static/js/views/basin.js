@@ -58,12 +58,10 @@ export class Basin extends PlaneView {
 
   content() {
     const { plane, complete } = this.basin.attrs;
-    const { x0, x1, y0, y1 } = this.visible();
     const [[across], [along]] = AXES_OF[plane];
     const { gamma, omega, xi } = this.cell;
     return {
-      x: { label: across, low: x0, high: x1 },
-      y: { label: along, low: y0, high: y1 },
+      ...this.scales({ label: across }, { label: along }),
       title: `Γ = ${number(gamma)}, Ω = ${number(omega)}, ξ = ${number(xi)}`,
       message: complete ? null : "This cell is not computed yet",
       layers: [(ctx, box) => this.#drawStarts(ctx, box)],

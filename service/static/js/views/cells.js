@@ -3,7 +3,7 @@
 import { currentQuery, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
-import { axisLabel, clampIndex, isLog, nearestIndex } from "../lib/physics.js";
+import { clamp, clampIndex, nearestIndex } from "../lib/physics.js";
 import { classQuery, modeColour } from "../plot/colours.js";
 import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
@@ -40,10 +40,10 @@ export class PlaneView extends PlotView {
   }
 
   cellsShown() {
-    const inside = (values, isThere) => Array.from(values.keys()).filter((i) => isThere(values[i]));
-    const { x0, y0 } = this.visible();
-    const columns = inside(this.columns, (x) => this.isVisible(x, y0));
-    return inside(this.rows, (y) => this.isVisible(x0, y)).flatMap((row) => columns.map((column) => ({ column, row }))).filter((cell) => !this.isHidden(cell));
+    const inside = (values, low, high) => Array.from(values.keys()).filter((i) => values[i] >= low && values[i] <= high);
+    const { x0, x1, y0, y1 } = this.visible();
+    const columns = inside(this.columns, x0, x1);
+    return inside(this.rows, y0, y1).flatMap((row) => columns.map((column) => ({ column, row }))).filter((cell) => !this.isHidden(cell));
   }
 
   isHidden() {
@@ -55,13 +55,7 @@ export class PlaneView extends PlotView {
     return row * this.columns.length + column;
   }
 
-  /** The axes of a plane of Γ and Ω, and the table's columns for them. */
-  planeScales() {
-    const { x0, x1, y0, y1 } = this.visible();
-    const scale = (axis, low, high) => ({ label: axisLabel(axis), low, high, log: isLog(this.job.spec[axis]) });
-    return { x: scale("gamma", x0, x1), y: scale("omega", y0, y1) };
-  }
-
+  /** The table's columns for Γ and Ω. */
   columnsOfPlane() {
     return [["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])]];
   }
@@ -75,8 +69,8 @@ export class PlaneView extends PlotView {
   /** Each pixel has the colour of the nearest cell: `colourOf(cell, x, y)` as 32 bits; `cell` is its index, x and y are in px. */
   drawCells(ctx, box, colourOf) {
     const { x0, x1, y0, y1 } = windowOf(this.columns, this.rows, this.isPositive);
-    const [left, right] = [box.x.pixel(x0), box.x.pixel(x1)].map((x) => Math.min(Math.max(x, box.left), box.left + box.width));
-    const [bottom, top] = [box.y.pixel(y0), box.y.pixel(y1)].map((y) => Math.min(Math.max(y, box.top), box.top + box.height));
+    const [left, right] = [x0, x1].map((value) => clamp(box.x.pixel(value), box.left, box.left + box.width));
+    const [bottom, top] = [y0, y1].map((value) => clamp(box.y.pixel(value), box.top, box.top + box.height));
     const [width, height] = [Math.round((right - left) * box.ratio), Math.round((bottom - top) * box.ratio)];
     if (!width || !height) return;
     const nearest = Int32Array.from({ length: width }, (_, i) => nearestIndex(this.columns, box.x.value(left + ((i + 0.5) * (right - left)) / width)));

@@ -10,7 +10,7 @@ import { verticalLine } from "../plot/drawing.js";
 import { branchLegend, cyclesAt, describeCycle, drawBranches, drawCycle, eventName, nearestCycle, readBranches } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { drawThreshold } from "./diagram.js";
-import { PlotView } from "./plot-view.js";
+import { FLIGHT_AXIS, PlotView } from "./plot-view.js";
 
 const STEP = 0.01; // of Γ, by an arrow key
 const HINT = "Cycles of one bounce. Point at a branch to read it, press to see the cycle move, drag or turn the wheel to zoom.";
@@ -43,13 +43,11 @@ export class CyclesView extends PlotView {
   }
 
   content() {
-    const { x0, x1, y0, y1 } = this.visible();
     const { omega, xi } = this;
     return {
+      ...this.scales({ label: axisLabel("gamma") }, FLIGHT_AXIS),
       title: `Ω = ${number(omega)},   ξ = ${number(xi)}`,
       legend: branchLegend(),
-      x: { label: axisLabel("gamma"), low: x0, high: x1 },
-      y: { label: "flight time φ (rad)", low: y0, high: y1, periods: true },
       message: this.branches.branches.length ? null : "No cycles here",
       layers: [(ctx, box) => drawThreshold(ctx, box, { omega, xi }), (ctx, box) => drawBranches(ctx, box, this.branches)],
       cursor: (ctx, box) => {

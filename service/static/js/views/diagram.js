@@ -4,7 +4,7 @@ import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisLabel, certificateOf, clampIndex, exponentOf, hasCycles, isClose, isLog, modeText, nearestIndex, startName, threshold } from "../lib/physics.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, certificateOf, clampIndex, exponentOf, hasCycles, isClose, modeText, nearestIndex, startName, threshold } from "../lib/physics.js";
 import { branchColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { circle, disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn } from "../plot/flights.js";
@@ -13,7 +13,7 @@ import { extent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
 import { ClassLegend, swatch } from "./cells.js";
 import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
-import { PlotView } from "./plot-view.js";
+import { FLIGHT_AXIS, PlotView } from "./plot-view.js";
 import { titleOf } from "./progress.js";
 
 const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom.";
@@ -165,14 +165,12 @@ export class Diagram extends PlotView {
   }
 
   content() {
-    const { x0, x1, y0, y1 } = this.visible();
     const { lines, cycles } = this;
     const { along, fixed } = lines[0] ?? this;
     return {
+      ...this.scales(this.axisOf(along), FLIGHT_AXIS),
       title: this.#title(),
       legend: [...this.#legend(), ...(cycles ? branchLegend() : [])],
-      x: { label: axisLabel(along), low: x0, high: x1, log: this.sources.every(({ job }) => isLog(job.spec[along])) },
-      y: { label: "flight time φ (rad)", low: y0, high: y1, periods: true },
       message: emptyMessage(lines),
       layers: [
         (ctx, box) => along === "gamma" && fixed && !this.isCompared && drawThreshold(ctx, box, fixed, lines.length * (STRIP + 1)),

@@ -43,7 +43,7 @@ export class JobView {
       bar: [this.heading, this.summary.progress, duplicate, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
       tabs: this.tabs, problem: this.problem.element,
     }));
-    this.trajectory = new TrajectoryPanel(this.aside, { onClose: () => this.#closeTrajectory() });
+    this.trajectory = new TrajectoryPanel(this.aside, () => this.#closeTrajectory());
     this.#poll(true);
   }
 

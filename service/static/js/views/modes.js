@@ -122,7 +122,7 @@ export class Modes extends PlaneView {
   content() {
     const { present } = this.classes;
     return {
-      ...this.planeScales(),
+      ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       title: `${this.prefix}ξ = ${number(this.xi)}${this.isTwoWay ? `, ramp ${this.ramp}` : ""}`,
       legend: [
         ...(this.cells.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),

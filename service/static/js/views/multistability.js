@@ -11,6 +11,7 @@ import { circle, disc, rgba32, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
 import { PlaneView, hatchAt, hatchSymbol, legendEntry } from "./cells.js";
 import { sliders } from "./controls.js";
+import { FLIGHT_AXIS } from "./plot-view.js";
 
 const MAX_LISTED = 6; // flights
 
@@ -92,11 +93,9 @@ export class AttractorDiagram extends AttractorView {
   }
 
   content() {
-    const { y0, y1 } = this.visible();
     return {
+      ...this.scales(this.axisOf("gamma"), FLIGHT_AXIS),
       title: `Ω = ${number(this.rows[0])},   ξ = ${number(this.xi)}`,
-      x: this.planeScales().x,
-      y: { label: "flight time φ (rad)", low: y0, high: y1, periods: true },
       message: this.message,
       layers: [(ctx, box) => this.#drawEvents(ctx, box), (ctx, box) => this.#drawFlights(ctx, box)],
       cursor: (ctx, box) => this.#drawCurrent(ctx, box),
@@ -198,7 +197,7 @@ export class AttractorMap extends AttractorView {
     const isHatched = this.hatches.checked && this.plane.attrs.several > 0;
     return {
       title: `ξ = ${number(this.xi)}`,
-      ...this.planeScales(),
+      ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       legend: isHatched ? [["several attractors", hatchSymbol]] : [],
       message: this.message,
       layers: [(ctx, box) => this.#drawAttractors(ctx, box, isHatched)],

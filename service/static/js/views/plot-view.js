@@ -4,7 +4,7 @@ import { currentQuery, queryChanges, setQuery, windowIn, windowQuery } from "../
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
 import { announce, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
-import { AXES, SYMBOL, axisValues, directionsOf, initialValue, isSweep } from "../lib/physics.js";
+import { AXES, SYMBOL, axisLabel, axisValues, directionsOf, initialValue, isLog, isSweep } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { listenToInput, scaled } from "../plot/input.js";
@@ -15,6 +15,8 @@ const KEYS = "Arrow keys step through cells, Home and End go to the ends, Enter 
 const ANNOUNCED_MS = 250; // after the last key: a cursor that moves is not read cell by cell
 const GESTURE_MS = 700; // between two turns of the wheel
 const SYMBOLS = new Set(Object.values(SYMBOL));
+/** The axis of flight times in a plot, with whole plate periods marked. */
+export const FLIGHT_AXIS = { label: "flight time φ (rad)", periods: true };
 const FORMATS = [["PNG", "png"], ["SVG", "svg"], ["PDF", "pdf"], ["CSV", "csv"]];
 
 /** What a view shows of a job; `number` is its place among compared ones. */
@@ -131,6 +133,17 @@ export class PlotView {
   isVisible(x, y = null) {
     const { x0, x1, y0, y1 } = this.visible();
     return x >= x0 && x <= x1 && (y === null || (y >= y0 && y <= y1));
+  }
+
+  /** The axes of the window on display, of which `x` and `y` have label and marks. */
+  scales(x, y) {
+    const { x0, x1, y0, y1 } = this.visible();
+    return { x: { ...x, low: x0, high: x1 }, y: { ...y, low: y0, high: y1 } };
+  }
+
+  /** An axis of the sweep in a plot. */
+  axisOf(axis) {
+    return { label: axisLabel(axis), log: this.sources.every(({ job }) => isLog(job.spec[axis])) };
   }
 
   /** Whether the last turn of the wheel is long ago: Back undoes a gesture, not its parts. */

@@ -3,7 +3,7 @@
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { axisLabel, clampIndex, hasCycles, isLog, nearestIndex, threshold } from "../lib/physics.js";
+import { clampIndex, hasCycles, nearestIndex, threshold } from "../lib/physics.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
@@ -71,12 +71,10 @@ export class Thresholds extends PlotView {
   }
 
   content() {
-    const { x0, x1, y0, y1 } = this.visible();
     const { omega, xi, complete } = this.thresholds;
     const isEmpty = !this.found.length && !this.edges.length;
     return {
-      x: { label: axisLabel("omega"), low: x0, high: x1, log: isLog(this.job.spec.omega) },
-      y: { label: "threshold Γ", low: y0, high: y1 },
+      ...this.scales(this.axisOf("omega"), { label: "threshold Γ" }),
       title: `ξ = ${number(xi)}`,
       legend: this.#legend(),
       message: isEmpty ? (complete ? "No threshold in this sweep" : "No bouncing cell is computed yet") : null,
