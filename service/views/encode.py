@@ -5,6 +5,7 @@ import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from itertools import chain
 from math import prod
 from typing import TYPE_CHECKING, Any, Final
@@ -14,6 +15,7 @@ import orjson
 import xarray
 from numpy.typing import NDArray
 
+from service.errors import NotInstalled
 from service.pictures import DPI, STYLE
 
 if TYPE_CHECKING:
@@ -125,6 +127,12 @@ def to_parquet(dataset: xarray.Dataset, rows: str) -> bytes:
     file = io.BytesIO()
     write_parquet(file, map(record_batch, tables(dataset, rows, lists=True)), dataset.attrs)
     return file.getvalue()
+
+
+def check_format(format: str) -> None:
+    """Raise NotInstalled for Parquet without its library."""
+    if format == "parquet" and find_spec("pyarrow") is None:
+        raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
 
 
 def write_parquet(target: Any, batches: Iterator[Any], attributes: Mapping[Any, Any]) -> None:

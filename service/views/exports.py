@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property, partial
-from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Final
@@ -23,13 +22,13 @@ import xarray
 from numpy.typing import NDArray
 
 from service.background import Background
-from service.errors import InvalidRequest, NoSpace, NotInstalled, TooLarge
+from service.errors import InvalidRequest, NoSpace, TooLarge
 from service.formats import ExportFormat, ExportLayout
 from service.jobs.prepare import PreparedJob
 from service.jobs.stores import sharing
 from service.ledger.model import JobRecord
 from service.views import shared
-from service.views.encode import record_batch, tables, with_flags, write_parquet
+from service.views.encode import check_format, record_batch, tables, with_flags, write_parquet
 from service.views.selection import LABEL, Stored, labelled, read_stored
 from worker.studies import study_of
 from worker.study import Array, Layout, Plan
@@ -122,8 +121,7 @@ def check(
         raise InvalidRequest.of("layout", f"flights is for parquet, whose rows they are, not for {format}")
     if layout == "flights" and not any(array.dims[-1] == "flight" for array in arrays):
         raise InvalidRequest.of("layout", "this study stores no flights")
-    if format == "parquet" and find_spec("pyarrow") is None:
-        raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
+    check_format(format)
     size = study_of(spec).estimate(spec, plan).bytes
     if size > max_bytes and format != "html":  # whose flights are thinned
         raise TooLarge(

@@ -5,13 +5,12 @@ A new result is a module of this package and a row here.
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from importlib.util import find_spec
 from math import inf
 from typing import Any, Final
 
 from xarray import Dataset
 
-from service.errors import InvalidRequest, NotInstalled, TooLarge
+from service.errors import InvalidRequest, TooLarge
 from service.formats import PICTURES
 from service.jobs.prepare import PreparedJob
 from service.ledger.model import JobRecord, JobState
@@ -67,8 +66,7 @@ def admit(
         there = f"; it has {', '.join(names)}" if names else ""
         kind = spec.protocol.kind
         raise InvalidRequest.of("job_id", f"has no {view.name}: the protocol of this job is {kind}{there}")
-    if format == "parquet" and find_spec("pyarrow") is None:
-        raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
+    encode.check_format(format)
     estimate = view.estimate(spec, query)
     if estimate.seconds > max_seconds:
         raise TooLarge(

@@ -42,9 +42,9 @@ def client(tmp_path: Path) -> Iterator[TestClient]:
 
 @pytest.fixture
 def no_pyarrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    from service.views import exports
+    from service.views import encode
 
-    monkeypatch.setattr(exports, "find_spec", lambda name: None if name == "pyarrow" else 1 / 0)
+    monkeypatch.setattr(encode, "find_spec", lambda name: None if name == "pyarrow" else 1 / 0)
 
 
 def test_over_http_parquet_is_501_and_netcdf_is_there(client: TestClient, no_pyarrow: None):
