@@ -191,7 +191,7 @@ def run_to_file(
             attributes = exports.attributes_of(done.record, job)
             whole = exports.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
             with exports.make(InThisProcess(), whole, settings.exports_path) as made:
-                file.writelines(exports.pieces(made))
+                shutil.copyfileobj(made, file)
         else:
             file.write(answer("diagram", study, query.model_dump(), format)[0])
     shutil.rmtree(partial_of(target))

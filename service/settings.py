@@ -1,6 +1,5 @@
 """The service's settings, from `BOUNCE_*` environment variables or command-line options of the same names."""
 
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 from urllib.parse import urlsplit
@@ -218,7 +217,7 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _check_together(self) -> Self:
-        if self.token is None and self.token_file is None and not _is_loopback(self.host):
+        if self.token is None and self.token_file is None and not tokens.is_loopback(self.host):
             raise ValueError(
                 f"to listen on {self.host}, where others can reach it, needs a token: "
                 "set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"
@@ -297,11 +296,3 @@ def read_settings(**overrides: Any) -> Settings:
     except ValidationError as error:
         rules = [": ".join([*map(str, entry["loc"]), rule_of(entry)]) for entry in error.errors()]
         raise NotStarted("; ".join(rules)) from error
-
-
-def _is_loopback(host: str) -> bool:
-    """Whether only this machine can reach the address `host`."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host.lower() == "localhost"

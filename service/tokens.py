@@ -13,6 +13,7 @@ import secrets
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from ipaddress import ip_address
 from pathlib import Path
 from typing import IO, Final
 from urllib.parse import urlsplit
@@ -30,6 +31,8 @@ RULE: Final = f"must be at least {MIN_LENGTH} ASCII characters without spaces"
 FILE_NAME: Final = "token.json"
 ADDRESS_FILE: Final = "service.json"
 
+#: The address of a service by default.
+DEFAULT_URL: Final = "http://127.0.0.1:8000"
 #: Addresses that mean every interface, and the local address of such a service.
 _EVERY: Final = {"http://0.0.0.0:": "http://127.0.0.1:", "http://[::]:": "http://[::1]:"}
 
@@ -40,6 +43,14 @@ _MAX_BYTES: Final = 1_000_000
 
 class TokenFileUnusable(Exception):
     """A file of tokens breaks a rule; the text names the file and the line, and shows no token."""
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach the address `host`."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
 
 
 def is_valid(token: str) -> bool:

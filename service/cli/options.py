@@ -14,15 +14,13 @@ import click
 from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
-from service.tokens import data_folder, find_service
+from service.tokens import DEFAULT_URL, data_folder, find_service
 
 if TYPE_CHECKING:
     from service.client import Client
 
 #: When this process began to import: the budget of a command counts from here.
 BEGAN: Final = time.monotonic()
-
-DEFAULT_URL: Final = "http://127.0.0.1:8000"  # the client's, which takes long to import
 
 #: The project's packages.
 _OURS: Final = ("kernel", "service", "worker")

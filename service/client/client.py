@@ -19,14 +19,13 @@ from service.client.specification import Specification, body
 from service.client.transport import Transport, header_value, json_object
 from service.formats import MOST_SHARED
 from service.result_methods import SpringMethods
+from service.tokens import DEFAULT_URL
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     import httpx2
     import xarray
-
-DEFAULT_URL: Final = "http://127.0.0.1:8000"
 
 #: Jobs in one request for a list of jobs.
 PAGE_SIZE: Final = 1000

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from http import HTTPStatus
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -25,7 +24,7 @@ from service.client.errors import (
     error_class,
 )
 from service.client.models import Problem
-from service.tokens import AUTO, find_token
+from service.tokens import AUTO, find_token, is_loopback
 from worker.files import complete_file
 from worker.spec.errors import BounceError
 
@@ -71,7 +70,7 @@ class Transport:
         self.url, self._timeout = _valid_url(url), timeout
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
         if token in (None, "", AUTO):  # an empty variable means no token
-            token = _own_token(self.url)
+            token = _own_token(httpx2.URL(self.url))
         self.token = token
         if token is not None:
             self._headers["Authorization"] = f"Bearer {header_value('the token', token)}"
@@ -81,7 +80,7 @@ class Transport:
         )
 
     def _connections(self) -> httpx2.Client:
-        own_loopback = _is_loopback(self.url)
+        own_loopback = is_loopback(httpx2.URL(self.url).host)
         return httpx2.Client(
             timeout=httpx2.Timeout(self._timeout, connect=min(self._timeout, CONNECT_SECONDS)),
             trust_env=not own_loopback,  # a proxy cannot reach this machine's own loopback
@@ -359,15 +358,6 @@ def _valid_url(url: str) -> str:
     return url.rstrip("/")
 
 
-def _is_loopback(url: str) -> bool:
-    host = httpx2.URL(url).host
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def _own_token(url: str) -> str | None:
+def _own_token(url: httpx2.URL) -> str | None:
     """The token that this user's service at a loopback address has created, if any."""
-    port = httpx2.URL(url).port
-    return find_token(port) if port is not None and _is_loopback(url) else None
+    return find_token(url.port) if url.port is not None and is_loopback(url.host) else None

@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Final
@@ -38,8 +38,6 @@ from worker.sweep import SweepSpec, schema
 #: A chunk: the cells it spans, by dimension in the order of the store, and its arrays by name.
 _Block = tuple[Mapping[str, slice], Mapping[str, NDArray[Any]]]
 
-#: Bytes sent at a time.
-PIECE: Final = 256 * 1024
 #: Bytes of the disk that an export leaves to jobs and to the ledger.
 SPARE: Final = 16 * 2**20
 
@@ -144,11 +142,6 @@ def make(background: Background, export: Export, folder: Path) -> IO[bytes]:
 def remove_unfinished(folder: Path) -> None:
     """Remove the files that a killed service left."""
     shutil.rmtree(folder, ignore_errors=True)
-
-
-def pieces(file: IO[bytes]) -> Iterator[bytes]:
-    """The file's bytes."""
-    return iter(partial(file.read, PIECE), b"")
 
 
 def write(export: Export, path: Path) -> None:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import IO, Annotated, Final
 from urllib.parse import quote
 
@@ -11,7 +12,7 @@ from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from service.api import dependencies, schemas
-from service.api.capacity import SMALL_ANSWER, Cost, costly
+from service.api.capacity import PIECE, SMALL_ANSWER, Cost, costly
 from service.api.dependencies import JobDep, ResultsJob, ServiceDep
 from service.api.schemas import NOT_MODIFIED, content, problem_responses
 from service.formats import EXPORTS, MEDIA_TYPES
@@ -31,7 +32,7 @@ class _OpenFile(StreamingResponse):
     """A file that is open; it is closed however the request ends, also before anything is read."""
 
     def __init__(self, file: IO[bytes], headers: Mapping[str, str], media_type: str) -> None:
-        super().__init__(exports.pieces(file), 200, headers, media_type)
+        super().__init__(iter(partial(file.read, PIECE), b""), 200, headers, media_type)
         self._file = file
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
