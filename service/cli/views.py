@@ -99,11 +99,9 @@ def command(name: str) -> click.Command:
 def _picture(job: "Job", name: str, data: str, format: str, query: dict[str, Any]) -> bytes:
     """A result with measured points over it, drawn here."""
     given = {each: value for each, value in query.items() if value is not None and each != "caption"}
-    from matplotlib.figure import Figure
-
-    figure, file = Figure(layout="constrained"), BytesIO()
-    job.plot(cast("Any", name), data=data, ax=figure.subplots(), **given)
-    figure.savefig(file, format=format)
+    figure, file = job.plot(cast("Any", name), data=data, **given).get_figure(root=True), BytesIO()
+    assert figure is not None
+    figure.savefig(file, format=format, bbox_inches="tight")
     return file.getvalue()
 
 
