@@ -38,11 +38,6 @@ def display_job(progress: bool | Callable[[Any], None]) -> Iterator[Callable[[An
         yield _in_lines()
 
 
-def display_line(text: str) -> None:
-    """Write a line to standard error."""
-    _write(text)
-
-
 @contextmanager
 def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterator[None]:
     """Report an operation from `after` seconds on, with the seconds so far, and at its end what it took.
@@ -57,10 +52,10 @@ def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterat
 
     def show() -> None:
         if not ended.wait(after):
-            _write(text() if callable(text) else text, end)
+            display_line(text() if callable(text) else text, end)
             while not ended.wait(pause):
-                _write(f"{begin}{text() if callable(text) else text} ({elapsed()})", end)
-            _write(f"took {elapsed()}" if end else "")
+                display_line(f"{begin}{text() if callable(text) else text} ({elapsed()})", end)
+            display_line(f"took {elapsed()}" if end else "")
 
     shown = threading.Thread(target=show, name="elapsed", daemon=True)
     shown.start()
@@ -83,7 +78,7 @@ def display_parts(
         nonlocal last
         if progress and (last is None or (done - last) * 100.0 >= LINE_PERCENT * total):
             last = done
-            _write(f"{verb} {done} of {total} {parts}")
+            display_line(f"{verb} {done} of {total} {parts}")
 
     return show
 
@@ -102,7 +97,7 @@ def _in_lines() -> Callable[[JobStatus], None]:
         waited = time.monotonic() - written >= LINE_SECONDS
         if now != stage or (waited and summary(job) != line):
             stage, line, written = now, summary(job), time.monotonic()
-            _write(line)
+            display_line(line)
 
     return show
 
@@ -228,7 +223,8 @@ def _on_terminal() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 
 
-def _write(line: str, end: str = "\n") -> None:
+def display_line(line: str, end: str = "\n") -> None:
+    """Write a line to standard error."""
     if sys.stderr is not None:
         sys.stderr.write(line + end)
         sys.stderr.flush()
