@@ -343,7 +343,7 @@ class WriteTransaction(ReadTransaction):
             job,
             chunks_done=len(marked),
             cells_done=sum(report.cells for report in marked),
-            cells_settling=sum(report.outcomes[Outcome.SETTLING] for report in marked),
+            cells_settling=sum(_settling(report.outcomes) for report in marked),
             cells_computed=sum(report.computed or 0 for report in marked),
             core_seconds=sum(report.seconds - report.paused_seconds for report in marked),
             cells_timed=sum(report.cells for report in marked if report.seconds > 0),
@@ -394,10 +394,15 @@ class WriteTransaction(ReadTransaction):
             job,
             chunks_done=-len(unmarked),
             cells_done=-sum(row["cells"] for row in unmarked),
-            cells_settling=-sum(json.loads(row["outcomes"])[Outcome.SETTLING] for row in unmarked),
+            cells_settling=-sum(_settling(json.loads(row["outcomes"])) for row in unmarked),
             cells_computed=-sum(row["computed"] or 0 for row in unmarked),
         )
         return [row["chunk"] for row in unmarked]
+
+
+def _settling(outcomes: Sequence[int]) -> int:
+    """Number of settling cells among those counted by outcome; other studies have fewer outcomes."""
+    return sum(outcomes[Outcome.SETTLING : Outcome.SETTLING + 1])
 
 
 def _record(row: sqlite3.Row) -> JobRecord:
