@@ -12,12 +12,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.cycles.cycles import Point, confirmed, cycle_from
-from kernel.cycles.events import Branch, Events, branch, check_spring, events_of, join_events
+from kernel.cycles.events import Branch, Events, branch, events_of, join_events
 from kernel.cycles.follow import LARGEST, POINTS, RANGE, Event, ahead, follow
 from kernel.cycles.segments import START
 from kernel.cycles.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
 from kernel.numerics.elementary import TWO_PI
-from kernel.params import Cell, KernelInputError
+from kernel.params import Cell
 
 #: Flight times of the closed form, rad, near rest: where many contacts still have a cycle that sticks.
 _SHORT_FLIGHTS: Final = (0.5, 0.25, 1.0, 0.1, 1.5)
@@ -46,9 +46,6 @@ def branches(
     plate: of one cell, with restitution < 1. span: of Gamma. points: of each, each way. Raises
     KernelInputError.
     """
-    check_spring(omega, xi, periods)
-    if not plate.restitution[0] < 1.0:
-        raise KernelInputError("restitution", "must be < 1")
     return all_through(seeds(plate, omega, xi, periods), span, points)
 
 

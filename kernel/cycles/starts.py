@@ -10,10 +10,10 @@ import numpy as np
 
 from kernel.cycles.admissibility import gap_terms, gap_weights
 from kernel.cycles.closed_form import TWO_PI, gamma_and_slope, orbit
-from kernel.cycles.events import Branch, branch, check_spring, flight_times, rows_of
+from kernel.cycles.events import Branch, branch, flight_times, rows_of
 from kernel.cycles.roots import Floats, roots, stretches
 from kernel.cycles.spring import flight, spring, stuck
-from kernel.params import Cell, KernelInputError, Start
+from kernel.params import Cell, Start
 
 
 class CycleStart(NamedTuple):
@@ -33,16 +33,13 @@ class GammaRange(NamedTuple):
 def cycles_at(cell: Cell, periods: int) -> Branch:
     """The cycles (1, periods) of the closed form at a cell, by flight time. Raises KernelInputError."""
     gamma, omega, xi = cell
-    if not (np.isfinite(gamma) and gamma > 0.0):
-        raise KernelInputError("gamma", f"must be > 0 and finite, got {gamma}")
-    check_spring(omega, xi, periods)
+    t = flight_times(omega, xi, periods)
     k = spring(omega, xi)
 
     def above(t: Floats) -> tuple[Floats, Floats]:
         value, slope = gamma_and_slope(k, periods, t)
         return value[None] - gamma, slope[None]
 
-    t = flight_times(omega, xi, periods)
     with np.errstate(all="ignore"):  # poles of Gamma(T)
         times = roots(above, t, *above(t)).x
     return branch(omega, xi, periods, times)

@@ -9,7 +9,7 @@ import xarray
 from numpy.typing import NDArray
 from pydantic import Field
 
-from kernel.cycles.folds import Fold, lifetime
+from kernel.cycles.folds import lifetime
 from kernel.cycles.thresholds import EQ_25, Thresholds
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
@@ -257,14 +257,11 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     if not (each or why_not):
         each = [predicted(value, xi) for value in omega.tolist()]
     pairs = zip(data["down"].tolist(), each, strict=bool(each))
-    predictions: dict[str, Any] = {
-        "predicted_jump": [prediction.jump for prediction in each],
-        "predicted_down": [prediction.down for prediction in each],
-        "cause": [prediction.cause for prediction in each],
-        "difference": [_difference(spec, query.tolerance, *pair) for pair in pairs],
-    }
-    nothing = {"predicted_jump": np.nan, "predicted_down": np.nan, "cause": why_not, "difference": ""}
-    data |= predictions if each else {name: np.full(len(omega), value) for name, value in nothing.items()}
+    differences = [_difference(spec, query.tolerance, *pair) for pair in pairs]
+    rows = [(x.jump, x.down, x.cause, why) for x, why in zip(each, differences, strict=True)]
+    rows = rows or [(np.nan, np.nan, why_not, "")] * len(omega)
+    columns: Any = zip(*rows, strict=True)
+    data |= zip(("predicted_jump", "predicted_down", "cause", "difference"), columns, strict=True)
     analytic = threshold(omega, xi)
     data["analytic"] = np.where(np.isfinite(analytic), analytic, np.nan)
     contact = f"{IDEAL}: the contact of the sweep"
@@ -275,10 +272,7 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
         how = "searches" if query.predict == "search" else "cycles continued from the sweep's cells"
         contact = f"{own}: {how}; others may reach lower"
     attrs: dict[str, Any] = {"prediction": contact, "model": spec.model.kind, "complete": complete}
-    if query.tolerance is not None:
-        attrs["tolerance"] = query.tolerance
-    ends = {"gamma_start": query.gamma_start, "gamma_stop": query.gamma_stop}
-    attrs |= {name: value for name, value in ends.items() if value is not None}
+    attrs |= query.model_dump(include={"tolerance", "gamma_start", "gamma_stop"}, exclude_none=True)
     window = between(omega, query.omega_start, query.omega_stop)
     return dataset(
         {row.name: variable(("omega",), data[row.name], row) for row in _ROWS if row.name in data},
@@ -307,7 +301,7 @@ def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
             )
             raise InvalidRequest.of("tolerance", rule)
     brief = bool(_left_out(spec, xi, query.predict)) or (
-        query.predict == "some" and omegas <= MAX_BRIEF and _seconds(spec, xi, 0.0)[-1] <= BRIEF_SECONDS
+        query.predict == "some" and omegas <= MAX_BRIEF and _seconds(spec, xi, "some")[-1] <= BRIEF_SECONDS
         and all(decides(value, xi) for value in spec.axis_values("omega").tolist())
     )  # fmt: skip
     return Estimate(
@@ -331,19 +325,21 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
         calls += [(by_bisection, spec, study.url, nearest.index, block, query.tolerance) for block in blocks]
     if _left_out(spec, nearest.value, query.predict):
         return calls
-    cells = query.predict == "cells" and study.chunks_done > 0  # before the first chunk there are none
-    searches = query.predict == "search"
-    seconds = _seconds(spec, nearest.value, _EACH_SECONDS[query.predict] if cells or searches else 0.0)
-    if query.predict == "some" and seconds[-1] <= AT_ONCE_SECONDS:
+    how: Predict = query.predict
+    if how == "cells" and not study.chunks_done:
+        how = "all"  # before the first chunk there are none
+    seconds = _seconds(spec, nearest.value, how)
+    if how == "some" and seconds[-1] <= AT_ONCE_SECONDS:
         return calls
     call = (seconds // CALL_SECONDS).astype(int)
     for block in (tuple(np.flatnonzero(call == number).tolist()) for number in np.unique(call)):
-        if cells:
+        values = tuple(omega[i] for i in block)
+        if how == "cells":
             calls.append((predict_from_cells, spec, study.url, nearest.index, block, study.complete))
-        elif searches:
-            calls.append((search_each, spec.model, tuple(omega[i] for i in block), nearest.value))
+        elif how == "search":
+            calls.append((search_each, spec.model, values, nearest.value))
         else:
-            calls.append((predict_each, tuple(omega[i] for i in block), nearest.value))
+            calls.append((predict_each, values, nearest.value))
     return calls
 
 
@@ -404,7 +400,7 @@ def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
     omegas = len(spec.axis_values("omega"))
     if predict == "some" and omegas > MAX_PREDICTED:
         return f"not predicted: ask for all above {MAX_PREDICTED} values of omega"
-    seconds = _seconds(spec, xi, _EACH_SECONDS.get(predict, 0.0))
+    seconds = _seconds(spec, xi, predict)
     limit = MAX_SEARCH_SECONDS if predict == "search" else MAX_PREDICTION_SECONDS
     if seconds[-1] <= limit:
         return ""
@@ -418,9 +414,10 @@ def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
 
 
 @lru_cache(64)  # one answer takes it several times
-def _seconds(spec: SweepSpec, xi: float, cells: float) -> NDArray[np.float64]:
-    """Core-seconds of the predictions up to each omega, with `cells` for the cycles of each."""
-    return np.cumsum([cells + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
+def _seconds(spec: SweepSpec, xi: float, predict: Predict) -> NDArray[np.float64]:
+    """Core-seconds of the predictions up to each omega."""
+    each = _EACH_SECONDS.get(predict, 0.0)
+    return np.cumsum([each + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
 
 
 def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction: Thresholds) -> str:
@@ -438,23 +435,19 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
     if -slack <= above <= spacing + slack:
         return ""
     if above < 0.0:
-        return _below(prediction.fold, -above, sum(spec.window))
+        fold, window = prediction.fold, sum(spec.window)
+        if fold is not None and (periods := lifetime(fold, -above)) > window:
+            return (
+                f"bouncing lives about {periods:,.0f} plate periods {-above:.3g} below the fold, longer than "
+                f"the window of {window:,}"
+            )
+        return f"another cycle than those of one bounce lives {-above:.3g} below the prediction"
     if prediction.cause != EQ_25:
         return (
             f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the "
             "spring; take smaller ones, or start on the cycle"
         )
     return f"the sweep stops bouncing {above:.3g} above Eq. 25: it still settles, or its window is short"
-
-
-def _below(fold: Fold | None, delta: float, window: int) -> str:
-    """Why a sweep bounces below the prediction by delta."""
-    if fold is not None and (periods := lifetime(fold, delta)) > window:
-        return (
-            f"bouncing lives about {periods:,.0f} plate periods {delta:.3g} below the fold, longer than the "
-            f"window of {window:,}"
-        )
-    return f"another cycle than those of one bounce lives {delta:.3g} below the prediction"
 
 
 VIEW: Final = View(
