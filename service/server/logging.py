@@ -51,26 +51,29 @@ class ReadableLines(logging.Formatter):
 
 
 class OncePerSecond(logging.Filter):
-    """Passes each message of a library at most once a second.
+    """Passes each message of a library at most once a second, with the number of suppressed ones.
 
     Anyone who can reach a port can trigger these, by connections or by bytes that are no TLS.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self._last: dict[tuple[str, str], float] = {}  # when each message passed
+        self._seen: dict[tuple[str, str], tuple[float, int]] = {}  # when last, how many left out since
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Called by logging."""
         if record.name.partition(".")[0] not in _LIBRARIES:
             return True
         message = (record.name, str(record.msg).partition("\n")[0])  # before its arguments are filled in
-        now = time.monotonic()
-        if now - self._last.get(message, -math.inf) < 1.0:
+        now, (last, left_out) = time.monotonic(), self._seen.get(message, (-math.inf, 0))
+        if now - last < 1.0:
+            self._seen[message] = last, left_out + 1
             return False
-        if len(self._last) > _MESSAGES:
-            self._last.clear()
-        self._last[message] = now
+        if len(self._seen) > _MESSAGES:
+            self._seen.clear()
+        self._seen[message] = now, 0
+        if left_out:
+            record.fields = {"left_out": left_out}
         return True
 
 
