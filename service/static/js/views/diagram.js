@@ -13,6 +13,7 @@ import { extent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
 import { ClassLegend, swatch } from "./cells.js";
 import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
+import { MeasuredPoints } from "./measured.js";
 import { FLIGHT_AXIS, PlotView } from "./plot-view.js";
 import { titleOf } from "./progress.js";
 
@@ -30,6 +31,7 @@ export class Diagram extends PlotView {
     super(view);
     this.axes = AXES.filter((axis) => this.grid[axis].length > 1);
     this.closedForm = !this.isCompared && hasCycles(this.job) && branchesOver(this);
+    this.measured = this.isCompared || this.isBeside ? null : new MeasuredPoints(this, "flight_time");
     this.caption = h("input", { type: "checkbox", checked: true });
     this.controls = h("div", {});
     this.options = h("div", {});
@@ -159,7 +161,7 @@ export class Diagram extends PlotView {
 
   whole() {
     const values = this.sources.map(({ grid }) => grid[this.along]);
-    const flights = Math.max(...this.lines.map((line) => line.highest), 0) || TWO_PI;
+    const flights = Math.max(...this.lines.map((line) => line.highest), this.measured?.highest ?? 0) || TWO_PI;
     const [x0, x1] = extent(Math.min(...values.map(([first]) => first)), Math.max(...values.map((list) => list.at(-1))));
     return { x0, x1, y0: 0, y1: 1.09 * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
   }
@@ -176,6 +178,7 @@ export class Diagram extends PlotView {
         (ctx, box) => along === "gamma" && fixed && !this.isCompared && drawThreshold(ctx, box, fixed, lines.length * (STRIP + 1)),
         (ctx, box) => drawFlights(ctx, box, this.#visibleLines(), (line) => this.#colour(line, box.theme)),
         (ctx, box) => cycles && drawBranches(ctx, box, cycles),
+        (ctx, box) => this.measured?.draw(ctx, box),
         (ctx, box) => !this.isCompared && drawStrips(ctx, box, lines, this.legend.hidden),
       ],
       cursor: (ctx, box) => this.#drawCursor(ctx, box),
@@ -187,6 +190,11 @@ export class Diagram extends PlotView {
     const { hidden } = this.legend;
     if (!hidden.size || this.isCompared) return this.lines;
     return this.lines.map((line) => ({ ...line, flight_time: line.flight_time.map((time, i) => (hidden.has(line.classes[Math.floor(i / line.keep)]) ? NaN : time)) }));
+  }
+
+  computed() {
+    const lines = this.#visibleLines();
+    return (x) => lines.flatMap((line) => Array.from(flightsIn(line, nearestIndex(line.values, x))));
   }
 
   /** The fixed values, which of the cells are shown, how many were computed; of compared sweeps, the sweep. */

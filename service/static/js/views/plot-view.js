@@ -49,6 +49,7 @@ async function requestFitting(path, options) {
  *   describe(cell)   the cell in words, or a list of elements, if it is not what the table says of it
  *   cellOf(cell)     its {gamma, omega, xi, direction}
  *   cellsShown(), columnsOfTable()  the cells of the table of what is shown, and its columns [[title, (cell) => text], …]
+ *   measured         optional; points that are dropped on the plot (see measured.js)
  *   showLegend()     optional; called when the data or the colours have changed
  */
 export class PlotView {
@@ -100,7 +101,7 @@ export class PlotView {
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
     this.table = new PagedTable("Table of what is shown", () => this.#rows(), () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
-    const column = [...shown, this.readout, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom), this.#downloads(), ...tables, this.table.element];
+    const column = [...shown, this.readout, this.measured?.element, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom), this.#downloads(), ...tables, this.table.element];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
@@ -112,6 +113,7 @@ export class PlotView {
       zoom,
       scale: (factors, point = this.current && this.at(this.current)) => zoom(scaled(this.plot, this.visible(), this.extent(), factors, point), this.#isNewGesture()),
     });
+    this.measured?.listen(this.plot.element);
     this.load = latest((signal) => this.#load(signal));
     const { signal } = this.closing;
     queryChanges.addEventListener("change", () => this.#follow(), { signal });
@@ -213,6 +215,7 @@ export class PlotView {
   }
 
   draw() {
+    this.measured?.update();
     this.plot.draw();
     this.plot.element.dataset.shown = parametersOf(this.results[0]);
     this.#updateTable();

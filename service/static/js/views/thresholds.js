@@ -8,6 +8,7 @@ import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
 import { sliders } from "./controls.js";
+import { MeasuredPoints } from "./measured.js";
 import { PlotView } from "./plot-view.js";
 
 const DASH = [7, 4];
@@ -21,10 +22,12 @@ const COLUMNS = ["omega", "analytic", "up", "up_status", "down", "down_status", 
 /** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
 export class Thresholds extends PlotView {
   name = "thresholds";
+  along = "omega";
 
   constructor(root, view) {
     super(view);
     this.closedForm = hasCycles(this.job) && this.grid.omega.length > 1 && foldsOver(this);
+    this.measured = new MeasuredPoints(this, "gamma");
     const controls = h("div", { className: "controls" }, sliders(this, ["xi"]));
     this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT, shown: this.closedForm ? [this.closedForm.element] : [] });
   }
@@ -66,8 +69,8 @@ export class Thresholds extends PlotView {
   whole() {
     const { omega, xi } = this.thresholds;
     const [x0, x1] = extent(omega[0], omega.at(-1));
-    const drawn = [...this.found, ...this.edges];
-    return { x0, x1, y0: 0, y1: 1.12 * Math.max(...(drawn.length ? drawn : [threshold(x0, xi), 1])) };
+    const drawn = [...this.found, ...this.edges, this.measured.highest];
+    return { x0, x1, y0: 0, y1: 1.12 * (Math.max(...drawn) || Math.max(threshold(x0, xi), 1)) };
   }
 
   content() {
@@ -78,7 +81,7 @@ export class Thresholds extends PlotView {
       title: `ξ = ${number(xi)}`,
       legend: this.#legend(),
       message: isEmpty ? (complete ? "No threshold in this sweep" : "No bouncing cell is computed yet") : null,
-      layers: [(ctx, box) => this.folds && drawFolds(ctx, box, this.folds), (ctx, box) => this.#draw(ctx, box)],
+      layers: [(ctx, box) => this.folds && drawFolds(ctx, box, this.folds), (ctx, box) => this.#draw(ctx, box), (ctx, box) => this.measured.draw(ctx, box)],
       cursor: (ctx, box) => this.current && verticalLine(ctx, box, box.x.pixel(omega[this.current.index]), box.theme.cursor),
     };
   }
@@ -114,6 +117,10 @@ export class Thresholds extends PlotView {
       ...(this.edges.length ? [["beyond the grid", (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4, 1, theme.muted)]] : []),
       ...(this.isUndecided ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
     ];
+  }
+
+  computed() {
+    return (x) => this.series.map(({ values }) => values[nearestIndex(this.thresholds.omega, x)]).filter((value) => value !== null);
   }
 
   nearest(x, y) {

@@ -1,0 +1,108 @@
+// Measured points on a plot, as `job.plot(data=…)` has them: a CSV file dropped on it, drawn above what is computed.
+
+import { announce, h, problemLine } from "../lib/dom.js";
+import { number, plural } from "../lib/format.js";
+import { TWO_PI } from "../lib/physics.js";
+import { polygon, polyline } from "../plot/drawing.js";
+import { cellBorders } from "../plot/scale.js";
+
+const COLUMNS = ["gamma", "omega", "xi", "flight_time", "flight_time_ms", "frequency", "error"];
+const MOST_ROWS = 100_000;
+const SIZE = 4.5; // px, of half a marker
+
+/** The tables that were dropped, until the page is left: {name, rows} by job and value. */
+const kept = new Map();
+
+/**
+ * The points on the plot of a view, of a `value`: "flight_time" in rad, or "gamma". Columns and rules are those of
+ * service/client/measured.py. The view has the axis `along`, and computed(): a function from a value of it to those computed.
+ */
+export class MeasuredPoints {
+  constructor(view, value) {
+    Object.assign(this, { view, value, key: `${view.job.id} ${value}` });
+    this.problem = problemLine();
+    this.text = h("span", {});
+    this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", h("button", { type: "button", className: "link", onclick: () => this.#take(null) }, "remove"));
+    this.element = h("div", {}, this.problem.element, this.line);
+  }
+
+  /** Take files that are dropped on `plot`, which are not for the form then. */
+  listen(plot) {
+    plot.addEventListener("drop", async (event) => {
+      const [file] = event.dataTransfer.files;
+      if (!/\.csv$/i.test(file?.name)) return;
+      event.preventDefault();
+      event.stopPropagation();
+      try {
+        this.#take({ name: file.name, rows: tableOf(await file.text(), this.view.along, this.value) });
+        announce(this.text.textContent);
+      } catch (error) {
+        this.problem.show(new Error(`${file.name}: ${error.message}.`));
+      }
+    });
+  }
+
+  #take(table) {
+    if (table) kept.set(this.key, table);
+    else kept.delete(this.key);
+    this.problem.show(null);
+    this.view.draw();
+  }
+
+  /** The points {x, y, error} over the axis of the view. */
+  get points() {
+    const rows = kept.get(this.key)?.rows ?? [];
+    return rows.map((row) => ({ x: row[this.view.along], y: row[this.value], error: row.error })).filter(({ x, y }) => Number.isFinite(x) && Number.isFinite(y));
+  }
+
+  get highest() {
+    return Math.max(0, ...this.points.map(({ y }) => y));
+  }
+
+  /** Say how far the points are from what is shown beside them. */
+  update() {
+    const { points, view } = this;
+    this.line.hidden = !kept.has(this.key);
+    if (this.line.hidden) return;
+    const [borders, computedAt] = [cellBorders(view.grid[view.along]), view.computed()];
+    const distance = ({ x, y }) => Math.min(...(x < borders[0] || x > borders.at(-1) ? [] : computedAt(x)).map((value) => Math.abs(value - y)));
+    const distances = points.map(distance).filter(Number.isFinite).sort((a, b) => a - b);
+    const median = (distances[(distances.length - 1) >> 1] + distances[distances.length >> 1]) / 2;
+    const unit = this.value === "gamma" ? "" : " rad";
+    const residual = distances.length ? `, median residual ${number(median, 2)}${unit}, largest ${number(distances.at(-1), 2)}${unit}` : "";
+    this.text.textContent = `Measured, ${kept.get(this.key).name}: ${distances.length} of ${plural(points.length, "point")}${residual} ·`;
+  }
+
+  draw(ctx, box) {
+    for (const { x, y, error } of this.points) {
+      const [px, py] = [box.x.pixel(x), box.y.pixel(y)];
+      if (error > 0) polyline(ctx, box.theme.cursor, 1, [[px, box.y.pixel(y - error)], [px, box.y.pixel(y + error)]]);
+      const corners = [[px, py - SIZE], [px + SIZE, py], [px, py + SIZE], [px - SIZE, py], [px, py - SIZE]];
+      polygon(ctx, box.theme.surface, corners);
+      polyline(ctx, box.theme.cursor, 1.4, corners);
+    }
+  }
+}
+
+/** The rows of a CSV text as objects of numbers, NaN where a cell is empty. Throws an Error that names the column, or the row, from 1. */
+function tableOf(text, along, value) {
+  const [names, ...rows] = text.split(/\r?\n/).map((line) => line.replace(/#.*/, "")).filter((line) => line.trim())
+    .map((line) => line.split(",").map((cell) => cell.trim().replace(/^"(.*)"$/, "$1")));
+  if (!rows.length) throw new Error("has no rows below a line with the names of its columns");
+  if (rows.length > MOST_ROWS) throw new Error(`has more than ${MOST_ROWS} rows`);
+  const unknown = names.find((name) => !COLUMNS.includes(name));
+  if (unknown !== undefined) throw new Error(`${unknown.slice(0, 40)} is no column here; these are ${COLUMNS.join(", ")}`);
+  const inMs = value === "flight_time" && names.includes("flight_time_ms");
+  if (inMs && !names.includes("frequency")) throw new Error("flight_time_ms needs the plate's frequency in Hz, as a column");
+  const missing = [along, inMs ? "flight_time_ms" : value].find((name) => !names.includes(name));
+  if (missing) throw new Error(`needs the column ${missing}${missing === "flight_time" ? " or flight_time_ms" : ""}; it has ${names.join(", ")}`);
+  const numberIn = (cell = "", name, row) => {
+    if (cell !== "" && !Number.isFinite(Number(cell))) throw new Error(`${name} of row ${row + 1} must be a number, not '${cell.slice(0, 40)}'`);
+    return cell === "" ? NaN : Number(cell);
+  };
+  return rows.map((cells, i) => {
+    const row = Object.fromEntries(names.map((name, k) => [name, numberIn(cells[k], name, i)]));
+    const radPerMs = (TWO_PI * row.frequency) / 1000;
+    return inMs ? { ...row, flight_time: row.flight_time_ms * radPerMs, error: row.error * radPerMs } : row;
+  });
+}

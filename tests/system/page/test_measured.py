@@ -1,0 +1,59 @@
+"""Measured points dropped on a plot, in a real Chromium: their residual is that of the diagram below them."""
+
+import math
+from typing import Any
+
+import numpy as np
+from browser import needs_chromium, opened, screenshot, wait_shown
+from served import done
+from studies import spec_of
+
+from service.client import Client
+
+pytestmark = needs_chromium
+
+SWEEP = spec_of((0.5, 1.4, 46), [0.5, 0.6, 0.7], 0.05, name="Measured", ramp="both", window=(120, 30, 24))
+
+DROP = """([name, text]) => {
+    const files = new DataTransfer();
+    files.items.add(new File([text], name));
+    document.querySelector(".panel .plot").dispatchEvent(
+        new DragEvent("drop", { dataTransfer: files, cancelable: true, bubbles: true }));
+}"""
+
+
+def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: str):
+    job = done(address, SWEEP)
+    with Client(address) as client:
+        line = client.job(job).diagram(omega=0.6).sel(direction="down")
+    bouncing = line.isel(gamma=(line.flights > 0).values)
+    gamma, time = bouncing.gamma.values[::3], np.nanmax(bouncing.flight_time.values[::3], axis=1)
+    hertz, off = 25.0, np.linspace(0.01, 0.03, len(gamma))
+    flight_time_ms = (time + off) * 1000 / (2 * math.pi * hertz)
+    rows = [f"{x},{y},{hertz},0.5" for x, y in zip(gamma, flight_time_ms, strict=True)]
+    table = "\n".join(["# of a run", "gamma, flight_time_ms, frequency, error", *rows, f"2.5,30,{hertz},"])
+    with opened(browser, f"{address}/#/job/{job}/diagram?omega=0.6&show=down") as page:
+        wait_shown(page, omega=0.6)
+        page.evaluate(DROP, ["run.csv", "gamma,speed\n1,2"])
+        page.locator(
+            ".problem", has_text="run.csv: speed is no column here; these are gamma, omega"
+        ).wait_for()
+        page.evaluate(DROP, ["run.csv", "gamma,flight_time\n1,long"])
+        page.locator(".problem", has_text="flight_time of row 1 must be a number, not 'long'").wait_for()
+        page.evaluate(DROP, ["run.csv", table])
+        said = page.locator(".measured", has_text=f"run.csv: {len(rows)} of {len(rows) + 1} points")
+        said.wait_for()
+        assert f"median residual {np.median(off):.2g} rad, largest 0.03 rad" in said.inner_text()
+        assert page.locator(".panel > aside .problem").first.is_hidden()
+        screenshot(page, "measured", whole=False)
+        page.emulate_media(color_scheme="dark")
+        screenshot(page, "measured-dark", whole=False)
+        page.get_by_role("link", name="Thresholds").click()
+        wait_shown(page, xi=0.05)
+        assert said.is_hidden()
+        page.evaluate(DROP, ["thresholds.csv", "omega,gamma\n0.6,0.7\n"])
+        page.locator(".measured", has_text="thresholds.csv: 1 of 1 point, median residual 0.").wait_for()
+        screenshot(page, "measured-thresholds", whole=False)
+        page.get_by_role("link", name="Diagram").click()  # the page keeps them
+        said.get_by_role("button", name="remove").click()
+        said.wait_for(state="hidden")
