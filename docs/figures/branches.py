@@ -1,9 +1,7 @@
-"""Draw figure-branches.png: the cycles (1, 1) over Γ at three frequencies, and the flights of a ramp.
+"""Draw figure-branches.png here: cycles (1, 1) over Γ at three frequencies, and the flights of a ramp.
 
 python docs/figures/branches.py
 """
-
-from pathlib import Path
 
 import xarray
 from matplotlib.figure import Figure
@@ -46,4 +44,4 @@ def draw(num: int = 351) -> Figure:
 
 
 if __name__ == "__main__":
-    draw().savefig(Path(__file__).with_name("figure-branches.png"), dpi=150)
+    draw().savefig("figure-branches.png", dpi=150)

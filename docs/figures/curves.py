@@ -1,9 +1,7 @@
-"""Draw figure-curves.png: events of the cycles (1, 1) over Ω, and where hysteresis ends.
+"""Draw figure-curves.png here: events of the cycles (1, 1) over Ω, and where hysteresis ends.
 
 python docs/figures/curves.py
 """
-
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -53,4 +51,4 @@ def draw(lines: int = 13, tips: int = 4) -> Figure:
 
 
 if __name__ == "__main__":
-    draw().savefig(Path(__file__).with_name("figure-curves.png"), dpi=150)
+    draw().savefig("figure-curves.png", dpi=150)

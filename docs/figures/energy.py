@@ -1,9 +1,7 @@
-"""Draw figure-energy.png: Γ_down, and what impact and dashpot take at the cycle that ends there.
+"""Draw figure-energy.png here: Γ_down, and what impact and dashpot take at the cycle that ends there.
 
 python docs/figures/energy.py
 """
-
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -49,4 +47,4 @@ def draw(num: int = 101) -> Figure:
 
 
 if __name__ == "__main__":
-    draw().savefig(Path(__file__).with_name("figure-energy.png"), dpi=150)
+    draw().savefig("figure-energy.png", dpi=150)

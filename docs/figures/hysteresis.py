@@ -1,10 +1,9 @@
-"""Draw figure-hysteresis.png: the thresholds of Fig. 9 in closed form, and as ramps find them.
+"""Draw figure-hysteresis.png here: the thresholds of Fig. 9 in closed form, and as ramps find them.
 
 python docs/figures/hysteresis.py
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -84,5 +83,5 @@ if __name__ == "__main__":
     figure, ends = draw()
     near = sum(abs(end) <= 2 * STEP for end in ends)
     text = f"{near} of {len(ends)} ramps from the cycle end within 2·10⁻⁵ of the fold"
-    picture = Path(__file__).with_name("figure-hysteresis.png")
+    picture = "figure-hysteresis.png"
     figure.savefig(picture, dpi=150, metadata={"Description": text})

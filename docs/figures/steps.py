@@ -1,9 +1,7 @@
-"""Draw figure-steps.png: flights near Γ = 2 of Fig. 7b, exact, with located events and with plain time steps.
+"""Draw figure-steps.png here: flights near Γ = 2 of Fig. 7b, exact, with located and with plain steps.
 
 python docs/figures/steps.py
 """
-
-from pathlib import Path
 
 import numpy as np
 import xarray
@@ -59,5 +57,5 @@ def draw(num: int = GAMMA_NEAR_TWO["num"]) -> tuple[Figure, dict[tuple[str, str]
 if __name__ == "__main__":
     figure, found = draw()
     rows = (f"{' '.join(names)}: median {np.median(each):.1g} rad" for names, each in found.items())
-    picture = Path(__file__).with_name("figure-steps.png")
+    picture = "figure-steps.png"
     figure.savefig(picture, dpi=110, metadata={"Description": ", ".join(rows)})
