@@ -311,8 +311,8 @@ def draw_measured(ax: "Axes", points: Any, axis: NDArray[np.float64], computed: 
 def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     """The cells of the plane (Γ, Ω) by the plate periods of their cycle, or by what else they do.
 
-    With `multiplier`, certified cells by their margin of stability. Classes of the attribute `hide` are left
-    out.
+    With `multiplier`, certified cells by their margin of stability. Where the attribute `hide` says that
+    classes are hidden, cells that are missing are left out.
     """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
@@ -321,14 +321,14 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     names, colours = list(classes), list(classes.values())
     labels = modes["label" if "label" in modes else "outcome"].values
     cells = classes_of(labels, modes.bounces.values, modes.periods.values)
-    hidden = [CLASS_NAMES.index(name) for name in modes.attrs.get("hide", "").split(",") if name]
     counted = "periods of the plate in a cycle"
     if "multiplier" in modes:
         counted, multiplier = "modulus of the leading multiplier", modes.multiplier.values
         margins = len(CLASSES) + np.searchsorted(MARGINS[:-1], multiplier, side="right")
         cells = np.where(np.isfinite(multiplier), margins, cells)
     corners = edges(modes.gamma.values), edges(modes.omega.values)
-    cells = np.ma.masked_where(np.isin(cells, hidden), cells) if hidden else cells
+    if "hide" in modes.attrs:
+        cells = np.ma.masked_equal(cells, CLASS_NAMES.index("missing"))
     ax.pcolormesh(
         *corners, cells, rasterized=True, cmap=ListedColormap(colours), vmin=-0.5, vmax=len(names) - 0.5
     )

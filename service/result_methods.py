@@ -83,7 +83,7 @@ class ResultMethods(Methods):
         The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
         unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
         corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
-        With the color `multiplier` cells have their certificates, too. A picture lacks the classes to `hide`.
+        With the color `multiplier` cells have their certificates, too. Cells of classes to `hide` are `missing`.
 
         Returns a Dataset with the attribute `complete` and the variables `bounces`, `periods`, `outcome`,
         `label`, `computed`, `lyapunov`, `lyapunov_error`, `flight_error` (rad), `multiplier`,

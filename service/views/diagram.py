@@ -12,13 +12,14 @@ from pydantic import Field
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.modes import counted
 from kernel.params import Outcome
-from service.pictures import CLASS_NAMES, SYMBOLS, WARNING, classes_of, draw_diagram
+from service.pictures import SYMBOLS, WARNING, draw_diagram
 from service.views.selection import (
     LABEL,
     Stored,
     between,
     directions_of,
     fixed_axes,
+    hidden_cells,
     read_direction,
     recounted,
     shortest,
@@ -111,9 +112,7 @@ def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, ND
     times, low, high = arrays["flight_time"], query.flight_start, query.flight_stop
     shown = (times >= (-np.inf if low is None else low)) & (times <= (np.inf if high is None else high))
     if query.hide is not None:
-        labels = arrays.get(LABEL.name, arrays["outcome"])
-        hidden = [CLASS_NAMES.index(name) for name in query.hide.split(",")]
-        shown &= ~np.isin(classes_of(labels, arrays["bounces"], arrays["periods"]), hidden)[..., np.newaxis]
+        shown &= ~hidden_cells(arrays, query.hide)[..., np.newaxis]
     return arrays | {name: np.where(shown, arrays[name], np.nan) for name in ("flight_time", "takeoff_phase")}
 
 

@@ -22,6 +22,7 @@ from service.views.selection import (
     arrays_of_modes,
     between,
     directions_of,
+    hidden_cells,
     nearest_index,
     needs_flights,
     read_direction,
@@ -91,7 +92,7 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
     The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
     unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
     corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
-    With the color `multiplier` cells have their certificates, too. A picture lacks the classes to `hide`.
+    With the color `multiplier` cells have their certificates, too. Cells of classes to `hide` are `missing`.
     """
     spec, directions = study.spec, directions_of(study.spec, query.direction)
     xi, window = nearest_index(spec, "xi", query.xi), _window(spec, query)
@@ -110,6 +111,7 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
     }  # fmt: skip
     if query.hide is not None:
         attrs["hide"] = query.hide
+        cells = {name: _without(arrays, query.hide) for name, arrays in cells.items()}
     if spec.fills_in:
         attrs["computed_share"] = _computed_share(study, xi.index, directions[0])
     result = cells_dataset(cells, coords, _ROWS, attrs)
@@ -118,6 +120,16 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
         result["hysteresis"] = variable(_PLANE, compared, VARIABLES["hysteresis"])
         result.attrs["complete"] &= complete
     return result
+
+
+def _without(arrays: Mapping[str, NDArray[Any]], hide: str) -> dict[str, NDArray[Any]]:
+    """The arrays of a plane with the cells of classes to hide as if they were missing."""
+    hidden, missing = hidden_cells(arrays, hide), dict.fromkeys((LABEL.name, *schema.MODE_ARRAYS), 0.0)
+    missing |= {row.name: np.nan for row in schema.CERTIFICATE}
+    return {
+        name: np.where(hidden, values.dtype.type(missing[name]), values) if name in missing else values
+        for name, values in arrays.items()
+    }
 
 
 def _window(spec: SweepSpec, query: ModesQuery) -> Window:

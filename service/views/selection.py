@@ -18,6 +18,7 @@ from kernel.labels import LABELS, UNSTABLE, label_codes
 from kernel.modes import Modes, recount
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import InvalidRequest, OutdatedJob
+from service.pictures import CLASS_NAMES, classes_of
 from service.software import software
 from worker import store
 from worker.spec.errors import one_of
@@ -224,6 +225,13 @@ def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...
     flights = ("flight_time", "takeoff_phase", "flights") if needs_flights(spec, min_flight) else ()
     exponents = (schema.LYAPUNOV.name, schema.LYAPUNOV_ERROR.name) if spec.exponents else ()
     return (*flights, *MODE_ARRAYS, *exponents, *((COMPUTED,) if spec.fills_in else ()))
+
+
+def hidden_cells(arrays: Mapping[str, NDArray[Any]], hide: str) -> NDArray[np.bool_]:
+    """Which cells are of the classes that `hide` lists."""
+    labels = arrays.get(LABEL.name, arrays["outcome"])
+    classes = classes_of(labels, arrays["bounces"], arrays["periods"])
+    return np.isin(classes, [CLASS_NAMES.index(name) for name in hide.split(",")])
 
 
 def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict[str, NDArray[Any]]:

@@ -136,7 +136,10 @@ def test_a_picture_is_what_is_shown(sweep: Stored):
     assert figure.axes[0].get_ylim() == (3.0, 6.0)
     legends = []
     for hide in (None, "at_rest"):
-        VIEWS["modes"].draw(modes(sweep, xi=0.26, hide=hide), figure := Figure())
+        plane = modes(sweep, xi=0.26, hide=hide)
+        assert (Outcome.AT_REST in plane.outcome) == (hide is None)
+        assert plane.attrs["complete"]
+        VIEWS["modes"].draw(plane, figure := Figure())
         legends.append({text.get_text() for text in figure.axes[0].get_legend().get_texts()})
     assert legends[0] - legends[1] == {"at rest"}
     ends = {"omega_start": 0.6, "omega_stop": 0.8, "gamma_start": 0.2, "gamma_stop": 1.5}
