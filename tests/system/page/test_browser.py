@@ -446,6 +446,21 @@ def test_the_wheel_zooms_both_axes_and_back_undoes_it(browser: Any, address: str
         wait_shown(page, omega=0.6)
 
 
+def test_a_drag_with_shift_moves_the_window(browser: Any, address: str, loop: str):
+    window = {"x0": 0.6, "x1": 0.8, "y0": 1, "y1": 4}
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05, **window)) as page:
+        wait_shown(page, omega=0.6)
+        box = page.locator(".panel .plot").bounding_box()
+        page.mouse.move(box["x"] + 500, box["y"] + 300)
+        page.keyboard.down("Shift")
+        page.mouse.down()
+        page.mouse.move(box["x"] + 400, box["y"] + 300, steps=4)
+        page.mouse.up()
+        page.keyboard.up("Shift")
+        page.wait_for_url(re.compile(r"x0=0\.6[1-9]"))
+        wait_shown(page, omega=0.6)
+
+
 def test_a_click_on_the_legend_hides_a_mode(browser: Any, address: str, loop: str):
     with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
         wait_shown(page, xi=0.05)

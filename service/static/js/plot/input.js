@@ -9,12 +9,14 @@ const WHEEL = 0.0016; // logarithm of the zoom per pixel of the wheel
 
 /**
  * Calls these handlers, with positions in axis values: hover(x, y), leave(), select(x, y), selectCurrent(),
- * step(right, up), zoom({x0, x1, y0, y1} or null for everything), scale([factors of width and height], [x, y] that stays).
+ * step(right, up), zoom({x0, x1, y0, y1} or null for everything), scale([factors of width and height], [x, y] that stays),
+ * pan(from, to).
  */
 export function listenToInput(plot, handlers) {
   const { element } = plot;
   let dragStart = null;
   let dragEnd = null;
+  let isPan = false; // a drag with Shift moves the window
 
   const position = (event) => {
     const bounds = element.getBoundingClientRect();
@@ -33,7 +35,10 @@ export function listenToInput(plot, handlers) {
   });
   listen("pointermove", (event) => {
     const point = position(event);
-    if (dragStart && Math.hypot(point[0] - dragStart[0], point[1] - dragStart[1]) > DRAG_PX) {
+    if (dragStart && event.shiftKey) {
+      if (dragEnd) handlers.pan(values(dragEnd), values(point));
+      [dragEnd, isPan] = [point, true];
+    } else if (dragStart && Math.hypot(point[0] - dragStart[0], point[1] - dragStart[1]) > DRAG_PX) {
       dragEnd = point;
       element.setPointerCapture(event.pointerId);
       plot.drawCursor();
@@ -41,7 +46,8 @@ export function listenToInput(plot, handlers) {
     } else if (isInside(point, plot.box)) handlers.hover(...values(point));
   });
   listen("pointerup", (event) => {
-    if (dragEnd) handlers.zoom(selectedWindow(plot, dragStart, dragEnd));
+    if (isPan) isPan = false;
+    else if (dragEnd) handlers.zoom(selectedWindow(plot, dragStart, dragEnd));
     else if (dragStart && isInside(position(event), plot.box)) handlers.select(...values(position(event)));
     dragStart = dragEnd = null;
   });
@@ -113,3 +119,13 @@ export function scaled({ box }, window, whole, factors, point) {
   return x0 <= whole.x0 && x1 >= whole.x1 && y0 <= whole.y0 && y1 >= whole.y1 ? null : { x0, x1, y0, y1 };
 }
 
+/** `window` moved so that what was at `from` is at `to`, within `whole`. */
+export function panned({ box }, window, whole, from, to) {
+  const side = (axis, [low, high], [least, most], before, after) => {
+    const moved = (value) => axis.value(axis.pixel(value) + axis.pixel(before) - axis.pixel(after));
+    return moved(low) >= least && moved(high) <= most ? [moved(low), moved(high)] : [low, high];
+  };
+  const [x0, x1] = side(box.x, [window.x0, window.x1], [whole.x0, whole.x1], from[0], to[0]);
+  const [y0, y1] = side(box.y, [window.y0, window.y1], [whole.y0, whole.y1], from[1], to[1]);
+  return { x0, x1, y0, y1 };
+}

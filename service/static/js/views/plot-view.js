@@ -7,7 +7,7 @@ import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.j
 import { AXES, SYMBOL, axisLabel, axisValues, directionsOf, initialValue, isLog, isSweep } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
-import { listenToInput, scaled } from "../plot/input.js";
+import { listenToInput, panned, scaled } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
 
 const RETRY_MS = 3000; // after 503: results that were damaged are computed again
@@ -112,6 +112,7 @@ export class PlotView {
       step: (right, up) => this.#step(right, up),
       zoom,
       scale: (factors, point = this.current && this.at(this.current)) => zoom(scaled(this.plot, this.visible(), this.extent(), factors, point), this.#isNewGesture()),
+      pan: (from, to) => this.window && zoom(panned(this.plot, this.visible(), this.extent(), from, to), this.#isNewGesture()),
     });
     this.measured?.listen(this.plot.element);
     this.load = latest((signal) => this.#load(signal));
