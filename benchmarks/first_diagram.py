@@ -60,7 +60,9 @@ def browser(python: Path, folder: Path, environment: Environment) -> None:
         opened(chrome, address) as page,
     ):
         page.set_default_timeout(1000 * LIMIT)
-        page.get_by_role("link", name="Fig. 2").first.click()
+        page.get_by_role("link", name="New", exact=True).click()
+        presets = page.get_by_label("Start from")
+        presets.select_option(label=presets.locator("option", has_text="Fig. 2").first.inner_text())
         page.locator(".cost", has_text="cells in").wait_for()
         page.get_by_label("Name").fill(SPEC["name"])
         page.locator("[data-field='gamma.num']").fill(str(SPEC["gamma"]["num"]))
