@@ -44,7 +44,7 @@ def branches(
     """The branches along Gamma of the cycles that those of the closed form (1, periods) lead to.
 
     plate: of one cell, with restitution < 1. span: of Gamma. points: of each, each way. Raises
-    KernelInputError.
+    KernelInputError for another spring.
     """
     return all_through(seeds(plate, omega, xi, periods), span, points)
 

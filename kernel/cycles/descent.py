@@ -69,7 +69,10 @@ def descend(point: Point) -> Descent:
             return Descent(gamma, None, f"{name} {leads} from Gamma = {gamma:.6f}", line[-1])
         gamma, name = last.point.parameter, cycle_of(last.point).name
         if last.kind is Kind.FOLD:
-            return Descent(gamma, fold_of(last), "")
+            fold = fold_of(last)
+            if fold.holds:
+                return Descent(gamma, fold, "")
+            return Descent(gamma, None, f"{name} is not stable at its fold, Gamma = {gamma:.6f}", last.point)
         if last.kind is End.REST:
             return Descent(gamma, None, "")
         after = doubled(last.point) if last.kind is Kind.FLIP else None

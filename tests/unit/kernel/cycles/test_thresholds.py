@@ -79,6 +79,13 @@ def test_a_fold_of_a_word():
     assert balance.force + balance.impulse == pytest.approx(balance.weight, abs=1e-9)
 
 
+def test_the_fold_of_an_unstable_cycle_decides_nothing():
+    """Its other multiplier is 1.003: the stable cycles end above it, at a Neimark-Sacker point."""
+    found = thresholds(1.2864, 0.0536)
+    assert (found.cause, found.fold) == (UNRESOLVED, None)
+    assert "zs (2,2) is not stable at its fold" in found.reason
+
+
 def test_a_doubled_cycle_reaches_below_the_fold():
     """A flip next to the fold of (1,1): its (2,2), unstable there, turns at a lower fold of its own."""
     expected = REFERENCE["doubled_below_a_fold"]
