@@ -11,6 +11,7 @@ import click
 
 from service.cli.options import (
     BEGAN,
+    DAY,
     DURATION,
     format_option,
     json_option,
@@ -271,18 +272,10 @@ def delete(job: "Job") -> None:
 @click.option("--model", help="List only jobs of this kind of contact.")
 @click.option("--pinned", is_flag=True, help="List only pinned jobs.")
 @click.option(
-    "--from",
-    "created_from",
-    type=click.DateTime(),
-    metavar="DATE",
-    help="List only jobs created on DATE (UTC) or later, such as 2026-11-25.",
+    "--from", "created_from", type=DAY, metavar="DATE", help="List only jobs created on DATE (UTC) or later."
 )
 @click.option(
-    "--before",
-    "created_before",
-    type=click.DateTime(),
-    metavar="DATE",
-    help="List only jobs created before DATE (UTC).",
+    "--before", "created_before", type=DAY, metavar="DATE", help="List only jobs created before DATE (UTC)."
 )
 @click.option("--order", type=click.Choice(ORDERS), default=ORDERS[0], show_default=True)
 @click.option("--limit", type=click.IntRange(min=1), help="List at most this many jobs.")

@@ -5,6 +5,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Mapping
+from datetime import datetime
 from functools import wraps
 from inspect import cleandoc
 from pathlib import Path
@@ -45,6 +46,21 @@ class Duration(click.ParamType[float]):
 
 
 DURATION: Final = Duration()
+
+
+class Day(click.ParamType[str]):
+    """A day, or a time of it, as 2026-11-25."""
+
+    name = "date"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        try:
+            return datetime.fromisoformat(str(value)).isoformat()
+        except ValueError:
+            self.fail(f"must be a day such as 2026-11-25, not {value!r}", param, ctx)
+
+
+DAY: Final = Day()
 
 
 class CommandGroup(click.Group):

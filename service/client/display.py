@@ -89,15 +89,15 @@ def _in_lines() -> Callable[[JobStatus], None]:
     A change of state or by `LINE_PERCENT` is written at once.
     """
     stage: object = None
-    line, written = "", 0.0
+    line, written, grown = "", 0.0, _Grown()
 
     def show(job: JobStatus) -> None:
         nonlocal stage, line, written
-        now = job.state, bool(job.compiling), job.progress.percent // LINE_PERCENT
+        now, reason = (job.state, bool(job.compiling), job.progress.percent // LINE_PERCENT), grown(job)
         waited = time.monotonic() - written >= LINE_SECONDS
         if now != stage or (waited and summary(job) != line):
             stage, line, written = now, summary(job), time.monotonic()
-            display_line(line)
+            display_line(f"{line}{reason}")
 
     return show
 
@@ -139,6 +139,22 @@ def time_left(job: JobStatus) -> str:
     if seconds is None:
         return f", for {duration(max(time.time() - datetime.fromisoformat(str(started)).timestamp(), 0.0))}"
     return f", {duration(seconds)} left"
+
+
+class _Grown:
+    """Says why the time left of a job became twice as long, for some seconds."""
+
+    def __init__(self) -> None:
+        self._end, self._until = float("inf"), 0.0
+
+    def __call__(self, job: JobStatus) -> str:
+        """The reason, or an empty string."""
+        now, seconds = time.monotonic(), job.progress.eta_seconds
+        if seconds is not None:
+            if seconds > 2.0 * max(self._end - now, 5.0):
+                self._until = now + LINE_SECONDS
+            self._end = now + seconds
+        return ", as later cells take longer" if now < self._until and time_left(job) else ""
 
 
 def duration(seconds: float) -> str:
@@ -187,7 +203,7 @@ def _progress_bar() -> Iterator[Callable[[JobStatus], None]]:
         TextColumn("{task.fields[note]}", markup=False),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("", total=None, note="")
+        task, grown = bar.add_task("", total=None, note=""), _Grown()
 
         def show(job: JobStatus) -> None:
             progress = job.progress
@@ -197,7 +213,7 @@ def _progress_bar() -> Iterator[Callable[[JobStatus], None]]:
                 description=job.name or job.id[:8],
                 completed=progress.cells_done,
                 total=progress.cells_total,
-                note=f"{job.state}, {job.compiling or f'{cells}{time_left(job)}'}",
+                note=f"{job.state}, {job.compiling or f'{cells}{time_left(job)}{grown(job)}'}",
             )
 
         yield show

@@ -245,6 +245,7 @@ def test_figure_needs_a_data_folder_that_no_other_command_uses(tmp_path: Path):
         (["diagram", "0" * 32, "-o", "diagram"], 2, "does not end in"),
         (["modes", "0" * 32, "-o", "/nowhere/modes.csv"], 2, "no folder /nowhere"),
         (["list", "--state", "asleep"], 2, "asleep"),
+        (["list", "--from", "yesterday"], 2, "must be a day such as 2026-11-25, not 'yesterday'"),
         (["trajectory", "--gamma", "much"], 2, "not a valid"),
         (["orbits", "--direction", "up"], 2, "give --omega and --xi or the ID of a job"),
         (["serve", "--port", "99999"], 1, "port"),

@@ -66,3 +66,14 @@ def test_a_notebook_shows_a_job_in_one_place(monkeypatch: pytest.MonkeyPatch):
             show(job)
     names = ("display", "update", "update")
     assert shown == [(name, HTML(job_html(job)).data) for name, job in zip(names, jobs, strict=True)]
+
+
+def test_a_time_left_that_doubles_has_a_reason(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
+    with display_job(True) as show:
+        for percent, left in ((10.0, 60.0), (20.0, 50.0), (30.0, 300.0)):
+            show(status(percent=percent, progress={"eta_seconds": left}))
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.endswith("as later cells take longer") for line in lines] == [False, False, True]
