@@ -45,7 +45,7 @@ def test_a_start_is_read_and_seen_to_move(browser: Any, address: str, drops: str
         page.keyboard.press("ArrowRight")
         said = page.locator(".panel .readout").inner_text()
         start = found.isel(row=found.sizes["row"] // 2, column=found.sizes["column"] // 2 + 1)
-        assert f"height {start.row.item():.5g}"[:10] in said
+        assert f"height: {start.row.item():.5g}"[:11] in said
         assert f"{longest[start.attractor_of_start.item() - 1]:.4g}" in said
         page.keyboard.press("Enter")
         page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()

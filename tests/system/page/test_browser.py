@@ -629,7 +629,7 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
         page.keyboard.press("ArrowRight")
         said = set()
         for _ in range(len(rows[0]) // 2):
-            said.add("ramped down, another mode" in page.locator(".panel .readout").inner_text())
+            said.add("ramped down: another mode" in page.locator(".panel .readout").inner_text())
             page.keyboard.press("ArrowLeft")
         assert said == {True, False}
         page.keyboard.press("Escape")
@@ -668,7 +668,7 @@ def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, ad
         page.locator(".legend", has_text="|μ| 0.2 to 0.4").wait_for()
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
-        page.locator(".panel .readout", has_text="|μ| 0.").wait_for()
+        page.locator(".panel .readout", has_text="|μ|: 0.").wait_for()
         assert "flights within" in page.locator(".panel .readout").inner_text()
         screenshot(page, "modes-margin")
 
@@ -698,7 +698,7 @@ def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: s
         expected = {name: about["data"] for name, about in (answer["coords"] | answer["data_vars"]).items()}
         wait_for(lambda: page.locator("#status").inner_text())
         text = page.locator("#status").inner_text()
-        assert text.startswith(f"Ω = {expected['omega'][4]:g} · Eq. 25: Γ = {expected['analytic'][4]:.4g}")
+        assert text.startswith(f"Ω = {expected['omega'][4]:g} · Eq. 25: {expected['analytic'][4]:.4g}")
         assert expected["up_status"][4] == "found"
         assert f"ramp up: {expected['up'][4]:.4g}" in text
         screenshot(page, "thresholds")

@@ -137,9 +137,9 @@ def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
         assert page.locator(".closed-form .note").inner_text() == ""
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")  # the middle frequency, 0.625
-        said = page.locator(".panel .readout", has_text="closed form: bouncing ends at").inner_text()
+        said = page.locator(".panel .readout", has_text="closed form: ").inner_text()
         assert f"{thresholds(0.625, 0.05).down:.6g}" in said
-        assert "(fold (1,1))" in said
+        assert "cause: fold (1,1)" in said
         screenshot(page, "folds")
         page.set_viewport_size({"width": 390, "height": 844})  # of a phone
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

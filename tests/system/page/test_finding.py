@@ -175,7 +175,7 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         plots = page.locator(".panel .plot")
         assert plots.count() == 1
         plots.first.hover()
-        page.locator(".readout .entry", has_text="sweep 0.2: Γ").wait_for()
+        page.locator(".readout .entry", has_text="sweep: sweep 0.2").wait_for()
         screenshot(page, "compare-overlay")
         page.get_by_label("Layout").select_option("side by side")
         assert plots.count() == 3

@@ -95,22 +95,26 @@ export const outcomeText = (code, bounces, periods) => (code === OUTCOME.periodi
 /** The outcome or mode of one of some cells as text. */
 export const modeText = ({ outcome, label = outcome, bounces, periods }, cell) => outcomeText(label[cell], bounces[cell], periods[cell]);
 
-/** "λ₁ 0.496 ± 0.05": the largest Lyapunov exponent with its standard error, where there is one. */
-export const exponentText = (exponent, error) => `λ₁ ${number(exponent, 3)}${Number.isFinite(error) ? ` ± ${number(error, 2)}` : ""}`;
+/** "0.496 ± 0.05": the largest Lyapunov exponent with its standard error, where there is one. */
+export const exponentText = (exponent, error) => `${number(exponent, 3)}${Number.isFinite(error) ? ` ± ${number(error, 2)}` : ""}`;
 
-/** The same of one of some cells, as a list: empty where it is not known. */
-export function exponentOf({ lyapunov, lyapunov_error: errors }, cell) {
-  const exponent = lyapunov?.[(cell * lyapunov.length) / errors.length];
-  return Number.isFinite(exponent) ? [exponentText(exponent, errors[cell])] : [];
+/** The largest Lyapunov exponent of one of some cells. */
+export const exponentOf = ({ lyapunov, lyapunov_error: errors }, cell) => lyapunov[(cell * lyapunov.length) / errors.length];
+
+/** What is said of a cell of a sweep, as columns of a table: of the variables there are; `of(cell)` gives those of a cell and its index. */
+export function cellColumns({ lyapunov, multiplier, computed }, of) {
+  const column = (title, read) => [title, (cell) => read(...of(cell))];
+  return [
+    column("mode", modeText),
+    ...(lyapunov ? [column("λ₁", (cells, i) => exponentText(exponentOf(cells, i), cells.lyapunov_error[i]))] : []),
+    ...(multiplier ? [column("|μ|", ({ multiplier: moduli }, i) => number(moduli[i], 3)), column("flights within (rad)", ({ flight_error: errors }, i) => number(errors[i], 1))] : []),
+    ...(computed ? [column("cell", (cells, i) => (cells.computed[i] ? "computed" : "taken from its block"))] : []),
+  ];
 }
 
 /** Whether the cells of a sweep end once their cycles are certified. */
 export const certifies = ({ settle, exponents, model }) => settle === "auto" && !exponents && model.kind !== "stepped";
 
-/** "|μ| 0.42, flights within 3e-13 rad": the certificate of one of some cells, as a list: empty where it has none. */
-export function certificateOf({ multiplier, flight_error: errors }, cell) {
-  return Number.isFinite(multiplier?.[cell]) ? [`|μ| ${number(multiplier[cell], 3)}`, `flights within ${errors[cell].toExponential(0)} rad`] : [];
-}
 
 const NUMBERS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
 

@@ -95,6 +95,6 @@ export class Basin extends PlaneView {
 function attractorText({ attractor_outcome: outcome, attractor_label: label, attractor_bounces: bounces, attractor_periods: periods, attractor_longest_flight: longest, attractor_lyapunov: exponents, attractor_lyapunov_error: error }) {
   const parts = [label.startsWith("(") || label === "rest" ? outcomeText(outcome, bounces, periods) : label];
   if (longest) parts.push(`flights up to ${number(longest, 4)} rad`);
-  if (Number.isFinite(exponents?.[0])) parts.push(exponentText(exponents[0], error));
+  if (Number.isFinite(exponents?.[0])) parts.push(`λ₁ ${exponentText(exponents[0], error)}`);
   return parts.join(", ");
 }

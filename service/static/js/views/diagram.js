@@ -3,8 +3,8 @@
 import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { number, plural } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, certificateOf, clampIndex, exponentOf, hasCycles, isClose, modeText, nearestIndex, startName, threshold } from "../lib/physics.js";
+import { number } from "../lib/format.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, cellColumns, clampIndex, exponentOf, hasCycles, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
 import { branchColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { circle, disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn } from "../plot/flights.js";
@@ -49,7 +49,7 @@ export class Diagram extends PlotView {
 
   #exponents() {
     const { left, width, x } = this.plot.box;
-    const points = this.lines.map((line) => Array.from(line.values, (value, cell) => [value, line.lyapunov[(cell * line.lyapunov.length) / line.values.length]]).filter(([, exponent]) => Number.isFinite(exponent)));
+    const points = this.lines.map((line) => Array.from(line.values, (value, cell) => [value, exponentOf(line, cell)]).filter(([, exponent]) => Number.isFinite(exponent)));
     const values = points.flat().map(([, exponent]) => exponent);
     const [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
     const margin = 0.08 * (high - low) || 0.1;
@@ -255,10 +255,10 @@ export class Diagram extends PlotView {
     const [first] = this.lines;
     return [
       [SYMBOL[this.along], ({ line, cell }) => number(line.values[cell])],
-      ...(this.lines.length > 1 ? [[this.isCompared ? "sweep" : "ramp", ({ line }) => (this.isCompared ? titleOf(line.source.job) : line.direction)]] : []),
-      ["mode", ({ line, cell }) => modeText(line, cell)],
-      ["flight times (rad)", ({ line, cell }) => distinctFlights(line, cell).slice(0, MAX_LISTED).map((time) => number(time, 4)).join(" ")],
-      ...(first?.lyapunov ? [["λ₁", ({ line, cell }) => exponentOf(line, cell)[0] ?? "–"]] : []),
+      ...(this.isCompared ? [["sweep", ({ line }) => titleOf(line.source.job)]] : []),
+      ...(new Set(this.lines.map(({ direction }) => direction)).size > 1 ? [["ramp", ({ line }) => line.direction]] : []),
+      ...cellColumns(first ?? {}, ({ line, cell }) => [line, cell]),
+      ["flight times (rad)", ({ line, cell }) => flightsText(distinctFlights(line, cell))],
     ];
   }
 
@@ -290,12 +290,10 @@ export class Diagram extends PlotView {
 
   describe(cell) {
     if (cell.branch) return `${describeCycle(cell)} · press to see it move`;
-    if (!this.isCompared) return describeCell(cell, this.lines.length > 1);
-    return this.#atCurrent().map((each) => h("span", { className: "entry" }, swatch(this.#colour(each.line, theme())),
-      `${titleOf(each.line.source.job)}: ${describeCell(each, each.line.source.directions.length > 1)} `));
+    if (!this.isCompared) return super.describe(cell);
+    return this.#atCurrent().map((each) => h("span", { className: "entry" }, swatch(this.#colour(each.line, theme())), `${super.describe(each)} `));
   }
 }
-
 
 /** The lines of a diagram: the variables of each direction, and its `highest` flight, NaN left out. */
 function linesOf(source, result) {
@@ -306,7 +304,6 @@ function linesOf(source, result) {
     return { ...variables, source, along, fixed, every, highest, values: result[along].data, keep: result.dims.flight };
   });
 }
-
 
 /** A strip for each line at the top: the colour of each cell's mode. */
 function drawStrips(ctx, box, lines, hidden) {
@@ -359,17 +356,7 @@ function drawCurrent(ctx, box, { line, cell }) {
 /** The distinct flight times of one cell, shortest first. */
 const distinctFlights = (line, cell) => Array.from(flightsIn(line, cell).sort()).filter((time, i, times) => i === 0 || time - times[i - 1] > SAME_FLIGHT);
 
-/** A cell in words; `withDirection` where the diagram shows two directions. */
-function describeCell({ line, cell }, withDirection) {
-  const { along, values, outcome, computed } = line;
-  const parts = [`${SYMBOL[along]} = ${number(values[cell])}`];
-  if (withDirection) parts.push(`ramp ${line.direction}`);
-  parts.push(modeText(line, cell), ...exponentOf(line, cell), ...certificateOf(line, cell));
-  if (computed && !computed[cell] && outcome[cell] !== OUTCOME.missing) parts.push("taken from its block, without flights");
-  const times = distinctFlights(line, cell);
-  if (times.length && times.length <= MAX_LISTED) parts.push(`flight times ${times.map((time) => number(time, 4)).join(", ")} rad`);
-  else if (times.length) parts.push(`${plural(flightsIn(line, cell).length, "flight")} stored`);
-  return parts.join(" · ");
-}
+/** The first flight times of a list. */
+const flightsText = (times) => `${times.slice(0, MAX_LISTED).map((time) => number(time, 4)).join(" ")}${times.length > MAX_LISTED ? " …" : ""}`;
 
 const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);

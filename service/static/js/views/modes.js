@@ -4,7 +4,7 @@ import { currentQuery, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
-import { HYSTERESIS, OUTCOME, certificateOf, certifies, exponentOf, isClose, modeText, nearestIndex, threshold } from "../lib/physics.js";
+import { HYSTERESIS, OUTCOME, cellColumns, certifies, isClose, nearestIndex, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, theme } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView, hatchAt, hatchSymbol, windowOf } from "./cells.js";
@@ -161,21 +161,12 @@ export class Modes extends PlaneView {
   }
 
   columnsOfTable() {
-    const { multiplier } = this.cells;
+    const { hysteresis } = this.cells;
+    const other = this.directions.find((direction) => direction !== this.ramp);
     return [
-      ...this.columnsOfPlane(), ["mode", (cell) => modeText(this.cells, this.indexOf(cell))],
-      ...(multiplier ? [["|μ|", (cell) => number(multiplier[this.indexOf(cell)], 3)]] : []),
+      ...this.columnsOfPlane(), ...cellColumns(this.cells, (cell) => [this.cells, this.indexOf(cell)]),
+      ...(hysteresis ? [[`ramped ${other}`, (cell) => ["", "another mode", "other flights"][hysteresis[this.indexOf(cell)]]]] : []),
     ];
-  }
-
-  describe({ column, row }) {
-    const { outcome, hysteresis, computed } = this.cells;
-    const cell = this.indexOf({ column, row });
-    const parts = [`Γ = ${number(this.columns[column])}`, `Ω = ${number(this.rows[row])}`, modeText(this.cells, cell)];
-    parts.push(...exponentOf(this.cells, cell), ...certificateOf(this.cells, cell));
-    if (hysteresis?.[cell]) parts.push(`ramped ${this.directions.find((direction) => direction !== this.ramp)}, ${hysteresis[cell] === HYSTERESIS.mode ? "another mode" : "other flights"}`);
-    if (this.isAdaptive && outcome[cell] !== OUTCOME.missing) parts.push(computed[cell] ? "computed" : "taken from its block");
-    return parts.join(" · ");
   }
 }
 

@@ -141,8 +141,9 @@ export class AttractorDiagram extends AttractorView {
   }
 
   columnsOfTable() {
-    const place = (read) => ({ column, k }) => read(this.placesOf({ column })[k]);
+    const place = (read) => ({ column, k }) => { const found = this.placesOf({ column })[k]; return found ? read(found) : ""; };
     return [["Γ", ({ column }) => number(this.columns[column])], ["attractor", place(({ id }) => String(id))], ["mode", place(({ label }) => label)],
+      ["share of drops", place(({ fraction }) => share(fraction))],
       ["flight times (rad)", place(({ times }) => [...new Set(times.map((time) => number(time, 4)))].slice(0, MAX_LISTED).join(" "))]];
   }
 
@@ -166,16 +167,6 @@ export class AttractorDiagram extends AttractorView {
 
   cellOf({ column, k }) {
     return this.placesOf({ column })[k] ? { gamma: this.columns[column], omega: this.rows[0], xi: this.xi, direction: startName("attractor", k + 1) } : null;
-  }
-
-  describe({ column, k }) {
-    const place = this.placesOf({ column })[k];
-    const parts = [`Γ = ${number(this.columns[column])}`, this.count[column] < 0 ? "not computed yet" : plural(this.count[column], "attractor")];
-    if (!place) return parts.join(" · ");
-    parts.push(placeText(place));
-    const times = [...new Set(place.times.map((time) => number(time, 4)))];
-    if (place.longest_flight && times.length <= MAX_LISTED) parts.push(`flight times ${times.join(", ")} rad`);
-    return parts.join(" · ");
   }
 }
 

@@ -172,7 +172,8 @@ export class PlotView {
   showLegend() {}
 
   describe(cell) {
-    return this.columnsOfTable().map(([title, text]) => (SYMBOLS.has(title) ? `${title} = ${text(cell)}` : `${title} ${text(cell)}`.trim())).join(" · ");
+    const known = this.columnsOfTable().map(([title, text]) => [title, text(cell)]).filter(([, text]) => text && text !== "–");
+    return known.map(([title, text]) => (SYMBOLS.has(title) ? `${title} = ${text}` : title === "mode" ? text : `${title}: ${text}`)).join(" · ");
   }
 
   paths() {

@@ -141,20 +141,12 @@ export class Thresholds extends PlotView {
   }
 
   columnsOfTable() {
-    const { omega, analytic, predicted_down: down } = this.thresholds;
+    const { omega, analytic, predicted_down: down, cause, difference } = this.thresholds;
     return [["Ω", ({ index }) => number(omega[index])], ["Eq. 25", ({ index }) => number(analytic[index], 5)],
       ...this.series.map(({ name, values, statuses }) => [name, ({ index }) => (values[index] === null ? statuses[index] : number(values[index], 5))]),
-      ...(this.closedForm ? [["closed form", ({ index }) => number(down[index] ?? NaN, 6)]] : [])];
-  }
-
-  /** The thresholds, or why there is none, and where the closed form says that bouncing ends and why the sweep differs. */
-  describe({ index }) {
-    const { omega, analytic, predicted_down: down, cause, difference } = this.thresholds;
-    const found = this.series.map(({ name, values, statuses }) => `${name}: ${values[index] === null ? statuses[index] : number(values[index], 4)}`);
-    const parts = [`Ω = ${number(omega[index])}`, `Eq. 25: Γ = ${number(analytic[index], 4)}`, ...found];
-    if (this.closedForm && down[index] === null) parts.push(`closed form: ${cause[index]}`);
-    else if (this.closedForm) parts.push(`closed form: bouncing ends at ${number(down[index], 6)} (${cause[index]})`, difference[index]);
-    return parts.filter(Boolean).join(" · ");
+      // Where the closed form says that bouncing ends, and why the sweep differs.
+      ...(this.closedForm ? [["closed form", ({ index }) => (down[index] === null ? "" : number(down[index], 6))],
+        ["cause", ({ index }) => cause[index] ?? ""], ["difference", ({ index }) => difference[index] ?? ""]] : [])];
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
