@@ -51,7 +51,11 @@ class Plane(Strict):
     plane: Literal["drop", "contact"] = "drop"
     rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
     columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
-    height: Annotated[float, Field(gt=0.0, le=MAX_HEIGHT), NUMBER] = 10.0
+    height: Annotated[
+        float,
+        Field(gt=0.0, le=MAX_HEIGHT, description="The largest of the starts, in plate amplitudes."),
+        NUMBER,
+    ] = 10.0
 
     @model_validator(mode="after")
     def _size(self) -> Self:

@@ -110,10 +110,12 @@ class OrbitsSpec(Specification):
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
     protocol: Orbits
-    modes: Modes = ("1-1", "1-2")
-    gamma_max: Annotated[float, Field(gt=0.0, le=LARGEST), NUMBER] = 8.0
-    points: Annotated[int, Field(ge=10, le=MAX_POINTS), WHOLE] = 128
-    events: Annotated[int, Field(ge=1, le=MAX_EVENTS), WHOLE] = 128
+    modes: Annotated[Modes, Field(description="Bounces-periods, of one bounce.")] = ("1-1", "1-2")
+    gamma_max: Annotated[
+        float, Field(gt=0.0, le=LARGEST, title="largest Γ", description="Of a branch."), NUMBER
+    ] = 8.0
+    points: Annotated[int, Field(ge=10, le=MAX_POINTS, description="Of a branch, at most."), WHOLE] = 128
+    events: Annotated[int, Field(ge=1, le=MAX_EVENTS, description="Of a spring, at most."), WHOLE] = 128
 
     @model_validator(mode="after")
     def _rules(self) -> Self:

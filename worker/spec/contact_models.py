@@ -69,7 +69,8 @@ HOPS: Final = 7.0
 RINGS: Final = 4.0
 
 _Array = NDArray[np.float64]
-_Restitution = Annotated[float, Field(ge=0.0, le=1.0), NUMBER]
+_OfImpact = Field(title="restitution e", description="Of an isolated impact, 0 to 1.")
+_Restitution = Annotated[float, Field(ge=0.0, le=1.0), _OfImpact, NUMBER]
 
 
 class ContactFields(Strict):
@@ -131,9 +132,15 @@ class _SoftContact(ContactFields):
     """Fields of every model with a spring-dashpot contact."""
 
     restitution: _Restitution = 0.01
-    penetration: Annotated[float, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION), NUMBER] | None = None
-    rest_length: Annotated[float, Field(gt=0.0, le=1e12), NUMBER] | None = None
-    adhesive: bool = True
+    penetration: Annotated[
+        Annotated[float, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION), NUMBER] | None,
+        Field(title="contact depth d", description=f"In plate amplitudes; left out: {DEFAULT_PENETRATION}."),
+    ] = None
+    rest_length: Annotated[
+        Annotated[float, Field(gt=0.0, le=1e12), NUMBER] | None,
+        Field(title="rest length Λ", description="Lω₀²/g, which sets the depth instead."),
+    ] = None
+    adhesive: Annotated[bool, Field(description="Whether the contact may pull.")] = True
 
     @model_validator(mode="before")
     @classmethod
@@ -184,7 +191,9 @@ class Stepped(_SoftContact):
     """The same contact with fixed time steps; `worker.spec.time_steps` checks them."""
 
     kind: Literal["stepped"] = "stepped"
-    steps_per_contact: Annotated[int, Field(ge=1, le=MAX_STEPS_PER_CONTACT), WHOLE] = 20
+    steps_per_contact: Annotated[
+        int, Field(ge=1, le=MAX_STEPS_PER_CONTACT, description="Time steps of a contact."), WHOLE
+    ] = 20
     scheme: Literal["verlet", "euler"] = "verlet"
     events: Annotated[
         Literal["located", "plain"],
@@ -251,7 +260,7 @@ class Ball(ContactFields):
     dimension: ClassVar = BALL_DIMENSION
 
     kind: Literal["ball"] = "ball"
-    restitution: Annotated[float, Field(ge=0.0, lt=1.0), NUMBER] | None = None
+    restitution: Annotated[Annotated[float, Field(ge=0.0, lt=1.0), NUMBER] | None, _OfImpact] = None
 
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
         e = spring_restitution(xi) if self.restitution is None else np.full(np.shape(xi), self.restitution)
@@ -264,7 +273,7 @@ class Auto(_SoftContact):
     in_lanes: ClassVar = True
 
     kind: Literal["auto"] = "auto"
-    tolerance: Annotated[float, NUMBER] = 1e-3
+    tolerance: Annotated[float, Field(description="In rad of flight time."), NUMBER] = 1e-3
 
     @model_validator(mode="after")
     def _attainable(self) -> "Auto":

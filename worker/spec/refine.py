@@ -32,12 +32,18 @@ Margin = Annotated[bool, BeforeValidator(_no_margin)]
 class Refine(Strict):
     """Compute only the cells near changes of the map; the others take their values from their block.
 
-    `by`: the kind of change. `coarsest`: rows and columns of the first blocks, in cells; by default COARSEST.
     `margin` is always false: part of the identity of maps since there was one.
     """
 
-    by: Literal["mode", "bouncing"]
-    coarsest: Annotated[int, Field(ge=2, le=MAX_COARSEST), WHOLE]
+    by: Annotated[
+        Literal["mode", "bouncing"],
+        Field(title="compute", description="Other cells take the mode of their block."),
+    ]
+    coarsest: Annotated[
+        int,
+        Field(ge=2, le=MAX_COARSEST, description="Cells across the first blocks; left out: 16 or 64."),
+        WHOLE,
+    ]
     margin: Margin = False
 
     @model_validator(mode="before")

@@ -31,7 +31,7 @@ def _label(name: str) -> str:
 
 
 #: The name of a study: not part of its identity.
-Label = Annotated[str, Field(max_length=200), AfterValidator(_label)]
+Label = Annotated[str, Field(max_length=200, description="A label for lists."), AfterValidator(_label)]
 
 
 #: The id of a job: 32 hex digits.

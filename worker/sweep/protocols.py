@@ -38,7 +38,16 @@ class OnCycle(Strict):
     """The stable cycle in closed form on which the first cell of a line starts (docs/hysteresis.md)."""
 
     bounces: Annotated[int, WHOLE, BeforeValidator(_one_bounce)] = 1
-    periods: Annotated[int, Field(ge=1, le=MAX_START_PERIODS), WHOLE] = 1
+    periods: Annotated[
+        int,
+        Field(
+            ge=1,
+            le=MAX_START_PERIODS,
+            title="first cell on the stable cycle (1, k): k",
+            description="Plate periods; left out: from rest.",
+        ),
+        WHOLE,
+    ] = 1
 
 
 #: Tagged, so that errors name its fields and not those of the ramp.

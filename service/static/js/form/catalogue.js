@@ -28,8 +28,7 @@ export function kindOf({ protocol: { kind = "rest" } = {}, refine, exponents }) 
  * about, default, type, choices (of an enum), parts (of an object, its fields)}, …}, `parts` those of the protocol,
  * `models` [{kind, about, fields}, …], `begin` the specification that a form begins with.
  *
- * A new field, contact model or kind of study appears in the form without any change to the page. TEXTS in fields.js can
- * give it a symbol and unit; without, its title and description in the schema are shown.
+ * A new field, contact model or kind of study appears in the form, with its title and description, without any change to the page.
  */
 export async function loadStudies() {
   const { schemas } = (await requestJson("/openapi.json")).components;
@@ -39,7 +38,7 @@ export async function loadStudies() {
     const { type, enum: choices, title = name, description = "", default: own, "x-default": shown } = { ...resolve(schema), ...schema };
     const optional = schema.anyOf?.find((each) => each.enum)?.enum; // a choice that may be left open
     const parts = alternatives(schema).find((each) => each.properties)?.properties;
-    return [name, { title: title.toLowerCase(), about: description.replace(/\.$/, ""), default: own ?? shown ?? null, type, choices: choices ?? (optional && ["", ...optional]), parts: parts && fieldsOf(parts) }];
+    return [name, { title: title.replace(/[A-Z]/g, (letter) => letter.toLowerCase()), about: description.replace(/\.$/, ""), default: own ?? shown ?? null, type, choices: choices ?? (optional && ["", ...optional]), parts: parts && fieldsOf(parts) }];
   }));
   const found = Object.values(schemas).filter(({ properties }) => properties?.protocol && properties.xi).flatMap(({ properties, description, examples = [{}] }) => {
     const { protocol, parent, ...own } = properties;

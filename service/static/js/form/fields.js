@@ -4,29 +4,7 @@
 import { h } from "../lib/dom.js";
 import { SYMBOL, meaningOf } from "../lib/physics.js";
 
-/** Label and explanation of fields, where those of the schema are not enough. */
-const TEXTS = {
-  name: ["Name", "a label for the list of sweeps"],
-  restitution: ["restitution e", "of an isolated impact, 0 to 1"],
-  penetration: ["contact depth d", "plate amplitudes, unless a rest length is given"],
-  rest_length: ["rest length Λ", "Lω₀²/g, instead of the depth"],
-  adhesive: ["adhesive: the contact may pull", ""],
-  steps_per_contact: ["steps per contact", "of the time integration"],
-  events: ["events of a spring", "at most"],
-  "model.events": ["take-off and landing", "located in a shortened step, or at the end of a plain one"],
-  tolerance: ["tolerance", "rad of flight time"],
-  exponents: ["Lyapunov exponents", "0 to 4; they tell quasi-periodic from chaotic cells"],
-  direction: ["ramp", ""],
-  axis: ["along", ""],
-  start: ["first cell on the stable cycle (1, k): k", "empty: from rest"],
-  by: ["compute", "other cells take the mode of their block"],
-  coarsest: ["first blocks, cells wide", "empty: 16, by bouncing 64"],
-  plane: ["starts", ""],
-  height: ["highest / A", "of the starts"],
-  modes: ["modes", "bounces-periods, of one bounce: 1-1, 1-2"],
-  gamma_max: ["largest Γ", "of a branch"],
-  points: ["points of a branch", "at most"],
-};
+/** Texts of choices, where their names are not enough. */
 const CHOICES = {
   axis: SYMBOL,
   direction: { both: "up, then down" },
@@ -34,9 +12,6 @@ const CHOICES = {
   plane: { drop: "drops: heights and phases", contact: "in contact: elongations and velocities" },
   effort: { "": "as recorded" },
 };
-
-/** What an empty input means where the default is null. */
-const NULL_DEFAULTS = { penetration: "0.001", rest_length: "none", restitution: "f(ξ)", until: "5000" };
 
 const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
 
@@ -52,16 +27,15 @@ const labelled = (text, control) => h("label", {}, h("span", {}, text), control)
 
 /** A check box, a choice, a text, a list or a number of the schema; an empty input means the default, which is its placeholder. */
 export function schemaField(name, { title, about, type, choices, default: initial }, id = name) {
-  const [label, explanation] = TEXTS[id] ?? TEXTS[name] ?? [title, about];
   const isList = type === "array";
   const isNumber = type !== "boolean" && type !== "string" && !choices && !isList;
   const control = choices ? h("select", { "data-field": id }, choices.map((value) => h("option", { value }, CHOICES[name]?.[value] ?? value)))
     : type === "boolean" ? h("input", { type: "checkbox", "data-field": id })
     : h("input", { ...NUMBER_INPUT, ...(isNumber ? {} : { inputmode: "text", maxlength: 200, size: 32 }), "data-field": id });
   const property = type === "boolean" ? "checked" : "value";
-  if (isNumber || isList) control.placeholder = [initial ?? NULL_DEFAULTS[name] ?? ""].flat().join(", ");
+  if (isNumber || isList) control.placeholder = [initial ?? ""].flat().join(", ");
   return {
-    element: h("label", { className: "plain" }, h("span", {}, label), control, h("small", {}, explanation)),
+    element: h("label", { className: "plain" }, h("span", {}, title), control, h("small", {}, about)),
     read: () => (isList ? (control.value.match(/[^,;\s]+/g) ?? null) : isNumber ? parseNumber(control.value) : control[property] === (initial ?? "") ? null : control[property]),
     write: (value) => { control[property] = isNumber ? String(value ?? "") : isList ? (value ?? []).join(", ") : (value ?? initial ?? choices?.[0] ?? ""); },
   };
