@@ -69,7 +69,9 @@ def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: A
         for _ in range(4):
             page.keyboard.press("+")
         page.wait_for_url(re.compile("x0="))
-        page.get_by_role("button", name="Refine this window").click()
+        page.get_by_role("button", name="Compute this window").click()
+        page.locator(".cost", has_text="cells").wait_for()
+        page.get_by_role("button", name="Compute", exact=True).click()
         page.wait_for_url(lambda url: "#/job/" in url and parent not in url)
         page.locator("#bar", has_text="Window of An adaptive map").wait_for()
         child = page.evaluate("location.href").split("/job/")[1][:32]

@@ -4,7 +4,8 @@ import { currentQuery, link, navigate, replace, setQuery } from "../lib/address.
 import { isHandledElsewhere, requestJson } from "../lib/api.js";
 import { announce, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { costText } from "../lib/format.js";
-import { AXES } from "../lib/physics.js";
+import { AXES, axisValues } from "../lib/physics.js";
+import { titleOf } from "../views/progress.js";
 import { Snippets } from "../lib/snippets.js";
 import { kindOf, loadPresets, loadStudies } from "./catalogue.js";
 import { axisField, modelField, objectField, schemaField } from "./fields.js";
@@ -94,7 +95,7 @@ export class SweepForm {
   async #load() {
     this.isLoaded = false;
     if (this.form) [this.button.disabled, this.cost.textContent] = [true, "…"];
-    const { figure, from, omega, xi, field } = currentQuery();
+    const { figure, from, field } = currentQuery();
     const isOutdated = () => this.closed || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
       if (!this.form) {
@@ -108,8 +109,9 @@ export class SweepForm {
       this.preset.value = preset?.key ?? "";
       this.isLoaded = true;
       const given = (job || preset)?.spec;
-      this.#fill(given ?? { ...this.studies.rest.begin, ...springOf(omega, xi) });
-      this.given = given ?? {};
+      const axes = axesOf(currentQuery(), given);
+      this.given = job && axes.gamma ? { ...given, ...axes, name: `Window of ${titleOf(job)}`, parent: from } : (given ?? {});
+      this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: { kind: "rigid" } }) });
       if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
       this.pasted.takeDropped();
     } catch (error) {
@@ -156,7 +158,8 @@ export class SweepForm {
 
   /** The specification; fields with their defaults are left out. */
   #read() {
-    return Object.fromEntries(Object.entries(this.fields).map(([name, field]) => [name, field.read()]).filter(([, value]) => value !== null));
+    const { parent = null } = this.given;
+    return Object.fromEntries([...Object.entries(this.fields).map(([name, field]) => [name, field.read()]), ["parent", "effort" in this.fields ? parent : null]].filter(([, value]) => value !== null));
   }
 
   #onChange() {
@@ -207,8 +210,13 @@ export class SweepForm {
   }
 }
 
-/** The part of a specification that an address gives as numbers: a spring on an ideal plate. */
-function springOf(omega, xi) {
-  const given = Object.entries({ omega, xi }).map(([axis, text]) => [axis, Number(text || NaN)]).filter(([, value]) => Number.isFinite(value));
-  return given.length ? { ...Object.fromEntries(given), model: { kind: "rigid" } } : {};
+/** The axes that an address gives, by values or by the ends of a window on `spec`, of as many values and with rounded limits. */
+function axesOf(query, spec) {
+  return Object.fromEntries(AXES.map((axis) => [axis, (query[axis] ?? "").split(",").map((text) => Number(text || NaN))]).filter(([, values]) => values.every(Number.isFinite)).map(([axis, [low, high]]) => {
+    const all = spec && axisValues(spec[axis]);
+    if (high === undefined || !(high > low)) return [axis, low];
+    const step = 10 ** Math.floor(Math.log10(high - low) - 2);
+    const [start, stop] = [Math.max(all[0], Math.floor(low / step) * step), Math.min(all.at(-1), Math.ceil(high / step) * step)].map((value) => Number(value.toPrecision(10)));
+    return [axis, { start, stop, num: all.length, spacing: spec[axis].spacing ?? "linear" }];
+  }));
 }

@@ -80,6 +80,10 @@ export class Diagram extends PlotView {
     return this.axes.includes(along) ? along : AXES.reduce((longest, axis) => (this.grid[axis].length > this.grid[longest].length ? axis : longest));
   }
 
+  get windowed() {
+    return [this.along];
+  }
+
   /** Beside a map, its window along Γ. */
   get window() {
     const window = super.window;

@@ -1,7 +1,7 @@
 // The mode map: the outcome of every cell of a (Γ, Ω) plane, with the threshold of Eq. 25.
 
-import { currentQuery, navigate, setQuery } from "../lib/address.js";
-import { query, requestJson } from "../lib/api.js";
+import { currentQuery, setQuery } from "../lib/address.js";
+import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, cellColumns, certifies, isClose, nearestIndex, threshold } from "../lib/physics.js";
@@ -16,6 +16,7 @@ const DASH = [7, 4];
 
 export class Modes extends PlaneView {
   name = "modes";
+  windowed = ["gamma", "omega"];
 
   constructor(root, view) {
     super(view);
@@ -23,10 +24,6 @@ export class Modes extends PlaneView {
     this.isTwoWay = this.directions.length > 1;
     this.showsHysteresis = h("input", { type: "checkbox", checked: true, onchange: () => this.load() });
     this.showsComputed = h("input", { type: "checkbox", onchange: () => this.plot.draw() });
-    this.refineButton = this.job.spec.protocol.kind === "rest" && h("button", {
-      type: "button", className: "quiet", "data-service": true, onclick: () => this.#refineWindow(),
-      title: "Start an adaptive sweep of the visible window, on a grid four times as fine",
-    }, "Refine this window");
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.note = h("p", { className: "note", role: "status" });
     this.build(root, {
@@ -37,7 +34,7 @@ export class Modes extends PlaneView {
       shown: [this.legend.element, this.note, h("div", { className: "controls" },
         this.isTwoWay && h("label", { className: "option" }, this.showsHysteresis, " Hatch where up and down differ"),
         this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
-        !this.isAdaptive && !this.isFollower && minFlightInput(this.job), this.refineButton)],
+        !this.isAdaptive && !this.isFollower && minFlightInput(this.job))],
     });
   }
 
@@ -48,22 +45,6 @@ export class Modes extends PlaneView {
 
   get color() {
     return certifies(this.job.spec) && currentQuery().color === "multiplier" ? "multiplier" : "mode";
-  }
-
-  /** Start an adaptive sweep of the visible window on a finer grid, and show it. */
-  async #refineWindow() {
-    const { x0, x1, y0, y1 } = this.visible();
-    const ends = (axis, low, high) => (this.source.grid[axis].length > 1 ? [low, high] : null);
-    const body = { gamma: ends("gamma", x0, x1), omega: ends("omega", y0, y1), xi: this.xi, by: this.job.spec.refine?.by ?? "mode" };
-    this.refineButton.disabled = true;
-    try {
-      const job = await requestJson(`/v1/jobs/${this.job.id}/refine`, { method: "POST", body });
-      navigate(["job", job.id, "modes"]);
-    } catch (error) {
-      this.problem.show(error);
-    } finally {
-      this.refineButton.disabled = false;
-    }
   }
 
   #path(parameters) {

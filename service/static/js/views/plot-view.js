@@ -1,6 +1,6 @@
 // The frame of every plot of results: it loads, follows the address, points, zooms, and downloads.
 
-import { currentQuery, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
+import { addressValue, currentQuery, navigate, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
 import { announce, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
@@ -49,6 +49,7 @@ async function requestFitting(path, options) {
  *   describe(cell)   the cell in words, or a list of elements, if it is not what the table says of it
  *   cellOf(cell)     its {gamma, omega, xi, direction}
  *   cellsShown(), columnsOfTable()  the cells of the table of what is shown, and its columns [[title, (cell) => text], …]
+ *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the plot (see measured.js)
  *   showLegend()     optional; called when the data or the colours have changed
  */
@@ -99,9 +100,10 @@ export class PlotView {
     const figure = h("figure", {});
     const zoom = (window, isStep = true) => this.isBeside || setQuery(windowQuery(window), isStep);
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
+    const compute = this.windowed && this.bar && !this.isCompared && h("button", { type: "button", className: "quiet", "data-service": true, onclick: () => this.#computeWindow() }, "Compute this window");
     this.table = new PagedTable("Table of what is shown", () => this.#rows(), () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
-    const column = [...shown, this.readout, this.measured?.element, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom), this.#downloads(), ...tables, this.table.element];
+    const column = [...shown, this.readout, this.measured?.element, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom, compute), this.#downloads(), ...tables, this.table.element];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
@@ -147,6 +149,13 @@ export class PlotView {
   /** An axis of the sweep in a plot. */
   axisOf(axis) {
     return { label: axisLabel(axis), log: this.sources.every(({ job }) => isLog(job.spec[axis])) };
+  }
+
+  /** Fill the form with the sweep in the window on display. */
+  #computeWindow() {
+    const { x0, x1, y0, y1 } = this.visible();
+    const ends = this.windowed.map((axis, i) => [axis, [[x0, x1], [y0, y1]][i].map(addressValue).join()]);
+    navigate(["new"], { from: this.job.id, ...this.place, ...Object.fromEntries(ends) });
   }
 
   /** Whether the last turn of the wheel is long ago: Back undoes a gesture, not its parts. */
