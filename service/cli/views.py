@@ -35,6 +35,11 @@ _MOTIONS: Final = get_args(DatasetFormat)
 
 #: Results over which measured points are drawn.
 MEASURED: Final = ("diagram", "threshold")
+measured_points = click.option(
+    "--data", type=click.Path(exists=True, dir_okay=False),
+    help="CSV file of measured points, drawn over a picture: gamma or omega, flight_time in rad or "
+    "flight_time_ms and frequency in Hz (over thresholds omega and gamma), perhaps error.",
+)  # fmt: skip
 #: Digits of numbers in a table, fewer where it is wider: thresholds are refined to 1e-9.
 DIGITS: Final = 10
 #: Letters of a line of a table, and of a text in it; points of a curve.
@@ -83,11 +88,7 @@ def command(name: str) -> click.Command:
         help="File to write; - is standard output.  [default: print a table]",
     )(decorated)  # fmt: skip
     if name in MEASURED:
-        decorated = click.option(
-            "--data", type=click.Path(exists=True, dir_okay=False),
-            help="CSV file of measured points, drawn over a picture: gamma or omega, flight_time in rad or "
-            "flight_time_ms and frequency in Hz (over thresholds omega and gamma), perhaps error.",
-        )(decorated)  # fmt: skip
+        decorated = measured_points(decorated)
     decorated = query_options(*reversed(kinds), name=name)(format_option(*every_format)(decorated))
     if ResultMethods in kinds:
         metavar, required = ("ID", True) if len(kinds) == 1 else ("[ID]", False)
@@ -229,11 +230,12 @@ def export(job: "Job", output: str, layout: ExportLayout) -> None:
 
 @click.command()
 @click.option("-o", "--output", type=click.Path(dir_okay=False), required=True, help="File to write, .html.")
+@measured_points
 @with_job
-def share(job: "Job", output: str) -> None:
+def share(job: "Job", output: str, data: str | None) -> None:
     """Write a sweep as a page that needs no service."""
     output_format(output, ("html",))
-    job.share(Path(output))
+    job.share(Path(output), data)
     _warn_unless_done(job, "cells are missing")
 
 

@@ -244,9 +244,18 @@ class Job(ResultReader, ResultMethods, JobStatus):
         self._transport.download(self._path("export"), query, target)
         return target
 
-    def share(self, path: str | PathLike[str]) -> Path:
-        """Write the sweep as a page (.html) for others, and return its path. Raises as `export`."""
-        return self.export(path)
+    def share(self, path: str | PathLike[str], data: "Data | None" = None) -> Path:
+        """Write the sweep as a page (.html) for others, and return its path. Raises as `export`.
+
+        data: measured points that it draws, as in `plot`; raises BounceError for a wrong table.
+        """
+        from service.client.measured import element
+
+        points = "" if data is None else element(data)
+        target = self.export(path)
+        with target.open("a", encoding="utf-8") as page:
+            page.write(points)
+        return target
 
     def open(self, chunks: Any = None, direct: bool | None = None) -> "xarray.Dataset":
         """The whole store as a lazy Dataset, read over the client's connection. Raises StoreUnreachable.

@@ -1,8 +1,10 @@
 """Measured points for a plot: a table with an axis, flight times or thresholds, and perhaps errors."""
 
+import json
 import math
 from collections.abc import Mapping
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -48,6 +50,16 @@ def measured(data: Data, along: str, value: str, frequency: float | None = None)
             raise BounceError(f"data: needs the column {name}{also}; it has {', '.join(map(str, table))}")
     error = _numbers(table, "error") if "error" in table else np.full(len(table), np.nan)
     return Measured(_numbers(table, along), _numbers(table, y) * factor, error * factor)
+
+
+def element(data: Data) -> str:
+    """Measured points as an element of a shared page, for views/measured.js. Raises BounceError."""
+    table = _table(data)
+    for name in table:
+        _numbers(table, str(name))
+    name = Path(data).name if isinstance(data, str | PathLike) else "data"
+    files = json.dumps([{"name": name, "text": table.to_csv(index=False)}]).replace("<", "\\u003c")
+    return f'<script type="application/json" id="measured">{files}</script>'
 
 
 def _table(data: Data) -> "pandas.DataFrame":

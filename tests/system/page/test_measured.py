@@ -1,6 +1,7 @@
 """Measured points dropped on a plot, in a real Chromium: their residual is that of the diagram below them."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ DROP = """([name, text]) => {
 }"""
 
 
-def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: str):
+def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: str, tmp_path: Path):
     job = done(address, SWEEP)
     with Client(address) as client:
         line = client.job(job).diagram(omega=0.6).sel(direction="down")
@@ -54,6 +55,13 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         page.evaluate(DROP, ["thresholds.csv", "omega,gamma\n0.6,0.7\n"])
         page.locator(".measured", has_text="thresholds.csv: 1 of 1 point, median residual 0.").wait_for()
         screenshot(page, "measured-thresholds", whole=False)
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download a page to share").click()
+        download.value.save_as(tmp_path / "shared.html")
         page.get_by_role("link", name="Diagram").click()  # the page keeps them
         said.get_by_role("button", name="remove").click()
         said.wait_for(state="hidden")
+    with opened(browser, f"{(tmp_path / 'shared.html').as_uri()}", offline=True) as page:
+        page.locator(".measured", has_text=f"run.csv: {len(rows)} of {len(rows) + 1} points").wait_for()
+        page.get_by_role("link", name="Thresholds").click()
+        page.locator(".measured", has_text="thresholds.csv: 1 of 1 point").wait_for()

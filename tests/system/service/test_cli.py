@@ -107,7 +107,10 @@ def test_status_for_people_and_for_programs(url: str, job: str):
 
 
 def test_a_shared_file_becomes_a_job(url: str, job: str, tmp_path: Path):
-    assert bounce("share", job, "-o", tmp_path / "a.html", url=url).exit_code == 0
+    (tmp_path / "run.csv").write_text("gamma,flight_time\n1.2,4.5\n")
+    shared = bounce("share", job, "-o", tmp_path / "a.html", "--data", tmp_path / "run.csv", url=url)
+    assert shared.exit_code == 0
+    assert (tmp_path / "a.html").read_text().endswith('gamma,flight_time\\n1.2,4.5\\n"}]</script>')
     with computing_at(tmp_path / "other") as other:
         assert bounce("import", tmp_path / "a.html", url=other).stdout == f"{job}\n"
         assert bounce("modes", job, url=other).stdout == bounce("modes", job, url=url).stdout

@@ -9,6 +9,7 @@ import { isSweep } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { Snippets } from "../lib/snippets.js";
 import { Audit } from "./audit.js";
+import { sharedPage } from "./measured.js";
 
 export class Details {
   constructor(root, { sources: [{ job }] }) {
@@ -37,7 +38,7 @@ export class Details {
         h("h2", {}, "Results"),
         h("p", {}, "As an xarray dataset, loaded as needed:"),
         h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`),
-        isSweep(job.spec) && downloads(wholeSweep(job, [["NetCDF", "nc"], ["Parquet", "parquet"], ["a page to share", "html"]])),
+        isSweep(job.spec) && downloads([...wholeSweep(job, [["NetCDF", "nc"], ["Parquet", "parquet"]]), sharedPage(job)]),
       ],
     ));
   }

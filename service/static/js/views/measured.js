@@ -1,6 +1,8 @@
 // Measured points on a plot, as `job.plot(data=…)` has them: a CSV file dropped on it, drawn above what is computed.
 
+import { requestBlob } from "../lib/api.js";
 import { announce, h, problemLine } from "../lib/dom.js";
+import { fileName } from "../lib/downloads.js";
 import { number, plural } from "../lib/format.js";
 import { TWO_PI } from "../lib/physics.js";
 import { polygon, polyline } from "../plot/drawing.js";
@@ -10,8 +12,17 @@ const COLUMNS = ["gamma", "omega", "xi", "flight_time", "flight_time_ms", "frequ
 const MOST_ROWS = 100_000;
 const SIZE = 4.5; // px, of half a marker
 
-/** The tables that were dropped, until the page is left: {name, rows} by job and value. */
+/** The files that were dropped, until the page is left: {name, text, rows} by job and value. */
 const kept = new Map();
+/** Those of a shared file, [{name, text}, …]. */
+const GIVEN = JSON.parse(document.getElementById("measured")?.textContent ?? "[]");
+
+/** The download of a sweep as a page to share, with what was dropped on its plots. */
+export const sharedPage = (job) => ["a page to share", () => fileName(job, "sweep", "html"), async () => {
+  const page = await requestBlob(`/v1/jobs/${job.id}/export?format=html`);
+  const files = [...kept].filter(([key]) => key.startsWith(job.id)).map(([, { name, text }]) => ({ name, text }));
+  return files.length ? new Blob([page, `<script type="application/json" id="measured">${JSON.stringify(files).replaceAll("<", "\\u003c")}</script>`]) : page;
+}];
 
 /**
  * The points on the plot of a view, of a `value`: "flight_time" in rad, or "gamma". Columns and rules are those of
@@ -24,6 +35,13 @@ export class MeasuredPoints {
     this.text = h("span", {});
     this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", h("button", { type: "button", className: "link", onclick: () => this.#take(null) }, "remove"));
     this.element = h("div", {}, this.problem.element, this.line);
+    for (const file of GIVEN) {
+      try {
+        if (!kept.has(this.key)) kept.set(this.key, this.#read(file));
+      } catch {
+        continue; // it is of another plot
+      }
+    }
   }
 
   /** Take files that are dropped on `plot`, which are not for the form then. */
@@ -34,12 +52,16 @@ export class MeasuredPoints {
       event.preventDefault();
       event.stopPropagation();
       try {
-        this.#take({ name: file.name, rows: tableOf(await file.text(), this.view.along, this.value) });
+        this.#take(this.#read({ name: file.name, text: await file.text() }));
         announce(this.text.textContent);
       } catch (error) {
         this.problem.show(new Error(`${file.name}: ${error.message}.`));
       }
     });
+  }
+
+  #read({ name, text }) {
+    return { name, text, rows: tableOf(text, this.view.along, this.value) };
   }
 
   #take(table) {

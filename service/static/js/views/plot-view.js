@@ -9,6 +9,7 @@ import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { listenToInput, panned, scaled } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
+import { sharedPage } from "./measured.js";
 
 const RETRY_MS = 3000; // after 503: results that were damaged are computed again
 const KEYS = "Arrow keys step through cells, Home and End go to the ends, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
@@ -277,7 +278,7 @@ export class PlotView {
     if (shared) return downloads([png]);
     const files = (source, formats) => resultFiles(source.job, () => this.name, formats, () => this.filePath(source));
     if (this.isCompared) return downloads([png, ...this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]))]);
-    return downloads([...files(this.source, FORMATS), ...(isSweep(this.job.spec) ? wholeSweep(this.job, [["NetCDF", "nc"], ["a page to share", "html"]]) : [])]);
+    return downloads([...files(this.source, FORMATS), ...(isSweep(this.job.spec) ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [])]);
   }
 }
 
