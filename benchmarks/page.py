@@ -1,18 +1,26 @@
-"""The page in Chromium on a store of a million cells: time to the first view, time to redraw.
+"""The page in Chromium on a store of a million cells: time to the first view, and of a step while it moves.
 
-    python -m benchmarks.page [--moves 40] [--cells 1000]
+    python -m benchmarks.page [--moves 40] [--cells 1000] [--against FOLDER]
 
-Needs Chromium. The service is the embedded one with two workers. The sliders request data that were not read
-before.
+Needs Chromium. Services have two workers. The sliders request data that were not read before. FOLDER is a
+checkout with an environment of its own in `.venv`; the browser visits both services in turn.
 """
 
 import random
+import socket
 import statistics
-from collections.abc import Sequence
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
-from benchmarks.measuring import describe, options, service
-from service.client import Job
+import numpy as np
+
+from benchmarks.measuring import HERE, describe, options, ratio, table
+from service.client import Client
 from tests.support.browser import LONG_LINE, chromium, longest_task, opened, redraws, wait_shown, watch_tasks
 
 #: How often a page is opened.
@@ -21,6 +29,11 @@ VIEWS = 7
 COMPILING_MS = 180_000
 #: Selectors of elements that exist when a view is complete.
 MOVING, SHOWN = ".player[data-phase]", ".panel .plot[data-shown]"
+#: Keys that zoom, and back to everything.
+ZOOMS = "+++---0" * 4
+
+#: Pause after a key, ms: results of the window may come.
+PAUSE_MS = 150
 
 
 def map_of(cells: int) -> dict[str, Any]:
@@ -37,70 +50,147 @@ def map_of(cells: int) -> dict[str, Any]:
     }
 
 
-def summary(label: str, times: Sequence[float]) -> str:
-    """One row: median and 95th percentile, ms."""
-    p95 = statistics.quantiles(times, n=20, method="inclusive")[-1]
-    return f"{label:<48}{statistics.median(times):7.0f} ms{p95:9.0f} ms   of {len(times)}"
+def wait_ready(port: int) -> None:
+    """Wait until something answers at a port."""
+    for _ in range(600):
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
+            return
+        time.sleep(0.1)
 
 
-def first_view(browser: Any, address: str, selector: str) -> float:
+@contextmanager
+def served(checkout: Path) -> Iterator[str]:
+    """The address of a service of a checkout, with a folder of its own."""
+    with tempfile.TemporaryDirectory() as folder, socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+        free.close()
+        command = [
+            checkout / ".venv/bin/bounce",
+            "serve",
+            "--data",
+            folder,
+            "--port",
+            str(port),
+            "--workers",
+            "2",
+        ]
+        with subprocess.Popen(command, cwd=checkout, stderr=subprocess.DEVNULL) as process:
+            try:
+                wait_ready(port)
+                yield f"http://127.0.0.1:{port}"
+            finally:
+                process.terminate()
+
+
+def first_view(browser: Any, address: str, selector: str) -> list[float]:
     """Time from navigation without a cache until an element of `selector` exists, ms."""
     with opened(browser, address) as page:
         page.locator(selector).first.wait_for(timeout=COMPILING_MS)
-        return float(page.evaluate("performance.now()"))
+        return [float(page.evaluate("performance.now()"))]
 
 
-def slider(browser: Any, url: str, job: Job, along: str, positions: list[int]) -> list[float]:
+def slider(browser: Any, diagram: str, along: str, positions: list[int]) -> list[float]:
     """Times to redraw a diagram along one axis after its slider moves to each of `positions`, ms."""
-    with opened(browser, f"{_view(url, job, 'diagram')}?along={along}") as page:
+    with opened(browser, f"{diagram}?along={along}") as page:
         wait_shown(page, along=along)
         return redraws(page, positions)
 
 
-def busiest(browser: Any, url: str, line: Job, grid: Job) -> float:
+def zoom(browser: Any, view: str) -> list[float]:
+    """What the browser's main thread works for each of ZOOMS, ms."""
+    with opened(browser, view) as page:
+        page.locator(SHOWN).wait_for()
+        page.locator(SHOWN).focus()
+        session = page.context.new_cdp_session(page)
+        session.send("Performance.enable")
+        times = []
+        for key in ZOOMS:
+            before = worked(session)
+            page.keyboard.press(key)
+            page.wait_for_timeout(PAUSE_MS)
+            times.append(worked(session) - before)
+        return times
+
+
+def worked(session: Any) -> float:
+    """Time that the main thread has worked, ms."""
+    metrics = session.send("Performance.getMetrics")["metrics"]
+    return 1e3 * next(float(each["value"]) for each in metrics if each["name"] == "TaskDuration")
+
+
+def busiest(browser: Any, line: str, grid: str) -> list[float]:
     """The longest task of the browser while it shows a million flights and a map of a million cells, ms."""
     with opened(browser, "about:blank") as page:
         watch_tasks(page)
-        page.goto(_view(url, line, "diagram"))
+        page.goto(line)
         wait_shown(page, along="gamma")
         page.locator(".panel .plot").focus()
         for key in ("ArrowRight", "+", "0"):
             page.keyboard.press(key)
         flights = longest_task(page)
-        page.goto(_view(url, grid, "modes"))
+        page.goto(grid)
         page.reload()
         wait_shown(page, xi=0.05)
-        return max(flights, longest_task(page))
-
-
-def _view(url: str, job: Job, tab: str) -> str:
-    return f"{url}/#/job/{job.id}/{tab}"
+        return [max(flights, longest_task(page))]
 
 
 def main() -> None:
     """Print the table."""
-    arguments = options(__doc__, moves=40, cells=1000)
+    arguments = options(__doc__, moves=40, cells=1000, against="")
     anywhere = random.Random(7).sample(range(arguments.cells), arguments.moves)
     start = arguments.cells // 3
     steps = list(range(start, start + arguments.moves))
+    checkouts = [HERE, *([Path(arguments.against).resolve()] if arguments.against else [])]
     print(describe("zarr"))
-    with service() as (client, url, _), chromium() as browser:
-        grid, line = (
-            client.submit(spec).wait(progress=False) for spec in (map_of(arguments.cells), LONG_LINE)
-        )
-        print(f"first moving spring of the service: {first_view(browser, url, MOVING):.0f} ms")
-        print(f"{'':<48}{'median':>10}{'95 %':>12}")
-        print(summary("first view: list of jobs and moving spring", _views(browser, url, MOVING)))
-        diagram = _view(url, grid, "diagram")
-        print(summary("first view: diagram of a million cells", _views(browser, diagram, SHOWN)))
-        for along, moved in (("gamma", "Ω"), ("omega", "Γ")):
-            print(summary(f"{moved} slider, random", slider(browser, url, grid, along, anywhere)))
-            print(summary(f"{moved} slider, step by step", slider(browser, url, grid, along, steps)))
-        print(f"longest task: {busiest(browser, url, line, grid):.0f} ms (0: none of 50 ms or more)")
+    with ExitStack() as stack:
+        browser = stack.enter_context(chromium())
+        urls = [stack.enter_context(served(checkout)) for checkout in checkouts]
+        views = []
+        for url in urls:
+            with Client(url, timeout=60.0) as client:
+                line, grid = (
+                    client.submit(spec).wait(progress=False) for spec in (LONG_LINE, map_of(arguments.cells))
+                )
+            views.append([f"{url}/#/explore", f"{url}/#/job/{line.id}/diagram", f"{url}/#/job/{grid.id}"])
+            first_view(browser, views[-1][0], MOVING)  # compiles
 
+        def row(name: str, times: Callable[[list[str]], list[float]], repeat: int = 1) -> list[str]:
+            rounds = np.array(
+                [[times(each) for each in views] for _ in range(repeat)]
+            )  # (repeat, services, n)
+            of = np.moveaxis(rounds, 1, 2).reshape(-1, len(views))
+            p95 = statistics.quantiles(of[:, 0], n=20, method="inclusive")[-1] if len(of) > 1 else of[0, 0]
+            cells = [name, f"{np.median(of[:, 0]):.0f}", f"{p95:.0f}"]
+            return (
+                cells if len(views) == 1 else [*cells, f"{np.median(of[:, 1]):.0f}", f"{ratio(of, 0, 1):.2f}"]
+            )
 
-def _views(browser: Any, address: str, selector: str) -> list[float]:
-    return [first_view(browser, address, selector) for _ in range(VIEWS)]
+        rows = [
+            row("first view: a moving spring", lambda at: first_view(browser, at[0], MOVING), VIEWS),
+            row(
+                "first view: diagram of a million cells",
+                lambda at: first_view(browser, f"{at[2]}/diagram", SHOWN),
+                VIEWS,
+            ),
+            row(
+                "first view: map of a million cells",
+                lambda at: first_view(browser, f"{at[2]}/modes", SHOWN),
+                VIEWS,
+            ),
+            row("a step of zooming a million flights", lambda at: zoom(browser, at[1]), 3),
+            row("a step of zooming a map", lambda at: zoom(browser, f"{at[2]}/modes"), 3),
+            *(
+                row(
+                    f"{moved} slider, {how}",
+                    lambda at, a=along, p=positions: slider(browser, f"{at[2]}/diagram", a, p),
+                )
+                for along, moved in (("gamma", "Ω"), ("omega", "Γ"))
+                for how, positions in (("random", anywhere), ("step by step", steps))
+            ),
+            row("longest task", lambda at: busiest(browser, at[1], f"{at[2]}/modes")),
+        ]
+        print(table(["ms", "median", "95 %", *(["the other", "ratio"] if len(views) > 1 else [])], rows))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ export function number(value, digits = 5) {
 /** A part of 1 in percent. */
 export const share = (part, digits = 3) => (Number.isNaN(part) ? "–" : `${number(100 * part, digits)} %`);
 
-export const count = (value) => value.toLocaleString("en");
+export const count = (value) => String(value).replace(/\B(?=(\d{3})+$)/g, ","); // toLocaleString takes 20 ms the first time
 
 export const plural = (n, singular, many = `${singular}s`) => `${count(n)} ${n === 1 ? singular : many}`;
 

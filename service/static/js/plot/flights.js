@@ -15,7 +15,8 @@ export const flightsIn = ({ flight_time: times, keep }, cell) => times.subarray(
  */
 export function drawFlights(ctx, box, lines, colourOf) {
   const cells = lines.map((line) => cellsInView(box, line));
-  const areFew = cells.flat().length <= MAX_DOTS && lines.flatMap((line, i) => cells[i].map((cell) => flightsIn(line, cell).length)).reduce((sum, n) => sum + n, 0) <= MAX_DOTS;
+  let left = MAX_DOTS;
+  const areFew = lines.every((line, i) => cells[i].every((cell) => (left -= flightsIn(line, cell).length) >= 0));
   lines.forEach((line, i) => (areFew ? drawDots : drawDensity)(ctx, box, line, cells[i], colourOf(line), i < lines.length - 1));
 }
 
@@ -41,9 +42,9 @@ function drawDots(ctx, box, line, cells, colour, isLarge) {
 function drawDensity(ctx, box, { values, flight_time: times, keep }, cells, colour, isLarge) {
   const [width, height] = [Math.round(box.width * box.ratio), Math.round(box.height * box.ratio)];
   const size = Math.round(Math.min(2.5 * box.ratio, Math.max(1, (1.6 * width) / cells.length))) + (isLarge ? 1 : 0);
-  const counts = new Uint16Array(width * height);
   const rowsPerRad = height / (box.y.high - box.y.low);
   const first = (at, length) => Math.max(0, Math.min(length - size, Math.floor(at - (size - 1) / 2)));
+  const counts = new Uint16Array(width * height);
   for (const cell of cells) {
     const column = first(((box.x.pixel(values[cell]) - box.left) / box.width) * width, width);
     for (let j = cell * keep; j < (cell + 1) * keep; j++) {
@@ -54,6 +55,8 @@ function drawDensity(ctx, box, { values, flight_time: times, keep }, cells, colo
   }
   const opacity = (n) => FAINTEST + ((1 - FAINTEST) * Math.log(Math.max(n, 1))) / Math.log(SATURATION);
   const shades = Uint32Array.from({ length: SATURATION + 1 }, (_, n) => rgba32(colour, opacity(n)));
-  const fill = (pixels) => counts.forEach((n, i) => { if (n) pixels[i] = shades[Math.min(n, SATURATION)]; });
+  const fill = (pixels) => {
+    for (let i = 0; i < counts.length; i++) if (counts[i]) pixels[i] = shades[Math.min(counts[i], SATURATION)];
+  };
   bitmap(ctx, width, height, fill, box.left, box.top, box.left + box.width, box.top + box.height);
 }

@@ -76,8 +76,8 @@ export class PlaneView extends PlotView {
     const nearest = Int32Array.from({ length: width }, (_, i) => nearestIndex(this.columns, box.x.value(left + ((i + 0.5) * (right - left)) / width)));
     const fill = (pixels) => {
       for (let y = 0; y < height; y++) {
-        const row = nearestIndex(this.rows, box.y.value(top + ((y + 0.5) * (bottom - top)) / height));
-        for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(this.indexOf({ row, column: nearest[i] }), i / box.ratio, y / box.ratio);
+        const first = this.indexOf({ row: nearestIndex(this.rows, box.y.value(top + ((y + 0.5) * (bottom - top)) / height)), column: 0 });
+        for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(first + nearest[i], i / box.ratio, y / box.ratio);
       }
     };
     bitmap(ctx, width, height, fill, left, top, right, bottom);
