@@ -43,15 +43,17 @@ class Case(NamedTuple):
 
 CASES = {
     "rigid from rest": Case("rigid", {"restitution": 0.0}, 2000),
-    "rigid from rest, e = 0.3": Case("rigid", {"restitution": 0.3}, 600, keep=128),
+    "rigid from rest, e = 0.3": Case("rigid", {"restitution": 0.3}, 2000, keep=128),
+    "rigid ramp, 200 lines": Case("rigid", {"restitution": 0.0}, lines=200),
     "rigid ramp, 32 lines": Case("rigid", {"restitution": 0.0}, lines=32),
     "rigid ramp, 8 lines": Case("rigid", {"restitution": 0.0}, lines=8),
     "rigid ramp, 1 line": Case("rigid", {"restitution": 0.0}, lines=1),
-    "soft, adhesive, d = 1e-3": Case("soft", SOFT, 200),
-    "soft, adhesive, d = 1e-6": Case("soft", SOFT | {"penetration": 1e-6}, 200),
-    "soft, nonadhesive, d = 1e-3": Case("soft", SOFT | {"adhesive": False}, 200),
-    "soft ramp, adhesive, d = 1e-3": Case("soft", SOFT, lines=4),
+    "soft, adhesive, d = 1e-3": Case("soft", SOFT, 2000),
+    "soft, adhesive, d = 1e-6": Case("soft", SOFT | {"penetration": 1e-6}, 2000),
+    "soft, nonadhesive, d = 1e-3": Case("soft", SOFT | {"adhesive": False}, 2000),
+    "soft ramp, 100 lines": Case("soft", SOFT, lines=100),
     "soft ramp, 16 lines": Case("soft", SOFT, lines=16),
+    "soft ramp, 4 lines": Case("soft", SOFT, lines=4),
     "ball, e = 0.3": Case("ball", {"restitution": 0.3}, 2000, keep=128),
 }
 

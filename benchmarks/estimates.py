@@ -1,18 +1,23 @@
 """What is expected of a study beside what it takes: twenty specifications.
 
     python -m benchmarks.estimates [--repeat 1] [--only ramp]
+    python -m benchmarks.estimates --left [--only ramp]
 
 Every chunk is computed in this process, its kernels compiled before. Prints core-seconds expected by the
 table of contact models (`bounce run`, `bounce plan` and the form show them divided by the workers, until
 jobs of the same kind were measured), the processor time, and their ratio: above 1, less was expected than it
 took. `--only`: names that contain this.
+
+`--left`: finer grids of the same through a service with two workers, its kernels compiled. Prints the least
+and the largest ratio of the time left that jobs said to what remained, after a tenth of their time.
 """
 
 import tempfile
 import time
 from typing import Any, Final
 
-from benchmarks.measuring import describe, options, short, table
+from benchmarks.measuring import describe, options, service, short, table
+from service.client import Client
 from worker import store
 from worker.kernel_cache import use_cache
 from worker.studies import parse, run_task, study_of
@@ -80,10 +85,50 @@ def measured(spec: Any) -> tuple[float, float]:
         return expected, time.process_time() - before
 
 
+#: Jobs whose time left is compared take about this long, s, with two workers.
+LASTS: Final = 20.0
+
+
+def finer(fields: dict[str, Any], expected: float) -> dict[str, Any]:
+    """A study with so many more values of gamma that two workers take LASTS."""
+    gamma = fields["gamma"]
+    return {**fields, "gamma": {**gamma, "num": round(gamma["num"] * 2.0 * LASTS / expected)}}
+
+
+def time_left(client: Client, spec: dict[str, Any]) -> tuple[float, list[float]]:
+    """The time of a job, s, and the ratios of the time left that it said to what remained, each second."""
+    said, began = [], time.monotonic()
+    job = client.submit(spec)
+    while job.refresh().state in ("queued", "running"):
+        left = job.progress.eta_seconds
+        if left is not None:
+            said.append((time.monotonic(), left))
+        time.sleep(0.5)
+    ended = time.monotonic()
+    took = ended - began
+    return took, [left / (ended - at) for at, left in said if at - began > 0.1 * took and ended - at > 1.0]
+
+
+def compare_left(only: str) -> None:
+    """Print the table of `--left`."""
+    rows = []
+    with service() as (client, _, _):
+        for name, fields in SPECS.items():
+            if only in name and not isinstance(fields["gamma"], list):
+                client.submit(finer(fields, 1e3)).wait(progress=False)  # compiles
+                took, ratios = time_left(client, finer(fields, client.estimate(fields).core_seconds))
+                rows.append((name, short(took), short(min(ratios)), short(max(ratios))))
+                print(*rows[-1], sep=", ", flush=True)
+    print(table(("study", "took, s", "least", "largest"), rows))
+
+
 def main() -> None:
     """Measure and print the table."""
-    arguments = options(__doc__, repeat=1, only="")
+    arguments = options(__doc__, repeat=1, only="", left=False)
     print(describe("numba"), flush=True)
+    if arguments.left:
+        compare_left(arguments.only)
+        return
     use_cache()
     rows, ratios = [], []
     for name, fields in SPECS.items():
