@@ -96,7 +96,7 @@ class ResultMethods(Methods):
         self,
         xi: float | None = None,
         tolerance: Annotated[float | None, "in Γ: refine the thresholds beyond the grid, from the sweep's stored states"] = None,
-        predict: Annotated[Literal["none", "some", "all", "cells", "search"], "thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from cycles of the sweep's cells, on an ideal plate where the closed form is unresolved; or searched for where branches of the sweep's contact do not decide"] = "some",
+        predict: Annotated[Literal["none", "some", "all", "cells", "search"], "which thresholds are predicted, see above"] = "some",
         omega_start: float | None = None,
         omega_stop: float | None = None,
         gamma_start: Annotated[float | None, "of a picture: its lowest threshold"] = None,
@@ -120,7 +120,13 @@ class ResultMethods(Methods):
 
         `predicted_down` is the lowest Γ at which bouncing persists on the contact that the attribute
         `prediction` names; a descent ends there or earlier, on another cycle. Workers predict what takes longer
-        than a second.
+        than a second. By `predict` it is:
+
+        - `none`: not predicted
+        - `some`: in closed form, for up to 200 values of Ω
+        - `all`: in closed form, for every Ω
+        - `cells`: from cycles of the sweep's cells; on an ideal plate where the closed form is `unresolved`
+        - `search`: searched for where branches of the sweep's contact do not decide
 
         Returns a Dataset with the attribute `complete` and the variables `analytic`, `up`, `down`,
         `predicted_jump`, `predicted_down`, `up_status`, `down_status`, `cause`, `difference`, `up_computed`.

@@ -26,6 +26,14 @@ MAX_TRACEBACK: Final = 8_000
 BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 
 
+def scattered(count: int) -> NDArray[np.int64]:
+    """The numbers below `count`, in the order of their bits reversed: a map fills from coarse to fine."""
+    numbers, place = np.arange(count), np.zeros(count, np.int64)
+    for bit in range(count.bit_length()):
+        place = 2 * place + ((numbers >> bit) & 1)
+    return np.argsort(place)
+
+
 class ReadyQueue:
     """The chunks of one job that are not done, in an order in which they can be computed; a few bytes each.
 
@@ -35,7 +43,8 @@ class ReadyQueue:
     def __init__(self, lines: int, done: NDArray[np.bool_]) -> None:
         self._lines, self._done = lines, done.copy()
         ready = np.concatenate([np.ones(min(lines, len(done)), np.bool_), done[:-lines]])
-        self._initial = np.flatnonzero(ready & ~done)  # ready from the start
+        initial = np.flatnonzero(ready & ~done)
+        self._initial = initial[scattered(len(initial))]  # ready from the start
         self._initial_popped = 0  # how many of them are popped
         self._first: deque[int] = deque()  # requeued chunks that come before all others
         self._later: deque[int] = deque()  # ready since then: successors and requeued chunks

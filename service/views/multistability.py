@@ -1,10 +1,9 @@
 """The attractors of a stored study of multistability, matched over the plane of one xi.
 
 Along gamma, two attractors of neighbouring cells are one if each leads to the other. What is one along a line
-is a branch. Two branches of neighbouring lines are near in the cells where they are of one mode with longest
-flights within NEAR, nearer than to others. Branches join to attractors, those first that are near in most
-cells, as long as no attractor is twice in a cell. Attractors are numbered from 1 by their cells, those with
-most first.
+is a branch. Branches of neighbouring lines are one attractor if, in most cells, mode and longest flight,
+within NEAR, agree best, as long as no attractor is twice in a cell. Attractors are numbered from 1 by their
+cells, those with most first.
 """
 
 from collections import Counter

@@ -217,9 +217,7 @@ class ThresholdQuery(Query):
     )
     predict: Predict = Field(
         "some",
-        description="thresholds in closed form: of no Ω, of up to 200, of all by the workers; or of all from "
-        "cycles of the sweep's cells, on an ideal plate where the closed form is unresolved; or searched for "
-        "where branches of the sweep's contact do not decide",
+        description="which thresholds are predicted, see above",
     )
     omega_start: Number | None = None
     omega_stop: Number | None = None
@@ -244,7 +242,13 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
 
     `predicted_down` is the lowest Γ at which bouncing persists on the contact that the attribute
     `prediction` names; a descent ends there or earlier, on another cycle. Workers predict what takes longer
-    than a second.
+    than a second. By `predict` it is:
+
+    - `none`: not predicted
+    - `some`: in closed form, for up to 200 values of Ω
+    - `all`: in closed form, for every Ω
+    - `cells`: from cycles of the sweep's cells; on an ideal plate where the closed form is `unresolved`
+    - `search`: searched for where branches of the sweep's contact do not decide
     """
     spec, nearest = study.spec, nearest_index(study.spec, "xi", query.xi)
     omega, xi = spec.axis_values("omega"), nearest.value

@@ -68,7 +68,7 @@ def read_json(text: str | bytes) -> object:
         raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
-        raise _unreadable(f"the text is not JSON: {error.msg} at {where}") from None
+        raise _unreadable(f"the text is not JSON at {where}") from None
     except RecursionError:
         raise _unreadable("the JSON is nested too deeply; a specification needs two levels") from None
 
@@ -114,7 +114,8 @@ def _read_toml(content: bytes) -> object:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise _unreadable(f"the text is not TOML: {error}") from None
+        where = re.search(r"line \d+, column \d+", str(error))
+        raise _unreadable(f"the text is not TOML{f' at {where[0]}' if where else ''}") from None
     except (RecursionError, ValueError) as error:
         raise _unreadable(f"the TOML cannot be read: {error}") from None
 
@@ -173,7 +174,10 @@ def _read_yaml(content: bytes) -> object:
     try:
         return yaml.load(_text(content, "YAML"), _YamlLoader)
     except yaml.YAMLError as error:
-        raise _unreadable(f"the text is not YAML: {' '.join(str(error).split())}") from None
+        mark = getattr(error, "problem_mark", None)
+        where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        said = error.problem if isinstance(error, yaml.constructor.ConstructorError) else ""
+        raise _unreadable(f"the text is not YAML{where}{said and f': {said}'}") from None
     except (RecursionError, ValueError) as error:
         raise _unreadable(f"the YAML cannot be read: {error}") from None
 

@@ -4,9 +4,9 @@ import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
 import { OUTCOME, modeText, nearestIndex } from "../lib/physics.js";
-import { modeClasses, modeColour } from "../plot/colours.js";
+import { modeClasses, modeColour, theme } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
-import { PlaneView } from "../views/cells.js";
+import { ClassLegend, PlaneView } from "../views/cells.js";
 import { sliders } from "../views/controls.js";
 
 /** The cells of the first sweep; each is compared with the nearest one of the second. */
@@ -16,7 +16,8 @@ export class Difference extends PlaneView {
   constructor(root, view) {
     super(view);
     this.sentence = h("p", { className: "sentence", role: "status" });
-    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, ["xi"]), this.sentence), label: "Where the modes differ", hint: "Cells that differ have the colour that they have in the second sweep." });
+    this.legend = new ClassLegend(this, "Modes of the second sweep");
+    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, ["xi"]), this.sentence), label: "Where the modes differ", shown: [this.legend.element], hint: "Cells that differ have the colour that they have in the second sweep." });
   }
 
   paths() {
@@ -41,8 +42,6 @@ export class Difference extends PlaneView {
     this.sentence.textContent = known.length ? `${share(same / known.length, 4)} of the cells have the same mode; ${moved(thresholds)}.` : "No cell of both is computed yet.";
   }
 
-
-
   content() {
     return {
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
@@ -55,11 +54,20 @@ export class Difference extends PlaneView {
   #paint(ctx, box) {
     const colours = new Map(this.classes.present.map(({ id }) => [id, rgba32(modeColour(id, box.theme.dark))]));
     const same = rgba32(box.theme.surface);
-    this.drawCells(ctx, box, (cell) => (this.differs[cell] ? colours.get(this.classes.ofCell[this.other[cell]]) : same));
+    const { hidden } = this.legend;
+    this.drawCells(ctx, box, (cell) => {
+      const id = this.classes.ofCell[this.other[cell]];
+      return this.differs[cell] && !hidden.has(id) ? colours.get(id) : same;
+    });
+  }
+
+  showLegend() {
+    this.legend.show(this.classes, theme().dark);
   }
 
   isHidden(cell) {
-    return !this.differs[this.indexOf(cell)];
+    const index = this.indexOf(cell);
+    return !this.differs[index] || this.legend.hidden.has(this.classes.ofCell[this.other[index]]);
   }
 
   columnsOfTable() {

@@ -2,7 +2,8 @@
 // gives null, and write() takes undefined, for the default.
 
 import { h } from "../lib/dom.js";
-import { SYMBOL, meaningOf } from "../lib/physics.js";
+import { number, plural } from "../lib/format.js";
+import { SYMBOL, axisValues, meaningOf } from "../lib/physics.js";
 
 /** Texts of choices, where their names are not enough. */
 const CHOICES = {
@@ -12,6 +13,10 @@ const CHOICES = {
   plane: { drop: "drops: heights and phases", contact: "in contact: elongations and velocities" },
   effort: { "": "as recorded" },
 };
+
+/** Values above these are remarked on; of longer axes nothing is said. */
+const USUAL = { gamma: 20, omega: 10, xi: 2 };
+const MOST_VALUES = 1e5;
 
 const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
 
@@ -85,12 +90,14 @@ export function axisField(axis) {
   const spacing = h("select", { "data-field": `${axis}.spacing` }, options({ linear: "linear", log: "log" }));
   const list = labelled("one value, or several separated by commas", values);
   const parts = [labelled("start", range.start), labelled("stop", range.stop), labelled("number of values", range.num), labelled("spacing", spacing)];
+  const said = h("small", { className: "parsed", role: "status" });
   const show = () => {
     list.hidden = kind.value !== "values";
     for (const part of parts) part.hidden = kind.value === "values";
+    said.textContent = inWords(axis, field.read());
   };
-  return {
-    element: h("fieldset", { "data-group": axis }, h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, meaningOf(axis))), labelled("given as", kind), list, parts),
+  const field = {
+    element: h("fieldset", { "data-group": axis, oninput: () => show() }, h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, meaningOf(axis))), labelled("given as", kind), list, parts, said),
     read: () => {
       if (kind.value === "range") return { ...Object.fromEntries(Object.entries(range).map(([name, part]) => [name, parseNumber(part.value)])), spacing: spacing.value };
       if (/\d,\d/.test(values.value)) return values.value.trim(); // a decimal comma, or two values: the service asks
@@ -105,4 +112,14 @@ export function axisField(axis) {
       show();
     },
   };
+  return field;
+}
+
+/** What was understood of an axis, where it is several values, and whether some are far outside of what the field uses. */
+function inWords(axis, value) {
+  const given = typeof value === "object" && !Array.isArray(value) ? [value.start, value.stop, value.num] : [value].flat();
+  if (!given.length || !given.every(Number.isFinite) || value.num > MOST_VALUES) return "";
+  const values = axisValues(value);
+  const text = values.length > 1 ? `${plural(values.length, "value")}: ${values.slice(0, 3).map((each) => number(each)).join(", ")}${values.length > 3 ? ` … ${number(values.at(-1))}` : ""}` : "";
+  return [text, Math.max(...values) > USUAL[axis] && `unusual: the field has ${SYMBOL[axis]} up to ${USUAL[axis]}`].filter(Boolean).join("; ");
 }

@@ -5,7 +5,6 @@ import { isHandledElsewhere, requestJson } from "../lib/api.js";
 import { announce, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { costText } from "../lib/format.js";
 import { AXES, axisValues } from "../lib/physics.js";
-import { titleOf } from "../views/progress.js";
 import { Snippets } from "../lib/snippets.js";
 import { kindOf, loadPresets, loadStudies } from "./catalogue.js";
 import { axisField, modelField, objectField, schemaField } from "./fields.js";
@@ -110,7 +109,7 @@ export class SweepForm {
       this.isLoaded = true;
       const given = (job || preset)?.spec;
       const axes = axesOf(currentQuery(), given);
-      this.given = job && axes.gamma ? { ...given, ...axes, name: `Window of ${titleOf(job)}`, parent: from } : (given ?? {});
+      this.given = job && axes.gamma ? { ...given, ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from } : (given ?? {});
       this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: { kind: "rigid" } }) });
       if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
       this.pasted.takeDropped();

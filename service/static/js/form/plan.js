@@ -28,7 +28,7 @@ export class Plan {
     this.problem = problemLine();
     this.table = h("div", { hidden: true });
     this.element = h("details", {}, h("summary", {}, "What does a time buy?"),
-      h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and so that they can be trusted. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points."),
+      h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and by a longer computation that decides. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points."),
       h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), this.button), this.problem.element, this.table);
   }
 

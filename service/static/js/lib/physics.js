@@ -13,8 +13,10 @@ const DEFINITION = { gamma: "Aω²/g", omega: "ω/ω₀", xi: "β/(2mω₀)" };
 /** "plate acceleration, Aω²/g" */
 export const meaningOf = (axis) => `${NAME[axis]}, ${DEFINITION[axis]}`;
 
-/** "plate acceleration Γ", of an axis of a plot. */
-export const axisLabel = (axis) => `${NAME[axis]} ${SYMBOL[axis]}`;
+const OVER = { gamma: " over gravity", omega: " over that of the spring", xi: " ratio" };
+
+/** "plate acceleration over gravity Γ": an axis of a plot, as in the files of the service. */
+export const axisLabel = (axis) => `${NAME[axis]}${OVER[axis]} ${SYMBOL[axis]}`;
 
 export const TWO_PI = 2 * Math.PI; // phase of one plate period, rad
 

@@ -15,7 +15,7 @@ function toml(value) {
 }
 
 const LANGUAGES = {
-  Python: (spec) => `from service.client import Client
+  Python: (spec) => `from bouncing_spring import Client
 
 spec = ${python(spec)}
 with Client("${location.origin}") as client:

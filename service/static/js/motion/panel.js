@@ -13,6 +13,7 @@ import { Portraits } from "./portraits.js";
 /** Of a motion that is played, in plate periods and samples per period; of a start, which takes longer to show where it leads. */
 const PLAYED = { periods: 4, samples: 240 };
 const STARTED = { periods: 16, samples: 240 };
+const LONGEST = 24; // plate periods of a cycle that is played whole
 /** Of a return map, which needs many flights and nothing else of the motion. */
 const MAPPED = { periods: 120, samples: 2 };
 const SLOW_MS = 2500; // after which the note explains the delay
@@ -44,9 +45,17 @@ export class TrajectoryPanel {
     this.title.textContent = `Trajectory of ${{ cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }[start?.kind] ?? "a cell"}`;
     this.about.textContent = `${axes.join(", ")}, ${startText(cell.direction, job)}`;
     this.values.hidden = this.proof.hidden = true;
-    const [path, options] = addressOf(job, cell, !start || start.kind === "cycle" ? PLAYED : STARTED);
+    const length = !start || start.kind === "cycle" ? PLAYED : STARTED;
+    let path, options;
+    const load = (periods) => {
+      [path, options] = addressOf(job, cell, { ...length, periods });
+      return this.#load(path, { ...options, signal });
+    };
     try {
-      await this.#load(path, { ...options, signal });
+      const cycle = start || !job.id ? (start?.periods ?? 0) : await this.#showValues(job, cell, signal).catch(() => 0); // the panel is complete without values
+      await load(Math.max(length.periods, Math.min(cycle, LONGEST)));
+      const { flights, in_flight: flies } = this.trajectory;
+      if (!flights.length && flies.some(Boolean) && length === PLAYED) await load(STARTED.periods); // of a long flight
     } catch (error) {
       if (signal.aborted) return;
       this.shown = null; // it is requested again
@@ -60,7 +69,6 @@ export class TrajectoryPanel {
     ]));
     this.#loadMap(job, cell, signal);
     if (!options.body) this.#offerProof(path, signal);
-    if (!start && job.id) this.#showValues(job, cell, signal).catch(() => {}); // the panel is complete without them
   }
 
   #build() {
@@ -149,12 +157,13 @@ export class TrajectoryPanel {
     this.root.replaceChildren();
   }
 
-  /** All variables that the diagram has of the cell. */
+  /** All variables that the diagram has of the cell; returns the plate periods of its cycle, 0 if it has none. */
   async #showValues(job, { gamma, ...cell }, signal) {
     const result = await requestDataset(`/v1/jobs/${job.id}/diagram?${query({ ...cell, start: gamma, stop: gamma })}`, { signal });
     const rows = Object.values(result).filter(({ attrs }) => attrs?.long_name);
     this.values.hidden = false;
     this.values.replaceChildren(h("summary", {}, "All values of the cell"), table("Values of the cell", null, rows.map((variable) => [variable.attrs.long_name, valueText(variable)])));
+    return result.periods.data[0] ?? result.periods.data;
   }
 }
 
@@ -182,7 +191,7 @@ function startText(direction, job) {
   const start = startOf(direction);
   if (start?.kind === "cycle") return hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form";
   if (start?.kind === "drop") return `let go ${number(start.height)} above the plate at phase ${number(start.phase)}`;
-  if (start?.kind === "attractor") return `on attractor ${start.number} of the cell`;
+  if (start?.kind === "attractor") return `on number ${start.number} of the attractors of the cell`;
   if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;
   return direction === "rest" ? "from rest" : `ramp ${direction}`;
 }

@@ -41,7 +41,7 @@ export class Player {
       h("div", { className: "instant" }, this.canvas, figure),
       h("div", { className: "controls" }, this.button, this.#speeds(), this.position));
     this.plot = new Plot(figure, {
-      label: "Heights of the masses and the plate over plate periods",
+      takesInput: false, label: "Heights of the masses and the plate over plate periods",
       content: () => this.heights && contentOf(this.heights, this.phase),
     });
     this.plot.element.addEventListener("drawn", () => this.#draw());

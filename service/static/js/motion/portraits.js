@@ -24,8 +24,8 @@ export class Portraits {
       h("div", {}, h("h3", {}, "Return map"), map, this.mapNote),
       h("div", {}, h("h3", {}, "Phase portrait"), portrait, h("p", { className: "note" }, "Dots: once per plate period (Poincaré section).")));
 
-    this.map = new Plot(map, { label: "Return map: each flight time over the one before", content: () => this.flights && returnMap(this.flights) });
-    this.portrait = new Plot(portrait, { label: "Phase portrait: velocity of the spring’s elongation over its elongation", content: () => this.trajectory && phasePortrait(this.trajectory) });
+    this.map = new Plot(map, { takesInput: false, label: "Return map: each flight time over the one before", content: () => this.flights && returnMap(this.flights) });
+    this.portrait = new Plot(portrait, { takesInput: false, label: "Phase portrait: velocity of the spring’s elongation over its elongation", content: () => this.trajectory && phasePortrait(this.trajectory) });
   }
 
   /** `flights`: of many plate periods; `trajectory`: of a few, finely sampled. Either may come later than the other. */

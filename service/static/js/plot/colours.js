@@ -1,6 +1,7 @@
 // Colours: the theme of the style sheet, and the meanings of `palette.json`, which the service's pictures have too.
 
 import palette from "../../palette.json" with { type: "json" };
+import { plural } from "../lib/format.js";
 import { LABEL, LABEL_NAMES, OUTCOME, outcomeText } from "../lib/physics.js";
 
 const DARK = "(prefers-color-scheme: dark)";
@@ -62,25 +63,21 @@ function classOf(label, bounces, periods, multiplier) {
 export function modeClasses({ outcome, label: labels = outcome, bounces, periods, multiplier }) {
   const ofCell = new Uint8Array(labels.length);
   const cells = new Uint32Array(CLASSES);
-  const minBounces = new Int32Array(CLASSES).fill(2 ** 30);
-  const maxBounces = new Int32Array(CLASSES);
   for (let i = 0; i < ofCell.length; i++) {
     const id = classOf(labels[i], bounces[i], periods[i], multiplier?.[i]);
     ofCell[i] = id;
     cells[id]++;
-    if (bounces[i] < minBounces[id]) minBounces[id] = bounces[i];
-    if (bounces[i] > maxBounces[id]) maxBounces[id] = bounces[i];
   }
   const present = ORDER.filter((id) => cells[id]);
-  return { ofCell, present: present.map((id) => ({ id, name: className(id, minBounces[id], maxBounces[id]), cells: cells[id] })) };
+  return { ofCell, present: present.map((id) => ({ id, name: className(id), cells: cells[id] })) };
 }
 
-function className(id, minBounces, maxBounces) {
+/** The name of a class, the same as in the files of the service. */
+function className(id) {
   if (id < FIRST) return outcomeText(id).replace(" on the plate", "");
   if (id >= MARGIN) return `|μ| ${MARGINS[id - MARGIN - 1] ?? 0} to ${MARGINS[id - MARGIN]}`;
-  if (id === LONG) return `over ${HUES.length} periods`;
-  const periods = Math.floor((id - FIRST) / SHADES) + 1;
-  return `(${minBounces === maxBounces ? minBounces : `${minBounces}–${maxBounces}`}, ${periods})`;
+  if (id === LONG) return "longer";
+  return plural(Math.floor((id - FIRST) / SHADES) + 1, "period") + [", fewer bounces", "", ", more bounces"][(id - FIRST) % SHADES];
 }
 
 /** How queries of the service name a class; null where they have no name for it. */

@@ -18,14 +18,14 @@ let plots = 0;
  * Dispatches "drawn" on its element after each drawing.
  */
 export class Plot {
-  constructor(root, { label, content }) {
+  constructor(root, { label, content, takesInput = true }) {
     this.content = content;
     this.canvas = h("canvas", { "aria-hidden": "true" });
     this.cursor = h("canvas", { "aria-hidden": "true", className: "cursor" });
     this.message = h("p", { className: "message", hidden: true });
     this.texts = h("div", { className: "texts visually-hidden" }); // what the canvas has as a picture
     this.axes = h("p", { className: "visually-hidden", id: `axes-${(plots += 1)}` });
-    this.element = h("div", { className: "plot", tabindex: "0", role: "application", "aria-label": label, "aria-describedby": this.axes.id }, this.canvas, this.cursor, this.texts, this.message, this.axes);
+    this.element = h("div", { className: "plot", ...(takesInput ? { tabindex: "0", role: "application" } : { role: "img" }), "aria-label": label, "aria-describedby": this.axes.id }, this.canvas, this.cursor, this.texts, this.message, this.axes);
     root.append(this.element);
     this.closing = new AbortController();
     this.observer = new ResizeObserver(() => this.redraw());

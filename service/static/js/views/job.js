@@ -38,12 +38,13 @@ export class JobView {
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     this.problem = problemLine();
-    const duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
+    this.duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
     Object.assign(this, buildFrame(root, {
-      bar: [this.heading, this.summary.progress, duplicate, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
+      bar: [this.heading, this.summary.progress, this.duplicate, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
       tabs: this.tabs, problem: this.problem.element,
     }));
     this.trajectory = new TrajectoryPanel(this.aside, () => this.#closeTrajectory());
+    for (const part of [this.panel, this.aside]) part.addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory());
     this.#poll(true);
   }
 
@@ -101,7 +102,7 @@ export class JobView {
     if (error.status !== 404 || this.job) return;
     this.heading.textContent = "No such sweep";
     document.title = "No such sweep · Bouncing spring";
-    this.summary.progress.hidden = true;
+    this.summary.progress.hidden = this.duplicate.hidden = true;
   }
 
   #describe() {

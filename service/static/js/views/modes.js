@@ -73,14 +73,16 @@ export class Modes extends PlaneView {
     const data = Object.fromEntries(["outcome", "label", "bounces", "periods", "computed", "hysteresis", "lyapunov", "lyapunov_error", "multiplier", "flight_error"].map((name) => [name, result[name]?.data]));
     Object.assign(this, { cells: data, attrs: result.attrs, columns: result.gamma.data, rows: result.omega.data, xi: result.xi.data, ramp: result.direction.data });
     this.classes = modeClasses(data);
+    this.computedNear = result.attrs.complete ? null : nearestComputed(data.outcome, this.columns.length);
   }
 
   /** The colours of the modes, and which cells are left out. */
   showLegend() {
     this.legend.show(this.classes, theme().dark);
-    const { every, computed_share: computed } = this.attrs;
+    const { every, computed_share: computed, complete } = this.attrs;
+    const partly = complete ? "" : "Cells that are not computed yet have the colour of the nearest one at their Γ. ";
     const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";
-    this.note.textContent = thinned + (this.isAdaptive
+    this.note.textContent = partly + thinned + (this.isAdaptive
       ? `Adaptive map: ${share(computed, 2)} of the cells were computed; the others have the mode of their block. Of a map 0.3 to 0.5 % too many cells are aperiodic.`
       : this.#hysteresisText());
   }
@@ -121,16 +123,17 @@ export class Modes extends PlaneView {
   /** The cells in the colours of their classes; hatched where up and down differ. */
   #drawModes(ctx, box) {
     const { computed, hysteresis } = this.cells;
+    const ofCell = this.computedNear ? this.computedNear.map((cell) => this.classes.ofCell[cell]) : this.classes.ofCell;
     const colours = new Uint32Array(256);
     const { hidden } = this.legend;
     for (const { id } of this.classes.present) colours[id] = rgba32(hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark));
     const hatch = [rgba32(box.theme.text), rgba32(box.theme.surface)];
     const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
-    if (!hysteresis && mark === null) return this.drawCells(ctx, box, (cell) => colours[this.classes.ofCell[cell]]);
+    if (!hysteresis && mark === null) return this.drawCells(ctx, box, (cell) => colours[ofCell[cell]]);
     this.drawCells(ctx, box, (cell, x, y) => {
       const line = hysteresis?.[cell] ? hatchAt(x, y, hysteresis[cell] === HYSTERESIS.mode) : -1;
       if (line >= 0) return hatch[line];
-      return mark !== null && computed[cell] ? mark : colours[this.classes.ofCell[cell]];
+      return mark !== null && computed[cell] ? mark : colours[ofCell[cell]];
     });
   }
 
@@ -150,6 +153,18 @@ export class Modes extends PlaneView {
       ...(hysteresis ? [[`ramped ${other}`, (cell) => ["", "another mode", "other flights"][hysteresis[this.indexOf(cell)]]]] : []),
     ];
   }
+}
+
+/** For each cell itself, or while it is not computed the nearest one at its Γ that is. */
+function nearestComputed(outcome, columns) {
+  const nearest = Int32Array.from(outcome, (value, cell) => (value === OUTCOME.missing ? -1 : cell));
+  const spread = (cell, from) => {
+    const isNearer = nearest[cell] < 0 || Math.abs(nearest[from] - cell) < Math.abs(nearest[cell] - cell);
+    if (nearest[from] >= 0 && isNearer) nearest[cell] = nearest[from];
+  };
+  for (let cell = columns; cell < nearest.length; cell++) spread(cell, cell - columns);
+  for (let cell = nearest.length - columns - 1; cell >= 0; cell--) spread(cell, cell + columns);
+  return nearest.map((from, cell) => (from < 0 ? cell : from));
 }
 
 /** The Γ of Eq. 25 over Ω. */

@@ -4,7 +4,7 @@ import { addressValue, currentQuery, navigate, queryChanges, setQuery, windowIn,
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
 import { announce, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
-import { AXES, SYMBOL, axisLabel, axisValues, directionsOf, initialValue, isLog, isSweep } from "../lib/physics.js";
+import { AXES, SYMBOL, axisLabel, axisValues, clamp, directionsOf, initialValue, isLog, isSweep } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { listenToInput, panned, scaled } from "../plot/input.js";
@@ -104,7 +104,7 @@ export class PlotView {
     const compute = this.windowed && this.bar && !this.isCompared && h("button", { type: "button", className: "quiet", "data-service": true, onclick: () => this.#computeWindow() }, "Compute this window");
     this.table = new PagedTable("Table of what is shown", () => this.#rows(), () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
-    const column = [...shown, this.readout, this.measured?.element, h("div", { className: "actions" }, copyButton(() => this.readout.textContent), this.unzoom, compute), this.#downloads(), ...tables, this.table.element];
+    const column = [...shown, this.readout, this.measured?.element, h("div", { className: "actions" }, copyButton(() => this.said ?? this.hint), this.unzoom, compute), this.#downloads(), ...tables, this.table.element];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
@@ -250,6 +250,7 @@ export class PlotView {
   #setCurrent(cell) {
     this.current = cell;
     this.readout.replaceChildren(...(cell ? [this.describe(cell)].flat() : [this.hint]));
+    if (cell) this.said = this.readout.textContent; // which is copied once the pointer has left the plot
     this.plot.drawCursor();
   }
 
@@ -259,7 +260,16 @@ export class PlotView {
   }
 
   #step(right, up) {
-    const cell = this.isLoaded && this.step(this.current, right, up);
+    if (!this.isLoaded) return;
+    const { x0, x1, y0, y1 } = this.visible();
+    const isSeen = (cell) => !cell || this.isVisible(this.at(cell)[0]);
+    const from = this.window && (!this.current || !isSeen(this.current)) ? this.nearest((x0 + x1) / 2, (y0 + y1) / 2) : this.current;
+    let cell = this.step(from, right, up);
+    if (this.window && !isSeen(cell)) { // Home and End go to the ends of what is shown
+      const [x, y] = this.at(cell);
+      cell = this.nearest(clamp(x, x0, x1), y ?? (y0 + y1) / 2);
+      if (!isSeen(cell)) cell = this.step(cell, x < x0 ? 1 : -1, 0);
+    }
     if (!cell) return;
     this.#point(cell, ...this.at(cell));
     this.#announce();

@@ -42,7 +42,7 @@ export class Thresholds extends PlotView {
 
   filePath() {
     const { x0, x1, y0, y1 } = this.window ?? {};
-    return this.#path({ omega_start: x0, omega_stop: x1, gamma_start: y0, gamma_stop: y1 });
+    return this.#path({ omega_start: x0, omega_stop: x1, gamma_start: y0, gamma_stop: y1, predict: this.folds ? null : "none" });
   }
 
   read([result]) {
