@@ -390,7 +390,7 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         wait_shown(page, omega=0.6)
         assert colours(page) > 2
         page.get_by_role("link", name="Mode map").click()
-        page.locator(".legend", has_text="(1, 1)").wait_for()
+        page.locator(".legend", has_text="1 period").wait_for()
         page.get_by_role("link", name="Thresholds").click()
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
@@ -429,6 +429,8 @@ def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: 
         page.get_by_role("button", name="Prove this cycle").click()
         page.locator(".trajectory li", has_text=" rad").first.wait_for()
         screenshot(page, "a-proven-cycle", whole=False)
+        page.keyboard.press("Escape")
+        page.locator(".trajectory").wait_for(state="hidden")
 
 
 def test_the_wheel_zooms_both_axes_and_back_undoes_it(browser: Any, address: str, loop: str):
@@ -476,7 +478,7 @@ def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
     axes = {"gamma": {"start": 1.5, "stop": 4, "num": 26}, "omega": 0.5, "xi": 0.26}
     job = done(address, {**axes, "model": {"kind": "rigid"}, "exponents": 1, "settle": 20, "observe": 40})
     with opened(browser, view(address, job)) as page:
-        below = page.get_by_role("application", name="Largest Lyapunov exponent")
+        below = page.get_by_role("img", name="Largest Lyapunov exponent")
         below.wait_for()
         wait_for(lambda: colours(page, ".plot + .plot canvas") > 2)
 
@@ -575,9 +577,13 @@ def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop:
         wait_shown(page, xi=0.05, omega=0.6)
         plot = page.locator(".panel .plot").first
         texts = plot.locator(".texts span").all_inner_texts()
-        assert {"plate acceleration Γ", "flight time φ (rad)", "0.3", "1.4", "ramp up"} <= set(texts)
+        assert {"plate acceleration over gravity Γ", "flight time φ (rad)", "0.3", "1.4", "ramp up"} <= set(
+            texts
+        )
         described = page.locator(f"#{plot.get_attribute('aria-describedby')}").inner_text()
-        assert "plate acceleration Γ from 0.3 to 1.4. flight time φ (rad) from 0 to " in described
+        assert (
+            "plate acceleration over gravity Γ from 0.3 to 1.4. flight time φ (rad) from 0 to " in described
+        )
         page.get_by_text("Table of what is shown").click()
         rows, status = page.locator(".paged tbody tr"), page.locator(".paged [role=status]").first
         wait_for(lambda: rows.count() == 25)
@@ -589,6 +595,11 @@ def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop:
         page.goto(f"{page.url}&x0=0.75&x1=1.1&y0=0&y1=5")
         page.get_by_text("Table of what is shown").click()
         status.filter(has_text=re.compile("^1 to 25 of [67][0-9]$")).wait_for()
+        page.locator(".panel .plot").first.focus()
+        for key, gamma in (("ArrowRight", 0.935), ("End", 1.1), ("Home", 0.75)):  # within the window
+            page.keyboard.press(key)
+            said = page.locator(".panel .readout").inner_text()
+            assert float(said.split()[2]) == pytest.approx(gamma, abs=0.02)
         assert "at rest" not in page.locator(".paged table").inner_text()
         with page.expect_download() as download:
             page.get_by_role("button", name="Download table as CSV").click()
@@ -663,7 +674,7 @@ def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, ad
     axes = {"gamma": {"start": 1.0, "stop": 2.4, "num": 57}, "omega": {"start": 0.45, "stop": 0.6, "num": 16}}
     job = done(address, {**axes, "name": "Margins", "xi": 0.26, "model": {"kind": "rigid"}})
     with opened(browser, view(address, job, "modes")) as page:
-        page.locator(".legend", has_text="(1, 1)").wait_for()
+        page.locator(".legend", has_text="1 period").wait_for()
         page.get_by_label("Colour").select_option("margin of stability |μ|")
         page.locator(".legend", has_text="|μ| 0.2 to 0.4").wait_for()
         page.locator(".panel .plot").focus()

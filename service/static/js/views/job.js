@@ -29,6 +29,8 @@ const POLL_MS = 1000;
 const ERROR_POLL_MS = 3000;
 
 export class JobView {
+  closing = new AbortController();
+
   constructor(root, { path }) {
     this.id = path[1];
     this.heading = h("h1", { tabindex: "-1" }, "…");
@@ -44,7 +46,7 @@ export class JobView {
       tabs: this.tabs, problem: this.problem.element,
     }));
     this.trajectory = new TrajectoryPanel(this.aside, () => this.#closeTrajectory());
-    for (const part of [this.panel, this.aside]) part.addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory());
+    addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory(), { signal: this.closing.signal });
     this.#poll(true);
   }
 
@@ -63,6 +65,7 @@ export class JobView {
   close() {
     clearTimeout(this.timer);
     this.closed = true;
+    this.closing.abort();
     clearBar();
     this.view?.close();
     this.beside?.close();

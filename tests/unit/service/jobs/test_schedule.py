@@ -3,10 +3,12 @@
 from collections import deque
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from service.jobs.run import ReadyQueue
 from service.jobs.schedule import (
     MAX_IN_FLIGHT,
     MAX_TIMES_IN_FLIGHT,
@@ -166,3 +168,9 @@ def test_turns_take_their_share_of_the_time_and_no_more():
             rotation.earn(0.3)
             outside += 0.3
     assert taken / (taken + outside) == pytest.approx(ROTATION_SHARE, rel=0.02)
+
+
+def test_chunks_are_scattered_over_the_map():
+    queue = ReadyQueue(10, np.zeros(10, np.bool_))
+    order = [queue.pop() for _ in range(10)]
+    assert order == [0, 8, 4, 2, 6, 1, 9, 5, 3, 7]
