@@ -141,6 +141,7 @@ class ResultMethods(Methods):
         xi: float | None = None,
         direction: Annotated[str | None, "rest, up or down; default: the first direction of the sweep"] = None,
         gamma_max: Annotated[float | None, "branches are cut above this Γ; default: 8, of a study of orbits its own"] = None,
+        doubled: Annotated[bool, "branches of twice the period that begin at flips as well"] = False,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -149,7 +150,7 @@ class ResultMethods(Methods):
         Those along Γ, on their own contact, stable and unstable, with their events. A study of orbits has them
         stored; of a sweep workers follow them, some seconds at most once compiled. `flight_time` has all flights
         of a cycle that count, the longest first. `skipped` are the periodic cells from which no branch was
-        followed.
+        followed. With `doubled`, up to 12 branches of twice the period to which no cell settled, too.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `takeoff_phase` (rad),
         `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per rad), `impact_velocity`
@@ -160,7 +161,7 @@ class ResultMethods(Methods):
         `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """
-        return self.result("orbits", omega=omega, xi=xi, direction=direction, gamma_max=gamma_max, timeout=timeout, progress=progress)
+        return self.result("orbits", omega=omega, xi=xi, direction=direction, gamma_max=gamma_max, doubled=doubled, timeout=timeout, progress=progress)
 
     def basins(
         self,
@@ -332,6 +333,7 @@ class SpringMethods(Methods):
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
         adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
+        doubled: Annotated[bool, "branches of twice the period that begin at flips as well"] = False,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -343,7 +345,8 @@ class SpringMethods(Methods):
         With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
         most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
         event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for. Branches
-        `along` omega or xi pass through the cycles that the contact has at `gamma`.
+        `along` omega or xi pass through the cycles that the contact has at `gamma`. With `doubled`, up to 12
+        branches of twice the period, too.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `flight_time` (rad),
         `takeoff_phase` (rad), `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per
@@ -355,7 +358,7 @@ class SpringMethods(Methods):
         `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """
-        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, energy=energy, prove=prove, along=along, gamma=gamma, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
+        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, energy=energy, prove=prove, along=along, gamma=gamma, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, doubled=doubled, timeout=timeout, progress=progress)
 
     def curves(
         self,

@@ -66,6 +66,7 @@ if TYPE_CHECKING:
 Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
 GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
 WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
+WithDoubled = Annotated[bool, Field(description="branches of twice the period that begin at flips as well")]
 
 Record = TypeVar("Record", Branch, Events)
 
@@ -273,6 +274,7 @@ class OrbitsQuery(Query):
     restitution: Restitution = None
     penetration: Penetration = None
     adhesive: Adhesive = True
+    doubled: WithDoubled = False
 
 
 def contact(query: Query) -> Rigid | Soft | None:
@@ -305,11 +307,12 @@ def orbit_parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
         cell, here = Cell(query.gamma, query.omega, query.xi), getattr(query, query.along)
         span = 0.5 * here, 2.0 * here
         return [
-            (follow_along, plate, cell, periods, query.along, span, points)
+            (follow_along, plate, cell, periods, query.along, span, points, query.doubled)
             for _, _, periods, points in _grids(query)
         ]
     if plate is not None:
-        return [(follow_cycles, plate, *spring, top, points) for *spring, points in _grids(query)]
+        grids = _grids(query)
+        return [(follow_cycles, plate, *spring, top, points, query.doubled) for *spring, points in grids]
     quick = _seconds(query) <= AT_ONCE_SECONDS
     return [] if quick else [(branch_and_events, *grid) for grid in _grids(query)]
 
@@ -336,7 +339,8 @@ def compute_orbits(
     With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
     most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
     event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for. Branches
-    `along` omega or xi pass through the cycles that the contact has at `gamma`.
+    `along` omega or xi pass through the cycles that the contact has at `gamma`. With `doubled`, up to 12
+    branches of twice the period, too.
     """
     plate = contact(query)
     parts = parts or tuple(_branch(*grid) for grid in _grids(query))
@@ -380,12 +384,14 @@ def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
     for name in ("energy", "prove") if plate is not None else ():
         if getattr(query, name):
             raise InvalidRequest.of(name, "is of the closed form: leave out model")
+    if query.doubled and plate is None:
+        raise InvalidRequest.of("doubled", "needs a model; that of the closed form is rigid")
     if (query.along == "gamma") != (query.gamma is None):
         raise InvalidRequest.of("gamma", "is required where omega or xi varies, and not where gamma does")
     if query.along != "gamma" and plate is None:
         raise InvalidRequest.of("along", "must be gamma without a model")
     if plate is not None:
-        lengths = [2 * query.points] * _FAMILIES * len(lengths)
+        lengths = [2 * query.points] * (_FAMILIES * (1 + query.doubled) * len(lengths))
         seconds = _seconds(query) + sum(lengths) * CYCLE_SECONDS
         if seconds > MAX_SECONDS:
             rule = (
@@ -432,6 +438,7 @@ class CellsQuery(Query):
         Annotated[Number, Field(gt=0, le=1e6)] | None,
         Field(description="branches are cut above this Γ; default: 8, of a study of orbits its own"),
     ] = None
+    doubled: WithDoubled = False
 
 
 def contact_of(spec: SweepSpec) -> Rigid | Soft:
@@ -469,7 +476,8 @@ def cell_parts(study: Stored[Any], query: CellsQuery) -> Sequence[Call]:
         return []
     direction, spring = _line(study.spec, query)
     indices = (study.spec.directions.index(direction), spring["xi"].index, spring["omega"].index)
-    return [(follow_cells, study.spec, study.url, *indices, query.gamma_max or GAMMA_MAX, study.complete)]
+    top = query.gamma_max or GAMMA_MAX
+    return [(follow_cells, study.spec, study.url, *indices, top, study.complete, query.doubled)]
 
 
 def compute_cells(study: Stored[Any], query: CellsQuery, cycles: FollowedCycles = _NONE) -> xarray.Dataset:
@@ -478,7 +486,7 @@ def compute_cells(study: Stored[Any], query: CellsQuery, cycles: FollowedCycles 
     Those along Γ, on their own contact, stable and unstable, with their events. A study of orbits has them
     stored; of a sweep workers follow them, some seconds at most once compiled. `flight_time` has all flights
     of a cycle that count, the longest first. `skipped` are the periodic cells from which no branch was
-    followed.
+    followed. With `doubled`, up to 12 branches of twice the period to which no cell settled, too.
     """
     if isinstance(study.spec, OrbitsSpec):
         return _stored_branches(study, query)
@@ -522,13 +530,14 @@ def _stored_branches(study: Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dat
 def estimate_cells(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:
     """The points of as many branches as are followed. Raises InvalidRequest for a line that is not there."""
     if isinstance(spec, OrbitsSpec):
-        if query.direction is not None:
-            raise InvalidRequest.of("direction", "is of the cells of a sweep; this study is of kind orbits")
+        for name in ("direction", "doubled"):
+            if getattr(query, name):
+                raise InvalidRequest.of(name, "is of the cells of a sweep; this study is of kind orbits")
         for axis in DIMS:
             nearest_index(spec, axis, getattr(query, axis))
         return Estimate({"branch": len(spec.modes), "point": spec.points, "multiplier": 2, "part": 2})
     _line(spec, query)
-    sizes = {"branch": MAX_BRANCHES, "point": 2 * POINTS, "multiplier": 2, "part": 2}
+    sizes = {"branch": MAX_BRANCHES * (1 + query.doubled), "point": 2 * POINTS, "multiplier": 2, "part": 2}
     return Estimate(sizes, memory=_MEMORY, small=False)
 
 

@@ -16,6 +16,7 @@ from kernel.cycles.any_contact import (
     passing,
     record,
 )
+from kernel.cycles.changes import doubled
 from kernel.cycles.curves import Curves, Parameter
 from kernel.cycles.cycles import Cycles, Point, confirmed, cycle_from
 from kernel.cycles.events import Branch, Events, Kind, join_events
@@ -85,22 +86,36 @@ class FollowedCycles(NamedTuple):
 
 
 def follow_cycles(
-    contact: Contact, omega: float, xi: float, periods: int, gamma_max: float, points: int
+    contact: Contact, omega: float, xi: float, periods: int, gamma_max: float, points: int, twice: bool
 ) -> FollowedCycles:
     """The branches from the cycles (1, periods) up to `gamma_max`, at most `points` each way.
 
-    Runs on workers, which compile for it. Raises KernelInputError.
+    twice: those `_doubled`, too. Runs on workers, which compile for it. Raises KernelInputError.
     """
     plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
-    return _cycles(branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max), points=points))
+    span = RANGE[0], gamma_max
+    lines = branches(plate, omega, xi, periods, span=span, points=points)
+    return _cycles(lines + _doubled(lines, span, points) if twice else lines)
 
 
 def follow_along(
-    contact: Contact, cell: Cell, periods: int, along: str, span: tuple[float, float], points: int
-) -> FollowedCycles:
+    contact: Contact, cell: Cell, periods: int, along: str, span: tuple[float, float], points: int,
+    twice: bool,
+) -> FollowedCycles:  # fmt: skip
     """The branches along "omega" or "xi" within `span`, as `follow_cycles`, through the cycles of a cell."""
     plate = plate_of(contact, *(np.full(1, value) for value in cell))
-    return _cycles(branches_at(plate, cell, periods, along, span, points=points))
+    lines = branches_at(plate, cell, periods, along, span, points=points)
+    return _cycles(lines + _doubled(lines, span, points) if twice else lines)
+
+
+def _doubled(lines: list[Followed], span: tuple[float, float], points: int) -> list[Followed]:
+    """The branches of twice the periods that begin at flips of others, unless known: MAX_BRANCHES at most."""
+    new: list[Followed] = []
+    for flip in (event.point for line in lines for event in line.events if event.kind is Kind.FLIP):
+        first = doubled(flip) if len(new) < MAX_BRANCHES else None
+        if first is not None and not any(_lies_on(first, line) for line in lines + new):
+            new.append(Followed(*_up_to_shorter(*follow(first, 0.0, points=points, span=span))))
+    return new
 
 
 def _cycles(lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: Any = ()) -> FollowedCycles:
@@ -112,8 +127,9 @@ def _cycles(lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: 
 
 
 def follow_cells(
-    spec: SweepSpec, url: str, direction: int, xi: int, omega: int, gamma_max: float, complete: bool
-) -> FollowedCycles:
+    spec: SweepSpec, url: str, direction: int, xi: int, omega: int, gamma_max: float, complete: bool,
+    twice: bool,
+) -> FollowedCycles:  # fmt: skip
     """The branches of the cycles that the cells along gamma at these indices of the grid settled to.
 
     Of flights that count, each cycle has all, the longest first. A cell whose cycle lies on an earlier branch
@@ -137,6 +153,8 @@ def follow_cells(
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
         else:
             lines.append(_branch(seed, gamma_max))
+    if twice:
+        lines += _doubled(lines, (RANGE[0], gamma_max), POINTS)
     found = _cycles(lines, spec.micro_flight, skipped)
     flights = [_longest_first(line.points, spec.micro_flight) for line in lines]
     return found._replace(
@@ -229,7 +247,7 @@ def _up_to_shorter(points: list[Point], events: list[Event]) -> tuple[list[Point
             turns = (i for i, (a, b) in enumerate(pairwise(points)) if a.rising * b.rising < 0.0)
             start = event.point.x[:START]
             last = next((i for i in turns if np.abs(points[i].x[:START] - start).max() < _STEP), len(points))
-            return points[: last + 1], events[:k]
+            return [*points[: last + 1], event.point], events[:k]
     return points, events
 
 

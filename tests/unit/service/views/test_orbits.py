@@ -111,6 +111,22 @@ def test_a_branch_with_rebound_ends_where_it_no_longer_sticks(python_client: Cli
     assert answer.flights.values.min() < answer.flights.values.max()
 
 
+@for_each(("query", "flip"), [
+    ({"model": "soft"}, 2.504559485239),
+    ({"model": "soft", "adhesive": False}, 2.504551432530),
+    ({"model": "rigid", "restitution": 0.3}, 2.518213336734),
+])  # fmt: skip
+def test_doubled_branches_have_flips_of_their_own(python_client: Client, query: dict[str, Any], flip: float):
+    """The flips are those of issue 45."""
+    answer = python_client.orbits(
+        0.5, 0.26, modes="1-1", gamma_max=2.6, doubled=True, progress=False, **query
+    )
+    assert answer.branch_periods.values.tolist() == [1, 2]
+    of_doubled = (answer.event_kind == "flip") & (answer.event_periods == 2)
+    assert answer.event_gamma.values[of_doubled.values] == pytest.approx([flip], abs=1e-9)
+    assert int(answer.flights.values[1].max()) >= 2
+
+
 @for_each(("query", "down", "status"), [
     ({}, 0.553244593, "closed form"),
     ({"model": "soft"}, 0.553241345562, "continued"),
@@ -134,6 +150,7 @@ def test_a_threshold_is_that_of_the_contact(
     ({"model": "rigid", "penetration": 0.01}, "penetration: is not a field here"),
     ({"model": "soft", "restitution": 1}, "restitution: must be below 1, not 1"),
     ({"model": "soft", "energy": True}, "energy: is of the closed form"),
+    ({"doubled": True}, "doubled: needs a model"),
     ({"model": "soft", "points": 1000, "modes": "1-1,1-2,1-3,1-4,1-5,1-6"}, "up to 72 core-seconds"),
 ])  # fmt: skip
 def test_contacts_without_cycles_are_refused(client: TestClient, query: dict[str, Any], rule: str):
@@ -213,10 +230,15 @@ def test_cells_beyond_as_many_branches_as_are_followed_are_named(
 ):
     """The shortest cycles are followed: (1,1), twice on one branch, and not its double beyond the flip."""
     monkeypatch.setattr("worker.analysis.cycles.MAX_BRANCHES", 1)
-    _, found = _job_orbits(python_client, FIGURE_2 | {"gamma": [1.51, 1.6, 2.3], "model": {"kind": "rigid"}})
+    job, found = _job_orbits(
+        python_client, FIGURE_2 | {"gamma": [1.51, 1.6, 2.3], "model": {"kind": "rigid"}}
+    )
     assert found.sizes["branch"] == 1
     assert found.skipped_gamma.values.tolist() == [2.3]
     assert found.skipped_reason.values.tolist() == ["1 branches were followed before it, the limit"]
+    doubled = job.orbits(doubled=True, gamma_max=2.6, progress=False)
+    assert doubled.branch_periods.values.tolist() == [1, 2]
+    assert doubled.event_gamma.values[-1] == pytest.approx(2.5045676620, abs=1e-9)
 
 
 @for_each(("model", "rule"), [
