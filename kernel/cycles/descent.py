@@ -17,6 +17,7 @@ from kernel.cycles.folds import Cycle, Fold
 from kernel.cycles.follow import End, Event, ahead, follow
 from kernel.cycles.segments import START
 from kernel.models import rigid
+from kernel.numerics.elementary import TWO_PI
 
 #: A cycle is followed through this many flips: doublings crowd together.
 _FLIPS: Final = 4
@@ -77,7 +78,11 @@ def descend(point: Point) -> Descent:
             return Descent(gamma, None, "")
         after = doubled(last.point) if last.kind is Kind.FLIP else None
         if after is None:
-            return Descent(gamma, None, f"{name} ends at a {last.kind} at Gamma = {gamma:.6f}", last.point)
+            reason = f"{name} ends at a {last.kind} at Gamma = {gamma:.6f}"
+            if last.kind is Kind.NEIMARK_SACKER:
+                turn = abs(np.angle(last.point.multipliers()[0])) / TWO_PI
+                reason += f": a torus begins with rotation number {turn:.6f}"
+            return Descent(gamma, None, reason, last.point)
         point, way = after, 0.0
     return Descent(gamma, None, f"a cascade of flips at Gamma = {gamma:.6f}", point)
 

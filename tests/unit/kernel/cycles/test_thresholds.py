@@ -11,6 +11,7 @@ from tables import for_each
 from benchmarks.threshold_search import search, searched
 from kernel.cycles.cycles import cycle_from
 from kernel.cycles.descent import descend, ideal_plate
+from kernel.cycles.events import branch_and_events
 from kernel.cycles.folds import lifetime
 from kernel.cycles.follow import follow
 from kernel.cycles.starts import start_on_stable_cycle
@@ -65,6 +66,15 @@ def test_unresolved_between_bogdanov_takens_points():
         assert math.isnan(inside.down)
         assert "torus" in inside.reason
     assert thresholds(bt[2] - 0.01, 0.05).cause == "fold (1,1)"
+
+
+def test_a_torus_is_named_with_the_rotation_number_at_which_it_begins():
+    events = branch_and_events(0.45, 0.05, 1)[1]
+    mu = events.multiplier[events.kind == "neimark-sacker", 0][0]
+    turn = abs(np.angle(mu)) / (2.0 * np.pi)
+    reason = thresholds(0.45, 0.05).reason
+    assert reason.startswith("(1,1) ends at a neimark-sacker at Gamma = 0.749559")
+    assert f"a torus begins with rotation number {turn:.6f}" in reason
 
 
 def test_a_fold_of_a_word():
