@@ -277,6 +277,7 @@ class SpringMethods(Methods):
 
     RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
         "threshold": (("json", "bin", "nc"), ()),
+        "thresholds": (("json", "bin", "nc", "csv", "parquet"), ("down", "cause")),
         "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("points", "event_gamma")),
         "curves": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("gamma", "event_gamma")),
     }
@@ -317,6 +318,31 @@ class SpringMethods(Methods):
         Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
         return self.result("threshold", omega=omega, xi=xi, delta=delta, prove=prove, search=search, effort=effort, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
+
+    def thresholds(
+        self,
+        omega: Annotated[str, "values, as 0.45,0.46, or start:stop:number"],
+        xi: Annotated[str, "values, as 0.45,0.46, or start:stop:number"],
+        search: Annotated[bool, "search for what bounces below, half a minute each"] = False,
+        effort: Annotated[float, "of a search: 100 to 10,000 starts each"] = 50,
+        model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
+        restitution: Annotated[float | None, "of the model"] = None,
+        penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
+        adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
+        timeout: float = 300.0,
+        progress: Progress = True,
+    ) -> "xarray.Dataset":
+        """Where the springs of a grid of Ω and ξ begin and cease to bounce.
+
+        Each as `threshold` of one spring, computed by the workers. With `search`, each is searched for: `missed`
+        is the share of all starts of a basin that its search sees with 95 %.
+
+        Returns a Dataset with the attribute `complete` and the variables `threshold`, `jump`, `down`,
+        `cause`, `status`, `reason`, `missed`, `gone`, `rotation`, `rotation_error`. Waits up to `timeout`
+        seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter, TooLarge naming
+        what fits.
+        """
+        return self.result("thresholds", omega=omega, xi=xi, search=search, effort=effort, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
 
     def orbits(
         self,

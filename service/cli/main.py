@@ -132,7 +132,8 @@ GROUPS: Final = {
         "share": "ID -o sweep.html", "figure": "2 -o figure-2.png",
     },
     "Closed forms": {
-        "threshold": "--omega 0.6 --xi 0.05", "orbits": "--omega 0.6 --xi 0.05 -o branches.png",
+        "threshold": "--omega 0.6 --xi 0.05", "thresholds": "--omega 0.5:0.6:11 --xi 0.04,0.05",
+        "orbits": "--omega 0.6 --xi 0.05 -o branches.png",
         "curves": "--xi 0.05 --omega-start 0.58 --omega-stop 0.64",
         "trajectory": "--gamma 2.3 --omega 0.5 --xi 0.26 -o motion.csv",
     },

@@ -42,7 +42,9 @@ VIEWS: Final[dict[str, View]] = {
 }  # fmt: skip
 
 #: The results of a spring alone, in closed form.
-SPRINGS: Final[dict[str, View]] = {view.name: view for view in (threshold.SPRING, orbits.SPRING, curves.VIEW)}
+SPRINGS: Final[dict[str, View]] = {
+    view.name: view for view in (threshold.SPRING, threshold.GRID, orbits.SPRING, curves.VIEW)
+}
 
 
 def stored(job: JobRecord, prepared: PreparedJob) -> Stored[Any]:

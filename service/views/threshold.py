@@ -1,4 +1,4 @@
-"""Thresholds of a spring in closed form, and of a sweep per omega: on its grid, refined, and predicted."""
+"""Thresholds of one spring, of a grid of them, and of a sweep per omega: on its grid, refined, predicted."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -7,10 +7,11 @@ from typing import Annotated, Any, Final
 import numpy as np
 import xarray
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from kernel.cycles.folds import lifetime
 from kernel.cycles.thresholds import EQ_25, Thresholds
+from kernel.search import starts_of
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
@@ -40,6 +41,7 @@ from worker.analysis.prediction import (
     search_each,
 )
 from worker.spec.contact_models import Contact, Rigid
+from worker.spec.errors import problems_of
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
@@ -139,20 +141,18 @@ def _status(contact: Contact | None, thresholds: Thresholds) -> str:
     return "closed form" if contact is None and (fold is None or fold.cycle.word == "s") else "continued"
 
 
+def _calls(query: SpringQuery) -> list[Call]:
+    """What workers compute of a spring: the prediction, and what a search finds."""
+    contact, spring = orbits.contact(query), (query.omega, query.xi)
+    found: list[Call] = [(predict, *spring) if contact is None else (of_contact, contact, *spring)]
+    return [*found, (search_below, contact or Rigid(), *spring, query.effort)] if query.search else found
+
+
 def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
-    """The prediction, if it takes long or follows cycles."""
-    contact = orbits.contact(query)
-    spring = (query.omega, query.xi)
-    searched: list[Call] = []
-    if query.search:
-        searched.append((search_below, contact or Rigid(), *spring, query.effort))
-    if contact is not None:
-        return [(of_contact, contact, *spring), *searched]
-    if query.search:
-        return [(predict, *spring), *searched]
-    if prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS and decides(query.omega, query.xi):
-        return ()
-    return [(predict, query.omega, query.xi)]
+    """The prediction, if it takes long or follows cycles, and a search."""
+    brief = query.model is None and not query.search
+    brief = brief and prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS
+    return () if brief and decides(query.omega, query.xi) else _calls(query)
 
 
 def estimate_spring(spec: None, query: SpringQuery) -> Estimate:
@@ -167,6 +167,99 @@ def estimate_spring(spec: None, query: SpringQuery) -> Estimate:
 SPRING: Final = View(
     "threshold", "Thresholds of a spring", None, SpringQuery, compute_spring,
     estimate_spring, variables=_OF_SPRING, parts=spring_parts,
+)  # fmt: skip
+
+
+#: Core-seconds of a grid, and of one of its springs: continued, or searched with up to 1,000 starts.
+MAX_GRID_SECONDS: Final = 4_000.0
+_CONTINUED, _SEARCHED = 1.0, 15.0
+
+#: Variables of one spring alone.
+_ALONE: Final = {"lifetime", "delta", *(row.name for row in (*ENERGY, *proofs.OF_THRESHOLD))}
+_OF_GRID: Final = tuple(row for row in _OF_SPRING if row.name not in _ALONE)
+
+Values = Annotated[str, Field(max_length=4_000, description="values, as 0.45,0.46, or start:stop:number")]
+
+
+class GridQuery(Query):
+    """Springs, their contact, and whether to search."""
+
+    omega: Values
+    xi: Values
+    search: Annotated[bool, Field(description="search for what bounces below, half a minute each")] = False
+    effort: Annotated[Number, Field(ge=0, le=100, description="of a search: 100 to 10,000 starts each")] = 50
+    model: orbits.Kind = None
+    restitution: orbits.Restitution = None
+    penetration: orbits.Penetration = None
+    adhesive: orbits.Adhesive = True
+
+
+def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
+    """The values of an axis. Raises InvalidRequest unless they increase."""
+    text = getattr(query, name)
+    try:
+        if ":" in text:
+            start, stop, number = text.split(":")
+            values = np.linspace(float(start), float(stop), min(int(number), int(MAX_GRID_SECONDS) + 1))
+        else:
+            values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        raise InvalidRequest.of(name, "must be numbers, as 0.45,0.46, or start:stop:number") from None
+    if not (len(values) and (np.diff(values) > 0.0).all()):
+        raise InvalidRequest.of(name, "must increase")
+    return values
+
+
+def _springs(query: GridQuery) -> list[SpringQuery]:
+    """Omega varies fastest. Raises InvalidRequest."""
+    xis, omegas = (_values(query, name).tolist() for name in ("xi", "omega"))
+    seconds = _SEARCHED * max(1.0, starts_of(query.effort) / 1_000) if query.search else _CONTINUED
+    count, most = len(xis) * len(omegas), int(MAX_GRID_SECONDS / seconds)
+    if count > most:
+        rule = f"{count:,} springs are too many: {most:,} take {MAX_GRID_SECONDS:g} core-seconds"
+        raise InvalidRequest.of("omega", rule)
+    shared = query.model_dump(exclude={"omega", "xi"})
+    try:
+        return [SpringQuery(omega=omega, xi=xi, **shared) for xi in xis for omega in omegas]
+    except ValidationError as error:
+        problems = problems_of(error, {"": tuple(SpringQuery.model_fields)})
+        raise InvalidRequest("; ".join(map(str, problems)), problems) from error
+
+
+def grid_parts(study: None, query: GridQuery) -> Sequence[Call]:
+    """The calls of each spring; those of one function stand together."""
+    each = [_calls(spring) for spring in _springs(query)]
+    return [call for step in zip(*each, strict=True) for call in step]
+
+
+def compute_grid(study: None, query: GridQuery, *computed: Any) -> xarray.Dataset:
+    """Where the springs of a grid of Ω and ξ begin and cease to bounce.
+
+    Each as `threshold` of one spring, computed by the workers. With `search`, each is searched for: `missed`
+    is the share of all starts of a basin that its search sees with 95 %.
+    """
+    springs = _springs(query)
+    each = [compute_spring(None, spring, *computed[i :: len(springs)]) for i, spring in enumerate(springs)]
+    axes = {name: coordinate(name, _values(query, name)) for name in ("xi", "omega")}
+    shape = tuple(axis.size for axis in axes.values())
+    data = {
+        row.name: variable(tuple(axes), np.reshape([one[row.name].values for one in each], shape), row)
+        for row in _OF_GRID
+        if row.name in each[0]
+    }
+    return dataset(data, axes, each[0].attrs)
+
+
+def estimate_grid(spec: None, query: GridQuery) -> Estimate:
+    """One number of each variable and spring. Raises InvalidRequest."""
+    orbits.contact(query)
+    sizes = {name: len(_values(query, name)) for name in ("xi", "omega")}
+    return Estimate(sizes, memory=_PER_OMEGA * len(_springs(query)), small=False)
+
+
+GRID: Final = View(
+    "thresholds", "Thresholds of a grid of springs", None, GridQuery, compute_grid, estimate_grid,
+    variables=_OF_GRID, rows="down", printed=("down", "cause"), parts=grid_parts,
 )  # fmt: skip
 
 

@@ -27,8 +27,8 @@ BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
     "adopt", "audit", "backup", "basins", "cancel", "completion", "curves", "delete", "diagram", "doctor",
     "export", "figure", "follow", "import", "list", "metrics", "modes", "multistability", "open", "orbits",
-    "plan", "restore", "resume", "run", "serve", "share", "status", "submit", "threshold", "tradeoff",
-    "trajectory", "wait", "watch",
+    "plan", "restore", "resume", "run", "serve", "share", "status", "submit", "threshold", "thresholds",
+    "tradeoff", "trajectory", "wait", "watch",
 ]  # fmt: skip
 
 SPEC = {**TWO_LINES, "name": "two ω"}

@@ -113,7 +113,7 @@ def completions(running: Running, words: str) -> list[str]:
 
 
 def test_the_shell_completes_commands_options_and_ids(running: Running):
-    assert completions(running, "bounce thr") == ["plain,threshold"]
+    assert completions(running, "bounce thr") == ["plain,threshold", "plain,thresholds"]
     assert completions(running, "bounce status --u") == ["plain,--url"]
     assert completions(running, f"bounce status {running.job.id[:4]}") == [f"plain,{running.job.id}"]
     assert completions(running, "bounce status ") == [f"plain,{running.job.id}"]

@@ -308,6 +308,39 @@ def test_a_search_finds_what_bounces_below_the_rule(python_client: Client):
     assert 0.0 < float(answer.missed) < 0.01
 
 
+def test_a_grid_of_springs_is_searched(python_client: Client):
+    """Each spring as alone. At 0.46 and 0.05 it is a torus, at 0.5395 and 0.032 a cycle below the rule."""
+    how: dict[str, Any] = {"search": True, "effort": 0, "progress": False}
+    grid = python_client.thresholds("0.46:0.5395:2", "0.032,0.05", **how)
+    assert (grid.down.dims, grid.down.shape) == (("xi", "omega"), (2, 2))
+    assert grid.cause.values[0, 1] == "fold of word ss (2,2)"
+    assert grid.cause.values[1].tolist() == ["a torus around (1,1), locked to (16,16)", "fold (1,1)"]
+    assert set(grid.status.values.flat) == {"searched"}
+    assert (grid.missed.values == grid.missed.values[0, 0]).all()
+    alone = python_client.threshold(0.46, 0.05, **how)
+    for name in grid.data_vars:
+        assert str(grid[name].values[1, 0]) == str(alone[name].values)
+
+
+def test_a_grid_of_springs_without_search_is_that_of_the_rule(python_client: Client):
+    grid = python_client.thresholds("0.6,0.62", "0.05", progress=False)
+    assert grid.down.values == pytest.approx(np.array([[FOLD_060, 0.507033469]]), abs=1e-9)
+    assert np.isnan(grid.missed.values).all()
+    assert "rotation" not in grid
+
+
+@for_each(("query", "rule"), [
+    ({"omega": "0.6,x"}, "omega: must be numbers, as 0.45,0.46, or start:stop:number"),
+    ({"omega": "0.6,0.5"}, "omega: must increase"),
+    ({"omega": "0.5:0.6:99999"}, "omega: 4,001 springs are too many: 4,000 take 4000 core-seconds"),
+    ({"omega": "0.5:0.6:267", "search": True}, "omega: 267 springs are too many: 266 take"),
+    ({"xi": "-1"}, "xi: must be"),
+    ({"restitution": 0.3}, "model: is required with restitution"),
+])  # fmt: skip
+def test_grids_of_springs_are_checked(client: TestClient, query: dict[str, Any], rule: str):
+    assert rule in refused(client, "/v1/thresholds", 422, **{"omega": "0.6", "xi": "0.05"} | query)
+
+
 def test_a_damping_that_was_not_searched_is_said_to_be(python_client: Client):
     """In the answer of a spring, and in the picture and the answer of a sweep, with cells too."""
     spring = python_client.threshold(0.52, 0.02)
