@@ -321,10 +321,13 @@ class Job(ResultReader, ResultMethods, JobStatus):
         """
         spec = self.spec
         long = [axis for axis in ("gamma", "omega", "xi") if _length(spec.get(axis)) > 1]
-        if kind is None and spec["protocol"]["kind"] == "orbits":
-            kind = "orbits"
-        elif kind is None:
-            kind = "modes" if {"gamma", "omega"} <= set(long) and "along" not in selection else "diagram"
+        study = spec["protocol"]["kind"]
+        if study in ("basin", "multistability"):
+            name = "basins" if study == "basin" else study
+            raise BounceError(f"kind: sweeps and cycles are plotted; {name} by result_file('{name}', 'png')")
+        if kind is None:
+            is_map = {"gamma", "omega"} <= set(long) and "along" not in selection
+            kind = "orbits" if study == "orbits" else "modes" if is_map else "diagram"
         if kind not in get_args(Kind):
             raise BounceError(f"kind: must be one of {', '.join(get_args(Kind))}, not {kind!r:.40}")
         if branches is not None and kind != "diagram":

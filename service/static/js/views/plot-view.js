@@ -95,7 +95,7 @@ export class PlotView {
 
   /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with. */
   build(root, { controls, label, hint, shown = [], tables = [] }) {
-    this.hint = hint;
+    this.hint = shared ? hint.replace(/, press to [^,]*,/, ",") : hint; // a shared file computes no motion
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
     const figure = h("figure", {});

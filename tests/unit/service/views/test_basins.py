@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from served import get, occupied
 
-from service.client import BadRequest, Client, Job
+from service.client import BadRequest, BounceError, Client, Job
 from service.pictures import ATTRACTORS, UNDECIDED
 from service.views import basins
 
@@ -60,6 +60,8 @@ def test_a_cell_that_is_not_computed_yet_is_not_complete(tmp_path: Path):
 
 
 def test_what_is_refused(python_client: Client, job: Job):
+    with pytest.raises(BounceError, match="basins by result_file"):
+        job.plot()
     with pytest.raises(BadRequest, match="gamma: is required"):
         job.basins()
     with pytest.raises(BadRequest, match="gamma: must be within"):
