@@ -390,7 +390,7 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         wait_shown(page, omega=0.6)
         assert colours(page) > 2
         page.get_by_role("link", name="Mode map").click()
-        page.locator(".legend", has_text="1 period").wait_for()
+        page.locator(".legend", has_text="(1, 1)").wait_for()
         page.get_by_role("link", name="Thresholds").click()
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
@@ -674,7 +674,7 @@ def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, ad
     axes = {"gamma": {"start": 1.0, "stop": 2.4, "num": 57}, "omega": {"start": 0.45, "stop": 0.6, "num": 16}}
     job = done(address, {**axes, "name": "Margins", "xi": 0.26, "model": {"kind": "rigid"}})
     with opened(browser, view(address, job, "modes")) as page:
-        page.locator(".legend", has_text="1 period").wait_for()
+        page.locator(".legend", has_text="(1, 1)").wait_for()
         page.get_by_label("Colour").select_option("margin of stability |μ|")
         page.locator(".legend", has_text="|μ| 0.2 to 0.4").wait_for()
         page.locator(".panel .plot").focus()

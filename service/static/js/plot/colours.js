@@ -1,7 +1,6 @@
 // Colours: the theme of the style sheet, and the meanings of `palette.json`, which the service's pictures have too.
 
 import palette from "../../palette.json" with { type: "json" };
-import { plural } from "../lib/format.js";
 import { LABEL, LABEL_NAMES, OUTCOME, outcomeText } from "../lib/physics.js";
 
 const DARK = "(prefers-color-scheme: dark)";
@@ -72,12 +71,13 @@ export function modeClasses({ outcome, label: labels = outcome, bounces, periods
   return { ofCell, present: present.map((id) => ({ id, name: className(id), cells: cells[id] })) };
 }
 
-/** The name of a class, the same as in the files of the service. */
+/** The name of a class, which does not depend on its cells: "(<2, 2)" are modes of two periods with fewer bounces. */
 function className(id) {
   if (id < FIRST) return outcomeText(id).replace(" on the plate", "");
   if (id >= MARGIN) return `|μ| ${MARGINS[id - MARGIN - 1] ?? 0} to ${MARGINS[id - MARGIN]}`;
-  if (id === LONG) return "longer";
-  return plural(Math.floor((id - FIRST) / SHADES) + 1, "period") + [", fewer bounces", "", ", more bounces"][(id - FIRST) % SHADES];
+  if (id === LONG) return `over ${HUES.length} periods`;
+  const periods = Math.floor((id - FIRST) / SHADES) + 1;
+  return `(${["<", "", ">"][(id - FIRST) % SHADES]}${periods}, ${periods})`;
 }
 
 /** How queries of the service name a class; null where they have no name for it. */

@@ -35,7 +35,7 @@ export class Diagram extends PlotView {
     this.caption = h("input", { type: "checkbox", checked: true });
     this.controls = h("div", {});
     this.options = h("div", {});
-    this.legend = new ClassLegend(this, "Modes by plate periods");
+    this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.#buildControls();
     this.build(root, { controls: this.controls, shown: this.isCompared ? [this.options] : [this.options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
     if (this.job.spec.exponents && !this.isCompared) this.#buildExponents();

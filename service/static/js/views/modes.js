@@ -24,7 +24,7 @@ export class Modes extends PlaneView {
     this.isTwoWay = this.directions.length > 1;
     this.showsHysteresis = h("input", { type: "checkbox", checked: true, onchange: () => this.load() });
     this.showsComputed = h("input", { type: "checkbox", onchange: () => this.plot.draw() });
-    this.legend = new ClassLegend(this, "Modes by plate periods");
+    this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.note = h("p", { className: "note", role: "status" });
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, ["xi"]),

@@ -174,9 +174,11 @@ export class PlotView {
     this.plot.close();
   }
 
+  /** Of a running job each second: what is loading is shown first, however long it takes. */
   update(job) {
     this.source.job = job;
-    this.load();
+    this.isOutdated = this.plot.element.hasAttribute("aria-busy");
+    if (!this.isOutdated) this.load();
   }
 
   showLegend() {}
@@ -223,6 +225,8 @@ export class PlotView {
       this.#showError(error);
     } finally {
       this.plot.element.removeAttribute("aria-busy");
+      if (this.isOutdated && !this.closing.signal.aborted) this.load();
+      this.isOutdated = false;
     }
   }
 
