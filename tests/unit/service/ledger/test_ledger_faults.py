@@ -155,7 +155,7 @@ def test_where_the_stores_are_not_mounted_nothing_is_written_and_nothing_compute
             (tmp_path / "device").rename(mount)
             works(client)
             assert client.get(f"{here}/diagram", params=query).content == right
-            assert executor.tried[tried:] == list(
+            assert sorted(executor.tried[tried:]) == list(
                 range(get(client, "/v1/jobs")["jobs"][0]["progress"]["chunks_total"])
             )
 
