@@ -340,7 +340,7 @@ def compute_orbits(
     most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
     event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for. Branches
     `along` omega or xi pass through the cycles that the contact has at `gamma`. With `doubled`, up to 12
-    branches of twice the period, too.
+    branches of twice the period, too, and `flight_time` has all flights that count, the longest first.
     """
     plate = contact(query)
     parts = parts or tuple(_branch(*grid) for grid in _grids(query))
@@ -351,7 +351,7 @@ def compute_orbits(
         events += part.events if isinstance(part, FollowedCycles) else part[1:]
     top = max(query.gamma_max, query.gamma or 0.0)
     pieces = [piece for branch in branches for piece in below(branch, top)]
-    data = padded(_OF_POINT, pieces)
+    data = padded(_OF_POINT, pieces) if not query.doubled else _with_flights(pieces)
     if plate is not None:
         data |= padded(("flights",), pieces)
     if query.energy:
@@ -369,6 +369,12 @@ def compute_orbits(
         varies = {"along": query.along}
     model = IDEAL if plate is None else name_of(plate)
     return closed_form(data, coords, model=model, **varies, gamma_max=query.gamma_max)
+
+
+def _with_flights(branches: Sequence[Branch]) -> dict[str, xarray.Variable]:
+    """Their points, `flight_time` with all flights."""
+    flights = padded(("flight_time",), branches, ("branch", "point", "flight"))
+    return padded(_OF_CELLS, branches) | flights
 
 
 _branch = lru_cache(KEPT)(branch_and_events)
@@ -491,8 +497,7 @@ def compute_cells(study: Stored[Any], query: CellsQuery, cycles: FollowedCycles 
     if isinstance(study.spec, OrbitsSpec):
         return _stored_branches(study, query)
     direction, spring = _line(study.spec, query)
-    data = padded(_OF_CELLS, cycles.branches)
-    data |= padded(("flight_time",), cycles.branches, ("branch", "point", "flight"))
+    data = _with_flights(cycles.branches)
     data |= event_columns(join_events(cycles.events))
     on = np.repeat(np.arange(len(cycles.events)), [len(events.gamma) for events in cycles.events])
     data |= columns("event", {"branch": on})

@@ -90,12 +90,13 @@ def follow_cycles(
 ) -> FollowedCycles:
     """The branches from the cycles (1, periods) up to `gamma_max`, at most `points` each way.
 
-    twice: those `_doubled`, too. Runs on workers, which compile for it. Raises KernelInputError.
+    twice: those `_doubled`, too, and all flights of each. Runs on workers, which compile for it. Raises
+    KernelInputError.
     """
     plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
     span = RANGE[0], gamma_max
     lines = branches(plate, omega, xi, periods, span=span, points=points)
-    return _cycles(lines + _doubled(lines, span, points) if twice else lines)
+    return _cycles(lines + _doubled(lines, span, points), flights=True) if twice else _cycles(lines)
 
 
 def follow_along(
@@ -105,7 +106,7 @@ def follow_along(
     """The branches along "omega" or "xi" within `span`, as `follow_cycles`, through the cycles of a cell."""
     plate = plate_of(contact, *(np.full(1, value) for value in cell))
     lines = branches_at(plate, cell, periods, along, span, points=points)
-    return _cycles(lines + _doubled(lines, span, points) if twice else lines)
+    return _cycles(lines + _doubled(lines, span, points), flights=True) if twice else _cycles(lines)
 
 
 def _doubled(lines: list[Followed], span: tuple[float, float], points: int) -> list[Followed]:
@@ -118,11 +119,16 @@ def _doubled(lines: list[Followed], span: tuple[float, float], points: int) -> l
     return new
 
 
-def _cycles(lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: Any = ()) -> FollowedCycles:
+def _cycles(
+    lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: Any = (), flights: bool = False
+) -> FollowedCycles:
+    """Their record; flights: whether `flight_time` is (n, flights), the longest first, of all that count."""
+    found = [record(line.points, micro_flight) for line in lines]
+    if flights:
+        each = (_longest_first(line.points, micro_flight) for line in lines)
+        found = [branch._replace(flight_time=t) for branch, t in zip(found, each, strict=True)]
     return FollowedCycles(
-        tuple(record(line.points, micro_flight) for line in lines),
-        tuple(event_record(line.events, micro_flight) for line in lines),
-        tuple(skipped),
+        tuple(found), tuple(event_record(line.events, micro_flight) for line in lines), tuple(skipped)
     )
 
 
@@ -155,11 +161,7 @@ def follow_cells(
             lines.append(_branch(seed, gamma_max))
     if twice:
         lines += _doubled(lines, (RANGE[0], gamma_max), POINTS)
-    found = _cycles(lines, spec.micro_flight, skipped)
-    flights = [_longest_first(line.points, spec.micro_flight) for line in lines]
-    return found._replace(
-        branches=tuple(x._replace(flight_time=t) for x, t in zip(found.branches, flights, strict=True))
-    )
+    return _cycles(lines, spec.micro_flight, skipped, flights=True)
 
 
 def cycle_near(

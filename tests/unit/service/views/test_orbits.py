@@ -124,7 +124,11 @@ def test_doubled_branches_have_flips_of_their_own(python_client: Client, query: 
     assert answer.branch_periods.values.tolist() == [1, 2]
     of_doubled = (answer.event_kind == "flip") & (answer.event_periods == 2)
     assert answer.event_gamma.values[of_doubled.values] == pytest.approx([flip], abs=1e-9)
-    assert int(answer.flights.values[1].max()) >= 2
+    # its two long flights part where it begins, at the flip of the single one
+    first, second = answer.flight_time.values[1, : int(answer.points[1]), :2].T
+    begins = np.argmin(first - second)
+    assert answer.gamma.values[1, begins] == pytest.approx(2.08, abs=0.01)
+    assert (first - second).max() > 3.0
 
 
 @for_each(("query", "down", "status"), [
