@@ -17,6 +17,7 @@ export function listenToInput(plot, handlers) {
   let dragStart = null;
   let dragEnd = null;
   let isPan = false; // a drag with Shift moves the window
+  const pressed = new Map(); // where pointers are down: two pinch
 
   const position = (event) => {
     const bounds = element.getBoundingClientRect();
@@ -29,13 +30,20 @@ export function listenToInput(plot, handlers) {
   const listen = (type, handle) => element.addEventListener(type, (event) => plot.box && handle(event));
 
   listen("pointerdown", (event) => {
+    pressed.set(event.pointerId, position(event));
     if (event.button !== 0 || !isInside(position(event), plot.box)) return;
     dragStart = position(event);
     dragEnd = null;
   });
   listen("pointermove", (event) => {
     const point = position(event);
-    if (dragStart && event.shiftKey) {
+    if (pressed.size === 2 && pressed.has(event.pointerId)) {
+      const before = distance(pressed);
+      pressed.set(event.pointerId, point);
+      const [[ax, ay], [bx, by]] = pressed.values();
+      dragStart = dragEnd = null;
+      handlers.scale(Array(2).fill(before / Math.max(distance(pressed), 1)), values([(ax + bx) / 2, (ay + by) / 2]));
+    } else if (dragStart && event.shiftKey) {
       if (dragEnd) handlers.pan(values(dragEnd), values(point));
       [dragEnd, isPan] = [point, true];
     } else if (dragStart && Math.hypot(point[0] - dragStart[0], point[1] - dragStart[1]) > DRAG_PX) {
@@ -56,6 +64,7 @@ export function listenToInput(plot, handlers) {
     plot.drawCursor();
   });
   listen("pointerleave", () => dragStart || handlers.leave());
+  for (const type of ["pointerup", "pointercancel", "pointerleave"]) element.addEventListener(type, ({ pointerId }) => pressed.delete(pointerId));
   listen("dblclick", () => handlers.zoom(null));
   // Beside the frame the wheel zooms the axis that it is over.
   element.addEventListener("wheel", (event) => {
@@ -89,6 +98,12 @@ export function listenToInput(plot, handlers) {
     event.preventDefault();
     keys[event.key](event.shiftKey ? LARGE_STEP : 1);
   });
+}
+
+/** Between two pointers, px. */
+function distance(pointers) {
+  const [[ax, ay], [bx, by]] = pointers.values();
+  return Math.hypot(ax - bx, ay - by);
 }
 
 /** The window between two corners of a drag; a drag along one axis keeps the whole range of the other. */
