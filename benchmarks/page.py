@@ -56,6 +56,7 @@ def wait_ready(port: int) -> None:
         with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
             return
         time.sleep(0.1)
+    raise TimeoutError(f"nothing answers at port {port}")
 
 
 @contextmanager

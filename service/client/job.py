@@ -253,8 +253,9 @@ class Job(ResultReader, ResultMethods, JobStatus):
 
         points = "" if data is None else element(data)
         target = self.export(path)
-        with target.open("a", encoding="utf-8") as page:
-            page.write(points)
+        if points:
+            with target.open("a", encoding="utf-8") as page:
+                page.write(points)
         return target
 
     def open(self, chunks: Any = None, direct: bool | None = None) -> "xarray.Dataset":

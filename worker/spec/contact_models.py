@@ -260,7 +260,10 @@ class Ball(ContactFields):
     dimension: ClassVar = BALL_DIMENSION
 
     kind: Literal["ball"] = "ball"
-    restitution: Annotated[Annotated[float, Field(ge=0.0, lt=1.0), NUMBER] | None, _OfImpact] = None
+    restitution: Annotated[
+        Annotated[float, Field(ge=0.0, lt=1.0), NUMBER] | None,
+        Field(title="restitution e", description="Of an isolated impact; left out: by the damping ratio."),
+    ] = None
 
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
         e = spring_restitution(xi) if self.restitution is None else np.full(np.shape(xi), self.restitution)

@@ -94,7 +94,7 @@ export function axisField(axis) {
   const show = () => {
     list.hidden = kind.value !== "values";
     for (const part of parts) part.hidden = kind.value === "values";
-    said.textContent = inWords(axis, field.read());
+    said.textContent = describeAxis(axis, field.read());
   };
   const field = {
     element: h("fieldset", { "data-group": axis, oninput: () => show() }, h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, meaningOf(axis))), labelled("given as", kind), list, parts, said),
@@ -115,11 +115,11 @@ export function axisField(axis) {
   return field;
 }
 
-/** What was understood of an axis, where it is several values, and whether some are far outside of what the field uses. */
-function inWords(axis, value) {
+/** What was understood of an axis, where it is several values, and whether some are far above those of studies. */
+function describeAxis(axis, value) {
   const given = typeof value === "object" && !Array.isArray(value) ? [value.start, value.stop, value.num] : [value].flat();
   if (!given.length || !given.every(Number.isFinite) || value.num > MOST_VALUES) return "";
   const values = axisValues(value);
   const text = values.length > 1 ? `${plural(values.length, "value")}: ${values.slice(0, 3).map((each) => number(each)).join(", ")}${values.length > 3 ? ` … ${number(values.at(-1))}` : ""}` : "";
-  return [text, Math.max(...values) > USUAL[axis] && `unusual: the field has ${SYMBOL[axis]} up to ${USUAL[axis]}`].filter(Boolean).join("; ");
+  return [text, Math.max(...values) > USUAL[axis] && `unusual: studies have ${SYMBOL[axis]} up to ${USUAL[axis]}`].filter(Boolean).join("; ");
 }

@@ -109,7 +109,7 @@ export class SweepForm {
       this.isLoaded = true;
       const given = (job || preset)?.spec;
       const axes = axesOf(currentQuery(), given);
-      this.given = job && axes.gamma ? { ...given, ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from } : (given ?? {});
+      this.given = job && Object.keys(axes).length ? { ...given, ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from } : (given ?? {});
       this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: { kind: "rigid" } }) });
       if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
       this.pasted.takeDropped();

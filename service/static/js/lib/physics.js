@@ -110,13 +110,12 @@ export function cellColumns({ lyapunov, multiplier, computed }, of) {
     column("mode", modeText),
     ...(lyapunov ? [column("λ₁", (cells, i) => exponentText(exponentOf(cells, i), cells.lyapunov_error[i]))] : []),
     ...(multiplier ? [column("|μ|", ({ multiplier: moduli }, i) => number(moduli[i], 3)), column("flights within (rad)", ({ flight_error: errors }, i) => number(errors[i], 1))] : []),
-    ...(computed ? [column("cell", (cells, i) => (cells.computed[i] ? "computed" : "taken from its block"))] : []),
+    ...(computed ? [column("cell", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : cells.computed[i] ? "computed" : "taken from its block"))] : []),
   ];
 }
 
 /** Whether the cells of a sweep end once their cycles are certified. */
 export const certifies = ({ settle, exponents, model }) => settle === "auto" && !exponents && model.kind !== "stepped";
-
 
 const NUMBERS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
 

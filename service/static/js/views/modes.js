@@ -9,7 +9,7 @@ import { modeClasses, modeColour, theme } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView, hatchAt, hatchSymbol, windowOf } from "./cells.js";
 import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
-import { titleOf } from "./progress.js";
+import { UNFINISHED, titleOf } from "./progress.js";
 
 const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom. Modes are (bounces, plate periods).";
 const DASH = [7, 4];
@@ -73,14 +73,15 @@ export class Modes extends PlaneView {
     const data = Object.fromEntries(["outcome", "label", "bounces", "periods", "computed", "hysteresis", "lyapunov", "lyapunov_error", "multiplier", "flight_error"].map((name) => [name, result[name]?.data]));
     Object.assign(this, { cells: data, attrs: result.attrs, columns: result.gamma.data, rows: result.omega.data, xi: result.xi.data, ramp: result.direction.data });
     this.classes = modeClasses(data);
-    this.computedNear = result.attrs.complete ? null : nearestComputed(data.outcome, this.columns.length);
+    this.isPreview = !result.attrs.complete && UNFINISHED.has(this.job.state);
+    this.painted = this.isPreview ? nearestComputed(data.outcome, this.columns.length).map((cell) => this.classes.ofCell[cell]) : this.classes.ofCell;
   }
 
   /** The colours of the modes, and which cells are left out. */
   showLegend() {
     this.legend.show(this.classes, theme().dark);
-    const { every, computed_share: computed, complete } = this.attrs;
-    const partly = complete ? "" : "Cells that are not computed yet have the colour of the nearest one at their Γ. ";
+    const { every, computed_share: computed } = this.attrs;
+    const partly = !this.isPreview ? "" : "Cells that are not computed yet have the colour of the nearest one at their Γ. ";
     const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";
     this.note.textContent = partly + thinned + (this.isAdaptive
       ? `Adaptive map: ${share(computed, 2)} of the cells were computed; the others have the mode of their block. Of a map 0.3 to 0.5 % too many cells are aperiodic.`
@@ -123,17 +124,16 @@ export class Modes extends PlaneView {
   /** The cells in the colours of their classes; hatched where up and down differ. */
   #drawModes(ctx, box) {
     const { computed, hysteresis } = this.cells;
-    const ofCell = this.computedNear ? this.computedNear.map((cell) => this.classes.ofCell[cell]) : this.classes.ofCell;
     const colours = new Uint32Array(256);
     const { hidden } = this.legend;
     for (const { id } of this.classes.present) colours[id] = rgba32(hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark));
     const hatch = [rgba32(box.theme.text), rgba32(box.theme.surface)];
     const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
-    if (!hysteresis && mark === null) return this.drawCells(ctx, box, (cell) => colours[ofCell[cell]]);
+    if (!hysteresis && mark === null) return this.drawCells(ctx, box, (cell) => colours[this.painted[cell]]);
     this.drawCells(ctx, box, (cell, x, y) => {
       const line = hysteresis?.[cell] ? hatchAt(x, y, hysteresis[cell] === HYSTERESIS.mode) : -1;
       if (line >= 0) return hatch[line];
-      return mark !== null && computed[cell] ? mark : colours[ofCell[cell]];
+      return mark !== null && computed[cell] ? mark : colours[this.painted[cell]];
     });
   }
 
@@ -155,7 +155,7 @@ export class Modes extends PlaneView {
   }
 }
 
-/** For each cell itself, or while it is not computed the nearest one at its Γ that is. */
+/** For each cell of a running sweep itself, or while it is not computed the nearest one at its Γ that is. */
 function nearestComputed(outcome, columns) {
   const nearest = Int32Array.from(outcome, (value, cell) => (value === OUTCOME.missing ? -1 : cell));
   const spread = (cell, from) => {

@@ -142,8 +142,8 @@ export class AttractorDiagram extends AttractorView {
 
   columnsOfTable() {
     const place = (read) => ({ column, k }) => { const found = this.placesOf({ column })[k]; return found ? read(found) : ""; };
-    return [["Γ", ({ column }) => number(this.columns[column])], ["attractor", place(({ id }) => String(id))], ["mode", place(({ label }) => label)],
-      ["share of drops", place(({ fraction }) => share(fraction))],
+    return [["Γ", ({ column }) => number(this.columns[column])], ["attractor", place(({ id }) => String(id))], ["mode", (cell) => place(({ label }) => label)(cell) || (this.count[cell.column] < 0 ? "not computed yet" : "")],
+      ["share of drops", place(({ fraction }) => (fraction ? share(fraction) : "none, from a neighbouring cell"))],
       ["flight times (rad)", place(({ times }) => [...new Set(times.map((time) => number(time, 4)))].slice(0, MAX_LISTED).join(" "))]];
   }
 

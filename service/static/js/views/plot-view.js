@@ -155,8 +155,9 @@ export class PlotView {
   /** Fill the form with the sweep in the window on display. */
   #computeWindow() {
     const { x0, x1, y0, y1 } = this.visible();
+    const { [this.job.spec.protocol.axis]: ramped, ...fixed } = this.place; // a ramp keeps its axis
     const ends = this.windowed.map((axis, i) => [axis, [[x0, x1], [y0, y1]][i].map(addressValue).join()]);
-    navigate(["new"], { from: this.job.id, ...this.place, ...Object.fromEntries(ends) });
+    navigate(["new"], { from: this.job.id, ...fixed, ...Object.fromEntries(ends) });
   }
 
   /** Whether the last turn of the wheel is long ago: Back undoes a gesture, not its parts. */
