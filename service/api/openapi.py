@@ -12,7 +12,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 
 from service.api.middleware import OPEN_PATHS
-from service.api.schemas import ProblemDocument
+from service.api.schemas import NewName, ProblemDocument
 from service.views.trajectory import TrajectorySpec
 from worker.basins.specification import BasinSpec, MultistabilitySpec
 from worker.maps.window import Window
@@ -26,6 +26,7 @@ _MODELS: Final[tuple[type[BaseModel], ...]] = (
     BasinSpec,
     MultistabilitySpec,
     Window,
+    NewName,
     TrajectorySpec,
     ProblemDocument,
 )
@@ -70,6 +71,7 @@ EXAMPLES: Final[dict[str, dict[str, Any]]] = {
         "protocol": {"kind": "multistability"},
         "model": {"kind": "rigid"},
     },
+    "NewName": {"name": "up and down, again"},
     "Window": {"gamma": [1.0, 1.5], "omega": [0.4, 0.5], "finer": 4},
     "TrajectorySpec": {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "periods": 2},
 }

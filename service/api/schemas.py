@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
 
@@ -19,6 +19,7 @@ from worker.analysis.model_selection import ModelChoice
 from worker.executors.base import Compiling
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import Code
+from worker.spec.specification import Document, Label
 from worker.studies import STUDIES
 
 #: Lists leave out a specification longer than this, in characters of JSON.
@@ -37,6 +38,14 @@ def _in_utc(moment: datetime) -> datetime:
 
 
 Time = Annotated[datetime, AfterValidator(_in_utc)]
+
+
+class NewName(Document):
+    """Another name of a job."""
+
+    WHAT: ClassVar = "a name"
+
+    name: Label
 
 
 class JobsQuery(Query):
@@ -278,7 +287,7 @@ def job_view(
 
 
 #: Resources of a job beside its views.
-_PARTS: Final = ("cancel", "resume", "pin", "unpin", "events", "export", "zarr")
+_PARTS: Final = ("cancel", "resume", "pin", "unpin", "rename", "events", "export", "zarr")
 
 
 def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:

@@ -261,6 +261,14 @@ def resume(job: "Job") -> None:
 
 @click.command()
 @with_job
+@click.argument("name")
+def rename(job: "Job", name: str) -> None:
+    """Give a job another NAME. Its id and its numbers stay."""
+    job.rename(name)
+
+
+@click.command()
+@with_job
 def delete(job: "Job") -> None:
     """Delete a job and its results. Cancel it first if it is queued or running."""
     job.delete()
@@ -290,7 +298,7 @@ def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, 
 
 
 COMMANDS: Final = (
-    submit, plan, run, import_file, status, wait, watch, follow, cancel, resume, delete, list_jobs,
+    submit, plan, run, import_file, status, wait, watch, follow, cancel, resume, rename, delete, list_jobs,
 )  # fmt: skip
 
 

@@ -124,7 +124,7 @@ GROUPS: Final = {
     "Sweeps": {
         "submit": "sweep.toml --wait", "plan": "sweep.toml --budget 5m", "run": "sweep.toml -o sweep.zarr",
         "import": "sweep.html", "list": "--state done", "status": "ID", "wait": "ID", "watch": "",
-        "follow": "ID", "cancel": "ID", "resume": "ID", "delete": "ID",
+        "follow": "ID", "cancel": "ID", "resume": "ID", "rename": 'ID "up and down"', "delete": "ID",
     },
     "Results": {
         "diagram": "ID --omega 0.5 -o diagram.png", "modes": "ID -o map.png", "basins": "ID -o basin.png",

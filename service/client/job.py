@@ -126,6 +126,10 @@ class Job(ResultReader, ResultMethods, JobStatus):
         """Unpin the job."""
         return self._post("unpin")
 
+    def rename(self, name: str) -> "Job":
+        """Give the job another name; its id and its numbers stay. Raises InvalidSpecification."""
+        return self._post("rename", body({"name": name}))
+
     def resume(self) -> "Job":
         """Continue a failed or cancelled job where it stopped. Raises Conflict if it is done.
 
@@ -171,8 +175,8 @@ class Job(ResultReader, ResultMethods, JobStatus):
         response = self._transport.post(self._path("refine"), body(fields))
         return Job(self._transport, json_object(response), response)
 
-    def _post(self, action: str) -> "Job":
-        response = self._transport.post(self._path(action))
+    def _post(self, action: str, content: bytes | None = None) -> "Job":
+        response = self._transport.post(self._path(action), content)
         self._describe(json_object(response), response)
         return self
 

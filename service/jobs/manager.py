@@ -1,6 +1,7 @@
 """Jobs as users change them: submit, cancel, resume, delete. Changes the ledger and wakes the supervisor."""
 
 import hashlib
+import json
 import logging
 import time
 from contextlib import suppress
@@ -171,6 +172,14 @@ class JobManager:
         """Pin a job, or unpin it. Raises UnknownJob."""
         with self._ledger.writing() as ledger:
             ledger.update(_existing(ledger, job_id), pinned=pinned)
+            return _existing(ledger, job_id)
+
+    def rename(self, job_id: str, name: str) -> JobRecord:
+        """Give a job another name, which is not part of its identity. Raises UnknownJob."""
+        with self._ledger.writing() as ledger:
+            job = _existing(ledger, job_id)
+            spec = json.loads(job.spec) | {"name": name}
+            ledger.update(job, name=name, spec=json.dumps(spec))
             return _existing(ledger, job_id)
 
     def delete(self, job_id: str) -> None:

@@ -116,7 +116,7 @@ class JobRecord(NewJob):
     def revision(self) -> tuple[object, ...]:
         """Changes whenever the job's description changes, except for the estimated time left."""
         facts = (self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
-        return (self.id, *facts, self.notice, self.owner, self.pinned)
+        return (self.id, *facts, self.notice, self.owner, self.pinned, self.name)
 
     def eta_seconds(self, now: float) -> float | None:
         """Estimated remaining seconds at the rate since the first chunks of this run; None without a rate.

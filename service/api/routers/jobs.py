@@ -211,6 +211,18 @@ def unpin_job(service: ServiceDep, job: JobDep) -> Response:
 
 
 @router.post(
+    "/jobs/{job_id}/rename",
+    summary="Rename a job",
+    response_model=JobView,
+    responses=problem_responses(400, 404, 413, 415, 422),
+    openapi_extra=json_body("NewName"),
+)
+def rename_job(service: ServiceDep, job: JobDep, body: JsonBody) -> Response:
+    """Gives the job another name. Its id and numbers stay; a store written before keeps the title it has."""
+    return _job_response(service.manager.rename(job.id, schemas.NewName.from_json(body).name), 200)
+
+
+@router.post(
     "/jobs/{job_id}/refine",
     summary="Refine a window of a sweep's map",
     status_code=202,

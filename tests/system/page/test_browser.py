@@ -235,6 +235,9 @@ def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
         page.locator(".cost", has_text="1 cell in").wait_for()
         page.get_by_role("button", name="Compute").click()
         page.locator("#bar h1", has_text="dropped").wait_for()
+        page.once("dialog", lambda dialog: dialog.accept("called otherwise"))
+        page.get_by_role("button", name="Rename").click()
+        page.locator("#bar h1", has_text="called otherwise").wait_for()
 
 
 def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any, address: str):

@@ -27,8 +27,8 @@ BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
     "adopt", "audit", "backup", "basins", "cancel", "completion", "curves", "delete", "diagram", "doctor",
     "export", "figure", "follow", "import", "list", "metrics", "modes", "multistability", "open", "orbits",
-    "plan", "restore", "resume", "run", "serve", "share", "status", "submit", "threshold", "thresholds",
-    "tradeoff", "trajectory", "wait", "watch",
+    "plan", "rename", "restore", "resume", "run", "serve", "share", "status", "submit", "threshold",
+    "thresholds", "tradeoff", "trajectory", "wait", "watch",
 ]  # fmt: skip
 
 SPEC = {**TWO_LINES, "name": "two ω"}
@@ -97,6 +97,9 @@ def test_status_for_people_and_for_programs(url: str, job: str):
     text = bounce("status", job, url=url).stdout
     assert re.search(r"^state +done$", text, re.MULTILINE)
     assert re.search(r"^progress +100% \(92 of 92 cells, \d+ of \d+ chunks\)$", text, re.MULTILINE)
+    assert bounce("rename", job, "two", url=url).exit_code == 0
+    assert re.search("^name +two$", bounce("status", job, url=url).stdout, re.MULTILINE)
+    bounce("rename", job, "two ω", url=url)
     view = json.loads(bounce("status", job, "--json", url=url).stdout)
     assert (view["id"], view["state"], view["name"]) == (job, "done", "two ω")
     heading, *rows = bounce("list", url=url).stdout.splitlines()

@@ -40,9 +40,10 @@ export class JobView {
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     this.problem = problemLine();
+    this.rename = h("button", { type: "button", className: "quiet", "data-service": true, onclick: () => this.#rename() }, "Rename");
     this.duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
     Object.assign(this, buildFrame(root, {
-      bar: [this.heading, this.summary.progress, this.duplicate, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
+      bar: [this.heading, this.summary.progress, this.duplicate, this.rename, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
       tabs: this.tabs, problem: this.problem.element,
     }));
     this.trajectory = new TrajectoryPanel(this.aside, () => this.#closeTrajectory());
@@ -105,7 +106,7 @@ export class JobView {
     if (error.status !== 404 || this.job) return;
     this.heading.textContent = "No such sweep";
     document.title = "No such sweep · Bouncing spring";
-    this.summary.progress.hidden = this.duplicate.hidden = true;
+    this.summary.progress.hidden = this.duplicate.hidden = this.rename.hidden = true;
   }
 
   #describe() {
@@ -126,6 +127,16 @@ export class JobView {
     this.job = job;
     this.#describe();
     this.#pollAfter(POLL_MS / 2);
+  }
+
+  async #rename() {
+    const name = prompt("Name of the sweep", this.job.name);
+    if (name === null) return;
+    try {
+      this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
+    } catch (error) {
+      this.problem.show(error);
+    }
   }
 
   #showTab() {

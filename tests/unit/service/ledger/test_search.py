@@ -145,6 +145,17 @@ def test_jobs_are_found_and_pinned_over_http(tmp_path: Path):
             assert (pinned.status_code, pinned.json()["pinned"]) == (200, True)
         assert client.get(small["links"]["self"]).headers["ETag"] != etag
         assert found(pinned=True) == ["Small"]
+        etag = client.get(small["links"]["self"]).headers["ETag"]
+        renamed = client.post(small["links"]["rename"], json={"name": "small"})
+        assert (renamed.json()["name"], renamed.json()["spec"]["name"]) == ("small", "small")
+        assert client.get(small["links"]["self"]).headers["ETag"] != etag
+        assert client.post("/v1/jobs", json=small["spec"]).json()["id"] == small["id"]
+        refused = client.post(small["links"]["rename"], json={"name": "x\n"})
+        assert (refused.status_code, refused.json()["detail"]) == (
+            422,
+            "name: must be one line of printable characters",
+        )
+        client.post(small["links"]["rename"], json={"name": "Small"})
         assert found(pinned=False, order="oldest") == ["other"]
         assert found(search="SMALL") == found(search=small["id"][:9]) == ["Small"]
         assert found(model="rigid") == found(protocol="ramp") == []
