@@ -345,6 +345,8 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     legend_beside(ax, handles)
     ax.set_xlabel(AXES["gamma"])
     ax.set_ylabel(AXES["omega"])
+    if modes.sizes["omega"] == 1:
+        ax.set_yticks(modes.omega.values)
     ax.set_title(f"{SYMBOLS['xi']} = {modes.xi.item():g}, {counted}")
 
 

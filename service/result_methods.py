@@ -27,6 +27,7 @@ class ResultMethods(Methods):
     RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
         "diagram": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("flight_time",)),
         "modes": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("outcome",)),
+        "difference": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("up_moved",)),
         "threshold": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("up_status",)),
         "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("points", "event_gamma", "skipped_gamma")),
         "basins": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("attractor_fraction",)),
@@ -91,6 +92,24 @@ class ResultMethods(Methods):
         fits.
         """
         return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis, color=color, hide=hide, gamma_start=gamma_start, gamma_stop=gamma_stop, omega_start=omega_start, omega_stop=omega_stop)
+
+    def difference(
+        self,
+        other: Annotated[str, "id of the sweep that this one is compared with"],
+        xi: float | None = None,
+        direction: Annotated[str | None, "rest, up or down; default: the first"] = None,
+    ) -> "xarray.Dataset":
+        """Where two sweeps have other modes.
+
+        Each cell of this sweep is compared with the nearest one of the `other`, if it is within its axes: by
+        outcome and mode, and by label where both have exponents. Thresholds are compared at the Ω of both. The
+        attribute `sentence` says in how many cells modes are the same, and by how much thresholds move at most.
+
+        Returns a Dataset with the attribute `complete` and the variables `differs`, `bounces`, `periods`,
+        `outcome`, `label`, `other_bounces`, `other_periods`, `other_outcome`, `other_label`, `up_moved`,
+        `down_moved`. Raises BadRequest naming the parameter, TooLarge naming what fits.
+        """
+        return self.result("difference", other=other, xi=xi, direction=direction)
 
     def threshold(
         self,

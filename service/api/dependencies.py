@@ -92,11 +92,13 @@ def tag(request: Request, *facts: object, weak: bool = False, headers: Any = Non
         raise HTTPException(304, headers=headers)
 
 
-async def _results_job(job: JobDep, request: Request) -> JobRecord:
+async def _results_job(job: JobDep, service: ServiceDep, request: Request) -> JobRecord:
     """The job, its results tagged if they are final."""
-    if job.state is JobState.DONE:
-        # An accepted job gives the same bytes under one URL while this version of the service runs.
-        tag(request, job.id, job.seq, job.created, request.app.version)
+    jobs = [job, *(find_job(other, service) for other in request.query_params.getlist("other"))]
+    if all(each.state is JobState.DONE for each in jobs):
+        # Accepted jobs give the same bytes under one URL while this version of the service runs.
+        facts = [fact for each in jobs for fact in (each.id, each.seq, each.created)]
+        tag(request, *facts, request.app.version)
     return job
 
 

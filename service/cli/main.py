@@ -127,7 +127,8 @@ GROUPS: Final = {
         "follow": "ID", "cancel": "ID", "resume": "ID", "rename": 'ID "up and down"', "delete": "ID",
     },
     "Results": {
-        "diagram": "ID --omega 0.5 -o diagram.png", "modes": "ID -o map.png", "basins": "ID -o basin.png",
+        "diagram": "ID --omega 0.5 -o diagram.png", "modes": "ID -o map.png",
+        "difference": "ID --other ID -o difference.png", "basins": "ID -o basin.png",
         "multistability": "ID --omega 0.5", "audit": "ID", "export": "ID -o sweep.nc",
         "share": "ID -o sweep.html", "figure": "2 -o figure-2.png",
     },

@@ -20,6 +20,7 @@ from service.views import (
     basins,
     curves,
     diagram,
+    difference,
     encode,
     modes,
     multistability,
@@ -36,8 +37,8 @@ from worker.analysis.planning import Setting
 VIEWS: Final[dict[str, View]] = {
     view.name: view
     for view in (
-        diagram.VIEW, modes.VIEW, threshold.VIEW, orbits.VIEW, basins.VIEW, multistability.VIEW,
-        trajectory.VIEW, audit.VIEW,
+        diagram.VIEW, modes.VIEW, difference.VIEW, threshold.VIEW, orbits.VIEW, basins.VIEW,
+        multistability.VIEW, trajectory.VIEW, audit.VIEW,
     )
 }  # fmt: skip
 

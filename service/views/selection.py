@@ -71,6 +71,7 @@ class Stored(Generic[_Spec_co]):
     forms: Sequence[Mapping[str, store.ArrayForm]] | None = None
     submitted: Any = None  # the specification as submitted, perhaps with the contact `auto`
     audit: str | None = None  # what its last audit says; for files and pictures
+    other: "Stored[Any] | None" = None  # the study that it is compared with
 
     def is_complete(self, outcome: NDArray[np.uint8]) -> bool:
         """Whether all these cells are computed, and no damage is being repaired."""

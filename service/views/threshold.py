@@ -345,7 +345,7 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     """
     spec, nearest = study.spec, nearest_index(study.spec, "xi", query.xi)
     omega, xi = spec.axis_values("omega"), nearest.value
-    data, complete = _on_grid(study, nearest.index)
+    data, complete = on_grid_of(study, nearest.index)
     refined = [part for part in computed if isinstance(part, Refined)]
     if query.tolerance is not None:
         data |= _refined(data, refined)
@@ -440,7 +440,7 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
     return calls
 
 
-def _on_grid(study: Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]], bool]:
+def on_grid_of(study: Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]], bool]:
     """The thresholds to the grid in gamma and their statuses, and whether every cell is done.
 
     Where cells are filled in, also whether both cells beside each threshold were computed.

@@ -164,11 +164,18 @@ def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
     # The format is a field of the model, which forbids parameters beside its own.
     model: Any = create_model(view.query.__name__, __base__=view.query, format=(formats, "json"))
 
-    def study_of(service: Service, job: JobRecord | None) -> Stored[Any] | None:
-        return None if job is None else dependencies.stored(service, job)
+    def study_of(service: Service, job: JobRecord | None, query: Any) -> Stored[Any] | None:
+        if job is None or not hasattr(query, "other"):
+            return None if job is None else dependencies.stored(service, job)
+        other = dependencies.stored(service, dependencies.find_job(query.other, service))
+        if type(other.spec) is not view.study:
+            raise InvalidRequest.of(
+                "other", f"must be a sweep; the protocol of this job is {other.spec.protocol.kind}"
+            )
+        return replace(dependencies.stored(service, job), other=other)
 
     def cost(service: ServiceDep, job: JobRecord | None, query: Any) -> Cost:
-        _, estimate = _asked(service, view, study_of(service, job), query)
+        _, estimate = _asked(service, view, study_of(service, job, query), query)
         memory = estimate.memory + estimate.points * _PER_POINT[query.format]
         if query.format in PICTURES or not estimate.small:
             return Cost(BASE_MEMORY + memory)
@@ -178,7 +185,7 @@ def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
 
     @costly(cost, "on demand" if view.parts else "trajectory" if view.computes else "read")
     def get(service: ServiceDep, job: job_type, query: Annotated[model, Query()]) -> Response:
-        return _answer(service, view, study_of(service, job), job, query)
+        return _answer(service, view, study_of(service, job, query), job, query)
 
     return get
 

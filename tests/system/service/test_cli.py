@@ -25,10 +25,10 @@ from worker.executors.base import Executor
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
-    "adopt", "audit", "backup", "basins", "cancel", "completion", "curves", "delete", "diagram", "doctor",
-    "export", "figure", "follow", "import", "list", "metrics", "modes", "multistability", "open", "orbits",
-    "plan", "rename", "restore", "resume", "run", "serve", "share", "status", "submit", "threshold",
-    "thresholds", "tradeoff", "trajectory", "wait", "watch",
+    "adopt", "audit", "backup", "basins", "cancel", "completion", "curves", "delete", "diagram",
+    "difference", "doctor", "export", "figure", "follow", "import", "list", "metrics", "modes",
+    "multistability", "open", "orbits", "plan", "rename", "restore", "resume", "run", "serve", "share",
+    "status", "submit", "threshold", "thresholds", "tradeoff", "trajectory", "wait", "watch",
 ]  # fmt: skip
 
 SPEC = {**TWO_LINES, "name": "two ω"}

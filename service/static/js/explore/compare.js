@@ -66,7 +66,7 @@ export class Compare {
     this.legend.replaceChildren(...this.sources.map(({ job, number }) => legendEntry(branchColour(number, theme().dark),
       h("a", { href: link(["job", job.id]) }, titleOf(job)), h("p", { className: "summary" }, summary(job)))));
     const { layout } = currentQuery();
-    const layouts = Object.entries(LAYOUTS).filter(([name]) => !(name in ON_MAPS) || this.mapped.length > 1);
+    const layouts = Object.entries(LAYOUTS).filter(([name]) => name !== "maps" || this.mapped.length > 1);
     const initial = layouts.some(([name]) => name === layout) ? layout : "overlay";
     this.controls.replaceChildren(choice("Layout", layouts, initial, (name) => {
       setQuery({ layout: name === "overlay" ? null : name, ...windowQuery(null) });
@@ -77,7 +77,7 @@ export class Compare {
 
   #build(layout) {
     this.views.forEach((view) => view.close());
-    const [View, sources] = layout in ON_MAPS ? [ON_MAPS[layout], this.mapped] : [Diagram, this.sources];
+    const [View, sources] = [ON_MAPS[layout] ?? Diagram, layout === "maps" ? this.mapped : this.sources];
     const groups = layout === "difference" ? [sources.slice(0, 2)] : layout === "overlay" ? [sources] : sources.map((source) => [source]);
     this.legend.classList.toggle("uncoloured", layout !== "overlay");
     const isOne = groups.length < 2;

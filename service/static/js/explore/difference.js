@@ -2,12 +2,14 @@
 
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { number, share } from "../lib/format.js";
-import { OUTCOME, modeText, nearestIndex } from "../lib/physics.js";
+import { number } from "../lib/format.js";
+import { modeText, nearestIndex } from "../lib/physics.js";
 import { modeClasses, modeColour, theme } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView } from "../views/cells.js";
 import { sliders } from "../views/controls.js";
+
+const OTHER_MODE = 1; // of `differs`
 
 /** The cells of the first sweep; each is compared with the nearest one of the second. */
 export class Difference extends PlaneView {
@@ -21,25 +23,18 @@ export class Difference extends PlaneView {
   }
 
   paths() {
-    const of = (name) => this.sources.map(({ job, grid, directions: [direction] }) => `/v1/jobs/${job.id}/${name}?${query({ xi: grid.xi[nearestIndex(grid.xi, this.place.xi)], ...(name === "modes" ? { direction } : { predict: "none" }) })}`);
-    return [...of("modes"), ...of("threshold")];
+    const [{ job, grid }, other] = this.sources;
+    return [`/v1/jobs/${job.id}/difference?${query({ other: other.job.id, xi: grid.xi[nearestIndex(grid.xi, this.place.xi)] })}`];
   }
 
-  filePath({ job }) {
-    return this.paths().find((path) => path.includes(job.id));
+  filePath() {
+    return this.paths()[0];
   }
 
-  read([first, second, ...thresholds]) {
-    const [a, b] = [first, second].map((result) => Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, result[name]?.data])));
-    Object.assign(this, { first: a, second: b, columns: first.gamma.data, rows: first.omega.data, xi: first.xi.data });
-    const [columns, rows] = [["columns", "gamma"], ["rows", "omega"]].map(([own, axis]) => Array.from(this[own], (value) => nearestIndex(second[axis].data, value)));
-    this.other = rows.flatMap((row) => columns.map((column) => row * second.gamma.data.length + column));
-    this.classes = modeClasses(b);
-    const isKnown = (cell) => a.outcome[cell] !== OUTCOME.missing && b.outcome[this.other[cell]] !== OUTCOME.missing;
-    const known = this.other.map((_, cell) => cell).filter(isKnown);
-    this.differs = Uint8Array.from(this.other, (_, cell) => isKnown(cell) && modeText(a, cell) !== modeText(b, this.other[cell]));
-    const same = known.filter((cell) => !this.differs[cell]).length;
-    this.sentence.textContent = known.length ? `${share(same / known.length, 4)} of the cells have the same mode; ${moved(thresholds)}.` : "No cell of both is computed yet.";
+  read([result]) {
+    const [first, second] = ["", "other_"].map((sweep) => Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, result[sweep + name]?.data])));
+    Object.assign(this, { first, second, columns: result.gamma.data, rows: result.omega.data, xi: result.xi.data, differs: result.differs.data, classes: modeClasses(second) });
+    this.sentence.textContent = result.attrs.sentence;
   }
 
   content() {
@@ -56,8 +51,8 @@ export class Difference extends PlaneView {
     const same = rgba32(box.theme.surface);
     const { hidden } = this.legend;
     this.drawCells(ctx, box, (cell) => {
-      const id = this.classes.ofCell[this.other[cell]];
-      return this.differs[cell] && !hidden.has(id) ? colours.get(id) : same;
+      const id = this.classes.ofCell[cell];
+      return this.differs[cell] === OTHER_MODE && !hidden.has(id) ? colours.get(id) : same;
     });
   }
 
@@ -67,24 +62,14 @@ export class Difference extends PlaneView {
 
   isHidden(cell) {
     const index = this.indexOf(cell);
-    return !this.differs[index] || this.legend.hidden.has(this.classes.ofCell[this.other[index]]);
+    return this.differs[index] !== OTHER_MODE || this.legend.hidden.has(this.classes.ofCell[index]);
   }
 
   columnsOfTable() {
-    return [...this.columnsOfPlane(), ["first", (cell) => modeText(this.first, this.indexOf(cell))], ["second", (cell) => modeText(this.second, this.other[this.indexOf(cell)])]];
+    return [...this.columnsOfPlane(), ["first", (cell) => modeText(this.first, this.indexOf(cell))], ["second", (cell) => modeText(this.second, this.indexOf(cell))]];
   }
 
   cellOf({ column, row }) {
     return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.directions[0] };
   }
-}
-
-/** By how much the thresholds of two sweeps move, at the Ω of both. */
-function moved([first, second]) {
-  const away = ["up", "down"].flatMap((way) => Array.from(first.omega.data, (omega, i) => {
-    const j = nearestIndex(second.omega.data, omega);
-    return Math.abs(second.omega.data[j] - omega) < 1e-9 ? Math.abs(first[way].data[i] - second[way].data[j]) : NaN;
-  })).filter(Number.isFinite);
-  const most = Math.max(...away);
-  return !away.length ? "there is no threshold in both" : most ? `no threshold moves by more than ${number(most, 2)}` : "no threshold moves";
 }

@@ -292,8 +292,8 @@ export class PlotView {
     const png = ["PNG", () => fileName(this.job, this.name, "png"), () => this.plot.png()];
     if (shared) return downloads([png]);
     const files = (source, formats) => resultFiles(source.job, () => this.name, formats, () => this.filePath(source));
-    if (this.isCompared) return downloads([png, ...this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]))]);
-    return downloads([...files(this.source, FORMATS), ...(isSweep(this.job.spec) ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [])]);
+    if (this.isCompared && this.paths().length > 1) return downloads([png, ...this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]))]);
+    return downloads([...files(this.source, FORMATS), ...(isSweep(this.job.spec) && !this.isCompared ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [])]);
   }
 }
 

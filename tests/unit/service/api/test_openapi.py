@@ -11,6 +11,7 @@ from tables import for_each
 
 from service.api.app import create_app
 from service.api.openapi import EXAMPLES
+from service.api.schemas import NewName
 from service.settings import Settings
 from service.views.trajectory import TrajectorySpec
 from worker.executors.inline import Inline
@@ -73,6 +74,8 @@ def test_examples_are_accepted(document: dict[str, Any], name: str):
     text = json.dumps(example)
     if name == "Window":
         Window.from_json(text)
+    elif name == "NewName":
+        NewName.from_json(text)
     elif name == "TrajectorySpec":
         TrajectorySpec(**json.loads(text))
     else:

@@ -1,0 +1,182 @@
+"""The difference of two sweeps: cells with other modes, and by how much thresholds move."""
+
+from typing import TYPE_CHECKING, Annotated, Final
+
+import numpy as np
+import xarray
+from numpy.typing import NDArray
+from pydantic import Field
+
+from kernel.params import Outcome
+from service.pictures import draw_modes
+from service.views.selection import (
+    LABEL,
+    MAX_READ,
+    ROUNDING,
+    Arrays,
+    Stored,
+    arrays_of_modes,
+    directions_of,
+    nearest_index,
+    read_direction,
+    recounted,
+)
+from service.views.threshold import on_grid_of
+from service.views.variables import coordinate, dataset, row, variable
+from service.views.view import Estimate, Number, Query, View
+from worker.spec.specification import JobId
+from worker.study import Array
+from worker.sweep import SweepSpec
+from worker.sweep.schema import MODE_ARRAYS, OUTCOME, RECORD
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PLANE: Final = ("omega", "gamma")
+_OF_CELLS: Final = (*(each for each in RECORD if each.name in MODE_ARRAYS), OUTCOME, LABEL)
+_DIFFERS: Final = row(
+    "differs", (), "|u1", "how the cell compares with the nearest one of the other sweep",
+    flag_values=[0, 1, 2], flag_meanings="same_mode other_mode not_compared",
+)  # fmt: skip
+_MOVED: Final = tuple(
+    row(
+        f"{way}_moved", (), "<f8", f"how far the threshold {way} moves in Γ", comment="NaN: not found in both"
+    )
+    for way in ("up", "down")
+)
+
+
+def _other(array: Array) -> Array:
+    """A variable of the other sweep."""
+    attrs = array.attrs | {"long_name": f"{array.attrs['long_name']}, of the other sweep"}
+    return array._replace(name=f"other_{array.name}", attrs=attrs)
+
+
+_ROWS: Final = (_DIFFERS, *_OF_CELLS, *map(_other, _OF_CELLS), *_MOVED)
+
+
+class DifferenceQuery(Query):
+    """The plane of both sweeps at the nearest value of xi."""
+
+    other: Annotated[JobId, Field(description="id of the sweep that this one is compared with")]
+    xi: Number | None = None
+    direction: Annotated[str | None, Field(description="rest, up or down; default: the first")] = None
+
+
+def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
+    """Where two sweeps have other modes.
+
+    Each cell of this sweep is compared with the nearest one of the `other`, if it is within its axes: by
+    outcome and mode, and by label where both have exponents. Thresholds are compared at the Ω of both. The
+    attribute `sentence` says in how many cells modes are the same, and by how much thresholds move at most.
+    """
+    other = study.other
+    assert other is not None
+    xi = nearest_index(study.spec, "xi", query.xi)
+    other_xi = nearest_index(other.spec, "xi", xi.value if len(other.spec.axis_values("xi")) > 1 else None)
+    direction = directions_of(study.spec, query.direction)[0]
+    ways = other.spec.directions
+    names = arrays_of_modes(study.spec, None)
+    own = recounted(study.spec, read_direction(study, names, direction, {"xi": xi.index}), None)
+    near, inside = _nearest(study.spec, other.spec)
+    theirs = _read_nearest(other, direction if direction in ways else ways[0], other_xi.index, near)
+    known = np.logical_and.outer(*inside)
+    for arrays in (own, theirs):
+        known &= arrays["outcome"] != Outcome.MISSING
+    compared = [each.name for each in _OF_CELLS if each.name in own and each.name in theirs]
+    same = np.logical_and.reduce([own[name] == theirs[name] for name in compared])
+    data = {"differs": np.where(known, ~same, 2)} | {name: own[name] for name in compared}
+    data |= {f"other_{name}": theirs[name] for name in compared}
+    moved = _moved(study, other, xi.index, other_xi.index)
+    rows = {each.name: each for each in _ROWS}
+    return dataset(
+        {name: variable(_PLANE, values, rows[name]) for name, values in data.items()}
+        | {name: variable(("omega",), values, rows[name]) for name, values in moved.items()},
+        {"xi": coordinate("xi", xi.value), "direction": coordinate("direction", direction)}
+        | {axis: coordinate(axis, study.spec.axis_values(axis)) for axis in _PLANE},
+        {
+            "sentence": _sentence(same[known], moved), "other": query.other, "other_xi": other_xi.value,
+            "complete": bool(study.is_complete(own["outcome"]) and other.is_complete(theirs["outcome"])),
+        },
+    )  # fmt: skip
+
+
+def _nearest(spec: SweepSpec, other: SweepSpec) -> tuple[list[NDArray[np.intp]], list[NDArray[np.bool_]]]:
+    """The indices of the other sweep nearest to each omega and gamma, and which are within its axes."""
+    near, inside = [], []
+    for axis in _PLANE:
+        values, theirs = spec.axis_values(axis), other.axis_values(axis)
+        right = np.clip(np.searchsorted(theirs, values), 1, max(len(theirs) - 1, 1))
+        left = np.minimum(right, len(theirs)) - 1
+        right = np.minimum(right, len(theirs) - 1)
+        near.append(np.where(values - theirs[left] <= theirs[right] - values, left, right))
+        slack = ROUNDING * max(abs(theirs[0]), abs(theirs[-1]))
+        inside.append((values >= theirs[0] - slack) & (values <= theirs[-1] + slack))
+    return near, inside
+
+
+def _read_nearest(study: Stored[SweepSpec], direction: str, xi: int, near: list[NDArray[np.intp]]) -> Arrays:
+    """`recounted` arrays of these rows and columns of a plane, read some rows at a time."""
+    rows, columns = near
+    names = arrays_of_modes(study.spec, None)
+    at_once = max(1, MAX_READ // (4 * len(study.spec.axis_values("gamma"))))
+    parts, first = [], 0
+    while first < len(rows):
+        last = int(np.searchsorted(rows, rows[first] + at_once))
+        low, high = int(rows[first]), int(rows[last - 1]) + 1
+        block = read_direction(study, names, direction, {"xi": xi, "omega": slice(low, high)})
+        parts.append({name: values[rows[first:last] - low][:, columns] for name, values in block.items()})
+        first = last
+    arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return recounted(study.spec, arrays, None)
+
+
+def _moved(
+    study: Stored[SweepSpec], other: Stored[SweepSpec], xi: int, other_xi: int
+) -> dict[str, NDArray[np.float64]]:
+    """How far thresholds move per omega of the first sweep; nothing where one of them has none in gamma."""
+    if not {study.spec.ramp_axis, other.spec.ramp_axis} <= {None, "gamma"}:
+        return {}
+    own, theirs = on_grid_of(study, xi)[0], on_grid_of(other, other_xi)[0]
+    [near, _], _ = _nearest(study.spec, other.spec)
+    omega = study.spec.axis_values("omega")
+    apart = ~np.isclose(omega, other.spec.axis_values("omega")[near], rtol=ROUNDING, atol=0.0)
+    return {
+        f"{way}_moved": np.where(apart, np.nan, np.abs(own[way] - theirs[way][near]))
+        for way in ("up", "down")
+    }
+
+
+def _sentence(same: NDArray[np.bool_], moved: dict[str, NDArray[np.float64]]) -> str:
+    """In how many cells modes are the same, and by how much thresholds move at most."""
+    if not same.size:
+        return "No cell of both is computed yet."
+    away = np.concatenate([*moved.values(), []])
+    most = np.max(away, where=np.isfinite(away), initial=-1.0)
+    threshold = "no threshold moves" + (f" by more than {most:.2g}" if most > 0.0 else "")
+    threshold = threshold if most >= 0.0 else "there is no threshold in both"
+    return f"{100.0 * same.mean():.4g} % of the cells have the same mode; {threshold}."
+
+
+def estimate(spec: SweepSpec, query: DifferenceQuery) -> Estimate:
+    """All cells of the plane. Raises InvalidRequest for a plane that the sweep does not have."""
+    nearest_index(spec, "xi", query.xi)
+    directions_of(spec, query.direction)
+    lengths = {axis: len(spec.axis_values(axis)) for axis in _PLANE}
+    return Estimate(lengths, reads=_PLANE, memory=32 * MAX_READ, small=False)
+
+
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
+    """The cells that differ, with the modes of the other sweep."""
+    axes = figure.subplots()
+    names = [str(name) for name in result.data_vars if str(name).startswith("other_")]
+    shown = result[names].rename({name: name.removeprefix("other_") for name in names})
+    draw_modes(axes, shown.where(result.differs == 1, 0).assign_attrs(hide="same"))
+    place = f"$\\xi$ = {result.xi.item():g}, where modes differ: those of the other sweep"
+    axes.set_title(f"{place}\n{result.attrs['sentence']}", fontsize=10)
+
+
+VIEW: Final = View(
+    "difference", "Difference of two sweeps", SweepSpec, DifferenceQuery, compute, estimate,
+    variables=_ROWS, rows="differs", printed=("up_moved",), draw=draw, size=(8.0, 4.2),
+)  # fmt: skip

@@ -1,0 +1,49 @@
+"""The difference of two sweeps, beside their own maps and thresholds."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from served import computing
+from studies import BASINS, spec_of
+
+from service.client import BadRequest, Client, NotFound
+
+
+def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_path: Path):
+    own = spec_of((0.6, 3.0, 25), [0.45, 0.5, 0.6, 0.9], [0.1, 0.26], window=(60, 20))
+    other = spec_of((0.63, 2.63, 12), [0.5, 0.62, 0.7], 0.26, window=(60, 20))
+    line = spec_of((0.6, 3.0, 25), 0.5, 0.26, window=(60, 20), exponents=1)
+    with computing(tmp_path) as http:
+        client = Client("http://localhost", http=http)
+        first, second, third = (client.submit(spec).wait(progress=False) for spec in (own, other, line))
+        found = first.difference(second.id, xi=0.26)
+        maps = [job.modes(xi=0.26, direction="rest") for job in (first, second)]
+        ends = [job.threshold(xi=0.26, predict="none").up.values for job in (first, second)]
+        alone = third.difference(first.id)
+        same = third.difference(third.id)
+        drawn = first.result_file("difference", "svg", other=second.id, xi=0.26).decode()
+        with pytest.raises(NotFound):
+            first.difference("0" * 32)
+        basin = client.submit(BASINS)
+        with pytest.raises(BadRequest, match="other: must be a sweep; the protocol of this job is basin"):
+            first.difference(basin.id)
+    near = maps[1].sel(gamma=maps[0].gamma, omega=maps[0].omega, method="nearest")
+    omega, gamma = (
+        (maps[0][axis].values >= maps[1][axis].values[0]) & (maps[0][axis].values <= maps[1][axis].values[-1])
+        for axis in ("omega", "gamma")
+    )
+    known = np.logical_and.outer(omega, gamma)
+    names = ("outcome", "bounces", "periods")
+    equal = np.logical_and.reduce([maps[0][name].values == near[name].values for name in names])
+    assert 0 < equal[known].mean() < 1
+    np.testing.assert_array_equal(found.differs, np.where(known, ~equal, 2))
+    for name in names:
+        np.testing.assert_array_equal(found[f"other_{name}"], near[name])
+    np.testing.assert_allclose(found.up_moved, [np.nan, abs(ends[0][1] - ends[1][0]), np.nan, np.nan])
+    share = f"{100 * equal[known].mean():.4g} % of the cells have the same mode; no threshold moves by more"
+    assert found.attrs["sentence"].startswith(share)
+    assert found.attrs["sentence"] in drawn
+    assert (alone.differs == 0).all()
+    assert "other_label" not in alone
+    assert same.attrs["sentence"] == "100 % of the cells have the same mode; no threshold moves."
