@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.params import Outcome
-from service.pictures import draw_modes
+from service.pictures import SYMBOLS, draw_modes
 from service.views.selection import (
     LABEL,
     MAX_READ,
@@ -172,7 +172,8 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     names = [str(name) for name in result.data_vars if str(name).startswith("other_")]
     shown = result[names].rename({name: name.removeprefix("other_") for name in names})
     draw_modes(axes, shown.where(result.differs == 1, 0).assign_attrs(hide="same"))
-    place = f"$\\xi$ = {result.xi.item():g}, where modes differ: those of the other sweep"
+    xi = " and ".join(f"{value:g}" for value in sorted({result.xi.item(), result.attrs["other_xi"]}))
+    place = f"{SYMBOLS['xi']} = {xi}, where modes differ: those of the other sweep"
     axes.set_title(f"{place}\n{result.attrs['sentence']}", fontsize=10)
 
 

@@ -34,13 +34,14 @@ export class Difference extends PlaneView {
   read([result]) {
     const [first, second] = ["", "other_"].map((sweep) => Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, result[sweep + name]?.data])));
     Object.assign(this, { first, second, columns: result.gamma.data, rows: result.omega.data, xi: result.xi.data, differs: result.differs.data, classes: modeClasses(second) });
+    this.title = `ξ = ${[...new Set([this.xi, result.attrs.other_xi])].map((xi) => number(xi)).join(" and ")}`;
     this.sentence.textContent = result.attrs.sentence;
   }
 
   content() {
     return {
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
-      title: `ξ = ${number(this.xi)}`,
+      title: this.title,
       layers: [(ctx, box) => this.#paint(ctx, box)],
       cursor: (ctx, box) => this.drawCursor(ctx, box),
     };
