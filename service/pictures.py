@@ -4,6 +4,7 @@ Needs xarray alone, so that the client stays light; matplotlib is loaded when so
 """
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,8 +16,8 @@ from kernel.labels import LABELS
 from kernel.threshold import threshold
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.patches import Patch
 
 #: The colours of the project by their meaning, each on white and on a dark background; the page reads the
 #: same file. Pictures are on white.
@@ -81,6 +82,9 @@ IDEAL: Final = "rigid, restitution 0"
 HATCH: Final = "////"
 DIFFER: Final = "up and down differ"
 
+
+#: Height of a strip of modes, of the axes.
+STRIP: Final = 0.022
 
 #: Dots per inch of a picture.
 DPI: Final = 200
@@ -308,6 +312,40 @@ def draw_measured(ax: "Axes", points: Any, axis: NDArray[np.float64], computed: 
     below.set_title(said, loc="right", fontsize=8, pad=2)
 
 
+def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:
+    """Above the flights of a diagram, a strip of each direction with the modes of its cells, and a legend.
+
+    Classes that the attribute `hide` names are left out.
+    """
+    from matplotlib.colors import ListedColormap
+
+    labels = diagram["label" if "label" in diagram else "outcome"].values
+    cells = np.atleast_2d(classes_of(labels, diagram.bounces.values, diagram.periods.values))
+    hidden = [CLASS_NAMES.index(name) for name in diagram.attrs.get("hide", "").split(",") if name]
+    shown = np.ma.masked_where(np.isin(cells, hidden), cells)
+    low, high = ax.get_xlim()
+    ends = np.clip(edges(diagram[along_of(diagram)].values), low, high)
+    for i, strip in enumerate(shown):
+        ax.pcolormesh(
+            ends, 1.0 + STRIP * (len(shown) - i - np.array([0.8, 0.0])), strip[np.newaxis], rasterized=True,
+            cmap=ListedColormap(list(CLASSES.values())), vmin=-0.5, vmax=len(CLASSES) - 0.5,
+            transform=ax.get_xaxis_transform(), clip_on=False,
+        )  # fmt: skip
+    lines = ax.get_legend_handles_labels()[0] if len(shown) > 1 else []
+    legend_beside(ax, [*lines, *_entries(shown, CLASSES)], 1.05, markerscale=3)
+
+
+def _entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
+    """Entries of a legend for the classes that cells have, by their number."""
+    from matplotlib.patches import Patch
+
+    names = list(classes)
+    return [
+        Patch(facecolor=classes[names[i]], edgecolor="black", linewidth=0.4, label=names[i].replace("_", " "))
+        for i in np.unique(np.ma.compressed(cells)).tolist()
+    ]
+
+
 def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     """The cells of the plane (Γ, Ω) by the plate periods of their cycle, or by what else they do.
 
@@ -318,7 +356,6 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     from matplotlib.patches import Patch
 
     classes = CLASSES | MARGIN_CLASSES
-    names, colours = list(classes), list(classes.values())
     labels = modes["label" if "label" in modes else "outcome"].values
     cells = classes_of(labels, modes.bounces.values, modes.periods.values)
     counted = "periods of the plate in a cycle"
@@ -330,12 +367,14 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     if "hide" in modes.attrs:
         cells = np.ma.masked_equal(cells, CLASS_NAMES.index("missing"))
     ax.pcolormesh(
-        *corners, cells, rasterized=True, cmap=ListedColormap(colours), vmin=-0.5, vmax=len(names) - 0.5
+        *corners,
+        cells,
+        rasterized=True,
+        cmap=ListedColormap(list(classes.values())),
+        vmin=-0.5,
+        vmax=len(classes) - 0.5,
     )
-    handles = [
-        Patch(facecolor=colours[i], edgecolor="black", linewidth=0.4, label=names[i].replace("_", " "))
-        for i in np.unique(np.ma.compressed(cells)).tolist()
-    ]
+    handles = _entries(cells, classes)
     if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():
         ax.pcolor(
             *corners, np.ma.masked_where(~differ, differ),
@@ -350,9 +389,10 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     ax.set_title(f"{SYMBOLS['xi']} = {modes.xi.item():g}, {counted}")
 
 
-def legend_beside(ax: "Axes", entries: "list[Patch]") -> None:
-    """A legend on the right of the axes."""
-    ax.legend(handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
+def legend_beside(ax: "Axes", entries: "Sequence[Artist]", left: float = 1.01, **options: Any) -> None:
+    """A legend on the right of the axes, from `left` widths of them."""
+    place: Any = {"loc": "upper left", "bbox_to_anchor": (left, 1.0), "borderaxespad": 0.0}
+    ax.legend(handles=entries, frameon=False, **place, **options)
 
 
 def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:

@@ -12,7 +12,7 @@ from pydantic import Field
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.modes import counted
 from kernel.params import Outcome
-from service.pictures import SYMBOLS, WARNING, draw_diagram
+from service.pictures import SYMBOLS, WARNING, draw_diagram, draw_strips
 from service.views.selection import (
     LABEL,
     Stored,
@@ -76,6 +76,8 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
     }  # fmt: skip
     ends = {"flight_start": query.flight_start, "flight_stop": query.flight_stop}
     attrs |= {name: value for name, value in ends.items() if value is not None}
+    if query.hide is not None:
+        attrs["hide"] = query.hide
     result = cells_dataset(cells, coords, rows_of(spec), attrs)
     if query.caption:
         result.attrs["caption"] = _caption(spec, result)
@@ -142,17 +144,16 @@ def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
 
 
 #: Inches.
-SIZE: Final = (6.8, 4.2)
+SIZE: Final = (8.6, 4.2)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Flight times along the axis. The picture says how many cells are missing."""
     axes = figure.subplots()
     draw_diagram(axes, result)
+    draw_strips(axes, result)
     if "caption" in result.attrs:
         _draw_caption(axes, result)
-    if result.sizes.get("direction", 1) > 1:
-        draw_legend(axes)
     if not result.attrs["complete"]:
         missing = int(np.count_nonzero(result.outcome.values == Outcome.MISSING))
         total = result.outcome.size
@@ -168,8 +169,9 @@ def _draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
     fixed = (axis for axis in reversed(AXES) if axis != result.attrs["along"])
     title = ",   ".join(f"{SYMBOLS[axis]} = {float(result[axis]):.6g}" for axis in fixed)
     caption = re.sub("(?<=along )[a-z]+", lambda axis: SYMBOLS[axis[0]], result.attrs["caption"])
-    axes.set_title(title, loc="left", fontsize=11)
-    axes.set_title(caption, loc="right", fontsize=8.5, color="0.35")
+    pad = 4 + 9 * result.sizes.get("direction", 1)  # above the strips
+    axes.set_title(title, loc="left", fontsize=11, pad=pad)
+    axes.set_title(caption, loc="right", fontsize=8.5, color="0.35", pad=pad)
 
 
 def draw_legend(axes: "Axes", **options: Any) -> None:

@@ -25,7 +25,8 @@ def cells(
 ) -> xarray.Dataset:
     """Four cells: at rest, bouncing once, bouncing twice, and at rest."""
     times = [[NAN, NAN], [4.0, NAN], [3.0, 6.0], [NAN, NAN]]
-    values = {"flight_time": times, "outcome": [3, 1, 2, 3], "bounces": [0, 1, 0, 0], **arrays}
+    values = {"flight_time": times, "outcome": [3, 1, 2, 3], "bounces": [0, 1, 0, 0], "periods": [0, 1, 0, 0]}
+    values |= arrays
     fixed = {"gamma": 2.0, "omega": 0.5, "xi": 0.26, "direction": "rest"}
     return xarray.Dataset(
         {name: variable((along,), array, ROWS[name]) for name, array in values.items()},
@@ -70,6 +71,15 @@ def test_a_table_has_a_row_per_flight():
     ]  # fmt: skip
 
 
+def test_strips_have_the_modes_of_both_ways_without_hidden_classes():
+    found = both(cells(), cells(bounces=[0, 2, 0, 0])).assign_attrs(hide="aperiodic")
+    axes = drawn(found)
+    names = [[pictures.CLASS_NAMES[i] for i in strip.get_array().compressed()] for strip in axes.collections]
+    assert names == [["at_rest", "1-equal", "at_rest"], ["at_rest", "1-more", "at_rest"]]
+    entries = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert entries == ["ramp up", "ramp down", "1 period", "1 period, more bounces", "at rest"]
+
+
 def test_many_flights_are_drawn_as_density(monkeypatch: pytest.MonkeyPatch):
     """A bin is drawn where flights are; one flight covers its bin alone."""
     monkeypatch.setattr(pictures, "DENSE_POINTS", 2)
@@ -78,7 +88,7 @@ def test_many_flights_are_drawn_as_density(monkeypatch: pytest.MonkeyPatch):
     axes = drawn(cells())
     (line,) = dots(axes)
     assert places(line) == []
-    (image,) = axes.collections
+    image, _ = axes.collections
     # a bin of gamma for each value, of flights up to 6.36 rad
     assert np.argwhere(~np.ma.getmaskarray(image.get_array())).tolist() == [[1, 2], [2, 1], [3, 2]]
 

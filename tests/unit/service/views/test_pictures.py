@@ -79,7 +79,8 @@ def diagrams(cells: int, directions: list[str], **attrs: Any) -> Draw:
     labels = np.array([LABELS.index(name) for name in ("at_rest", "periodic", "chaotic", "unresolved")])
     found = xarray.Dataset(
         {"flight_time": (("gamma", "flight"), times), "outcome": ("gamma", outcome[number]),
-         LABEL.name: ("gamma", labels[number].astype(np.uint8))},
+         LABEL.name: ("gamma", labels[number].astype(np.uint8)),
+         "bounces": ("gamma", number == 1), "periods": ("gamma", number)},
         {"gamma": np.linspace(0.5, 3.5, cells), "omega": 0.5, "xi": 0.26},
         {"along": "gamma", "min_flight": 0.0, "every": 1, "complete": True, **attrs},
     )  # fmt: skip
