@@ -16,10 +16,12 @@ from typing import Any, Final
 
 import xarray
 
+from service.software import software
 from service.views import diagram, modes, threshold
 from service.views.registry import encoded
 from service.views.selection import Stored
 from service.views.view import View
+from worker.study.layout import REFERENCE
 from worker.sweep import AXES, SweepSpec
 
 FILES: Final = Path(__file__).parents[1] / "static"
@@ -29,6 +31,7 @@ MOST_BYTES: Final = 6_000_000
 MOST_LINES, MOST_FLIGHTS, MOST_IN_ALL, MOST_CELLS = 400, 60_000, 4_000_000, 250_000
 
 _IMPORT: Final = re.compile(r'(from |import )"(\.{1,2}/[^"]+)"(?: with \{[^}]*\})?')
+_CHECKSUM: Final = re.compile('data-sha256="([0-9a-f]+)"')
 _OUTSIDE: Final = re.compile(r"\s*<(?:link|script)[^>]*>(?:</script>)?")
 
 
@@ -49,7 +52,13 @@ def page(study: Stored[SweepSpec], attributes: Mapping[str, Any], numbers: str =
     missing = "" if study.complete else "The sweep was not complete: cells are missing"
     shows = "" if numbers or missing else "It shows the sweep; its numbers are too many to be imported"
     note = ". ".join(filter(None, [missing, study.audit, left_out, shows]))
-    shared = json.dumps({"job": job, "answers": answers, "note": note}).replace("</", "<\\/")
+    about = {
+        "Software": attributes.get("software"), "History": attributes.get("history"),
+        "Checksum of its numbers": "".join(_CHECKSUM.findall(numbers)),
+        "How to cite": f"bouncing-spring {software().release}, and {REFERENCE}",
+    }  # fmt: skip
+    shown = {"job": job, "answers": answers, "note": note, "about": about}
+    shared = json.dumps(shown).replace("</", "<\\/")
     imports = json.dumps({"imports": dict(_modules())})
     head = "".join(f"<style>{(FILES / name).read_text()}</style>" for name in ("style.css", "views.css"))
     scripts = (

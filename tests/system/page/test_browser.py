@@ -399,7 +399,8 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.keyboard.press("ArrowRight")
         page.locator(".panel .readout", has_text="ramp down: 0.").wait_for()
         page.get_by_role("link", name="Details").click()
-        page.get_by_text("Kernel version").wait_for()
+        page.locator("tr", has_text="How to cite").get_by_text("Physica D").wait_for()
+        screenshot(page, "shared-details", whole=False)
     with opened(browser, file.as_uri(), offline=True, java_script_enabled=False) as page:
         assert page.locator("img[alt='Bifurcation diagram']").bounding_box()["width"] > 300
         page.locator("th", has_text="kernel_version").wait_for()

@@ -17,7 +17,7 @@ export class Unreachable extends Error {
 /** Dispatches "unreachable" when a request gets no answer, "waiting" with the number of requests that the busy service told to come again, and "unauthorized" when the service requires a token, whose `detail.refused` tells that it refused the one it got. */
 export const connection = new EventTarget();
 
-/** What a file holds that was shared: {job, answers, note}; null where there is a service. */
+/** What a file holds that was shared: {job, answers, note, about}; null where there is a service. */
 export const shared = JSON.parse(document.getElementById("shared")?.textContent ?? "null");
 
 const TIMEOUT_MS = 30_000;

@@ -61,6 +61,7 @@ function origin(job, software) {
     ["Kernel version", job.kernel_version],
     software && ["This service", `bouncing-spring ${software.release}, kernel version ${software.kernel_version}`],
     software && ["Software", [`Python ${software.python}`, ...Object.entries(software.libraries).map(([name, version]) => `${name} ${version}`)].join(", ")],
+    ...(shared ? Object.entries(shared.about).filter(([, text]) => text) : []),
   ].filter(Boolean);
 }
 
