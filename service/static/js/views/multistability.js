@@ -6,7 +6,7 @@ import { fileName } from "../lib/downloads.js";
 import { number, plural, share } from "../lib/format.js";
 import { PagedTable } from "../lib/table.js";
 import { TWO_PI, clampIndex, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
-import { COLOURED, branchColour, theme } from "../plot/colours.js";
+import { branchColour, theme } from "../plot/colours.js";
 import { circle, disc, rgba32, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
 import { PlaneView, hatchAt, hatchSymbol, legendEntry } from "./cells.js";
@@ -47,11 +47,7 @@ class AttractorView extends PlaneView {
 
   showLegend() {
     const { dark } = theme();
-    const own = this.attractors.filter(({ id }) => id <= COLOURED);
-    const others = this.attractors.length - own.length;
-    this.legend.replaceChildren(
-      ...own.map(({ id, label, cells }) => legendEntry(branchColour(id, dark), `${id}: mostly ${label} `, h("small", {}, plural(cells, "cell")))),
-      ...(others ? [legendEntry(branchColour(COLOURED + 1, dark), plural(others, "more attractor"))] : []));
+    this.legend.replaceChildren(...this.attractors.map(({ id, label, cells }) => legendEntry(branchColour(id, dark), `${id}: mostly ${label} `, h("small", {}, plural(cells, "cell")))));
     const { several, several_by_drops: byDrops } = this.plane.attrs;
     this.shares.textContent = (several ?? null) === null ? "" : `Two attractors or more in ${share(several)} of the cells; drops reach them in ${share(byDrops)}.`;
   }
