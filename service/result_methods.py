@@ -296,7 +296,7 @@ class SpringMethods(Methods):
 
     RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
         "threshold": (("json", "bin", "nc"), ()),
-        "thresholds": (("json", "bin", "nc", "csv", "parquet"), ("down", "cause")),
+        "thresholds": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("down", "cause")),
         "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("points", "event_gamma")),
         "curves": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("gamma", "event_gamma")),
     }

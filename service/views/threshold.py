@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 import xarray
@@ -15,7 +15,7 @@ from kernel.search import starts_of
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
-from service.pictures import IDEAL, draw_thresholds
+from service.pictures import ATTRACTORS, AXES, IDEAL, SYMBOLS, draw_thresholds, edges, legend_beside
 from service.views import orbits, proofs
 from service.views.selection import (
     MAX_READ,
@@ -45,6 +45,9 @@ from worker.spec.errors import problems_of
 from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Springs whose thresholds are kept: the least recently used one makes room.
 KEPT: Final = 4096
@@ -257,9 +260,43 @@ def estimate_grid(spec: None, query: GridQuery) -> Estimate:
     return Estimate(sizes, memory=_PER_OMEGA * len(_springs(query)), small=False)
 
 
+#: Values of xi that are drawn as lines over omega; more as a map.
+_MOST_LINES: Final = 5
+
+
+def draw_grid(result: xarray.Dataset, figure: "Figure") -> None:
+    """The lowest Γ at which bouncing persists: a line over omega for each of a few xi, or a map.
+
+    Diamonds are searched for; dashed: Eq. 25. White on a map: not decided.
+    """
+    axes = figure.subplots()
+    axes.set_xlabel(AXES["omega"])
+    omega = result.omega.values
+    if result.sizes["xi"] > _MOST_LINES:
+        ends = edges(omega), edges(result.xi.values)
+        shown = axes.pcolormesh(*ends, result.down.values, rasterized=True)
+        figure.colorbar(shown, label=r"lowest $\Gamma$ at which bouncing persists")
+        axes.set_ylabel(AXES["xi"])
+        axes.set_title("white: not decided", fontsize=10)
+        return
+    for i, line in enumerate(result.isel(xi=j) for j in range(result.sizes["xi"])):
+        colour = ATTRACTORS[i % len(ATTRACTORS)]
+        searched = line.status.values == "searched"
+        label = f"{SYMBOLS['xi']} = {line.xi.item():g}"
+        axes.plot(omega, line.down.values, "-", color=colour, linewidth=1.2, label=label)
+        axes.plot(omega[~searched], line.down.values[~searched], ".", color=colour)
+        axes.plot(
+            omega[searched], line.down.values[searched], "D", color=colour, fillstyle="none", markersize=5
+        )
+        axes.plot(omega, line.threshold.values, "--", color=colour, linewidth=0.9)
+    axes.set_ylabel(r"lowest $\Gamma$ at which bouncing persists")
+    legend_beside(axes, axes.get_legend_handles_labels()[0])
+    axes.set_title("dashed: Eq. 25; diamonds: searched for", fontsize=10)
+
+
 GRID: Final = View(
     "thresholds", "Thresholds of a grid of springs", None, GridQuery, compute_grid, estimate_grid,
-    variables=_OF_GRID, rows="down", printed=("down", "cause"), parts=grid_parts,
+    variables=_OF_GRID, rows="down", printed=("down", "cause"), parts=grid_parts, draw=draw_grid,
 )  # fmt: skip
 
 

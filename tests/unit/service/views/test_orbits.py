@@ -333,6 +333,17 @@ def test_a_grid_of_springs_without_search_is_that_of_the_rule(python_client: Cli
     assert "rotation" not in grid
 
 
+def test_a_grid_of_springs_is_drawn_as_lines_or_a_map(python_client: Client):
+    few, many = Figure(), Figure()
+    lines = python_client.thresholds("0.6,0.62", "0.05,0.1", progress=False)
+    threshold.draw_grid(lines, few)
+    drawn = [line.get_ydata() for line in few.axes[0].lines if line.get_label().startswith("$")]
+    np.testing.assert_array_equal(drawn, lines.down)
+    plane = python_client.thresholds("0.6,0.62", "0.1:0.2:6", progress=False)
+    threshold.draw_grid(plane, many)
+    np.testing.assert_array_equal(many.axes[0].collections[0].get_array(), plane.down)
+
+
 @for_each(("query", "rule"), [
     ({"omega": "0.6,x"}, "omega: must be numbers, as 0.45,0.46, or start:stop:number"),
     ({"omega": "0.6,0.5"}, "omega: must increase"),
