@@ -46,6 +46,9 @@ _MOVED: Final = tuple(
 )
 
 
+_APART: Final = "No cell of this sweep is within the axes of the other."
+
+
 def _other(array: Array) -> Array:
     """A variable of the other sweep."""
     attrs = array.attrs | {"long_name": f"{array.attrs['long_name']}, of the other sweep"}
@@ -79,10 +82,11 @@ def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
     names = arrays_of_modes(study.spec, None)
     own = recounted(study.spec, read_direction(study, names, direction, {"xi": xi.index}), None)
     near, inside = _nearest(study.spec, other.spec)
-    theirs = _read_nearest(other, direction if direction in ways else ways[0], other_xi.index, near)
-    known = np.logical_and.outer(*inside)
+    way = direction if direction in ways else ways[0]
+    theirs = _read_nearest(other, way, other_xi.index, near)
+    common = known = np.logical_and.outer(*inside)
     for arrays in (own, theirs):
-        known &= arrays["outcome"] != Outcome.MISSING
+        known = known & (arrays["outcome"] != Outcome.MISSING)
     compared = [each.name for each in _OF_CELLS if each.name in own and each.name in theirs]
     same = np.logical_and.reduce([own[name] == theirs[name] for name in compared])
     data = {"differs": np.where(known, ~same, 2)} | {name: own[name] for name in compared}
@@ -95,7 +99,8 @@ def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
         {"xi": coordinate("xi", xi.value), "direction": coordinate("direction", direction)}
         | {axis: coordinate(axis, study.spec.axis_values(axis)) for axis in _PLANE},
         {
-            "sentence": _sentence(same[known], moved), "other": query.other, "other_xi": other_xi.value,
+            "sentence": _sentence(same[known], moved) if common.any() else _APART,
+            "other": query.other, "other_direction": way, "other_xi": other_xi.value,
             "complete": bool(study.is_complete(own["outcome"]) and other.is_complete(theirs["outcome"])),
         },
     )  # fmt: skip
