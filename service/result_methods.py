@@ -98,6 +98,7 @@ class ResultMethods(Methods):
         other: Annotated[str, "id of the sweep that this one is compared with"],
         xi: float | None = None,
         direction: Annotated[str | None, "rest, up or down; default: the first"] = None,
+        every: Annotated[int, "return every n-th value only"] = 1,
     ) -> "xarray.Dataset":
         """Where two sweeps have other modes.
 
@@ -109,7 +110,7 @@ class ResultMethods(Methods):
         `outcome`, `label`, `other_bounces`, `other_periods`, `other_outcome`, `other_label`, `up_moved`,
         `down_moved`. Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
-        return self.result("difference", other=other, xi=xi, direction=direction)
+        return self.result("difference", other=other, xi=xi, direction=direction, every=every)
 
     def threshold(
         self,

@@ -14,6 +14,7 @@ from service.views.selection import (
     MAX_READ,
     ROUNDING,
     Arrays,
+    Indices,
     Stored,
     arrays_of_modes,
     directions_of,
@@ -23,7 +24,7 @@ from service.views.selection import (
 )
 from service.views.threshold import on_grid_of
 from service.views.variables import coordinate, dataset, row, variable
-from service.views.view import Estimate, Number, Query, View
+from service.views.view import Estimate, Every, Number, Query, View
 from worker.spec.specification import JobId
 from worker.study import Array
 from worker.sweep import SweepSpec
@@ -64,6 +65,7 @@ class DifferenceQuery(Query):
     other: Annotated[JobId, Field(description="id of the sweep that this one is compared with")]
     xi: Number | None = None
     direction: Annotated[str | None, Field(description="rest, up or down; default: the first")] = None
+    every: Every = 1
 
 
 def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
@@ -80,8 +82,10 @@ def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
     direction = directions_of(study.spec, query.direction)[0]
     ways = other.spec.directions
     names = arrays_of_modes(study.spec, None)
-    own = recounted(study.spec, read_direction(study, names, direction, {"xi": xi.index}), None)
-    near, inside = _nearest(study.spec, other.spec)
+    part = slice(None, None, query.every)
+    indices: Indices = {"xi": xi.index, "omega": part, "gamma": part}
+    own = recounted(study.spec, read_direction(study, names, direction, indices), None)
+    near, inside = _nearest(study.spec, other.spec, query.every)
     way = direction if direction in ways else ways[0]
     theirs = _read_nearest(other, way, other_xi.index, near)
     common = known = np.logical_and.outer(*inside)
@@ -95,22 +99,24 @@ def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
     rows = {each.name: each for each in _ROWS}
     return dataset(
         {name: variable(_PLANE, values, rows[name]) for name, values in data.items()}
-        | {name: variable(("omega",), values, rows[name]) for name, values in moved.items()},
+        | {name: variable(("omega",), values[part], rows[name]) for name, values in moved.items()},
         {"xi": coordinate("xi", xi.value), "direction": coordinate("direction", direction)}
-        | {axis: coordinate(axis, study.spec.axis_values(axis)) for axis in _PLANE},
+        | {axis: coordinate(axis, study.spec.axis_values(axis)[part]) for axis in _PLANE},
         {
             "sentence": _sentence(same[known], moved) if common.any() else _APART,
-            "other": query.other, "other_direction": way, "other_xi": other_xi.value,
+            "other": query.other, "other_direction": way, "other_xi": other_xi.value, "every": query.every,
             "complete": bool(study.is_complete(own["outcome"]) and other.is_complete(theirs["outcome"])),
         },
     )  # fmt: skip
 
 
-def _nearest(spec: SweepSpec, other: SweepSpec) -> tuple[list[NDArray[np.intp]], list[NDArray[np.bool_]]]:
+def _nearest(
+    spec: SweepSpec, other: SweepSpec, every: int = 1
+) -> tuple[list[NDArray[np.intp]], list[NDArray[np.bool_]]]:
     """The indices of the other sweep nearest to each omega and gamma, and which are within its axes."""
     near, inside = [], []
     for axis in _PLANE:
-        values, theirs = spec.axis_values(axis), other.axis_values(axis)
+        values, theirs = spec.axis_values(axis)[::every], other.axis_values(axis)
         right = np.clip(np.searchsorted(theirs, values), 1, max(len(theirs) - 1, 1))
         left = np.minimum(right, len(theirs)) - 1
         right = np.minimum(right, len(theirs) - 1)
@@ -168,7 +174,7 @@ def estimate(spec: SweepSpec, query: DifferenceQuery) -> Estimate:
     nearest_index(spec, "xi", query.xi)
     directions_of(spec, query.direction)
     lengths = {axis: len(spec.axis_values(axis)) for axis in _PLANE}
-    return Estimate(lengths, reads=_PLANE, memory=32 * MAX_READ, small=False)
+    return Estimate(lengths, _PLANE, query.every, reads=_PLANE, memory=32 * MAX_READ, small=False)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:

@@ -22,6 +22,7 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
         ends = [job.threshold(xi=0.26, predict="none").up.values for job in (first, second)]
         alone = third.difference(first.id)
         same = third.difference(third.id)
+        thinned = first.difference(second.id, xi=0.26, every=3)
         apart = client.submit(own | {"gamma": 4.0, "xi": 0.26}).wait(progress=False).difference(second.id)
         drawn = first.result_file("difference", "svg", other=second.id, xi=0.26).decode()
         with pytest.raises(NotFound):
@@ -45,6 +46,8 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
     share = f"{100 * equal[known].mean():.4g} % of the cells have the same mode; no threshold moves by more"
     assert found.attrs["sentence"].startswith(share)
     assert found.attrs["sentence"] in drawn
+    np.testing.assert_array_equal(thinned.differs, found.differs[::3, ::3])
+    np.testing.assert_array_equal(thinned.up_moved, found.up_moved[::3])
     assert apart.attrs["sentence"] == "No cell of this sweep is within the axes of the other."
     assert (alone.differs == 0).all()
     assert "other_label" not in alone
