@@ -4,6 +4,7 @@ Needs xarray alone, so that the client stays light; matplotlib is loaded when so
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -85,6 +86,9 @@ DIFFER: Final = "up and down differ"
 
 #: Height of a strip of modes, of the axes.
 STRIP: Final = 0.022
+
+#: What a logarithmic axis from zero shows: this part of its end, and more.
+DECADES: Final = 1000.0
 
 #: Dots per inch of a picture.
 DPI: Final = 200
@@ -172,6 +176,23 @@ def _scale(axes: "Axes", values: NDArray[np.float64], highest: float) -> None:
     axes.set_ylim(0, 1.06 * highest)
 
 
+def set_scales(axes: "Axes", result: xarray.Dataset) -> None:
+    """Make the axes that the attribute `log` names logarithmic, over what is above zero, others linear."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    for name in "xy" if "log" in result.attrs else "":
+        low, high = getattr(axes, f"get_{name}lim")()
+        if name not in result.attrs["log"]:
+            getattr(axes, f"set_{name}scale")("linear")
+            continue
+        getattr(axes, f"set_{name}lim")(low if low > 0.0 else high / DECADES, high)
+        getattr(axes, f"set_{name}scale")("log")
+        axis = getattr(axes, f"{name}axis")
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+
+
 def _is_geometric(values: NDArray[np.float64]) -> bool:
     """Whether the values go in equal ratios and not in equal steps."""
     if len(values) < 3 or values[0] <= 0:
@@ -182,13 +203,14 @@ def _is_geometric(values: NDArray[np.float64]) -> bool:
 
 def _draw_periods(axes: "Axes") -> None:
     """Whole plate periods as faint lines, counted on the right."""
-    periods = np.arange(1, int(axes.get_ylim()[1] / PERIOD) + 1)
-    periods = periods[:: max(1, len(periods) // 8)]
-    right = axes.secondary_yaxis("right")
-    right.set_yticks(periods * PERIOD, [rf"${2 * int(n)}\pi$" for n in periods])
-    right.tick_params(labelsize=9, length=0, labelcolor="0.45")
-    for n in periods:
+    low, high = axes.get_ylim()
+    periods = range(max(1, math.ceil(low / PERIOD)), int(high / PERIOD) + 1)
+    for n in periods[:: max(1, len(periods) // 8)]:
         axes.axhline(n * PERIOD, color="0.85", linewidth=0.6, zorder=1)
+        axes.annotate(
+            rf"${2 * n}\pi$", (1, n * PERIOD), (4, 0), xycoords=("axes fraction", "data"),
+            textcoords="offset points", verticalalignment="center", color="0.45", fontsize=9,
+        )  # fmt: skip
 
 
 def _draw_threshold(axes: "Axes", values: NDArray[np.float64], omega: float, xi: float) -> None:

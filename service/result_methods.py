@@ -45,6 +45,7 @@ class ResultMethods(Methods):
         direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
         min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
+        log: Annotated[Literal["none", "x", "y", "xy"] | None, "logarithmic axes of a picture; default: those of values in equal ratios"] = None,
         start: Annotated[float | None, "smallest value of the axis"] = None,
         stop: Annotated[float | None, "largest value of the axis"] = None,
         flight_start: Annotated[float | None, "rad, shortest flight shown"] = None,
@@ -63,7 +64,7 @@ class ResultMethods(Methods):
         `lyapunov`, `lyapunov_error`, `computed`, `outcome`, `label`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """
-        return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, start=start, stop=stop, flight_start=flight_start, flight_stop=flight_stop, hide=hide, caption=caption)
+        return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, log=log, start=start, stop=stop, flight_start=flight_start, flight_stop=flight_stop, hide=hide, caption=caption)
 
     def modes(
         self,
@@ -71,6 +72,7 @@ class ResultMethods(Methods):
         direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
         min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
+        log: Annotated[Literal["none", "x", "y", "xy"] | None, "logarithmic axes of a picture; default: those of values in equal ratios"] = None,
         hysteresis: Annotated[bool, "of a sweep ramped both ways: where they differ"] = False,
         color: Annotated[Literal["mode", "multiplier"], "multiplier: the margin of stability, of a sweep that certifies cells"] = "mode",
         hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer"] = None,
@@ -91,7 +93,7 @@ class ResultMethods(Methods):
         `multiplier_angle` (rad), `hysteresis`. Raises BadRequest naming the parameter, TooLarge naming what
         fits.
         """
-        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, hysteresis=hysteresis, color=color, hide=hide, gamma_start=gamma_start, gamma_stop=gamma_stop, omega_start=omega_start, omega_stop=omega_stop)
+        return self.result("modes", xi=xi, direction=direction, min_flight=min_flight, every=every, log=log, hysteresis=hysteresis, color=color, hide=hide, gamma_start=gamma_start, gamma_stop=gamma_stop, omega_start=omega_start, omega_stop=omega_stop)
 
     def difference(
         self,

@@ -113,7 +113,7 @@ def tradeoff(output: str | None) -> None:
     """
     from service.cli.views import table
     from service.client.display import display_elapsed
-    from service.views import tradeoff
+    from service.figures import tradeoff
     from service.views.registry import encoded
     from worker.kernel_cache import use_cache
 

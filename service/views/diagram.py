@@ -12,7 +12,7 @@ from pydantic import Field
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.modes import counted
 from kernel.params import Outcome
-from service.pictures import SYMBOLS, WARNING, draw_diagram, draw_strips
+from service.pictures import SYMBOLS, WARNING, draw_diagram, draw_strips, set_scales
 from service.views.selection import (
     LABEL,
     Stored,
@@ -25,7 +25,7 @@ from service.views.selection import (
     shortest,
 )
 from service.views.variables import cells_dataset, coordinate
-from service.views.view import Direction, Estimate, Every, Hide, MinFlight, Number, Query, View
+from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.study import Array
 from worker.sweep import AXES, SweepSpec, schema
@@ -45,6 +45,7 @@ class DiagramQuery(Query):
     direction: Direction = None
     min_flight: MinFlight = None
     every: Every = 1
+    log: Log = None
     start: Annotated[Number | None, Field(description="smallest value of the axis")] = None
     stop: Annotated[Number | None, Field(description="largest value of the axis")] = None
     flight_start: Annotated[Number | None, Field(description="rad, shortest flight shown")] = None
@@ -76,8 +77,7 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
     }  # fmt: skip
     ends = {"flight_start": query.flight_start, "flight_stop": query.flight_stop}
     attrs |= {name: value for name, value in ends.items() if value is not None}
-    if query.hide is not None:
-        attrs["hide"] = query.hide
+    attrs |= query.model_dump(include={"hide", "log"}, exclude_none=True)
     result = cells_dataset(cells, coords, rows_of(spec), attrs)
     if query.caption:
         result.attrs["caption"] = _caption(spec, result)
@@ -152,6 +152,7 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     axes = figure.subplots()
     draw_diagram(axes, result)
     draw_strips(axes, result)
+    set_scales(axes, result)
     if "caption" in result.attrs:
         _draw_caption(axes, result)
     if not result.attrs["complete"]:

@@ -13,7 +13,7 @@ from pydantic import Field
 from kernel.modes import counted
 from kernel.params import Outcome
 from service.errors import InvalidRequest
-from service.pictures import draw_modes
+from service.pictures import draw_modes, set_scales
 from service.views.selection import (
     LABEL,
     MAX_READ,
@@ -30,7 +30,7 @@ from service.views.selection import (
     shortest,
 )
 from service.views.variables import VARIABLES, cells_dataset, coordinate, variable
-from service.views.view import Direction, Estimate, Every, Hide, MinFlight, Number, Query, View
+from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
 from worker.sweep import SweepSpec, schema
 from worker.sweep.schema import COMPUTED, OUTCOME
 
@@ -74,6 +74,7 @@ class ModesQuery(Query):
     direction: Direction = None
     min_flight: MinFlight = None
     every: Every = 1
+    log: Log = None
     hysteresis: Annotated[bool, Field(description="of a sweep ramped both ways: where they differ")] = False
     color: Annotated[
         Literal["mode", "multiplier"],
@@ -109,8 +110,8 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
         "min_flight": shortest(spec, query.min_flight), "every": query.every, "model": spec.model.kind,
         "complete": all(study.is_complete(each["outcome"]) for each in cells.values()),
     }  # fmt: skip
+    attrs |= query.model_dump(include={"hide", "log"}, exclude_none=True)
     if query.hide is not None:
-        attrs["hide"] = query.hide
         cells = {name: _without(arrays, query.hide) for name, arrays in cells.items()}
     if spec.fills_in:
         attrs["computed_share"] = _computed_share(study, xi.index, directions[0])
@@ -260,6 +261,7 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     ways = [result.isel(direction=i) for i in range(result.sizes.get("direction", 0))] or [result]
     for axes, way in zip(figure.subplots(1, len(ways), squeeze=False)[0], ways, strict=True):
         draw_modes(axes, way)
+        set_scales(axes, way)
         if len(ways) > 1:
             axes.set_title(f"{axes.get_title()}, {way.direction.item()}")
 

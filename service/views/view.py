@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from types import UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import xarray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -25,6 +25,11 @@ Every = Annotated[int, Field(ge=1, le=1_000_000, description="return every n-th 
 #: Of a spring, with the limits of a specification.
 Omega = Annotated[Number, Field(ge=SMALLEST, le=LARGEST)]
 Xi = Annotated[Number, Field(ge=0, le=LARGEST), AfterValidator(within(0.0, LARGEST))]
+
+Log = Annotated[
+    Literal["none", "x", "y", "xy"] | None,
+    Field(description="logarithmic axes of a picture; default: those of values in equal ratios"),
+]
 
 Direction = Annotated[
     str | None, Field(description="rest, up or down; default: all that the sweep has, a dimension if two")

@@ -452,6 +452,25 @@ def test_the_wheel_zooms_both_axes_and_back_undoes_it(browser: Any, address: str
         wait_shown(page, omega=0.6)
 
 
+def test_axes_are_made_logarithmic_on_the_page_and_in_its_files(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, omega=0.6)
+        ticks = page.locator(".panel .plot .texts")
+        assert "0.1" not in ticks.inner_text().split()
+        page.get_by_role("button", name="log y").click()
+        ticks.filter(has_text=re.compile(r"\b0\.1 1 ")).wait_for(state="attached")
+        screenshot(page, "logarithmic", whole=False)
+        page.locator(".panel .plot").hover(position={"x": 400, "y": 300})
+        page.mouse.wheel(0, 400)  # all is shown already
+        page.wait_for_url(re.compile("log=y"))
+        assert "y0" not in page.url
+        with page.expect_request(lambda request: "format=svg" in request.url) as request:
+            page.get_by_role("button", name="Download SVG").click()
+        assert "log=y" in request.value.url
+        page.get_by_role("button", name="log y", pressed=True).click()
+        page.wait_for_url(re.compile("log=none"))
+
+
 def _width(page: Any) -> float:
     low, high = (float(re.search(f"{name}=([^&]+)", page.url)[1]) for name in ("x0", "x1"))  # type: ignore[index]
     return high - low

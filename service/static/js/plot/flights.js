@@ -42,14 +42,16 @@ function drawDots(ctx, box, line, cells, colour, isLarge) {
 function drawDensity(ctx, box, { values, flight_time: times, keep }, cells, colour, isLarge) {
   const [width, height] = [Math.round(box.width * box.ratio), Math.round(box.height * box.ratio)];
   const size = Math.round(Math.min(2.5 * box.ratio, Math.max(1, (1.6 * width) / cells.length))) + (isLarge ? 1 : 0);
-  const rowsPerRad = height / (box.y.high - box.y.low);
+  const { low, high, log } = box.y;
+  const [bottom, top] = log ? [Math.log(low), Math.log(high)] : [low, high];
+  const rows = height / (top - bottom);
   const first = (at, length) => Math.max(0, Math.min(length - size, Math.floor(at - (size - 1) / 2)));
   const counts = new Uint16Array(width * height);
   for (const cell of cells) {
     const column = first(((box.x.pixel(values[cell]) - box.left) / box.width) * width, width);
     for (let j = cell * keep; j < (cell + 1) * keep; j++) {
-      if (!(times[j] >= box.y.low && times[j] <= box.y.high)) continue; // NaN is none
-      const row = first(height - 1 - (times[j] - box.y.low) * rowsPerRad, height);
+      if (!(times[j] >= low && times[j] <= high)) continue; // NaN is none
+      const row = first(height - 1 - ((log ? Math.log(times[j]) : times[j]) - bottom) * rows, height);
       for (let r = row; r < row + size; r++) for (let c = column; c < column + size; c++) counts[r * width + c]++;
     }
   }

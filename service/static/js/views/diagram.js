@@ -140,7 +140,7 @@ export class Diagram extends PlotView {
   /** What is shown: the window, without the flights of hidden modes. */
   filePath(source) {
     const { x0: start, x1: stop, y0, y1 } = this.window ?? {};
-    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false });
+    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: currentQuery().log, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false });
   }
 
   read(results) {
@@ -167,7 +167,7 @@ export class Diagram extends PlotView {
     const values = this.sources.map(({ grid }) => grid[this.along]);
     const flights = Math.max(...this.lines.map((line) => line.highest), this.measured?.highest ?? 0) || TWO_PI;
     const [x0, x1] = extent(Math.min(...values.map(([first]) => first)), Math.max(...values.map((list) => list.at(-1))));
-    return { x0, x1, y0: 0, y1: 1.09 * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
+    return { x0, x1, y0: 0, y1: (currentQuery().log?.includes("y") ? 1.5 : 1.09) * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
   }
 
   content() {

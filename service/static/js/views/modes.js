@@ -61,7 +61,7 @@ export class Modes extends PlaneView {
 
   /** What is shown: the cells of the window, in a picture without hidden modes. */
   filePath() {
-    return this.#path({ ...this.#part(), hide: this.legend.query });
+    return this.#path({ ...this.#part(), log: currentQuery().log, hide: this.legend.query });
   }
 
   #part() {

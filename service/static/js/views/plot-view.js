@@ -15,6 +15,7 @@ const RETRY_MS = 3000; // after 503: results that were damaged are computed agai
 const KEYS = "Arrow keys step through cells, Home and End go to the ends, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
 const ANNOUNCED_MS = 250; // after the last key: a cursor that moves is not read cell by cell
 const GESTURE_MS = 700; // between two turns of the wheel
+const DECADES = 1000; // that a logarithmic axis from zero shows
 const SYMBOLS = new Set(Object.values(SYMBOL));
 /** The axis of flight times in a plot, with whole plate periods marked. */
 export const FLIGHT_AXIS = { label: "flight time φ (rad)", periods: true };
@@ -88,9 +89,20 @@ export class PlotView {
     return windowIn(currentQuery());
   }
 
-  /** The window on display. */
+  /** The window on display: of a logarithmic axis, what is above zero. */
   visible() {
-    return this.window ?? this.extent();
+    return this.#positive(this.window ?? this.extent());
+  }
+
+  #positive(window) {
+    const { log = "" } = currentQuery();
+    const lowest = (axis) => (log.includes(axis) && window[`${axis}0`] <= 0 ? window[`${axis}1`] / DECADES : window[`${axis}0`]);
+    return { ...window, x0: lowest("x"), y0: lowest("y") };
+  }
+
+  #toggleLog(i) {
+    const logs = this.logs.map((is, other) => is !== (other === i));
+    setQuery({ log: ["x", "y"].filter((_, axis) => logs[axis]).join("") || "none" });
   }
 
   /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with. */
@@ -102,9 +114,10 @@ export class PlotView {
     const zoom = (window, isStep = true) => this.isBeside || setQuery(windowQuery(window), isStep);
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
     const compute = this.windowed && this.bar && !this.isCompared && h("button", { type: "button", className: "quiet", "data-service": true, onclick: () => this.#computeWindow() }, "Compute this window");
+    this.logButtons = ["x", "y"].map((axis, i) => h("button", { type: "button", className: "quiet", hidden: !this.windowed, title: `Logarithmic ${axis} axis`, onclick: () => this.#toggleLog(i) }, `log ${axis}`));
     this.table = new PagedTable("Table of what is shown", () => this.#rows(), () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
-    const column = [...shown, this.readout, this.measured?.element, h("div", { className: "actions" }, copyButton(() => this.said ?? this.hint), this.unzoom, compute), this.#downloads(), ...tables, this.table.element];
+    const column = [...shown, this.readout, this.measured?.element, h("div", { className: "actions" }, copyButton(() => this.said ?? this.hint), this.unzoom, this.logButtons, compute), this.#downloads(), ...tables, this.table.element];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
@@ -114,8 +127,8 @@ export class PlotView {
       selectCurrent: () => this.#select(this.current),
       step: (right, up) => this.#step(right, up),
       zoom,
-      scale: (factors, point = this.current && this.at(this.current)) => zoom(scaled(this.plot, this.visible(), this.extent(), factors, point), this.#isNewGesture()),
-      pan: (from, to) => this.window && zoom(panned(this.plot, this.visible(), this.extent(), from, to), this.#isNewGesture()),
+      scale: (factors, point = this.current && this.at(this.current)) => zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, point), this.#isNewGesture()),
+      pan: (from, to) => this.window && zoom(panned(this.plot, this.visible(), this.#positive(this.extent()), from, to), this.#isNewGesture()),
     });
     this.measured?.listen(this.plot.element);
     this.load = latest((signal) => this.#load(signal));
@@ -144,7 +157,10 @@ export class PlotView {
   /** The axes of the window on display, of which `x` and `y` have label and marks. */
   scales(x, y) {
     const { x0, x1, y0, y1 } = this.visible();
-    return { x: { ...x, low: x0, high: x1 }, y: { ...y, low: y0, high: y1 } };
+    const { log } = currentQuery();
+    this.logs = [["x", x], ["y", y]].map(([name, axis]) => (log && this.windowed ? log.includes(name) : Boolean(axis.log)));
+    this.logButtons.forEach((button, i) => button.setAttribute("aria-pressed", String(this.logs[i])));
+    return { x: { ...x, low: x0, high: x1, log: this.logs[0] }, y: { ...y, low: y0, high: y1, log: this.logs[1] } };
   }
 
   /** An axis of the sweep in a plot. */

@@ -102,6 +102,14 @@ def test_values_in_equal_ratios_have_a_logarithmic_axis(values: list[float], sca
     assert drawn(cells(gamma=np.array(values, float))).get_xscale() == scale
 
 
+@pytest.mark.parametrize("log", ["none", "x", "y", "xy"])
+def test_axes_are_logarithmic_where_asked(log: str):
+    axes = drawn(cells(gamma=[1.0, 2.0, 4.0, 8.0]).assign_attrs(log=log))
+    assert (axes.get_xscale() == "log", axes.get_yscale() == "log") == ("x" in log, "y" in log)
+    assert axes.get_ylim()[0] == (pytest.approx(axes.get_ylim()[1] / 1000) if "y" in log else 0.0)
+    axes.figure.canvas.draw()
+
+
 def test_a_picture_says_what_is_missing():
     missing = both(cells(outcome=[3, 0, 0, 3], complete=False), cells())
     assert "incomplete: 2 of 8 cells are not computed yet" in texts(drawn(missing))

@@ -24,8 +24,9 @@ from paths import GOLDEN, ROOT
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
+from service.figures import tradeoff
 from service.pictures import DPI, STYLE, draw_branches, draw_diagram, draw_modes, draw_thresholds
-from service.views import diagram, multistability, tradeoff
+from service.views import diagram, multistability
 from service.views.selection import LABEL
 from worker.sweep import SweepSpec
 

@@ -9,8 +9,8 @@ from click.testing import CliRunner
 from paths import GOLDEN
 
 from service.cli.main import main
-from service.views import tradeoff
-from service.views.tradeoff import SETTINGS, Setting
+from service.figures import tradeoff
+from service.figures.tradeoff import SETTINGS, Setting
 from worker.spec.contact_models import CONTACT_MODELS, Rigid, Soft, Stepped
 
 #: Those against a hard plate, but for the stepped ones, which take long.

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import xarray
+from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
 
 from kernel.params import Outcome
 from service.pictures import ATTRACTORS, FONT, TEXT
@@ -203,9 +205,6 @@ COSTS: Final = (0.02, 3e4)
 
 def draw(found: xarray.Dataset, figure: "Figure") -> None:
     """The cost of a plate period against the error of flight times, a panel for each purpose."""
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.lines import Line2D
-
     panels = figure.subplots(1, len(PURPOSES), sharey=True)
     for axes, (name, purpose) in zip(panels, PURPOSES.items(), strict=True):
         axes.set(xscale="log", yscale="log", xlim=ERRORS, ylim=COSTS)
