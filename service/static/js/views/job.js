@@ -40,7 +40,7 @@ export class JobView {
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     this.problem = problemLine();
-    this.rename = h("button", { type: "button", className: "quiet", "data-service": true, onclick: () => this.#rename() }, "Rename");
+    this.rename = h("button", { type: "button", className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true, onclick: () => this.#rename() }, "✎");
     this.duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
     Object.assign(this, buildFrame(root, {
       bar: [this.heading, this.summary.progress, this.duplicate, this.rename, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
