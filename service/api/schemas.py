@@ -1,6 +1,5 @@
 """Query parameters and response bodies of the HTTP API, as Pydantic models. Refuses misspelt parameters."""
 
-import json
 import math
 import time
 from collections.abc import Sequence
@@ -277,7 +276,7 @@ def job_view(
             "repairing": job.repairing,
             "finished": None if job.repairing else job.finished,
             "core_seconds": round(job.core_seconds, 3),
-            "spec": json.loads(job.spec) if len(job.spec) <= longest_spec else None,
+            "spec": job.named_spec if len(job.spec) <= longest_spec else None,
             "compiling": None if compiling is None else CompilingView.model_validate(compiling),
             "choice": choice_of(job),
             "failures": [failure._asdict() for failure in failures],

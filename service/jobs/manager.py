@@ -160,7 +160,7 @@ class JobManager:
             again = ": submit the sweep again to compute it anew" if job.outdated else ""
             raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
         if job.outdated:
-            return self.submit(renewed(job.spec), owner=owner, replaces=job)
+            return self.submit(renewed(json.dumps(job.named_spec)), owner=owner, replaces=job)
         with self._ledger.writing() as ledger:
             accepted = self._accept(ledger, replace(job, owner=owner))
             record = _existing(ledger, job_id)
@@ -177,9 +177,7 @@ class JobManager:
     def rename(self, job_id: str, name: str) -> JobRecord:
         """Give a job another name, which is not part of its identity. Raises UnknownJob."""
         with self._ledger.writing() as ledger:
-            job = _existing(ledger, job_id)
-            spec = json.loads(job.spec) | {"name": name}
-            ledger.update(job, name=name, spec=json.dumps(spec))
+            ledger.update(_existing(ledger, job_id), name=name)
             return _existing(ledger, job_id)
 
     def delete(self, job_id: str) -> None:
@@ -204,7 +202,7 @@ class JobManager:
             state, reason = JobState.CANCELLED, None
             if not job.cancel_requested:
                 try:
-                    spec = renewed(job.spec)
+                    spec = renewed(json.dumps(job.named_spec))
                     successor, _ = self.submit(spec, owner=job.owner, replaces=job, limited=False)
                     fate = f"job {successor.id} computes all of it anew"
                 except SpecError as error:

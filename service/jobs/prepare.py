@@ -135,8 +135,8 @@ class JobPreparer:
 
         Raises SpecError for a specification that this version does not accept.
         """
-        # `seq` tells a job from a deleted one with its id; shape and choice change with the model of `auto`.
-        key = job.id, job.seq, job.chunk_shape, job.choice, job.name
+        # `seq` tells a job from a deleted one with the same id; the others change with the model of `auto`.
+        key = job.id, job.seq, job.chunk_shape, job.choice
         with self._lock:  # held while preparing, so that simultaneous requests prepare a job once
             if key not in self._jobs:
                 self._jobs[key] = (self._prepared(job), len(job.spec))

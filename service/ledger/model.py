@@ -1,9 +1,10 @@
 """A job, its states, the transitions between them, and its progress. Pure."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition
@@ -87,6 +88,11 @@ class JobRecord(NewJob):
     runs: str = "[]"  # JSON: the software that computed it, see service.software.with_this_run
     cells_timed: int = 0  # cells of these chunks
     progressed: float | None = None  # when the last chunks of this run were done
+
+    @property
+    def named_spec(self) -> dict[str, Any]:
+        """The specification with the name that the job has now; its store keeps the first one."""
+        return {**json.loads(self.spec), "name": self.name}
 
     @property
     def outdated(self) -> bool:

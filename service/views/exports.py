@@ -56,6 +56,8 @@ def attributes_of(job: JobRecord, prepared: PreparedJob) -> dict[str, str | int 
         events.append((job.finished, str(job.state)))
     times = [f"{datetime.fromtimestamp(when, UTC):%Y-%m-%dT%H:%M:%SZ} {what}" for when, what in events]
     attributes = {**layout.attributes, **prepared.attributes, **layout.identity}
+    attributes["spec"] = {**attributes["spec"], "name": job.name}
+    attributes["title"] = job.name or attributes["title"]
     attributes |= {"job": job.id, "kernel_version": job.kernel_version, "history": "\n".join(times)}
     if runs:
         libraries = {"python": runs[-1]["python"], **runs[-1]["libraries"]}

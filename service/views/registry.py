@@ -52,8 +52,8 @@ def stored(job: JobRecord, prepared: PreparedJob) -> Stored[Any]:
     """What a job of any kind computes and where its results are."""
     done = job.state is JobState.DONE
     return Stored(
-        prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, job.chunks_done,
-        prepared.forms, prepared.submitted,
+        prepared.spec.model_copy(update={"name": job.name}), prepared.store_url, done, job.kernel_version,
+        job.repairing, job.id, job.chunks_done, prepared.forms, prepared.submitted,
     )  # fmt: skip
 
 
