@@ -31,7 +31,7 @@ from kernel.numerics.cache import compilations
 from kernel.params import KERNEL_VERSION
 from service import budget as budgets
 from service.background import InThisProcess
-from service.client.display import display_elapsed, display_job, display_line
+from service.client.display import display_elapsed, display_job, display_line, duration
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
 from service.errors import IllegalTransition, InvalidRequest, RunFailed, UnknownJob
@@ -61,6 +61,9 @@ from worker.work import compile_for
 LOOK_SECONDS: Final = 0.05
 #: Seconds that an interrupted run waits for its chunks to notice the cancel.
 CANCEL_SECONDS: Final = 0.8
+
+#: Say before a run what it may take, if it is this long.
+SAID_SECONDS: Final = 10.0
 
 #: Announce compilation after this many seconds.
 MESSAGE_SECONDS: Final = 1.0
@@ -265,6 +268,9 @@ def computed(
         try:
             runner = _Runner(manager, ledger, executor, progress)
             if budget is None:
+                expected = runner.seconds(parsed)
+                if progress is True and expected >= SAID_SECONDS:  # by the first chunk nothing is measured
+                    display_line(f"expected by the table of costs: {duration(expected)}")
                 yield runner.done(parsed)
             else:
                 yield runner.within(parsed, budget - (time.monotonic() - began))
@@ -301,7 +307,7 @@ class _Runner:
         with self._ledger.reading() as reading:
             measured = reading.measured()
         cost = self._manager.preparer.cost(spec, plan, measured)
-        return cost.core_seconds / self._executor.workers()
+        return cost.core_seconds / min(self._executor.workers(), len(plan))
 
     def compute(self, spec: Any, seconds: float) -> bool:
         try:
