@@ -111,9 +111,11 @@ def _affordable(levels: Sequence[Level], seconds: float) -> float:
 
 def _thinning(steps: Steps) -> str:
     """What a level takes of each axis: `, every 3rd gamma`."""
-    named = [f"every {_ordinal(step)} {axis}" for axis, step in zip(AXES, steps, strict=True) if step > 1]
+    pairs = zip(AXES, steps, strict=True)
+    named = [f"{_part(step)} {axis}" for axis, step in pairs if step > 1]
     return f", {' and '.join(named)}" if named else ""
 
 
-def _ordinal(number: int) -> str:
-    return f"{number}{ {2: 'nd', 3: 'rd'}.get(number, 'th') }"
+def _part(step: float) -> str:
+    number = int(step)
+    return f"every {number}{ {2: 'nd', 3: 'rd'}.get(number, 'th') }" if step == number else "2 of 3"

@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from worker.sweep.specification import AXES, SweepSpec
 
-#: Steps along an axis that a level may take: divisors of the longest, so that levels can contain each other
-#: and their cells grow by little more than a quarter from one to the next.
-STEPS: Final = (1, 2, 3, 4, 6, 12, 24, 48, 96)
+#: Steps along an axis that a level may take, so that levels can contain each other and their cells grow by at
+#: most a half from one to the next: divisors of the longest, and 1.5, which takes two of three values.
+STEPS: Final = (1, 1.5, 2, 3, 4, 6, 12, 24, 48, 96)
 #: The fewest values that a level keeps of an axis with more.
 FEWEST: Final = 5
 #: Of the levels with nearly as many cells as fit, this share of them, the one with the most even steps.
 NEARLY: Final = 0.9
 
 #: The steps of a level along AXES.
-Steps = tuple[int, ...]
+Steps = tuple[float, ...]
 WHOLE: Final[Steps] = (1,) * len(AXES)
 
 
@@ -46,13 +46,13 @@ def is_level(spec: SweepSpec, other: SweepSpec) -> bool:
 def level_indices(spec: SweepSpec, steps: Steps) -> list[NDArray[np.int64]]:
     """The indices of a level's values on the axes of the sweep."""
     along = zip(spec.shape[1:], steps, strict=True)
-    return [np.append(np.arange(0, n - 1, step), n - 1) for n, step in along]
+    return [np.append(np.arange(0, n - 1, step).astype(np.int64), n - 1) for n, step in along]
 
 
 def cells(spec: SweepSpec, steps: Steps) -> int:
     """Cells of a level, each direction counted."""
     directions, *shape = spec.shape
-    return directions * math.prod(1 + -(-(n - 1) // step) for n, step in zip(shape, steps, strict=True))
+    return directions * math.prod(1 + math.ceil((n - 1) / step) for n, step in zip(shape, steps, strict=True))
 
 
 def finest(spec: SweepSpec, most: float, within: Steps | None = None) -> Steps | None:
@@ -76,7 +76,10 @@ def _all_steps(spec: SweepSpec, within: Steps | None) -> Iterator[Steps]:
     choices = []
     for i, n in enumerate(spec.shape[1:]):
         steps = [step for step in STEPS if step == 1 or n > (FEWEST - 1) * step]
-        choices.append([step for step in steps if within is None or within[i] % step == 0])
+        if within is None:  # from multiples of 3 more levels follow
+            choices.append([step for step in steps if step in (1, 2) or step % 3 == 0])
+        else:
+            choices.append([step for step in steps if step == 1 or within[i] % step == 0])
     return product(*choices)
 
 

@@ -1,5 +1,7 @@
 """Levels of a sweep: each a plain sweep whose grid contains that of the one before."""
 
+import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -34,3 +36,12 @@ def test_a_level_has_the_id_of_any_sweep_with_its_values():
     plain = SweepSpec(gamma=[1 + 0.2 * i for i in range(11)], omega=0.5, xi=0.1)
     assert part.shape == plain.shape
     assert part.model_copy(update={"gamma": plain.gamma}).job_id("9") == plain.job_id("9")
+
+
+@pytest.mark.parametrize("first", [0.01, 0.03, 0.05, 0.08])
+def test_some_level_takes_most_of_what_fits(first: float):
+    spec = SweepSpec(gamma=[1.0 + i for i in range(301)], omega=[1.0 + i for i in range(201)], xi=0.1)
+    whole = cells(spec, WHOLE)
+    begun = finest(spec, first * whole)
+    for share in np.linspace(0.15, 1.0, 40):
+        assert cells(spec, finest(spec, share * whole, begun)) > 0.6 * share * whole
