@@ -87,8 +87,8 @@ DIFFER: Final = "up and down differ"
 #: Height of a strip of modes, of the axes.
 STRIP: Final = 0.022
 
-#: What a logarithmic axis from zero shows: this part of its end, and more.
-DECADES: Final = 1000.0
+#: The end of a logarithmic axis over its beginning, where the linear one begins at zero.
+LOG_RANGE: Final = 1000.0
 
 #: Dots per inch of a picture.
 DPI: Final = 200
@@ -185,7 +185,7 @@ def set_scales(axes: "Axes", result: xarray.Dataset) -> None:
         if name not in result.attrs["log"]:
             getattr(axes, f"set_{name}scale")("linear")
             continue
-        getattr(axes, f"set_{name}lim")(low if low > 0.0 else high / DECADES, high)
+        getattr(axes, f"set_{name}lim")(low if low > 0.0 else high / LOG_RANGE, high)
         getattr(axes, f"set_{name}scale")("log")
         axis = getattr(axes, f"{name}axis")
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from worker.sweep.specification import AXES, SweepSpec
 
-#: Steps along an axis that a level may take, so that levels can contain each other and their cells grow by at
-#: most a half from one to the next: divisors of the longest, and 1.5, which takes two of three values.
+#: Steps along an axis that a level may take: divisors of the longest, so that levels can contain each other,
+#: and 1.5, which takes two of three values. Without it cells would double from the last level but one.
 STEPS: Final = (1, 1.5, 2, 3, 4, 6, 12, 24, 48, 96)
 #: The fewest values that a level keeps of an axis with more.
 FEWEST: Final = 5

@@ -15,7 +15,7 @@ const RETRY_MS = 3000; // after 503: results that were damaged are computed agai
 const KEYS = "Arrow keys step through cells, Home and End go to the ends, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
 const ANNOUNCED_MS = 250; // after the last key: a cursor that moves is not read cell by cell
 const GESTURE_MS = 700; // between two turns of the wheel
-const DECADES = 1000; // that a logarithmic axis from zero shows
+const LOG_RANGE = 1000; // the end of a logarithmic axis over its beginning, where the linear one begins at zero
 const SYMBOLS = new Set(Object.values(SYMBOL));
 /** The axis of flight times in a plot, with whole plate periods marked. */
 export const FLIGHT_AXIS = { label: "flight time φ (rad)", periods: true };
@@ -96,7 +96,7 @@ export class PlotView {
 
   #positive(window) {
     const { log = "" } = currentQuery();
-    const lowest = (axis) => (log.includes(axis) && window[`${axis}0`] <= 0 ? window[`${axis}1`] / DECADES : window[`${axis}0`]);
+    const lowest = (axis) => (log.includes(axis) && window[`${axis}0`] <= 0 ? window[`${axis}1`] / LOG_RANGE : window[`${axis}0`]);
     return { ...window, x0: lowest("x"), y0: lowest("y") };
   }
 
