@@ -9,7 +9,7 @@ at once. Medians over the repetitions.
 
 `--grid`: the wall time of sweeps of 10^3 to `--largest` cells on so many workers, once each but for small
 ones, as a plot and a table. More than `--largest-alone` cells, which take minutes, are computed
-by two workers only.
+by the most workers only.
 """
 
 import argparse
@@ -126,8 +126,9 @@ def grid(arguments: argparse.Namespace) -> None:
     sizes = [size for size in SIZES if size * 1000 <= arguments.largest]
     curves: dict[int, list[tuple[int, float]]] = {}
     rows = []
-    for workers in map(int, arguments.workers.split(",")):
-        mine = [size for size in sizes if workers == 2 or size * 1000 <= arguments.largest_alone]
+    counts = [int(text) for text in arguments.workers.split(",")]
+    for workers in counts:
+        mine = [size for size in sizes if workers == max(counts) or size * 1000 <= arguments.largest_alone]
         curves[workers] = list(zip(mine, grid_seconds(workers, mine), strict=True))
         for size, took in curves[workers]:
             rows.append((f"{workers}", f"{1000 * size:,}", short(took), short(took / size / 0.3)))
