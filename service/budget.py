@@ -14,10 +14,13 @@ from worker.spec.errors import Problem, SpecInvalid
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 
-#: Share of a budget for the first level by the table of costs, and for the audit of the answer.
-FIRST, AUDIT = 0.05, 0.1
-#: Part of the cells that the first level has at most, unless all fit: finer ones can then differ by little.
-FIRST_PART: Final = 1 / 12
+#: Share of a budget for the second level by the table of costs, and for the audit of the answer.
+SECOND, AUDIT = 0.05, 0.1
+#: Part of the cells that the second level has at most: finer ones can then differ by little.
+SECOND_PART: Final = 1 / 12
+#: The third level has at most this many times the cells of the second: they tell a level's time to begin from
+#: that of its cells.
+THIRD: Final = 2.0
 #: Share for what follows: stopping workers, moving the result.
 END: Final = 0.02
 #: Seconds below which no audit begins: its kernel may have to compile, which nothing interrupts.
@@ -68,10 +71,9 @@ def within(
     began, answer = clock(), Answer()
     asked, budget = budget, budget * (1.0 - END)
     reserved = AUDIT * budget
-    per_cell = runner.seconds(spec) / cells(spec, WHOLE)
-    whole, affordable = cells(spec, WHOLE), FIRST * budget / per_cell
-    most = affordable if affordable >= whole else min(affordable, FIRST_PART * whole)
-    steps: Steps | None = finest(spec, most) or coarsest(spec)
+    whole = cells(spec, WHOLE)
+    second = SECOND * budget / runner.seconds(spec) * whole
+    steps: Steps | None = WHOLE if second >= whole else coarsest(spec)
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
         show(f"{cells(spec, steps):,} cells{_thinning(steps)}, {left:.0f} s left")
@@ -82,7 +84,13 @@ def within(
         took = clock() - now
         answer.levels.append(Level(part, steps, cells(spec, steps), took))
         left = budget - (clock() - began) - reserved
-        steps = finest(spec, _affordable(answer.levels, left / MARGIN), steps)
+        most = _affordable(answer.levels, left / MARGIN)
+        small = most
+        if len(answer.levels) == 1:
+            small = min(second, SECOND_PART * whole)
+        elif len(answer.levels) == 2 and most < whole:
+            small = min(most, THIRD * answer.levels[-1].cells)
+        steps = finest(spec, small, steps) or finest(spec, most, steps)
     if not answer.levels:
         took = clock() - began
         rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"

@@ -17,10 +17,11 @@ from worker.study.layout import WHOLE_BYTES
 from worker.sweep.schema import bytes_per_cell
 from worker.sweep.specification import AXES, SweepSpec
 
-#: A sweep that costs less than FEWEST_CHUNKS * TARGET_SECONDS has FEWEST_CHUNKS chunks, or fewer of
+#: Chunks of a sweep that costs less than as many of TARGET_SECONDS: MANY_WORKERS, so that each of many workers
+#: has some; fewer of SHORT_SECONDS each, which a task's overhead is a tenth of; FEW_WORKERS, or fewer of
 #: SMALLEST_SECONDS each.
-SMALLEST_SECONDS: Final = 0.0125
-FEWEST_CHUNKS: Final = 8
+MANY_WORKERS, SHORT_SECONDS = 64, 0.15
+FEW_WORKERS, SMALLEST_SECONDS = 8, 0.0125
 #: A sweep that would have more chunks has longer ones instead, of LONGEST_SECONDS at most: 15,000 chunks of
 #: nine arrays are 135,000 files. Like any long chunk, they pause in between.
 MANY_CHUNKS: Final = 15_000
@@ -70,8 +71,9 @@ def make_plan(
 
 def _cells_per_chunk(spec: SweepSpec, longest: float) -> int:
     cost, cells = cell_seconds(spec), math.prod(spec.shape)
-    seconds = min(max(cells * cost / FEWEST_CHUNKS, SMALLEST_SECONDS), TARGET_SECONDS)
-    seconds = max(seconds, min(cells * cost / MANY_CHUNKS, longest))
+    whole = cells * cost
+    few = max(min(whole / FEW_WORKERS, SHORT_SECONDS), SMALLEST_SECONDS)
+    seconds = max(min(max(whole / MANY_WORKERS, few), TARGET_SECONDS), min(whole / MANY_CHUNKS, longest))
     size = bytes_per_cell(spec)
     most_bytes = min(max(MAX_CHUNK_BYTES, cells * size // MANY_CHUNKS), MAX_SHARD_BYTES)
     return max(min(math.ceil(seconds / cost), most_bytes // size), cells_at_once(spec))
