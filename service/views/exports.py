@@ -151,7 +151,8 @@ def write(export: Export, path: Path) -> None:
     try:
         if export.format == "html":
             url = export.study.url
-            numbers = sharing.packed(url, export.stored, export.plan) if export.study.complete else ""
+            name = json.loads(str(export.attributes["spec"]))["name"]
+            numbers = sharing.packed(url, export.stored, export.plan, name) if export.study.complete else ""
             path.write_text(shared.page(export.study, export.attributes, numbers))
             return
         (_write_netcdf if export.format == "nc" else _write_parquet)(

@@ -17,9 +17,9 @@ from worker.study.layout import WHOLE_BYTES
 from worker.sweep.schema import bytes_per_cell
 from worker.sweep.specification import AXES, SweepSpec
 
-#: Chunks of a sweep that costs less than as many of TARGET_SECONDS: MANY_WORKERS, so that each of many workers
-#: has some; fewer of SHORT_SECONDS each, which a task's overhead is a tenth of; FEW_WORKERS, or fewer of
-#: SMALLEST_SECONDS each.
+#: A sweep that costs less than MANY_WORKERS chunks of TARGET_SECONDS has as many, so that each of many
+#: workers has some, or fewer of SHORT_SECONDS, of which a task's overhead is a tenth; a small one has
+#: FEW_WORKERS chunks, or fewer of SMALLEST_SECONDS.
 MANY_WORKERS, SHORT_SECONDS = 64, 0.15
 FEW_WORKERS, SMALLEST_SECONDS = 8, 0.0125
 #: A sweep that would have more chunks has longer ones instead, of LONGEST_SECONDS at most: 15,000 chunks of

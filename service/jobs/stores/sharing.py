@@ -7,8 +7,11 @@ import json
 import re
 from base64 import b64decode, b64encode
 from collections.abc import Callable
+from dataclasses import replace
 from hashlib import sha256
 from typing import Any, Final
+
+from pydantic import TypeAdapter
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, InvalidRequest
@@ -17,6 +20,7 @@ from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from worker import store
+from worker.spec.specification import Label
 from worker.studies import from_stored, study_of
 from worker.study import Layout, Plan
 from worker.study.layout import structured_attributes
@@ -29,6 +33,8 @@ _OPENS: Final = '<script type="application/json" id="store" data-sha256="'
 _BLOCK: Final = re.compile(f'{_OPENS}([0-9a-f]{{64}})">([^<]*)</script>'.encode())
 _SHOWS: Final = re.compile(rb'<script type="application/json" id="(shared|store)"')
 
+_NAME: Final = "name"  # beside the store's files
+
 _DAMAGED: Final = "is damaged: its numbers are not those that were written; ask for the file again"
 _NOT_SHARED: Final = "is not one that bounce share wrote"
 _IN_PART: Final = (
@@ -37,9 +43,12 @@ _IN_PART: Final = (
 )
 
 
-def packed(url: str, layout: Layout, plan: Plan) -> str:
-    """A store as an element of a page, with its checksum; empty if it is too large, or not complete."""
-    files, size = {}, 0
+def packed(url: str, layout: Layout, plan: Plan, name: str) -> str:
+    """A store as an element of a page, with its checksum; empty if it is too large, or not complete.
+
+    `name`: the job's, which may differ from that in the store.
+    """
+    files, size = {_NAME: b64encode(name.encode()).decode()}, 0
     for key in store.keys_of(layout, plan):
         content = store.read_key(url, key)
         size += len(content or b"")
@@ -62,6 +71,7 @@ def import_shared(
     try:
         attrs = structured_attributes(json.loads(files[store.ROOT])["attributes"])
         version, spec = str(attrs["kernel_version"]), from_stored(json.dumps(attrs["spec"]))
+        given = TypeAdapter(Label).validate_python(files.pop(_NAME, spec.name.encode()).decode())
     except (LookupError, TypeError, ValueError, RecursionError) as error:
         raise InvalidRequest.of("file", _DAMAGED) from error
     if version != KERNEL_VERSION:
@@ -89,7 +99,9 @@ def import_shared(
         with ledger.writing() as writing:
             writing.delete(job)
         raise InvalidRequest.of("file", _DAMAGED)
-    return job, True
+    with ledger.writing() as writing:
+        writing.update(job, name=given)
+    return replace(job, name=given), True
 
 
 def _unpacked(content: bytes) -> dict[str, bytes]:

@@ -29,3 +29,5 @@ def test_a_renamed_job_is_read_and_continued_after_a_restart(tmp_path: Path):
     with xarray.open_dataset(io.BytesIO((tmp_path / "a.nc").read_bytes()), engine="h5netcdf") as exported:
         assert exported.attrs["title"] == "second"
     assert "<h1>second</h1>" in (tmp_path / "a.html").read_text()
+    with computing(tmp_path / "elsewhere") as http:
+        assert Client("http://localhost", http=http).import_shared(tmp_path / "a.html").name == "second"
