@@ -95,6 +95,11 @@ def test_what_is_harder_costs_more():
     assert cost(model={"kind": "auto"}) == cost(model=soft)  # at most the exact one
 
 
+def test_a_sweep_of_seconds_has_chunks_for_many_workers_and_a_small_one_few():
+    assert len(make_plan(sweep(gamma=1000))) <= 8
+    assert len(make_plan(sweep(xi=10, omega=30, gamma=1000))) > 50
+
+
 def test_too_much_is_refused_with_the_limit():
     cost = cost_of(sweep(gamma=1000))
     check_size(cost, max_cells=1000, max_bytes=1_061_000, max_core_seconds=cost.upper_core_seconds)
