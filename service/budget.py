@@ -1,8 +1,8 @@
 """A sweep within a time: levels from coarse to fine, each complete, of which the last one is the answer.
 
-A level begins only if it fits into what is left, by the measured speed of the last one; what does not end in
-time is cancelled, so that the time cannot be missed. It contains compiling, waiting for workers and storing.
-The audit of the answer takes a part of it.
+The first two levels are small, a third tells their speed, the next fills the time. Each begins only if it
+fits into what is left; what does not end in time is cancelled, so that the time cannot be missed. It contains
+compiling, waiting for workers and storing. The audit of the answer takes a part of it.
 """
 
 import time
@@ -18,8 +18,8 @@ from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 SECOND, AUDIT = 0.05, 0.1
 #: Part of the cells that the second level has at most: finer ones can then differ by little.
 SECOND_PART: Final = 1 / 12
-#: The third level has at most this many times the cells of the second: they tell a level's time to begin from
-#: that of its cells.
+#: The third level has at most this many times the cells of the second, if there is one: both tell a level's
+#: time to begin from that of its cells. The first, the coarsest, may have waited for its kernel to compile.
 THIRD: Final = 2.0
 #: Share for what follows: stopping workers, moving the result.
 END: Final = 0.02
@@ -84,13 +84,7 @@ def within(
         took = clock() - now
         answer.levels.append(Level(part, steps, cells(spec, steps), took))
         left = budget - (clock() - began) - reserved
-        most = _affordable(answer.levels, left / MARGIN)
-        small = most
-        if len(answer.levels) == 1:
-            small = min(second, SECOND_PART * whole)
-        elif len(answer.levels) == 2 and most < whole:
-            small = min(most, THIRD * answer.levels[-1].cells)
-        steps = finest(spec, small, steps) or finest(spec, most, steps)
+        steps = _finer(spec, answer.levels, second, left / MARGIN)
     if not answer.levels:
         took = clock() - began
         rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
@@ -101,6 +95,17 @@ def within(
         answer.audit = runner.audit(answer.levels[-1].spec, left)
     show(answer.audit or "no audit: the time is over")
     return answer
+
+
+def _finer(spec: SweepSpec, levels: Sequence[Level], second: float, seconds: float) -> Steps | None:
+    """The next level, within `seconds`; of about `second` cells if it is the second. None if none fits."""
+    last, whole, most = levels[-1], cells(spec, WHOLE), _affordable(levels, seconds)
+    small = most
+    if len(levels) == 1:
+        small = min(second, SECOND_PART * whole)
+    elif len(levels) == 2 and most < whole:
+        small = min(most, THIRD * last.cells)
+    return finest(spec, small, last.steps) or finest(spec, most, last.steps)
 
 
 def _affordable(levels: Sequence[Level], seconds: float) -> float:
