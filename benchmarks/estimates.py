@@ -20,6 +20,7 @@ from benchmarks.measuring import describe, options, service, short, table
 from service.client import Client
 from worker import store
 from worker.kernel_cache import use_cache
+from worker.spec.axes import MAX_AXIS_VALUES
 from worker.studies import parse, run_task, study_of
 from worker.work import compile_for
 
@@ -90,9 +91,10 @@ LASTS: Final = 20.0
 
 
 def finer(fields: dict[str, Any], expected: float) -> dict[str, Any]:
-    """A study with so many more values of gamma that two workers take LASTS."""
+    """A study with so many more values of gamma that two workers take LASTS, or all that are allowed."""
     gamma = fields["gamma"]
-    return {**fields, "gamma": {**gamma, "num": round(gamma["num"] * 2.0 * LASTS / expected)}}
+    num = min(round(gamma["num"] * 2.0 * LASTS / expected), MAX_AXIS_VALUES)
+    return {**fields, "gamma": {**gamma, "num": num}}
 
 
 def time_left(client: Client, spec: dict[str, Any]) -> tuple[float, list[float]]:
