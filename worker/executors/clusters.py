@@ -218,13 +218,18 @@ class LocalWorkers(Target):
 
     def close(self) -> None:
         """Stop all processes; kill any still running after CLOSE_SECONDS."""
-        if self.cluster is not None:
+        if (cluster := self.cluster) is not None:
             ended = threading.Event()
-            killing = threading.Thread(target=_kill_until, args=(ended, self.cluster))
+            killing = threading.Thread(target=_kill_until, args=(ended, cluster))
             killing.start()
-            super().close()
-            ended.set()
-            killing.join()
+            try:
+                super().close()
+            except AssertionError as error:  # distributed's, where a worker was just being started again
+                log.warning("the workers are killed, as their cluster could not be closed: %s", error)
+                _kill(cluster)
+            finally:
+                ended.set()
+                killing.join()
         self._stack.close()
 
 
@@ -232,8 +237,12 @@ def _kill_until(ended: threading.Event, cluster: Any) -> None:
     """Kill the processes and their replacements after CLOSE_SECONDS, until the cluster has ended."""
     seconds = CLOSE_SECONDS
     while not ended.wait(seconds):
-        for nanny in list(cluster.workers.values()):
-            if nanny.pid:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(nanny.pid, signal.SIGKILL)
+        _kill(cluster)
         seconds = KILL_SECONDS
+
+
+def _kill(cluster: Any) -> None:
+    for nanny in list(cluster.workers.values()):
+        if nanny.pid:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 from harm import died_writing, fragile_cluster, pids, wait_until_ready
 from scripted import Counting, costing, wait_for
@@ -58,6 +59,21 @@ def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, f
             service.until(job, JobState.DONE)
             assert service.stored(job) == expected
             assert counting.submitted - calm.chunks_total <= 4  # the window
+
+
+def test_workers_are_killed_where_their_cluster_cannot_be_closed(monkeypatch: pytest.MonkeyPatch):
+    """As distributed's fails, where a worker that died is just being started again."""
+    executor = Dask(workers=1)
+    cluster = executor._target.cluster
+    close, worker = cluster.close, psutil.Process(cluster.workers[0].pid)
+
+    def fail() -> None:
+        raise AssertionError("can only join a started process")
+
+    monkeypatch.setattr(cluster, "close", fail)
+    executor.close()
+    worker.wait(PATIENCE)
+    close()  # its replacement
 
 
 def test_what_a_killed_worker_had_begun_to_write_goes_with_the_end_of_the_job(tmp_path: Path, fragile: Dask):
