@@ -73,7 +73,7 @@ class Machine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self._folder = tempfile.TemporaryDirectory()
+        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)  # of late writes
         self._settings = Settings(
             data=Path(self._folder.name), heartbeat_seconds=0.02, window_seconds=0, active_jobs=4
         )
