@@ -9,7 +9,7 @@ at once. Medians over the repetitions.
 
 `--grid`: the wall time of sweeps of 10^3 to `--largest` cells on so many workers, once each but for small
 ones, as a plot and a table. More than `--largest-alone` cells, which take minutes, are computed
-by the most workers only.
+by two workers, and by the most, only.
 """
 
 import argparse
@@ -128,7 +128,8 @@ def grid(arguments: argparse.Namespace) -> None:
     rows = []
     counts = [int(text) for text in arguments.workers.split(",")]
     for workers in counts:
-        mine = [size for size in sizes if workers == max(counts) or size * 1000 <= arguments.largest_alone]
+        largest = arguments.largest if workers in (2, max(counts)) else arguments.largest_alone
+        mine = [size for size in sizes if size * 1000 <= largest]
         curves[workers] = list(zip(mine, grid_seconds(workers, mine), strict=True))
         for size, took in curves[workers]:
             rows.append((f"{workers}", f"{1000 * size:,}", short(took), short(took / size / 0.3)))
