@@ -3,9 +3,10 @@
 Knows neither ledger nor store.
 """
 
+import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future
 from typing import Final
 
@@ -17,10 +18,13 @@ from service.jobs.prepare import PreparedJob
 from service.jobs.retry import FAILED_TRIES, Action, History, RetryPolicy
 from service.ledger.model import Failure, JobRecord, JobState
 from worker.executors.base import ExecutorError, ReportMismatch
-from worker.study import ChunkReport
+from worker.study import ChunkReport, Plan
 
 #: Maximum characters of a traceback kept, from its end.
 MAX_TRACEBACK: Final = 8_000
+
+#: The last steps of a ramp, in chunks, by which the next ones are judged.
+RECENT: Final = 3
 
 #: Bucket limits for the seconds of chunks.
 BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
@@ -37,11 +41,11 @@ def scattered(count: int) -> NDArray[np.int64]:
 class ReadyQueue:
     """The chunks of one job that are not done, in an order in which they can be computed; a few bytes each.
 
-    `lines`: chunk i depends on chunk i - lines, if there is one. `done`: (n,) which chunks are already done.
+    `lines`: chunk i depends on chunk i - lines, if there is one. `done`: (n,) which chunks are done.
     """
 
     def __init__(self, lines: int, done: NDArray[np.bool_]) -> None:
-        self._lines, self._done = lines, done.copy()
+        self._lines, self.done = lines, done.copy()
         ready = np.concatenate([np.ones(min(lines, len(done)), np.bool_), done[:-lines]])
         initial = np.flatnonzero(ready & ~done)
         self._initial = initial[scattered(len(initial))]  # ready from the start
@@ -49,7 +53,7 @@ class ReadyQueue:
         self._first: deque[int] = deque()  # requeued chunks that come before all others
         self._later: deque[int] = deque()  # ready since then: successors and requeued chunks
         self._popped: set[int] = set()  # neither requeued nor complete
-        self.remaining = int(np.count_nonzero(~self._done))  # chunks that are not done
+        self.remaining = int(np.count_nonzero(~self.done))  # chunks that are not done
 
     @property
     def ready(self) -> int:
@@ -81,19 +85,19 @@ class ReadyQueue:
         """Mark popped chunks as done; their successors become ready."""
         for chunk in chunks:
             self._popped.discard(chunk)
-            if not self._done[chunk]:
-                self._done[chunk] = True
+            if not self.done[chunk]:
+                self.done[chunk] = True
                 self.remaining -= 1
                 successor = chunk + self._lines
-                if successor < len(self._done) and self._can_run(successor):
+                if successor < len(self.done) and self._can_run(successor):
                     self._later.append(successor)
 
     def invalidate(self, chunks: Iterable[int]) -> None:
         """Queue done chunks again; their successors wait for them again."""
-        undone = [chunk for chunk in dict.fromkeys(chunks) if self._done[chunk]]
+        undone = [chunk for chunk in dict.fromkeys(chunks) if self.done[chunk]]
         if not undone:
             return
-        self._done[undone] = False
+        self.done[undone] = False
         self.remaining += len(undone)
         initial = self._initial[self._initial_popped :]
         self._initial = initial[~np.isin(initial - self._lines, undone)]
@@ -102,8 +106,40 @@ class ReadyQueue:
         self._later = deque(filter(self._can_run, [*self._later, *undone]))
 
     def _can_run(self, chunk: int) -> bool:
-        ready = chunk < self._lines or bool(self._done[chunk - self._lines])
-        return ready and not self._done[chunk] and chunk not in self._popped
+        ready = chunk < self._lines or bool(self.done[chunk - self._lines])
+        return ready and not self.done[chunk] and chunk not in self._popped
+
+
+class ChunkTimes:
+    """What the chunks of a run took, and the time that is left."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._turns = plan.ramp is not None and len(plan.directions) == 2
+        self._took = np.full((len(plan) // plan.lines, plan.lines), np.nan)  # s, of reported chunks
+        self._began: float | None = None  # when the first ones were reported: before them kernels compile
+        self._before = 0.0  # s that those took
+
+    def note(self, reports: Sequence[ChunkReport], now: float) -> None:
+        """Note what chunks took."""
+        for report in reports:
+            self._took.flat[report.index] = report.seconds
+        if self._began is None and reports:
+            self._began, self._before = now, float(np.nansum(self._took))
+
+    def left(self, to_come: NDArray[np.bool_], now: float) -> float | None:
+        """Seconds that the chunks `to_come` (chunks,) will take at the rate until now; None without a rate.
+
+        On its way back a ramp takes as long as it did on its way there. All else takes as long as the newest
+        chunks: on a ramp those of the last RECENT steps, without one all.
+        """
+        took, counted = self._took, np.nansum(self._took) - self._before
+        if self._began is None or counted <= 0.0:
+            return None
+        newest = np.flatnonzero(~np.isnan(took).all(axis=1))[-1]
+        recent = np.nanmean(took[max(newest + 1 - RECENT, 0) : newest + 1])
+        expected = np.where(np.isnan(took), took[::-1], took) if self._turns else took.copy()
+        expected[np.isnan(expected)] = recent
+        return float(expected.ravel()[to_come].sum() * (now - self._began) / counted)
 
 
 class JobRun:
@@ -133,6 +169,7 @@ class JobRun:
         self.queue = ReadyQueue(plan.lines, done)
         self._estimate = prepared.cost.upper_core_seconds / len(plan)  # of a chunk, by the cost table
         self._paused_seconds = self.unsaved_seconds = 0.0  # of paused slices; missing from the ledger
+        self._times = ChunkTimes(plan)
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
         self.unsaved_damage: set[int] = set()  # chunks to unmark: their stored end states are damaged
@@ -182,6 +219,14 @@ class JobRun:
     def remaining_seconds(self) -> float:
         """Core-seconds of the remaining chunks."""
         return self.queue.remaining * self.chunk_seconds
+
+    def seconds_left(self) -> float | None:
+        """Estimated seconds until the job is done, after its unsaved reports; None without a rate."""
+        now = time.monotonic()
+        self._times.note(self.unsaved_reports, now)
+        to_come = ~self.queue.done
+        to_come[[report.index for report in self.unsaved_reports]] = False
+        return self._times.left(to_come, now)
 
     @property
     def at_once(self) -> int:

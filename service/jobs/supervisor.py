@@ -249,7 +249,7 @@ class Supervisor:
             if run.unsaved_reports:
                 store.sync_folders(run.prepared.store_url, run.prepared.layout)
             with self._ledger.writing() as ledger:
-                ledger.mark_done(run.job, run.unsaved_reports)
+                ledger.mark_done(run.job, run.unsaved_reports, run.seconds_left())
                 ledger.note_paused(run.job, run.unsaved_seconds)
                 ledger.note_failures(run.job, run.unsaved_failures)
                 unmarked = ledger.unmark(run.job, run.unsaved_damage) if run.unsaved_damage else []

@@ -75,8 +75,6 @@ class JobRecord(NewJob):
     created: float
     started: float | None
     finished: float | None  # during a repair: when it was done before
-    run_started: float | None  # when it last started or continued, then when its first chunks were done
-    run_cells: int  # cells done at that time
     chunks_done: int
     cells_done: int
     cells_settling: int  # done cells whose outcome is `settling`
@@ -88,6 +86,7 @@ class JobRecord(NewJob):
     runs: str = "[]"  # JSON: the software that computed it, see service.software.with_this_run
     cells_timed: int = 0  # cells of these chunks
     progressed: float | None = None  # when the last chunks of this run were done
+    seconds_left: float | None = None  # estimated then
 
     @property
     def named_spec(self) -> dict[str, Any]:
@@ -125,16 +124,13 @@ class JobRecord(NewJob):
         return (self.id, *facts, self.notice, self.owner, self.pinned, self.name)
 
     def eta_seconds(self, now: float) -> float | None:
-        """Estimated remaining seconds at the rate since the first chunks of this run; None without a rate.
+        """Estimated remaining seconds; None without an estimate.
 
         Falls between chunks, ever more slowly, to no less than half: a slow chunk at most doubles it.
         """
-        if self.state is not JobState.RUNNING or self.progressed is None or self.run_started is None:
+        left = self.seconds_left
+        if self.state is not JobState.RUNNING or self.progressed is None or left is None:
             return None
-        cells, seconds = self.cells_done - self.run_cells, self.progressed - self.run_started
-        if cells <= 0 or seconds <= 0:
-            return None
-        left = (self.cells_total - self.cells_done) * seconds / cells
         since = max(now - self.progressed, 0.0)
         return left and left / min(1.0 + since / left, 2.0)
 

@@ -3,7 +3,7 @@
 from typing import Final
 
 #: SQLite's `user_version` of a ledger with these tables. 0.2.0 has version 14.
-VERSION: Final = 16
+VERSION: Final = 17
 
 _ANSWERS: Final = """
     -- What workers computed about the results of a job, such as an audit, by the result's name and query.
@@ -38,9 +38,8 @@ TABLES: Final = f"""
         created REAL NOT NULL,
         started REAL,
         finished REAL,
-        run_started REAL,
-        run_cells INTEGER NOT NULL DEFAULT 0,
         progressed REAL,
+        seconds_left REAL,
         runs TEXT NOT NULL DEFAULT '[]',
         chunks_done INTEGER NOT NULL DEFAULT 0,
         chunks_total INTEGER NOT NULL,
@@ -114,5 +113,14 @@ _STORES: Final = """
     DROP TABLE earlier;
 """
 
+_TIME_LEFT: Final = """
+    ALTER TABLE jobs DROP COLUMN run_started;
+    ALTER TABLE jobs DROP COLUMN run_cells;
+    ALTER TABLE jobs ADD COLUMN seconds_left REAL;
+"""
+
 #: What makes these tables of those of an earlier version.
-UPGRADES: Final = {14: f"{_STORES} ALTER TABLE jobs ADD COLUMN progressed REAL; {_ANSWERS}"}
+UPGRADES: Final = {
+    14: f"{_STORES} ALTER TABLE jobs ADD COLUMN progressed REAL; {_ANSWERS} {_TIME_LEFT}",
+    16: _TIME_LEFT,
+}

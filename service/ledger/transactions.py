@@ -226,10 +226,7 @@ class WriteTransaction(ReadTransaction):
         if job.state is not JobState.RUNNING:
             check_transition(job.state, JobState.RUNNING)
         runs, first = with_this_run(job.runs, now), job.started or now
-        self.update(
-            job, state=JobState.RUNNING, started=first, run_started=now, run_cells=job.cells_done,
-            progressed=None, runs=runs,
-        )  # fmt: skip
+        self.update(job, state=JobState.RUNNING, started=first, progressed=None, seconds_left=None, runs=runs)
 
     def finish(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> None:
         """End the job as done, failed or cancelled."""
@@ -329,8 +326,10 @@ class WriteTransaction(ReadTransaction):
 
     # Chunks
 
-    def mark_done(self, job: JobRecord, reports: Iterable[ChunkReport]) -> None:
-        """Mark stored chunks as done; marked ones stay as they are."""
+    def mark_done(
+        self, job: JobRecord, reports: Iterable[ChunkReport], seconds_left: float | None = None
+    ) -> None:
+        """Mark stored chunks as done; marked ones stay as they are. `seconds_left`: until the job is done."""
         marked = []
         for report in reports:
             outcomes = json.dumps(report.outcomes, separators=(",", ":"))
@@ -348,13 +347,8 @@ class WriteTransaction(ReadTransaction):
             core_seconds=sum(report.seconds - report.paused_seconds for report in marked),
             cells_timed=sum(report.cells for report in marked if report.seconds > 0),
         )
-        if not marked:
-            return
-        # The rate counts from the first chunks on: before them kernels compile.
-        now = time.time()
-        first = "UPDATE jobs SET run_started = ?, run_cells = cells_done WHERE seq = ? AND progressed IS NULL"
-        self._do(first, now, job.seq)
-        self.update(job, progressed=now)
+        if marked:
+            self.update(job, progressed=time.time(), seconds_left=seconds_left)
 
     def note_paused(self, job: JobRecord, seconds: float) -> None:
         """Add the time of slices after which chunks paused."""

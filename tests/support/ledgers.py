@@ -19,8 +19,7 @@ def record(study: SweepSpec, **changes: Any) -> JobRecord:
         "kernel_version": KERNEL_VERSION, "chunk_shape": plan.chunk_shape, "chunks_total": len(plan),
         "cells_total": plan.cells, "seq": 1, "store": "1.zarr", "state": JobState.QUEUED,
         "cancel_requested": False, "error": None, "created": 0.0, "started": None, "finished": None,
-        "run_started": None,
-        "run_cells": 0, "chunks_done": 0, "cells_done": 0, "cells_settling": 0, "cells_computed": 0,
+        "chunks_done": 0, "cells_done": 0, "cells_settling": 0, "cells_computed": 0,
         "choice": None, "replaced_by": None,
     }  # fmt: skip
     return JobRecord(**fields | changes)

@@ -112,10 +112,10 @@ def test_a_pause_is_no_progress_from_which_the_time_left_counts(ledger: Ledger):
     job = accept(ledger, chunks=3)
     for done in ([], [0], [], [1]):
         with ledger.writing() as writing:
-            writing.mark_done(job, reports(*done))
+            writing.mark_done(job, reports(*done), float(len(done)))
         now = current(ledger)
         assert (now.progressed is None) == (now.chunks_done == 0)
-    assert now.run_cells == now.cells_done // 2
+        assert now.seconds_left == (1.0 if now.chunks_done else None)
 
 
 # Deletions and keys
@@ -143,6 +143,9 @@ def test_chunks_of_deleted_jobs_are_forgotten_a_few_at_a_time(ledger: Ledger):
 BACK_TO_14 = """
     DROP TABLE answers;
     ALTER TABLE jobs DROP COLUMN progressed;
+    ALTER TABLE jobs DROP COLUMN seconds_left;
+    ALTER TABLE jobs ADD COLUMN run_started REAL;
+    ALTER TABLE jobs ADD COLUMN run_cells INTEGER NOT NULL DEFAULT 0;
     ALTER TABLE jobs DROP COLUMN store;
     ALTER TABLE jobs ADD COLUMN verified REAL;
     ALTER TABLE chunks ADD COLUMN checksum BLOB NOT NULL DEFAULT x'00';

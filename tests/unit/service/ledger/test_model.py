@@ -34,11 +34,10 @@ ALLOWED = {
 
 
 def record(**changes: Any) -> JobRecord:
-    """A running job of 1000 cells, of which 400 are done, 200 in this run, since second 100."""
+    """A running job of 1000 cells, of which 400 are done."""
     running: dict[str, Any] = {
         "state": JobState.RUNNING, "cells_total": 1000, "chunks_total": 10, "created": 90.0, "started": 95.0,
-        "run_started": 100.0, "run_cells": 200, "progressed": 104.0, "chunks_done": 4, "cells_done": 400,
-        "cells_computed": 40,
+        "progressed": 104.0, "chunks_done": 4, "cells_done": 400, "cells_computed": 40,
     }  # fmt: skip
     return ledgers.record(sweep(), **running | changes)
 
@@ -53,15 +52,14 @@ def test_transitions_are_these_and_no_others(old: JobState, new: JobState):
             check_transition(old, new)
 
 
-def test_eta_uses_the_rate_of_this_run_alone():
-    # 900 of 1000 cells were done before; this run did 20 in 4 s, 80 are left
-    run = {"cells_total": 1000, "run_cells": 900, "run_started": 100.0}
-    assert record(cells_done=920, **run).eta_seconds(104.0) == pytest.approx(16.0)
-    assert record(cells_done=920, **run).eta_seconds(109.0) == pytest.approx(16 * 16 / 21)  # between chunks
-    assert record(cells_done=920, **run).eta_seconds(204.0) == pytest.approx(8.0)
-    assert record(cells_done=900, **run).eta_seconds(104.0) is None
-    assert record(cells_done=920, progressed=None, **run).eta_seconds(104.0) is None
-    assert record(cells_done=920, state=JobState.DONE, **run).eta_seconds(104.0) is None
+def test_the_time_left_falls_between_chunks_to_half_at_least():
+    job = record(progressed=104.0, seconds_left=16.0)
+    assert job.eta_seconds(104.0) == 16.0
+    assert job.eta_seconds(109.0) == pytest.approx(16 * 16 / 21)
+    assert job.eta_seconds(204.0) == 8.0
+    assert record(seconds_left=16.0, progressed=None).eta_seconds(104.0) is None
+    assert record(seconds_left=None).eta_seconds(104.0) is None
+    assert record(seconds_left=16.0, state=JobState.DONE).eta_seconds(104.0) is None
 
 
 @pytest.mark.parametrize(("first_cells", "needed"), [(100, 40 + 60), (91, 40 + 55)])
@@ -80,7 +78,7 @@ def test_an_adaptive_map_needs_at_least_the_first_rounds_of_the_chunks_to_come(f
 )  # fmt: skip
 def test_what_a_job_shows_has_another_revision_when_it_changes(change: dict[str, Any]):
     assert record(**change).revision != record().revision
-    assert record(run_started=101.0).revision == record().revision
+    assert record(seconds_left=101.0).revision == record().revision
 
 
 def failures(*tries: int) -> list[Failure]:

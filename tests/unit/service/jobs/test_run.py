@@ -1,0 +1,43 @@
+"""What the chunks of a running job tell about the time that is left."""
+
+import math
+
+import numpy as np
+import pytest
+
+from service.jobs.run import ChunkTimes
+from worker.study import ChunkReport, Plan
+
+LINE = Plan((1, 1, 40), (1, 1, 10), ("up", "down"), 2)
+
+
+def after(plan: Plan, took: list[float], now: float) -> float | None:
+    """The time left when the plan's first chunks took so many seconds, one after the other, until `now`."""
+    times, reports = ChunkTimes(plan), [ChunkReport(i, 10, each, each, ()) for i, each in enumerate(took)]
+    times.note(reports[:1], took[0])
+    times.note(reports[1:], now)
+    to_come = np.arange(len(plan)) >= len(took)
+    return times.left(to_come, now)
+
+
+def test_there_is_no_rate_before_the_second_chunk():
+    assert after(LINE, [3.0], 3.0) is None
+
+
+def test_a_ramp_takes_as_long_on_its_way_back_as_there():
+    up = [1.0, 2.0, 4.0, 8.0]
+    assert after(LINE, up, 15.0) == pytest.approx(15.0)
+    assert after(LINE, [*up, 8.0, 4.0], 27.0) == pytest.approx(3.0)
+    assert after(LINE, up[:3], 7.0) == pytest.approx(2 * 7 / 3 + 7.0)  # as the newest ones
+
+
+def test_the_newest_steps_of_a_ramp_tell_the_next_ones():
+    one_way = Plan((1, 1, 60), (1, 1, 10), ("up",), 2)
+    assert after(one_way, [9.0, 1.0, 2.0, 3.0], 15.0) == pytest.approx(4.0)
+
+
+def test_without_a_ramp_all_chunks_tell_alike_and_workers_share_them():
+    rest = Plan((1, 1, 60), (1, 1, 10), ("up",))
+    left = after(rest, [1.0, 2.0, 3.0], 1.0 + 5.0 / 2)  # two workers
+    assert left is not None
+    assert math.isclose(left, 3 * 2.0 / 2)
