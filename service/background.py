@@ -106,6 +106,9 @@ class Processes:
         except (EOFError, OSError) as error:
             kept = self._most_kept + 1
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
+        except BaseException:  # an answer that cannot be unpickled; what follows it is still in the pipe
+            kept = self._most_kept + 1
+            raise
         finally:
             self._put_back(process, kept)
         if not succeeded:

@@ -92,7 +92,7 @@ def tag(request: Request, *facts: object, weak: bool = False, headers: Any = Non
         raise HTTPException(304, headers=headers)
 
 
-async def _results_job(job: JobDep, service: ServiceDep, request: Request) -> JobRecord:
+def _results_job(job: JobDep, service: ServiceDep, request: Request) -> JobRecord:
     """The job, its results tagged if they are final."""
     jobs = [job, *(find_job(other, service) for other in request.query_params.getlist("other"))]
     if all(each.state is JobState.DONE for each in jobs):

@@ -103,8 +103,8 @@ def _damaged(request: Request, error: Any) -> Response:
     supervisor = request.app.state.service.manager.supervisor
     try:
         repair = supervisor.repair(request.path_params.get("job_id", ""), error.chunks)
-    except LedgerUnavailable as unavailable:  # for example missing stores
-        return problem_response(unavailable)
+    except (ServiceError, *FOREIGN) as hindrance:  # for example missing stores, or a full disk
+        return problem_response(hindrance)
     return ProblemResponse(500 if repair.lasting else 503, repair.detail)
 
 

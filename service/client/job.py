@@ -255,6 +255,8 @@ class Job(ResultReader, ResultMethods, JobStatus):
         """
         from service.client.measured import element
 
+        if Path(path).suffix != ".html":
+            raise BounceError(f"{path}: the name of a page ends in .html")
         points = "" if data is None else element(data)
         target = self.export(path)
         if points:

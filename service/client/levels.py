@@ -42,7 +42,7 @@ class Levels:
 
     def compute(self, spec: Any, seconds: float) -> bool:
         job = self._submit(spec)
-        others = job.state == "running"
+        others = job._retry_after is None  # not accepted now, but before
         try:
             self.job = job.wait(self._progress, timeout=seconds)
         except WaitTimeout:

@@ -214,6 +214,12 @@ class ModelChoices:
     def __len__(self) -> int:
         return len(self._choosing)
 
+    def keep(self, job_ids: set[str]) -> None:
+        """Forget the choices of all other jobs, which were cancelled or deleted meanwhile."""
+        for job_id in self._choosing.keys() - job_ids:
+            self._choosing.pop(job_id).cancel()
+        self._deaths = Counter({job_id: n for job_id, n in self._deaths.items() if job_id in job_ids})
+
     def chosen(self, job: JobRecord) -> JobRecord | None:
         """The job with its model; None until a worker has chosen it. Raises ExecutorError."""
         submitted = self._preparer.prepare(job).submitted

@@ -285,6 +285,7 @@ class Supervisor:
             unfinished = ledger.unfinished(self._settings.max_queue)
             deletions = ledger.deletions()
         self._remove(deletions)
+        self._choices.keep({job.id for job in unfinished})
         try:
             if self.unknown_stores is None:
                 self.unknown_stores = report_unknown(self._ledger, self._settings)

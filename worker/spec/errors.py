@@ -29,6 +29,17 @@ class Problem(NamedTuple):
 class BounceError(Exception):
     """Root of the exceptions raised on purpose by client and service; the message is fit for users."""
 
+    def __reduce__(self) -> tuple[Any, ...]:  # by default Python repeats the call with other arguments
+        return _rebuilt, (type(self), self.args, self.__dict__)
+
+
+def _rebuilt(kind: type[BounceError], arguments: tuple[Any, ...], state: dict[str, Any]) -> BounceError:
+    """An exception out of what pickle keeps of it."""
+    error = kind.__new__(kind, *arguments)
+    error.args = arguments
+    error.__dict__.update(state)
+    return error
+
 
 class SpecError(BounceError, ValueError):
     """A specification that cannot be used; `problems` lists the broken rules."""

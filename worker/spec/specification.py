@@ -88,7 +88,7 @@ class Specification(Document):
 
     @classmethod
     def from_file(cls, path: str | Path) -> Self:
-        """A specification from a .json or .toml file. Raises `SpecUnreadable` or `SpecInvalid`."""
+        """A specification from a JSON, TOML or YAML file. Raises `SpecUnreadable` or `SpecInvalid`."""
         return cls.parse(parsing.read_file(Path(path)))
 
     def axis_values(self, axis: str) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from service import presets
 
 FILES: Final = Path(__file__).parents[2] / "static"
 
-#: Content-Security-Policy of the page, which runs scripts; `middleware.access_control` has the default.
+#: Content-Security-Policy of the page, which runs scripts; `middleware` has the default.
 _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
     "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"

@@ -18,7 +18,7 @@ from served import computing_at, service_at
 from service import tokens
 from service.cli import options
 from service.cli.main import main
-from service.client import Client
+from service.client import BounceError, Client
 from service.client.client import DEFAULT_URL
 from service.ledger.ledger import Ledger
 from worker.executors.base import Executor
@@ -114,6 +114,8 @@ def test_a_shared_file_becomes_a_job(url: str, job: str, tmp_path: Path):
     shared = bounce("share", job, "-o", tmp_path / "a.html", "--data", tmp_path / "run.csv", url=url)
     assert shared.exit_code == 0
     assert (tmp_path / "a.html").read_text().endswith('gamma,flight_time\\n1.2,4.5\\n"}]</script>')
+    with pytest.raises(BounceError, match=r"ends in \.html"):
+        Client(url).job(job).share(tmp_path / "a.parquet")
     with computing_at(tmp_path / "other") as other:
         assert bounce("import", tmp_path / "a.html", url=other).stdout == f"{job}\n"
         assert bounce("modes", job, url=other).stdout == bounce("modes", job, url=url).stdout

@@ -153,16 +153,16 @@ export class JobView {
     this.controls.replaceChildren();
     this.problem.show(this.#failure());
     const [, View] = tabs[current];
-    const shared = { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell };
-    this.#showBeside(current === "modes" && WIDE.matches, shared);
-    this.view = new View(this.panel, { ...shared, bar: this.controls, onPoint: (view, gamma, omega) => this.#pointBeside(view, gamma, omega) });
+    const common = { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell };
+    this.#showBeside(current === "modes" && WIDE.matches, common);
+    this.view = new View(this.panel, { ...common, bar: this.controls, onPoint: (view, gamma, omega) => this.#pointBeside(view, gamma, omega) });
   }
 
   /** Beside a map on a wide screen, the diagram at the Ω under the pointer. */
-  #showBeside(isShown, shared) {
+  #showBeside(isShown, common) {
     this.beside?.close();
     this.second.hidden = !isShown;
-    this.beside = isShown ? new Diagram(this.second, { ...shared, isBeside: true, isFollower: true }) : null;
+    this.beside = isShown ? new Diagram(this.second, { ...common, isBeside: true, isFollower: true }) : null;
   }
 
   #pointBeside(view, gamma, omega) {

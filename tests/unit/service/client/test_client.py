@@ -1,6 +1,8 @@
 """The client against the real application, in this process."""
 
+import io
 import json
+import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,9 +24,11 @@ from service.client import (
     InvalidSpecification,
     Job,
     JobFailed,
+    NotComputedYet,
     NotFound,
     WaitTimeout,
 )
+from service.client.models import Problem
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
 from worker.sweep import SweepSpec
@@ -175,6 +179,17 @@ def test_a_budget_ends_with_a_job_that_is_the_sweep_itself_where_all_of_it_fits(
     assert [job.state for job in client.jobs(search="within a budget")][:1] == ["cancelled"]
 
 
+def test_a_budget_leaves_what_somebody_else_has_queued(tmp_path: Path):
+    small = {"gamma": [1.1, 1.2], "omega": 0.5, "xi": 0.1}
+    with serving(tmp_path, Held(), active_jobs=1) as client:
+        running = client.submit(SPEC)
+        wait_for(lambda: running.refresh().state == "running")
+        queued = client.submit(small)
+        with pytest.raises(InvalidSpecification, match="was over before"):
+            client.run(small, budget=1.0, progress=False)
+        assert queued.refresh().state == "queued"
+
+
 def test_several_jobs_are_waited_for_together(client: Client):
     jobs = [client.submit(SPEC | {"gamma": [1.2, 1.3 + 0.01 * i]}) for i in range(3)]
     assert {job.state for job in client.as_completed(jobs)} == {"done"}
@@ -215,6 +230,16 @@ def test_the_store_opens_lazily(job: Job):
 
 
 # How things look, and what is exported
+
+
+def test_an_error_is_read_in_the_process_that_it_is_sent_to():
+    for error in (NotFound(Problem(status=404, title="t", detail="d")), NotComputedYet(1, 2, 3.0)):
+        sent = io.BytesIO()
+        pickler = pickle.Pickler(sent)
+        pickler.dispatch_table = {}  # without what distributed adds, which answering processes lack
+        pickler.dump(error)
+        again = pickle.loads(sent.getvalue())
+        assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
 
 
 def test_every_error_is_exported_and_descends_from_one():

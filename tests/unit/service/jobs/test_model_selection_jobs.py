@@ -1,6 +1,7 @@
 """Jobs whose model a worker chooses: recorded before anything is computed, shown, and reproducible."""
 
 import json
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from scripted import wait_for
+from scripted import Held, wait_for
 from served import service
 from stores import store_in
 
@@ -55,6 +56,15 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[TestClient,
     folder = tmp_path_factory.mktemp("auto")
     with closing(Inline()) as executor, service(folder, executor) as client:
         yield client, ended(client), folder
+
+
+def test_a_choice_for_a_job_that_was_cancelled_occupies_no_place(tmp_path: Path):
+    with service(tmp_path, Held(), active_jobs=1) as client:
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+        time.sleep(0.5)  # until its choice is under way
+        client.post(f"{here}/cancel")
+        other = client.post("/v1/jobs", json=SWEEP | {"model": {"kind": "rigid"}}).headers["Location"]
+        wait_for(lambda: client.get(other).json()["state"] == "running", seconds=10)
 
 
 def test_the_job_shows_what_was_chosen_and_why(done):
