@@ -99,7 +99,7 @@ class ResultMethods(Methods):
         self,
         other: Annotated[str, "id of the sweep that this one is compared with"],
         xi: float | None = None,
-        direction: Annotated[str | None, "rest, up or down; default: the first"] = None,
+        direction: Annotated[str | None, "rest, up or down; default: the first direction of the sweep"] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
     ) -> "xarray.Dataset":
         """Where two sweeps have other modes.

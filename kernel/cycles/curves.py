@@ -19,6 +19,7 @@ from kernel.cycles.closed_form import TWO_PI, floquet, orbit
 from kernel.cycles.events import (
     EDGES,
     GRAZES,
+    KINDS,
     Events,
     Kind,
     branch,
@@ -30,16 +31,6 @@ from kernel.cycles.events import (
 from kernel.cycles.roots import Floats, stretches
 from kernel.cycles.spring import STEP, Spring, spring
 from kernel.params import KernelInputError
-
-#: Kinds that are followed.
-CURVES: Final = (
-    Kind.FOLD,
-    Kind.FLIP,
-    Kind.NEIMARK_SACKER,
-    Kind.IMMEDIATE_TAKEOFF,
-    Kind.GRAZE_FLIGHT,
-    Kind.GRAZE_CONTACT,
-)
 
 #: Lines of the parameter on which events are looked for.
 LINES: Final = 25
@@ -192,7 +183,7 @@ def _minimum(plane: _Plane, kind: Kind, t: float, p: float, time: float) -> floa
 
 def curves(
     parameter: Parameter, fixed: float, low: float, high: float, periods: int,
-    kinds: tuple[Kind, ...] = CURVES, lines: int = LINES,
+    kinds: tuple[Kind, ...] = KINDS, lines: int = LINES,
 ) -> Curves:  # fmt: skip
     """Curves of the (1, periods) branch over `parameter` in [low, high], the other one being `fixed`.
 

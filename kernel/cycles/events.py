@@ -120,7 +120,7 @@ class Events(NamedTuple):
 Record = TypeVar("Record", bound=NamedTuple)
 
 #: The functions whose roots are events, in the order of `_tests`.
-_KINDS: Final = (
+KINDS: Final = (
     Kind.FOLD,
     Kind.FLIP,
     Kind.NEIMARK_SACKER,
@@ -131,10 +131,10 @@ _KINDS: Final = (
 _OF_THE_TIMES: Final = 3  # the first of them depend on the times alone
 
 #: The index of the function after them: it is zero where Gamma is infinite.
-_POLES: Final = len(_KINDS)
+_POLES: Final = len(KINDS)
 
 #: Kinds at which an orbit stops being admissible.
-EDGES: Final = _KINDS[_OF_THE_TIMES:]
+EDGES: Final = KINDS[_OF_THE_TIMES:]
 
 
 def check_spring(omega: float, xi: float, periods: int) -> None:
@@ -213,7 +213,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
         zeros = roots(lambda times: _tests(k, periods, times)[:2], t, value, slope)
         grazes = _grazes(k, periods, t, checked, nodes, zeros.x[zeros.which >= _OF_THE_TIMES])
         f = floquet(k, periods, zeros.x)
-        torus = (zeros.which != _KINDS.index(Kind.NEIMARK_SACKER)) | (np.abs(f.trace) < 2.0)
+        torus = (zeros.which != KINDS.index(Kind.NEIMARK_SACKER)) | (np.abs(f.trace) < 2.0)
         torus &= zeros.which != _POLES
         which = np.concatenate([zeros.which[torus], grazes.which])
         events = _events(k, periods, which, np.concatenate([zeros.x[torus], grazes.x]), nodes)
@@ -301,11 +301,11 @@ def _events(k: Spring, periods: int, which: Ints, t: Floats, nodes: Samples) -> 
     keep = keep[np.lexsort((t[keep], which[keep]))]
     which, t, x = which[keep], t[keep], Orbit(*(a[keep] for a in x))
     checked = check(k, periods, t, x, nodes, np.where(which < _OF_THE_TIMES, 0.0, GRAZES))
-    return events_of([_KINDS[i] for i in which], _branch(k, periods, t, x, checked.reason))
+    return events_of([KINDS[i] for i in which], _branch(k, periods, t, x, checked.reason))
 
 
 def _tests(k: Spring, periods: int, t: Floats) -> tuple[Floats, Floats, Orbit]:
-    """The functions of _KINDS, 1/Gamma, and their slopes (7, n), and the orbits.
+    """The functions of KINDS, 1/Gamma, and their slopes (7, n), and the orbits.
 
     Those of the orbits are times the determinant of their linear system, over |Gamma det|: without poles.
     """
@@ -339,7 +339,7 @@ def _grazes(k: Spring, periods: int, t: Floats, checked: Check, nodes: Samples, 
             held = check(k, periods, middle, orbit(k, periods, middle), nodes, np.where(ok, GRAZES, 0.0))
             broken, minimum, _ = held.force if contact else held.gap
             ok &= ~broken
-            where.append((_KINDS.index(kind), root[ok]))
+            where.append((KINDS.index(kind), root[ok]))
             halved = _Brackets(
                 np.where(broken, middle, inside.broken), np.where(broken, inside.holds, middle),
                 np.where(broken, minimum, inside.time),

@@ -38,6 +38,8 @@ FOREIGN: Final[Mapping[type[Exception], int]] = {
     OSError: 503,  # the data folder is missing or not accessible
 }
 
+_KNOWN: Final[tuple[type[Exception], ...]] = (ServiceError, *FOREIGN)
+
 #: Retry-After, in seconds.
 RETRY_AFTER: Final[Mapping[int, int]] = {429: 5, 503: 2}
 
@@ -65,8 +67,7 @@ class ProblemResponse(Response):
 
 def install(app: FastAPI) -> None:
     """Register the handlers of all errors except defects, which `middleware` answers."""
-    classes: list[type[Exception]] = [ServiceError, *FOREIGN]
-    for error_class in classes:
+    for error_class in _KNOWN:
         app.add_exception_handler(error_class, lambda _, error: problem_response(error))
     app.add_exception_handler(StoreDamaged, _damaged)
     app.add_exception_handler(Pending, _pending)
@@ -103,7 +104,7 @@ def _damaged(request: Request, error: Any) -> Response:
     supervisor = request.app.state.service.manager.supervisor
     try:
         repair = supervisor.repair(request.path_params.get("job_id", ""), error.chunks)
-    except (ServiceError, *FOREIGN) as hindrance:  # for example missing stores, or a full disk
+    except _KNOWN as hindrance:  # for example missing stores, or a full disk
         return problem_response(hindrance)
     return ProblemResponse(500 if repair.lasting else 503, repair.detail)
 

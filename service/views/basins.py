@@ -14,6 +14,7 @@ from service.views.selection import Stored, attractor_label, nearest_index, read
 from service.views.variables import VARIABLES, coordinate, dataset, of_attractor, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.attractors import EXPONENT_WINDOW
+from worker.basins.schema import SIDES
 from worker.basins.schema import basin_arrays as stored_arrays
 from worker.basins.specification import Basin, BasinSpec
 from worker.study import Array
@@ -22,19 +23,6 @@ from worker.sweep import AXES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-_LENGTH: Final = "plate amplitudes"
-#: Attributes of the rows and columns of each plane of starts.
-_PLANES: Final = {
-    "drop": (
-        {"long_name": "height above the plate", "units": _LENGTH},
-        {"long_name": "phase of the plate when let go", "units": "rad"},
-    ),
-    "contact": (
-        {"long_name": "elongation beyond the static one", "units": _LENGTH},
-        {"long_name": "velocity of the elongation times omega", "units": _LENGTH},
-    ),
-}
 
 
 class BasinQuery(Query):
@@ -64,7 +52,7 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
     data["attractor_label"] = variable((), _labels(spec, stored, count), VARIABLES["attractor_label"])
     lifetime = data["attractor_lifetime"]
     lifetime.values[np.isinf(lifetime.values)] = np.nan
-    row_attrs, column_attrs = _PLANES[plane.plane]
+    row_attrs, column_attrs = SIDES[plane.plane]
     coords = {axis: coordinate(axis, point.value) for axis, point in points.items()} | {
         "row": coordinate("row", plane.row_values, **row_attrs),
         "column": coordinate("column", plane.column_values, **column_attrs),
@@ -117,8 +105,9 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
         extent=(*_ends(result.column.values), *_ends(result.row.values)),
         cmap=ListedColormap([UNDECIDED, *colours]), vmin=-0.5, vmax=len(colours) + 0.5,
     )  # fmt: skip
-    axes.set_xlabel(f"{result.column.long_name} ({result.column.units})")
-    axes.set_ylabel(f"{result.row.long_name} ({result.row.units})")
+    for axis, side in ((axes.xaxis, result.column), (axes.yaxis, result.row)):
+        units = "" if side.units == "1" else f" ({side.units})"
+        axis.set_label_text(f"{side.long_name}{units}")
     values = ", ".join(f"{SYMBOLS[name]} = {result[name].item():g}" for name in ("gamma", "omega", "xi"))
     axes.set_title(f"{values}  ({result.attrs['model']})", fontsize=11)
     _legend(axes, result, colours)

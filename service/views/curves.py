@@ -7,8 +7,8 @@ import numpy as np
 import xarray
 from pydantic import Field
 
-from kernel.cycles.curves import CURVES, Curves, Parameter, curves
-from kernel.cycles.events import Kind, join_events, rows_of
+from kernel.cycles.curves import Curves, Parameter, curves
+from kernel.cycles.events import KINDS, Kind, join_events, rows_of
 from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS, AXES, IDEAL, SYMBOLS
 from service.views import orbits
@@ -70,7 +70,7 @@ def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:
 
 def _kinds(query: CurvesQuery) -> tuple[Kind, ...]:
     """Kinds of curves, written as `fold,flip`. Raises InvalidRequest."""
-    known = CURVES if query.model is None else CONTACT_CURVES
+    known = KINDS if query.model is None else CONTACT_CURVES
     if query.kinds is None:
         return known
     names = [name.strip() for name in query.kinds.split(",")]

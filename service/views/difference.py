@@ -24,7 +24,7 @@ from service.views.selection import (
 )
 from service.views.threshold import on_grid_of
 from service.views.variables import coordinate, dataset, row, variable
-from service.views.view import Estimate, Every, Number, Query, View
+from service.views.view import Estimate, Every, FirstDirection, Number, Query, View
 from worker.spec.specification import JobId
 from worker.study import Array
 from worker.sweep import SweepSpec
@@ -64,7 +64,7 @@ class DifferenceQuery(Query):
 
     other: Annotated[JobId, Field(description="id of the sweep that this one is compared with")]
     xi: Number | None = None
-    direction: Annotated[str | None, Field(description="rest, up or down; default: the first")] = None
+    direction: FirstDirection = None
     every: Every = 1
 
 

@@ -31,7 +31,18 @@ from service.views.selection import (
     read_stored,
 )
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
-from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
+from service.views.view import (
+    AT_ONCE_SECONDS,
+    SMALL_SECONDS,
+    Call,
+    Estimate,
+    FirstDirection,
+    Number,
+    Omega,
+    Query,
+    View,
+    Xi,
+)
 from worker import store
 from worker.analysis.cycles import (
     CYCLE_SECONDS,
@@ -58,7 +69,7 @@ from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, Rigid, 
 from worker.spec.errors import BrokenRuleError, problems_of
 from worker.study import Array
 from worker.study.layout import COORDINATES
-from worker.sweep import SweepSpec
+from worker.sweep import AXES, SweepSpec
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,13 +102,12 @@ def _of_cycle(thing: str, what: str) -> tuple[Array, Array]:
 
 
 _STORED: Final = {each.name: each for each in ARRAYS}
-_AXES: Final = {each.name: each.attrs for each in COORDINATES}
 
 #: The variables by name: those that the study `orbits` stores, and others.
 ROWS: Final[Mapping[str, Array]] = _STORED | {
     each.name: each
     for each in (
-        _STORED["gamma"]._replace(attrs=_AXES["gamma"] | {"comment": "NaN: no point"}),
+        _STORED["gamma"]._replace(attrs=COORDINATES["gamma"] | {"comment": "NaN: no point"}),
         _STORED["violations"]._replace(fill=MISSING_POINT, attrs=_STORED["violations"].attrs | {
             "comment": f"0: a cycle of the spring; {MISSING_POINT}: no point",
         }),
@@ -109,13 +119,13 @@ ROWS: Final[Mapping[str, Array]] = _STORED | {
         row("points", ("branch",), "<i4", "points of the branch"),
         row("curve_kind", ("curve",), "U", "kind of event"),
         *_of_cycle("curve", "cycles"),
-        *(Array(axis, ("curve", "point"), "<f8", 0, _AXES[axis]) for axis in ("omega", "xi")),
+        *(Array(axis, ("curve", "point"), "<f8", 0, COORDINATES[axis]) for axis in ("omega", "xi")),
         row("event_kind", ("event",), "U", "kind of event"),
-        *(Array(f"event_{axis}", ("event",), "<f8", 0, _AXES[axis]) for axis in ("gamma", "omega", "xi")),
+        *(Array(f"event_{axis}", ("event",), "<f8", 0, COORDINATES[axis]) for axis in AXES[::-1]),
         row("event_multipliers", ("event", *_PARTS), "<f8", "Floquet multipliers"),
         row("event_branch", ("event",), "<i4", "index of the branch that the event is on"),
         row("event_complete", ("event",), "?", "whether all of its kind were counted, with proof"),
-        Array("skipped_gamma", ("skipped",), "<f8", 0, _AXES["gamma"]),
+        Array("skipped_gamma", ("skipped",), "<f8", 0, COORDINATES["gamma"]),
         *_of_cycle("skipped", "cell from which no branch was followed"),
         row("skipped_reason", ("skipped",), "U", "why no branch was followed from the cell"),
     )
@@ -437,9 +447,7 @@ class CellsQuery(Query):
 
     omega: Number | None = None
     xi: Number | None = None
-    direction: Annotated[
-        str | None, Field(description="rest, up or down; default: the first direction of the sweep")
-    ] = None
+    direction: FirstDirection = None
     gamma_max: Annotated[
         Annotated[Number, Field(gt=0, le=1e6)] | None,
         Field(description="branches are cut above this Γ; default: 8, of a study of orbits its own"),

@@ -24,7 +24,7 @@ from service.views.selection import (
     read_stored,
 )
 from service.views.variables import ENERGY, coordinate, dataset, row, variables
-from service.views.view import Estimate, Number, Query, View
+from service.views.view import Estimate, FirstDirection, Number, Query, View
 from worker.analysis.cycles import cycle_near
 from worker.basins.specification import MAX_HEIGHT, BasinSpec, MultistabilitySpec
 from worker.basins.starts import contact_states, drop_states
@@ -277,9 +277,7 @@ class TrajectoryQuery(Query):
     gamma: Number | None = None
     omega: Number | None = None
     xi: Number | None = None
-    direction: Annotated[
-        str | None, Field(description="rest, up or down; default: the first direction of the sweep")
-    ] = None
+    direction: FirstDirection = None
     attractor: Annotated[
         int | None,
         Field(ge=1, description="of a job of basins or multistability: which attractor of the cell, from 1"),

@@ -63,7 +63,6 @@ ENERGY: Final = tuple(
 VARIABLES: Final[Mapping[str, Array]] = {
     array.name: array for array in (*map(of_attractor, OF_ATTRACTORS), *_DERIVED)
 }
-_COORDINATES: Final[Mapping[str, Mapping[str, Any]]] = {row.name: row.attrs for row in COORDINATES}
 
 
 def variable(dims: tuple[str, ...], values: Any, row: Array) -> xarray.Variable:
@@ -81,7 +80,7 @@ def variables(
 def coordinate(name: str, values: Any, **attrs: Any) -> xarray.Variable:
     """Values along the dimension `name`, or one value."""
     data = np.asarray(values)
-    return xarray.Variable((name,) if data.ndim else (), data, {**_COORDINATES.get(name, {}), **attrs})
+    return xarray.Variable((name,) if data.ndim else (), data, {**COORDINATES.get(name, {}), **attrs})
 
 
 def dataset(

@@ -34,6 +34,9 @@ Log = Annotated[
 Direction = Annotated[
     str | None, Field(description="rest, up or down; default: all that the sweep has, a dimension if two")
 ]
+FirstDirection = Annotated[
+    str | None, Field(description="rest, up or down; default: the first direction of the sweep")
+]
 MinFlight = Annotated[
     Number | None,
     Field(

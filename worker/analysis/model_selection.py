@@ -13,18 +13,18 @@ bifurcation.
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from kernel.params import Line as Record
-from kernel.params import Outcome
+from kernel.params import Line, Outcome
 from worker.analysis.deviation import deviations, percentile
 from worker.analysis.intervals import ENDLESS, bounds
 from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS, Auto, Ball, Rigid, Soft
+from worker.spec.time_steps import Cells
 from worker.sweep import AXES, SweepSpec
 
 #: Cells of a sample from rest; lines of a sample along a ramp, and cells on each of them.
@@ -86,14 +86,6 @@ class ModelChoice(Strict):
         return self.model_dump(mode="json", exclude={"table": {"__all__": {"measured"}}})
 
 
-class Line(NamedTuple):
-    """Cells in the order in which they are computed, each array (n,)."""
-
-    gamma: _Array
-    omega: _Array
-    xi: _Array
-
-
 def choose(spec: SweepSpec) -> ModelChoice:
     """Choose the model of a sweep whose model is `auto`. Raises TypeError for any other."""
     return chosen(spec, *compared(spec, list(sample(spec))))
@@ -104,7 +96,7 @@ def resolved(spec: SweepSpec, choice: ModelChoice) -> SweepSpec:
     return spec.model_copy(update={"model": _candidates(_auto(spec))[choice.model]})
 
 
-def sample(spec: SweepSpec) -> Iterator[Line]:
+def sample(spec: SweepSpec) -> Iterator[Cells]:
     """A simple random sample of up to CELLS cells from rest, or up to LINES ramps spread over the axes."""
     values = {axis: spec.axis_values(axis) for axis in AXES}
     ramp = spec.ramp_axis
@@ -113,13 +105,13 @@ def sample(spec: SweepSpec) -> Iterator[Line]:
         random = np.random.default_rng(int(spec.job_id(""), 16))
         cells = np.sort(random.choice(math.prod(shape), min(CELLS, math.prod(shape)), replace=False))
         chosen = zip(AXES, np.unravel_index(cells, shape), strict=True)
-        yield Line(**{axis: np.ascontiguousarray(values[axis][along]) for axis, along in chosen})
+        yield Cells(**{axis: np.ascontiguousarray(values[axis][along]) for axis, along in chosen})
         return
     beside = {axis: 1 if axis == ramp else len(values[axis]) for axis in AXES}
     along = _along(spec, values[ramp])
     for indices in sorted(set(_lattice(beside, LINES))):
         fixed = {axis: values[axis][i] for axis, i in zip(AXES, indices, strict=True)}
-        yield Line(**{axis: along if axis == ramp else np.full(len(along), fixed[axis]) for axis in AXES})
+        yield Cells(**{axis: along if axis == ramp else np.full(len(along), fixed[axis]) for axis in AXES})
 
 
 def _along(spec: SweepSpec, values: _Array) -> _Array:
@@ -171,7 +163,7 @@ def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball) -> SweepSpec:
     )
 
 
-def timed(spec: SweepSpec, lines: Sequence[Line], least: float = 0.0) -> tuple[list[Record], float]:
+def timed(spec: SweepSpec, lines: Sequence[Cells], least: float = 0.0) -> tuple[list[Line], float]:
     """The record of each line, and core-microseconds per cell per plate period.
 
     The time is the shortest of several runs that take `least` core-seconds together, at least of one: it is
@@ -192,7 +184,7 @@ def timed(spec: SweepSpec, lines: Sequence[Line], least: float = 0.0) -> tuple[l
 
 
 def compared(
-    spec: SweepSpec, lines: Sequence[Line]
+    spec: SweepSpec, lines: Sequence[Cells]
 ) -> tuple[dict[str, tuple[float, _Array]], NDArray[np.uint8]]:
     """Every model in the cells of the lines, cheapest first, beside the exact contact.
 

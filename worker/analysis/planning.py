@@ -17,8 +17,8 @@ from kernel.params import Cell, Line, Outcome
 from worker.analysis.audit import moved, reference
 from worker.analysis.deviation import deviations
 from worker.analysis.intervals import ENDLESS, bounds
-from worker.analysis.model_selection import Line as Cells
 from worker.analysis.model_selection import timed
+from worker.spec.time_steps import Cells
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import Steps, level_indices
 from worker.sweep.schema import MODE_ARRAYS

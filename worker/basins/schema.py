@@ -79,7 +79,7 @@ def basin_sizes(spec: BasinSpec) -> dict[str, int]:
 
 
 #: Attributes of the rows and columns of each plane.
-_SIDES: Final = {
+SIDES: Final = {
     "drop": (
         {"long_name": "height of the lower mass above the plate, in plate amplitudes", "units": "1"},
         {"long_name": "plate phase at which the spring is let go", "units": "rad"},
@@ -94,7 +94,7 @@ _SIDES: Final = {
 def basin_layout(spec: BasinSpec, chunk_shape: tuple[int, ...]) -> Layout:
     """Layout of the store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
     plane = spec.protocol
-    row, column = _SIDES[plane.plane]
+    row, column = SIDES[plane.plane]
     coordinates = {
         "row": (plane.row_values, row),
         "column": (plane.column_values, column),

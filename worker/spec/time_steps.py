@@ -21,7 +21,7 @@ MOST_STEPS_PER_CELL: Final = 10_000_000_000
 
 
 class Cells(NamedTuple):
-    """Cells with the extreme numbers of steps; arrays (n,)."""
+    """Cells, one after the other; arrays (n,)."""
 
     gamma: NDArray[np.float64]
     omega: NDArray[np.float64]

@@ -58,13 +58,6 @@ class Array(NamedTuple):
         return tuple(dim for dim in self.dims if dim not in CELL_DIMS)
 
 
-class Coordinate(NamedTuple):
-    """The values along one dimension."""
-
-    name: str
-    attrs: dict[str, Any]
-
-
 class Code(NamedTuple):
     """The names along a dimension as numbers, with CF flags: some readers of zarr have no text."""
 
@@ -253,12 +246,13 @@ def whether_computed(dims: tuple[str, ...], otherwise: str) -> Array:
     )
 
 
-COORDINATES: Final = (
-    Coordinate("direction", {"long_name": "protocol: from rest, or the ramp's direction"}),
-    Coordinate("xi", {"long_name": "damping ratio of the spring", "units": "1"}),
-    Coordinate("omega", {"long_name": "plate frequency over the spring's natural frequency", "units": "1"}),
-    Coordinate("gamma", {"long_name": "plate acceleration over gravity", "units": "1"}),
-)
+#: The attributes of what lies along the dimensions of cells.
+COORDINATES: Final[Mapping[str, dict[str, Any]]] = {
+    "direction": {"long_name": "protocol: from rest, or the ramp's direction"},
+    "xi": {"long_name": "damping ratio of the spring", "units": "1"},
+    "omega": {"long_name": "plate frequency over the spring's natural frequency", "units": "1"},
+    "gamma": {"long_name": "plate acceleration over gravity", "units": "1"},
+}
 
 
 def bytes_of(arrays: Iterable[Array], sizes: Mapping[str, int]) -> int:
@@ -276,15 +270,18 @@ def empty_record(
 def grid_layout(
     spec: Specification, chunk_shape: tuple[int, ...], arrays: tuple[Array, ...], sizes: Mapping[str, int],
     coordinates: Mapping[str, tuple[NDArray[Any], dict[str, Any]]], title: str, model: str,
+    slowest: Mapping[str, NDArray[Any]] | None = None,
 ) -> Layout:  # fmt: skip
     """Layout of a store over the axes of a specification, with chunks of `chunk_shape` cells.
 
-    `coordinates`: values and attributes of the other dimensions with coordinates.
+    `coordinates`: values and attributes of the other dimensions with coordinates. `slowest`: dimensions of
+    cells before the axes, in chunks of one.
     """
-    axes = {axis: spec.axis_values(axis).astype("<f8") for axis in spec.AXES}
-    attrs = {row.name: row.attrs for row in COORDINATES if row.name in axes}
+    before = slowest or {}
+    axes = {**before, **{axis: spec.axis_values(axis).astype("<f8") for axis in spec.AXES}}
+    attrs = {name: about for name, about in COORDINATES.items() if name in axes}
     return Layout(
-        chunk_sizes=dict(zip(axes, chunk_shape, strict=True)),
+        chunk_sizes=dict(zip(axes, (1,) * len(before) + chunk_shape, strict=True)),
         coordinates=axes | {name: values for name, (values, _) in coordinates.items()},
         extra_sizes=sizes,
         arrays=arrays,

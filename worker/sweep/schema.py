@@ -1,22 +1,22 @@
 """The stored variables of a sweep: name, dimensions, type, units, long name and fill value of each, once."""
 
 from collections.abc import Iterator
-from typing import Any, Final
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from kernel.params import KERNEL_VERSION, STATE_FIELDS
+from kernel.params import STATE_FIELDS
 from worker.spec.contact_models import Stepped
 from worker.spec.time_steps import corners, stated
 from worker.study.layout import (
     CELL_DIMS,
-    COORDINATES,
     OUTCOME_FLAGS,
     Array,
     Layout,
     array,
     bytes_of,
-    common_attributes,
+    grid_layout,
 )
 from worker.sweep.specification import SweepSpec
 
@@ -100,26 +100,21 @@ def bytes_per_cell(spec: SweepSpec) -> int:
 
 def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
     """Layout of a sweep's store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
-    length = sizes(spec)
+    extra_sizes = {dim: n for dim, n in sizes(spec).items() if dim not in CELL_DIMS}
     # Variable-length text: zarr has no stable form for the fixed-length one.
-    directions = np.array(spec.directions, dtype=np.dtypes.StringDType())
-    return Layout(
-        chunk_sizes=dict(zip(CELL_DIMS, (1, *chunk_shape), strict=True)),
-        coordinates={
-            "direction": directions,
-            **{axis: spec.axis_values(axis).astype("<f8") for axis in CELL_DIMS[1:]},
-        },
-        extra_sizes={dim: n for dim, n in length.items() if dim not in CELL_DIMS},
-        arrays=tuple(arrays(spec)),
-        coordinate_attrs={coordinate.name: coordinate.attrs for coordinate in COORDINATES},
-        attributes=_attributes(spec),
-        identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
+    directions = {"direction": np.array(spec.directions, dtype=np.dtypes.StringDType())}
+    found = grid_layout(
+        spec,
+        chunk_shape,
+        tuple(arrays(spec)),
+        extra_sizes,
+        {},
+        "bouncing spring",
+        spec.model.kind,
+        directions,
     )
-
-
-def _attributes(spec: SweepSpec) -> dict[str, Any]:
-    attributes = common_attributes(spec, "bouncing spring", spec.model.kind)
     if isinstance(spec.model, Stepped):
         axes = (spec.axis_values(axis) for axis in ("gamma", "omega", "xi"))
-        attributes["time_steps"] = stated(spec.model, corners(*axes))
-    return attributes
+        steps = stated(spec.model, corners(*axes))
+        return replace(found, attributes={**found.attributes, "time_steps": steps})
+    return found
