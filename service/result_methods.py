@@ -310,12 +310,12 @@ class SpringMethods(Methods):
         xi: float,
         delta: Annotated[float, "Γ below `down` with a lifetime"] = 1e-06,
         prove: Annotated[bool, "an upper bound of `down` with a proof"] = False,
-        search: Annotated[bool, "search for what bounces below, by workers"] = False,
-        effort: Annotated[float, "of a search: 100 to 10,000 starts each"] = 50,
         model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
         adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
+        search: Annotated[bool, "search for what bounces below, by workers, half a minute a spring"] = False,
+        effort: Annotated[float, "of a search: 100 to 10,000 starts each"] = 50,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -339,18 +339,18 @@ class SpringMethods(Methods):
         `proven_flight_time` (rad). Waits up to `timeout` seconds for the workers, and shows `progress`.
         Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
-        return self.result("threshold", omega=omega, xi=xi, delta=delta, prove=prove, search=search, effort=effort, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
+        return self.result("threshold", omega=omega, xi=xi, delta=delta, prove=prove, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, search=search, effort=effort, timeout=timeout, progress=progress)
 
     def thresholds(
         self,
         omega: Annotated[str, "values, as 0.45,0.46, or start:stop:number"],
         xi: Annotated[str, "values, as 0.45,0.46, or start:stop:number"],
-        search: Annotated[bool, "search for what bounces below, half a minute each"] = False,
-        effort: Annotated[float, "of a search: 100 to 10,000 starts each"] = 50,
         model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
         adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
+        search: Annotated[bool, "search for what bounces below, by workers, half a minute a spring"] = False,
+        effort: Annotated[float, "of a search: 100 to 10,000 starts each"] = 50,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -364,7 +364,7 @@ class SpringMethods(Methods):
         seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter, TooLarge naming
         what fits.
         """
-        return self.result("thresholds", omega=omega, xi=xi, search=search, effort=effort, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
+        return self.result("thresholds", omega=omega, xi=xi, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, search=search, effort=effort, timeout=timeout, progress=progress)
 
     def orbits(
         self,
@@ -377,11 +377,11 @@ class SpringMethods(Methods):
         prove: Annotated[bool, "whether all folds and flips are counted, with a proof"] = False,
         along: Annotated[Literal["gamma", "omega", "xi"], "what varies; of a model, omega or xi too, from half to twice its value"] = "gamma",
         gamma: Annotated[float | None, "where another varies"] = None,
+        doubled: Annotated[bool, "branches of twice the period that begin at flips as well"] = False,
         model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
         adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
-        doubled: Annotated[bool, "branches of twice the period that begin at flips as well"] = False,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -406,7 +406,7 @@ class SpringMethods(Methods):
         `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """
-        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, energy=energy, prove=prove, along=along, gamma=gamma, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, doubled=doubled, timeout=timeout, progress=progress)
+        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, energy=energy, prove=prove, along=along, gamma=gamma, doubled=doubled, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
 
     def curves(
         self,

@@ -71,7 +71,8 @@ def _literal(value: Any) -> str:
 
 
 def _method(view: View) -> str:
-    fields = view.query.model_fields
+    own = view.query.__annotations__  # before those of its bases
+    fields = dict(sorted(view.query.model_fields.items(), key=lambda field: field[0] not in own))
     parameters = {name: _parameter(field) for name, field in fields.items()}
     if view.parts is not None:
         parameters |= {"timeout": "float = 300.0", "progress": "Progress = True"}

@@ -14,7 +14,7 @@ from service.pictures import ATTRACTORS, AXES, IDEAL, SYMBOLS
 from service.views import orbits
 from service.views.orbits import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
 from service.views.variables import coordinate
-from service.views.view import Call, Estimate, Omega, Query, View, Xi
+from service.views.view import Call, Estimate, Omega, View, Xi
 from worker.analysis.cycles import CONTACT_CURVES, CURVES_SECONDS, follow_curves
 from worker.spec.errors import one_of
 
@@ -33,7 +33,7 @@ _POINTS: Final = 4_000
 Span = tuple[float, float]
 
 
-class CurvesQuery(Query):
+class CurvesQuery(orbits.ContactQuery):
     """A range of Ω at one ξ, or of ξ at one Ω."""
 
     omega: Omega | None = None
@@ -45,10 +45,6 @@ class CurvesQuery(Query):
     modes: orbits.Modes = "1-1,1-2"
     kinds: Annotated[str | None, Field(max_length=200, description="such as fold,flip; default: all")] = None
     gamma_max: orbits.GammaMax = 8.0
-    model: orbits.Kind = None
-    restitution: orbits.Restitution = None
-    penetration: orbits.Penetration = None
-    adhesive: orbits.Adhesive = True
 
 
 def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:

@@ -250,19 +250,24 @@ _CONTACTS: Final[Mapping[str, type[Rigid | Soft]]] = {"rigid": Rigid, "soft": So
 _OF_CONTACT: Final = ("restitution", "penetration", "adhesive")
 
 
-Kind = Annotated[
-    Literal["rigid", "soft"] | None,
-    Field(description="contact whose cycles are followed; default: the ideal plate in closed form"),
-]
-Restitution = Annotated[Annotated[Number, Field(ge=0, lt=1)] | None, Field(description="of the model")]
-Penetration = Annotated[
-    Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None,
-    Field(description="of a soft model, in plate amplitudes"),
-]
-Adhesive = Annotated[bool, Field(description="whether a soft model pulls before take-off")]
+class ContactQuery(Query):
+    """The contact that the spring has."""
+
+    model: Annotated[
+        Literal["rigid", "soft"] | None,
+        Field(description="contact whose cycles are followed; default: the ideal plate in closed form"),
+    ] = None
+    restitution: Annotated[Annotated[Number, Field(ge=0, lt=1)] | None, Field(description="of the model")] = (
+        None
+    )
+    penetration: Annotated[
+        Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None,
+        Field(description="of a soft model, in plate amplitudes"),
+    ] = None
+    adhesive: Annotated[bool, Field(description="whether a soft model pulls before take-off")] = True
 
 
-class OrbitsQuery(Query):
+class OrbitsQuery(ContactQuery):
     """A spring, its contact, and which of its branches to compute."""
 
     omega: Omega
@@ -280,14 +285,10 @@ class OrbitsQuery(Query):
         Field(description="what varies; of a model, omega or xi too, from half to twice its value"),
     ] = "gamma"
     gamma: Annotated[Number, Field(gt=0, le=1e6)] | None = Field(None, description="where another varies")
-    model: Kind = None
-    restitution: Restitution = None
-    penetration: Penetration = None
-    adhesive: Adhesive = True
     doubled: WithDoubled = False
 
 
-def contact(query: Query) -> Rigid | Soft | None:
+def contact(query: ContactQuery) -> Rigid | Soft | None:
     """The contact whose cycles are followed; None: the closed form. Raises InvalidRequest."""
     given = query.model_dump(include={"model", *_OF_CONTACT}, exclude_defaults=True)
     if "model" not in given:

@@ -74,19 +74,22 @@ _OF_SPRING: Final = (
 )
 
 
-class SpringQuery(Query):
+class SearchQuery(orbits.ContactQuery):
+    """A contact, and whether to search."""
+
+    search: Annotated[
+        bool, Field(description="search for what bounces below, by workers, half a minute a spring")
+    ] = False
+    effort: Annotated[Number, Field(ge=0, le=100, description="of a search: 100 to 10,000 starts each")] = 50
+
+
+class SpringQuery(SearchQuery):
     """A spring, its contact, and how far below the fold it bounces."""
 
     omega: Omega
     xi: Xi
     delta: Annotated[Number, Field(ge=1e-15, le=0.1, description="Γ below `down` with a lifetime")] = 1e-6
     prove: Annotated[bool, Field(description="an upper bound of `down` with a proof")] = False
-    search: Annotated[bool, Field(description="search for what bounces below, by workers")] = False
-    effort: Annotated[Number, Field(ge=0, le=100, description="of a search: 100 to 10,000 starts each")] = 50
-    model: orbits.Kind = None
-    restitution: orbits.Restitution = None
-    penetration: orbits.Penetration = None
-    adhesive: orbits.Adhesive = True
 
 
 #: The thresholds of one spring; `unresolved` or `not searched` where the rule does not decide.
@@ -184,17 +187,11 @@ _OF_GRID: Final = tuple(row for row in _OF_SPRING if row.name not in _ALONE)
 Values = Annotated[str, Field(max_length=4_000, description="values, as 0.45,0.46, or start:stop:number")]
 
 
-class GridQuery(Query):
+class GridQuery(SearchQuery):
     """Springs, their contact, and whether to search."""
 
     omega: Values
     xi: Values
-    search: Annotated[bool, Field(description="search for what bounces below, half a minute each")] = False
-    effort: Annotated[Number, Field(ge=0, le=100, description="of a search: 100 to 10,000 starts each")] = 50
-    model: orbits.Kind = None
-    restitution: orbits.Restitution = None
-    penetration: orbits.Penetration = None
-    adhesive: orbits.Adhesive = True
 
 
 def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
