@@ -132,11 +132,14 @@ class ChunkTimes:
         On its way back a ramp takes as long as it did on its way there. All else takes as long as the newest
         chunks: on a ramp those of the last RECENT steps, without one all.
         """
-        took, counted = self._took, np.nansum(self._took) - self._before
-        if self._began is None or counted <= 0.0:
+        took = self._took
+        if self._began is None:
             return None
         newest = np.flatnonzero(~np.isnan(took).all(axis=1))[-1]
         recent = np.nanmean(took[max(newest + 1 - RECENT, 0) : newest + 1])
+        counted = np.nansum(took) - self._before
+        if counted < recent or counted == 0.0:  # a small chunk tells little of what is done beside it
+            return None
         expected = np.where(np.isnan(took), took[::-1], took) if self._turns else took.copy()
         expected[np.isnan(expected)] = recent
         return float(expected.ravel()[to_come].sum() * (now - self._began) / counted)

@@ -20,8 +20,10 @@ def after(plan: Plan, took: list[float], now: float) -> float | None:
     return times.left(to_come, now)
 
 
-def test_there_is_no_rate_before_the_second_chunk():
+def test_there_is_no_rate_before_the_second_chunk_nor_by_a_small_one():
     assert after(LINE, [3.0], 3.0) is None
+    assert after(LINE, [3.0, 0.01], 6.0) is None
+    assert after(LINE, [3.0, 3.0], 6.0) == pytest.approx(18.0)
 
 
 def test_a_ramp_takes_as_long_on_its_way_back_as_there():
