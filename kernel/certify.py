@@ -77,6 +77,7 @@ class Attempt(NamedTuple):
     first: Any  # (4,) where the trajectory is after a turn
     step: Any  # (4,) of Newton's method
     turn: Any  # (4, 4) the derivative of a turn
+    error: Any  # (1,) rad, of the landings of a turn, by rounding
 
 
 class Search(NamedTuple):
@@ -96,7 +97,7 @@ def allocate_search(lanes: int, flights: Flights) -> Search:
     cycle = Flights(np.empty(size), np.empty(size), np.empty(size, np.int64), size, 0)
     failed, counts = np.full((lanes, LONGEST + 1), np.inf), np.zeros((lanes, 5), np.int64)
     vectors, none, turn = np.zeros((4, 4)), np.zeros((0, 4)), np.zeros((4, 4))
-    attempt = Attempt(cycle, vectors, none, np.zeros(4), np.zeros(4), np.zeros(4), turn)
+    attempt = Attempt(cycle, vectors, none, np.zeros(4), np.zeros(4), np.zeros(4), turn, np.zeros(1))
     return Search(np.empty(n), np.empty(n), np.empty(n, np.int64), failed, counts, attempt)
 
 
@@ -264,9 +265,9 @@ def _longest(run: Progress, k: int, periods: int, flights: Flights) -> float:
 
 @jit
 def _cover(
-    cell: Any, run: Progress, left: float, window: Window, vectors: Any, flights: Flights
+    cell: Any, run: Progress, left: float, window: Window, vectors: Any, attempt: Attempt
 ) -> tuple[Progress, Phase]:
-    """Follow a run, and variations `vectors` (n, 4), for `left` rad.
+    """Follow a run, and variations `vectors` (n, 4) with the error of landings, for `left` rad.
 
     Returns the run before the phase that is cut off there, and that phase; one that fails ends it too.
     """
@@ -277,6 +278,8 @@ def _cover(
             if run.in_flight:
                 interface.carry_in_flight(cell, vectors, p.tau)
                 if p.ending == ROOT:
+                    error = interface.landing_error(cell, phi, run.state, p.tau)
+                    attempt.error[0] = max(attempt.error[0], error)
                     interface.carry_through_landing(cell, vectors, phi, run.state, p)
             else:
                 interface.carry_in_contact(cell, vectors, p.tau)
@@ -285,7 +288,7 @@ def _cover(
         if p.ending != ROOT:
             return run, p
         left -= p.tau
-        run = record(run, p, window, flights, 0)
+        run = record(run, p, window, attempt.cycle, 0)
 
 
 @jit
@@ -303,7 +306,8 @@ def _turn(
     Returns whether it ends in the phase that it begins in, and the values of `_cover`.
     """
     set_identity(attempt.vectors)
-    run, p = _cover(cell, _from(start, attempt.y), TWO_PI * periods, window, attempt.vectors, attempt.cycle)
+    attempt.error[0] = 0.0
+    run, p = _cover(cell, _from(start, attempt.y), TWO_PI * periods, window, attempt.vectors, attempt)
     transpose(attempt.vectors, attempt.turn)
     return p.ending == HORIZON and run.in_flight == start.in_flight, run, p
 
@@ -381,7 +385,8 @@ def _accept(
     growth = _growth(cell, start, periods, total, window, attempt)
     if not (modulus < 1.0 - MARGIN and growth < math.inf):
         return run
-    line.flight_error[i] = (repeats + FLOOR * max(1.0, growth / GROWTH)) / (1.0 - modulus)
+    error = repeats + FLOOR * max(1.0, growth / GROWTH) + attempt.error[0]
+    line.flight_error[i] = error / (1.0 - modulus)
     line.multiplier[i], line.multiplier_angle[i] = modulus, angle
     line.outcome[i], line.periods[i] = PERIODIC, part
     line.bounces[i] = _counting(cycle, total, flights, window.micro_flight)
@@ -403,7 +408,7 @@ def _two_turns(
     if not closes:
         return 0, run
     left = TWO_PI * (end - turn.period) - turn.phase
-    last, p = _cover(cell, turn, left, window, attempt.none, attempt.cycle)
+    last, p = _cover(cell, turn, left, window, attempt.none, attempt)
     if p.ending != HORIZON:
         return 0, run
     left = TWO_PI * (start.period + 2 * periods - last.period) + start.phase - last.phase
@@ -415,7 +420,7 @@ def _two_turns(
 @jit
 def _recorded(cell: Any, run: Progress, left: float, periods: int, window: Window, attempt: Attempt) -> int:
     """Follow a run for `left` rad and to the end of the phase that is cut off there: flights recorded."""
-    run, _ = _cover(cell, run, left, window, attempt.none, attempt.cycle)
+    run, _ = _cover(cell, run, left, window, attempt.none, attempt)
     p = phase_of(cell, plate_phase(run.phase), run, TWO_PI * (periods + 1))
     run = record(run, p, window, attempt.cycle, 0)
     return run.recorded if run.ending == ROOT else 0

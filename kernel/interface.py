@@ -130,6 +130,11 @@ def unload_lane(cell: Any, table: Any, k: int, run: Any) -> tuple[Phase, PlatePh
 
 
 @by_type
+def landing_error(cell: Any, phi: PlatePhase, state: State, tau: float) -> float:  # type: ignore[empty-body]
+    """How far rounding may move the landing, at tau, of the flight that begins with this state, in rad."""
+
+
+@by_type
 def dimension(plate: Any) -> int:  # type: ignore[empty-body]
     """The number of exponents: the dimension of a state at a fixed phase; 0 without variations."""
 

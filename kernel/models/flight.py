@@ -45,6 +45,10 @@ def _remainders(tau: float) -> tuple[float, float]:
     return tau * t * odd, t * t * even
 
 
+#: Operations of the force that a take-off's time depends on, times three.
+TAKEOFF_ERROR: Final = 12.0
+
+
 class Flight(NamedTuple):
     """The gap as a phase function, from the state at tau = 0."""
 
@@ -234,3 +238,20 @@ def flight_terms(p: Flight, tau: float) -> Terms:
         amplitude=amplitude,
         noise=2.0 * EPS * (abs(p.gap) + 2.0 + abs(p.drift) * tau + fall + size),
     )
+
+
+@jit
+def landing_error(p: Flight, tau: float) -> float:
+    """How far rounding may move the landing at tau, in rad: far for a touch, as the gap's rate is small.
+
+    With that of the take-off, where the force, minus the gap's second derivative, falls through zero: if
+    slowly, a delay of the take-off makes the flight longer by three times as much.
+    """
+    f = flight_terms(p, tau)
+    rate = abs(f.smooth1 + f.ring1)
+    error = f.noise / rate if rate > 0.0 else math.inf
+    if p.gap == 0.0 and p.gap1 == 0.0:
+        _, q3, _ = derivatives(p.osc, p.q, p.q1)
+        noise = p.gravity + 1.0 + abs(p.osc.damping * p.q1) + 0.5 * abs(p.osc.stiffness * p.q)
+        error += TAKEOFF_ERROR * EPS * noise / abs(p.sin + 0.5 * q3)
+    return error

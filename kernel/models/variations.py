@@ -68,6 +68,13 @@ def _fly(spring: Any, vectors: Any, tau: float) -> None:
         _put(vectors, k, centre - 0.5 * q, centre1 - 0.5 * q1, q, q1)
 
 
+@interface.landing_error.otherwise
+@jit
+def _landing_error(spring: Any, phi: PlatePhase, state: State, tau: float) -> float:
+    """The rounding of the gap over its rate."""
+    return flight.landing_error(flight.begin_flight(spring.flight, spring.gravity, phi, state), tau)
+
+
 @inlined
 def _delay(g: float, impact: float) -> float:
     """dphi, by which the varied motion lands later. 0 at a graze, where no derivative exists."""
@@ -224,6 +231,12 @@ def _ball_flight(b: Ball, vectors: Any, tau: float) -> None:
     for k in range(len(vectors)):
         g, g1, _, _ = _get(vectors, k)
         _put(vectors, k, g + tau * g1, g1, 0.0, 0.0)
+
+
+@interface.landing_error.register(Ball)
+@jit
+def _ball_landing_error(b: Ball, phi: PlatePhase, state: State, tau: float) -> float:
+    return flight.landing_error(fall(b, phi, state), tau)
 
 
 @interface.carry_through_landing.register(Ball)

@@ -1,10 +1,12 @@
 """A periodic cell ends once its cycle is certified: which cells, and what is recorded of them."""
 
+import json
 from typing import Any
 
 import numpy as np
 import pytest
 from kernel_runs import assert_same_bytes
+from paths import GOLDEN
 from tables import for_each
 
 from kernel.line import LineRun, run_line
@@ -68,6 +70,16 @@ def test_certified_cells_are_on_the_cycle_that_a_long_run_approaches(plate: str)
     for name in ("flight_time", "takeoff_phase"):
         error = np.abs(getattr(line, name) - getattr(long, name))[near]
         assert np.all((error <= line.flight_error[near, None]) | np.isnan(error)), name
+
+
+def test_the_error_of_short_flights_is_bounded_where_they_hardly_leave_the_plate():
+    cells = np.array(json.loads((GOLDEN / "touches.json").read_text())["cells"])
+    gamma, omega, xi, true = cells.T.copy()
+    plate = RigidPlate(np.zeros(len(true)))
+    line = run_line(gamma, omega, xi, plate=plate, **{"carry": False, **CERTIFY})
+    assert np.all(line.outcome == Outcome.PERIODIC)
+    error = np.nanmax(np.abs(line.flight_time - true[:, None]), axis=1)
+    assert np.all(error <= line.flight_error)
 
 
 @for_each("plate", PLATES)
