@@ -235,6 +235,7 @@ def draw_branches(ax: "Axes", branches: xarray.Dataset, along: str = "gamma") ->
             (~stable & admissible, "--", 1.0),
             (~admissible, ":", 0.6),
         ):
+            shown[1:] |= shown[:-1]  # to where the next piece begins
             x = np.where(shown, gamma, np.nan)
             ax.plot(x, flight, color=LINES["branch"], zorder=4, linestyle=style, linewidth=width)
 

@@ -29,6 +29,9 @@ from service.software import software
 from service.views import exports
 from worker.executors.base import Executor
 
+#: Shared files that are received or imported at a time.
+IMPORTS: Final = 4
+
 #: Chunks of stores read at a time.
 CHUNKS: Final = 4
 
@@ -130,7 +133,7 @@ def _service(
         ),
         background=background,
         listeners=asyncio.Semaphore(settings.max_listeners),
-        imports=asyncio.Semaphore(1),
+        imports=asyncio.Semaphore(IMPORTS),
         progress_stream=ProgressStream(ledger, manager.compiling),
         metrics=metrics,
     )

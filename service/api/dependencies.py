@@ -15,7 +15,7 @@ from service.api.capacity import FEW_CHUNKS, SMALL_ANSWER, SMALL_CHUNKS, Capacit
 from service.api.monitoring import Metrics
 from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
-from service.errors import InvalidRequest, TooLarge, UnknownJob
+from service.errors import Busy, InvalidRequest, TooLarge, UnknownJob
 from service.formats import MOST_SHARED
 from service.jobs.manager import JobManager
 from service.jobs.on_demand import OnDemandCache
@@ -134,24 +134,30 @@ async def reject_repeated_parameters(request: Request) -> None:
 
 async def _json_body(request: Request, service: ServiceDep) -> bytes:
     rule = "send the body as JSON, with the header Content-Type: application/json"
+    _check_declared(request, "application/json", rule)
     hint = "; an evenly spaced axis is shorter as a range with start, stop and num"
-    return await _body(request, service, "application/json", rule, service.settings.max_body_bytes, hint)
+    return await _body(request, service, service.settings.max_body_bytes, hint)
 
 
 async def _page_body(request: Request, service: ServiceDep) -> AsyncIterator[bytes]:
-    """A shared file, one at a time: each takes much memory."""
-    async with service.imports:
-        rule = "send the file as it is, with the header Content-Type: application/octet-stream"
-        yield await _body(request, service, "application/octet-stream", rule, MOST_SHARED)
+    """A shared file, few at a time: each takes much memory."""
+    _check_declared(
+        request, "application/octet-stream",
+        "send the file as it is, with the header Content-Type: application/octet-stream",
+    )  # fmt: skip
+    try:
+        async with asyncio.timeout(service.settings.turn_seconds):
+            await service.imports.acquire()
+    except TimeoutError:
+        raise Busy("other files are being imported: repeat the request") from None
+    try:
+        yield await _body(request, service, MOST_SHARED)
+    finally:
+        service.imports.release()
 
 
-async def _body(
-    request: Request, service: ServiceDep, kind: str, rule: str, most: int, hint: str = ""
-) -> bytes:
-    """The body, if declared as of a media type that forms of other web pages cannot send.
-
-    Raises HTTPException, and TooLarge as soon as that is known.
-    """
+def _check_declared(request: Request, kind: str, rule: str) -> None:
+    """Raise HTTPException unless the body is of a media type that forms of other web pages cannot send."""
     coding = request.headers.get("content-encoding", "identity")
     if coding.lower() != "identity":
         compressed = f"the body is compressed (Content-Encoding: {coding[:40]}): send it uncompressed"
@@ -159,6 +165,10 @@ async def _body(
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type != kind:
         raise HTTPException(415, rule)
+
+
+async def _body(request: Request, service: ServiceDep, most: int, hint: str = "") -> bytes:
+    """The body. Raises HTTPException, and TooLarge as soon as that is known."""
     seconds = service.settings.body_seconds
     declared, body = request.headers.get("content-length", ""), bytearray()
     size = int(declared[:20]) if declared.isdecimal() else 0

@@ -87,6 +87,9 @@ def problem_response(error: Exception) -> ProblemResponse:
     if isinstance(error, store.UNREACHABLE):
         log.error("the bucket of the stores does not answer: %s", error)
         return ProblemResponse(status, "the bucket of the stores does not answer")
+    if isinstance(error, StoreError):  # its text begins with the store's address
+        log.error("%s", error)
+        return ProblemResponse(status, "the stored results cannot be read; see the service log")
     if isinstance(error, OSError):
         log.error("the data folder cannot be used", exc_info=error)
         reason = error.strerror or type(error).__name__

@@ -123,6 +123,9 @@ def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
 
     Where a service uses the folder, damage is only named. Raises UnknownJob.
     """
+    if not settings.ledger_path.exists():
+        yield from _ledger(settings)
+        return
     preparer = JobPreparer(settings)
     with ExitStack() as stack:
         ledger = None
@@ -131,7 +134,7 @@ def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
         reading = partial(backup.reading, settings.ledger_path) if ledger is None else ledger.reading
         with reading() as transaction:
             jobs = transaction.search()
-        jobs = [job for job in jobs if job_id in (None, job.id)]
+        jobs = [job for job in jobs if job.id.startswith(job_id or "")]
         if job_id is not None and not jobs:
             raise UnknownJob.of(job_id)
         for job in jobs:

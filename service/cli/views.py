@@ -70,6 +70,8 @@ def command(name: str) -> click.Command:
         with Client(url, token) as client:
             job = None if job_id is None else client.job(job_id)
             source = client if job is None else job
+            if "other" in query:
+                query["other"] = client.job(query["other"]).id
             if output is None:
                 click.echo(table(source.result(name, **query), printed))
             elif job is not None and data is not None:
@@ -193,7 +195,7 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
     notes = [f"one point of {every} is shown: -o writes all"] if every > 1 else []
     for column in frame.columns[[each.astype(str).str.len().max() > LONG for _, each in frame.items()]]:
         texts = frame.pop(column)
-        notes += [f"{texts.index.name} {at}: {text}" for at, text in texts.items() if text]
+        notes += [f"{_place(texts.index.names, at)}: {text}" for at, text in texts.items() if text]
     words = frame.select_dtypes(exclude="number")
     alike = [name for name in words.columns[words.nunique() == 1] if len(frame) > 1]
     for narrower, digits in ((False, DIGITS), *((True, digits) for digits in range(DIGITS, 5, -1))):
@@ -203,6 +205,13 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
             break
     notes = [*(f"{name}  {words[name].iloc[0]}" for name in alike if narrower), *notes]
     return "\n".join([*lines, *(fill(note, WIDTH, subsequent_indent="  ") for note in notes)])
+
+
+def _place(names: Sequence[Any], at: Any) -> str:
+    """A place in the index of a table."""
+    values = at if isinstance(at, tuple) else (at,)
+    shown = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in values)
+    return ", ".join(f"{name} {value}" for name, value in zip(names, shown, strict=True))
 
 
 def _without(prefixes: tuple[str, ...], name: str) -> str:

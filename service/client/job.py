@@ -60,6 +60,8 @@ class ResultReader(ABC):
         """
         from service.client.dataset import from_binary
 
+        if "other" in query:  # a job may be named by itself
+            query["other"] = getattr(query["other"], "id", query["other"])
         return from_binary(self.result_file(name, "bin", **query))
 
     def result_file(self, name: str, format: str, /, **query: Any) -> bytes:

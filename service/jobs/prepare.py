@@ -89,8 +89,13 @@ class PreparedJob:
         if not self.layout.has_key(key):
             return None
         if key.partition("/")[0] in self.layout.names and not key.endswith("zarr.json"):
-            forms = store.stored_forms(self.store_url, self.forms)
-            return store.read_file(self.store_url, key, forms, complete=complete)
+            try:
+                forms = store.stored_forms(self.store_url, self.forms)
+                return store.read_file(self.store_url, key, forms, complete=complete)
+            except store.StoreMissing as error:
+                if complete:
+                    raise store.StoreDamaged(str(error)) from error
+                return None  # the store is created with the first chunk
         content = store.read_key(self.store_url, key)
         checked = self.metadata is not None and (complete or content is not None)
         if checked and content not in [allowed.get(key) for allowed in self.metadata or ()]:

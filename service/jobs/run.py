@@ -319,6 +319,8 @@ class JobRun:
 def text_of(error: BaseException) -> str:
     """An error with its notes: the cells, and the worker."""
     notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
+    if isinstance(error, OSError) and error.strerror:  # as of a full disk
+        return f"{error.strerror}{notes}"
     kind = "" if isinstance(error, ExecutorError) else f"{type(error).__name__}: "
     return f"{kind}{error}{notes}"
 

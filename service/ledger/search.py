@@ -84,8 +84,7 @@ class JobSearch:
             "created < ?": [self.created_before],
         }
         if self.text:
-            text = self.text.replace("\\", "\\\\").replace("%", "\\%").replace("_", "\\_")
-            values["(name LIKE ? ESCAPE '\\' OR id LIKE ? ESCAPE '\\')"] = [f"%{text}%", f"{text.lower()}%"]
+            values["(instr(lower(name), lower(?)) OR instr(id, lower(?)) = 1)"] = [self.text, self.text]
         if after is not None:
             column = _COLUMNS[self.order]
             values[f"({column.sql}, seq) {'<' if column.way == 'DESC' else '>'} (?, ?)"] = after

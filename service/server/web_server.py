@@ -51,6 +51,7 @@ class WebServer(uvicorn.Server):
         super().__init__(
             uvicorn.Config(
                 app,
+                ws="none",
                 http=limited(settings.body_seconds, connections_allowed(), settings.stall_seconds),
                 lifespan="on",
                 backlog=ACCEPTED_AT_A_TIME,

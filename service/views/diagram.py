@@ -17,6 +17,7 @@ from service.views.selection import (
     LABEL,
     Stored,
     between,
+    check_order,
     directions_of,
     fixed_axes,
     hidden_cells,
@@ -85,7 +86,7 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
 
 
 def _window(spec: SweepSpec, query: DiagramQuery) -> range:
-    return between(spec.axis_values(query.along), query.start, query.stop)
+    return between(spec.axis_values(query.along), query, "start", "stop")
 
 
 def rows_of(spec: SweepSpec) -> Iterator[Array]:
@@ -121,6 +122,7 @@ def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, ND
 def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     """All flights that the line can have. Raises InvalidRequest for a line that the sweep does not have."""
     fixed_axes(spec, query.along, dict(query))
+    check_order(query, "flight_start", "flight_stop")
     directions = directions_of(spec, query.direction)
     lengths = {query.along: len(_window(spec, query)), "flight": spec.keep}
     if len(directions) > 1:

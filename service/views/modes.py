@@ -135,8 +135,10 @@ def _without(arrays: Mapping[str, NDArray[Any]], hide: str) -> dict[str, NDArray
 
 def _window(spec: SweepSpec, query: ModesQuery) -> Window:
     """The indices of the cells between the given values of omega and gamma."""
-    ends = {"omega": (query.omega_start, query.omega_stop), "gamma": (query.gamma_start, query.gamma_stop)}
-    parts = {axis: between(spec.axis_values(axis), *values) for axis, values in ends.items()}
+    parts = {
+        axis: between(spec.axis_values(axis), query, f"{axis}_start", f"{axis}_stop")
+        for axis in ("omega", "gamma")
+    }
     return {axis: slice(part.start, part.stop, query.every) for axis, part in parts.items()}
 
 

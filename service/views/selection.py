@@ -150,9 +150,25 @@ def directions_of(spec: SweepSpec, direction: str | None) -> tuple[str, ...]:
     return (direction,)
 
 
-def between(values: NDArray[np.float64], start: float | None, stop: float | None) -> range:
-    """Indices of the values between two, None being the end; if there are none, the one nearest."""
-    first, last = float(values[0]) if start is None else start, float(values[-1]) if stop is None else stop
+def check_order(query: Any, lower: str, upper: str) -> None:
+    """Raise InvalidRequest if one end of a window is above the other."""
+    start, stop = getattr(query, lower), getattr(query, upper)
+    if start is not None and stop is not None and start > stop:
+        raise InvalidRequest.of(lower, f"must not be above {upper}, which is {stop:g}")
+
+
+def between(values: NDArray[np.float64], query: Any, lower: str, upper: str) -> range:
+    """Indices of the values in the window of a query, None being the end; if there are none, the one nearest.
+
+    Raises InvalidRequest for a window with its ends swapped, or without a part of the axis.
+    """
+    check_order(query, lower, upper)
+    start, stop, ends = getattr(query, lower), getattr(query, upper), (float(values[0]), float(values[-1]))
+    first, last = ends[0] if start is None else start, ends[1] if stop is None else stop
+    if first > ends[1]:
+        raise InvalidRequest.of(lower, f"must not be above the axis, which ends at {ends[1]:g}")
+    if last < ends[0]:
+        raise InvalidRequest.of(upper, f"must not be below the axis, which begins at {ends[0]:g}")
     low = int(np.searchsorted(values, first, side="left"))
     high = int(np.searchsorted(values, last, side="right"))
     nearest = int(np.argmin(np.abs(values - 0.5 * (first + last))))

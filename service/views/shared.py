@@ -58,7 +58,7 @@ def page(study: Stored[SweepSpec], attributes: Mapping[str, Any], numbers: str =
         "How to cite": f"bouncing-spring {software().release}, and {REFERENCE}",
     }  # fmt: skip
     shown = {"job": job, "answers": answers, "note": note, "about": about}
-    shared = json.dumps(shown).replace("</", "<\\/")
+    shared = json.dumps(shown).replace("<", "\\u003c")  # whatever a name is, no tag begins in a script
     imports = json.dumps({"imports": dict(_modules())})
     head = "".join(f"<style>{(FILES / name).read_text()}</style>" for name in ("style.css", "views.css"))
     scripts = (

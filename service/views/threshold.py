@@ -293,7 +293,7 @@ def draw_grid(result: xarray.Dataset, figure: "Figure") -> None:
 
 GRID: Final = View(
     "thresholds", "Thresholds of a grid of springs", None, GridQuery, compute_grid, estimate_grid,
-    variables=_OF_GRID, rows="down", printed=("down", "cause"), parts=grid_parts, draw=draw_grid,
+    variables=_OF_GRID, rows="status", printed=("cause",), parts=grid_parts, draw=draw_grid,
 )  # fmt: skip
 
 
@@ -404,7 +404,7 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
         contact = f"{own}: {how}; others may reach lower"
     attrs: dict[str, Any] = {"prediction": contact, "model": spec.model.kind, "complete": complete}
     attrs |= query.model_dump(include={"tolerance", "gamma_start", "gamma_stop"}, exclude_none=True)
-    window = between(omega, query.omega_start, query.omega_stop)
+    window = between(omega, query, "omega_start", "omega_stop")
     return dataset(
         {row.name: variable(("omega",), data[row.name], row) for row in _ROWS if row.name in data},
         {"omega": coordinate("omega", omega), "xi": coordinate("xi", xi)},

@@ -7,7 +7,10 @@ specification, the division into chunks, and the chunks, each with its seal.
 import json
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from kernel.params import Outcome
 from service.errors import NotAdoptable
@@ -20,9 +23,12 @@ from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
 from worker.spec.errors import SpecError
 from worker.studies import from_stored, study_of
-from worker.study import ChunkReport, Plan
+from worker.study import Array, ChunkReport, Plan
 from worker.study.chunks import report_of
 from worker.sweep.specification import SweepSpec, is_open
+
+#: Beyond what any cell has: counts of flights and periods, and times in rad.
+LARGEST: Final = 1e9
 
 
 def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
@@ -95,6 +101,17 @@ def _whole_chunks(url: str, spec: Any, plan: Any) -> list[ChunkReport]:
         except store.StoreError:
             continue
         report = report_of(chunk, record, (0.0, 0.0))
-        if len(report.outcomes) == len(Outcome) and not report.outcomes[Outcome.MISSING]:
+        complete = len(report.outcomes) == len(Outcome) and not report.outcomes[Outcome.MISSING]
+        if complete and all(_possible(array, record[array.name]) for array in layout.arrays):
             reports.append(report)
     return reports
+
+
+def _possible(array: Array, values: NDArray[Any]) -> bool:
+    """Whether readers can rely on numbers that, with seals of their own, somebody else may have written."""
+    if (flags := array.attrs.get("flag_values")) is not None:
+        return bool(np.isin(values, flags).all())
+    if values.dtype.kind == "f":
+        return bool((~np.isfinite(values) | (np.abs(values) < LARGEST)).all())
+    least = -1 if array.name.startswith("next_") else 0
+    return values.dtype.kind == "c" or bool(((values >= least) & (values < LARGEST)).all())

@@ -9,6 +9,7 @@ import logging
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
+from service.errors import UnknownJob
 from service.jobs.prepare import JobPreparer, PreparedJob
 from service.jobs.stores.deletion import remove_if_deleted
 from service.ledger.ledger import Ledger
@@ -34,11 +35,11 @@ def repair(ledger: Ledger, preparer: JobPreparer, job_id: str, damaged: Sequence
     """Repair a store in which a reader found damage, in these chunks or outside any.
 
     Called where no run of the job begins meanwhile: it would find chunks unmarked, and its new results would
-    be removed with the old ones. Raises LedgerUnavailable, also if the stores are missing.
+    be removed with the old ones. Raises UnknownJob, and LedgerUnavailable, also if the stores are missing.
     """
     job = ledger.find(job_id)
     if job is None:
-        return Repair("the job was deleted")
+        raise UnknownJob.of(job_id)
     ledger.check()
     prepared = preparer.prepare(job)
     repair_metadata(ledger, job, prepared)

@@ -24,10 +24,13 @@ from worker.spec.specification import Label
 from worker.studies import from_stored, study_of
 from worker.study import Layout, Plan
 from worker.study.layout import structured_attributes
+from worker.sweep import SweepSpec
+from worker.sweep.plan import MAX_SHARD_BYTES
 from worker.sweep.specification import is_open
 
-#: Bytes of a store that a file holds.
+#: Bytes of a store that a file holds, and of a chunk before compression: plans have half as many at most.
 MOST_STORED: Final = 6_000_000
+MOST_OF_A_CHUNK: Final = 2 * MAX_SHARD_BYTES
 
 _OPENS: Final = '<script type="application/json" id="store" data-sha256="'
 _BLOCK: Final = re.compile(f'{_OPENS}([0-9a-f]{{64}})">([^<]*)</script>'.encode())
@@ -77,6 +80,8 @@ def import_shared(
     if version != KERNEL_VERSION:
         rule = f"was computed by kernel version {version}; this release computes version {KERNEL_VERSION}"
         raise InvalidRequest.of("file", f"{rule}: submit its specification to compute it anew")
+    if not isinstance(spec, SweepSpec):
+        raise InvalidRequest.of("file", _NOT_SHARED)
     check(spec)
     layout = _checked(files, spec, attrs)
     job_id = spec.job_id(KERNEL_VERSION)
@@ -125,7 +130,8 @@ def _checked(files: dict[str, bytes], spec: Any, attrs: dict[str, Any]) -> Layou
         plan = study_of(spec).plan(spec, tuple(attrs["chunk_shape"]))
         layout: Layout = study_of(spec).variables(spec, plan.chunk_shape)
         choice = {name: attrs[name] for name in ("model", "choice")} if is_open(spec) else {}
-        if len(plan) < len(files) and sorted(files) == sorted(store.keys_of(layout, plan)):
+        fits = len(plan) < len(files) and layout.chunk_bytes <= MOST_OF_A_CHUNK
+        if fits and sorted(files) == sorted(store.keys_of(layout, plan)):
             for cut in layout.cuts:
                 if store.metadata_of(cut, choice).items() <= files.items():
                     return layout

@@ -33,6 +33,7 @@ def test_a_submission_is_accepted_and_returns_the_jobs_location(tmp_path: Path):
         progress = view["progress"]
         assert (progress["cells_done"], progress["cells_total"], progress["percent"]) == (0, 111, 0.0)
         assert view["spec"]["gamma"] == {"start": 0.5, "stop": 6.0, "num": 111, "spacing": "linear"}
+        assert client.get(f"{view['links']['self']}/zarr/outcome/c.0.0.0.0").status_code == 404
 
 
 def test_an_unchanged_job_answers_304(client: TestClient, figure_2: str):

@@ -158,6 +158,7 @@ def test_jobs_are_found_and_pinned_over_http(tmp_path: Path):
         client.post(small["links"]["rename"], json={"name": "Small"})
         assert found(pinned=False, order="oldest") == ["other"]
         assert found(search="SMALL") == found(search=small["id"][:9]) == ["Small"]
+        assert found(search="\0") == found(search="%") == []
         assert found(model="rigid") == found(protocol="ramp") == []
         assert found(order="name", model="soft") == ["other", "Small"]
         day = small["created"][:10]

@@ -96,6 +96,12 @@ def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.n
         ({"omega": 0.5}, "xi", "is required: the sweep has 2 values from 0.05 to 0.26"),
         ({"omega": 0.5, "xi": 0.05, "gamma": 1.0}, "gamma", "leave it out"),
         ({"omega": 0.5, "xi": 0.05, "direction": "up"}, "direction", "must be 'rest' in this sweep"),
+        (
+            {"omega": 0.5, "xi": 0.05, "start": 2.0, "stop": 1.0},
+            "start",
+            "must not be above stop, which is 1",
+        ),
+        ({"omega": 0.5, "xi": 0.05, "start": 99.0}, "start", "must not be above the axis, which ends at"),
     ],
 )
 def test_a_parameter_outside_the_grid_is_named(

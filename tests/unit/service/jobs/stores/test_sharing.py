@@ -6,6 +6,7 @@ import re
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from fastapi.testclient import TestClient
@@ -16,6 +17,8 @@ from tables import for_each
 
 from kernel.params import KERNEL_VERSION
 from service.jobs.stores import sharing
+from worker import store
+from worker.studies import from_json, study_of
 
 HTML = {"Content-Type": "application/octet-stream"}
 
@@ -86,6 +89,20 @@ def _swapped(contents: dict[str, bytes]) -> None:
     contents[one], contents[other] = contents[other], contents[one]
 
 
+def _impossible(contents: dict[str, bytes]) -> None:
+    """A chunk of numbers that no cell has, with its seal."""
+    spec = from_json(json.dumps(RAMP))
+    plan = study_of(spec).plan(spec)
+    layout = study_of(spec).variables(spec, plan.chunk_shape)
+    with TemporaryDirectory() as folder:
+        url = f"{folder}/a.zarr"
+        store.restore(url, {key: contents[key] for key in store.keys_of(layout, plan)}, layout)
+        record = store.read_chunk(url, plan[0], layout.names)
+        record["flights"][...] = 2**31 - 1
+        store.write_chunk(url, plan[0], record)
+        contents |= files(Path(url))
+
+
 @for_each(
     ("change", "status", "said"),
     [
@@ -94,6 +111,7 @@ def _swapped(contents: dict[str, bytes]) -> None:
         (lambda page: re.sub(rb'(outcome/c[^"]*": "....)....', rb"\1AAAA", page), 422, "is damaged"),
         (lambda page: sharing._BLOCK.sub(b"", page), 422, "holds only a part of its numbers"),
         (_resealed(_swapped), 422, "is damaged"),
+        (_resealed(_impossible), 422, "is damaged"),
         (_resealed(lambda contents: contents.update({"../../evil": b"x"})), 422, "is damaged"),
         (_resealed(lambda contents: contents.pop("zarr.json") and None), 422, "is damaged"),
         (_root(KERNEL_VERSION, "0"), 422, "computed by kernel version 0"),
