@@ -20,6 +20,7 @@ const PROTOCOLS = { ramp: ["Ramp", "The first cell begins from rest, or on a cyc
 export class SweepForm {
   edited = new Set(); // names of the fields edited since the form was last filled
   given = {}; // the specification that it was filled with, if it did not begin anew
+  missing = null; // the error for what the address names, until the form is edited
 
   constructor(root) {
     document.title = "New study · Bouncing spring";
@@ -101,22 +102,24 @@ export class SweepForm {
         [this.studies, this.presets] = await Promise.all([loadStudies(), loadPresets()]);
         if (isOutdated()) return;
         this.#build();
+        this.#fill(this.studies.rest.begin);
       }
-      const job = from && (await requestJson(`/v1/jobs/${from}`));
+      let missing = null; // the form has the default values then
+      const job = from && (await requestJson(`/v1/jobs/${from}`).catch((error) => { if ((missing = error).status !== 404) throw error; }));
       if (isOutdated()) return;
       const preset = this.presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure);
+      if (figure && !preset) missing = new Error(`There is no sweep of a figure ${figure}.`);
       this.preset.value = preset?.key ?? "";
       this.isLoaded = true;
       const given = (job || preset)?.spec;
       const axes = axesOf(currentQuery(), given);
       this.given = job && Object.keys(axes).length ? { ...given, ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from } : (given ?? {});
-      this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: { kind: "rigid" } }) });
+      this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: modelOf(currentQuery()) }) });
+      showProblems(this.form, this.problem, (this.missing = missing));
       if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
       this.pasted.takeDropped();
     } catch (error) {
-      if (isOutdated()) return;
-      this.isLoaded = error.status === 404; // the sweep is gone: the form has the default values
-      this.#showError(error);
+      if (!isOutdated()) this.#showError(error);
     }
   }
 
@@ -162,6 +165,7 @@ export class SweepForm {
   }
 
   #onChange() {
+    this.missing = null;
     this.plan.clear();
     this.snippets.show(this.#read());
     this.estimate();
@@ -173,7 +177,7 @@ export class SweepForm {
     try {
       const cost = await requestJson("/v1/jobs?validate_only=true", { method: "POST", body, signal });
       if (JSON.stringify(body) !== JSON.stringify(this.#read())) return; // edited meanwhile: it is estimated again
-      showProblems(this.form, this.problem, null);
+      showProblems(this.form, this.problem, this.missing);
       this.cost.textContent = costText(cost);
       this.button.disabled = false;
     } catch (error) {
@@ -209,11 +213,14 @@ export class SweepForm {
   }
 }
 
+/** The contact that an address gives: the ideal plate where it gives none. */
+const modelOf = ({ model, restitution, penetration }) => ({ kind: model === "soft" ? model : "rigid", restitution, penetration });
+
 /** The axes that an address gives, by values or by the ends of a window on `spec`, of as many values and with rounded limits. */
 function axesOf(query, spec) {
   return Object.fromEntries(AXES.map((axis) => [axis, (query[axis] ?? "").split(",").map((text) => Number(text || NaN))]).filter(([, values]) => values.every(Number.isFinite)).map(([axis, [low, high]]) => {
     const all = spec && axisValues(spec[axis]);
-    if (high === undefined || !(high > low)) return [axis, low];
+    if (!all || high === undefined || !(high > low)) return [axis, low];
     const step = 10 ** Math.floor(Math.log10(high - low) - 2);
     const [start, stop] = [Math.max(all[0], Math.floor(low / step) * step), Math.min(all.at(-1), Math.ceil(high / step) * step)].map((value) => Number(value.toPrecision(10)));
     return [axis, { start, stop, num: all.length, spacing: spec[axis].spacing ?? "linear" }];
