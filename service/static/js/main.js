@@ -48,6 +48,7 @@ function takeMeasured(file, target) {
   if (view) return view.measured.take(file);
   const problem = page.problem ?? page.view?.problem;
   problem?.show(new Error(`${file.name}: drop measured points on a diagram or on thresholds.`));
+  problem?.element.scrollIntoView({ block: "center" });
 }
 
 class NotFound {

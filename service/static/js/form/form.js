@@ -20,16 +20,15 @@ const PROTOCOLS = { ramp: ["Ramp", "The first cell begins from rest, or on a cyc
 export class SweepForm {
   edited = new Set(); // names of the fields edited since the form was last filled
   given = {}; // the specification that it was filled with, if it did not begin anew
-  missing = null; // the error for what the address names, until the form is edited
 
   constructor(root) {
     document.title = "New study · Bouncing spring";
     this.container = h("div", {}, h("p", { className: "note" }, "Loading the form …"));
-    this.problem = problemLine();
+    [this.problem, this.missing] = [problemLine(), problemLine()];
     this.pasted = new PastedSpecification((spec) => this.#replace(spec));
     root.replaceChildren(
       h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
-      h("h1", { tabindex: "-1" }, "New study"),
+      h("h1", { tabindex: "-1" }, "New study"), this.missing.element,
       this.container, this.problem.element, this.pasted.element);
     this.estimate = debounced(ESTIMATE_DELAY_MS, latest((signal) => this.#estimate(signal)));
     this.#load();
@@ -115,7 +114,8 @@ export class SweepForm {
       const axes = axesOf(currentQuery(), given);
       this.given = job && Object.keys(axes).length ? { ...given, ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from } : (given ?? {});
       this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: modelOf(currentQuery()) }) });
-      showProblems(this.form, this.problem, (this.missing = missing));
+      this.missing.show(missing);
+      showProblems(this.form, this.problem, null);
       if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
       this.pasted.takeDropped();
     } catch (error) {
@@ -165,7 +165,6 @@ export class SweepForm {
   }
 
   #onChange() {
-    this.missing = null;
     this.plan.clear();
     this.snippets.show(this.#read());
     this.estimate();
@@ -177,7 +176,7 @@ export class SweepForm {
     try {
       const cost = await requestJson("/v1/jobs?validate_only=true", { method: "POST", body, signal });
       if (JSON.stringify(body) !== JSON.stringify(this.#read())) return; // edited meanwhile: it is estimated again
-      showProblems(this.form, this.problem, this.missing);
+      showProblems(this.form, this.problem, null);
       this.cost.textContent = costText(cost);
       this.button.disabled = false;
     } catch (error) {

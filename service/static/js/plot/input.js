@@ -73,7 +73,10 @@ export function listenToInput(plot, handlers) {
   });
   listen("pointerleave", () => dragStart || handlers.leave());
   for (const type of ["pointerup", "pointercancel", "pointerleave"]) element.addEventListener(type, ({ pointerId }) => pressed.delete(pointerId));
-  listen("dblclick", () => handlers.zoom(null));
+  listen("dblclick", () => {
+    clearTimeout(selecting);
+    handlers.zoom(null);
+  });
   // Beside the frame the wheel zooms the axis that it is over.
   element.addEventListener("wheel", (event) => {
     if (!plot.box) return;
