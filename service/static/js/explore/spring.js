@@ -123,8 +123,7 @@ export class Explore {
     this.view = new Cycles(panel, controls, words, this.motion);
     const move = latest(() => this.#move()); // not aborted: the service computes it anyway
     this.load = () => {
-      const { omega, xi } = this.view.place;
-      this.sweep.href = link(["new"], { omega, xi, ...contactQuery(contactOf()) });
+      this.sweep.href = link(["new"], { ...this.view.place, gamma: null, ...contactQuery(contactOf()) });
       move();
     };
     queryChanges.addEventListener("change", () => this.load(), { signal: this.view.closing.signal });

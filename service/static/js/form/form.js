@@ -94,7 +94,7 @@ export class SweepForm {
   async #load() {
     this.isLoaded = false;
     if (this.form) [this.button.disabled, this.cost.textContent] = [true, "…"];
-    const { figure, from, field } = currentQuery();
+    const { figure, from, field, model, restitution, penetration } = currentQuery();
     const isOutdated = () => this.closed || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
       if (!this.form) {
@@ -113,7 +113,7 @@ export class SweepForm {
       const given = (job || preset)?.spec;
       const axes = axesOf(currentQuery(), given);
       this.given = job && Object.keys(axes).length ? { ...given, ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from } : (given ?? {});
-      this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: modelOf(currentQuery()) }) });
+      this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: { kind: model === "soft" ? model : "rigid", restitution, penetration } }) });
       this.missing.show(missing);
       showProblems(this.form, this.problem, null);
       if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
@@ -211,9 +211,6 @@ export class SweepForm {
     }
   }
 }
-
-/** The contact that an address gives: the ideal plate where it gives none. */
-const modelOf = ({ model, restitution, penetration }) => ({ kind: model === "soft" ? model : "rigid", restitution, penetration });
 
 /** The axes that an address gives, by values or by the ends of a window on `spec`, of as many values and with rounded limits. */
 function axesOf(query, spec) {

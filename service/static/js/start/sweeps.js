@@ -118,6 +118,7 @@ export class SweepList {
     this.refresh();
   }
 
+  /** The heading takes the keyboard focus: the pressed button disappears. */
   #turn(cursors) {
     this.cursors = cursors;
     this.refresh();
@@ -166,7 +167,7 @@ export class SweepList {
     const name = h("a", {});
     const time = h("span", { className: "note" });
     const error = h("p", { className: "problem", hidden: true });
-    const parts = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#afterDelete(), error: (failure) => this.showError(failure) });
+    const parts = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#turn(this.cursors), error: (failure) => this.showError(failure) });
     const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h2", {}, name), parts.about),
       parts.progress, time, parts.actions, parts.notice, error);
     const update = (current) => {
@@ -185,11 +186,6 @@ export class SweepList {
       error.textContent = job.error ?? "";
     };
     return { element, update };
-  }
-
-  /** Keep the keyboard focus: the pressed button disappears. */
-  #afterDelete() {
-    this.#turn(this.cursors);
   }
 
   #select(jobs, on) {
@@ -240,7 +236,7 @@ export class SweepList {
     }
     if (failed.length) this.showError(new Error(failed.join("; ")));
     announce(`${plural(finished.length - failed.length, "sweep")} deleted.`);
-    this.#afterDelete();
+    this.#turn(this.cursors);
   }
 }
 

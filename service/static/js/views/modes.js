@@ -182,5 +182,3 @@ function drawThresholdCurve(ctx, box, xi) {
   polyline(ctx, box.theme.surface, 4, points);
   polyline(ctx, box.theme.text, 1.8, points, DASH);
 }
-
-
