@@ -165,7 +165,7 @@ def _moved(
 def _sentence(
     same: NDArray[np.bool_], moved: dict[str, NDArray[np.float64]], shared: NDArray[np.bool_]
 ) -> str:
-    """In how many cells modes are the same, and by how much thresholds move at most, where they are shared."""
+    """In how many cells modes are the same; by how much thresholds move at most where they are `shared`."""
     if not same.size:
         return "No cell of both is computed yet."
     away = np.concatenate([*moved.values(), []])
