@@ -95,7 +95,7 @@ def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
     same = np.logical_and.reduce([own[name] == theirs[name] for name in compared])
     data = {"differs": np.where(known, ~same, 2)} | {name: own[name] for name in compared}
     data |= {f"other_{name}": theirs[name] for name in compared}
-    moved = _moved(study, other, xi.index, other_xi.index)
+    moved, shared = _moved(study, other, xi.index, other_xi.index)
     rows = {each.name: each for each in _ROWS}
     return dataset(
         {name: variable(_PLANE, values, rows[name]) for name, values in data.items()}
@@ -103,7 +103,7 @@ def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
         {"xi": coordinate("xi", xi.value), "direction": coordinate("direction", direction)}
         | {axis: coordinate(axis, study.spec.axis_values(axis)[part]) for axis in _PLANE},
         {
-            "sentence": _sentence(same[known], moved) if common.any() else _APART,
+            "sentence": _sentence(same[known], moved, shared) if common.any() else _APART,
             "other": query.other, "other_direction": way, "other_xi": other_xi.value, "every": query.every,
             "complete": bool(study.is_complete(own["outcome"]) and other.is_complete(theirs["outcome"])),
         },
@@ -144,28 +144,37 @@ def _read_nearest(study: Stored[SweepSpec], direction: str, xi: int, near: list[
 
 def _moved(
     study: Stored[SweepSpec], other: Stored[SweepSpec], xi: int, other_xi: int
-) -> dict[str, NDArray[np.float64]]:
-    """How far thresholds move per omega of the first sweep; nothing where one of them has none in gamma."""
+) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.bool_]]:
+    """How far thresholds move per omega of the first sweep, and which of these the other has too.
+
+    Nothing where one of them has no thresholds in gamma.
+    """
     if not {study.spec.ramp_axis, other.spec.ramp_axis} <= {None, "gamma"}:
-        return {}
+        return {}, np.array([], bool)
     own, theirs = on_grid_of(study, xi)[0], on_grid_of(other, other_xi)[0]
     [near, _], _ = _nearest(study.spec, other.spec)
     omega = study.spec.axis_values("omega")
-    apart = ~np.isclose(omega, other.spec.axis_values("omega")[near], rtol=ROUNDING, atol=0.0)
-    return {
-        f"{way}_moved": np.where(apart, np.nan, np.abs(own[way] - theirs[way][near]))
+    shared = np.isclose(omega, other.spec.axis_values("omega")[near], rtol=ROUNDING, atol=0.0)
+    moved = {
+        f"{way}_moved": np.where(shared, np.abs(own[way] - theirs[way][near]), np.nan)
         for way in ("up", "down")
     }
+    return moved, shared
 
 
-def _sentence(same: NDArray[np.bool_], moved: dict[str, NDArray[np.float64]]) -> str:
-    """In how many cells modes are the same, and by how much thresholds move at most."""
+def _sentence(
+    same: NDArray[np.bool_], moved: dict[str, NDArray[np.float64]], shared: NDArray[np.bool_]
+) -> str:
+    """In how many cells modes are the same; by how much thresholds move at most where they are `shared`."""
     if not same.size:
         return "No cell of both is computed yet."
     away = np.concatenate([*moved.values(), []])
     most = np.max(away, where=np.isfinite(away), initial=-1.0)
-    threshold = "no threshold moves" + (f" by more than {most:.2g}" if most > 0.0 else "")
+    plain = np.format_float_positional(most, 2, unique=False, fractional=False, trim="-")
+    threshold = "no threshold moves" + (f" by more than {plain}" if most > 0.0 else "")
     threshold = threshold if most >= 0.0 else "there is no threshold in both"
+    if not shared.all():
+        threshold += f" at the {shared.sum()} of {shared.size} frequencies that both have"
     return f"{100.0 * same.mean():.4g} % of the cells have the same mode; {threshold}."
 
 

@@ -134,11 +134,9 @@ def _to_tuple(value: object) -> object:
 
 
 def _increasing(values: tuple[float, ...]) -> tuple[float, ...]:
-    for i, (value, following) in enumerate(pairwise(values)):
+    for value, following in pairwise(values):
         if not value < following:
-            rule = (
-                f"must increase, but {value!r} at [{i}] is followed by {following!r}; sort and drop repeats"
-            )
+            rule = f"must increase, but {value!r} is followed by {following!r}; sort and drop repeats"
             raise BrokenRuleError("", rule)
     return values
 

@@ -20,6 +20,7 @@ let shown = null; // which page
 
 function showAddress() {
   discardPending();
+  if (shared && currentAddress().path[1] !== shared.job.id) replace(["job", shared.job.id]);
   const address = currentAddress();
   const [name = "", id] = address.path;
   const wanted = [name, name === "job" && id, address.query.jobs].join();
@@ -28,7 +29,7 @@ function showAddress() {
     return;
   }
   page?.close();
-  page = new (PAGES[name] ?? NotFound)(root, address);
+  page = new ((name !== "job" || id ? PAGES[name] : null) ?? NotFound)(root, address);
   for (const anchor of document.querySelectorAll("body > header nav a")) {
     if (anchor.hash && anchor.hash === `#/${address.path.join("/")}`) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
@@ -38,6 +39,16 @@ function showAddress() {
     document.querySelector("h1")?.focus({ preventScroll: true });
   }
   shown = wanted;
+}
+
+/** Of several views, the one that is dropped on, or else the first. */
+function takeMeasured(file, target) {
+  const views = [page.view, ...(page.views ?? [])].filter((view) => view?.measured);
+  const view = views.find(({ plot }) => plot.element.contains(target)) ?? views[0];
+  if (view) return view.measured.take(file);
+  const problem = page.problem ?? page.view?.problem;
+  problem?.show(new Error(`${file.name}: drop measured points on a diagram or on thresholds.`));
+  problem?.element.scrollIntoView({ block: "center" });
 }
 
 class NotFound {
@@ -58,12 +69,14 @@ addEventListener("hashchange", () => {
   takeToken();
   showAddress();
 });
-// A specification or a shared file that is dropped is for the form.
+// Measured points that are dropped are for the view; a specification or a shared file is for the form.
 addEventListener("dragover", (event) => event.dataTransfer.types.includes("Files") && event.preventDefault());
 addEventListener("drop", (event) => {
   const [file] = event.dataTransfer.files;
-  if (!file || shared) return;
+  if (!file) return;
   event.preventDefault();
+  if (/\.csv$/i.test(file.name)) return takeMeasured(file, event.target);
+  if (shared) return;
   dropped.file = file;
   if (page.pasted) page.pasted.takeDropped();
   else navigate(["new"]);
@@ -71,5 +84,4 @@ addEventListener("drop", (event) => {
 document.addEventListener("visibilitychange", () => document.hidden || page.refresh(false)); // sweeps may have changed meanwhile
 watchConnection(() => page.refresh());
 takeToken();
-if (shared && currentAddress().path[1] !== shared.job.id) replace(["job", shared.job.id]);
 showAddress();

@@ -313,6 +313,10 @@ def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_pat
 def test_an_unknown_sweep_is_reported(browser: Any, address: str):
     with opened(browser, view(address, "nothing"), expected=("404",)) as page:
         page.get_by_role("heading", name="No such sweep").wait_for()
+        page.get_by_role("link", name="New", exact=True).click()
+        page.goto(f"{address}/#/new?from=nothing")  # the form has the default values
+        page.locator(".problem", has_text="no job has the id 'nothing'").wait_for()
+        page.locator(".cost", has_text="cells in").wait_for()
 
 
 def test_a_name_is_shown_as_it_was_typed(browser: Any, address: str):
@@ -401,6 +405,8 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.get_by_role("link", name="Details").click()
         page.locator("tr", has_text="How to cite").get_by_text("Physica D").wait_for()
         screenshot(page, "shared-details", whole=False)
+        page.get_by_role("link", name="Bouncing spring").click()  # there is no list
+        wait_shown(page, xi=0.1)
     with opened(browser, file.as_uri(), offline=True, java_script_enabled=False) as page:
         assert page.locator("img[alt='Bifurcation diagram']").bounding_box()["width"] > 300
         page.locator("th", has_text="kernel_version").wait_for()
@@ -502,6 +508,10 @@ def test_a_drag_with_shift_moves_the_window(browser: Any, address: str, loop: st
         page.keyboard.up("Shift")
         page.wait_for_url(re.compile(r"x0=0\.6[1-9]"))
         wait_shown(page, omega=0.6)
+        page.mouse.dblclick(box["x"] + 400, box["y"] + 300)  # shows everything, and no cell
+        page.get_by_role("button", name="Show everything").wait_for(state="hidden")
+        page.wait_for_timeout(500)
+        assert page.locator(".trajectory").is_hidden()
 
 
 def test_a_click_on_the_legend_hides_a_mode(browser: Any, address: str, loop: str):
@@ -644,7 +654,9 @@ def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop:
         assert "at rest" not in page.locator(".paged table").inner_text()
         with page.expect_download() as download:
             page.get_by_role("button", name="Download table as CSV").click()
-        assert Path(download.value.path()).read_text().startswith("Γ,ramp,mode,flight times (rad)\n0.")
+        table = Path(download.value.path()).read_text()
+        assert table.startswith("Γ,ramp,mode,flight times (rad)\n0.")
+        assert not set("…–−^") & set(table)  # plain numbers, and all of them
 
 
 def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
@@ -688,6 +700,10 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
         screenshot(page, "modes-hysteresis")
         page.get_by_label("Hatch where up and down differ").uncheck()
         wait_for(lambda: picture(page) != hatched)
+        page.wait_for_url(re.compile("hatch=0"))
+        page.reload()
+        wait_shown(page, xi=0.05)
+        assert not page.get_by_label("Hatch where up and down differ").is_checked()
         assert page.get_by_text("Hysteresis: going up").count() == 0
 
 

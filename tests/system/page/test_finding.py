@@ -128,6 +128,9 @@ def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):
         page.locator(".selection").get_by_role("button", name="Delete").click()
         assert questions[0].startswith("Delete 2 sweeps and their results: “number 1")
         _wait_names(page, found[1], *found[3:])
+        page.get_by_role("link", name="Sweeps", exact=True).click()  # all of them
+        page.get_by_text("1 to 25 of 28").wait_for()
+        assert page.get_by_label("Find", exact=True).input_value() == ""
 
 
 def test_copied_texts_are_the_specification(browser: Any, address: str, jobs: list[str], tmp_path: Path):
@@ -288,7 +291,14 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         assert page.get_by_label("depth").input_value() == "0.001"
         page.get_by_role("link", name="New sweep around this spring").click()
         page.locator(".cost", has_text="cells in").wait_for()
+        assert page.get_by_label("contact model").input_value() == "soft"
         assert page.locator("[data-field=omega]").first.input_value() == "0.6003"
+        page.goto(f"{address}/#/explore?contact=soft&penetration=0.01")
+        page.get_by_label("depth").wait_for()
+        assert page.get_by_label("depth").input_value() == "0.01"
+        page.get_by_role("link", name="Explore", exact=True).click()
+        page.get_by_label("depth").wait_for(state="detached")
+        assert page.get_by_label("Contact").input_value() == "ideal"
 
 
 def closed_form_events(omega: float, xi: float) -> list[float]:

@@ -18,7 +18,7 @@ SWEEP = spec_of((0.5, 1.4, 46), [0.5, 0.6, 0.7], 0.05, name="Measured", ramp="bo
 DROP = """([name, text]) => {
     const files = new DataTransfer();
     files.items.add(new File([text], name));
-    document.querySelector(".panel .plot").dispatchEvent(
+    document.querySelector("header").dispatchEvent(
         new DragEvent("drop", { dataTransfer: files, cancelable: true, bubbles: true }));
 }"""
 

@@ -10,11 +10,10 @@ import { choice } from "../views/controls.js";
 import { Diagram } from "../views/diagram.js";
 import { buildFrame, clearBar } from "../views/frame.js";
 import { Modes } from "../views/modes.js";
-import { sourceOf } from "../views/plot-view.js";
+import { MOST_COMPARED, sourceOf } from "../views/plot-view.js";
 import { summary, titleOf } from "../views/progress.js";
 import { Difference } from "./difference.js";
 
-const MAX_SWEEPS = 6; // more cannot be told apart by colour
 const LAYOUTS = { overlay: "overlaid", side: "side by side", maps: "mode maps", difference: "difference of the first two" };
 const ON_MAPS = { __proto__: null, maps: Modes, difference: Difference };
 
@@ -45,7 +44,7 @@ export class Compare {
     }
     try {
       if (this.ids.length < 2) throw new Error("Select two sweeps or more in the list of sweeps, and press Compare.");
-      if (this.ids.length > MAX_SWEEPS) throw new Error(`At most ${MAX_SWEEPS} sweeps can be compared; ${this.ids.length} were selected.`);
+      if (this.ids.length > MOST_COMPARED) throw new Error(`At most ${MOST_COMPARED} sweeps can be compared; ${this.ids.length} were selected.`);
       const jobs = await Promise.all(this.ids.map((id) => requestJson(`/v1/jobs/${id}`)));
       if (this.closed) return;
       const others = jobs.filter(({ spec }) => !isSweep(spec)).map(titleOf).join(", ");
@@ -86,7 +85,7 @@ export class Compare {
     this.panel.replaceChildren(...(isOne ? [] : roots));
     this.bar.replaceChildren();
     this.views = groups.map((group, i) => new View(roots[i], {
-      sources: group, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
+      sources: group, compared: sources, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => this.views.filter((other) => other !== view).forEach((other) => other.follow(x, y)),
     }));

@@ -8,7 +8,7 @@ import { AXES, clamp, contactQuery, isClose, startOf, threshold } from "../lib/p
 import { disc, verticalLine } from "../plot/drawing.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { branchesPath } from "../views/closed-form.js";
-import { choice, numberInput, sliders } from "../views/controls.js";
+import { choice, given, numberInput, sliders } from "../views/controls.js";
 import { CyclesView } from "../views/cycles.js";
 import { buildFrame, clearBar } from "../views/frame.js";
 
@@ -20,16 +20,17 @@ const SPRING = { job: { name: "spring", spec: { protocol: { kind: "spring" } } }
 const HINT = "Cycles of one bounce; dots: the flights of the motion shown. Point at a branch to read it, press to start on it.";
 const CONTACTS = [["ideal", "ideal plate"], ["rigid", "rigid"], ["soft", "soft"]];
 const RESTITUTION = { ideal: 0, rigid: 0.3, soft: 0.01 };
+const PENETRATION = 0.001;
+const LIMITS = { restitution: { max: 0.999 }, penetration: { min: 1e-12, max: 1 } }; // of contacts that have branches
 
 const contactName = () => CONTACTS.find(([name]) => name === currentQuery().contact)?.[0] ?? "ideal";
-const given = (name, otherwise) => { const value = Number(currentQuery()[name] || NaN); return Number.isFinite(value) ? value : otherwise; };
 const longest = () => clamp(Math.round(given("periods", 3)), 1, LONGEST);
 
 /** The contact that the address names. */
 function contactOf() {
   const name = contactName();
-  const restitution = given("restitution", RESTITUTION[name]);
-  return { ideal: { kind: "rigid" }, rigid: { kind: "rigid", restitution }, soft: { kind: "soft", restitution, penetration: given("penetration", 0.001), adhesive: true } }[name];
+  const restitution = given("restitution", RESTITUTION[name], LIMITS.restitution);
+  return { ideal: { kind: "rigid" }, rigid: { kind: "rigid", restitution }, soft: { kind: "soft", restitution, penetration: given("penetration", PENETRATION, LIMITS.penetration), adhesive: true } }[name];
 }
 
 /** The cycles of the spring, and the flights of the motion shown. */
@@ -40,10 +41,13 @@ class Cycles extends CyclesView {
     super({ sources: [SPRING], bar, onSelect: (cell) => setQuery(cellQuery(cell)) });
     Object.assign(this, { motion, words });
     const typed = h("span", { className: "controls" });
-    const showTyped = () => typed.replaceChildren(...(contactName() === "ideal" ? [] : [numberInput("e", "restitution", RESTITUTION[contactName()])]), ...(contactName() === "soft" ? [numberInput("depth", "penetration", 0.001)] : []));
-    const contact = choice("Contact", CONTACTS, contactName(), (name) => { setQuery({ contact: name === "ideal" ? null : name, restitution: null, penetration: null }); showTyped(); });
-    const cycles = choice("Cycles up to", range(1, LONGEST, 1).map((periods) => [periods, `(1, ${periods})`]), longest(), (periods) => setQuery({ periods }));
-    showTyped();
+    const contact = choice("Contact", CONTACTS, "", (name) => { setQuery({ contact: name === "ideal" ? null : name, restitution: null, penetration: null }); this.showChoices(); });
+    const cycles = choice("Cycles up to", range(1, LONGEST, 1).map((periods) => [periods, `(1, ${periods})`]), "", (periods) => setQuery({ periods }));
+    this.showChoices = () => {
+      [contact.control.value, cycles.control.value] = [contactName(), longest()];
+      typed.replaceChildren(...(contactName() === "ideal" ? [] : [numberInput("e", "restitution", RESTITUTION[contactName()], LIMITS.restitution)]), ...(contactName() === "soft" ? [numberInput("depth", "penetration", PENETRATION, LIMITS.penetration)] : []));
+    };
+    this.showChoices();
     this.build(root, { controls: h("div", { className: "controls" }, sliders(this, AXES), contact, typed, cycles), hint: HINT });
     queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.closing.signal });
     this.describeThresholds();
@@ -117,12 +121,17 @@ export class Explore {
     root.classList.add("explored");
     this.motion = new TrajectoryPanel(aside);
     this.view = new Cycles(panel, controls, words, this.motion);
-    this.load = latest(() => this.#load()); // not aborted: the service computes it anyway
+    const move = latest(() => this.#move()); // not aborted: the service computes it anyway
+    this.load = () => {
+      this.sweep.href = link(["new"], { ...this.view.place, gamma: null, ...contactQuery(contactOf()) });
+      move();
+    };
     queryChanges.addEventListener("change", () => this.load(), { signal: this.view.closing.signal });
     this.load();
   }
 
   show() {
+    this.view.showChoices();
     queryChanges.dispatchEvent(new Event("change"));
   }
 
@@ -138,9 +147,8 @@ export class Explore {
     this.motion.hide();
   }
 
-  async #load() {
+  async #move() {
     const { place, direction } = this.view;
-    this.sweep.href = link(["new"], { omega: place.omega, xi: place.xi });
     await this.motion.show({ ...SPRING.job, spec: { model: contactOf() } }, { ...place, direction });
     this.view.plot.redraw();
   }

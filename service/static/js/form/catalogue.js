@@ -2,7 +2,6 @@
 
 import { requestJson } from "../lib/api.js";
 
-
 /** Kinds of study in their order, and the fields that a form begins with where the API's example is not meant for it. */
 const SWEEP = { gamma: { start: 0.5, stop: 6, num: 551 }, omega: 0.5, xi: 0.26 };
 const PLANE = { gamma: { start: 0.1, stop: 5, num: 197 }, omega: { start: 0.3, stop: 1.7, num: 141 }, xi: 0.05, model: { kind: "rigid" } };

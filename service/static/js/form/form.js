@@ -24,11 +24,11 @@ export class SweepForm {
   constructor(root) {
     document.title = "New study · Bouncing spring";
     this.container = h("div", {}, h("p", { className: "note" }, "Loading the form …"));
-    this.problem = problemLine();
+    [this.problem, this.missing] = [problemLine(), problemLine()];
     this.pasted = new PastedSpecification((spec) => this.#replace(spec));
     root.replaceChildren(
       h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
-      h("h1", { tabindex: "-1" }, "New study"),
+      h("h1", { tabindex: "-1" }, "New study"), this.missing.element,
       this.container, this.problem.element, this.pasted.element);
     this.estimate = debounced(ESTIMATE_DELAY_MS, latest((signal) => this.#estimate(signal)));
     this.#load();
@@ -94,29 +94,32 @@ export class SweepForm {
   async #load() {
     this.isLoaded = false;
     if (this.form) [this.button.disabled, this.cost.textContent] = [true, "…"];
-    const { figure, from, field } = currentQuery();
+    const { figure, from, field, model, restitution, penetration } = currentQuery();
     const isOutdated = () => this.closed || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
       if (!this.form) {
         [this.studies, this.presets] = await Promise.all([loadStudies(), loadPresets()]);
         if (isOutdated()) return;
         this.#build();
+        this.#fill(this.studies.rest.begin);
       }
-      const job = from && (await requestJson(`/v1/jobs/${from}`));
+      let missing = null; // the form has the default values then
+      const job = from && (await requestJson(`/v1/jobs/${from}`).catch((error) => { if ((missing = error).status !== 404) throw error; }));
       if (isOutdated()) return;
       const preset = this.presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure);
+      if (figure && !preset) missing = new Error(`There is no sweep of a figure ${figure}.`);
       this.preset.value = preset?.key ?? "";
       this.isLoaded = true;
       const given = (job || preset)?.spec;
       const axes = axesOf(currentQuery(), given);
       this.given = job && Object.keys(axes).length ? { ...given, ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from } : (given ?? {});
-      this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: { kind: "rigid" } }) });
+      this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: { kind: model === "soft" ? model : "rigid", restitution, penetration } }) });
+      this.missing.show(missing);
+      showProblems(this.form, this.problem, null);
       if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
       this.pasted.takeDropped();
     } catch (error) {
-      if (isOutdated()) return;
-      this.isLoaded = error.status === 404; // the sweep is gone: the form has the default values
-      this.#showError(error);
+      if (!isOutdated()) this.#showError(error);
     }
   }
 
@@ -213,7 +216,7 @@ export class SweepForm {
 function axesOf(query, spec) {
   return Object.fromEntries(AXES.map((axis) => [axis, (query[axis] ?? "").split(",").map((text) => Number(text || NaN))]).filter(([, values]) => values.every(Number.isFinite)).map(([axis, [low, high]]) => {
     const all = spec && axisValues(spec[axis]);
-    if (high === undefined || !(high > low)) return [axis, low];
+    if (!all || high === undefined || !(high > low)) return [axis, low];
     const step = 10 ** Math.floor(Math.log10(high - low) - 2);
     const [start, stop] = [Math.max(all[0], Math.floor(low / step) * step), Math.min(all.at(-1), Math.ceil(high / step) * step)].map((value) => Number(value.toPrecision(10)));
     return [axis, { start, stop, num: all.length, spacing: spec[axis].spacing ?? "linear" }];

@@ -45,7 +45,6 @@ function inWords({ rule, code }, input) {
   return rule;
 }
 
-
 const unfold = (input) => { for (let fold = input.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true; };
 
 /** Show an input that may be folded away, with the keyboard focus. */

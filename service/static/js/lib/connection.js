@@ -44,4 +44,3 @@ export function watchConnection(onRestored) {
     onRestored();
   });
 }
-

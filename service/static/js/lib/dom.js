@@ -28,12 +28,16 @@ export function problemLine() {
   return { element, show };
 }
 
-/** A button that copies what `text()` returns. */
+const SAID_MS = 1500;
+
+/** A button that copies what `text()` returns, and says so. */
 export const copyButton = (text) => h("button", {
   type: "button", className: "quiet",
-  onclick: async () => {
-    await navigator.clipboard?.writeText(text()).catch(() => {});
-    announce("Copied.");
+  onclick: async ({ currentTarget: button }) => {
+    const content = text(); // also where nothing can be copied: it may be selected
+    button.textContent = (await navigator.clipboard?.writeText(content).then(() => "Copied", () => null)) ?? "Not copied";
+    announce(`${button.textContent}.`);
+    setTimeout(() => { button.textContent = "Copy"; }, SAID_MS);
   },
 }, "Copy");
 

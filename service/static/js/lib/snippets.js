@@ -50,5 +50,4 @@ export class Snippets {
   #update() {
     this.text.textContent = LANGUAGES[this.select.value](this.spec);
   }
-
 }

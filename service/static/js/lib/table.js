@@ -11,11 +11,11 @@ export const table = (label, titles, rows, rowClass = () => undefined) => h("div
   titles && h("thead", {}, h("tr", {}, titles.map((title) => h("th", { scope: "col" }, title)))),
   h("tbody", {}, rows.map(([first, ...others], i) => h("tr", { className: rowClass(i) }, h("th", { scope: "row" }, first), others.map((cell) => h("td", {}, cell)))))));
 
-/** Rows as lines, their cells separated by `separator`; in CSV cells with commas or quotes are quoted. */
-const lines = ({ titles, length, row }, separator) => [titles, ...Array.from({ length }, (_, i) => row(i))]
-  .map((cells) => cells.map((cell) => (separator === "," && /[",]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell).replaceAll("−", "-")).join(separator)).join("\n");
+/** Rows as lines, their cells separated by `separator`, with numbers as programs read them; in CSV cells with commas or quotes are quoted. */
+const lines = ({ titles, length, row }, separator) => [titles, ...Array.from({ length }, (_, i) => row(i, true))]
+  .map((cells) => cells.map((cell) => (separator === "," && /[",]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell).replace(/^–$/, "").replaceAll("−", "-").replaceAll("·10^", "e")).join(separator)).join("\n");
 
-/** A table of PAGE rows at a time, folded away; `read()` gives {titles, length, row(i): its texts} whenever it is shown, `name()` the CSV's name. */
+/** A table of PAGE rows at a time, folded away; `read()` gives {titles, length, row(i, whole): its texts, shortened or not} whenever it is shown, `name()` the CSV's name. */
 export class PagedTable {
   constructor(label, read, name, open = false) {
     Object.assign(this, { label, read, first: 0 });

@@ -46,13 +46,13 @@ export class TrajectoryPanel {
     this.about.textContent = `${axes.join(", ")}, ${startText(cell.direction, job)}`;
     this.values.hidden = this.proof.hidden = true;
     const length = !start || start.kind === "cycle" ? PLAYED : STARTED;
-    let path, options;
+    let path, options, cycle;
     const load = (periods) => {
       [path, options] = addressOf(job, cell, { ...length, periods });
       return this.#load(path, { ...options, signal });
     };
     try {
-      const cycle = start || !job.id ? (start?.periods ?? 0) : await this.#showValues(job, cell, signal).catch(() => 0); // the panel is complete without values
+      cycle = start || !job.id ? (start?.periods ?? 0) : await this.#showValues(job, cell, signal).catch(() => 0); // the panel is complete without values
       await load(Math.max(length.periods, Math.min(cycle, LONGEST)));
       const { flights, in_flight: flies } = this.trajectory;
       if (!flights.length && flies.some(Boolean) && length === PLAYED) await load(STARTED.periods); // of a long flight
@@ -68,7 +68,7 @@ export class TrajectoryPanel {
       ...resultFiles(job, name, [["CSV", "csv"], ["NetCDF", "nc"]], () => path, options),
     ]));
     this.#loadMap(job, cell, signal);
-    if (!options.body) this.#offerProof(path, signal);
+    if (!options.body && (start || cycle)) this.#offerProof(path, signal);
   }
 
   #build() {

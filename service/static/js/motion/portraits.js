@@ -37,7 +37,6 @@ export class Portraits {
     this.portrait.draw();
   }
 
-
   close() {
     this.map.close();
     this.portrait.close();

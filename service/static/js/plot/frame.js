@@ -1,6 +1,5 @@
 // What surrounds a plot's data: frame, ticks, labels, title and legend.
 
-
 import { TWO_PI, clamp } from "../lib/physics.js";
 import { polyline } from "./drawing.js";
 import { scale, ticks } from "./scale.js";
@@ -91,7 +90,6 @@ function drawYTicks(ctx, { y, left, top, width, height, theme, texts }, periods)
     texts.push({ text, x: left - 7, y: at, align: "right" });
   }
 }
-
 
 /** The title and the legend above the frame. */
 export function drawHeadings(ctx, { left, headings, theme, texts }) {

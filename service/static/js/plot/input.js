@@ -4,12 +4,13 @@ import { clamp } from "../lib/physics.js";
 import { polyline } from "./drawing.js";
 
 const DRAG_PX = 6; // shorter movements are clicks
+const DOUBLE_MS = 300; // between the presses of a double click, which resets the zoom
 const LARGE_STEP = 10; // cells per arrow key with Shift, or PageUp and PageDown
 const WHEEL = 0.0016; // logarithm of the zoom per pixel of the wheel
 
 /**
  * Calls these handlers, with positions in axis values: hover(x, y), leave(), select(x, y), selectCurrent(),
- * step(right, up), zoom({x0, x1, y0, y1} or null for everything), scale([factors of width and height], [x, y] that stays),
+ * step(right, up), zoom({x0, x1, y0, y1} or null for everything), isZoomed(), scale([factors of width and height], [x, y] that stays),
  * pan(from, to).
  */
 export function listenToInput(plot, handlers) {
@@ -17,6 +18,7 @@ export function listenToInput(plot, handlers) {
   let dragStart = null;
   let dragEnd = null;
   let isPan = false; // a drag with Shift moves the window
+  let selecting; // a press selects, unless another one follows that makes it a double click
   const pressed = new Map(); // where pointers are down: two pinch
 
   const position = (event) => {
@@ -30,6 +32,7 @@ export function listenToInput(plot, handlers) {
   const listen = (type, handle) => element.addEventListener(type, (event) => plot.box && handle(event));
 
   listen("pointerdown", (event) => {
+    clearTimeout(selecting);
     pressed.set(event.pointerId, position(event));
     if (event.button !== 0 || !isInside(position(event), plot.box)) return;
     dragStart = position(event);
@@ -44,6 +47,7 @@ export function listenToInput(plot, handlers) {
       dragStart = dragEnd = null;
       handlers.scale(Array(2).fill(before / Math.max(distance(pressed), 1)), values([(ax + bx) / 2, (ay + by) / 2]));
     } else if (dragStart && event.shiftKey) {
+      element.setPointerCapture(event.pointerId);
       if (dragEnd) handlers.pan(values(dragEnd), values(point));
       [dragEnd, isPan] = [point, true];
     } else if (dragStart && Math.hypot(point[0] - dragStart[0], point[1] - dragStart[1]) > DRAG_PX) {
@@ -56,16 +60,23 @@ export function listenToInput(plot, handlers) {
   listen("pointerup", (event) => {
     if (isPan) isPan = false;
     else if (dragEnd) handlers.zoom(selectedWindow(plot, dragStart, dragEnd));
-    else if (dragStart && isInside(position(event), plot.box)) handlers.select(...values(position(event)));
+    else if (dragStart && isInside(position(event), plot.box)) {
+      const at = values(position(event));
+      selecting = setTimeout(() => element.isConnected && handlers.select(...at), handlers.isZoomed() ? DOUBLE_MS : 0);
+    }
     dragStart = dragEnd = null;
   });
   listen("pointercancel", () => {
     dragStart = dragEnd = null;
+    isPan = false;
     plot.drawCursor();
   });
   listen("pointerleave", () => dragStart || handlers.leave());
   for (const type of ["pointerup", "pointercancel", "pointerleave"]) element.addEventListener(type, ({ pointerId }) => pressed.delete(pointerId));
-  listen("dblclick", () => handlers.zoom(null));
+  listen("dblclick", () => {
+    clearTimeout(selecting);
+    handlers.zoom(null);
+  });
   // Beside the frame the wheel zooms the axis that it is over.
   element.addEventListener("wheel", (event) => {
     if (!plot.box) return;

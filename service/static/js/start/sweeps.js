@@ -5,6 +5,7 @@ import { query, requestJson } from "../lib/api.js";
 import { announce, debounced, h, problemLine } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
 import { choice } from "../views/controls.js";
+import { MOST_COMPARED } from "../views/plot-view.js";
 import { JobSummary, UNFINISHED, titleOf } from "../views/progress.js";
 
 const PAGE_SIZE = 25;
@@ -28,12 +29,11 @@ export class SweepList {
 
   constructor(root) {
     document.title = "Bouncing spring";
-    const query = currentQuery();
     const find = () => this.#find();
-    const select = (name, title, options) => choice(title, options, query[name] ?? "", find, { name });
+    const select = (name, title, options) => choice(title, options, "", find, { name });
     const button = (title, work) => h("button", { type: "button", className: "quiet", onclick: work }, title);
     this.filters = h("form", { className: "controls filters", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
-      h("label", { className: "option" }, "Find ", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", value: query.search ?? "", oninput: debounced(TYPING_MS, find) })),
+      h("label", { className: "option" }, "Find ", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", oninput: debounced(TYPING_MS, find) })),
       select("state", "State", STATES), select("model", "Contact", MODELS), select("order", "Order", ORDERS));
     this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });
     this.chosen = h("span", { className: "note", role: "status" });
@@ -56,6 +56,14 @@ export class SweepList {
       h("h1", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.intro, this.notice, this.filters, this.problem.element, this.selection, this.empty, this.list,
       h("div", { className: "controls pages" }, this.previous, this.next, this.range));
     this.#showSelection();
+    this.show();
+  }
+
+  /** Show the sweeps that the address asks for. */
+  show() {
+    const query = currentQuery();
+    for (const control of this.filters.elements) control.value = query[control.name] ?? "";
+    this.cursors = [null];
     this.refresh();
   }
 
@@ -110,6 +118,7 @@ export class SweepList {
     this.refresh();
   }
 
+  /** The heading takes the keyboard focus: the pressed button disappears. */
   #turn(cursors) {
     this.cursors = cursors;
     this.refresh();
@@ -158,7 +167,7 @@ export class SweepList {
     const name = h("a", {});
     const time = h("span", { className: "note" });
     const error = h("p", { className: "problem", hidden: true });
-    const parts = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#afterDelete(), error: (failure) => this.showError(failure) });
+    const parts = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#turn(this.cursors), error: (failure) => this.showError(failure) });
     const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h2", {}, name), parts.about),
       parts.progress, time, parts.actions, parts.notice, error);
     const update = (current) => {
@@ -179,11 +188,6 @@ export class SweepList {
     return { element, update };
   }
 
-  /** Keep the keyboard focus: the pressed button disappears. */
-  #afterDelete() {
-    this.#turn(this.cursors);
-  }
-
   #select(jobs, on) {
     for (const job of jobs) {
       if (on) this.selected.set(job.id, job);
@@ -196,9 +200,9 @@ export class SweepList {
     const selected = [...this.selected.values()];
     this.all.checked = this.jobs.length > 0 && selected.length === this.jobs.length;
     this.all.indeterminate = selected.length > 0 && !this.all.checked;
-    setText(this.chosen, selected.length ? `${count(selected.length)} selected` : "");
+    setText(this.chosen, selected.length ? `${count(selected.length)} selected${selected.length > MOST_COMPARED ? `; at most ${MOST_COMPARED} can be compared` : ""}` : "");
     this.bulk.hidden = !selected.length;
-    this.compare.disabled = selected.length < 2;
+    this.compare.disabled = selected.length < 2 || selected.length > MOST_COMPARED;
     this.remove.disabled = selected.every((job) => UNFINISHED.has(job.state));
   }
 
@@ -232,7 +236,7 @@ export class SweepList {
     }
     if (failed.length) this.showError(new Error(failed.join("; ")));
     announce(`${plural(finished.length - failed.length, "sweep")} deleted.`);
-    this.#afterDelete();
+    this.#turn(this.cursors);
   }
 }
 

@@ -6,7 +6,6 @@ import { announce, h } from "../lib/dom.js";
 import { number, plural, share } from "../lib/format.js";
 import { table } from "../lib/table.js";
 
-
 /** A button that has workers audit the job, and what they find; `element` stays as the details around it change. */
 export class Audit {
   constructor(job) {

@@ -38,22 +38,24 @@ function slider(view, axis) {
   return h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), typed, input);
 }
 
-
 /** A choice among `options`, [[value, text], …], with a label. */
 export const choice = (label, options, value, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
   h("select", { onchange: (event) => onChange(event.target.value), ...attributes }, options.map(([key, text]) => h("option", { value: key, selected: key === value }, text))));
 
-/** A number that the address has as `name`; `otherwise` where it has none. */
+/** The number from `min` to `max` that the address has as `name`; `otherwise` where it has none. */
+export function given(name, otherwise, { min = 0, max = Number.MAX_VALUE } = {}) {
+  const value = Number(currentQuery()[name] || NaN);
+  return value >= min && value <= max ? value : otherwise;
+}
+
+/** An input for such a number. */
 export const numberInput = (label, name, otherwise, attributes = {}) => h("label", { className: "option" }, `${label} `, h("input", {
-  type: "number", min: 0, step: "any", required: true, value: currentQuery()[name] ?? otherwise, ...attributes,
-  onchange: ({ target: { value, valueAsNumber: typed } }) => { if (value !== "" && typed >= 0) setQuery({ [name]: typed === otherwise ? null : typed }); },
+  type: "number", min: 0, step: "any", required: true, value: given(name, otherwise, attributes), ...attributes,
+  onchange: ({ target }) => { if (target.reportValidity()) setQuery({ [name]: target.valueAsNumber === otherwise ? null : target.valueAsNumber }); },
 }));
 
 /** The shortest flight that counts: of the address, or the micro-flight the sweep was classified with. */
-export function minFlightOf({ spec }) {
-  const { min = "" } = currentQuery();
-  return min !== "" && Number(min) >= 0 && Number.isFinite(Number(min)) ? Number(min) : spec.micro_flight;
-}
+export const minFlightOf = ({ spec }) => given("min", spec.micro_flight);
 
 /** Which flights count, for points and modes alike. */
 export const minFlightInput = ({ spec }) => numberInput("Count flights above, rad", "min", spec.micro_flight, {

@@ -4,12 +4,12 @@ import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, cellColumns, clampIndex, exponentOf, hasCycles, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, cellColumns, clamp, clampIndex, exponentOf, hasCycles, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
 import { branchColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { circle, disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn } from "../plot/flights.js";
 import { Plot } from "../plot/plot.js";
-import { extent } from "../plot/scale.js";
+import { cellBorders, extent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
 import { ClassLegend, swatch } from "./cells.js";
 import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
@@ -165,8 +165,8 @@ export class Diagram extends PlotView {
 
   whole() {
     const values = this.sources.map(({ grid }) => grid[this.along]);
-    const flights = Math.max(...this.lines.map((line) => line.highest), this.measured?.highest ?? 0) || TWO_PI;
     const [x0, x1] = extent(Math.min(...values.map(([first]) => first)), Math.max(...values.map((list) => list.at(-1))));
+    const flights = Math.max(...this.lines.map((line) => line.highest), this.measured?.highest(x0, x1) ?? 0) || TWO_PI;
     return { x0, x1, y0: 0, y1: (currentQuery().log?.includes("y") ? 1.5 : 1.09) * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
   }
 
@@ -262,7 +262,7 @@ export class Diagram extends PlotView {
       ...(this.isCompared ? [["sweep", ({ line }) => titleOf(line.source.job)]] : []),
       ...(new Set(this.lines.map(({ direction }) => direction)).size > 1 ? [["ramp", ({ line }) => line.direction]] : []),
       ...cellColumns(first ?? {}, ({ line, cell }) => [line, cell]),
-      ["flight times (rad)", ({ line, cell }) => flightsText(distinctFlights(line, cell))],
+      ["flight times (rad)", ({ line, cell }, whole) => flightsText(distinctFlights(line, cell), whole)],
     ];
   }
 
@@ -312,7 +312,9 @@ function linesOf(source, result) {
 /** A strip for each line at the top: the colour of each cell's mode. */
 function drawStrips(ctx, box, lines, hidden) {
   lines.forEach(({ values, classes }, i) => {
-    for (let x = Math.ceil(box.left); x < box.left + box.width; x++) {
+    const borders = cellBorders(values);
+    const [first, end] = [borders[0], borders.at(-1)].map((value) => clamp(box.x.pixel(value), box.left, box.left + box.width));
+    for (let x = Math.ceil(first); x < end; x++) {
       const id = classes[nearestIndex(values, box.x.value(x + 0.5))];
       ctx.fillStyle = hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark);
       ctx.fillRect(x, box.top + 1 + i * (STRIP + 1), 1, STRIP);
@@ -360,7 +362,7 @@ function drawCurrent(ctx, box, { line, cell }) {
 /** The distinct flight times of one cell, shortest first. */
 const distinctFlights = (line, cell) => Array.from(flightsIn(line, cell).sort()).filter((time, i, times) => i === 0 || time - times[i - 1] > SAME_FLIGHT);
 
-/** The first flight times of a list. */
-const flightsText = (times) => `${times.slice(0, MAX_LISTED).map((time) => number(time, 4)).join(" ")}${times.length > MAX_LISTED ? " …" : ""}`;
+/** The first flight times of a list, or the whole list. */
+const flightsText = (times, whole) => `${times.slice(0, whole ? Infinity : MAX_LISTED).map((time) => number(time, 4)).join(" ")}${!whole && times.length > MAX_LISTED ? " …" : ""}`;
 
 const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);

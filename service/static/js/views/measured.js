@@ -1,4 +1,4 @@
-// Measured points on a plot, as `job.plot(data=…)` has them: a CSV file dropped on it, drawn above what is computed.
+// Measured points on a plot, as `job.plot(data=…)` has them: a CSV file dropped on the page, drawn above what is computed.
 
 import { requestBlob } from "../lib/api.js";
 import { announce, h, problemLine } from "../lib/dom.js";
@@ -33,7 +33,7 @@ export class MeasuredPoints {
     Object.assign(this, { view, value, key: `${view.job.id} ${value}` });
     this.problem = problemLine();
     this.text = h("span", {});
-    this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", h("button", { type: "button", className: "link", onclick: () => this.#take(null) }, "remove"));
+    this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", h("button", { type: "button", className: "link", onclick: () => this.#keep(null) }, "remove"));
     this.element = h("div", {}, this.problem.element, this.line);
     for (const file of GIVEN) {
       try {
@@ -44,31 +44,25 @@ export class MeasuredPoints {
     }
   }
 
-  /** Take files that are dropped on `plot`, which are not for the form then. */
-  listen(plot) {
-    plot.addEventListener("drop", async (event) => {
-      const [file] = event.dataTransfer.files;
-      if (!/\.csv$/i.test(file?.name)) return;
-      event.preventDefault();
-      event.stopPropagation();
-      try {
-        this.#take(this.#read({ name: file.name, text: await file.text() }));
-        announce(this.text.textContent);
-      } catch (error) {
-        this.problem.show(new Error(`${file.name}: ${error.message}.`));
-      }
-    });
+  /** Take a file that was dropped. */
+  async take(file) {
+    try {
+      this.#keep(this.#read({ name: file.name, text: await file.text() }));
+      announce(this.text.textContent);
+    } catch (error) {
+      this.problem.show(new Error(`${file.name}: ${error.message}.`));
+    }
   }
 
   #read({ name, text }) {
     return { name, text, rows: tableOf(text, this.view.along, this.value) };
   }
 
-  #take(table) {
+  #keep(table) {
     if (table) kept.set(this.key, table);
     else kept.delete(this.key);
     this.problem.show(null);
-    this.view.draw();
+    if (this.view.isLoaded) this.view.draw();
   }
 
   /** The points {x, y, error} over the axis of the view. */
@@ -77,8 +71,9 @@ export class MeasuredPoints {
     return rows.map((row) => ({ x: row[this.view.along], y: row[this.value], error: row.error })).filter(({ x, y }) => Number.isFinite(x) && Number.isFinite(y));
   }
 
-  get highest() {
-    return Math.max(0, ...this.points.map(({ y }) => y));
+  /** The highest of the points from `low` to `high` on the axis. */
+  highest(low, high) {
+    return Math.max(0, ...this.points.filter(({ x }) => x >= low && x <= high).map(({ y }) => y));
   }
 
   /** Say how far the points are from what is shown beside them. */

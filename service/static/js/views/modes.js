@@ -22,17 +22,19 @@ export class Modes extends PlaneView {
     super(view);
     this.isAdaptive = Boolean(this.job.spec.refine);
     this.isTwoWay = this.directions.length > 1;
-    this.showsHysteresis = h("input", { type: "checkbox", checked: true, onchange: () => this.load() });
+    const isFirst = (has) => this.compared.find(has) === this.source; // a control acts on the maps of all compared sweeps
+    const canHatch = isFirst(({ directions }) => directions.length > 1);
+    const hatches = h("input", { type: "checkbox", checked: this.showsHysteresis, onchange: () => setQuery({ hatch: hatches.checked ? null : 0 }) });
     this.showsComputed = h("input", { type: "checkbox", onchange: () => this.plot.draw() });
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.note = h("p", { className: "note", role: "status" });
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, ["xi"]),
-        this.isTwoWay && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
-        certifies(this.job.spec) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color }), { "data-service": true })),
+        canHatch && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
+        isFirst(({ job }) => certifies(job.spec)) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color }), { "data-service": true })),
       label: `Mode map of ${titleOf(this.job)}`, hint: HINT,
       shown: [this.legend.element, this.note, h("div", { className: "controls" },
-        this.isTwoWay && h("label", { className: "option" }, this.showsHysteresis, " Hatch where up and down differ"),
+        canHatch && h("label", { className: "option" }, hatches, " Hatch where up and down differ"),
         this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
         !this.isAdaptive && !this.isFollower && minFlightInput(this.job))],
     });
@@ -43,6 +45,10 @@ export class Modes extends PlaneView {
     return this.directions.includes(dir) ? dir : this.directions[0];
   }
 
+  get showsHysteresis() {
+    return this.isTwoWay && currentQuery().hatch !== "0";
+  }
+
   get color() {
     return certifies(this.job.spec) && currentQuery().color === "multiplier" ? "multiplier" : "mode";
   }
@@ -50,8 +56,7 @@ export class Modes extends PlaneView {
   #path(parameters) {
     const { xi } = this.source.grid;
     const own = { xi: xi[nearestIndex(xi, this.place.xi)], direction: this.direction };
-    const hysteresis = (this.isTwoWay && this.showsHysteresis.checked) || null;
-    return `/v1/jobs/${this.job.id}/modes?${query({ ...own, min_flight: this.isAdaptive ? null : minFlightOf(this.job), hysteresis, color: this.color === "mode" ? null : this.color, ...parameters })}`;
+    return `/v1/jobs/${this.job.id}/modes?${query({ ...own, min_flight: this.isAdaptive ? null : minFlightOf(this.job), hysteresis: this.showsHysteresis || null, color: this.color === "mode" ? null : this.color, ...parameters })}`;
   }
 
   /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
@@ -177,5 +182,3 @@ function drawThresholdCurve(ctx, box, xi) {
   polyline(ctx, box.theme.surface, 4, points);
   polyline(ctx, box.theme.text, 1.8, points, DASH);
 }
-
-

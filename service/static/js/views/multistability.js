@@ -137,10 +137,10 @@ export class AttractorDiagram extends AttractorView {
   }
 
   columnsOfTable() {
-    const place = (read) => ({ column, k }) => { const found = this.placesOf({ column })[k]; return found ? read(found) : ""; };
+    const place = (read) => ({ column, k }, whole) => { const found = this.placesOf({ column })[k]; return found ? read(found, whole) : ""; };
     return [["Γ", ({ column }) => number(this.columns[column])], ["attractor", place(({ id }) => String(id))], ["mode", (cell) => place(({ label }) => label)(cell) || (this.count[cell.column] < 0 ? "not computed yet" : "")],
       ["share of drops", place(({ fraction }) => (fraction ? share(fraction) : "none, from a neighbouring cell"))],
-      ["flight times (rad)", place(({ times }) => [...new Set(times.map((time) => number(time, 4)))].slice(0, MAX_LISTED).join(" "))]];
+      ["flight times (rad)", place(({ times }, whole) => [...new Set(times.map((time) => number(time, 4)))].slice(0, whole ? Infinity : MAX_LISTED).join(" "))]];
   }
 
   /** The attractor with the flight nearest to (x, y), of the cell at x. */

@@ -21,6 +21,8 @@ const SYMBOLS = new Set(Object.values(SYMBOL));
 export const FLIGHT_AXIS = { label: "flight time φ (rad)", periods: true };
 const FORMATS = [["PNG", "png"], ["SVG", "svg"], ["PDF", "pdf"], ["CSV", "csv"]];
 
+export const MOST_COMPARED = 6; // sweeps: more cannot be told apart by colour
+
 /** What a view shows of a job; `number` is its place among compared ones. */
 export const sourceOf = (job, number = 1) => ({
   job, number, directions: directionsOf(job.spec),
@@ -50,9 +52,9 @@ async function requestFitting(path, options) {
  *   at(cell)         its position [x, y]
  *   describe(cell)   the cell in words, or a list of elements, if it is not what the table says of it
  *   cellOf(cell)     its {gamma, omega, xi, direction}
- *   cellsShown(), columnsOfTable()  the cells of the table of what is shown, and its columns [[title, (cell) => text], …]
+ *   cellsShown(), columnsOfTable()  the cells of the table of what is shown, and its columns [[title, (cell, whole) => text], …]; `whole`: not shortened
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
- *   measured         optional; points that are dropped on the plot (see measured.js)
+ *   measured         optional; points that are dropped on the page (see measured.js)
  *   showLegend()     optional; called when the data or the colours have changed
  */
 export class PlotView {
@@ -63,11 +65,11 @@ export class PlotView {
 
   /**
    * `bar`: where the controls are shown, if not above the plot; `isBeside`: beside a map, whose window it has along Γ.
-   * Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `onPoint(view, x, y)`
+   * Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `compared` are the sources of all, `onPoint(view, x, y)`
    * is told where the pointer is, `extent()` is the window of all data, and titles begin with `prefix`.
    */
-  constructor({ sources, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, prefix = "", onSelect, selected = () => null, onPoint = () => {}, extent = () => this.whole() }) {
-    Object.assign(this, { sources, bar, isBeside, grid, isFollower, prefix, onSelect, selected, onPoint, extent, source: sources[0], directions: sources[0].directions });
+  constructor({ sources, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, compared = sources, prefix = "", onSelect, selected = () => null, onPoint = () => {}, extent = () => this.whole() }) {
+    Object.assign(this, { sources, bar, isBeside, grid, isFollower, compared, prefix, onSelect, selected, onPoint, extent, source: sources[0], directions: sources[0].directions });
   }
 
   get job() {
@@ -127,10 +129,10 @@ export class PlotView {
       selectCurrent: () => this.#select(this.current),
       step: (right, up) => this.#step(right, up),
       zoom,
+      isZoomed: () => Boolean(this.window),
       scale: (factors, point = this.current && this.at(this.current)) => zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, point), this.#isNewGesture()),
       pan: (from, to) => this.window && zoom(panned(this.plot, this.visible(), this.#positive(this.extent()), from, to), this.#isNewGesture()),
     });
-    this.measured?.listen(this.plot.element);
     this.load = latest((signal) => this.#load(signal));
     const { signal } = this.closing;
     queryChanges.addEventListener("change", () => this.#follow(), { signal });
@@ -143,7 +145,7 @@ export class PlotView {
   /** The table of the cells that are shown. */
   #rows() {
     const [columns, cells] = this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []];
-    return { titles: columns.map(([title]) => title), length: cells.length, row: (i) => columns.map(([, text]) => text(cells[i])) };
+    return { titles: columns.map(([title]) => title), length: cells.length, row: (i, whole) => columns.map(([, text]) => text(cells[i], whole)) };
   }
 
   #updateTable = debounced(ANNOUNCED_MS, () => this.table.update());

@@ -7,7 +7,7 @@ import { count, duration, number, plural } from "../lib/format.js";
 import { AXES, SYMBOL, axisValues, isSweep } from "../lib/physics.js";
 
 export const UNFINISHED = new Set(["queued", "running"]);
-const RESUMABLE = new Set(["failed", "cancelled"]);
+export const RESUMABLE = new Set(["failed", "cancelled"]);
 const MAX_LISTED = 4; // values of an axis
 
 /** A sweep's name, or the beginning of its id. */
@@ -95,9 +95,10 @@ const ACTION_TITLES = { cancel: "Cancel", resume: "Resume", delete: "Delete" };
 /** Show in `root` the buttons that the job's state allows, keeping the keyboard focus among them. */
 function showActions(root, job, on) {
   const actions = UNFINISHED.has(job.state) ? ["cancel"] : RESUMABLE.has(job.state) ? ["resume", "delete"] : ["delete"];
-  if (root.dataset.actions === actions.join()) return;
+  const shown = [...actions, titleOf(job)].join();
+  if (root.dataset.actions === shown) return;
   const hadFocus = root.contains(document.activeElement);
-  root.dataset.actions = actions.join();
+  root.dataset.actions = shown;
   root.replaceChildren(...actions.map((action) => h("button", {
     type: "button", className: "quiet", "aria-label": `${ACTION_TITLES[action]} ${titleOf(job)}`, onclick: ({ currentTarget }) => run(action, job, currentTarget, on),
   }, ACTION_TITLES[action])));

@@ -3,13 +3,14 @@
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { clampIndex, hasCycles, nearestIndex, threshold } from "../lib/physics.js";
+import { clampIndex, hasCycles, isClose, nearestIndex, threshold } from "../lib/physics.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { MeasuredPoints } from "./measured.js";
 import { PlotView } from "./plot-view.js";
+import { RESUMABLE } from "./progress.js";
 
 const DASH = [7, 4];
 const HINT = "Point at a frequency to read it, press to show a trajectory, drag or turn the wheel to zoom.";
@@ -32,8 +33,11 @@ export class Thresholds extends PlotView {
     this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT, shown: this.closedForm ? [this.closedForm.element] : [] });
   }
 
+  /** Without what the closed form predicts, which takes longer, until the thresholds at this ξ are shown. */
   paths() {
-    return [this.#path({})];
+    const { xi, complete } = this.thresholds ?? {};
+    const isShown = isClose(xi, this.place.xi) && (complete || RESUMABLE.has(this.job.state));
+    return [this.#path({ predict: this.closedForm && isShown ? null : "none" })];
   }
 
   #path(window) {
@@ -69,7 +73,7 @@ export class Thresholds extends PlotView {
   whole() {
     const { omega, xi } = this.thresholds;
     const [x0, x1] = extent(omega[0], omega.at(-1));
-    const drawn = [...this.found, ...this.edges, this.measured.highest];
+    const drawn = [...this.found, ...this.edges, this.measured.highest(x0, x1)];
     return { x0, x1, y0: 0, y1: 1.12 * (Math.max(...drawn) || Math.max(threshold(x0, xi), 1)) };
   }
 

@@ -42,9 +42,11 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
     np.testing.assert_array_equal(found.differs, np.where(known, ~equal, 2))
     for name in names:
         np.testing.assert_array_equal(found[f"other_{name}"], near[name])
-    np.testing.assert_allclose(found.up_moved, [np.nan, abs(ends[0][1] - ends[1][0]), np.nan, np.nan])
-    share = f"{100 * equal[known].mean():.4g} % of the cells have the same mode; no threshold moves by more"
-    assert found.attrs["sentence"].startswith(share)
+    moved = abs(ends[0][1] - ends[1][0])
+    np.testing.assert_allclose(found.up_moved, [np.nan, moved, np.nan, np.nan])
+    share = f"{100 * equal[known].mean():.4g} % of the cells have the same mode"
+    most = f"no threshold moves by more than {moved:.2g} at the 1 of 4 frequencies that both have"
+    assert found.attrs["sentence"] == f"{share}; {most}."
     assert found.attrs["sentence"] in drawn
     np.testing.assert_array_equal(thinned.differs, found.differs[::3, ::3])
     np.testing.assert_array_equal(thinned.up_moved, found.up_moved[::3])
