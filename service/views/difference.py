@@ -103,7 +103,7 @@ def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
         {"xi": coordinate("xi", xi.value), "direction": coordinate("direction", direction)}
         | {axis: coordinate(axis, study.spec.axis_values(axis)[part]) for axis in _PLANE},
         {
-            "sentence": _sentence(same[known], moved, shared) if common.any() else _APART,
+            "sentence": _sentence(same, known, moved, shared) if common.any() else _APART,
             "other": query.other, "other_direction": way, "other_xi": other_xi.value, "every": query.every,
             "complete": bool(study.is_complete(own["outcome"]) and other.is_complete(theirs["outcome"])),
         },
@@ -163,10 +163,14 @@ def _moved(
 
 
 def _sentence(
-    same: NDArray[np.bool_], moved: dict[str, NDArray[np.float64]], shared: NDArray[np.bool_]
-) -> str:
-    """In how many cells modes are the same; by how much thresholds move at most where they are `shared`."""
-    if not same.size:
+    same: NDArray[np.bool_], known: NDArray[np.bool_], moved: dict[str, NDArray[np.float64]],
+    shared: NDArray[np.bool_],
+) -> str:  # fmt: skip
+    """In how many cells modes are the same; by how much thresholds move at most where they are `shared`.
+
+    `known`: the cells that are computed in both.
+    """
+    if not known.any():
         return "No cell of both is computed yet."
     away = np.concatenate([*moved.values(), []])
     most = np.max(away, where=np.isfinite(away), initial=-1.0)
@@ -175,7 +179,8 @@ def _sentence(
     threshold = threshold if most >= 0.0 else "there is no threshold in both"
     if not shared.all():
         threshold += f" at the {shared.sum()} of {shared.size} frequencies that both have"
-    return f"{100.0 * same.mean():.4g} % of the cells have the same mode; {threshold}."
+    cells = "the cells" if known.all() else f"the {known.sum():,} of {known.size:,} cells of both"
+    return f"{100.0 * same[known].mean():.4g} % of {cells} have the same mode; {threshold}."
 
 
 def estimate(spec: SweepSpec, query: DifferenceQuery) -> Estimate:
