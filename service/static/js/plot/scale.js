@@ -59,8 +59,8 @@ export function cellBorders(values) {
   return borders;
 }
 
-/** [low, high] of cells at increasing `values`, whole ones; with `positive` not below 0, for logarithmic axes. */
+/** [low, high] of cells at increasing `values`, whole ones; with `positive` above 0 if they are, for logarithmic axes. */
 export function cellExtent(values, positive = true) {
   const borders = cellBorders(values);
-  return [positive && borders[0] <= 0 ? values[0] : borders[0], borders.at(-1)];
+  return [positive && values[0] > 0 && borders[0] <= 0 ? values[0] : borders[0], borders.at(-1)];
 }
