@@ -79,7 +79,7 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
         page.locator("[data-field='gamma.num']").fill("120")
         page.get_by_label("contact model").select_option("rigid")
         efforts = page.locator("select[data-field=effort] option").all_inner_texts()
-        assert efforts == ["as recorded", "draft", "standard", "thorough"]
+        assert efforts == ["as set below", "draft", "standard", "thorough"]
         page.locator("summary", has_text="Recording").click()
         page.locator("[data-field=settle]").fill("20000")
         cost.filter(has_text=re.compile(r"120 cells in \d+ chunks · about .+ on 2 workers")).wait_for()
@@ -721,7 +721,7 @@ def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, ad
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
         page.locator(".panel .readout", has_text="|μ|: 0.").wait_for()
-        assert "flights within" in page.locator(".panel .readout").inner_text()
+        assert "error of flights at most" in page.locator(".panel .readout").inner_text()
         screenshot(page, "modes-margin")
 
 

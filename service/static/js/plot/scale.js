@@ -12,7 +12,7 @@ export function scale(low, high, from, to, log = false) {
   return { pixel, value, low, high, log };
 }
 
-/** About `n` round values within [low, high], with their text: [{value, text}, …]; at least two, and three where up to 2n fit. */
+/** About `n` round values within [low, high], with their text: [{value, text}, …]; at least two, and three where these are at most 1.5n. */
 export function ticks(low, high, n, log = false, tries = 3) {
   if (log && high / low > 30) return decades(low, high);
   const rough = (high - low) / Math.max(n, 1);
@@ -23,7 +23,7 @@ export function ticks(low, high, n, log = false, tries = 3) {
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   if (values.length < 3 && tries) {
     const finer = ticks(low, high, 2 * Math.max(n, 1), false, tries - 1);
-    if (values.length < 2 || finer.length <= 2 * n) return finer;
+    if (values.length < 2 || finer.length <= 1.5 * n) return finer;
   }
   return values.map((value) => ({ value, text: tickText(value, digits) }));
 }
