@@ -721,7 +721,7 @@ def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, ad
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
         page.locator(".panel .readout", has_text="|μ|: 0.").wait_for()
-        assert "error of flights at most" in page.locator(".panel .readout").inner_text()
+        assert "flight error ≤" in page.locator(".panel .readout").inner_text()
         screenshot(page, "modes-margin")
 
 

@@ -112,7 +112,7 @@ export function cellColumns({ lyapunov, multiplier, computed }, of) {
   return [
     column("mode", modeText),
     ...(lyapunov ? [column("λ₁", (cells, i) => exponentText(exponentOf(cells, i), cells.lyapunov_error[i]))] : []),
-    ...(multiplier ? [column("|μ|", ({ multiplier: moduli }, i) => number(moduli[i], 3)), column("error of flights at most (rad)", ({ flight_error: errors }, i) => number(errors[i], 1))] : []),
+    ...(multiplier ? [column("|μ|", ({ multiplier: moduli }, i) => number(moduli[i], 3)), column("flight error ≤ (rad)", ({ flight_error: errors }, i) => number(errors[i], 1))] : []),
     ...(computed ? [column("cell", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : cells.computed[i] ? "computed" : "taken from its block"))] : []),
   ];
 }
