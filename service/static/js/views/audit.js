@@ -26,7 +26,7 @@ export class Audit {
       const audit = await requestDataset(`/v1/jobs/${this.job.id}/audit`);
       const sentence = `${audit.attrs.sentence[0].toUpperCase()}${audit.attrs.sentence.slice(1)}.`;
       this.found.replaceChildren(h("p", {}, sentence), questions(audit), changed(this.job, audit));
-      announce(sentence);
+      announce(audit.attrs.sentence);
     } catch (error) {
       if (!isHandledElsewhere(error)) this.found.replaceChildren(h("p", { role: "alert" }, error.message));
     } finally {
